@@ -1,0 +1,94 @@
+# Needs make and Python >= 3.11, nothing else. `make help` lists the commands.
+
+PYTHON        ?= python3
+VENV          ?= .venv
+PIP_ARGS      ?=
+EVALUATE_ARGS ?=
+PYTEST_ARGS   ?=
+BENCHMARK_ARGS ?=
+
+BIN        := $(VENV)/bin
+PIP        := $(BIN)/python -m pip --disable-pip-version-check
+STAMP      := $(VENV)/.installed
+DOCS_STAMP := $(VENV)/.installed-docs
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help install evaluate test lint format docs benchmark clean clean-cache
+
+help: ## list the commands
+	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-13s %s\n", $$1, $$2 }' Makefile
+	@echo "PIP_ARGS go to pip install, EVALUATE_ARGS, PYTEST_ARGS and BENCHMARK_ARGS to their program."
+
+install: $(STAMP) ## create the virtual environment and install everything but the docs tools
+
+evaluate: $(STAMP) ## compare the policies on the uncertainty sets (the main job)
+	$(BIN)/python evaluate.py $(EVALUATE_ARGS)
+
+test: $(STAMP) ## run the whole test suite
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(STAMP) ## ruff (rules and format) and mypy on the public packages
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m mypy
+
+format: $(STAMP) ## sort imports and format the code
+	$(BIN)/python -m ruff check --select I --fix .
+	$(BIN)/python -m ruff format .
+
+docs: $(DOCS_STAMP) ## build the documentation into docs/_build/html
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+
+benchmark: $(STAMP) ## measure the speed of the environment beside its peers
+	$(BIN)/python benchmarks/speed.py $(BENCHMARK_ARGS)
+
+clean: clean-cache ## remove what tools and builds left (keeps results and the virtual environment)
+	rm -rf build dist docs/_build .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage
+	rm -rf *.egg-info
+
+clean-cache: ## remove compiled code; needed after editing an inlined formula
+	find tracked_env baselines agents benchmarks tests \
+	  \( -name '*.nbi' -o -name '*.nbc' \) -type f -delete 2>/dev/null || true
+	find tracked_env baselines agents benchmarks tests \
+	  -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	rm -rf __pycache__
+
+# Installation: once, and again when pyproject.toml or constraints.txt is newer than the stamp.
+define INSTALL
+$(PIP) install $(PIP_ARGS) -c constraints.txt -e '.[$(1)]' || { \
+  echo >&2; \
+  echo "ERROR: pip could not install the dependencies; its message stands above." >&2; \
+  echo "  no network or a proxy: set HTTPS_PROXY, or PIP_INDEX_URL to a mirror" >&2; \
+  echo "  no such version:       constraints.txt pins tested versions; is this Python newer than they are?" >&2; \
+  echo "  disk full:             torch takes most space; its CPU build is smaller:" >&2; \
+  echo "                         make $(MAKECMDGOALS) PIP_ARGS='--extra-index-url https://download.pytorch.org/whl/cpu'" >&2; \
+  echo "  a broken environment:  rm -rf $(VENV), then try again" >&2; \
+  exit 1; }
+endef
+
+$(STAMP): pyproject.toml constraints.txt
+	@command -v $(PYTHON) >/dev/null 2>&1 || { \
+	  echo "ERROR: '$(PYTHON)' is not installed or not on the PATH." >&2; \
+	  echo "  Install Python >= 3.11, or name one: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11" >&2; \
+	  exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "ERROR: '$(PYTHON)' is $$($(PYTHON) --version 2>&1); 3.11 or newer is needed." >&2; \
+	  echo "  Name a newer one: make $(MAKECMDGOALS) PYTHON=/path/to/python3.11" >&2; \
+	  exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { \
+	  echo "ERROR: '$(PYTHON)' lacks the venv module (or ensurepip)." >&2; \
+	  echo "  On Debian or Ubuntu: sudo apt install python3-venv" >&2; \
+	  exit 1; }
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV) || { \
+	  echo "ERROR: could not create the virtual environment $(VENV); is the folder writable?" >&2; \
+	  exit 1; }
+	@$(call INSTALL,rl$(COMMA)render$(COMMA)cli$(COMMA)dev)
+	@touch $@
+
+$(DOCS_STAMP): $(STAMP)
+	@$(call INSTALL,docs)
+	@touch $@
+
+COMMA := ,

@@ -1,0 +1,1 @@
+"""Model-based policies: controllers and estimators that know only a nominal model."""

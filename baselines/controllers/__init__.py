@@ -1,0 +1,1 @@
+"""Controllers: from an observation to sprocket torques, one idea a file."""

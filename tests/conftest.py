@@ -1,0 +1,35 @@
+"""What all tests share: no window, no sound, no display, and where reference data lies."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+# Before anything imports pygame or matplotlib.
+os.environ["SDL_VIDEODRIVER"] = "dummy"
+os.environ["SDL_AUDIODRIVER"] = "dummy"
+os.environ["PYGAME_HIDE_SUPPORT_PROMPT"] = "1"
+os.environ["MPLBACKEND"] = "Agg"
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def repository() -> Path:
+    """Root folder of the source tree."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def reference_data() -> Path:
+    """Folder with reference data that is not part of the project; skips where it is absent.
+
+    `TRACKED_ENV_REFERENCE_DATA` names it; default is `shared/data` beside the source tree.
+    """
+    default = ROOT.parent / "shared" / "data"
+    folder = Path(os.environ.get("TRACKED_ENV_REFERENCE_DATA", default))
+    if not folder.is_dir():
+        pytest.skip(
+            f"reference data not found at {folder}; set TRACKED_ENV_REFERENCE_DATA to its folder"
+        )
+    return folder

@@ -1,0 +1,61 @@
+"""What the tests of the torque plant share: its functions with limits, and random cases."""
+
+import math
+
+import numpy as np
+
+from tracked_env.physics.parameters import SoilParameters, plant_parameters
+from tracked_env.physics.torque_plant import (
+    Motion,
+    coefficients,
+    constrained_accelerations,
+    constrained_loads,
+    drive_limits,
+    sliding_accelerations,
+    sliding_loads,
+    traction_limits,
+)
+
+CLAY = plant_parameters()
+SANDY_LOAM = SoilParameters(cohesion=9.65e3, friction_angle=math.radians(35.0))
+CLOSURES = ["sliding", "constrained"]
+REST = Motion(0.0, 0.0, 0.0)
+
+
+def model(closure, p):
+    """(loads, accelerations) as functions of motion and torques, traction limits included."""
+    constrained = closure == "constrained"
+    k, drive = coefficients(p, constrained), drive_limits(p)
+    loads = constrained_loads if constrained else sliding_loads
+    rates = constrained_accelerations if constrained else sliding_accelerations
+
+    def limited(formula):
+        def evaluate(motion, left, right):
+            limits = traction_limits(motion, k.half_gauge, drive)
+            return formula(motion, left, right, k, limits)
+
+        return evaluate
+
+    return limited(loads), limited(rates)
+
+
+def random_cases(closure, count=400, seed=5):
+    """Random parameters, motions and torques: (p, motion, torque left, torque right)."""
+    draws = np.random.default_rng(seed)
+    for _ in range(count):
+        p = CLAY._replace(
+            mass=draws.uniform(500.0, 3000.0),
+            inertia=draws.uniform(300.0, 3000.0),
+            cohesion=draws.uniform(0.0, 70e3),
+            friction_angle=draws.uniform(0.2, 0.7),
+            shear_deformation_modulus=draws.uniform(0.005, 0.1),
+            longitudinal_resistance=draws.uniform(0.0, 1.0),
+            lateral_resistance=draws.uniform(0.1, 1.2),
+            turning_resistance_factor=draws.choice([1.0, 2.0]),
+            icr_forward=draws.uniform(-0.5, 0.5),
+        )
+        scale = 10.0 ** draws.uniform(-3.0, 0.7)
+        v_x, v_y, yaw_rate = (float(v) for v in scale * draws.uniform(-1.0, 1.0, 3))
+        v_y = -p.icr_forward * yaw_rate if closure == "constrained" else v_y
+        left, right = (float(t) for t in draws.uniform(-8e3, 8e3, 2))
+        yield p, Motion(v_x, v_y, yaw_rate), left, right

@@ -1,0 +1,95 @@
+"""Every formula gives the same bits compiled and as plain Python."""
+
+import math
+
+import numpy as np
+import pytest
+from numba.core.registry import CPUDispatcher
+
+from tracked_env.physics import elementary, integration, terramechanics, torque_plant
+from tracked_env.physics.parameters import plant_parameters
+from tracked_env.physics.torque_plant import Motion
+
+CLAY = plant_parameters()
+DRIVE = torque_plant.drive_limits(CLAY)
+K = torque_plant.coefficients(CLAY, False)
+K_FIXED = torque_plant.coefficients(CLAY, True)
+TURN = Motion(2.0, -0.013, 0.23)
+BACK = Motion(-0.03, 0.4, -1.7)
+LIMITS = torque_plant.traction_limits(TURN, K.half_gauge, DRIVE)
+SOIL = (DRIVE.effort_maximum, DRIVE.shear_length)
+TORQUES = ((300.0, 2300.0), (-900.0, 7e3))
+LOADS = [(m, *t, k, LIMITS) for m in (TURN, BACK) for t in TORQUES for k in (K, K_FIXED)]
+NUMBERS = (-650.3, -1.0, -1e-9, 0.0, 0.03, 0.7, 33.3)
+RK4_TORQUES = ((300.0, 2300.0), (310.0, 2290.0), (320.0, 2280.0))
+
+ARGUMENTS = {
+    elementary: {
+        "exponential": [(x,) for x in NUMBERS],
+        "small_rotation": [(x,) for x in (-0.05, 0.0, 0.003)],
+        "regularised_sign": [(x, 0.03) for x in NUMBERS],
+        "saturated_sign": [(x, 10.0) for x in NUMBERS],
+        "signed": [(3.0, x) for x in NUMBERS],
+    },
+    terramechanics: {
+        "maximum_tractive_effort": [(70e3, math.radians(38.4), 0.3, 2.0, 1450.0)],
+        "mobilised_shear": [(abs(x),) for x in NUMBERS],
+        "shear_ratio_from_mobilisation": [(y,) for y in (0.0, 1e-6, 0.09, 0.5, 0.999, 1.0, 7.0)],
+        "tractive_effort": [(i, *SOIL) for i in (-1.0, -0.002, 0.0, 0.3)],
+        "slip_from_effort": [(f, *SOIL) for f in (-9e4, -4e3, 0.0, 20.0, 47e3)],
+        "driving_effort_limit": [(v, DRIVE.inverse_belt_limit, *SOIL) for v in NUMBERS],
+        "belt_speed": [(f, v, 0.4, 6.0) for f in (-1.0, 0.0, 2.0) for v in NUMBERS],
+        "slip_ratio": [(v, 0.7) for v in NUMBERS],
+        "resisting": [(v, f, 4267.0, 10.0) for f in (-9e3, 1e3) for v in NUMBERS],
+        "lateral_friction": [(v, w, 5690.0, 2.0) for v in NUMBERS for w in NUMBERS],
+    },
+    torque_plant: {
+        "drive_limits": [(CLAY,)],
+        "track_speeds": [(TURN, 0.85)],
+        "coefficients": [(CLAY, False), (CLAY, True)],
+        "track_limits": [(v, DRIVE) for v in NUMBERS],
+        "traction_limits": [(TURN, 0.85, DRIVE), (BACK, 0.85, DRIVE)],
+        "safe_effort": [(TURN, 5e3, 0.85, DRIVE), (TURN, 5e5, 0.85, DRIVE)],
+        "sliding_loads": LOADS,
+        "constrained_loads": LOADS,
+        "sliding_accelerations": LOADS,
+        "constrained_accelerations": LOADS,
+        "inertial_acceleration": [(TURN, 0.3, -0.2)],
+        "torque_decay": [(0.00125, 0.05), (0.00125, 0.0)],
+        "track_slip": [(f, v, DRIVE) for f in (-5e4, 4e3) for v in NUMBERS],
+        "kinetic_energy": [(TURN, CLAY)],
+    },
+    integration: {
+        "rk4_step": [
+            (torque_plant.sliding_accelerations, TURN, *RK4_TORQUES, K, LIMITS, 0.0025),
+            (torque_plant.constrained_accelerations, TURN, *RK4_TORQUES, K_FIXED, LIMITS, 0.0025),
+        ],
+    },
+}
+
+
+def _flat(value):
+    return [x for part in value for x in _flat(part)] if isinstance(value, tuple) else [value]
+
+
+@pytest.mark.parametrize("module", ARGUMENTS, ids=lambda module: module.__name__.split(".")[-1])
+def test_every_public_formula_of_the_module_is_sampled(module):
+    formulas = {
+        name
+        for name, value in vars(module).items()
+        if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.__name__
+        if not name.startswith("_")
+    }
+    assert formulas == set(ARGUMENTS[module])
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [(module, name) for module, names in ARGUMENTS.items() for name in names],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_compiled_equals_pure_python_bit_for_bit(module, name):
+    formula = getattr(module, name)
+    for arguments in ARGUMENTS[module][name]:
+        compiled, pure = _flat(formula(*arguments)), _flat(formula.py_func(*arguments))
+        assert np.array_equal(compiled, pure), arguments

@@ -1,0 +1,111 @@
+"""Elementary functions against the C library, their limits and their symmetries."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tracked_env.physics.elementary import (
+    exponential,
+    regularised_sign,
+    saturated_sign,
+    signed,
+    small_rotation,
+)
+
+SPEEDS = np.concatenate([np.logspace(-12, 6, 400), np.linspace(0.0, 0.2, 401)])
+WIDTH = 0.03  # [m/s]
+
+
+def test_exponential_agrees_with_the_library_over_its_whole_range():
+    draws = np.random.default_rng(1)
+    arguments = np.concatenate(
+        [
+            draws.uniform(-700.0, 700.0, 20_000),
+            draws.uniform(-1.0, 1.0, 5_000),
+            -np.logspace(-300, 0, 500),
+            0.5 * math.log(2.0) * np.arange(-1000, 1001),  # where the range reduction rounds
+        ]
+    )
+    worst = max(abs(exponential(x) / math.exp(x) - 1.0) for x in arguments)
+    assert worst < 1e-14
+
+
+def test_exponential_is_clipped_and_never_infinite_or_zero():
+    assert exponential(0.0) == 1.0
+    assert exponential(1e300) == exponential(700.0) < math.inf
+    assert exponential(-math.inf) == exponential(-700.0) > 0.0
+    assert math.isnan(exponential(math.nan))
+
+
+@pytest.mark.parametrize(("largest", "error"), [(0.02, 3e-16), (0.05, 1.2e-15), (0.1, 3e-13)])
+def test_small_rotation_is_exact_to_the_first_neglected_term(largest, error):
+    for angle in np.linspace(-largest, largest, 2001):
+        cosine, sine = small_rotation(angle)
+        assert abs(cosine - math.cos(angle)) < error
+        assert abs(sine - math.sin(angle)) < error
+
+
+def test_small_rotation_by_an_opposite_angle_is_the_inverse_bit_for_bit():
+    for angle in np.linspace(0.0, 0.1, 101):
+        cosine, sine = small_rotation(angle)
+        assert small_rotation(-angle) == (cosine, -sine)
+
+
+def _regularised(speed):
+    return regularised_sign(speed, WIDTH)
+
+
+def _saturated(speed):
+    return saturated_sign(speed, 1.0 / WIDTH)
+
+
+@pytest.mark.parametrize("sign", [_regularised, _saturated])
+def test_smooth_signs_are_odd_bounded_and_monotone(sign):
+    values = np.array([sign(u) for u in np.sort(SPEEDS)])
+    assert np.array_equal(values, [-sign(-u) for u in np.sort(SPEEDS)])
+    assert sign(0.0) == 0.0
+    # Where the exact value is 1 to the last digit, rounding shows: a few ulp, no more.
+    assert values.max() <= 1.0 + 5e-16
+    assert np.diff(values).min() > -8e-16
+
+
+@pytest.mark.parametrize("sign", [_regularised, _saturated])
+def test_smooth_signs_start_with_slope_three_halves_over_the_width(sign):
+    for u in (1e-9, -1e-7):
+        assert sign(u) / u == pytest.approx(1.5 / WIDTH, rel=1e-8)
+
+
+def test_regularised_sign_approaches_one_with_the_fourth_power():
+    for ratio in (20.0, 50.0, 100.0):
+        gap = 1.0 - _regularised(ratio * WIDTH)
+        assert gap == pytest.approx(0.375 * ratio**-4, rel=4.0 / ratio**2)
+    assert _regularised(1e9) == pytest.approx(1.0, abs=3e-16)
+
+
+def test_regularised_sign_integrates_to_its_algebraic_antiderivatives():
+    # G = (2 u^2 + eps^2) / (2 e) and G2 = u e / 2, the basis of the friction integrals.
+    def first(u):
+        return (2.0 * u * u + WIDTH**2) / (2.0 * math.hypot(u, WIDTH))
+
+    def second(u):
+        return 0.5 * u * math.hypot(u, WIDTH)
+
+    h = 1e-5 * WIDTH
+    for u in (0.0, 0.01, -0.03, 0.2, 3.0):
+        assert (first(u + h) - first(u - h)) / (2 * h) == pytest.approx(_regularised(u), abs=1e-8)
+        assert (second(u + h) - second(u - h)) / (2 * h) == pytest.approx(first(u), rel=1e-8)
+
+
+def test_saturated_sign_is_the_sign_beyond_its_width():
+    # 1 / 32 and its inverse are exact, so "at the width" is no matter of rounding.
+    for u in (0.03125, 0.04, 1.0, 1e9):
+        assert saturated_sign(u, 32.0) == 1.0
+        assert saturated_sign(-u, 32.0) == -1.0
+    assert saturated_sign(0.031, 32.0) < 1.0
+
+
+def test_signed_takes_the_sign_of_the_direction_and_zero_counts_as_positive():
+    assert signed(2.0, 0.1) == 2.0
+    assert signed(2.0, -0.1) == -2.0
+    assert signed(2.0, 0.0) == 2.0

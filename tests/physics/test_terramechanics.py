@@ -1,0 +1,209 @@
+"""Track-soil formulas against quadrature, closed forms, limits and published values."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.parameters import HEAVY_CLAY, RANGES, STRAWA_VEHICLE, plant_parameters
+from tracked_env.physics.torque_plant import drive_limits, track_slip
+
+LENGTH = STRAWA_VEHICLE.contact_length
+WEIGHT = STRAWA_VEHICLE.mass * soil.GRAVITY
+CLAY = drive_limits(plant_parameters())
+RESISTANCE = 0.5 * HEAVY_CLAY.longitudinal_resistance * WEIGHT  # [N] of one track
+INVERSE_WIDTH = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
+
+
+def _soils(count=60):
+    """(F_max [N], l / K [-]) over the whole allowed range of soils and vehicles."""
+    draws = np.random.default_rng(2)
+    for _ in range(count):
+        cohesion = 10.0 ** draws.uniform(1.0, 6.0)
+        angle = draws.uniform(RANGES["friction_angle"].low, RANGES["friction_angle"].high)
+        modulus = math.exp(draws.uniform(math.log(1e-4), math.log(1.0)))
+        length = draws.uniform(0.1, 10.0)
+        yield soil.maximum_tractive_effort(cohesion, angle, 0.3, length, 1450.0), length / modulus
+
+
+# --- tractive effort ------------------------------------------------------------------------
+
+
+def test_maximum_effort_on_heavy_clay_is_that_of_mohr_and_coulomb():
+    expected = 0.3 * 2.0 * 70e3 + 0.5 * 1450.0 * 9.81 * math.tan(math.radians(38.4))
+    assert CLAY.effort_maximum == pytest.approx(expected, rel=1e-15)
+    assert CLAY.effort_maximum == pytest.approx(47.64e3, rel=1e-4)
+    assert soil.maximum_tractive_effort(0.0, 0.0, 0.3, 2.0, 1450.0) == 0.0
+
+
+@pytest.mark.parametrize("slip", [1e-6, 1e-3, 1.2e-3, 1.3e-3, 0.0019, 0.02, 0.3, 0.7, 1.0])
+@pytest.mark.parametrize("modulus", [0.001, 0.02, 0.3])
+def test_effort_is_the_integral_of_janosi_and_hanamoto_over_the_contact(slip, modulus):
+    # S (5), (6): tau = tau_max (1 - exp(-i x / K)) at the distance x from the front.
+    def shear(x):
+        return -math.expm1(-slip * x / modulus)
+
+    knee = min(30.0 * modulus / slip, LENGTH)
+    mean = (
+        quad(shear, 0.0, knee, epsabs=0.0, epsrel=1e-13)[0]
+        + quad(shear, knee, LENGTH, epsabs=0.0, epsrel=1e-13)[0]
+    ) / LENGTH
+    effort = soil.tractive_effort(slip, 1000.0, LENGTH / modulus)
+    assert effort == pytest.approx(1000.0 * mean, rel=1e-12)
+
+
+def test_nine_percent_of_the_maximum_effort_takes_0_19_percent_of_slip_on_heavy_clay():
+    # Straight driving: rolling resistance 4.27 kN per track is 9 % of F_max = 47.6 kN.
+    assert RESISTANCE / CLAY.effort_maximum == pytest.approx(0.09, abs=0.0005)
+    slip = soil.slip_from_effort(0.09 * CLAY.effort_maximum, CLAY.effort_maximum, 100.0)
+    assert slip == pytest.approx(0.0019, abs=0.00005)
+
+
+def test_mobilised_shear_has_its_limits_and_is_monotone():
+    ratios = np.concatenate([np.logspace(-12, 6, 500), np.linspace(0.12, 0.13, 200)])
+    values = np.array([soil.mobilised_shear(u) for u in np.sort(ratios)])
+    assert soil.mobilised_shear(0.0) == 0.0
+    assert np.diff(values).min() >= 0.0
+    assert soil.mobilised_shear(1e-6) == pytest.approx(0.5e-6, rel=1e-6)
+    assert soil.mobilised_shear(1e4) == pytest.approx(1.0 - 1e-4, rel=1e-14)
+
+
+def test_slip_and_effort_are_inverse_of_each_other_on_every_soil():
+    slips = np.concatenate([np.logspace(-9, 0, 40), [0.0, 0.00125, 0.5, 0.99]])
+    for maximum, shear_length in _soils():
+        for slip in slips:
+            effort = soil.tractive_effort(slip, maximum, shear_length)
+            assert soil.slip_from_effort(effort, maximum, shear_length) == pytest.approx(
+                slip, rel=1e-10, abs=0.0
+            )
+        limit = soil.tractive_effort(1.0, maximum, shear_length)
+        for share in (1e-9, 1e-4, 0.03, 0.5, 0.97, 0.9999):
+            slip = soil.slip_from_effort(share * limit, maximum, shear_length)
+            assert soil.tractive_effort(slip, maximum, shear_length) == pytest.approx(
+                share * limit, rel=1e-10
+            )
+
+
+def test_slip_and_effort_are_odd_bit_for_bit():
+    for maximum, shear_length in _soils(10):
+        for slip in (1e-5, 0.01, 0.4, 1.0):
+            effort = soil.tractive_effort(slip, maximum, shear_length)
+            assert soil.tractive_effort(-slip, maximum, shear_length) == -effort
+            there = soil.slip_from_effort(effort, maximum, shear_length)
+            assert soil.slip_from_effort(-effort, maximum, shear_length) == -there
+
+
+def test_an_effort_beyond_the_limit_means_full_slip():
+    for maximum, shear_length in _soils(20):
+        limit = soil.tractive_effort(1.0, maximum, shear_length)
+        for factor in (1.0 + 1e-9, 1.5, 1e6):
+            assert soil.slip_from_effort(factor * limit, maximum, shear_length) == pytest.approx(
+                1.0, rel=1e-9
+            )
+        assert soil.slip_from_effort(-2.0 * maximum, maximum, shear_length) == -1.0
+
+
+def test_driving_effort_falls_from_the_limit_at_standstill_to_zero_at_top_speed():
+    top = 1.0 / CLAY.inverse_belt_limit
+    efforts = [
+        soil.driving_effort_limit(
+            v, CLAY.inverse_belt_limit, CLAY.effort_maximum, CLAY.shear_length
+        )
+        for v in np.linspace(0.0, 1.2 * top, 200)
+    ]
+    assert efforts[0] == pytest.approx(CLAY.effort_limit, rel=1e-8)
+    assert np.diff(efforts).max() <= 0.0
+    assert efforts[-1] == 0.0
+    # At 90 % of the top speed the belt slips by 10 %: u = 10 and F = F_max (0.9 + e^-10 / 10).
+    tenth = soil.driving_effort_limit(
+        0.9 * top, CLAY.inverse_belt_limit, CLAY.effort_maximum, CLAY.shear_length
+    )
+    assert tenth == pytest.approx(CLAY.effort_maximum * (0.9 + 0.1 * math.exp(-10.0)), rel=1e-12)
+
+
+# --- belt speed and slip ratio --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [-3.0, -0.02, 0.02, 3.0])
+@pytest.mark.parametrize("share", [-0.9, -0.3, -1e-4, 1e-4, 0.3, 0.9])
+def test_the_belt_outruns_a_driven_track_and_lags_a_braked_one(speed, share):
+    slip, belt = track_slip(share * CLAY.effort_limit, speed, CLAY)
+    assert belt * speed > 0.0
+    assert (abs(belt) > abs(speed)) == (share * speed > 0.0)
+    # The slip ratio has the sign of the effort and carries exactly that effort, S (7).
+    assert slip == pytest.approx((belt - speed) / max(abs(belt), abs(speed)), rel=1e-12)
+    effort = soil.tractive_effort(slip, CLAY.effort_maximum, CLAY.shear_length)
+    assert effort == pytest.approx(share * CLAY.effort_limit, rel=1e-9)
+
+
+@pytest.mark.parametrize("speed", [-3.0, 0.5])
+def test_a_track_without_effort_rolls_without_slip(speed):
+    assert track_slip(0.0, speed, CLAY) == (0.0, speed)
+
+
+def test_a_track_that_stands_has_no_slip_until_it_spins():
+    assert track_slip(0.0, 0.0, CLAY) == (0.0, 0.0)
+    assert track_slip(0.5 * CLAY.effort_limit, 0.0, CLAY) == (0.0, 0.0)
+    top = 1.0 / CLAY.inverse_belt_limit
+    for sense in (-1.0, 1.0):
+        slip, belt = track_slip(sense * 1.1 * CLAY.effort_limit, 0.0, CLAY)
+        assert slip == sense
+        assert belt == pytest.approx(sense * top, rel=1e-12)
+
+
+def test_a_locked_track_slides_with_slip_of_one_against_its_motion():
+    slip, belt = track_slip(-2.0 * CLAY.effort_limit, 1.5, CLAY)
+    assert (slip, belt) == (-1.0, 0.0)
+
+
+def test_the_belt_never_exceeds_the_speed_of_its_drive():
+    top = 1.0 / CLAY.inverse_belt_limit
+    for speed in (0.01, 1.0, 5.9):
+        for share in (0.5, 0.99, 1.0, 3.0):
+            _, belt = track_slip(share * CLAY.effort_limit, speed, CLAY)
+            assert speed < belt <= top * (1.0 + 1e-15)
+
+
+# --- resistance without creep ---------------------------------------------------------------
+
+
+def test_a_load_below_the_resistance_leaves_exactly_nothing_at_rest():
+    for load in (-RESISTANCE, -0.3 * RESISTANCE, 0.0, 1e-9, 0.999 * RESISTANCE, RESISTANCE):
+        assert load - soil.resisting(0.0, load, RESISTANCE, INVERSE_WIDTH) == 0.0
+
+
+def test_a_load_above_the_resistance_moves_a_track_with_the_difference():
+    for load in (1.1 * RESISTANCE, 5.0 * RESISTANCE):
+        assert soil.resisting(0.0, load, RESISTANCE, INVERSE_WIDTH) == RESISTANCE
+        assert soil.resisting(0.0, -load, RESISTANCE, INVERSE_WIDTH) == -RESISTANCE
+
+
+@pytest.mark.parametrize("load", [-1e4, 0.0, 1e3, 1e4])
+def test_above_its_width_the_resistance_is_the_printed_sign_function(load):
+    for speed in (0.1, 0.11, 2.0):
+        assert soil.resisting(speed, load, RESISTANCE, INVERSE_WIDTH) == RESISTANCE
+        assert soil.resisting(-speed, load, RESISTANCE, INVERSE_WIDTH) == -RESISTANCE
+
+
+def test_what_is_left_of_a_small_load_always_slows_the_track():
+    for speed in (1e-6, 0.01, 0.05, 0.2):
+        for load in np.linspace(-0.99, 0.99, 21) * RESISTANCE:
+            net = load - soil.resisting(speed, load, RESISTANCE, INVERSE_WIDTH)
+            assert net < 0.0
+            mirrored = -load - soil.resisting(-speed, -load, RESISTANCE, INVERSE_WIDTH)
+            assert mirrored == -net
+
+
+def test_the_held_load_gives_back_at_most_a_trace_of_power_within_the_width():
+    # Near standstill the resistance still balances a load against the motion; continuity in the
+    # speed costs max over x of x (1 - 3 x + x^3) = 0.0841 of R times the width, no more.
+    width = soil.MOTION_RESISTANCE_REGULARISATION
+    powers = [
+        v * soil.resisting(v, load, RESISTANCE, INVERSE_WIDTH)
+        for v in np.linspace(0.0, 1.2 * width, 500)
+        for load in (-3.0 * RESISTANCE, -RESISTANCE, 0.0, RESISTANCE)
+    ]
+    assert min(powers) >= -0.0842 * RESISTANCE * width
+    assert max(powers) > 0.0

@@ -1,0 +1,131 @@
+"""Who may import whom, read from the source with `ast`, and what `import tracked_env` costs."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+OURS = ("tracked_env", "baselines", "agents", "train", "evaluate", "tests", "benchmarks")
+
+# Importer -> what it may import of OURS, and foreign packages that it may not import.
+# A module belongs to the longest prefix that fits.
+ALLOWED = {
+    "tracked_env.physics": ("tracked_env.physics",),
+    "tracked_env": ("tracked_env",),
+    "baselines": ("tracked_env.physics", "tracked_env.observation", "baselines"),
+    "agents": ("tracked_env", "baselines", "agents"),
+    "train": ("tracked_env", "baselines", "agents"),
+    "evaluate": ("tracked_env", "baselines", "agents"),
+}
+FORBIDDEN = {"baselines": ("gymnasium", "stable_baselines3")}  # a baseline never sees an env
+
+
+def within(module: str, prefixes: tuple[str, ...]) -> bool:
+    """Whether `module` is one of `prefixes` or lies below one."""
+    return any(module == prefix or module.startswith(f"{prefix}.") for prefix in prefixes)
+
+
+def rule_of(module: str) -> str | None:
+    """The key of ALLOWED that governs `module`."""
+    fitting = [key for key in ALLOWED if within(module, (key,))]
+    return max(fitting, key=len, default=None)
+
+
+def module_name(path: Path, root: Path) -> str:
+    """Dotted name of the module in `path`."""
+    parts = path.relative_to(root).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported_modules(path: Path, root: Path) -> list[tuple[int, str]]:
+    """(line, dotted name) of everything that a file imports, in functions too."""
+    package = module_name(path, root).split(".")
+    if path.name != "__init__.py":
+        package = package[:-1]
+    found: list[tuple[int, str]] = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            source = ".".join([*base, *([node.module] if node.module else [])])
+            found += [(node.lineno, f"{source}.{alias.name}") for alias in node.names]
+        elif isinstance(node, ast.Call) and node.args:
+            name = getattr(node.func, "attr", getattr(node.func, "id", None))
+            target = node.args[0]
+            if name in ("import_module", "__import__") and isinstance(target, ast.Constant):
+                found.append((node.lineno, str(target.value)))
+    return found
+
+
+def violations(root: Path) -> list[str]:
+    """Every import below `root` that breaks a rule, as 'file:line imports what'."""
+    paths = [path for name in OURS for path in sorted((root / name).rglob("*.py"))]
+    paths += [path for name in OURS if (path := root / f"{name}.py").exists()]
+    broken = []
+    for path in paths:
+        rule = rule_of(module_name(path, root))
+        if rule is None:
+            continue
+        for line, target in imported_modules(path, root):
+            stranger = within(target, OURS) and not within(target, ALLOWED[rule])
+            if stranger or within(target, FORBIDDEN.get(rule, ())):
+                broken.append(f"{path.relative_to(root)}:{line} imports {target}")
+    return broken
+
+
+def test_imports_follow_the_rules_of_the_layout(repository: Path) -> None:
+    assert (repository / "tracked_env" / "physics").is_dir()
+    assert violations(repository) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("tracked_env/physics/state.py", "from tracked_env import observation"),
+        ("tracked_env/physics/state.py", "from .. import observation"),
+        ("tracked_env/physics/state.py", "import agents"),
+        ("tracked_env/env.py", "from baselines.controllers import lqr"),
+        ("tracked_env/env.py", "import importlib; importlib.import_module('baselines')"),
+        ("tracked_env/benchmark/runner.py", "def f():\n    import agents.networks"),
+        ("baselines/controllers/lqr.py", "from tracked_env.env import TrackedVehicleEnv"),
+        ("baselines/controllers/lqr.py", "import tracked_env"),
+        ("baselines/controllers/lqr.py", "import gymnasium as gym"),
+        ("baselines/slip_model.py", "from agents import networks"),
+        ("agents/networks.py", "import evaluate"),
+        ("train.py", "from evaluate import main"),
+        ("evaluate.py", "from tests.conftest import ROOT"),
+    ],
+)
+def test_a_forbidden_import_is_found(file: str, line: str, tmp_path: Path) -> None:
+    (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / file).write_text(f"{line}\n")
+    assert len(violations(tmp_path)) == 1
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("tracked_env/physics/state.py", "from . import parameters"),
+        ("tracked_env/benchmark/runner.py", "from ..physics import state"),
+        ("baselines/controllers/lqr.py", "from tracked_env import observation"),
+        ("baselines/controllers/lqr.py", "from tracked_env.physics.state import VehicleState"),
+        ("baselines/controllers/lqr.py", "from baselines.slip_model import SlipModel"),
+        ("evaluate.py", "import tracked_env, baselines, agents"),
+    ],
+)
+def test_an_allowed_import_is_not_reported(file: str, line: str, tmp_path: Path) -> None:
+    (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / file).write_text(f"{line}\n")
+    assert violations(tmp_path) == []
+
+
+def test_importing_the_package_loads_no_heavy_optional_dependency(repository: Path) -> None:
+    heavy = ("torch", "stable_baselines3", "matplotlib", "pygame", "moviepy", "tyro")
+    code = f"import sys, tracked_env; print(*[m for m in {heavy} if m in sys.modules])"
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=repository, capture_output=True, text=True, check=True
+    )
+    assert result.stdout.split() == []

@@ -1,0 +1,179 @@
+"""One tracked vehicle behind the Gymnasium interface: the simulation core with N = 1."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env import batch as b
+from tracked_env import observation as obs
+from tracked_env.simulation import Simulation, TorqueConfig
+from tracked_env.validation import checked_choice
+
+RENDER_MODES = ("human", "rgb_array")
+ObsType = NDArray[np.float32]
+
+
+class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
+    """A skid-steering tracked vehicle on unknown soil follows a reference in time.
+
+    ## Description
+    A tracked vehicle (Strawa et al. 2021) turns by driving its two tracks with different
+    sprocket torques. Mass, inertia, soil strength and resistance are drawn per episode, may
+    change inside it, and are not observed. The task is to stay on a moving reference pose.
+    SI units, body frame x forward and y left, yaw positive to the left.
+
+    ## Action Space
+    `Box(-1, 1, (2,), float32)`
+
+    | index | action | min | max | unit |
+    |--|--|--|--|--|
+    | 0 | left sprocket torque over `torque_limit` | -1 | 1 | - |
+    | 1 | right sprocket torque over `torque_limit` | -1 | 1 | - |
+
+    Values outside are clipped; a non-finite value or a wrong shape is a ValueError. Equal
+    torques drive straight on; more on the right turns left.
+
+    ## Observation Space
+    `Box(float32)`: sensor readings and the reference, each over its scale. No true state.
+
+OBSERVATION_TABLE
+
+    ## Rewards
+    Sum of bounded terms (`tracked_env.rewards`), in [-0.1, 1] per step: closeness of position
+    (weight 0.7), heading (0.15) and speed (0.15), minus effort (0.05) and change of the action
+    (0.05). They are in `info["reward_terms"]`.
+
+    ## Starting State
+    Beside the start of the reference: U(-0.3, 0.3) m forward and to the left, U(-0.1, 0.1) rad
+    off, at its speed *U(0.8, 1.2).
+
+    ## Episode End
+    Terminated: more than `error_limit` from the reference, or a non-finite state.
+    Truncated: after `duration`. No TimeLimit wrapper is needed.
+
+    ## Arguments
+    All are JSON-able.
+
+    | argument | default | meaning |
+    |--|--|--|
+    | `reference` | `"random"` | name or dict, see `tracked_env.references` |
+    | `uncertainty` | `"soil-and-mass"` | set by name, or {parameter: [low, high]} |
+    | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, or dict of overrides |
+    | `duration` | 30 | [s] of an episode |
+    | `control_rate` | 50 | [Hz] of actions and observations |
+    | `lateral` | `"sliding"` | lateral closure, or `"constrained"` as in the paper |
+    | `error_limit` | 5 | [m] distance that ends an episode |
+    | `time_step` | 0.0025 | [s] longest integration step |
+    | `expose_truth` | False | put true state and parameters into `info["truth"]` |
+    | `render_mode` | None | `"human"` or `"rgb_array"` |
+
+    `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
+    `closure` ({parameter: value}), `reference`, `sensors`, `schedule` (a list of changes, see
+    `tracked_env.schedule`) and `start` ({offset_x, offset_y, offset_yaw, speed, yaw_rate}).
+    An unknown key is a ValueError.
+
+    ## Info
+    `tracking_error` (2,) [m, rad]: distance to the reference, heading error; `reward_terms`;
+    `is_success`: ended by time with an RMSE below 0.5 m; `truth` when asked for.
+
+    ## Version History
+    * v0: initial version
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 50}
+
+    def __init__(
+        self,
+        reference: str | Mapping[str, Any] = "random",
+        uncertainty: str | Mapping[str, Any] = "soil-and-mass",
+        sensors: str | Mapping[str, Any] = "rtk",
+        duration: float = 30.0,
+        control_rate: float = 50.0,
+        lateral: str = "sliding",
+        error_limit: float = 5.0,
+        time_step: float = 0.0025,
+        expose_truth: bool = False,
+        render_mode: str | None = None,
+    ) -> None:
+        if render_mode is not None:
+            checked_choice("render_mode", render_mode, RENDER_MODES)
+        config = TorqueConfig(
+            reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
+            time_step,
+        )  # fmt: skip
+        self.simulation = Simulation(1, config)
+        self.expose_truth = expose_truth
+        self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": round(control_rate)}
+        self.observation_space = gymnasium.spaces.Box(obs.LOW, obs.HIGH, dtype=np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self._floats = self.simulation.batch.floats[0]
+        self._counters = self.simulation.batch.counters[0]
+        self._renderer: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[ObsType, dict[str, Any]]:
+        """Start an episode. Raises ValueError for options that are unknown or out of range."""
+        super().reset(seed=seed)
+        self.simulation.rngs[0] = self.np_random
+        observation = self.simulation.reset(self.simulation.all, [options])[0].copy()
+        if self.render_mode == "human":
+            self.render()
+        return observation, self._info()
+
+    def step(self, action: ObsType) -> tuple[ObsType, float, bool, bool, dict[str, Any]]:
+        """Hold the two torque demands for one control period."""
+        observation = self.simulation.step(np.asarray(action, dtype=np.float32)[None])[0].copy()
+        counters = self._counters
+        if self.render_mode == "human":
+            self.render()
+        return (
+            observation,
+            float(self._floats[b.REWARD]),
+            bool(counters[b.TERMINATED]),
+            bool(counters[b.TRUNCATED]),
+            self._info(),
+        )
+
+    def _info(self) -> dict[str, Any]:
+        floats = self._floats
+        terms = floats[b.TERMS : b.TERMS + len(b.REWARD_TERMS)].tolist()
+        ended = self._counters[b.TRUNCATED] != 0
+        info: dict[str, Any] = {
+            "tracking_error": floats[[b.ERROR_DISTANCE, b.ERROR_YAW]],
+            "reward_terms": dict(zip(b.REWARD_TERMS, terms, strict=True)),
+            "is_success": bool(ended and self.simulation.success[0]),
+        }
+        if self.expose_truth:
+            truth = self.simulation.truth()
+            info["truth"] = {name: float(value[0]) for name, value in truth.items()}
+        return info
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Draw the scene: an RGB array (height, width, 3), or a window in `human` mode.
+
+        Raises ImportError with the extra to install when pygame is missing.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() needs render_mode='rgb_array' or 'human' at make().")
+            return None
+        if self._renderer is None:
+            from tracked_env.rendering import Renderer
+
+            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
+        return self._renderer.draw(self.simulation, 0)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+TrackedVehicleEnv.__doc__ = (TrackedVehicleEnv.__doc__ or "").replace(
+    "OBSERVATION_TABLE", "    " + obs.markdown_table().replace("\n", "\n    ")
+)

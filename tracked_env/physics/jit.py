@@ -1,0 +1,18 @@
+"""How the kernels are compiled, in one place.
+
+All kernels: cached on disk; division follows IEEE (`error_model="numpy"`, so no hidden
+branch); no fastmath, so that a batch of any size gives the same bits as one vehicle.
+`formula` is for the small pure functions (one equation each): they are inlined into the
+loop that calls them, which lets the compiler vectorise that loop over vehicles.
+`loop` is for the functions that own such a loop; they release the interpreter lock.
+
+Numba keys its disk cache on the file of the function that is called: after editing an
+inlined formula, run `make clean-cache` so that its callers are compiled again.
+"""
+
+from functools import partial
+
+from numba import njit
+
+formula = partial(njit, cache=True, error_model="numpy", forceinline=True)()
+loop = partial(njit, cache=True, error_model="numpy", nogil=True, boundscheck=False)()

@@ -1,0 +1,114 @@
+"""Parameters of vehicle, soil and model closure: names, units, physical ranges, presets.
+
+The physics takes every parameter per vehicle and per step. A batch keeps one parameter per
+row, in the order of `PARAMETER_NAMES`, shape (PARAMETER_ROWS, N).
+
+References: [1] Strawa et al., Electronics 10 (2021) 187, Tables 1 and 2.
+"""
+
+import math
+from typing import NamedTuple
+
+
+class VehicleParameters(NamedTuple):
+    """The vehicle: default is Table 1 of [1]; the drive is this project's choice."""
+
+    mass: float = 1450.0  # [kg] m
+    inertia: float = 1180.0  # [kg m^2] I, yaw, about the centre of mass
+    track_gauge: float = 1.7  # [m] B, between the track centre lines
+    track_width: float = 0.3  # [m] w
+    contact_length: float = 2.0  # [m] l
+    sprocket_radius: float = 0.3  # [m] r
+    torque_limit: float = 8000.0  # [N m] of one drive, at the sprocket
+    sprocket_speed_limit: float = 20.0  # [rad/s] of one drive, at the sprocket
+    torque_time_constant: float = 0.05  # [s] lag of the motor's current loop; 0 = none
+
+
+class SoilParameters(NamedTuple):
+    """The soil: default is heavy clay, Table 2 of [1]."""
+
+    cohesion: float = 70e3  # [Pa] c
+    friction_angle: float = math.radians(38.4)  # [rad] phi, angle of internal shearing resistance
+    shear_deformation_modulus: float = 0.02  # [m] K
+    longitudinal_resistance: float = 0.6  # [-] mu_l, motion resistance over weight
+    lateral_resistance: float = 0.8  # [-] mu_t, lateral friction over weight
+
+
+class ClosureParameters(NamedTuple):
+    """Choices of the lateral model that are numbers."""
+
+    turning_resistance_factor: float = 1.0  # [-] 1 = integral; 2 = as printed in S (20)
+    icr_forward: float = 0.05  # [m] d, x_ICR in the `constrained` closure
+
+
+class PlantParameters(NamedTuple):
+    """All parameters of one vehicle on its soil, as the kernels take them."""
+
+    mass: float
+    inertia: float
+    track_gauge: float
+    track_width: float
+    contact_length: float
+    sprocket_radius: float
+    torque_limit: float
+    sprocket_speed_limit: float
+    torque_time_constant: float
+    cohesion: float
+    friction_angle: float
+    shear_deformation_modulus: float
+    longitudinal_resistance: float
+    lateral_resistance: float
+    turning_resistance_factor: float
+    icr_forward: float
+
+
+class Range(NamedTuple):
+    """Physical range of a parameter, both ends allowed, and what a value outside suggests."""
+
+    low: float
+    high: float
+    unit: str
+    hint: str
+
+
+PARAMETER_NAMES = PlantParameters._fields
+PARAMETER_ROWS = len(PARAMETER_NAMES)
+PARAMETER_INDEX = {name: row for row, name in enumerate(PARAMETER_NAMES)}
+GROUPS = {
+    "vehicle": VehicleParameters._fields,
+    "soil": SoilParameters._fields,
+    "closure": ClosureParameters._fields,
+}
+
+STRAWA_VEHICLE = VehicleParameters()
+HEAVY_CLAY = SoilParameters()
+
+RANGES = {
+    "mass": Range(10.0, 1e5, "kg", "Did you pass tonnes?"),
+    "inertia": Range(0.5, 1e6, "kg m^2", "It is the yaw inertia about the centre of mass."),
+    "track_gauge": Range(0.1, 10.0, "m", "Did you pass millimetres?"),
+    "track_width": Range(0.01, 2.0, "m", "Did you pass millimetres?"),
+    "contact_length": Range(0.1, 10.0, "m", "Did you pass millimetres?"),
+    "sprocket_radius": Range(0.01, 2.0, "m", "Did you pass the diameter or millimetres?"),
+    "torque_limit": Range(0.1, 1e6, "N m", "It is the torque at the sprocket, after the gear."),
+    "sprocket_speed_limit": Range(0.1, 1e3, "rad/s", "Did you pass rpm or the motor's speed?"),
+    "torque_time_constant": Range(0.0, 10.0, "s", "Did you pass milliseconds?"),
+    "cohesion": Range(0.0, 1e6, "Pa", "Did you pass kPa, or change the sign?"),
+    "friction_angle": Range(0.0, math.radians(60.0), "rad", "Did you pass degrees?"),
+    "shear_deformation_modulus": Range(1e-4, 1.0, "m", "Did you pass centimetres, or G in Pa?"),
+    "longitudinal_resistance": Range(0.0, 1.5, "-", "Did you pass a percentage?"),
+    "lateral_resistance": Range(0.0, 2.0, "-", "Did you pass a percentage?"),
+    "turning_resistance_factor": Range(0.0, 4.0, "-", "1 is the integral, 2 the printed S (20)."),
+    "icr_forward": Range(-2.0, 2.0, "m", "Beyond the track ends the motion is unstable."),
+}
+
+
+def plant_parameters(
+    vehicle: VehicleParameters = STRAWA_VEHICLE,
+    soil: SoilParameters = HEAVY_CLAY,
+    closure: ClosureParameters | None = None,
+) -> PlantParameters:
+    """Join vehicle, soil and closure into the flat tuple that the kernels take."""
+    closure = ClosureParameters() if closure is None else closure
+    values = (*vehicle, *soil, *closure)
+    return PlantParameters(*(float(value) for value in values))

@@ -1,0 +1,22 @@
+"""Reference motions: what the vehicle is asked to follow.
+
+A reference is a profile of speed and yaw rate with a start pose; its path follows from them.
+`make_reference` builds one from a name or a JSON-able dictionary, `sample` tabulates it.
+"""
+
+from tracked_env.references.profile import (
+    ReferenceProfile,
+    ReferenceSamples,
+    number_of_segments,
+    sample,
+)
+from tracked_env.references.specification import REFERENCES, make_reference
+
+__all__ = [
+    "REFERENCES",
+    "ReferenceProfile",
+    "ReferenceSamples",
+    "make_reference",
+    "number_of_segments",
+    "sample",
+]

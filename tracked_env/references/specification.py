@@ -1,0 +1,238 @@
+"""From a name or a JSON-able dictionary to a reference: the registry and its checks.
+
+    "circle"
+    {"kind": "circle", "radius": 12.0, "speed": [1.0, 2.0], "x": 5.0, "yaw": 0.5}
+A number may be given as [low, high]: it is drawn, =U(low, high), on a 0.5 s grid for times
+that must lie on it. `direction` may be given as [-1, 1]: either, with equal probability.
+Draws follow the order of the builder's arguments, so the order of the keys has no effect.
+"""
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from numbers import Real
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
+from tracked_env.references import catalogue
+from tracked_env.references.profile import FloatArray, ReferenceProfile
+from tracked_env.references.waypoints import waypoints
+
+DURATION_RANGE = (0.01, 3600.0)  # [s]
+POINTS_LIMIT = 1000  # [-] way-points of one reference
+POSITION_LIMIT = 1e5  # [m] beyond it the coordinates lose digits
+POSE = ("x", "y", "yaw")
+
+
+class Quantity(NamedTuple):
+    """Allowed range of one parameter, and the likely cause when it is left."""
+
+    low: float
+    high: float
+    unit: str
+    hint: str = "Use SI units."
+    on_grid: bool = False  # a multiple of SEGMENT_DURATION
+
+
+_LEFT_OR_RIGHT = "Left or right is chosen by direction, not by the sign."
+_ON_GRID = f"Profiles can change their law only at multiples of {SEGMENT_DURATION} s."
+_REVERSE = "This path cannot be driven in reverse. Did you pass km/h?"
+QUANTITIES = {
+    "speed": Quantity(-5.0, 5.0, "m/s", "Did you pass km/h?"),
+    "initial_speed": Quantity(-5.0, 5.0, "m/s", "Did you pass km/h?"),
+    "speed_range": Quantity(-5.0, 5.0, "m/s", "Did you pass km/h?"),
+    "speed_amplitude": Quantity(0.0, 2.0, "m/s"),
+    "speed_period": Quantity(1.0, 100.0, "s", "Shorter ones are not resolved by the segments."),
+    "acceleration": Quantity(0.01, 10.0, "m/s^2", "It is a magnitude: the speeds set the sign."),
+    "radius": Quantity(1.0, 1e4, "m", _LEFT_OR_RIGHT),
+    "radius_start": Quantity(1.0, 1e4, "m", _LEFT_OR_RIGHT),
+    "radius_end": Quantity(1.0, 1e4, "m", _LEFT_OR_RIGHT),
+    "size": Quantity(5.0, 1e4, "m", "It is the distance between the two tips."),
+    "straight_duration": Quantity(0.0, 3600.0, "s"),
+    "yaw_rate": Quantity(-3.0, 3.0, "rad/s", "Did you pass deg/s?"),
+    "yaw_rate_limit": Quantity(0.0, 3.0, "rad/s", "Did you pass deg/s?"),
+    "lateral_acceleration_limit": Quantity(0.0, 20.0, "m/s^2"),
+    "turn_time": Quantity(0.0, 3600.0, "s", _ON_GRID, on_grid=True),
+    "switch_time": Quantity(0.0, 3600.0, "s", _ON_GRID, on_grid=True),
+    "knot_interval": Quantity(0.5, 60.0, "s", _ON_GRID, on_grid=True),
+    "x": Quantity(-POSITION_LIMIT, POSITION_LIMIT, "m"),
+    "y": Quantity(-POSITION_LIMIT, POSITION_LIMIT, "m"),
+    "yaw": Quantity(-100.0, 100.0, "rad", "Did you pass degrees?"),
+}
+FORWARD_ONLY = {"figure_eight", "waypoints"}
+FORWARD_SPEED = Quantity(0.1, 5.0, "m/s", _REVERSE)
+
+# "mixed": one of these with equal probability, lateral acceleration <= 1.5 m/s^2. Way-points
+# need points, and the chicane cannot be followed by design: neither is drawn.
+MIXED: list[dict[str, Any]] = [
+    {"kind": "straight", "speed": [1.0, 3.0], "initial_speed": [1.0, 3.0]},
+    {"kind": "circle", "speed": [1.0, 3.0], "radius": [6.0, 30.0], "direction": [-1, 1]},
+    {"kind": "figure_eight", "speed": [1.0, 2.5], "size": [25.0, 60.0], "direction": [-1, 1]},
+    {
+        "kind": "spiral",
+        "speed": [1.0, 3.0],
+        "radius_start": [15.0, 60.0],
+        "radius_end": [6.0, 15.0],
+        "direction": [-1, 1],
+    },
+    {"kind": "identification", "speed": [1.5, 2.5], "radius_end": [6.0, 12.0]},
+    {"kind": "random"},
+]
+
+
+def mixed(duration: float, rng: np.random.Generator) -> ReferenceProfile:
+    """One of `MIXED`, with equal probability, its parameters drawn as listed there."""
+    return make_reference(MIXED[rng.integers(len(MIXED))], duration, rng)
+
+
+REFERENCES: dict[str, Callable[..., ReferenceProfile]] = {
+    "straight": catalogue.straight,
+    "circle": catalogue.circle,
+    "figure_eight": catalogue.figure_eight,
+    "spiral": catalogue.spiral,
+    "identification": catalogue.identification,
+    "chicane": catalogue.chicane,
+    "random": catalogue.random_smooth,
+    "waypoints": waypoints,
+    "mixed": mixed,
+}
+_ARGUMENTS = {kind: inspect.signature(build).parameters for kind, build in REFERENCES.items()}
+
+
+def _parameter_names(kind: str) -> list[str]:
+    names = [name for name in _ARGUMENTS[kind] if name not in ("duration", "rng")]
+    return names if kind == "waypoints" else names + list(POSE)
+
+
+def _number(name: str, value: Any, quantity: Quantity) -> float:
+    """Return `value` as a float within the range of the quantity, or raise ValueError."""
+    is_number = isinstance(value, Real) and not isinstance(value, (bool, np.bool_))
+    if not is_number or not quantity.low <= float(value) <= quantity.high:
+        raise ValueError(
+            f"{name} = {value!r} {quantity.unit}; must be a number within "
+            f"[{quantity.low:g}, {quantity.high:g}] {quantity.unit}. {quantity.hint}"
+        )
+    return float(value)
+
+
+def _pair(name: str, value: Any, quantity: Quantity) -> tuple[float, float]:
+    if len(value) != 2:
+        raise ValueError(
+            f"{name} = {value!r} {quantity.unit}; must be a number or [low, high]. "
+            "Did you pass a list of choices?"
+        )
+    low, high = (_number(name, v, quantity) for v in value)
+    if low > high:
+        raise ValueError(
+            f"{name} = {value!r} {quantity.unit}; must have low <= high. Swap the two."
+        )
+    return low, high
+
+
+def _direction(value: Any, rng: np.random.Generator) -> float:
+    if isinstance(value, (list, tuple)) and list(value) in ([-1, 1], [1, -1]):
+        return float(rng.choice([-1.0, 1.0]))
+    if isinstance(value, bool) or not isinstance(value, Real) or abs(value) != 1:
+        raise ValueError(
+            f"direction = {value!r}; must be +1 (left), -1 (right) or [-1, 1] (either). "
+            "How sharp the turn is, is set by a radius or a size."
+        )
+    return float(value)
+
+
+def _points(value: Any) -> FloatArray:
+    try:
+        points = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        points = np.empty(0)
+    shaped = points.ndim == 2 and points.shape[1] == 2 and 2 <= len(points) <= POINTS_LIMIT
+    if not shaped or not np.all(np.abs(points) <= POSITION_LIMIT):
+        raise ValueError(
+            f"points: shape {points.shape}; must be (M, 2) numbers [m], 2 <= M <= {POINTS_LIMIT}, "
+            f"within +-{POSITION_LIMIT:g} m. Did you pass (2, M), or a NaN?"
+        )
+    gaps = np.hypot(*np.diff(points, axis=0).T)
+    if gaps.min() < 1e-3:
+        raise ValueError(
+            f"points: way-points {gaps.argmin()} and {gaps.argmin() + 1} are {gaps.min():.2g} m "
+            "apart; must be >= 0.001 m. Remove the repeated one."
+        )
+    return points
+
+
+def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
+    """Return the checked, drawn value of one parameter."""
+    if name == "direction":
+        return _direction(value, rng)
+    if name == "points":
+        return _points(value)
+    if value is None and _ARGUMENTS[kind][name].default is None:
+        return None
+    quantity = QUANTITIES[name]
+    if name == "speed" and kind in FORWARD_ONLY:
+        quantity = FORWARD_SPEED
+    is_pair = isinstance(value, (list, tuple))
+    if name == "speed_range":
+        return _pair(name, value if is_pair else (value, value), quantity)
+    if is_pair:
+        drawn = rng.uniform(*_pair(name, value, quantity))
+        return round(drawn / SEGMENT_DURATION) * SEGMENT_DURATION if quantity.on_grid else drawn
+    number = _number(name, value, quantity)
+    if quantity.on_grid and math.remainder(number, SEGMENT_DURATION) != 0.0:
+        raise ValueError(
+            f"{name} = {value!r} {quantity.unit}; must be a multiple of {SEGMENT_DURATION} s. "
+            f"{quantity.hint}"
+        )
+    return number
+
+
+def _check(kind: str, values: Mapping[str, Any], profile: ReferenceProfile) -> None:
+    """Raise ValueError for parameters that are valid one by one but not together."""
+    if kind == "chicane" and not values["turn_time"] <= values["switch_time"]:
+        raise ValueError(
+            f"switch_time = {values['switch_time']} s; must be >= turn_time = "
+            f"{values['turn_time']} s. The left turn comes first."
+        )
+    fastest = float(np.abs(profile.yaw_rate[:, 0]).max())
+    if not fastest <= YAW_RATE_LIMIT:
+        raise ValueError(
+            f"yaw rate of {kind!r} = {fastest:.3g} rad/s; must be <= {YAW_RATE_LIMIT} rad/s. "
+            "The path is too tight for the speed: lower the speed or widen the path."
+        )
+
+
+def make_reference(
+    spec: str | Mapping[str, Any], duration: float, rng: np.random.Generator
+) -> ReferenceProfile:
+    """Return the reference that `spec` describes, for an episode of `duration` [s].
+
+    spec: a name of `REFERENCES`, or {"kind": name, parameter: value, ...}; parameters and
+    defaults are the arguments of the builder, and the start pose x, y [m], yaw [rad]. A
+    missing "kind" is "random". Raises ValueError for whatever is unknown or out of range.
+    """
+    if not isinstance(spec, (str, Mapping)):
+        raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
+    given = {"kind": spec} if isinstance(spec, str) else dict(spec)
+    kind = given.pop("kind", "random")
+    if not isinstance(kind, str) or kind not in REFERENCES:
+        raise ValueError(f"reference kind {kind!r}; must be one of {', '.join(REFERENCES)}.")
+    names = _parameter_names(kind)
+    unknown = sorted(set(given) - set(names), key=str)
+    if unknown:
+        raise ValueError(
+            f"reference {kind!r}: unknown parameter {unknown[0]!r}; must be one of "
+            f"{', '.join(names) or '(none)'}. A misspelling, or of another kind?"
+        )
+    if kind == "waypoints" and "points" not in given:
+        raise ValueError("reference 'waypoints': points missing; must be a list of [x, y] [m].")
+    horizon = _number("duration", duration, Quantity(*DURATION_RANGE, "s"))
+    arguments = _ARGUMENTS[kind]
+    values = {name: arguments[name].default for name in names if name in arguments}
+    values |= {name: _resolve(kind, name, given[name], rng) for name in names if name in given}
+    pose = {name: values.pop(name) for name in POSE if name in values}
+    random = {"rng": rng} if "rng" in arguments else {}
+    profile = REFERENCES[kind](duration=horizon, **random, **values)._replace(**pose)
+    _check(kind, values, profile)
+    return profile

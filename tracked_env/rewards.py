@@ -1,0 +1,47 @@
+"""Reward: a weighted sum of named, bounded terms of the true tracking error and the action.
+
+Each term is between 0 and 1; the weights below say what it is worth per control step.
+    position    = 1 / (1 + (distance / 0.5 m)^2)
+    heading     = 1 / (1 + (heading error / 0.25 rad)^2)
+    speed       = 1 / (1 + (speed error / 0.5 m/s)^2)
+    effort      = mean square of the action (left, right)
+    smoothness  = mean square of the change of the action, over its largest value 4
+The sum lies in [-0.1, 1]: always better to stay on the path than to end the episode.
+"""
+
+from tracked_env.physics.jit import formula
+
+POSITION_SCALE = 0.5  # [m] distance at which the term is 1/2
+HEADING_SCALE = 0.25  # [rad]
+SPEED_SCALE = 0.5  # [m/s]
+WEIGHTS = {
+    "position": 0.7,
+    "heading": 0.15,
+    "speed": 0.15,
+    "effort": -0.05,
+    "smoothness": -0.05,
+}
+_POSITION, _HEADING, _SPEED, _EFFORT, _SMOOTHNESS = WEIGHTS.values()
+
+
+@formula
+def closeness(error, scale):
+    """1 at error 0, 1/2 at error = scale, 0 far away [-]."""
+    ratio = error / scale
+    return 1.0 / (1.0 + ratio * ratio)
+
+
+@formula
+def reward_terms(distance, heading_error, speed_error, left, right, left_before, right_before):
+    """Weighted terms (position, heading, speed, effort, smoothness) and so their sum.
+
+    distance [m], heading_error [rad], speed_error [m/s], actions [-] in [-1, 1].
+    """
+    change_left, change_right = left - left_before, right - right_before
+    return (
+        _POSITION * closeness(distance, POSITION_SCALE),
+        _HEADING * closeness(heading_error, HEADING_SCALE),
+        _SPEED * closeness(speed_error, SPEED_SCALE),
+        _EFFORT * 0.5 * (left * left + right * right),
+        _SMOOTHNESS * 0.125 * (change_left * change_left + change_right * change_right),
+    )

@@ -1,0 +1,137 @@
+"""The loops behind the observation: sampling, delay, tracking error, packing.
+
+For one vehicle of a batch, at the end of a control step (or at reset): advance the
+reference's rates, sample the sensors, deliver what has arrived, compute the true tracking
+error, and write the observation by the names of `tracked_env.observation`.
+"""
+
+import math
+
+import numpy as np
+
+from tracked_env import batch as b
+from tracked_env import observation as obs
+from tracked_env.physics import measurement
+from tracked_env.physics import reference_profile as profile
+from tracked_env.physics import state as s
+from tracked_env.physics.jit import formula
+from tracked_env.physics.measurement import GROUP_START
+from tracked_env.physics.parameters import PARAMETER_INDEX
+
+_RADIUS = b.PARAMETERS + PARAMETER_INDEX["sprocket_radius"]
+_AHEAD_TIMES = np.array(obs.LOOK_AHEAD)
+TWO_PI = 2.0 * math.pi
+
+# Columns of the observation that are delivered channels, in the order of the channels.
+_CHANNEL_COLUMN = np.array(
+    [obs.INDEX.get(name, -1) for name in measurement.CHANNELS], dtype=np.int64
+)
+_POSITION_ERROR_X = obs.INDEX["position_error_x"]
+_HEADING_ERROR = obs.INDEX["heading_error"]
+_REFERENCE = obs.INDEX["reference_speed"]
+_AHEAD_SPEED = obs.INDEX[f"reference_speed_ahead_{obs.LOOK_AHEAD[0]:g}"]
+_AHEAD_YAW_RATE = obs.INDEX[f"reference_yaw_rate_ahead_{obs.LOOK_AHEAD[0]:g}"]
+_PREVIOUS_ACTION = obs.INDEX["previous_action_left"]
+_AGE = obs.INDEX["pose_age"]
+_FIRST_VELOCITY = measurement.CHANNELS.index("v_x")
+
+
+@formula
+def wrapped(angle):
+    """The angle [rad] in [-pi, pi]. Exactly odd: symmetric situations stay symmetric."""
+    return angle - TWO_PI * np.rint(angle / TWO_PI)
+
+
+@formula
+def reference_rates(floats, speed_profile, yaw_rate_profile, i, time):
+    """Reference rates at `time` [s] and ahead, into their rows."""
+    speed, yaw_rate = speed_profile[i], yaw_rate_profile[i]
+    rates = profile.evaluate(speed, yaw_rate, time)
+    for row in range(5):
+        floats[i, b.REFERENCE_MOTION + row] = rates[row]
+    for j in range(b.AHEAD):
+        v, w = profile.speed_and_yaw_rate(speed, yaw_rate, time + _AHEAD_TIMES[j])
+        floats[i, b.AHEAD_SPEED + j] = v
+        floats[i, b.AHEAD_YAW_RATE + j] = w
+
+
+@formula
+def sample_sensors(floats, counters, noise, i, step):
+    """Take this step's samples of vehicle i; `step` counts control steps since reset."""
+    cursor = counters[i, b.NOISE_CURSOR]
+    radius = floats[i, _RADIUS]
+    coupling = floats[i, b.CROSS_COUPLING]
+    for g in range(b.GROUP_COUNT):
+        due = step % counters[i, b.PERIOD + g] == 0
+        lost = noise[i, cursor, measurement.CHANNEL_COUNT + g] < floats[i, b.DROPOUT + g]
+        if due and (not lost or step == 0):
+            for c in range(GROUP_START[g], GROUP_START[g + 1]):
+                value = measurement.coupled_signal(floats, radius, coupling, i, c)
+                random = floats[i, b.SIGMA + c] * noise[i, cursor, c]
+                floats[i, b.SAMPLE + c] = value + floats[i, b.BIAS + c] + random
+            floats[i, b.SAMPLE + measurement.CHANNEL_COUNT + g] = step
+
+
+@formula
+def deliver(floats, counters, history, i, step):
+    """Pass on the samples that have arrived after each group's delay."""
+    slots = history.shape[1]
+    slot = step % slots
+    for row in range(b.DELIVERED_COUNT):
+        history[i, slot, row] = floats[i, b.SAMPLE + row]
+    for g in range(b.GROUP_COUNT):
+        past = max(step - counters[i, b.DELAY + g], 0) % slots
+        for c in range(GROUP_START[g], GROUP_START[g + 1]):
+            floats[i, b.DELIVERED + c] = history[i, past, c]
+        row = measurement.CHANNEL_COUNT + g
+        floats[i, b.DELIVERED + row] = history[i, past, row]
+
+
+@formula
+def tracking_error(floats, i):
+    """True error of vehicle i: reference minus vehicle in the body frame, and heading."""
+    yaw = floats[i, b.STATE + s.YAW]
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    dx = floats[i, b.REFERENCE_X] - floats[i, b.STATE + s.X]
+    dy = floats[i, b.REFERENCE_Y] - floats[i, b.STATE + s.Y]
+    floats[i, b.ERROR_X] = cosine * dx + sine * dy
+    floats[i, b.ERROR_Y] = cosine * dy - sine * dx
+    floats[i, b.ERROR_YAW] = wrapped(floats[i, b.REFERENCE_YAW] - yaw)
+    floats[i, b.ERROR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
+
+
+@formula
+def write_observation(floats, i, step, control_period, out):
+    """Pack what vehicle i sees into out[i] by the layout of `tracked_env.observation`."""
+    yaw = floats[i, b.DELIVERED + 2]
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    dx = floats[i, b.REFERENCE_X] - floats[i, b.DELIVERED]
+    dy = floats[i, b.REFERENCE_Y] - floats[i, b.DELIVERED + 1]
+    obs.store(out, i, _POSITION_ERROR_X, cosine * dx + sine * dy)
+    obs.store(out, i, _POSITION_ERROR_X + 1, cosine * dy - sine * dx)
+    obs.store(out, i, _HEADING_ERROR, wrapped(floats[i, b.REFERENCE_YAW] - yaw))
+    for c in range(_FIRST_VELOCITY, measurement.CHANNEL_COUNT):
+        obs.store(out, i, _CHANNEL_COLUMN[c], floats[i, b.DELIVERED + c])
+    for row in range(5):
+        obs.store(out, i, _REFERENCE + row, floats[i, b.REFERENCE_MOTION + row])
+    for j in range(b.AHEAD):
+        obs.store(out, i, _AHEAD_SPEED + j, floats[i, b.AHEAD_SPEED + j])
+        obs.store(out, i, _AHEAD_YAW_RATE + j, floats[i, b.AHEAD_YAW_RATE + j])
+    obs.store(out, i, _PREVIOUS_ACTION, floats[i, b.PREVIOUS_ACTION])
+    obs.store(out, i, _PREVIOUS_ACTION + 1, floats[i, b.PREVIOUS_ACTION + 1])
+    for g in range(b.GROUP_COUNT):
+        taken = floats[i, b.DELIVERED + measurement.CHANNEL_COUNT + g]
+        obs.store(out, i, _AGE + g, (step - taken) * control_period)
+
+
+@formula
+def observe(
+    floats, counters, speed_profile, yaw_rate_profile, noise, history,
+    i, step, period, observations,
+):  # fmt: skip
+    """All of the above for vehicle i at control step `step` of length `period` [s]."""
+    reference_rates(floats, speed_profile, yaw_rate_profile, i, step * period)
+    tracking_error(floats, i)
+    sample_sensors(floats, counters, noise, i, step)
+    deliver(floats, counters, history, i, step)
+    write_observation(floats, i, step, period, observations)

@@ -1,0 +1,182 @@
+"""Sensor presets and the draw of one vehicle's sensors for one episode.
+
+Three groups share a sampling clock each: `pose` (INS/GNSS), `inertial` (IMU), `drive`
+(sprocket encoders and torque sensors); the channels and error model are in
+`tracked_env.physics.measurement`. Presets:
+    ideal   no error at all
+    rtk     RTK-GNSS and a tactical IMU, the default
+    strawa  the low-cost set of Strawa et al. (2021), section 5.2
+Laws of the draws, once per episode and vehicle:
+    gyro and accelerometer bias     = s b, s = -1 or +1 with equal odds, b the data-sheet bias
+    noise, every sample             = N(0, sigma^2)
+    dropout, every sample and group : lost with probability p; the last sample stays
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from tracked_env.physics.measurement import CHANNEL_COUNT, CHANNELS, GROUPS
+from tracked_env.physics.parameters import Range
+from tracked_env.validation import checked_choice, checked_keys, checked_number
+
+DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
+PERIOD_LIMIT = 10.0  # [s] longest sampling period
+
+
+class Sensors(NamedTuple):
+    """Errors of all sensors; defaults are the ideal ones. Rates of 0 mean every control step."""
+
+    position_noise: float = 0.0  # [m] sigma of x and of y
+    yaw_noise: float = 0.0  # [rad] sigma
+    velocity_noise: float = 0.0  # [m/s] sigma, per body axis
+    acceleration_noise: float = 0.0  # [m/s^2] sigma, per body axis
+    acceleration_bias: float = 0.0  # [m/s^2] magnitude, random sign per axis and episode
+    cross_coupling: float = 0.0  # [-] of the accelerometer axes
+    gyro_noise: float = 0.0  # [rad/s] sigma
+    gyro_bias: float = 0.0  # [rad/s] magnitude, random sign per episode
+    accelerometer_distance: float = 1.0  # [m] D, between the two that give the yaw acceleration
+    sprocket_speed_noise: float = 0.0  # [rad/s] sigma
+    torque_noise: float = 0.0  # [N m] sigma, at the sprocket
+    pose_rate: float = 0.0  # [Hz] 0 = every control step
+    inertial_rate: float = 0.0  # [Hz]
+    drive_rate: float = 0.0  # [Hz]
+    pose_delay: float = 0.0  # [s] rounded to whole control steps
+    inertial_delay: float = 0.0  # [s]
+    drive_delay: float = 0.0  # [s]
+    pose_dropout: float = 0.0  # [-] probability that a sample is lost
+    inertial_dropout: float = 0.0  # [-]
+    drive_dropout: float = 0.0  # [-]
+
+
+IDEAL = Sensors()
+RTK = Sensors(
+    position_noise=0.02,
+    yaw_noise=float(np.radians(0.3)),
+    velocity_noise=0.03,
+    acceleration_noise=0.05,
+    acceleration_bias=0.02,
+    cross_coupling=0.001,
+    gyro_noise=0.002,
+    gyro_bias=0.001,
+    sprocket_speed_noise=0.02,
+    torque_noise=10.0,
+)
+STRAWA = Sensors(
+    position_noise=1.0,
+    yaw_noise=float(np.radians(1.0)),
+    velocity_noise=0.1,
+    acceleration_noise=0.02,  # S names none; a data-sheet value of that class of IMU
+    acceleration_bias=0.002,
+    cross_coupling=0.001,
+    gyro_noise=0.002,  # likewise
+    gyro_bias=0.01,
+    sprocket_speed_noise=0.1,
+    torque_noise=0.1,
+)
+PRESETS = {"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA}
+
+_SIGMA = Range(0.0, 1e4, "its SI unit", "Did you pass a variance or degrees?")
+_RANGES = {
+    **{name: _SIGMA for name in Sensors._fields if name.endswith(("_noise", "_bias"))},
+    "cross_coupling": Range(0.0, 1.0, "-", "Did you pass a percentage?"),
+    "accelerometer_distance": Range(0.01, 10.0, "m", "Did you pass millimetres?"),
+    **{f"{group}_rate": Range(0.0, 1e4, "Hz", "0 means every control step.") for group in GROUPS},
+    **{
+        f"{group}_delay": Range(0.0, DELAY_LIMIT, "s", "Did you pass milliseconds?")
+        for group in GROUPS
+    },
+    **{
+        f"{group}_dropout": Range(0.0, 1.0, "-", "It is a probability, not a percentage.")
+        for group in GROUPS
+    },
+}
+
+
+class SensorDraw(NamedTuple):
+    """The sensors of one vehicle in one episode, as the kernels take them."""
+
+    sigma: NDArray[np.float64]  # (CHANNEL_COUNT,)
+    bias: NDArray[np.float64]  # (CHANNEL_COUNT,)
+    cross_coupling: float
+    dropout: NDArray[np.float64]  # (3,) a standard normal number below it loses the sample
+    period: NDArray[np.int64]  # (3,) [control steps]
+    delay: NDArray[np.int64]  # (3,) [control steps]
+    noisy: bool  # False: no random number is needed
+
+
+def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -> Sensors:
+    """Sensors from a preset name, or a dict {"preset": name, field: value, ...}.
+
+    Without "preset" the fields override `base`. Raises ValueError for an unknown preset or
+    field and for a value outside its range.
+    """
+    if isinstance(spec, Sensors):
+        return spec
+    if isinstance(spec, str):
+        return PRESETS[checked_choice("sensor preset", spec, PRESETS)]
+    given = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields)))
+    if "preset" in given:
+        base = PRESETS[checked_choice("sensor preset", given.pop("preset"), PRESETS)]
+    values = {name: checked_number(name, value, _RANGES[name]) for name, value in given.items()}
+    return base._replace(**values)
+
+
+def _sigma(sensors: Sensors) -> NDArray[np.float64]:
+    s = sensors
+    yaw_acceleration = float(np.sqrt(2.0)) * s.acceleration_noise / s.accelerometer_distance
+    return np.array(
+        [s.position_noise] * 2
+        + [s.yaw_noise]
+        + [s.velocity_noise] * 2
+        + [s.acceleration_noise] * 2
+        + [s.gyro_noise, yaw_acceleration]
+        + [s.sprocket_speed_noise] * 2
+        + [s.torque_noise] * 2
+    )
+
+
+def _steps(sensors: Sensors, control_period: float) -> tuple[list[int], list[int]]:
+    rates = [getattr(sensors, f"{group}_rate") for group in GROUPS]
+    delays = [getattr(sensors, f"{group}_delay") for group in GROUPS]
+    longest = round(PERIOD_LIMIT / control_period)
+    periods = [
+        1 if rate <= 0.0 else min(max(round(1.0 / (rate * control_period)), 1), longest)
+        for rate in rates
+    ]
+    return periods, [round(delay / control_period) for delay in delays]
+
+
+def draw_sensors(
+    sensors: Sensors, control_period: float, rng: np.random.Generator
+) -> SensorDraw:
+    """Draw biases; turn rates and delays [s] into control steps of `control_period` [s]."""
+    signs = np.where(rng.random(4) < 0.5, -1.0, 1.0)  # always drawn: keeps the stream aligned
+    bias = np.zeros(CHANNEL_COUNT)
+    bias[CHANNELS.index("acceleration_x")] = signs[0] * sensors.acceleration_bias
+    bias[CHANNELS.index("acceleration_y")] = signs[1] * sensors.acceleration_bias
+    bias[CHANNELS.index("yaw_rate")] = signs[2] * sensors.gyro_bias
+    # The two accelerometers' biases differ by sqrt(2) of one, in the mean square.
+    bias[CHANNELS.index("yaw_acceleration")] = (
+        signs[3] * np.sqrt(2.0) * sensors.acceleration_bias / sensors.accelerometer_distance
+    )
+    probability = np.array([getattr(sensors, f"{group}_dropout") for group in GROUPS])
+    periods, delays = _steps(sensors, control_period)
+    sigma = _sigma(sensors)
+    return SensorDraw(
+        sigma,
+        bias,
+        sensors.cross_coupling,
+        ndtri(probability),
+        np.array(periods, dtype=np.int64),
+        np.array(delays, dtype=np.int64),
+        bool(np.any(sigma > 0.0) or np.any(probability > 0.0)),
+    )
+
+
+def longest_delay_steps(control_period: float) -> int:
+    """Control steps that the longest allowed delay takes."""
+    return round(DELAY_LIMIT / control_period)

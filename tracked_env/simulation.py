@@ -1,0 +1,290 @@
+"""The simulation core: N vehicles, each with its own random stream, stepped together.
+
+`Simulation` owns the arrays and knows how an episode starts (draw reference, uncertainty,
+sensors, start; or take them from options) and how a control step runs. `env.py` is this core
+with N = 1, `vector_env.py` with N; neither holds an equation.
+
+Streams: vehicle i draws from its own generator. Its episode draws come in a fixed order and
+its sensor noise from a generator of its own, seeded by the episode: what a policy does never
+changes what the vehicle, the soil, the reference and the noise are.
+"""
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env import batch as b
+from tracked_env import observation as obs
+from tracked_env import stepping
+from tracked_env.episode import Episode, draw_episode, make_settings
+from tracked_env.physics import state as s
+from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS, Range
+from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
+from tracked_env.references import number_of_segments
+from tracked_env.sensors import Sensors, longest_delay_steps
+from tracked_env.validation import checked_choice, checked_number
+
+SUBSTEP = 0.0025  # [s] longest RK4 step; converged and stable there, see docs/numerics.md
+THREADED_COUNT = 512  # [vehicles] from here on two threads are faster than one
+LATERAL = ("sliding", "constrained")
+SUCCESS_RMSE = 0.5  # [m] an episode that ends by time with a smaller error is a success
+
+
+class TorqueConfig(NamedTuple):
+    """Arguments of the environments, as `TrackedVehicleEnv` documents them."""
+
+    reference: str | Mapping[str, Any] = "random"
+    uncertainty: str | Mapping[str, Any] = "soil-and-mass"
+    sensors: str | Mapping[str, Any] | Sensors = "rtk"
+    duration: float = 30.0  # [s]
+    control_rate: float = 50.0  # [Hz]
+    lateral: str = "sliding"
+    error_limit: float = 5.0  # [m]
+    time_step: float = SUBSTEP  # [s]
+    threads: int = 1
+
+
+class Solver(NamedTuple):
+    """Clock, closure and limits, the same for every vehicle of a batch."""
+
+    control_period: float  # [s]
+    substeps: int  # per control step
+    substep: float  # [s]
+    constrained: bool
+    error_limit: float  # [m] distance to the reference that ends an episode
+    threads: int
+
+
+def make_solver(config: TorqueConfig) -> Solver:
+    """Check and combine; the sub-step is the largest one <= time_step that divides a step.
+
+    Raises ValueError for a value outside its range and for an unknown closure.
+    """
+    rate = checked_number(
+        "control_rate", config.control_rate, Range(5.0, 1000.0, "Hz", "Did you pass the period?")
+    )
+    longest = checked_number(
+        "time_step", config.time_step, Range(1e-5, 0.005, "s", "Larger RK4 steps are unstable.")
+    )
+    limit = checked_number(
+        "error_limit", config.error_limit, Range(0.01, 1e6, "m", "It is a distance.")
+    )
+    threads = checked_number("threads", config.threads, Range(1, 64, "-", "Number of threads."))
+    closure = checked_choice("lateral closure", config.lateral, LATERAL)
+    substeps = int(np.ceil(1.0 / (rate * longest) - 1e-9))
+    substep = 1.0 / (rate * substeps)
+    return Solver(1.0 / rate, substeps, substep, closure == "constrained", limit, int(threads))
+
+
+class Simulation:
+    """N vehicles. All arrays have one row per vehicle; all values are SI, angles in rad."""
+
+    def __init__(self, count: int, config: TorqueConfig) -> None:
+        """Allocate `count` vehicles. Raises ValueError for a wrong argument."""
+        self.count = int(checked_number("num_envs", count, Range(1, 10**6, "-", "A count.")))
+        self.config = config
+        self.solver = make_solver(config)
+        self.settings = make_settings(
+            config.reference,
+            config.uncertainty,
+            config.sensors,
+            config.duration,
+            self.solver.control_period,
+        )
+        self.batch = b.allocate(count, number_of_segments(self.settings.duration))
+        self.observations: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
+        self.rngs: list[np.random.Generator | None] = [None] * count
+        self._noise_rngs: list[np.random.Generator | None] = [None] * count
+        self.episodes: list[Episode | None] = [None] * count
+        self.all = np.arange(count)
+        self._noisy = np.zeros(count, dtype=bool)
+        self._pool: ThreadPoolExecutor | None = None
+        self._until_refill = 0
+
+    # --- an episode starts ----------------------------------------------------------------
+    def reset(
+        self, chosen: NDArray[np.int64], options: Sequence[Mapping[str, Any] | None]
+    ) -> NDArray[np.float32]:
+        """Start an episode on the chosen vehicles; options: one entry per chosen vehicle.
+
+        Returns all observations (N, SIZE). Everything is drawn and checked before any vehicle
+        is touched, so a wrong option loses nothing. Raises ValueError as `draw_episode` does.
+        """
+        drawn = []
+        for i, given in zip(chosen, options, strict=True):
+            rng = self.rngs[i]
+            if rng is None:
+                raise ValueError(f"vehicle {i} has no random stream: call reset(seed=...) first")
+            drawn.append(draw_episode(rng, self.settings, given))
+        for i, episode in zip(chosen, drawn, strict=True):
+            self._load(int(i), episode)
+        self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
+        self._run_start(np.asarray(chosen, dtype=np.int64))
+        return self.observations
+
+    def _load(self, i: int, episode: Episode) -> None:
+        """Write an episode into the arrays of vehicle i."""
+        self._fit(len(episode.events), episode)
+        self.episodes[i] = episode
+        data = self.batch
+        f, c = data.floats[i], data.counters[i]
+        f[:] = 0.0
+        c[:] = 0
+        f[b.BASE : b.BASE + PARAMETER_ROWS] = episode.parameters
+        f[b.PARAMETERS : b.PARAMETERS + PARAMETER_ROWS] = episode.parameters
+        data.speed_profile[i] = episode.profile.speed
+        data.yaw_rate_profile[i] = episode.profile.yaw_rate
+        f[b.REFERENCE_X : b.REFERENCE_X + 3] = episode.profile[2:]
+        yaw = episode.profile.yaw
+        f[b.REFERENCE_COSINE : b.REFERENCE_COSINE + 2] = np.cos(yaw), np.sin(yaw)
+        f[b.STATE : b.STATE + STATE_ROWS] = episode.state
+        if self.solver.constrained:
+            f[b.STATE + s.V_Y] = -episode.parameters.icr_forward * episode.state.yaw_rate
+        sensors = episode.sensors
+        f[b.SIGMA : b.SIGMA + len(sensors.sigma)] = sensors.sigma
+        f[b.BIAS : b.BIAS + len(sensors.bias)] = sensors.bias
+        f[b.CROSS_COUPLING] = sensors.cross_coupling
+        f[b.DROPOUT : b.DROPOUT + b.GROUP_COUNT] = sensors.dropout
+        c[b.PERIOD : b.PERIOD + b.GROUP_COUNT] = sensors.period
+        c[b.DELAY : b.DELAY + b.GROUP_COUNT] = sensors.delay
+        c[b.EVENT_COUNT] = len(episode.events)
+        c[b.MAX_STEP] = self.settings.max_steps
+        data.events[i, : len(episode.events)] = episode.events
+        self._noisy[i] = sensors.noisy
+        self._noise_rngs[i] = np.random.Generator(np.random.SFC64(episode.noise_seed))
+        if sensors.noisy:
+            self._draw_noise(i)
+
+    def _fit(self, events: int, episode: Episode) -> None:
+        """Widen the event and history arrays when an episode needs more room."""
+        data = self.batch
+        if events > data.events.shape[1]:
+            wider = np.zeros((self.count, events, b.EVENT_FIELDS))
+            wider[:, : data.events.shape[1]] = data.events
+            self.batch = data._replace(events=wider)
+        if episode.sensors.delay.max() >= self.batch.history.shape[1]:
+            # The ring is indexed by step modulo its length: refill it from the latest samples.
+            slots = longest_delay_steps(self.solver.control_period) + 1
+            history = np.empty((self.count, slots, b.DELIVERED_COUNT))
+            delivered = slice(b.SAMPLE, b.SAMPLE + b.DELIVERED_COUNT)
+            history[:] = self.batch.floats[:, None, delivered]
+            self.batch = self.batch._replace(history=history)
+
+    def _run_start(self, chosen: NDArray[np.int64]) -> None:
+        solver = self.solver
+        stepping.start_batch(
+            *self.batch, chosen, self.observations,
+            solver.substeps, solver.substep, solver.constrained,
+        )  # fmt: skip
+
+    # --- an episode runs ------------------------------------------------------------------
+    def step(
+        self, actions: NDArray[np.float32], chosen: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float32]:
+        """Advance the chosen vehicles (default: all) by one control step.
+
+        actions: (N, 2) float32, left and right sprocket torque over the torque limit, clipped
+        to [-1, 1]. Raises ValueError for a wrong shape or a non-finite value, before moving.
+        Returns all observations (N, SIZE).
+        """
+        actions = np.asarray(actions, dtype=np.float32)
+        if actions.shape != (self.count, 2):
+            raise ValueError(
+                f"action has shape {actions.shape}; must be ({self.count}, 2): sprocket torque "
+                "left, right over the torque limit, in [-1, 1]"
+            )
+        if not np.isfinite(np.dot(actions.ravel(), actions.ravel())):
+            self._refuse(actions)
+        if self._until_refill <= 0:
+            self._refill()
+        self._until_refill -= 1
+        self._run_step(self.all if chosen is None else chosen, actions)
+        return self.observations
+
+    def _refuse(self, actions: NDArray[np.float32]) -> None:
+        """Raise for the first non-finite action; huge finite ones are clipped as usual."""
+        bad = np.argwhere(~np.isfinite(actions))
+        if len(bad):
+            i, side = bad[0]
+            raise ValueError(
+                f"action[{i}, {side}] = {actions[i, side]}; must be finite, in [-1, 1]. Did the "
+                "policy diverge, or divide by zero? No vehicle was moved."
+            )
+
+    def _refill(self) -> None:
+        """Draw the next noise block of every vehicle that is about to use up its own."""
+        cursor = self.batch.counters[:, b.NOISE_CURSOR]
+        for i in np.flatnonzero((cursor >= b.NOISE_BLOCK - 1) & self._noisy):
+            self._draw_noise(int(i))
+            cursor[i] = -1  # the step moves it to the first row
+        self._until_refill = int(b.NOISE_BLOCK - 1 - cursor.max())
+
+    def _draw_noise(self, i: int) -> None:
+        generator = self._noise_rngs[i]
+        assert generator is not None
+        generator.standard_normal(out=self.batch.noise[i], dtype=np.float32)
+
+    def _run_step(self, chosen: NDArray[np.int64], actions: NDArray[np.float32]) -> None:
+        solver = self.solver
+        arguments = (*self.batch, chosen, actions, self.observations)
+        clock = (solver.substeps, solver.substep, solver.error_limit, solver.constrained)
+        size = chosen.size
+        if solver.threads == 1 or size < THREADED_COUNT:
+            stepping.step_batch(*arguments, 0, size, *clock)
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(solver.threads, "tracked_env")
+        blocks = -(-size // stepping.LANES)
+        share = -(-blocks // solver.threads) * stepping.LANES
+        parts = [
+            self._pool.submit(
+                stepping.step_batch, *arguments, first, min(first + share, size), *clock
+            )
+            for first in range(0, size, share)
+        ]
+        for part in parts:
+            part.result()
+
+    # --- what can be read -----------------------------------------------------------------
+    def column(self, column: int, count: int = 1) -> NDArray[np.float64]:
+        """A copy of one column (N,) or of several (N, count) of the floats."""
+        floats = self.batch.floats
+        return floats[:, column].copy() if count == 1 else floats[:, column : column + count].copy()
+
+    @property
+    def terminated(self) -> NDArray[np.bool_]:
+        """(N,) off the path, or non-finite."""
+        return self.batch.counters[:, b.TERMINATED] != 0
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """(N,) out of time."""
+        return self.batch.counters[:, b.TRUNCATED] != 0
+
+    @property
+    def rmse(self) -> NDArray[np.float64]:
+        """(N,) root mean square distance to the reference since reset [m]."""
+        steps = np.maximum(self.batch.counters[:, b.STEP], 1)
+        return np.sqrt(self.batch.floats[:, b.SQUARED_ERROR_SUM] / steps)
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
+        return self.truncated & (self.rmse < SUCCESS_RMSE)
+
+    def truth(self) -> dict[str, NDArray[np.float64]]:
+        """True state and parameters in force, by name; each (N,)."""
+        state = {name: self.column(b.STATE + k) for k, name in enumerate(STATE_NAMES)}
+        parameters = {
+            name: self.column(b.PARAMETERS + k) for k, name in enumerate(PARAMETER_NAMES)
+        }
+        return {**state, **parameters}
+
+    def close(self) -> None:
+        """Release the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None

@@ -1,0 +1,320 @@
+"""The loops that advance a batch by one control step.
+
+One call advances vehicles start..stop-1: actions to torques, parameters in force, RK4
+sub-steps, slips, reference, sensors, tracking error, reward, flags, observation. Nothing
+in it depends on how many vehicles share the call, so a batch gives the bits of one vehicle.
+
+The sub-step loop runs over blocks of `LANES` vehicles copied into a scratch array whose row
+distance is a compile-time constant: that is what lets the compiler vectorise it.
+"""
+
+import math
+
+import numpy as np
+
+from tracked_env import batch as b
+from tracked_env import sensing
+from tracked_env.physics import reference_profile as profile
+from tracked_env.physics import schedule, torque_plant
+from tracked_env.physics import state as s
+from tracked_env.physics.elementary import small_rotation
+from tracked_env.physics.integration import rk4_step
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_ROWS, PlantParameters
+from tracked_env.rewards import reward_terms
+
+LANES = 64
+REST = 1e-12  # [m/s, rad/s] slower is rest: decaying velocities would end as slow denormals
+OPEN_LIMIT = 1e30  # [N] traction limit that does not bind
+_TORQUE_LIMIT = b.PARAMETERS + PARAMETER_INDEX["torque_limit"]
+
+# Rows of the scratch block: the state, then
+_COSINE, _SINE, _DEMAND_LEFT, _DEMAND_RIGHT, _DECAY, _K = range(s.STATE_ROWS, s.STATE_ROWS + 6)
+_D = _K + b.COEFFICIENT_COUNT  # drive limits; the coefficients start at row _K
+_SCRATCH_ROWS = _D + b.DRIVE_COUNT
+
+
+@formula
+def _parameters(floats, i):
+    """PlantParameters of vehicle i."""
+    p = b.PARAMETERS
+    return PlantParameters(
+        floats[i, p], floats[i, p + 1], floats[i, p + 2], floats[i, p + 3],
+        floats[i, p + 4], floats[i, p + 5], floats[i, p + 6], floats[i, p + 7],
+        floats[i, p + 8], floats[i, p + 9], floats[i, p + 10], floats[i, p + 11],
+        floats[i, p + 12], floats[i, p + 13], floats[i, p + 14], floats[i, p + 15],
+    )  # fmt: skip
+
+
+@formula
+def _coefficients(w, row, i):
+    """Coefficients of lane i, from row `row` of the scratch block on."""
+    return torque_plant.Coefficients(
+        w[row, i], w[row + 1, i], w[row + 2, i], w[row + 3, i], w[row + 4, i],
+        w[row + 5, i], w[row + 6, i], w[row + 7, i], w[row + 8, i],
+    )  # fmt: skip
+
+
+@formula
+def _drive(w, row, i):
+    """DriveLimits of lane i, from row `row` of the scratch block on."""
+    return torque_plant.DriveLimits(w[row, i], w[row + 1, i], w[row + 2, i], w[row + 3, i])
+
+
+@formula
+def derive(floats, i, substep, constrained):
+    """Refresh what follows from the parameters of vehicle i; substep h [s]."""
+    p = _parameters(floats, i)
+    k = torque_plant.coefficients(p, constrained)
+    drive = torque_plant.drive_limits(p)
+    for row in range(b.COEFFICIENT_COUNT):
+        floats[i, b.COEFFICIENTS + row] = k[row]
+    for row in range(b.DRIVE_COUNT):
+        floats[i, b.DRIVE + row] = drive[row]
+    floats[i, b.TORQUE_DECAY] = torque_plant.torque_decay(0.5 * substep, p.torque_time_constant)
+
+
+@formula
+def _apply_events(floats, events, i, count, time):
+    """Parameters in force at `time` [s]: the base values changed by each event in turn."""
+    for row in range(PARAMETER_ROWS):
+        floats[i, b.PARAMETERS + row] = floats[i, b.BASE + row]
+    for e in range(count):
+        row = b.PARAMETERS + int(events[i, e, 1])
+        floats[i, row] = schedule.changed_value(
+            floats[i, row], events, i, e, time, floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
+        )
+
+
+@formula
+def _limits_bind(w, lanes):
+    """True when some lane's drive could reach its traction limit in the coming sub-step."""
+    binding = 0.0
+    for i in range(lanes):
+        motion = torque_plant.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
+        k, drive = _coefficients(w, _K, i), _drive(w, _D, i)
+        left = max(abs(w[s.TORQUE_LEFT, i]), abs(w[_DEMAND_LEFT, i])) * k.inverse_radius
+        right = max(abs(w[s.TORQUE_RIGHT, i]), abs(w[_DEMAND_RIGHT, i])) * k.inverse_radius
+        safe = torque_plant.safe_effort(motion, max(left, right), k.half_gauge, drive)
+        binding += 0.0 if safe else 1.0
+    return binding > 0.0
+
+
+@formula
+def _substep(accelerations, w, lanes, h, limited):
+    """One RK4 sub-step of length h [s] of every lane of the scratch block."""
+    for i in range(lanes):
+        motion = torque_plant.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
+        k = _coefficients(w, _K, i)
+        if limited:
+            limits = torque_plant.traction_limits(motion, k.half_gauge, _drive(w, _D, i))
+        else:
+            limits = torque_plant.TractionLimits(-OPEN_LIMIT, OPEN_LIMIT, -OPEN_LIMIT, OPEN_LIMIT)
+        decay = w[_DECAY, i]
+        demand_left, demand_right = w[_DEMAND_LEFT, i], w[_DEMAND_RIGHT, i]
+        start = (w[s.TORQUE_LEFT, i], w[s.TORQUE_RIGHT, i])
+        middle = (
+            demand_left + decay * (start[0] - demand_left),
+            demand_right + decay * (start[1] - demand_right),
+        )
+        end = (
+            demand_left + decay * (middle[0] - demand_left),
+            demand_right + decay * (middle[1] - demand_right),
+        )
+        moved, travel_x, travel_y, rotation = rk4_step(
+            accelerations, motion, start, middle, end, k, limits, h
+        )
+        cosine, sine = w[_COSINE, i], w[_SINE, i]
+        w[s.X, i] += cosine * travel_x - sine * travel_y
+        w[s.Y, i] += sine * travel_x + cosine * travel_y
+        w[s.YAW, i] += rotation
+        turn_cosine, turn_sine = small_rotation(rotation)
+        w[_COSINE, i] = cosine * turn_cosine - sine * turn_sine
+        w[_SINE, i] = sine * turn_cosine + cosine * turn_sine
+        w[s.V_X, i] = moved.v_x
+        w[s.V_Y, i] = moved.v_y
+        w[s.YAW_RATE, i] = moved.yaw_rate
+        w[s.TORQUE_LEFT, i] = end[0]
+        w[s.TORQUE_RIGHT, i] = end[1]
+
+
+@formula
+def _load(floats, w, chosen, first, lanes):
+    """Copy vehicles chosen[first] .. chosen[first + lanes - 1] into the scratch block."""
+    for lane in range(lanes):
+        i = chosen[first + lane]
+        for row in range(s.STATE_ROWS):
+            w[row, lane] = floats[i, b.STATE + row]
+        for row in range(b.COEFFICIENT_COUNT + b.DRIVE_COUNT):
+            w[_K + row, lane] = floats[i, b.COEFFICIENTS + row]
+        limit = floats[i, _TORQUE_LIMIT]
+        w[_DEMAND_LEFT, lane] = limit * floats[i, b.PREVIOUS_ACTION]
+        w[_DEMAND_RIGHT, lane] = limit * floats[i, b.PREVIOUS_ACTION + 1]
+        w[_DECAY, lane] = floats[i, b.TORQUE_DECAY]
+        w[_COSINE, lane] = math.cos(w[s.YAW, lane])
+        w[_SINE, lane] = math.sin(w[s.YAW, lane])
+
+
+@formula
+def _store(floats, w, chosen, first, lanes):
+    """Copy the state of the scratch block back."""
+    for lane in range(lanes):
+        i = chosen[first + lane]
+        for row in range(s.STATE_ROWS):
+            floats[i, b.STATE + row] = w[row, lane]
+
+
+@formula
+def _integrate(w, lanes, substeps, h, constrained):
+    """Integrate the scratch block over one control step."""
+    for _ in range(substeps):
+        limited = _limits_bind(w, lanes)
+        if constrained:
+            _substep(torque_plant.constrained_accelerations, w, lanes, h, True)
+        elif limited:
+            _substep(torque_plant.sliding_accelerations, w, lanes, h, True)
+        else:
+            _substep(torque_plant.sliding_accelerations, w, lanes, h, False)
+    for row in range(s.V_X, s.YAW_RATE + 1):
+        for lane in range(lanes):
+            w[row, lane] = w[row, lane] if abs(w[row, lane]) > REST else 0.0
+
+
+@formula
+def _settle(loads_of, accelerations, w, lanes):
+    """Algebraic rows of the state of every lane: efforts, slips, accelerations."""
+    for i in range(lanes):
+        motion = torque_plant.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
+        k, drive = _coefficients(w, _K, i), _drive(w, _D, i)
+        limits = torque_plant.traction_limits(motion, k.half_gauge, drive)
+        left, right = w[s.TORQUE_LEFT, i], w[s.TORQUE_RIGHT, i]
+        loads = loads_of(motion, left, right, k, limits)
+        rates = accelerations(motion, left, right, k, limits)
+        forward, lateral = torque_plant.inertial_acceleration(motion, rates[0], rates[1])
+        speed_left, speed_right = torque_plant.track_speeds(motion, k.half_gauge)
+        slip_left, belt_left = torque_plant.track_slip(loads.effort_left, speed_left, drive)
+        slip_right, belt_right = torque_plant.track_slip(loads.effort_right, speed_right, drive)
+        w[s.SLIP_LEFT, i], w[s.SLIP_RIGHT, i] = slip_left, slip_right
+        w[s.SPROCKET_SPEED_LEFT, i] = belt_left * k.inverse_radius
+        w[s.SPROCKET_SPEED_RIGHT, i] = belt_right * k.inverse_radius
+        w[s.EFFORT_LEFT, i], w[s.EFFORT_RIGHT, i] = loads.effort_left, loads.effort_right
+        w[s.ACCELERATION_X, i], w[s.ACCELERATION_Y, i] = forward, lateral
+        w[s.YAW_ACCELERATION, i] = rates[2]
+
+
+@formula
+def _move(floats, w, chosen, first, lanes, substeps, h, constrained):
+    """Advance (substeps > 0) and settle one block of vehicles in the scratch array w."""
+    _load(floats, w, chosen, first, lanes)
+    _integrate(w, lanes, substeps, h, constrained)
+    if constrained:
+        _settle(torque_plant.constrained_loads, torque_plant.constrained_accelerations, w, lanes)
+    else:
+        _settle(torque_plant.sliding_loads, torque_plant.sliding_accelerations, w, lanes)
+    _store(floats, w, chosen, first, lanes)
+
+
+@formula
+def _judge(floats, counters, i, error_limit):
+    """Reward, and whether the episode of vehicle i ends."""
+    distance = floats[i, b.ERROR_DISTANCE]
+    left, right = floats[i, b.PREVIOUS_ACTION], floats[i, b.PREVIOUS_ACTION + 1]
+    speed_error = floats[i, b.REFERENCE_MOTION] - floats[i, b.STATE + s.V_X]
+    terms = reward_terms(
+        distance,
+        floats[i, b.ERROR_YAW],
+        speed_error,
+        left,
+        right,
+        floats[i, b.ACTION_BEFORE],
+        floats[i, b.ACTION_BEFORE + 1],
+    )
+    total = 0.0
+    for row in range(len(b.REWARD_TERMS)):
+        floats[i, b.TERMS + row] = terms[row]
+        total += terms[row]
+    floats[i, b.REWARD] = total
+    floats[i, b.SQUARED_ERROR_SUM] += distance * distance
+    inside = distance <= error_limit and math.isfinite(floats[i, b.STATE + s.YAW])
+    counters[i, b.TERMINATED] = 0 if inside else 1
+    ended = counters[i, b.STEP] >= counters[i, b.MAX_STEP]
+    counters[i, b.TRUNCATED] = 1 if ended and inside else 0
+
+
+@formula
+def _advance_reference(floats, counters, speed_profile, yaw_rate_profile, i, period):
+    """Move the reference pose of vehicle i on by one control step."""
+    x, y, cosine, sine, rotation = profile.advance_pose(
+        speed_profile[i],
+        yaw_rate_profile[i],
+        counters[i, b.STEP] * period,
+        period,
+        floats[i, b.REFERENCE_X],
+        floats[i, b.REFERENCE_Y],
+        floats[i, b.REFERENCE_COSINE],
+        floats[i, b.REFERENCE_COSINE + 1],
+    )
+    floats[i, b.REFERENCE_X], floats[i, b.REFERENCE_Y] = x, y
+    floats[i, b.REFERENCE_COSINE], floats[i, b.REFERENCE_COSINE + 1] = cosine, sine
+    floats[i, b.REFERENCE_YAW] += rotation
+
+
+@loop
+def step_batch(
+    floats, counters, speed_profile, yaw_rate_profile, events, noise, history,
+    chosen, actions, observations, start, stop, substeps, h, error_limit, constrained,
+):  # fmt: skip
+    """Advance vehicles chosen[start:stop] by one control step and write their observations.
+
+    chosen: (M,) int64 indices of the vehicles that move; actions: (N, 2) float32, clipped to
+    [-1, 1]; observations: (N, SIZE) float32; h [s] is the sub-step, `substeps` of them make a
+    control step; error_limit [m] ends an episode; constrained: the closure.
+    """
+    period = substeps * h
+    scratch = np.empty((_SCRATCH_ROWS, LANES))
+    for first in range(start, stop, LANES):
+        lanes = min(LANES, stop - first)
+        for lane in range(lanes):
+            i = chosen[first + lane]
+            for side in range(2):
+                action = min(max(np.float64(actions[i, side]), -1.0), 1.0)
+                floats[i, b.ACTION_BEFORE + side] = floats[i, b.PREVIOUS_ACTION + side]
+                floats[i, b.PREVIOUS_ACTION + side] = action
+            if counters[i, b.EVENT_COUNT] > 0:
+                time = counters[i, b.STEP] * period
+                _apply_events(floats, events, i, counters[i, b.EVENT_COUNT], time)
+                derive(floats, i, h, constrained)
+        _move(floats, scratch, chosen, first, lanes, substeps, h, constrained)
+        for lane in range(lanes):
+            i = chosen[first + lane]
+            _advance_reference(floats, counters, speed_profile, yaw_rate_profile, i, period)
+            counters[i, b.STEP] += 1
+            counters[i, b.NOISE_CURSOR] += 1
+            sensing.observe(
+                floats, counters, speed_profile, yaw_rate_profile, noise, history,
+                i, counters[i, b.STEP], period, observations,
+            )  # fmt: skip
+            _judge(floats, counters, i, error_limit)
+
+
+@loop
+def start_batch(
+    floats, counters, speed_profile, yaw_rate_profile, events, noise, history,
+    chosen, observations, substeps, h, constrained,
+):  # fmt: skip
+    """Complete freshly loaded vehicles chosen (M,) and write their first observations."""
+    period = substeps * h
+    for j in range(chosen.size):
+        i = chosen[j]
+        _apply_events(floats, events, i, counters[i, b.EVENT_COUNT], 0.0)
+        derive(floats, i, h, constrained)
+    scratch = np.empty((_SCRATCH_ROWS, LANES))
+    for first in range(0, chosen.size, LANES):
+        lanes = min(LANES, chosen.size - first)
+        _move(floats, scratch, chosen, first, lanes, 0, h, constrained)
+    for j in range(chosen.size):
+        i = chosen[j]
+        sensing.observe(
+            floats, counters, speed_profile, yaw_rate_profile, noise, history,
+            i, 0, period, observations,
+        )  # fmt: skip

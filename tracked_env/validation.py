@@ -1,0 +1,64 @@
+"""Checks of everything that enters from outside; all raise ValueError in one manner.
+
+A message says quantity, value, allowed range and the likely cause:
+    cohesion = -3.0 Pa; must be in [0, 1e+06] Pa. Did you pass kPa, or change the sign?
+"""
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from numbers import Real
+from typing import Any
+
+from tracked_env.physics.parameters import RANGES, Range
+
+
+def unknown(what: str, name: object, allowed: Iterable[str]) -> ValueError:
+    """The error for a name that does not exist, with the nearest ones that do."""
+    names = sorted(allowed)
+    near = difflib.get_close_matches(str(name), names, n=1)
+    hint = f" Did you mean '{near[0]}'?" if near else ""
+    return ValueError(f"unknown {what} {name!r}; known are {names}.{hint}")
+
+
+def checked_keys(what: str, given: object, allowed: Iterable[str]) -> Mapping[str, Any]:
+    """`given` as a mapping whose keys are all allowed; None counts as empty."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping):
+        raise ValueError(f"{what} = {given!r}; must be a dict. Did you pass the value itself?")
+    names = list(allowed)
+    for key in given:
+        if key not in names:
+            raise unknown(what + " key", key, names)
+    return given
+
+
+def checked_choice(what: str, given: object, allowed: Iterable[str]) -> str:
+    """`given` when it is one of the allowed names."""
+    names = list(allowed)
+    if given not in names:
+        raise unknown(what, given, names)
+    return str(given)
+
+
+def checked_number(what: str, value: object, allowed: Range) -> float:
+    """`value` as a float inside its range. Booleans, strings, arrays and NaN are refused."""
+    low, high, unit, hint = allowed
+    unit = "" if unit == "-" else f" {unit}"
+    rule = f"must be a number in [{low:g}, {high:g}]{unit}. {hint}"
+    if isinstance(value, bool) or not isinstance(value, Real):
+        shape = getattr(value, "shape", None)
+        of = f" of shape {shape}" if shape else ""
+        raise ValueError(f"{what} = {value!r}{of}; {rule}")
+    number = float(value)
+    if not math.isfinite(number) or not low <= number <= high:
+        raise ValueError(f"{what} = {number!r}{unit}; {rule}")
+    return number
+
+
+def checked_parameter(name: str, value: object) -> float:
+    """A vehicle, soil or closure parameter inside its physical range."""
+    if name not in RANGES:
+        raise unknown("parameter", name, RANGES)
+    return checked_number(name, value, RANGES[name])

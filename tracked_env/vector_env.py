@@ -1,0 +1,220 @@
+"""N tracked vehicles behind Gymnasium's vector interface: the simulation core with N > 1."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from tracked_env import batch as b
+from tracked_env import observation as obs
+from tracked_env.env import RENDER_MODES, ObsType
+from tracked_env.simulation import Simulation, TorqueConfig
+from tracked_env.validation import checked_choice
+
+Bools = NDArray[np.bool_]
+
+
+class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArray[Any]]):
+    """N vehicles in one process; action, observation and arguments as `TrackedVehicleEnv`.
+
+    Row i, seeded seed + i, gives the same numbers as a single environment, bit for bit.
+    `reset(options=...)` takes the keys of the single environment for every row, and
+
+    * `reset_mask` (N,) bool: which rows to reset, the others go on;
+    * `rows`: a list of N dicts (or None), options per row; they win over the common ones.
+
+    Autoreset modes as Gymnasium defines them: NEXT_STEP (default; the step after the end
+    resets, ignores the action, reward 0), SAME_STEP (the last observation and info are in
+    `final_obs` and `final_info`), DISABLED (an ended row rests, with reward 0 and its flags
+    up, until it is reset by `reset_mask`). The environment truncates by itself.
+
+    Extra arguments: `threads` (default 2) is used from 512 vehicles on; numbers do not change.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        reference: str | Mapping[str, Any] = "random",
+        uncertainty: str | Mapping[str, Any] = "soil-and-mass",
+        sensors: str | Mapping[str, Any] = "rtk",
+        duration: float = 30.0,
+        control_rate: float = 50.0,
+        lateral: str = "sliding",
+        error_limit: float = 5.0,
+        time_step: float = 0.0025,
+        expose_truth: bool = False,
+        render_mode: str | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        threads: int = 2,
+    ) -> None:
+        if render_mode is not None:
+            checked_choice("render_mode", render_mode, RENDER_MODES)
+        config = TorqueConfig(
+            reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
+            time_step, threads,
+        )  # fmt: skip
+        self.num_envs = num_envs
+        self.simulation = Simulation(num_envs, config)
+        self.expose_truth = expose_truth
+        self.render_mode = render_mode
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {
+            **self.metadata,
+            "autoreset_mode": self.autoreset_mode,
+            "render_fps": round(control_rate),
+        }
+        self.single_observation_space = gymnasium.spaces.Box(obs.LOW, obs.HIGH, dtype=np.float32)
+        self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._every = np.ones(num_envs, dtype=np.bool_)
+        self._ended = np.zeros(num_envs, dtype=np.bool_)
+        self._renderers: list[Any] = []
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[ObsType, dict[str, Any]]:
+        """Start an episode on all rows, or on those of `options["reset_mask"]`.
+
+        seed: an int seeds row i with seed + i, a sequence seeds each row; None keeps the
+        streams. Raises ValueError for options that are unknown or out of range.
+        """
+        common = dict(options or {})
+        mask = self._mask(common.pop("reset_mask", None))
+        rows = common.pop("rows", None)
+        if rows is not None and (isinstance(rows, Mapping) or len(rows) != self.num_envs):
+            raise ValueError(f"options['rows'] must be a list of {self.num_envs} dicts or None")
+        chosen = np.flatnonzero(mask)
+        self._seed(chosen, seed)
+        given = [{**common, **((rows[i] if rows else None) or {})} for i in chosen]
+        self.simulation.reset(chosen, given)
+        self._ended[chosen] = False
+        return self.simulation.observations.copy(), self._info(mask)
+
+    def _mask(self, mask: Any) -> Bools:
+        if mask is None:
+            return self._every
+        mask = np.asarray(mask)
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f"options['reset_mask'] has shape {mask.shape} and dtype {mask.dtype}; must be a "
+                f"bool array of shape ({self.num_envs},) with at least one True"
+            )
+        return mask
+
+    def _seed(self, chosen: NDArray[np.int64], seed: int | Sequence[int | None] | None) -> None:
+        seeds: Sequence[int | None]
+        if seed is None:
+            seeds = [None] * self.num_envs
+        elif isinstance(seed, (int, np.integer)):
+            seeds = [int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed has {len(seeds)} entries; must have {self.num_envs}")
+        for i in chosen:
+            if seeds[i] is not None or self.simulation.rngs[i] is None:
+                self.simulation.rngs[i] = seeding.np_random(seeds[i])[0]
+
+    def step(
+        self, actions: ObsType
+    ) -> tuple[ObsType, NDArray[np.float64], Bools, Bools, dict[str, Any]]:
+        """Advance every row by one control period; actions (N, 2)."""
+        simulation = self.simulation
+        ended = self._ended
+        resting = ended.any()
+        simulation.step(actions, np.flatnonzero(~ended) if resting else None)
+        rewards = simulation.column(b.REWARD)
+        terminated, truncated = simulation.terminated, simulation.truncated
+        info_mask = self._every
+        final: dict[str, Any] = {}
+        if resting:
+            rewards[ended] = 0.0
+            if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+                self._restart(ended)
+                terminated[ended] = False
+                truncated[ended] = False
+        over = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+            final = self._final(over)
+            self._restart(over)
+            over = np.zeros_like(over)
+        self._ended = over
+        return (
+            simulation.observations.copy(),
+            rewards,
+            terminated,
+            truncated,
+            {**self._info(info_mask), **final},
+        )
+
+    def _restart(self, mask: Bools) -> None:
+        chosen = np.flatnonzero(mask)
+        self.simulation.reset(chosen, [None] * len(chosen))
+
+    def _final(self, over: Bools) -> dict[str, Any]:
+        """What SAME_STEP would otherwise lose: last observation and info of the ended rows."""
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(over):
+            final_obs[i] = self.simulation.observations[i].copy()
+        mask = over.copy()
+        return {
+            "final_obs": final_obs,
+            "_final_obs": mask,
+            "final_info": self._info(mask),
+            "_final_info": mask,
+        }
+
+    def _info(self, mask: Bools) -> dict[str, Any]:
+        """Info of every row as arrays, each with its mask `_name`, as Gymnasium has it."""
+        simulation = self.simulation
+        floats = simulation.batch.floats
+        errors = floats[:, [b.ERROR_DISTANCE, b.ERROR_YAW]]
+        terms: dict[str, Any] = {}
+        for column, name in enumerate(b.REWARD_TERMS, start=b.TERMS):
+            terms[name], terms["_" + name] = floats[:, column].copy(), mask
+        info: dict[str, Any] = {
+            "tracking_error": errors,
+            "_tracking_error": mask,
+            "reward_terms": terms,
+            "_reward_terms": mask,
+            "is_success": simulation.success,
+            "_is_success": mask,
+        }
+        if self.expose_truth:
+            truth: dict[str, Any] = {}
+            for name, value in simulation.truth().items():
+                truth[name], truth["_" + name] = value, mask
+            info["truth"], info["_truth"] = truth, mask
+        return info
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One RGB array (height, width, 3) per row; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        if not self._renderers:
+            from tracked_env.rendering import Renderer
+
+            rate = self.metadata["render_fps"]
+            self._renderers = [Renderer("rgb_array", rate) for _ in range(self.num_envs)]
+        return tuple(r.draw(self.simulation, i) for i, r in enumerate(self._renderers))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Release the threads and the renderers."""
+        for renderer in self._renderers:
+            renderer.close()
+        self.simulation.close()

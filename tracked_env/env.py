@@ -144,7 +144,7 @@ OBSERVATION_TABLE
         terms = floats[b.TERMS : b.TERMS + len(b.REWARD_TERMS)].tolist()
         ended = self._counters[b.TRUNCATED] != 0
         info: dict[str, Any] = {
-            "tracking_error": floats[[b.ERROR_DISTANCE, b.ERROR_YAW]],
+            "tracking_error": floats[b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy(),
             "reward_terms": dict(zip(b.REWARD_TERMS, terms, strict=True)),
             "is_success": bool(ended and self.simulation.success[0]),
         }

@@ -59,16 +59,16 @@ def reference_rates(floats, speed_profile, yaw_rate_profile, i, time):
 def sample_sensors(floats, counters, noise, i, step):
     """Take this step's samples of vehicle i; `step` counts control steps since reset."""
     cursor = counters[i, b.NOISE_CURSOR]
-    radius = floats[i, _RADIUS]
-    coupling = floats[i, b.CROSS_COUPLING]
+    truth = measurement.signals(floats, i, floats[i, _RADIUS], floats[i, b.CROSS_COUPLING])
+    for c in range(measurement.CHANNEL_COUNT):
+        error = floats[i, b.BIAS + c] + floats[i, b.SIGMA + c] * noise[i, cursor, c]
+        floats[i, b.READING + c] = truth[c] + error
     for g in range(b.GROUP_COUNT):
         due = step % counters[i, b.PERIOD + g] == 0
         lost = noise[i, cursor, measurement.CHANNEL_COUNT + g] < floats[i, b.DROPOUT + g]
         if due and (not lost or step == 0):
             for c in range(GROUP_START[g], GROUP_START[g + 1]):
-                value = measurement.coupled_signal(floats, radius, coupling, i, c)
-                random = floats[i, b.SIGMA + c] * noise[i, cursor, c]
-                floats[i, b.SAMPLE + c] = value + floats[i, b.BIAS + c] + random
+                floats[i, b.SAMPLE + c] = floats[i, b.READING + c]
             floats[i, b.SAMPLE + measurement.CHANNEL_COUNT + g] = step
 
 
@@ -76,6 +76,10 @@ def sample_sensors(floats, counters, noise, i, step):
 def deliver(floats, counters, history, i, step):
     """Pass on the samples that have arrived after each group's delay."""
     slots = history.shape[1]
+    if slots == 1:  # nobody in this batch has a delayed sensor
+        for row in range(b.DELIVERED_COUNT):
+            floats[i, b.DELIVERED + row] = floats[i, b.SAMPLE + row]
+        return
     slot = step % slots
     for row in range(b.DELIVERED_COUNT):
         history[i, slot, row] = floats[i, b.SAMPLE + row]

@@ -13,6 +13,7 @@ Laws of the draws, once per episode and vehicle:
 """
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,6 +97,12 @@ _RANGES = {
 }
 
 
+_BIASED = [
+    CHANNELS.index(name)
+    for name in ("acceleration_x", "acceleration_y", "yaw_rate", "yaw_acceleration")
+]
+
+
 class SensorDraw(NamedTuple):
     """The sensors of one vehicle in one episode, as the kernels take them."""
 
@@ -150,31 +157,38 @@ def _steps(sensors: Sensors, control_period: float) -> tuple[list[int], list[int
     return periods, [round(delay / control_period) for delay in delays]
 
 
-def draw_sensors(
-    sensors: Sensors, control_period: float, rng: np.random.Generator
-) -> SensorDraw:
-    """Draw biases; turn rates and delays [s] into control steps of `control_period` [s]."""
-    signs = np.where(rng.random(4) < 0.5, -1.0, 1.0)  # always drawn: keeps the stream aligned
-    bias = np.zeros(CHANNEL_COUNT)
-    bias[CHANNELS.index("acceleration_x")] = signs[0] * sensors.acceleration_bias
-    bias[CHANNELS.index("acceleration_y")] = signs[1] * sensors.acceleration_bias
-    bias[CHANNELS.index("yaw_rate")] = signs[2] * sensors.gyro_bias
-    # The two accelerometers' biases differ by sqrt(2) of one, in the mean square.
-    bias[CHANNELS.index("yaw_acceleration")] = (
-        signs[3] * np.sqrt(2.0) * sensors.acceleration_bias / sensors.accelerometer_distance
-    )
+@lru_cache(maxsize=256)
+def _fixed_part(sensors: Sensors, control_period: float) -> tuple[SensorDraw, NDArray[np.float64]]:
+    """The draw without its biases, and the magnitudes of the four biases that get a sign."""
     probability = np.array([getattr(sensors, f"{group}_dropout") for group in GROUPS])
     periods, delays = _steps(sensors, control_period)
     sigma = _sigma(sensors)
-    return SensorDraw(
+    # The two accelerometers' biases differ by sqrt(2) of one, in the mean square.
+    angular = np.sqrt(2.0) * sensors.acceleration_bias / sensors.accelerometer_distance
+    magnitudes = np.array(
+        [sensors.acceleration_bias, sensors.acceleration_bias, sensors.gyro_bias, angular]
+    )
+    draw = SensorDraw(
         sigma,
-        bias,
+        np.zeros(CHANNEL_COUNT),
         sensors.cross_coupling,
         ndtri(probability),
         np.array(periods, dtype=np.int64),
         np.array(delays, dtype=np.int64),
         bool(np.any(sigma > 0.0) or np.any(probability > 0.0)),
     )
+    return draw, magnitudes
+
+
+def draw_sensors(
+    sensors: Sensors, control_period: float, rng: np.random.Generator
+) -> SensorDraw:
+    """Draw biases; turn rates and delays [s] into control steps of `control_period` [s]."""
+    fixed, magnitudes = _fixed_part(sensors, control_period)
+    bias = np.zeros(CHANNEL_COUNT)
+    # Always drawn, also for zero biases: keeps the stream aligned.
+    bias[_BIASED] = np.where(rng.random(4) < 0.5, -magnitudes, magnitudes)
+    return fixed._replace(bias=bias)
 
 
 def longest_delay_steps(control_period: float) -> int:

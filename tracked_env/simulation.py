@@ -100,6 +100,9 @@ class Simulation:
         self._noise_rngs: list[np.random.Generator | None] = [None] * count
         self.episodes: list[Episode | None] = [None] * count
         self.all = np.arange(count)
+        self._action_shape = (count, 2)
+        solver = self.solver
+        self._clock = (solver.substeps, solver.substep, solver.error_limit, solver.constrained)
         self._noisy = np.zeros(count, dtype=bool)
         self._pool: ThreadPoolExecutor | None = None
         self._until_refill = 0
@@ -191,62 +194,65 @@ class Simulation:
         Returns all observations (N, SIZE).
         """
         actions = np.asarray(actions, dtype=np.float32)
-        if actions.shape != (self.count, 2):
+        if actions.shape != self._action_shape:
             raise ValueError(
-                f"action has shape {actions.shape}; must be ({self.count}, 2): sprocket torque "
+                f"action has shape {actions.shape}; must be {self._action_shape}: sprocket torque "
                 "left, right over the torque limit, in [-1, 1]"
             )
-        if not np.isfinite(np.dot(actions.ravel(), actions.ravel())):
-            self._refuse(actions)
         if self._until_refill <= 0:
             self._refill()
         self._until_refill -= 1
-        self._run_step(self.all if chosen is None else chosen, actions)
-        return self.observations
-
-    def _refuse(self, actions: NDArray[np.float32]) -> None:
-        """Raise for the first non-finite action; huge finite ones are clipped as usual."""
-        bad = np.argwhere(~np.isfinite(actions))
-        if len(bad):
-            i, side = bad[0]
+        chosen = self.all if chosen is None else chosen
+        size = chosen.size
+        if self.solver.threads > 1 and size >= THREADED_COUNT:
+            bad = self._step_threaded(actions, chosen)
+        else:
+            bad = stepping.step_batch(
+                *self.batch, chosen, actions, self.observations, 0, size, *self._clock
+            )
+        if bad >= 0:
             raise ValueError(
-                f"action[{i}, {side}] = {actions[i, side]}; must be finite, in [-1, 1]. Did the "
+                f"action[{bad}] = {actions[bad].tolist()}; must be finite, in [-1, 1]. Did the "
                 "policy diverge, or divide by zero? No vehicle was moved."
             )
+        return self.observations
+
+    def _step_threaded(self, actions: NDArray[np.float32], chosen: NDArray[np.int64]) -> int:
+        """The same on several threads; refuses a non-finite action before any of them moves."""
+        finite = np.isfinite(actions[chosen]).all(axis=1)
+        if not finite.all():
+            return int(chosen[np.argmin(finite)])
+        threads, size = self.solver.threads, chosen.size
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(threads - 1, "tracked_env")
+        blocks = -(-size // stepping.LANES)
+        share = -(-blocks // threads) * stepping.LANES
+
+        def run(first: int) -> int:
+            last = min(first + share, size)
+            return stepping.step_batch(
+                *self.batch, chosen, actions, self.observations, first, last, *self._clock
+            )
+
+        parts = [self._pool.submit(run, first) for first in range(share, size, share)]
+        run(0)
+        for part in parts:
+            part.result()
+        return -1
 
     def _refill(self) -> None:
         """Draw the next noise block of every vehicle that is about to use up its own."""
         cursor = self.batch.counters[:, b.NOISE_CURSOR]
-        for i in np.flatnonzero((cursor >= b.NOISE_BLOCK - 1) & self._noisy):
+        used_up = np.flatnonzero(cursor >= b.NOISE_BLOCK - 1)
+        for i in used_up[self._noisy[used_up]]:
             self._draw_noise(int(i))
-            cursor[i] = -1  # the step moves it to the first row
+        cursor[used_up] = -1  # the step moves it to the first row
         self._until_refill = int(b.NOISE_BLOCK - 1 - cursor.max())
 
     def _draw_noise(self, i: int) -> None:
         generator = self._noise_rngs[i]
         assert generator is not None
         generator.standard_normal(out=self.batch.noise[i], dtype=np.float32)
-
-    def _run_step(self, chosen: NDArray[np.int64], actions: NDArray[np.float32]) -> None:
-        solver = self.solver
-        arguments = (*self.batch, chosen, actions, self.observations)
-        clock = (solver.substeps, solver.substep, solver.error_limit, solver.constrained)
-        size = chosen.size
-        if solver.threads == 1 or size < THREADED_COUNT:
-            stepping.step_batch(*arguments, 0, size, *clock)
-            return
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(solver.threads, "tracked_env")
-        blocks = -(-size // stepping.LANES)
-        share = -(-blocks // solver.threads) * stepping.LANES
-        parts = [
-            self._pool.submit(
-                stepping.step_batch, *arguments, first, min(first + share, size), *clock
-            )
-            for first in range(0, size, share)
-        ]
-        for part in parts:
-            part.result()
 
     # --- what can be read -----------------------------------------------------------------
     def column(self, column: int, count: int = 1) -> NDArray[np.float64]:

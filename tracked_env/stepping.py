@@ -269,7 +269,12 @@ def step_batch(
     chosen: (M,) int64 indices of the vehicles that move; actions: (N, 2) float32, clipped to
     [-1, 1]; observations: (N, SIZE) float32; h [s] is the sub-step, `substeps` of them make a
     control step; error_limit [m] ends an episode; constrained: the closure.
+    Returns -1, or the first row with a non-finite action: then no vehicle has moved.
     """
+    for j in range(start, stop):
+        i = chosen[j]
+        if not math.isfinite(actions[i, 0]) or not math.isfinite(actions[i, 1]):
+            return i
     period = substeps * h
     scratch = np.empty((_SCRATCH_ROWS, LANES))
     for first in range(start, stop, LANES):
@@ -295,6 +300,7 @@ def step_batch(
                 i, counters[i, b.STEP], period, observations,
             )  # fmt: skip
             _judge(floats, counters, i, error_limit)
+    return -1
 
 
 @loop

@@ -183,7 +183,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         """Info of every row as arrays, each with its mask `_name`, as Gymnasium has it."""
         simulation = self.simulation
         floats = simulation.batch.floats
-        errors = floats[:, [b.ERROR_DISTANCE, b.ERROR_YAW]]
+        errors = floats[:, b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy()
         terms: dict[str, Any] = {}
         for column, name in enumerate(b.REWARD_TERMS, start=b.TERMS):
             terms[name], terms["_" + name] = floats[:, column].copy(), mask

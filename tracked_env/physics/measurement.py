@@ -26,45 +26,27 @@ NOISE_COUNT = CHANNEL_COUNT + len(GROUPS)  # normal numbers per step: channels, 
 
 
 @formula
-def true_signal(state, sprocket_radius, i, channel):
-    """Noise-free value of a channel for vehicle i; state of shape (N, >= STATE_ROWS).
+def signals(state, i, sprocket_radius, cross_coupling):
+    """Noise-free value of every channel of vehicle i, in the order of CHANNELS.
 
-    The torque that a shaft sensor sees is the transmitted one, F r: sprocket and track have
-    no inertia in this model, so what the soil does not take the drive cannot give.
+    state: (N, >= STATE_ROWS), its first columns the state; sprocket_radius r [m];
+    cross_coupling [-] between the two accelerometer axes. The torque that a shaft sensor
+    sees is the transmitted one, F r: sprocket and track have no inertia in this model, so
+    what the soil does not take the drive cannot give.
     """
-    if channel == 0:
-        return state[i, rows.X]
-    if channel == 1:
-        return state[i, rows.Y]
-    if channel == 2:
-        return state[i, rows.YAW]
-    if channel == 3:
-        return state[i, rows.V_X]
-    if channel == 4:
-        return state[i, rows.V_Y]
-    if channel == 5:
-        return state[i, rows.ACCELERATION_X]
-    if channel == 6:
-        return state[i, rows.ACCELERATION_Y]
-    if channel == 7:
-        return state[i, rows.YAW_RATE]
-    if channel == 8:
-        return state[i, rows.YAW_ACCELERATION]
-    if channel == 9:
-        return state[i, rows.SPROCKET_SPEED_LEFT]
-    if channel == 10:
-        return state[i, rows.SPROCKET_SPEED_RIGHT]
-    if channel == 11:
-        return state[i, rows.EFFORT_LEFT] * sprocket_radius
-    return state[i, rows.EFFORT_RIGHT] * sprocket_radius
-
-
-@formula
-def coupled_signal(state, sprocket_radius, cross_coupling, i, channel):
-    """Signal with the axis cross-coupling [-] of the two accelerometer axes."""
-    value = true_signal(state, sprocket_radius, i, channel)
-    if channel == 5:
-        value += cross_coupling * state[i, rows.ACCELERATION_Y]
-    elif channel == 6:
-        value += cross_coupling * state[i, rows.ACCELERATION_X]
-    return value
+    forward, lateral = state[i, rows.ACCELERATION_X], state[i, rows.ACCELERATION_Y]
+    return (
+        state[i, rows.X],
+        state[i, rows.Y],
+        state[i, rows.YAW],
+        state[i, rows.V_X],
+        state[i, rows.V_Y],
+        forward + cross_coupling * lateral,
+        lateral + cross_coupling * forward,
+        state[i, rows.YAW_RATE],
+        state[i, rows.YAW_ACCELERATION],
+        state[i, rows.SPROCKET_SPEED_LEFT],
+        state[i, rows.SPROCKET_SPEED_RIGHT],
+        state[i, rows.EFFORT_LEFT] * sprocket_radius,
+        state[i, rows.EFFORT_RIGHT] * sprocket_radius,
+    )

@@ -22,7 +22,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from tracked_env.physics.reference_profile import SEGMENT_DURATION
 from tracked_env.references.profile import (
@@ -197,15 +197,21 @@ def _spline_segments(per_interval: int) -> FloatArray:
     return np.stack([row.ravel() for row in rows])
 
 
+@lru_cache
+def _window_indices(count: int, width: int) -> NDArray[np.int64]:
+    """Indices (count, width) of `count` neighbouring windows."""
+    return np.arange(count)[:, None] + np.arange(width)
+
+
 def _spline(coefficients: FloatArray, per_interval: int, segments: int) -> FloatArray:
     """Coefficients (S, 6) of the uniform cubic B-spline with those coefficients."""
-    windows = sliding_window_view(coefficients, 4)
+    windows = coefficients[_window_indices(coefficients.size - 3, 4)]
     return (windows @ _spline_segments(per_interval)).reshape(-1, DEGREE + 1)[:segments]
 
 
 def _clipped_draws(rng: np.random.Generator, count: int) -> FloatArray:
     """=clip(1.5 U(-1, 1), -1, 1): a third of the draws is at a limit."""
-    draws = np.clip(RANDOM_STRETCH * rng.uniform(-1.0, 1.0, count), -1.0, 1.0)
+    draws = np.minimum(np.maximum(RANDOM_STRETCH * rng.uniform(-1.0, 1.0, count), -1.0), 1.0)
     draws[1:3] = draws[0]  # steady at the start: derivatives are zero there
     return draws
 
@@ -234,7 +240,7 @@ def random_smooth(
     # Coefficient n shares an interval with those from n - 3 to n + 3.
     padded = np.zeros(count + 6)
     padded[3:-3] = np.abs(v)
-    fastest = sliding_window_view(padded, 7).max(axis=1)
+    fastest = padded[_window_indices(count, 7)].max(axis=1)
     bound = lateral_acceleration_limit / np.maximum(fastest, 1e-9)
-    w = np.clip(w, -bound, bound)
+    w = np.minimum(np.maximum(w, -bound), bound)
     return ReferenceProfile(_spline(v, per_interval, segments), _spline(w, per_interval, segments))

@@ -1,0 +1,256 @@
+"""`tracked_env/Torque-v0` as one environment: interface, options, endings, symmetry."""
+
+import json
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import tracked_env
+from tracked_env import observation as obs
+from tracked_env import rewards
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.physics.parameters import GROUPS, RANGES
+from tracked_env.references import REFERENCES
+from tracked_env.sensors import PRESETS
+from tracked_env.uncertainty import UNCERTAINTY_SETS
+
+OPTION_SETS = [
+    {},
+    *({"uncertainty": name} for name in UNCERTAINTY_SETS),
+    *({"sensors": name} for name in PRESETS),
+    *({"reference": name} for name in REFERENCES if name != "waypoints"),
+    {"reference": {"kind": "waypoints", "points": [[0, 0], [8, 0], [16, 4], [24, 4]]}},
+    {"lateral": "constrained", "control_rate": 20.0, "duration": 5.0, "expose_truth": True},
+    {"uncertainty": {"mass": [1000.0, 2000.0]}, "sensors": {"pose_delay": 0.1}},
+]
+
+
+def make(**arguments):
+    """The unwrapped environment, with short episodes unless told."""
+    arguments = {"duration": 4.0, **arguments}
+    return gymnasium.make("tracked_env/Torque-v0", **arguments).unwrapped
+
+
+def run(env, steps, actions=None, seed=0, options=None):
+    """Observations, rewards and the last info of an episode under given or random actions."""
+    observation, info = env.reset(seed=seed, options=options)
+    observations, collected = [observation], []
+    rng = np.random.default_rng(1)
+    for k in range(steps):
+        action = rng.uniform(-1, 1, 2) if actions is None else actions[k]
+        observation, reward, terminated, truncated, info = env.step(np.float32(action))
+        observations.append(observation)
+        collected.append(reward)
+        if terminated or truncated:
+            break
+    return np.array(observations), np.array(collected), info
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("arguments", OPTION_SETS, ids=lambda a: json.dumps(a)[:60])
+def test_both_environment_checkers_pass_without_a_warning(arguments):
+    check_env(make(**arguments), skip_render_check=True)
+    sb3_check_env(make(**arguments), skip_render_check=True)
+
+
+def test_the_id_is_found_by_module_prefix_and_its_arguments_survive_json():
+    arguments = json.loads(json.dumps({"uncertainty": "drift", "duration": 2.0}))
+    env = gymnasium.make("tracked_env:tracked_env/Torque-v0", **arguments)
+    assert isinstance(env.unwrapped, TrackedVehicleEnv)
+    assert env.spec.id == tracked_env.TORQUE_ID
+    assert env.spec.kwargs == arguments
+
+
+def test_observations_stay_inside_the_box_under_the_wildest_actions():
+    env = make(sensors="strawa", uncertainty="weak-soil", error_limit=1e3)
+    observations, _, _ = run(env, 200, actions=np.sign(np.sin(np.arange(400)).reshape(200, 2)))
+    assert observations.dtype == np.float32
+    assert len(observations) == 201
+    assert all(env.observation_space.contains(row) for row in observations)
+
+
+def test_the_class_docstring_lists_every_field_of_the_observation():
+    for field in obs.FIELDS:
+        assert f"`{field.name}`" in TrackedVehicleEnv.__doc__
+
+
+@pytest.mark.parametrize("group, name", [(g, n) for g, names in GROUPS.items() for n in names])
+def test_every_parameter_set_by_options_reaches_the_physics(group, name):
+    # Full torque on weak ground, with a turn, in the closure where the parameter matters.
+    closure = "constrained" if name == "icr_forward" else "sliding"
+    arguments = {"uncertainty": "nominal", "sensors": "ideal", "expose_truth": True}
+    env = make(lateral=closure, error_limit=1e3, **arguments)
+    soil = {"cohesion": 2000.0, "friction_angle": 0.5, "longitudinal_resistance": 0.2}
+    actions = np.tile([0.15, 0.6], (100, 1))
+    base, _, before = run(env, 100, actions, options={"soil": soil, "vehicle": {"mass": 1000.0}})
+    value = before["truth"][name]
+    changed = 1.2 * value if value != 0.0 else 0.1
+    options = {"soil": dict(soil), "vehicle": {"mass": 1000.0}}
+    options.setdefault(group, {})[name] = changed
+    other, _, after = run(env, 100, actions, options=options)
+    assert after["truth"][name] == pytest.approx(changed)
+    columns = [obs.INDEX[n] for n in ("v_x", "yaw_rate", "sprocket_speed_right", "torque_right")]
+    difference = np.abs(base[:, columns] - other[:, columns]).max()
+    assert difference > 1e-6, f"{name} changes nothing"
+
+
+@pytest.mark.parametrize("name", RANGES)
+@pytest.mark.parametrize("wrong", ["below", "above", float("nan"), "1", None, [1.0, 2.0], True])
+def test_a_wrong_parameter_is_refused_with_name_value_range_and_hint(name, wrong):
+    low, high, unit, hint = RANGES[name]
+    value = {"below": low - 1.0, "above": high * 1.1 + 1.0}.get(wrong, wrong) if isinstance(
+        wrong, str
+    ) else wrong
+    group = next(group for group, names in GROUPS.items() if name in names)
+    with pytest.raises(ValueError) as caught:
+        make().reset(seed=0, options={group: {name: value}})
+    message = str(caught.value)
+    assert name in message and f"{low:g}, {high:g}" in message and hint in message
+
+
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        ({"vehicel": {}}, "Did you mean 'vehicle'"),
+        ({"vehicle": {"masss": 1.0}}, "Did you mean 'mass'"),
+        ({"soil": {"mass": 1500.0}}, "soil"),
+        ({"sensors": {"gyro": 1.0}}, "gyro"),
+        ({"sensors": "gps"}, "rtk"),
+        ({"sensors": {"pose_dropout": 1.5}}, "probability"),
+        ({"reference": {"kind": "circle", "radius": -1.0}}, "radius"),
+        ({"reference": "cirle"}, "circle"),
+        ({"start": {"offset": 1.0}}, "offset_x"),
+        ({"schedule": {"mass": 1.0}}, "list"),
+        ({"schedule": [{"parameter": "mass", "kind": "step"}]}, "ramp"),
+        ({"schedule": [{"parameter": "mass", "kind": "ramp", "target": 1e9, "start": 1.0}]}, "tonnes"),
+        ({"schedule": [{"parameter": "mass", "kind": "ramp", "target": 1e3}]}, "start"),
+        ({"schedule": [{"parameter": "torque_limit", "kind": "ramp"}]}, "torque_limit"),
+        ([1], "dict"),
+    ],
+)
+def test_wrong_options_are_refused_and_the_running_episode_survives(options, says):
+    env = make()
+    env.reset(seed=0)
+    env.step(np.float32([0.2, 0.2]))
+    before = env.simulation.batch.floats.copy()
+    with pytest.raises(ValueError, match="(?s)" + says.replace("+", r"\+").replace("(", r"\(")):
+        env.reset(options=options)
+    assert np.array_equal(before, env.simulation.batch.floats)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"reference": "nowhere"},
+        {"uncertainty": "soil_and_mass"},
+        {"uncertainty": {"mass": [2000.0, 1000.0]}},
+        {"uncertainty": {"mass": 1500.0}},
+        {"sensors": "none"},
+        {"duration": float("nan")},
+        {"duration": -1.0},
+        {"control_rate": 0.02},
+        {"lateral": "slidin"},
+        {"time_step": 0.05},
+        {"error_limit": 0.0},
+        {"render_mode": "ascii"},
+    ],
+)
+def test_wrong_constructor_arguments_are_value_errors(arguments):
+    with pytest.raises(ValueError, match="must|known are"):
+        TrackedVehicleEnv(**arguments)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_non_finite_action_is_refused_before_anything_moves(bad):
+    env = make()
+    env.reset(seed=0)
+    before = env.simulation.batch.floats.copy()
+    with pytest.raises(ValueError, match="must be finite"):
+        env.step(np.float32([bad, 0.0]))
+    assert np.array_equal(before, env.simulation.batch.floats)
+    with pytest.raises(ValueError, match="shape"):
+        env.step(np.float32([0.1]))
+
+
+def test_actions_outside_the_box_act_as_clipped():
+    a, _, _ = run(make(), 50, actions=np.tile([3.0, 1e30], (50, 1)))
+    b, _, _ = run(make(), 50, actions=np.tile([1.0, 1.0], (50, 1)))
+    assert np.array_equal(a, b)
+
+
+def test_reward_is_the_sum_of_its_terms_each_within_its_weight():
+    env = make(uncertainty="mixed", error_limit=50.0)
+    env.reset(seed=3)
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        _, reward, *_, info = env.step(rng.uniform(-1, 1, 2).astype(np.float32))
+        terms = info["reward_terms"]
+        assert reward == pytest.approx(sum(terms.values()), abs=1e-12)
+        for name, weight in rewards.WEIGHTS.items():
+            assert min(weight, 0.0) <= terms[name] <= max(weight, 0.0)
+
+
+def test_the_truth_is_hidden_unless_asked_for():
+    assert "truth" not in make().reset(seed=0)[1]
+    info = make(expose_truth=True).reset(seed=0)[1]
+    assert {"mass", "cohesion", "x", "slip_left"} <= set(info["truth"])
+
+
+def test_an_episode_is_truncated_by_time_and_terminated_off_the_path():
+    env = make(duration=1.0, reference="straight")
+    observations, _, info = run(env, 1000, actions=np.zeros((1000, 2)))
+    assert len(observations) - 1 == 50 and not env.simulation.terminated[0]
+    env = make(duration=60.0, error_limit=1.0, reference="straight")
+    observations, _, info = run(env, 3000, actions=np.zeros((3000, 2)))
+    assert info["tracking_error"][0] > 1.0 and env.simulation.terminated[0]
+    assert len(observations) - 1 < 3000 and info["is_success"] is False
+
+
+def test_tracking_error_is_the_distance_and_heading_to_the_reference():
+    env = make(expose_truth=True, reference={"kind": "straight", "speed": 2.0})
+    start = {"offset_x": -0.5, "offset_y": 1.2, "offset_yaw": 0.3, "speed": 2.0}
+    _, info = env.reset(seed=0, options={"start": start})
+    assert info["tracking_error"] == pytest.approx([1.3, -0.3])
+    assert info["truth"]["y"] == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize("lateral", ["sliding", "constrained"])
+def test_exchanging_left_and_right_mirrors_the_episode_exactly(lateral):
+    rng = np.random.default_rng(5)
+    actions = rng.uniform(-1, 1, (150, 2))
+    arguments = {"uncertainty": "nominal", "sensors": "ideal", "lateral": lateral}
+    arguments |= {"reference": "straight", "error_limit": 1e3}
+    start = {"offset_x": 0.1, "offset_y": 0.4, "offset_yaw": 0.2, "speed": 1.0, "yaw_rate": 0.1}
+    other = {**start, "offset_y": -0.4, "offset_yaw": -0.2, "yaw_rate": -0.1}
+    a, reward_a, _ = run(make(**arguments), 150, actions, options={"start": start})
+    b, reward_b, _ = run(make(**arguments), 150, actions[:, ::-1], options={"start": other})
+    assert np.array_equal(obs.mirror(a), b)
+    assert np.array_equal(reward_a, reward_b)
+    assert np.abs(a[:, obs.INDEX["yaw_rate"]]).max() > 0.1
+
+
+def test_a_vehicle_at_rest_stays_at_rest_below_the_resistance():
+    env = make(uncertainty="nominal", sensors="ideal", reference="straight", expose_truth=True)
+    start = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
+    # mu_l m g / 2 * r = 1280 N m per track is 0.16 of the torque limit.
+    env.reset(seed=0, options={"start": start})
+    for _ in range(100):
+        *_, info = env.step(np.float32([0.155, 0.155]))
+    assert info["truth"]["v_x"] == 0.0 and info["truth"]["x"] == 0.0
+    for _ in range(50):
+        *_, info = env.step(np.float32([0.165, 0.165]))
+    assert info["truth"]["v_x"] > 0.01
+
+
+def test_the_registered_environment_needs_no_time_limit_wrapper():
+    env = gymnasium.make("tracked_env/Torque-v0", duration=1.0)
+    env.reset(seed=0)
+    truncated, steps = False, 0
+    while not truncated and steps < 100:
+        _, _, terminated, truncated, _ = env.step(env.action_space.sample() * 0)
+        steps += 1
+        assert not terminated
+    assert steps == 50

@@ -1,0 +1,217 @@
+"""The vector environment: same numbers as the single one, autoreset, options per row, SB3."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecMonitor
+
+from tracked_env import batch as b
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.sb3 import make_vec_env
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
+HARD = {"uncertainty": "mixed", "duration": 1.5, "error_limit": 1.0, "expose_truth": True}
+
+
+def wild_actions(steps, count, seed=0):
+    """Actions that end some episodes early and others by time."""
+    rng = np.random.default_rng(seed)
+    scale = np.linspace(0.0, 1.0, count)[:, None]
+    return (scale * rng.uniform(-1.0, 1.0, (steps, count, 2)) + 0.2).astype(np.float32)
+
+
+def assert_same(one, other):
+    """Equal bit for bit, through nested dicts and object arrays."""
+    assert type(one) is type(other)
+    if isinstance(one, dict):
+        assert one.keys() == other.keys()
+        for key in one:
+            assert_same(one[key], other[key])
+    elif one.dtype == object:
+        for left, right in zip(one, other, strict=True):
+            assert (left is None) == (right is None)
+            assert left is None or np.array_equal(left, right)
+    else:
+        assert np.array_equal(one, other)
+
+
+def test_make_vec_uses_the_project_s_own_vector_environment():
+    env = gymnasium.make_vec("tracked_env:tracked_env/Torque-v0", num_envs=3)
+    assert isinstance(env.unwrapped, TrackedVehicleVectorEnv)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    assert env.observation_space.shape[0] == 3
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(mode):
+    count = 5
+    ours = TrackedVehicleVectorEnv(count, **HARD, autoreset_mode=mode)
+    theirs = SyncVectorEnv([lambda: TrackedVehicleEnv(**HARD)] * count, autoreset_mode=mode)
+    first, info = ours.reset(seed=11)
+    reference, reference_info = theirs.reset(seed=11)
+    assert_same(first, reference)
+    assert info["truth"].keys() == reference_info["truth"].keys()
+    ends = 0
+    for actions in wild_actions(250, count):
+        ours_step = ours.step(actions)
+        theirs_step = theirs.step(actions)
+        for left, right in zip(ours_step[:4], theirs_step[:4], strict=True):
+            assert_same(left, right)
+        for key in ("tracking_error", "is_success"):
+            rows = theirs_step[4].get("_" + key, np.zeros(count, bool))
+            assert np.array_equal(ours_step[4][key][rows], theirs_step[4][key][rows])
+        if "final_obs" in theirs_step[4]:
+            assert_same(ours_step[4]["final_obs"], theirs_step[4]["final_obs"])
+            assert_same(ours_step[4]["_final_obs"], theirs_step[4]["_final_obs"])
+            over = theirs_step[4]["_final_info"]
+            for key in ("tracking_error", "is_success"):
+                one = ours_step[4]["final_info"][key][over]
+                assert np.array_equal(one, theirs_step[4]["final_info"][key][over])
+        ends += int((ours_step[2] | ours_step[3]).sum())
+    assert ends > 2 * count
+
+
+def test_a_row_does_not_depend_on_how_many_rows_there_are():
+    big, small = (TrackedVehicleVectorEnv(n, **HARD) for n in (150, 3))
+    assert_same(big.reset(seed=5)[0][:3], small.reset(seed=5)[0])
+    for actions in wild_actions(120, 150):
+        ours = big.step(actions)
+        theirs = small.step(actions[:3])
+        for left, right in zip(ours[:4], theirs[:4], strict=True):
+            assert_same(left[:3], right)
+
+
+def test_threads_do_not_change_a_bit():
+    one, two = (TrackedVehicleVectorEnv(700, **HARD, threads=n) for n in (1, 2))
+    assert_same(one.reset(seed=1)[0], two.reset(seed=1)[0])
+    for actions in wild_actions(30, 700):
+        assert_same(one.step(actions)[0], two.step(actions)[0])
+    two.close()
+
+
+def test_disabled_autoreset_lets_an_ended_row_rest_until_its_mask_resets_it():
+    env = TrackedVehicleVectorEnv(4, duration=0.2, autoreset_mode=AutoresetMode.DISABLED)
+    env.reset(seed=0, options={"rows": [None, None, None, {"start": {"offset_y": 50.0}}]})
+    actions = np.zeros((4, 2), np.float32)
+    _, _, terminated, truncated, _ = env.step(actions)
+    assert terminated.tolist() == [False, False, False, True] and not truncated.any()
+    resting = env.simulation.batch.floats[3, b.STATE : b.STATE + 8].copy()
+    for _ in range(9):
+        _, rewards, terminated, truncated, _ = env.step(actions)
+        assert rewards[3] == 0.0 and terminated[3]
+    assert np.array_equal(resting, env.simulation.batch.floats[3, b.STATE : b.STATE + 8])
+    assert truncated.tolist() == [True, True, True, False]
+    mask = np.array([False, True, False, True])
+    before = env.simulation.observations.copy()
+    observations, info = env.reset(options={"reset_mask": mask})
+    assert np.array_equal(before[~mask], observations[~mask])
+    assert not np.array_equal(before[1], observations[1])
+    assert info["_tracking_error"].tolist() == mask.tolist()
+    _, _, terminated, truncated, _ = env.step(actions)
+    assert (terminated | truncated).tolist() == [True, False, True, False]
+
+
+def test_a_masked_reset_with_a_seed_restarts_only_those_streams():
+    env = TrackedVehicleVectorEnv(3, autoreset_mode=AutoresetMode.DISABLED)
+    first, _ = env.reset(seed=9)
+    env.step(np.zeros((3, 2), np.float32))
+    again, _ = env.reset(seed=9, options={"reset_mask": np.array([True, False, True])})
+    assert np.array_equal(first[[0, 2]], again[[0, 2]])
+    assert not np.array_equal(first[1], again[1])
+
+
+def test_options_reach_every_row_and_rows_win_over_the_common_ones():
+    env = TrackedVehicleVectorEnv(3, expose_truth=True)
+    rows = [None, {"vehicle": {"mass": 1700.0}}, {"soil": {"cohesion": 9650.0}}]
+    _, info = env.reset(seed=0, options={"vehicle": {"mass": 1600.0}, "rows": rows})
+    assert info["truth"]["mass"].tolist() == [1600.0, 1700.0, 1600.0]
+    assert info["truth"]["cohesion"][2] == 9650.0
+    assert info["truth"]["cohesion"][0] != 9650.0
+
+
+@pytest.mark.parametrize(
+    "options, says",
+    [
+        ({"rows": [{}]}, "list of 2"),
+        ({"rows": [{"vehicle": {"mas": 1.0}}, None]}, "Did you mean 'mass'"),
+        ({"reset_mask": np.array([1, 0])}, "bool"),
+        ({"reset_mask": np.array([False, False])}, "at least one True"),
+        ({"soils": {}}, "Did you mean 'soil'"),
+    ],
+)
+def test_wrong_options_are_refused_before_any_row_changes(options, says):
+    env = TrackedVehicleVectorEnv(2)
+    env.reset(seed=0)
+    before = env.simulation.batch.floats.copy()
+    with pytest.raises(ValueError, match=says):
+        env.reset(options=options)
+    assert np.array_equal(before, env.simulation.batch.floats)
+
+
+def test_one_non_finite_action_stops_the_whole_batch_before_it_moves():
+    for count in (3, 600):
+        env = TrackedVehicleVectorEnv(count)
+        env.reset(seed=0)
+        before = env.simulation.batch.floats.copy()
+        actions = np.zeros((count, 2), np.float32)
+        actions[2, 1] = np.nan
+        with pytest.raises(ValueError, match=r"action\[2\].*finite"):
+            env.step(actions)
+        assert np.array_equal(before, env.simulation.batch.floats)
+
+
+def test_wrong_shapes_and_seeds_are_refused():
+    env = TrackedVehicleVectorEnv(2)
+    with pytest.raises(ValueError, match="entries"):
+        env.reset(seed=[1, 2, 3])
+    env.reset(seed=[1, None])
+    with pytest.raises(ValueError, match="shape"):
+        env.step(np.zeros((3, 2), np.float32))
+    with pytest.raises(ValueError, match="num_envs"):
+        TrackedVehicleVectorEnv(0)
+
+
+def test_statistics_wrapper_of_gymnasium_counts_our_episodes():
+    env = gymnasium.make_vec("tracked_env/Torque-v0", num_envs=2, duration=0.5)
+    env = gymnasium.wrappers.vector.RecordEpisodeStatistics(env)
+    env.reset(seed=0)
+    lengths = []
+    for _ in range(60):
+        *_, info = env.step(np.full((2, 2), 0.2, np.float32))
+        if "episode" in info:
+            lengths += info["episode"]["l"][info["_episode"]].tolist()
+    assert lengths == [25, 25, 25, 25]
+
+
+def test_the_sb3_adapter_hands_over_terminal_observations_and_learns():
+    env = make_vec_env(n_envs=4, seed=3, env_kwargs={"duration": 0.4}, monitor=False)
+    twin = TrackedVehicleVectorEnv(4, duration=0.4, autoreset_mode="Disabled")
+    first = env.reset()
+    assert np.array_equal(first, twin.reset(seed=3)[0])
+    actions = np.full((4, 2), 0.2, np.float32)
+    for step in range(20):
+        observations, rewards, dones, infos = env.step(actions)
+        last, expected, *_ = twin.step(actions)
+        assert np.allclose(rewards, expected)
+        assert dones.all() == (step == 19)
+    for i in range(4):
+        assert np.array_equal(infos[i]["terminal_observation"], last[i])
+        assert infos[i]["TimeLimit.truncated"] is True
+    assert not np.array_equal(observations, last)
+    monitored = make_vec_env(n_envs=4, seed=0, env_kwargs={"duration": 0.4})
+    assert isinstance(monitored, VecMonitor)
+    model = PPO("MlpPolicy", monitored, n_steps=32, batch_size=64, device="cpu", seed=0)
+    model.learn(256)
+    assert model.ep_info_buffer[0]["l"] == 20
+    with pytest.raises(NotImplementedError, match="share"):
+        env.set_attr("duration", 1.0)
+
+
+def test_stable_baselines3_trains_from_the_id_alone():
+    model = PPO("MlpPolicy", "tracked_env:tracked_env/Torque-v0", n_steps=64, device="cpu")
+    model.learn(64)
+    action, _ = model.predict(model.get_env().reset(), deterministic=True)
+    assert action.shape == (1, 2)

@@ -1,0 +1,134 @@
+"""What one episode is worth: numbers from the recorded true motion.
+
+With e_k the distance to the reference after control step k, h the control period, T the length
+of the episode, E the error limit, tau and omega of the two sprockets:
+    tracking RMSE      sqrt(mean e_k^2)
+    energy             sum h (|tau_L omega_L| + |tau_R omega_R|)        no recuperation
+    saturation share   part of the steps and sides with |demand| at the torque limit
+    torque chatter     mean |demand_k - demand_(k-1)| / h               over both sides
+An episode that ends early counts e_k = E for the time it lacks, and e_k never counts more than
+E: leaving the path is never better than staying on it. Heading, speed, energy, saturation and
+chatter are taken over the time driven; read them beside the share of terminations.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+SETTLING_TIME = 5.0  # [s] start of the settled part; half the episode when it is shorter than 10 s
+SATURATED = 0.999  # [-] of the torque limit
+ENDINGS = ("time", "off-path", "non-finite")
+
+# Columns of a trace, all true values.
+CHANNELS = (
+    "x", "y", "yaw",  # [m, m, rad] vehicle, world
+    "reference_x", "reference_y", "reference_yaw",  # [m, m, rad]
+    "error", "heading_error",  # [m, rad]
+    "speed_error",  # [m/s] reference minus vehicle
+    "action_left", "action_right",  # [-] clipped demand over the torque limit
+    "torque_left", "torque_right",  # [N m] of the drives
+    "sprocket_speed_left", "sprocket_speed_right",  # [rad/s]
+    "slip_left", "slip_right",  # [-]
+)  # fmt: skip
+
+
+class Trace(NamedTuple):
+    """The recorded motion of n episodes over at most T control steps."""
+
+    values: FloatArray  # (T, n, channels) after each control step; rows past `steps` are void
+    steps: NDArray[np.int64]  # (n,) control steps driven
+    max_steps: int  # control steps of a whole episode
+    terminated: NDArray[np.bool_]  # (n,) ended before its time
+    success: NDArray[np.bool_]  # (n,) as `info["is_success"]`
+    torque_limit: FloatArray  # (n,) [N m]
+    error_limit: float  # [m]
+    control_period: float  # [s]
+
+    def channel(self, name: str) -> FloatArray:
+        """One channel, (T, n)."""
+        return self.values[:, :, CHANNELS.index(name)]
+
+    def driven(self) -> NDArray[np.bool_]:
+        """(T, n) whether the episode was still running."""
+        return np.arange(len(self.values))[:, None] < self.steps
+
+
+class Metric(NamedTuple):
+    """Unit and meaning of one column of the records."""
+
+    unit: str
+    meaning: str
+
+
+METRICS = {
+    "tracking_rmse": Metric("m", "RMSE of the distance to the reference, whole episode"),
+    "settled_rmse": Metric("m", f"the same after {SETTLING_TIME:g} s"),
+    "max_error": Metric("m", "largest distance to the reference"),
+    "final_error": Metric("m", "distance to the reference at the end"),
+    "heading_rmse": Metric("rad", "RMSE of the heading error"),
+    "speed_rmse": Metric("m/s", "RMSE of the speed error"),
+    "energy": Metric("J", "work of the sprockets, |torque * speed| over time"),
+    "saturation_share": Metric("-", "part of the time with a demand at the torque limit"),
+    "torque_chatter": Metric("N m/s", "mean rate of change of the torque demand"),
+    "success": Metric("-", "ended by time with an RMSE below 0.5 m"),
+    "terminated": Metric("-", "ended before its time"),
+    "driven_time": Metric("s", "time until the end of the episode"),
+}
+
+
+def counted_error(trace: Trace) -> FloatArray:
+    """Distance to the reference [m], (max_steps, n): as driven, then the error limit."""
+    counted = np.full((trace.max_steps, len(trace.steps)), trace.error_limit)
+    error = np.where(trace.driven(), trace.channel("error"), trace.error_limit)
+    counted[: len(error)] = np.where(error < trace.error_limit, error, trace.error_limit)
+    return counted  # a NaN is not below the limit, so it counts as the limit
+
+
+def _driven_mean(trace: Trace, values: FloatArray) -> FloatArray:
+    """Mean over the steps driven, (T, n) -> (n,); non-finite values count as zero."""
+    valid = np.where(trace.driven() & np.isfinite(values), values, 0.0)
+    return valid.sum(axis=0) / np.maximum(trace.steps, 1)
+
+
+def _sides(trace: Trace, name: str) -> FloatArray:
+    """Left and right channel, (2, T, n)."""
+    return np.stack([trace.channel(f"{name}_left"), trace.channel(f"{name}_right")])
+
+
+def ending(trace: Trace) -> list[str]:
+    """How each episode ended, one of ENDINGS."""
+    last = trace.values[trace.steps - 1, np.arange(len(trace.steps))]
+    finite = np.isfinite(last).all(axis=-1)
+    return [
+        ENDINGS[0] if not over else ENDINGS[1] if whole else ENDINGS[2]
+        for over, whole in zip(trace.terminated, finite, strict=True)
+    ]
+
+
+def evaluate(trace: Trace) -> dict[str, FloatArray]:
+    """Every metric of METRICS, (n,) each."""
+    period = trace.control_period
+    error = counted_error(trace)
+    settled = round(min(SETTLING_TIME, 0.5 * trace.max_steps * period) / period)
+    power = np.abs(_sides(trace, "torque") * _sides(trace, "sprocket_speed")).sum(axis=0)
+    action = _sides(trace, "action")
+    before = np.concatenate([action[:, :1], action[:, :-1]], axis=1)  # the first step is no change
+    demand_rate = np.abs(action - before).mean(axis=0) * trace.torque_limit / period
+    saturated = (np.abs(action) >= SATURATED).mean(axis=0)
+    return {
+        "tracking_rmse": np.sqrt(np.mean(error**2, axis=0)),
+        "settled_rmse": np.sqrt(np.mean(error[settled:] ** 2, axis=0)),
+        "max_error": error.max(axis=0),
+        "final_error": error[-1],
+        "heading_rmse": np.sqrt(_driven_mean(trace, trace.channel("heading_error") ** 2)),
+        "speed_rmse": np.sqrt(_driven_mean(trace, trace.channel("speed_error") ** 2)),
+        "energy": _driven_mean(trace, power) * trace.steps * period,
+        "saturation_share": _driven_mean(trace, saturated),
+        "torque_chatter": _driven_mean(trace, demand_rate),
+        "success": trace.success.astype(np.float64),
+        "terminated": trace.terminated.astype(np.float64),
+        "driven_time": trace.steps * period,
+    }

@@ -1,0 +1,279 @@
+"""Paired runner: every policy drives the same episodes of the same uncertainty sets.
+
+Episode i of a set is seeded `seed + i`, whatever the policy and the size of the batch: vehicle,
+soil, reference, start and every sensor noise sample are the same for all. A chunk of episodes
+runs as one batch; it is stored when it has ended, so an interruption costs at most one chunk.
+"""
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env import batch as b
+from tracked_env.benchmark import metrics
+from tracked_env.benchmark.policies import (
+    Policy,
+    PolicyContext,
+    PolicyEntry,
+    checked_policy,
+    needs_truth,
+    source_fingerprint,
+)
+from tracked_env.benchmark.store import Record, Store
+from tracked_env.episode import Episode
+from tracked_env.physics import state as s
+from tracked_env.physics.parameters import PARAMETER_INDEX
+from tracked_env.uncertainty import UNCERTAINTY_SETS
+from tracked_env.validation import checked_choice
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+# In `nominal` a controller with nominal parameters knows everything: it separates nothing.
+DEFAULT_SETS = tuple(name for name in UNCERTAINTY_SETS if name != "nominal")
+CHUNK = 64  # [episodes] run as one batch; has no influence on results
+REPORT_EVERY = 50  # [control steps] between two calls of `progress`
+SHOWN_EPISODES = 4  # whose motion is kept in full, for the figures
+SHOWN_POINTS = 300  # times at which the error of all episodes of the first chunk is kept
+# Files of this package that do not change numbers.
+_HARMLESS = ("report.py", "figures.py", "statistics.py", "video.py", "rendering.py", "__init__.py")
+
+_COLUMNS = [
+    b.STATE + s.X, b.STATE + s.Y, b.STATE + s.YAW,
+    b.REFERENCE_X, b.REFERENCE_Y, b.REFERENCE_YAW,
+    b.ERROR_DISTANCE, b.ERROR_YAW,
+    b.REFERENCE_MOTION,  # speed; the vehicle's is subtracted
+    b.PREVIOUS_ACTION, b.PREVIOUS_ACTION + 1,
+    b.STATE + s.TORQUE_LEFT, b.STATE + s.TORQUE_RIGHT,
+    b.STATE + s.SPROCKET_SPEED_LEFT, b.STATE + s.SPROCKET_SPEED_RIGHT,
+    b.STATE + s.SLIP_LEFT, b.STATE + s.SLIP_RIGHT,
+]  # fmt: skip
+_SPEED_ERROR = metrics.CHANNELS.index("speed_error")
+
+Progress = Callable[[int, str], None]  # (vehicle steps done since the last call, what runs)
+
+
+@dataclass(frozen=True)
+class BenchmarkConfig:
+    """What is run. All but `sets`, `episodes` and `chunk` is part of a result's identity."""
+
+    sets: tuple[str, ...] = DEFAULT_SETS
+    episodes: int = 32  # per set
+    seed: int = 0
+    reference: str | Mapping[str, Any] = "random"
+    sensors: str | Mapping[str, Any] = "rtk"
+    duration: float = 30.0  # [s]
+    control_rate: float = 50.0  # [Hz]
+    lateral: str = "sliding"
+    error_limit: float = 5.0  # [m]
+    chunk: int = CHUNK
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for an unknown set and for counts below 1."""
+        for name in self.sets:
+            checked_choice("uncertainty set", name, UNCERTAINTY_SETS)
+        if len(set(self.sets)) != len(self.sets) or not self.sets:
+            raise ValueError(f"sets = {self.sets}; must be one or more, each named once")
+        for name in ("episodes", "chunk"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}; must be at least 1")
+        if self.seed < 0:
+            raise ValueError(f"seed = {self.seed}; must be at least 0")
+
+    def identity(self) -> dict[str, Any]:
+        """Everything that changes the numbers of an episode, the policy apart."""
+        fields = asdict(self)
+        for name in ("sets", "episodes", "chunk"):
+            del fields[name]
+        return {**fields, "source": source_fingerprint("tracked_env", _HARMLESS)}
+
+    def environment(self, uncertainty_set: str, count: int, truth: bool) -> TrackedVehicleVectorEnv:
+        """A batch in which an ended episode rests."""
+        return TrackedVehicleVectorEnv(
+            count,
+            reference=self.reference,
+            uncertainty=uncertainty_set,
+            sensors=self.sensors,
+            duration=self.duration,
+            control_rate=self.control_rate,
+            lateral=self.lateral,
+            error_limit=self.error_limit,
+            expose_truth=truth,
+            autoreset_mode="Disabled",
+        )
+
+
+class Task(NamedTuple):
+    """One chunk of one policy on one set."""
+
+    policy: PolicyEntry
+    uncertainty_set: str
+    episodes: tuple[int, ...]
+
+
+def _nothing(steps: int, label: str) -> None:
+    """Report no progress."""
+
+
+def episode_digest(episode: Episode) -> str:
+    """Digest of all that an episode is: equal for two policies that met the same one."""
+    digest = hashlib.sha256()
+
+    def add(value: Any) -> None:
+        if isinstance(value, tuple):
+            for part in value:
+                add(part)
+        else:
+            digest.update(np.asarray(value).tobytes())
+
+    add(tuple(episode))
+    return digest.hexdigest()[:12]
+
+
+def drive(
+    policy: Policy, env: TrackedVehicleVectorEnv, seeds: Sequence[int], on_step: Callable[[], None]
+) -> tuple[metrics.Trace, float]:
+    """Run one episode per seed to its end. Returns their trace and the time in `predict` [s]."""
+    simulation = env.simulation
+    solver = simulation.solver
+    observation, info = env.reset(seed=list(seeds))
+    max_steps = simulation.settings.max_steps
+    values = np.empty((max_steps, env.num_envs, len(_COLUMNS)))
+    over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
+    start: NDArray[np.bool_] = np.ones(env.num_envs, dtype=bool)
+    state: Any = None
+    predict_time, done = 0.0, 0
+    while not over.all():
+        if needs_truth(policy):
+            truth = {k: v for k, v in info["truth"].items() if not k.startswith("_")}
+            policy.observe_truth(truth)  # type: ignore[attr-defined]
+        began = time.perf_counter()
+        action, state = policy.predict(observation, state, start, deterministic=True)
+        predict_time += time.perf_counter() - began
+        start = np.zeros_like(start)
+        observation, _, terminated, truncated, info = env.step(np.asarray(action, np.float32))
+        floats = simulation.batch.floats
+        values[done] = floats[:, _COLUMNS]
+        values[done, :, _SPEED_ERROR] -= floats[:, b.STATE + s.V_X]
+        done += 1
+        over = terminated | truncated
+        if terminated.any():  # a diverged vehicle must not disturb those that go on
+            observation = np.nan_to_num(observation)
+        on_step()
+    trace = metrics.Trace(
+        values[:done],
+        simulation.batch.counters[:, b.STEP].copy(),
+        max_steps,
+        terminated,
+        np.asarray(info["is_success"], dtype=bool),
+        simulation.column(b.PARAMETERS + PARAMETER_INDEX["torque_limit"]),
+        solver.error_limit,
+        solver.control_period,
+    )
+    return trace, predict_time
+
+
+def shown(trace: metrics.Trace) -> dict[str, NDArray[Any]]:
+    """What the figures need: the error of all episodes, the full motion of a few."""
+    error = metrics.counted_error(trace)
+    times = np.unique(np.linspace(0, len(error) - 1, SHOWN_POINTS).astype(int))
+    few = trace.values[:, :SHOWN_EPISODES].astype(np.float32)
+    few[~trace.driven()[:, :SHOWN_EPISODES]] = np.nan
+    return {
+        "time": (times + 1) * trace.control_period,
+        "error": error[times].astype(np.float32),
+        "motion": few,
+        "torque_limit": trace.torque_limit[:SHOWN_EPISODES],
+        "control_period": np.array(trace.control_period),
+    }
+
+
+def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progress) -> None:
+    """Run one chunk and store it. An error of the policy says where it happened."""
+    count = len(task.episodes)
+    policy = checked_policy(task.policy, PolicyContext(1.0 / config.control_rate, config.lateral))
+    env = config.environment(task.uncertainty_set, count, needs_truth(policy))
+    label = f"{task.uncertainty_set}: {task.policy.name}"
+    reported, steps = 0, 0
+
+    def on_step() -> None:
+        nonlocal reported, steps
+        steps += 1
+        if steps % REPORT_EVERY == 0:
+            progress((steps - reported) * count, label)
+            reported = steps
+
+    seeds = [config.seed + i for i in task.episodes]
+    try:
+        trace, predict_time = drive(policy, env, seeds, on_step)
+    except Exception as error:
+        error.add_note(f"policy {task.policy.name!r}, set {task.uncertainty_set!r}, step {steps}")
+        raise
+    finally:
+        env.close()
+    columns = metrics.evaluate(trace)
+    endings = metrics.ending(trace)
+    episodes: list[Record] = []
+    for row, (episode, seed) in enumerate(zip(task.episodes, seeds, strict=True)):
+        drawn = env.simulation.episodes[row]
+        assert drawn is not None
+        known = {"episode": episode, "seed": seed, "digest": episode_digest(drawn)}
+        values = {name: float(column[row]) for name, column in columns.items()}
+        episodes.append({**known, "ended": endings[row], **values})
+    if task.episodes[0] == 0:
+        store.save_trace(task.policy.name, task.uncertainty_set, shown(trace))
+    chunk = {
+        "policy": task.policy.name,
+        "fingerprint": task.policy.fingerprint,
+        "set": task.uncertainty_set,
+        "predict_time": predict_time / (len(trace.values) * count),  # [s] per vehicle and step
+        "episodes": episodes,
+    }
+    store.append(chunk)
+    progress((trace.max_steps - reported) * count, label)
+
+
+def pending(
+    config: BenchmarkConfig, policies: Sequence[PolicyEntry], store: Store
+) -> Iterator[Task]:
+    """The chunks that the store lacks, set by set, all policies on a chunk in turn."""
+    have = {
+        (r["set"], r["policy"], r["episode"])
+        for r in store.records({entry.name: entry.fingerprint for entry in policies})
+    }
+    for name in config.sets:
+        for first in range(0, config.episodes, config.chunk):
+            chunk = range(first, min(first + config.chunk, config.episodes))
+            for entry in policies:
+                missing = tuple(i for i in chunk if (name, entry.name, i) not in have)
+                if missing:
+                    yield Task(entry, name, missing)
+
+
+def run(
+    config: BenchmarkConfig,
+    policies: Sequence[PolicyEntry],
+    store: Store,
+    progress: Progress = _nothing,
+) -> list[Record]:
+    """Run what the store lacks. Returns one record per episode, ordered as config and policies."""
+    for task in list(pending(config, policies, store)):
+        run_task(task, config, store, progress)
+    return chosen_records(config, policies, store)
+
+
+def chosen_records(
+    config: BenchmarkConfig, policies: Sequence[PolicyEntry], store: Store
+) -> list[Record]:
+    """The finished records that config and policies ask for, ordered as they are."""
+    sets = {name: i for i, name in enumerate(config.sets)}
+    order = {entry.name: i for i, entry in enumerate(policies)}
+    wanted = [
+        r
+        for r in store.records({entry.name: entry.fingerprint for entry in policies})
+        if r["set"] in sets and r["episode"] < config.episodes
+    ]
+    return sorted(wanted, key=lambda r: (sets[r["set"]], order[r["policy"]], r["episode"]))

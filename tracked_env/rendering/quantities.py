@@ -1,0 +1,46 @@
+"""How parameters are written in pictures: label, symbol, display unit, digits, colour range."""
+
+from typing import Any, NamedTuple
+
+from tracked_env.physics.parameters import PARAMETER_NAMES
+
+
+class Quantity(NamedTuple):
+    """One parameter in a picture; the displayed value is the SI value times `factor`."""
+
+    label: str
+    unit: str
+    factor: float
+    decimals: int
+    low: float = 0.0  # display unit, lower end of the colour scale
+    high: float = 1.0  # display unit, upper end of the colour scale
+
+    def number(self, value: float) -> str:
+        """The value in its display unit, without the unit."""
+        return f"{value * self.factor:.{self.decimals}f}"
+
+    def share(self, value: Any) -> Any:
+        """Position of a number or an array on the colour scale; beyond its ends outside [0, 1]."""
+        return (value * self.factor - self.low) / (self.high - self.low)
+
+
+_DEG = 57.29577951308232  # [deg/rad]
+QUANTITIES = {
+    "mass": Quantity("mass m", "kg", 1.0, 0),
+    "inertia": Quantity("yaw inertia I", "kg m²", 1.0, 0),
+    "track_gauge": Quantity("track gauge B", "m", 1.0, 2),
+    "track_width": Quantity("track width w", "m", 1.0, 2),
+    "contact_length": Quantity("contact length l", "m", 1.0, 2),
+    "sprocket_radius": Quantity("sprocket radius r", "m", 1.0, 3),
+    "torque_limit": Quantity("torque limit", "kN m", 1e-3, 2),
+    "sprocket_speed_limit": Quantity("sprocket speed limit", "rad/s", 1.0, 1),
+    "torque_time_constant": Quantity("torque time constant", "ms", 1e3, 0),
+    "cohesion": Quantity("cohesion c", "kPa", 1e-3, 1, 0.0, 80.0),
+    "friction_angle": Quantity("friction angle φ", "°", _DEG, 1, 0.0, 45.0),
+    "shear_deformation_modulus": Quantity("shear modulus K", "mm", 1e3, 1, 0.0, 40.0),
+    "longitudinal_resistance": Quantity("long. resistance μl", "", 1.0, 2, 0.0, 1.2),
+    "lateral_resistance": Quantity("lateral resistance μt", "", 1.0, 2, 0.0, 1.2),
+    "turning_resistance_factor": Quantity("turning factor", "", 1.0, 2),
+    "icr_forward": Quantity("ICR forward d", "m", 1.0, 2),
+}
+assert tuple(QUANTITIES) == PARAMETER_NAMES

@@ -1,0 +1,160 @@
+"""`Renderer`: one picture of one vehicle, as an array or in a window."""
+
+import math
+
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+from tracked_env.episode import Episode
+from tracked_env.physics.parameters import SoilParameters
+from tracked_env.references import sample
+from tracked_env.rendering import canvas, legend, scene
+from tracked_env.rendering.memory import Memory
+from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
+from tracked_env.rendering.panel import Panel
+from tracked_env.rendering.scene import Camera, Points
+from tracked_env.rendering.snapshot import Snapshot, take
+from tracked_env.rendering.soil_map import SoilMap
+from tracked_env.simulation import Simulation
+from tracked_env.validation import checked_choice
+
+SCENE_WIDTH, SCENE_HEIGHT = 680, 640  # [px]
+WIDTH, HEIGHT = SCENE_WIDTH + PANEL_WIDTH, SCENE_HEIGHT  # [px] of a picture
+SUPERSAMPLING = 2  # [-] of the layer with the vehicle
+PATH_STEP, PATH_POINTS = 0.05, 4000  # [s] between points of the path, and at most that many
+MODES = ("human", "rgb_array")
+ZOOM = (20, 100)  # [px/m] allowed
+
+
+class _Stage:
+    """What belongs to one episode."""
+
+    def __init__(
+        self, shot: Snapshot, text: canvas.Text, pixels_per_metre: int, soil: str | None
+    ) -> None:
+        count = min(math.ceil(shot.duration / PATH_STEP), PATH_POINTS) + 1
+        self.times: NDArray[np.float64] = np.linspace(0.0, shot.duration, count)
+        path = sample(shot.episode.profile, self.times)
+        self.path: Points = np.stack([path.x, path.y], axis=1)
+        self.soil = SoilMap(shot, pixels_per_metre, soil)
+        self.panel = Panel(text, self.path, self.soil)
+        self.memory = Memory(shot)
+
+
+class Renderer:
+    """Draws one row of a `Simulation`; give every row a renderer of its own.
+
+    The picture follows from the state and from the pictures of the episode before it (trail,
+    belts, notices): the same calls give the same pixels. In `rgb_array` mode no window is
+    opened and no display is needed.
+    """
+
+    def __init__(
+        self,
+        render_mode: str,
+        fps: int,
+        pixels_per_metre: int = 40,
+        soil_parameter: str | None = None,
+    ) -> None:
+        """Open nothing yet.
+
+        render_mode: "human" or "rgb_array"; fps: [1/s] at most, in a window;
+        pixels_per_metre: zoom, 20 to 100; soil_parameter: the one that colours the ground, by
+        default the first that varies in the plane, else `lateral_resistance`.
+        Raises ValueError for anything else.
+        """
+        self.render_mode = checked_choice("render_mode", render_mode, MODES)
+        if not isinstance(pixels_per_metre, int) or not ZOOM[0] <= pixels_per_metre <= ZOOM[1]:
+            raise ValueError(
+                f"pixels_per_metre = {pixels_per_metre}; must be an int in [{ZOOM[0]}, {ZOOM[1]}]"
+            )
+        if soil_parameter is not None:
+            checked_choice("soil_parameter", soil_parameter, SoilParameters._fields)
+        self.fps = fps
+        self._zoom = pixels_per_metre
+        self._soil_parameter = soil_parameter
+        self.close()
+
+    def draw(self, simulation: Simulation, row: int) -> NDArray[np.uint8] | None:
+        """The picture of vehicle `row` (HEIGHT, WIDTH, 3); None in `human` mode.
+
+        Raises gymnasium.error.ResetNeeded before the first episode.
+        """
+        shot = take(simulation, row)
+        picture = self._compose(shot)
+        if self.render_mode == "rgb_array":
+            return canvas.to_array(picture)
+        self._show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window and forget everything; drawing again starts afresh."""
+        window: pygame.Window | None = getattr(self, "_window", None)
+        if window is not None and pygame.display.get_init():
+            window.destroy()
+        self._window: pygame.Window | None = None
+        self._clock: pygame.time.Clock | None = None
+        self._picture: pygame.Surface | None = None
+        self._layer: pygame.Surface | None = None
+        self._text = canvas.Text()
+        self._episode: Episode | None = None
+        self._stage: _Stage | None = None
+
+    def _compose(self, shot: Snapshot) -> pygame.Surface:
+        if self._picture is None or self._layer is None:
+            size = SUPERSAMPLING * SCENE_WIDTH, SUPERSAMPLING * SCENE_HEIGHT
+            self._picture = canvas.surface(WIDTH, HEIGHT)
+            self._layer = canvas.surface(*size, transparent=True)
+        if self._stage is None or shot.episode is not self._episode:
+            self._episode = shot.episode
+            self._stage = _Stage(shot, self._text, self._zoom, self._soil_parameter)
+        picture, stage = self._picture, self._stage
+        stage.memory.update(shot)
+        refresh = stage.soil.advance(shot)
+        self._ground(picture, stage, shot)
+        self._things(picture, self._layer, stage, shot)
+        legend.draw(picture, self._text, stage.soil, shot, stage.memory.notices(), self._zoom)
+        view = 0.5 * SCENE_WIDTH / self._zoom
+        picture.blit(stage.panel.draw(shot, stage.memory, refresh, view), (SCENE_WIDTH, 0))
+        return picture
+
+    def _ground(self, picture: pygame.Surface, stage: _Stage, shot: Snapshot) -> None:
+        ground = picture.subsurface((0, 0, SCENE_WIDTH, SCENE_HEIGHT))
+        left = shot.state.x - 0.5 * SCENE_WIDTH / self._zoom
+        top = shot.state.y + 0.5 * SCENE_HEIGHT / self._zoom
+        stage.soil.draw(ground, shot, left, top)
+        legend.coordinates(ground, self._text, left, top, self._zoom)
+
+    def _things(
+        self, picture: pygame.Surface, layer: pygame.Surface, stage: _Stage, shot: Snapshot
+    ) -> None:
+        """Everything with smooth edges."""
+        layer.fill((0, 0, 0, 0))
+        width, height = layer.get_size()
+        camera = Camera(
+            shot.state.x, shot.state.y, SUPERSAMPLING * self._zoom, 0.5 * width, 0.5 * height
+        )
+        now = np.array([shot.reference[:2]])
+        done = int(np.searchsorted(stage.times, shot.time, side="right"))
+        past, future = stage.path[:done], stage.path[done:]
+        here = np.array([shot.pose[:2]])
+        scene.path(layer, camera, np.concatenate([past, now]), canvas.PALE_BLUE, 4)
+        scene.path(layer, camera, np.concatenate([now, future]), canvas.BLUE, 6)
+        scene.path(layer, camera, np.concatenate([stage.memory.trail, here]), canvas.INK, 4)
+        scene.vehicle(layer, camera, shot, stage.memory.travel)
+        scene.ghost(layer, camera, shot)
+        scene.forces(layer, camera, shot)
+        smooth = pygame.transform.smoothscale_by(layer, 1 / SUPERSAMPLING)
+        picture.blit(smooth, (0, 0), special_flags=pygame.BLEND_PREMULTIPLIED)
+
+    def _show(self, picture: pygame.Surface) -> None:
+        """Put the picture on the screen and wait for its time."""
+        if self._window is None or self._clock is None or not pygame.display.get_init():
+            pygame.display.init()
+            self._window = pygame.Window("tracked_env", (WIDTH, HEIGHT))
+            self._clock = pygame.time.Clock()
+        self._window.get_surface().blit(picture, (0, 0))
+        self._window.flip()
+        pygame.event.pump()
+        self._clock.tick(self.fps)

@@ -1,0 +1,115 @@
+"""What one picture shows: the numbers of one vehicle at one instant, by name, in SI units."""
+
+from typing import NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env import batch as b
+from tracked_env.episode import Episode
+from tracked_env.physics import torque_plant
+from tracked_env.physics.jit import loop
+from tracked_env.physics.parameters import PARAMETER_ROWS, PlantParameters
+from tracked_env.physics.state import STATE_ROWS, VehicleState
+from tracked_env.simulation import Simulation
+
+
+class Pose(NamedTuple):
+    """Where something stands, world frame."""
+
+    x: float  # [m]
+    y: float  # [m]
+    yaw: float  # [rad]
+
+
+class Snapshot(NamedTuple):
+    """One vehicle at one instant."""
+
+    episode: Episode
+    events: NDArray[np.float64]  # (1, E, 8) what changes, as the kernels take it
+    time: float  # [s] since reset
+    duration: float  # [s] of the episode
+    state: VehicleState
+    parameters: PlantParameters  # in force now
+    parameters_at_start: PlantParameters
+    reference: Pose
+    reference_speed: float  # [m/s]
+    reference_yaw_rate: float  # [rad/s]
+    distance: float  # [m] to the reference
+    heading_error: float  # [rad] reference minus vehicle
+    reward: float
+    action: tuple[float, float]  # [-] left, right
+    resistance: tuple[float, float]  # [N] motion resistance of the left and the right track
+    lateral_force: float  # [N] of the soil on the vehicle, to its left
+    ending: str  # why the episode is over, or empty
+
+    @property
+    def pose(self) -> Pose:
+        """Of the vehicle."""
+        return Pose(self.state.x, self.state.y, self.state.yaw)
+
+
+@loop
+def motion_resistances(floats, i):
+    """Motion resistance [N] of the left and the right track of vehicle i, by the plant."""
+    motion = torque_plant.Motion(
+        floats[i, b.STATE + 3], floats[i, b.STATE + 4], floats[i, b.STATE + 5]
+    )
+    c, d = b.COEFFICIENTS, b.DRIVE
+    k = torque_plant.Coefficients(
+        floats[i, c], floats[i, c + 1], floats[i, c + 2], floats[i, c + 3], floats[i, c + 4],
+        floats[i, c + 5], floats[i, c + 6], floats[i, c + 7], floats[i, c + 8],
+    )  # fmt: skip
+    drive = torque_plant.DriveLimits(
+        floats[i, d], floats[i, d + 1], floats[i, d + 2], floats[i, d + 3]
+    )
+    limits = torque_plant.traction_limits(motion, k.half_gauge, drive)
+    loads = torque_plant.sliding_loads(
+        motion, floats[i, b.STATE + 6], floats[i, b.STATE + 7], k, limits
+    )
+    return loads.resistance_left, loads.resistance_right
+
+
+def _ending(simulation: Simulation, row: int, finite: bool) -> str:
+    counters = simulation.batch.counters[row]
+    if not finite:
+        return "the state is not finite: episode over"
+    if counters[b.TERMINATED]:
+        return f"more than {simulation.solver.error_limit:g} m off the path: episode over"
+    return "time is up: episode over" if counters[b.TRUNCATED] else ""
+
+
+def take(simulation: Simulation, row: int) -> Snapshot:
+    """Read vehicle `row`. Numbers that are not finite read as 0, and `ending` says so.
+
+    Raises gymnasium.error.ResetNeeded before the first episode.
+    """
+    episode = simulation.episodes[row]
+    if episode is None:
+        raise gymnasium.error.ResetNeeded("nothing to draw: call reset() before render()")
+    floats, counters = simulation.batch.floats, simulation.batch.counters
+    finite = bool(np.isfinite(floats[row, b.STATE : b.STATE + STATE_ROWS]).all())
+    values = np.nan_to_num(floats[row], nan=0.0, posinf=0.0, neginf=0.0).tolist()
+    state = VehicleState(*values[b.STATE : b.STATE + STATE_ROWS])
+    parameters = PlantParameters(*values[b.PARAMETERS : b.PARAMETERS + PARAMETER_ROWS])
+    count = int(counters[row, b.EVENT_COUNT])
+    return Snapshot(
+        episode,
+        simulation.batch.events[row : row + 1, :count],
+        int(counters[row, b.STEP]) * simulation.solver.control_period,
+        simulation.settings.duration,
+        state,
+        parameters,
+        PlantParameters(*values[b.BASE : b.BASE + PARAMETER_ROWS]),
+        Pose(*values[b.REFERENCE_X : b.REFERENCE_X + 3]),
+        values[b.REFERENCE_MOTION],
+        values[b.REFERENCE_MOTION + 3],
+        values[b.ERROR_DISTANCE],
+        values[b.ERROR_YAW],
+        values[b.REWARD],
+        (values[b.PREVIOUS_ACTION], values[b.PREVIOUS_ACTION + 1]),
+        motion_resistances(floats, row) if finite else (0.0, 0.0),
+        parameters.mass * state.acceleration_y,
+        _ending(simulation, row, finite),
+    )

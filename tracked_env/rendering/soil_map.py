@@ -1,0 +1,144 @@
+"""The ground, coloured by one soil parameter as the plant sees it.
+
+The value at a place is that of the episode's start, changed by each event in turn with the
+kernel of the plant (`physics.schedule.changed_value`). It is drawn in square tiles, which are
+kept: a tile is computed again only when a ramp in time moves its parameter.
+"""
+
+import math
+
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+from tracked_env.physics import schedule
+from tracked_env.physics.jit import loop
+from tracked_env.physics.parameters import PARAMETER_INDEX, SoilParameters
+from tracked_env.rendering.canvas import SOIL_SCALE, Bytes, paint, surface
+from tracked_env.rendering.quantities import QUANTITIES
+from tracked_env.rendering.snapshot import Snapshot
+
+FloatArray = NDArray[np.float64]
+
+TILE = 5  # [m] side of a tile, and distance of the thick grid lines
+CELL_PIXELS = 2  # [px] side of a cell with one colour
+REFRESH = 0.2  # [s] a running ramp shows in steps of this length
+_TILES = 64  # [-] tiles kept
+_THIN, _THICK = 0.955, 0.86  # [-] the grid lines darken the soil by these factors
+# What is shown when several parameters vary in the plane: the first of them.
+PREFERENCE = (
+    "lateral_resistance", "longitudinal_resistance", "cohesion", "friction_angle",
+    "shear_deformation_modulus",
+)  # fmt: skip
+assert set(PREFERENCE) == set(SoilParameters._fields)
+
+
+@loop
+def values_on_grid(start, events, count, parameter, time, xs, ys, out):
+    """Write the value of a parameter at `time` [s] over xs (W,), ys (H,) [m] into out (H, W).
+
+    start: its value at the start of the episode; events (1, E, 8), of which the first `count`
+    act; parameter: its row in PARAMETER_NAMES.
+    """
+    for row in range(ys.size):
+        for column in range(xs.size):
+            value = start
+            for e in range(count):
+                if int(events[0, e, 1]) == parameter:
+                    value = schedule.changed_value(
+                        value, events, 0, e, time, xs[column], ys[row]
+                    )
+            out[row, column] = value
+
+
+def value_at(shot: Snapshot, count: int, name: str, time: float, x: float, y: float) -> float:
+    """Value of a parameter at one place, after the first `count` events."""
+    out = np.empty((1, 1))
+    start = getattr(shot.parameters_at_start, name)
+    values_on_grid(
+        start, shot.events, count, PARAMETER_INDEX[name], time, np.array([x]), np.array([y]), out
+    )
+    return float(out[0, 0])
+
+
+def map_time(events: FloatArray, time: float) -> float:
+    """The instant [s] whose map is shown at `time`: exact at steps, every REFRESH in ramps."""
+    shown = 0.0
+    for start, duration in events[events[:, 0] == schedule.RAMP, 3:5]:
+        if time >= start:
+            elapsed = min(time - start, duration)
+            shown = max(shown, start + REFRESH * math.floor(elapsed / REFRESH + 1e-9))
+            if elapsed == duration:
+                shown = max(shown, start + duration)
+    return float(shown)
+
+
+class SoilMap:
+    """The map of one episode."""
+
+    def __init__(self, shot: Snapshot, pixels_per_metre: int, parameter: str | None) -> None:
+        """parameter: a name of SoilParameters; None takes the first that varies in the plane."""
+        events = shot.events[0]
+        spatial = {int(row[1]) for row in events if row[0] != schedule.RAMP}
+        varying = [name for name in PREFERENCE if PARAMETER_INDEX[name] in spatial]
+        self.name = parameter or (varying or PREFERENCE)[0]
+        self.quantity = QUANTITIES[self.name]
+        self.uniform = self.name not in varying
+        self._row = PARAMETER_INDEX[self.name]
+        self._own_events = events[events[:, 1] == self._row]
+        self._start = float(getattr(shot.parameters_at_start, self.name))
+        self._pixels = TILE * pixels_per_metre
+        self._tiles: dict[tuple[int, int], pygame.Surface] = {}
+        self._time = -1.0
+
+    def image(self, shot: Snapshot, xs: FloatArray, ys: FloatArray) -> Bytes:
+        """Colours (H, W, 3) at the places xs (W,), ys (H,) [m]."""
+        out = np.empty((ys.size, xs.size))
+        count = shot.events.shape[1]
+        values_on_grid(self._start, shot.events, count, self._row, self._time, xs, ys, out)
+        index = np.clip(256.0 * self.quantity.share(out), 0.0, 255.0)
+        return SOIL_SCALE[index.astype(np.uint8)]
+
+    def advance(self, shot: Snapshot) -> bool:
+        """Move to the time of the snapshot; True when the map has changed since the last call."""
+        time = map_time(self._own_events, shot.time)
+        if time == self._time:
+            return False
+        self._time = time
+        self._tiles.clear()
+        return True
+
+    def draw(self, target: pygame.Surface, shot: Snapshot, left: float, top: float) -> None:
+        """Cover the target, whose upper left corner lies at world (left, top) [m]."""
+        metre = self._pixels / TILE
+        width, height = target.get_size()
+        x0, y0 = round(left * metre), round(-top * metre)  # [px] of the corner, y down
+        side = self._pixels
+        for row in range(y0 // side, (y0 + height - 1) // side + 1):
+            for column in range(x0 // side, (x0 + width - 1) // side + 1):
+                tile = self._tile(shot, column, row)
+                target.blit(tile, (column * side - x0, row * side - y0))
+
+    def _tile(self, shot: Snapshot, column: int, row: int) -> pygame.Surface:
+        """Tile whose upper left corner is at (column, -row) tiles."""
+        key = (0, 0) if self.uniform else (column, row)
+        if key not in self._tiles:
+            if len(self._tiles) >= _TILES:
+                del self._tiles[next(iter(self._tiles))]
+            self._tiles[key] = self._new_tile(shot, *key)
+        return self._tiles[key]
+
+    def _new_tile(self, shot: Snapshot, column: int, row: int) -> pygame.Surface:
+        side = self._pixels
+        cells = -(-side // CELL_PIXELS)
+        middles = TILE * (np.arange(cells) + 0.5) * CELL_PIXELS / side
+        coarse = self.image(shot, TILE * column + middles, -(TILE * row + middles))
+        fine = coarse.repeat(CELL_PIXELS, 0).repeat(CELL_PIXELS, 1)[:side, :side]
+        shade = np.ones((side, side, 1))
+        for metre in range(TILE - 1, -1, -1):
+            line = metre * side // TILE
+            factor = _THIN if metre else _THICK
+            shade[line], shade[:, line] = factor, np.minimum(shade[:, line], factor)
+        tile = surface(side, side)
+        paint(tile, np.round(fine * shade).astype(np.uint8))
+        return tile

@@ -1,0 +1,128 @@
+"""Stable-Baselines3's vector interface over the project's own vector environment.
+
+`make_vec_env` gives SB3 all vehicles in one process, stepped by one call, instead of one
+environment per vehicle. Ended rows restart in the same step, as SB3 expects; their last
+observation is in `infos[i]["terminal_observation"]`. Needs the extra `rl`.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+
+from tracked_env import TORQUE_ID
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+
+class TrackedVehicleVecEnv(VecEnv):
+    """An SB3 `VecEnv` over a `TrackedVehicleVectorEnv` in SAME_STEP mode.
+
+    `infos` are empty dicts except for rows that ended: `terminal_observation`,
+    `TimeLimit.truncated`, `is_success`, `tracking_error` (2,) [m, rad], `reward_terms`.
+    """
+
+    def __init__(self, env: TrackedVehicleVectorEnv) -> None:
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(
+                f"autoreset_mode = {env.autoreset_mode}; must be SAME_STEP, which is what SB3 does"
+            )
+        self.env = env
+        self.render_mode = env.render_mode
+        self._actions: NDArray[np.float32] | None = None
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start all rows; uses and forgets what `seed` and `set_options` have left."""
+        seeds = None if all(s is None for s in self._seeds) else self._seeds
+        options = {"rows": list(self._options)} if any(self._options) else None
+        observations, _ = self.env.reset(seed=seeds, options=options)
+        self.reset_infos = [{} for _ in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Keep the actions (N, 2) for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Advance all rows by one control period."""
+        assert self._actions is not None, "step_async comes before step_wait"
+        observations, rewards, terminated, truncated, info = self.env.step(self._actions)
+        dones = terminated | truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if dones.any():
+            final = info["final_info"]
+            terms = {k: v for k, v in final["reward_terms"].items() if not k.startswith("_")}
+            for i in np.flatnonzero(dones):
+                infos[i] = {
+                    "terminal_observation": info["final_obs"][i],
+                    "TimeLimit.truncated": bool(truncated[i]),
+                    "is_success": bool(final["is_success"][i]),
+                    "tracking_error": final["tracking_error"][i],
+                    "reward_terms": {name: float(value[i]) for name, value in terms.items()},
+                }
+        return observations, rewards.astype(np.float32), dones, infos
+
+    def close(self) -> None:
+        """Release threads and renderers."""
+        self.env.close()
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """One RGB array per row."""
+        return self.env.render() or [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The attribute of the one environment that all rows share, once per row."""
+        return [getattr(self.env, attr_name) for _ in self._indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Refused: rows share one environment, an attribute cannot differ between them."""
+        raise NotImplementedError(
+            f"rows of this VecEnv share one environment; build another one to change {attr_name!r}"
+        )
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Refused: rows are not environments of their own."""
+        raise NotImplementedError(f"rows of this VecEnv have no method {method_name!r} of their own")
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+    ) -> list[bool]:
+        """No row is wrapped by itself."""
+        return [False for _ in self._indices(indices)]
+
+    def _indices(self, indices: VecEnvIndices) -> Iterable[int]:
+        return self._get_indices(indices)
+
+
+def make_vec_env(
+    env_id: str = TORQUE_ID,
+    n_envs: int = 64,
+    seed: int | None = None,
+    env_kwargs: Mapping[str, Any] | None = None,
+    monitor: bool = True,
+) -> VecEnv:
+    """N vehicles for SB3, e.g. `PPO("MlpPolicy", make_vec_env(n_envs=64))`.
+
+    env_kwargs: arguments of the environment. seed: row i is seeded seed + i at the first
+    reset. monitor: wrap in `VecMonitor`, so that SB3 logs episode returns and success.
+    """
+    env = gymnasium.make_vec(
+        env_id,
+        num_envs=n_envs,
+        vectorization_mode="vector_entry_point",
+        **{**(env_kwargs or {}), "autoreset_mode": AutoresetMode.SAME_STEP},
+    )
+    assert isinstance(env.unwrapped, TrackedVehicleVectorEnv)
+    vec_env: VecEnv = TrackedVehicleVecEnv(env.unwrapped)
+    if seed is not None:
+        vec_env.seed(seed)
+    return VecMonitor(vec_env, info_keywords=("is_success",)) if monitor else vec_env

@@ -10,7 +10,7 @@ release = version = installed_version("tracked-env")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "_generated"]
 nitpicky = False
 
 autodoc_typehints = "description"
@@ -18,3 +18,21 @@ autodoc_member_order = "bysource"
 
 html_theme = "furo"
 html_title = f"tracked-env {release}"
+
+
+def write_environment_page(app: object) -> None:
+    """The class docstring is Markdown: hand it to MyST as a page."""
+    import inspect
+    from pathlib import Path
+
+    from tracked_env.env import TrackedVehicleEnv
+
+    folder = Path(__file__).parent / "_generated"
+    folder.mkdir(exist_ok=True)
+    text = inspect.getdoc(TrackedVehicleEnv) or ""
+    (folder / "environment.md").write_text(text)
+
+
+def setup(app: object) -> None:
+    """Sphinx's hook."""
+    app.connect("builder-inited", write_environment_page)  # type: ignore[attr-defined]

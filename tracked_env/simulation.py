@@ -101,6 +101,7 @@ class Simulation:
         self.episodes: list[Episode | None] = [None] * count
         self.all = np.arange(count)
         self._action_shape = (count, 2)
+        self._idle: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
         solver = self.solver
         self._clock = (solver.substeps, solver.substep, solver.error_limit, solver.constrained)
         self._noisy = np.zeros(count, dtype=bool)
@@ -125,7 +126,7 @@ class Simulation:
         for i, episode in zip(chosen, drawn, strict=True):
             self._load(int(i), episode)
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
-        self._run_start(np.asarray(chosen, dtype=np.int64))
+        self._advance(self._idle, np.asarray(chosen, dtype=np.int64), 0, len(drawn), False)
         return self.observations
 
     def _load(self, i: int, episode: Episode) -> None:
@@ -176,13 +177,6 @@ class Simulation:
             history[:] = self.batch.floats[:, None, delivered]
             self.batch = self.batch._replace(history=history)
 
-    def _run_start(self, chosen: NDArray[np.int64]) -> None:
-        solver = self.solver
-        stepping.start_batch(
-            *self.batch, chosen, self.observations,
-            solver.substeps, solver.substep, solver.constrained,
-        )  # fmt: skip
-
     # --- an episode runs ------------------------------------------------------------------
     def step(
         self, actions: NDArray[np.float32], chosen: NDArray[np.int64] | None = None
@@ -207,15 +201,25 @@ class Simulation:
         if self.solver.threads > 1 and size >= THREADED_COUNT:
             bad = self._step_threaded(actions, chosen)
         else:
-            bad = stepping.step_batch(
-                *self.batch, chosen, actions, self.observations, 0, size, *self._clock
-            )
+            bad = self._advance(actions, chosen, 0, size, True)
         if bad >= 0:
             raise ValueError(
                 f"action[{bad}] = {actions[bad].tolist()}; must be finite, in [-1, 1]. Did the "
                 "policy diverge, or divide by zero? No vehicle was moved."
             )
         return self.observations
+
+    def _advance(
+        self,
+        actions: NDArray[np.float32],
+        chosen: NDArray[np.int64],
+        start: int,
+        stop: int,
+        moving: bool,
+    ) -> int:
+        return stepping.advance_batch(
+            *self.batch, chosen, actions, self.observations, start, stop, moving, *self._clock
+        )
 
     def _step_threaded(self, actions: NDArray[np.float32], chosen: NDArray[np.int64]) -> int:
         """The same on several threads; refuses a non-finite action before any of them moves."""
@@ -229,10 +233,7 @@ class Simulation:
         share = -(-blocks // threads) * stepping.LANES
 
         def run(first: int) -> int:
-            last = min(first + share, size)
-            return stepping.step_batch(
-                *self.batch, chosen, actions, self.observations, first, last, *self._clock
-            )
+            return self._advance(actions, chosen, first, min(first + share, size), True)
 
         parts = [self._pool.submit(run, first) for first in range(share, size, share)]
         run(0)

@@ -259,16 +259,33 @@ def _advance_reference(floats, counters, speed_profile, yaw_rate_profile, i, per
     floats[i, b.REFERENCE_YAW] += rotation
 
 
+@formula
+def _begin(floats, counters, events, actions, i, moving, period, h, constrained):
+    """Take the action of vehicle i, and bring its parameters up to date."""
+    if moving:
+        for side in range(2):
+            action = min(max(np.float64(actions[i, side]), -1.0), 1.0)
+            floats[i, b.ACTION_BEFORE + side] = floats[i, b.PREVIOUS_ACTION + side]
+            floats[i, b.PREVIOUS_ACTION + side] = action
+    count = counters[i, b.EVENT_COUNT]
+    if count > 0:
+        _apply_events(floats, events, i, count, counters[i, b.STEP] * period)
+    if count > 0 or not moving:
+        derive(floats, i, h, constrained)
+
+
 @loop
-def step_batch(
+def advance_batch(
     floats, counters, speed_profile, yaw_rate_profile, events, noise, history,
-    chosen, actions, observations, start, stop, substeps, h, error_limit, constrained,
+    chosen, actions, observations, start, stop,
+    moving, substeps, h, error_limit, constrained,
 ):  # fmt: skip
     """Advance vehicles chosen[start:stop] by one control step and write their observations.
 
-    chosen: (M,) int64 indices of the vehicles that move; actions: (N, 2) float32, clipped to
-    [-1, 1]; observations: (N, SIZE) float32; h [s] is the sub-step, `substeps` of them make a
-    control step; error_limit [m] ends an episode; constrained: the closure.
+    chosen: (M,) int64 indices of vehicles; actions: (N, 2) float32, clipped to [-1, 1];
+    observations: (N, SIZE) float32; moving: False completes freshly loaded vehicles instead
+    of moving them; h [s] is the sub-step, `substeps` of them make a control step;
+    error_limit [m] ends an episode; constrained: the closure.
     Returns -1, or the first row with a non-finite action: then no vehicle has moved.
     """
     for j in range(start, stop):
@@ -281,46 +298,19 @@ def step_batch(
         lanes = min(LANES, stop - first)
         for lane in range(lanes):
             i = chosen[first + lane]
-            for side in range(2):
-                action = min(max(np.float64(actions[i, side]), -1.0), 1.0)
-                floats[i, b.ACTION_BEFORE + side] = floats[i, b.PREVIOUS_ACTION + side]
-                floats[i, b.PREVIOUS_ACTION + side] = action
-            if counters[i, b.EVENT_COUNT] > 0:
-                time = counters[i, b.STEP] * period
-                _apply_events(floats, events, i, counters[i, b.EVENT_COUNT], time)
-                derive(floats, i, h, constrained)
-        _move(floats, scratch, chosen, first, lanes, substeps, h, constrained)
+            _begin(floats, counters, events, actions, i, moving, period, h, constrained)
+        steps = substeps if moving else 0
+        _move(floats, scratch, chosen, first, lanes, steps, h, constrained)
         for lane in range(lanes):
             i = chosen[first + lane]
-            _advance_reference(floats, counters, speed_profile, yaw_rate_profile, i, period)
-            counters[i, b.STEP] += 1
-            counters[i, b.NOISE_CURSOR] += 1
+            if moving:
+                _advance_reference(floats, counters, speed_profile, yaw_rate_profile, i, period)
+                counters[i, b.STEP] += 1
+                counters[i, b.NOISE_CURSOR] += 1
             sensing.observe(
                 floats, counters, speed_profile, yaw_rate_profile, noise, history,
                 i, counters[i, b.STEP], period, observations,
             )  # fmt: skip
-            _judge(floats, counters, i, error_limit)
+            if moving:
+                _judge(floats, counters, i, error_limit)
     return -1
-
-
-@loop
-def start_batch(
-    floats, counters, speed_profile, yaw_rate_profile, events, noise, history,
-    chosen, observations, substeps, h, constrained,
-):  # fmt: skip
-    """Complete freshly loaded vehicles chosen (M,) and write their first observations."""
-    period = substeps * h
-    for j in range(chosen.size):
-        i = chosen[j]
-        _apply_events(floats, events, i, counters[i, b.EVENT_COUNT], 0.0)
-        derive(floats, i, h, constrained)
-    scratch = np.empty((_SCRATCH_ROWS, LANES))
-    for first in range(0, chosen.size, LANES):
-        lanes = min(LANES, chosen.size - first)
-        _move(floats, scratch, chosen, first, lanes, 0, h, constrained)
-    for j in range(chosen.size):
-        i = chosen[j]
-        sensing.observe(
-            floats, counters, speed_profile, yaw_rate_profile, noise, history,
-            i, 0, period, observations,
-        )  # fmt: skip

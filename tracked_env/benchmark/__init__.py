@@ -1,10 +1,4 @@
-"""Paired comparison of policies on named uncertainty sets.
-
-    entries = [load_policy("my_package:my_policy", registry={})]
-    config = BenchmarkConfig(episodes=16)
-    store = Store(Path("results/mine"), config.identity())
-    summary = summarise(run(config, entries, store))
-"""
+"""Paired comparison of policies on named uncertainty sets; docs/evaluation.md shows its use."""
 
 from tracked_env.benchmark.policies import (
     Policy,

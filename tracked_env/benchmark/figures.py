@@ -26,8 +26,9 @@ PALETTE = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # 
 LINE_STYLES = ("--", "-", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 MARKERS = ("v", "o", "s", "D", "^", "P")
 REFERENCE_COLOUR = "0.55"
-DPI = 130  # [1/inch]
-STYLE = {
+MARKER_TIME = 5.0  # [s] between two markers on a path
+DPI = 120  # [1/inch]
+STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
     "axes.spines.top": False,
@@ -55,23 +56,48 @@ def looks(policies: Sequence[str]) -> dict[str, Look]:
     }
 
 
-def _new(width: float, height: float, rows: int = 1, columns: int = 1, **shared: Any) -> Any:
-    """Figure and axes (rows, columns) of a size in inches, without any global state."""
+def _new(
+    panel: tuple[float, float],
+    rows: int = 1,
+    columns: int = 1,
+    left: float = 0.65,
+    gap: tuple[float, float] = (0.35, 0.4),
+    **shared: Any,
+) -> Any:
+    """Figure and axes (rows, columns), without any global state.
+
+    panel, gap: width and height of a panel and between two [inch]; left: left margin [inch].
+    Fixed margins, because measuring the labels takes longer than drawing the figure.
+    """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
+    right, top, bottom = 0.15, 0.75, 0.55
+    width = left + columns * panel[0] + (columns - 1) * gap[0] + right
+    height = bottom + rows * panel[1] + (rows - 1) * gap[1] + top
+    figure = Figure(figsize=(width, height), dpi=DPI)
+    grid = {
+        "left": left / width, "right": 1.0 - right / width, "wspace": gap[0] / panel[0],
+        "bottom": bottom / height, "top": 1.0 - top / height, "hspace": gap[1] / panel[1],
+    }  # fmt: skip
+    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **shared)
 
 
-def _legend(figure: "Figure", axes: "Axes") -> None:
-    """One legend above all panels."""
+def _head(figure: "Figure", axes: "Axes", title: str, style: dict[str, Look]) -> None:
+    """Title at the upper left, and one legend for all panels at the upper right."""
+    width, height = figure.get_size_inches()
     handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    by_label = dict(zip(labels, handles, strict=True))
+    order = [label for label in ("reference", *style) if label in by_label]
+    figure.legend(
+        [by_label[label] for label in order], order,
+        loc="upper right", bbox_to_anchor=(1.0, 1.0 - 0.02 / height), ncols=len(labels),
+    )  # fmt: skip
+    figure.suptitle(title, x=0.12 / width, y=1.0 - 0.12 / height, ha="left", va="top", fontsize=11)
 
 
 def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Look]) -> "Figure":
     """Every episode as a point, quartiles as a box; RMSE on a logarithmic axis."""
-    figure, grid = _new(8.0, 0.9 + 0.24 * len(sets) * (len(style) + 1))
+    figure, grid = _new((7.0, 0.24 * len(sets) * (len(style) + 1)), left=1.4)
     axes = grid[0, 0]
     rng = np.random.default_rng(0)  # of the vertical scatter of the points
     for row, name in enumerate(sets):
@@ -102,7 +128,7 @@ def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Lo
     for row in range(1, len(sets)):
         axes.axhline(row - 0.5, color="0.85", linewidth=0.8)
     axes.set_xlabel("tracking RMSE of an episode [m]")
-    _legend(figure, axes)
+    _head(figure, axes, "Tracking error of every episode", style)
     return figure
 
 
@@ -113,9 +139,7 @@ def errors(traces: dict[str, Traces], style: dict[str, Look]) -> "Figure":
     """One panel per set: median of the error over the episodes, and the quartiles as a band."""
     columns = min(len(traces), 4)
     rows = -(-len(traces) // columns)
-    figure, grid = _new(
-        1.0 + 2.6 * columns, 0.7 + 2.1 * rows, rows, columns, sharex=True, sharey=True
-    )
+    figure, grid = _new((2.4, 1.8), rows, columns, gap=(0.2, 0.45), sharex=True, sharey=True)
     panels = grid.ravel()
     for axes, (name, by_policy) in zip(panels, traces.items(), strict=False):
         for policy, trace in by_policy.items():
@@ -136,7 +160,7 @@ def errors(traces: dict[str, Traces], style: dict[str, Look]) -> "Figure":
         grid[last, column].tick_params(labelbottom=True)
     for row in range(rows):
         grid[row, 0].set_ylabel("distance to reference [m]")
-    _legend(figure, panels[0])
+    _head(figure, panels[0], "Tracking error over time: median and quartiles", style)
     return figure
 
 
@@ -146,23 +170,27 @@ def _motion(trace: dict[str, NDArray[Any]], name: str, episode: int) -> NDArray[
 
 
 def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figure":
-    """Reference and driven paths of the first episodes of a set, one panel each."""
-    count = next(iter(traces.values()))["motion"].shape[1]
-    figure, grid = _new(1.0 + 2.6 * count, 3.5, 1, count)
+    """Reference and driven paths of the first episodes of a set, one panel each.
+
+    Markers every MARKER_TIME show who is where at the same time: a delay is an error as well.
+    """
+    longest = max(traces.values(), key=lambda trace: len(trace["motion"]))
+    count = longest["motion"].shape[1]
+    every = max(round(MARKER_TIME / float(longest["control_period"])), 1)
+    figure, grid = _new((2.4, 2.6), 1, count, gap=(0.5, 0.0))
     for episode, axes in enumerate(grid[0]):
-        longest = max(traces.values(), key=lambda trace: len(trace["motion"]))
-        reference = [_motion(longest, f"reference_{axis}", episode) for axis in "xy"]
-        axes.plot(*reference, color=REFERENCE_COLOUR, linewidth=4.0, alpha=0.6, label="reference")
+        x, y = (_motion(longest, f"reference_{axis}", episode) for axis in "xy")
         axes.plot(
-            reference[0][0], reference[1][0], "o", markersize=7.0, markeredgecolor="black",
-            markerfacecolor="white", label="start", linestyle="none",
+            x, y, color=REFERENCE_COLOUR, linewidth=5.0, alpha=0.5, label="reference",
+            marker="o", markersize=6.0, markevery=(every - 1, every),
         )  # fmt: skip
-        for policy, trace in traces.items():
-            x, y = _motion(trace, "x", episode), _motion(trace, "y", episode)
+        for policy, trace in reversed(traces.items()):  # the baseline on top
             look = style[policy]
+            x, y = _motion(trace, "x", episode), _motion(trace, "y", episode)
             axes.plot(
-                x, y, linestyle=look.line_style, color=look.colour, label=policy, linewidth=1.4
-            )
+                x, y, linestyle=look.line_style, color=look.colour, linewidth=1.3, label=policy,
+                marker=look.marker, markersize=4.0, markevery=(every - 1, every),
+            )  # fmt: skip
             if np.isnan(x).any() or len(x) < len(longest["motion"]):  # it ended early: mark where
                 end = np.flatnonzero(np.isfinite(x))[-1]
                 axes.plot(x[end], y[end], "X", color=look.colour, markersize=8.0)
@@ -170,34 +198,34 @@ def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figu
         axes.set_title(f"episode {episode} (seed {seed + episode})")
         axes.set_xlabel("x [m]")
     grid[0, 0].set_ylabel("y [m]")
-    _legend(figure, grid[0, 0])
-    figure.suptitle(name)
+    _head(figure, grid[0, 0], f"{name}: paths, a marker every {MARKER_TIME:g} s", style)
     return figure
 
 
 def drive(name: str, traces: Traces, style: dict[str, Look], episode: int = 0) -> "Figure":
     """Error, torque and slip of one episode of a set over time; a column per side."""
-    figure, grid = _new(9.0, 6.2, 3, 2, sharex=True, sharey="row")
-    for policy, trace in traces.items():
+    figure, grid = _new((4.0, 1.6), 3, 2, gap=(0.75, 0.4), sharex=True)
+    for row in grid[1:]:
+        row[1].sharey(row[0])
+    for policy, trace in reversed(traces.items()):  # the baseline on top
         look = style[policy]
         time = np.arange(1, len(trace["motion"]) + 1) * trace["control_period"]
         line = {"linestyle": look.line_style, "color": look.colour, "linewidth": 1.1}
         grid[0, 0].plot(time, _motion(trace, "error", episode), label=policy, **line)
         heading = np.degrees(_motion(trace, "heading_error", episode))
-        heading_axes = grid[0, 1]
-        heading_axes.plot(time, heading, **line)
+        grid[0, 1].plot(time, heading, **line)
         for column, side in enumerate(("left", "right")):
             grid[1, column].plot(time, _motion(trace, f"torque_{side}", episode) / 1e3, **line)
             grid[2, column].plot(time, 100.0 * _motion(trace, f"slip_{side}", episode), **line)
     for column, side in enumerate(("left", "right")):
         grid[1, column].set_title(f"{side} track")
         grid[2, column].set_xlabel("time [s]")
-    grid[0, 0].set_ylabel("distance to\nreference [m]")
+    grid[0, 0].set_ylabel("distance to reference [m]")
     grid[0, 1].set_ylabel("heading error [deg]")
     grid[1, 0].set_ylabel("sprocket torque [kN m]")
     grid[2, 0].set_ylabel("slip [%]")
-    _legend(figure, grid[0, 0])
-    figure.suptitle(f"{name}, episode {episode}")
+    figure.align_ylabels(grid[:, 0])
+    _head(figure, grid[0, 0], f"{name}: episode {episode}", style)
     return figure
 
 

@@ -101,11 +101,9 @@ def _sides(trace: Trace, name: str) -> FloatArray:
 def ending(trace: Trace) -> list[str]:
     """How each episode ended, one of ENDINGS."""
     last = trace.values[trace.steps - 1, np.arange(len(trace.steps))]
-    finite = np.isfinite(last).all(axis=-1)
-    return [
-        ENDINGS[0] if not over else ENDINGS[1] if whole else ENDINGS[2]
-        for over, whole in zip(trace.terminated, finite, strict=True)
-    ]
+    finite = np.isfinite(last.sum(axis=-1))
+    kind = np.where(trace.terminated, np.where(finite, 1, 2), 0)
+    return [ENDINGS[k] for k in kind]
 
 
 def evaluate(trace: Trace) -> dict[str, FloatArray]:

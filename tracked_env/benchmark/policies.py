@@ -12,6 +12,7 @@ parameters through `observe_truth(truth)`, {name: (N,)}. No other policy ever se
 import hashlib
 import importlib
 import importlib.util
+import inspect
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -54,7 +55,7 @@ class PolicyEntry(NamedTuple):
 def source_fingerprint(module: str, ignore: tuple[str, ...] = ()) -> str:
     """Digest of the Python source of a module, and of its whole package if it is in one.
 
-    ignore: file names that have no influence on results. Raises ModuleNotFoundError.
+    ignore: files and folders without influence on results. Raises ModuleNotFoundError.
     """
     spec = importlib.util.find_spec(module.partition(".")[0])
     if spec is None:
@@ -66,7 +67,7 @@ def source_fingerprint(module: str, ignore: tuple[str, ...] = ()) -> str:
         files = [Path(spec.origin)] if spec.origin and Path(spec.origin).is_file() else []
     digest = hashlib.sha256()
     for path in files:
-        if path.name not in ignore:
+        if not {*path.parts}.intersection(ignore):
             digest.update(path.name.encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
@@ -94,9 +95,9 @@ def _from_module(spec: str) -> PolicyEntry:
 
 
 def _factory(found: Callable[..., Any]) -> PolicyFactory:
-    code = getattr(found.__init__ if isinstance(found, type) else found, "__code__", None)
-    takes_context = code is not None and "context" in code.co_varnames[: code.co_argcount]
-    return lambda context: found(context=context) if takes_context else found()
+    if "context" in inspect.signature(found).parameters:
+        return lambda context: found(context=context)
+    return lambda context: found()
 
 
 def load_policy(spec: str, registry: Mapping[str, PolicyFactory]) -> PolicyEntry:

@@ -191,7 +191,7 @@ def rule(summary: Summary) -> str:
 
 def legend(summary: Summary) -> str:
     """What the numbers of the first table are."""
-    count = max(p.episodes for name, by in summary.policies.items() if name != ALL_SETS for p in by.values())
+    count = next(iter(summary.policies.values()))[summary.baseline].episodes
     return (
         f"{count} episodes per set, the same for every policy. RMSE: distance to the reference. "
         "IQM: mean of the middle half\nof the episodes, with a percentile bootstrap interval; all "

@@ -38,8 +38,8 @@ CHUNK = 64  # [episodes] run as one batch; has no influence on results
 REPORT_EVERY = 50  # [control steps] between two calls of `progress`
 SHOWN_EPISODES = 4  # whose motion is kept in full, for the figures
 SHOWN_POINTS = 300  # times at which the error of all episodes of the first chunk is kept
-# Files of this package that do not change numbers.
-_HARMLESS = ("report.py", "figures.py", "statistics.py", "video.py", "rendering.py", "__init__.py")
+# Files and folders of this package that do not change numbers.
+_HARMLESS = ("report.py", "figures.py", "statistics.py", "video.py", "rendering", "sb3.py")
 
 _COLUMNS = [
     b.STATE + s.X, b.STATE + s.Y, b.STATE + s.YAW,
@@ -72,7 +72,7 @@ class BenchmarkConfig:
     chunk: int = CHUNK
 
     def __post_init__(self) -> None:
-        """Raise ValueError for an unknown set and for counts below 1."""
+        """Raise ValueError for everything that the environment or the runner would refuse."""
         for name in self.sets:
             checked_choice("uncertainty set", name, UNCERTAINTY_SETS)
         if len(set(self.sets)) != len(self.sets) or not self.sets:
@@ -82,6 +82,7 @@ class BenchmarkConfig:
                 raise ValueError(f"{name} = {getattr(self, name)}; must be at least 1")
         if self.seed < 0:
             raise ValueError(f"seed = {self.seed}; must be at least 0")
+        self.environment(self.sets[0], 1, truth=False).close()
 
     def identity(self) -> dict[str, Any]:
         """Everything that changes the numbers of an episode, the policy apart."""

@@ -36,7 +36,7 @@ class Estimate(NamedTuple):
 
 def mean(values: ArrayLike) -> FloatArray:
     """Mean over the last axis, (..., n) -> (...)."""
-    return np.asarray(np.mean(values, axis=-1), dtype=np.float64)
+    return np.asarray(np.asarray(values, dtype=np.float64).mean(axis=-1))
 
 
 def interquartile_mean(values: ArrayLike) -> FloatArray:

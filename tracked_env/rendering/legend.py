@@ -12,7 +12,7 @@ from tracked_env.rendering.soil_map import TILE, SoilMap
 
 WIDTH, HEIGHT = 680, 640  # [px] of the scene
 TOP, BOTTOM = 26, 44  # [px] height of the strips
-_VEIL = (252, 252, 251, 226)
+_VEIL = (252, 252, 251, 242)
 _NOTICE = (33, 37, 41, 225)
 _FORCE = 5e3  # [N] of the sample arrow
 _BAR = 120  # [px] width of a colour bar
@@ -31,7 +31,8 @@ def coordinates(ground: pygame.Surface, text: Text, left: float, top: float, zoo
     side = TILE * zoom
     for column in range(x0 // side + 1, (x0 + WIDTH - 1) // side + 1):
         x = column * side - x0
-        text.put(ground, f"x {TILE * column}", x + 4, TOP + 3, 10, canvas.MUTED)
+        if x < WIDTH - 40:
+            text.put(ground, f"x {TILE * column}", x + 4, TOP + 3, 10, canvas.MUTED)
     for row in range(y0 // side + 1, (y0 + HEIGHT - 1) // side + 1):
         y = row * side - y0
         if TOP + 20 < y < HEIGHT - BOTTOM - 16:
@@ -63,13 +64,13 @@ def _key(picture: pygame.Surface, text: Text) -> None:
     entries: tuple[tuple[str, Colour, str], ...] = (
         ("line", canvas.BLUE, "reference"),
         ("line", canvas.PALE_BLUE, "past"),
-        ("box", canvas.BLUE, "reference now"),
+        ("box", canvas.BLUE, "reference pose"),
         ("line", canvas.INK, "driven"),
         ("arrow", canvas.GREEN, "tractive effort"),
         ("arrow", canvas.VERMILLION, "motion resistance"),
-        ("arrow", canvas.PURPLE, "lateral"),
+        ("arrow", canvas.PURPLE, "lateral force"),
     )
-    x, middle = 12, TOP // 2
+    x, middle = 8, TOP // 2
     for kind, colour, label in entries:
         if kind == "box":
             pygame.draw.rect(picture, colour, (x, middle - 4, 14, 9), 2)
@@ -78,8 +79,8 @@ def _key(picture: pygame.Surface, text: Text) -> None:
         if kind == "arrow":
             tip = [(x + 16, middle), (x + 9, middle - 4), (x + 9, middle + 4)]
             pygame.draw.polygon(picture, colour, tip)
-        x += 21
-        x += text.put(picture, label, x, middle - 7, 11) + 14
+        x += 20
+        x += text.put(picture, label, x, middle - 7, 11) + 11
 
 
 def _lengths(picture: pygame.Surface, text: Text, y: int, zoom: int) -> None:

@@ -15,7 +15,7 @@ from tracked_env.rendering.soil_map import SoilMap
 
 WIDTH, HEIGHT = 280, 640  # [px]
 _LEFT, _RIGHT = 14, 266  # [px] margins
-_OVERVIEW = pygame.Rect(14, 474, 252, 154)
+_OVERVIEW = pygame.Rect(14, 452, 252, 176)
 _SHOWN = (
     "mass", "inertia", "lateral_resistance", "longitudinal_resistance", "cohesion",
     "friction_angle", "shear_deformation_modulus",
@@ -36,8 +36,8 @@ class Panel:
         self._path = self._pixels(reference[:: max(len(reference) // 500, 1)]).tolist()
         self._ground: pygame.Surface | None = None
 
-    def draw(self, shot: Snapshot, memory: Memory, refresh: bool, view: float) -> pygame.Surface:
-        """The panel now; refresh: the map has changed; view [m]: half the width of the scene."""
+    def draw(self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float]) -> pygame.Surface:
+        """The panel now; refresh: the map has changed; view [m]: half the scene."""
         self.surface.fill(canvas.PAPER)
         self._clock(shot)
         self._tracking(shot)
@@ -148,20 +148,20 @@ class Panel:
     def _pixels(self, points: Points) -> Points:
         return (points - self._middle) * (self._scale, -self._scale) + _OVERVIEW.center
 
-    def _overview(self, shot: Snapshot, memory: Memory, refresh: bool, view: float) -> None:
+    def _overview(self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float]) -> None:
         box = _OVERVIEW
-        self._heading("OVERVIEW", 456)
+        self._heading("OVERVIEW", 434)
         if refresh or self._ground is None:
             self._ground = self._new_ground(shot)
         self.surface.blit(self._ground, box)
         self.surface.set_clip(box)
-        pygame.draw.aalines(self.surface, canvas.BLUE, False, self._path)
+        for start, end in zip(self._path, self._path[1:], strict=False):
+            pygame.draw.aaline(self.surface, canvas.BLUE, start, end, 2)
         trail = self._pixels(memory.trail[:: max(len(memory.trail) // 500, 1)])
         here = self._pixels(np.array([shot.pose[:2]]))[0]
         pygame.draw.aalines(self.surface, canvas.INK, False, [*trail.tolist(), here.tolist()])
-        half = view * self._scale
-        frame = (here[0] - half, here[1] - half * HEIGHT / (2 * 340), 2 * half, half * HEIGHT / 340)
-        pygame.draw.rect(self.surface, canvas.MUTED, frame, 1)
+        half = np.round(np.array(view) * self._scale)
+        pygame.draw.rect(self.surface, canvas.MUTED, (*(here - half), *(2.0 * half)), 1)
         pygame.draw.circle(self.surface, canvas.WHITE, here.tolist(), 5)
         pygame.draw.circle(self.surface, canvas.VERMILLION, here.tolist(), 4)
         self.surface.set_clip(None)

@@ -38,8 +38,8 @@ QUANTITIES = {
     "cohesion": Quantity("cohesion c", "kPa", 1e-3, 1, 0.0, 80.0),
     "friction_angle": Quantity("friction angle φ", "°", _DEG, 1, 0.0, 45.0),
     "shear_deformation_modulus": Quantity("shear modulus K", "mm", 1e3, 1, 0.0, 40.0),
-    "longitudinal_resistance": Quantity("long. resistance μl", "", 1.0, 2, 0.0, 1.2),
-    "lateral_resistance": Quantity("lateral resistance μt", "", 1.0, 2, 0.0, 1.2),
+    "longitudinal_resistance": Quantity("motion resistance", "", 1.0, 2, 0.0, 1.2),
+    "lateral_resistance": Quantity("lateral resistance", "", 1.0, 2, 0.0, 1.2),
     "turning_resistance_factor": Quantity("turning factor", "", 1.0, 2),
     "icr_forward": Quantity("ICR forward d", "m", 1.0, 2),
 }

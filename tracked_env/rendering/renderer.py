@@ -6,7 +6,6 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from tracked_env.episode import Episode
 from tracked_env.physics.parameters import SoilParameters
 from tracked_env.references import sample
 from tracked_env.rendering import canvas, legend, scene
@@ -21,7 +20,6 @@ from tracked_env.validation import checked_choice
 
 SCENE_WIDTH, SCENE_HEIGHT = 680, 640  # [px]
 WIDTH, HEIGHT = SCENE_WIDTH + PANEL_WIDTH, SCENE_HEIGHT  # [px] of a picture
-SUPERSAMPLING = 2  # [-] of the layer with the vehicle
 PATH_STEP, PATH_POINTS = 0.05, 4000  # [s] between points of the path, and at most that many
 MODES = ("human", "rgb_array")
 ZOOM = (20, 100)  # [px/m] allowed
@@ -33,6 +31,7 @@ class _Stage:
     def __init__(
         self, shot: Snapshot, text: canvas.Text, pixels_per_metre: int, soil: str | None
     ) -> None:
+        self.episode = shot.episode
         count = min(math.ceil(shot.duration / PATH_STEP), PATH_POINTS) + 1
         self.times: NDArray[np.float64] = np.linspace(0.0, shot.duration, count)
         path = sample(shot.episode.profile, self.times)
@@ -96,57 +95,43 @@ class Renderer:
         self._window: pygame.Window | None = None
         self._clock: pygame.time.Clock | None = None
         self._picture: pygame.Surface | None = None
-        self._layer: pygame.Surface | None = None
         self._text = canvas.Text()
-        self._episode: Episode | None = None
         self._stage: _Stage | None = None
 
     def _compose(self, shot: Snapshot) -> pygame.Surface:
-        if self._picture is None or self._layer is None:
-            size = SUPERSAMPLING * SCENE_WIDTH, SUPERSAMPLING * SCENE_HEIGHT
+        if self._picture is None:
             self._picture = canvas.surface(WIDTH, HEIGHT)
-            self._layer = canvas.surface(*size, transparent=True)
-        if self._stage is None or shot.episode is not self._episode:
-            self._episode = shot.episode
+        if self._stage is None or shot.episode is not self._stage.episode:
             self._stage = _Stage(shot, self._text, self._zoom, self._soil_parameter)
         picture, stage = self._picture, self._stage
         stage.memory.update(shot)
         refresh = stage.soil.advance(shot)
-        self._ground(picture, stage, shot)
-        self._things(picture, self._layer, stage, shot)
-        legend.draw(picture, self._text, stage.soil, shot, stage.memory.notices(), self._zoom)
-        view = 0.5 * SCENE_WIDTH / self._zoom
+        ground = picture.subsurface((0, 0, SCENE_WIDTH, SCENE_HEIGHT))
+        half_width, half_height = 0.5 * SCENE_WIDTH / self._zoom, 0.5 * SCENE_HEIGHT / self._zoom
+        left, top = shot.state.x - half_width, shot.state.y + half_height
+        stage.soil.draw(ground, shot, left, top)
+        legend.coordinates(ground, self._text, left, top, self._zoom)
+        self._things(ground, stage, shot)
+        legend.draw(ground, self._text, stage.soil, shot, stage.memory.notices(), self._zoom)
+        view = half_width, half_height
         picture.blit(stage.panel.draw(shot, stage.memory, refresh, view), (SCENE_WIDTH, 0))
         return picture
 
-    def _ground(self, picture: pygame.Surface, stage: _Stage, shot: Snapshot) -> None:
-        ground = picture.subsurface((0, 0, SCENE_WIDTH, SCENE_HEIGHT))
-        left = shot.state.x - 0.5 * SCENE_WIDTH / self._zoom
-        top = shot.state.y + 0.5 * SCENE_HEIGHT / self._zoom
-        stage.soil.draw(ground, shot, left, top)
-        legend.coordinates(ground, self._text, left, top, self._zoom)
-
-    def _things(
-        self, picture: pygame.Surface, layer: pygame.Surface, stage: _Stage, shot: Snapshot
-    ) -> None:
-        """Everything with smooth edges."""
-        layer.fill((0, 0, 0, 0))
-        width, height = layer.get_size()
-        camera = Camera(
-            shot.state.x, shot.state.y, SUPERSAMPLING * self._zoom, 0.5 * width, 0.5 * height
-        )
-        now = np.array([shot.reference[:2]])
+    def _things(self, ground: pygame.Surface, stage: _Stage, shot: Snapshot) -> None:
+        """What stands and lies on the ground, from below to above."""
+        width, height = ground.get_size()
+        camera = Camera(shot.state.x, shot.state.y, self._zoom, 0.5 * width, 0.5 * height)
+        now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])
         done = int(np.searchsorted(stage.times, shot.time, side="right"))
-        past, future = stage.path[:done], stage.path[done:]
-        here = np.array([shot.pose[:2]])
-        scene.path(layer, camera, np.concatenate([past, now]), canvas.PALE_BLUE, 4)
-        scene.path(layer, camera, np.concatenate([now, future]), canvas.BLUE, 6)
-        scene.path(layer, camera, np.concatenate([stage.memory.trail, here]), canvas.INK, 4)
-        scene.vehicle(layer, camera, shot, stage.memory.travel)
-        scene.ghost(layer, camera, shot)
-        scene.forces(layer, camera, shot)
-        smooth = pygame.transform.smoothscale_by(layer, 1 / SUPERSAMPLING)
-        picture.blit(smooth, (0, 0), special_flags=pygame.BLEND_PREMULTIPLIED)
+        past = np.concatenate([stage.path[:done], now])
+        future = np.concatenate([now, stage.path[done:]])
+        driven = np.concatenate([stage.memory.trail, here])
+        scene.path(ground, camera, past, canvas.PALE_BLUE, 3)
+        scene.path(ground, camera, future, canvas.BLUE, 3)
+        scene.path(ground, camera, driven, canvas.INK, 3)
+        scene.ghost_shade(ground, camera, shot)
+        scene.vehicle(ground, camera, shot, stage.memory.travel)
+        scene.ghost(ground, camera, shot)
 
     def _show(self, picture: pygame.Surface) -> None:
         """Put the picture on the screen and wait for its time."""

@@ -1,0 +1,198 @@
+"""How fast the environment is, beside its peers measured in the same run.
+
+    python benchmarks/speed.py [--seconds 2.0] [--output FILE.md]
+
+Every figure is the best of several repetitions (the machine's other work only ever slows a
+repetition down), rows are interleaved, and each comes with its ratio to a peer. Nothing is
+asserted: timings are for reading. `--output` also writes the table as Markdown.
+"""
+
+import argparse
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import gymnasium
+import numpy as np
+
+import tracked_env
+from tracked_env.batch import bytes_per_vehicle
+
+TORQUE = tracked_env.TORQUE_ID
+REPETITIONS = 7
+
+
+class Row(NamedTuple):
+    """One line of the table."""
+
+    name: str
+    microseconds: float  # per environment step, or per call
+    count: int  # environment steps per call
+    peer: str  # name of the row it is compared with
+
+
+def best_time(call: Callable[[], object], seconds: float) -> float:
+    """Shortest mean duration [s] of `call` over the repetitions of about `seconds` in all."""
+    call()
+    start = time.perf_counter()
+    call()
+    once = time.perf_counter() - start
+    loops = max(int(seconds / REPETITIONS / max(once, 1e-9)), 1)
+    best = np.inf
+    for _ in range(REPETITIONS):
+        start = time.perf_counter()
+        for _ in range(loops):
+            call()
+        best = min(best, (time.perf_counter() - start) / loops)
+    return best
+
+
+def single_step(env_id: str, **arguments: object) -> Callable[[], object]:
+    """One step of the unwrapped environment, reset when its episode ends."""
+    env = gymnasium.make(env_id, **arguments).unwrapped
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    if env_id == TORQUE:
+        action = np.full(2, 0.15, dtype=np.float32)
+
+    def call() -> None:
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset()
+
+    return call
+
+
+def vector_step(env_id: str, count: int, wild: bool = False, **arguments: object):
+    """One step of the vector environment, with its autoresets."""
+    env = gymnasium.make_vec(
+        env_id, num_envs=count, vectorization_mode="vector_entry_point", **arguments
+    )
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    samples = [env.action_space.sample() for _ in range(16)]
+    if env_id == TORQUE and not wild:
+        samples = [np.full((count, 2), 0.15, dtype=np.float32)]
+    turn = [0]
+
+    def call() -> None:
+        turn[0] += 1
+        env.step(samples[turn[0] % len(samples)])
+
+    return call
+
+
+def episode_seconds(call: Callable[[], object], calls: int) -> float:
+    """Mean duration [s] of one call over a whole episode, its autoresets included."""
+    start = time.perf_counter()
+    for _ in range(calls):
+        call()
+    return (time.perf_counter() - start) / calls
+
+
+def start_up() -> tuple[float, float]:
+    """Seconds until the first step: with an empty kernel cache, and with a full one."""
+    code = (
+        "import time; t = time.perf_counter()\n"
+        "import gymnasium, numpy as np\n"
+        f"env = gymnasium.make('tracked_env:{TORQUE}')\n"
+        "env.reset(seed=0); env.step(np.zeros(2, np.float32))\n"
+        "print(time.perf_counter() - t)"
+    )
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        times = [
+            float(
+                subprocess.run(
+                    [sys.executable, "-c", code],
+                    env=environment, check=True, capture_output=True, text=True,
+                ).stdout
+            )
+            for _ in range(3)
+        ]  # fmt: skip
+    return times[0], min(times[1:])
+
+
+def measure(seconds: float) -> list[Row]:
+    """All rows, peers first."""
+    free = {"error_limit": 1e6}  # episodes end by time only
+    singles = {
+        "Pendulum-v1 step": (single_step("Pendulum-v1"), "Pendulum-v1 step"),
+        "CartPole-v1 step": (single_step("CartPole-v1"), "Pendulum-v1 step"),
+        "Torque-v0 step, rtk sensors": (single_step(TORQUE, **free), "Pendulum-v1 step"),
+    }
+    rows = [
+        Row(name, 1e6 * best_time(call, seconds), 1, peer) for name, (call, peer) in singles.items()
+    ]
+    for count in (64, 4096):
+        peer = f"CartPole-v1 vector, {count}"
+        call = vector_step("CartPole-v1", count)
+        rows.append(Row(peer, 1e6 * best_time(call, seconds) / count, count, peer))
+        call = vector_step(TORQUE, count, **free)
+        name = f"Torque-v0 vector, {count}"
+        rows.append(Row(name, 1e6 * best_time(call, seconds) / count, count, peer))
+        call = vector_step(TORQUE, count, **free)
+        call()
+        mean = 1e6 * episode_seconds(call, 1501) / count
+        rows.append(Row(f"Torque-v0 vector, {count}, episode + reset", mean, count, peer))
+        call = vector_step(TORQUE, count, wild=True)
+        call()
+        mean = 1e6 * episode_seconds(call, 400) / count
+        rows.append(Row(f"Torque-v0 vector, {count}, random actions", mean, count, peer))
+    env = gymnasium.make_vec(TORQUE, num_envs=64)
+    env.reset(seed=0)
+    rows.append(
+        Row("reset of one vehicle", 1e6 * best_time(env.reset, seconds) / 64, 64, rows[0].name)
+    )
+    return rows
+
+
+def markdown(rows: list[Row], cold: float, warm: float) -> str:
+    """The table and what it was measured on."""
+    times = {row.name: row.microseconds for row in rows}
+    lines = [
+        "| what | us per step | steps/s | time over peer | peer |",
+        "|--|--|--|--|--|",
+    ]
+    for row in rows:
+        ratio = row.microseconds / times[row.peer]
+        lines.append(
+            f"| {row.name} | {row.microseconds:.2f} | {1e6 / row.microseconds:,.0f} "
+            f"| {ratio:.2f} | {row.peer} |"
+        )
+    env = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
+    memory = bytes_per_vehicle(env.simulation.batch) / 1024
+    lines += [
+        "",
+        f"Memory of one vehicle: {memory:.1f} KiB (30 s episode). First step of a fresh process: "
+        f"{cold:.1f} s with an empty kernel cache (compilation), {warm:.2f} s with a full one.",
+        "",
+        f"Python {platform.python_version()}, NumPy {np.__version__}, Gymnasium "
+        f"{gymnasium.__version__}, {os.cpu_count()} cores ({platform.machine()}), one process, "
+        "50 Hz control, 8 RK4 sub-steps per step, two threads from 512 vehicles on.",
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--seconds", type=float, default=2.0, help="time spent per figure [s]")
+    parser.add_argument("--output", type=Path, help="also write the Markdown table to this file")
+    arguments = parser.parse_args()
+    cold, warm = start_up()
+    table = markdown(measure(arguments.seconds), cold, warm)
+    print(table)
+    if arguments.output:
+        arguments.output.write_text(table + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -282,6 +282,10 @@ class Simulation:
         """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
         return self.truncated & (self.rmse < SUCCESS_RMSE)
 
+    def reference_position(self, i: int) -> NDArray[np.float64]:
+        """(2,) position [m] of the reference of vehicle i now, world frame."""
+        return self.batch.floats[i, b.REFERENCE_X : b.REFERENCE_Y + 1].copy()
+
     def truth(self) -> dict[str, NDArray[np.float64]]:
         """True state and parameters in force, by name; each (N,)."""
         state = {name: self.column(b.STATE + k) for k, name in enumerate(STATE_NAMES)}

@@ -34,6 +34,8 @@ from tracked_env.physics.jit import formula
 
 MINIMUM_SPEED = 0.1  # [m/s] below it 1 / v_1 fades to 0; three sigma of a 0.03 m/s sensor
 PROBE_SPEED = 1e-3  # [m/s] lateral speed at which the slope of the friction is taken
+HELD_YAW_RATE = 1e-5  # [rad/s] below both, the soil is left to hold the heading: the demand is
+HELD_YAW_ACCELERATION = 2e-5  # [rad/s^2] rounding (1 um off the path), and its sign means nothing
 MAXIMUM_SIDE_SLIP = 0.5  # [-] |sin(delta)| is bounded here: 30 deg, the vehicle drifts
 
 
@@ -180,9 +182,11 @@ def turning_moment(motion, u_2, p, k, constrained):
     magnitude = -plant.constrained_loads(turning, 0.0, 0.0, k, none).turning_moment
     inertial = u_2 / k.inverse_inertia - d * motion.yaw_rate * motion.v_x / k.inverse_mass
     inverse_width = 1.0 / soil.YAW_FRICTION_REGULARISATION
-    return against_resistance(
+    held = abs(motion.yaw_rate) < HELD_YAW_RATE and abs(u_2) < HELD_YAW_ACCELERATION
+    moment = against_resistance(
         inertial + d * loads.lateral_force, motion.yaw_rate, magnitude, inverse_width
     )
+    return 0.0 if held else moment
 
 
 @formula

@@ -87,10 +87,20 @@ def counted_error(trace: Trace) -> FloatArray:
     return counted  # a NaN is not below the limit, so it counts as the limit
 
 
+def _total(values: FloatArray) -> FloatArray:
+    """Sum over time, (T, n) -> (n,), to the last bit the same for every size of the batch."""
+    return np.ascontiguousarray(values.T).sum(axis=-1)
+
+
+def _root_mean_square(values: FloatArray) -> FloatArray:
+    """Root of the mean square over time, (T, n) -> (n,)."""
+    return np.sqrt(_total(values * values) / len(values))
+
+
 def _driven_mean(trace: Trace, values: FloatArray) -> FloatArray:
     """Mean over the steps driven, (T, n) -> (n,); non-finite values count as zero."""
     valid = np.where(trace.driven() & np.isfinite(values), values, 0.0)
-    return valid.sum(axis=0) / np.maximum(trace.steps, 1)
+    return _total(valid) / np.maximum(trace.steps, 1)
 
 
 def _sides(trace: Trace, name: str) -> FloatArray:
@@ -117,8 +127,8 @@ def evaluate(trace: Trace) -> dict[str, FloatArray]:
     demand_rate = np.abs(action - before).mean(axis=0) * trace.torque_limit / period
     saturated = (np.abs(action) >= SATURATED).mean(axis=0)
     return {
-        "tracking_rmse": np.sqrt(np.mean(error**2, axis=0)),
-        "settled_rmse": np.sqrt(np.mean(error[settled:] ** 2, axis=0)),
+        "tracking_rmse": _root_mean_square(error),
+        "settled_rmse": _root_mean_square(error[settled:]),
         "max_error": error.max(axis=0),
         "final_error": error[-1],
         "heading_rmse": np.sqrt(_driven_mean(trace, trace.channel("heading_error") ** 2)),

@@ -30,8 +30,8 @@ def record(
     path = folder / f"{uncertainty_set}--{name}--seed-{config.seed + episode}.mp4"
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as temporary:
-        _record(config, policy, uncertainty_set, config.seed + episode, temporary)
-        os.replace(next(Path(temporary).glob("*.mp4")), path)
+        _record(config, policy, uncertainty_set, config.seed + episode, f"{temporary}/new")
+        os.replace(next(Path(temporary).glob("new/*.mp4")), path)
     return path
 
 

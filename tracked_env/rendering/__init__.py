@@ -22,6 +22,6 @@ if not getattr(pygame, "IS_CE", False):
         'pip uninstall pygame && pip install --force-reinstall pygame-ce "tracked-env[render]"'
     )
 
-from tracked_env.rendering.renderer import Renderer  # noqa: E402
+from tracked_env.rendering.renderer import Renderer
 
 __all__ = ["Renderer"]

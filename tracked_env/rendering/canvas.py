@@ -65,7 +65,7 @@ def surface(width: int, height: int, transparent: bool = False) -> pygame.Surfac
     """A 32-bit surface in memory; needs no window."""
     if transparent:
         return pygame.Surface((width, height), pygame.SRCALPHA, 32)
-    return pygame.Surface((width, height), 0, 32, _MASKS + (0,))
+    return pygame.Surface((width, height), 0, 32, (*_MASKS, 0))
 
 
 def paint(target: pygame.Surface, pixels: Bytes) -> None:

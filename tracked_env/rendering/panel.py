@@ -1,6 +1,7 @@
 """The panel beside the scene: numbers, bars, parameters, and the whole path from above."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pygame
@@ -36,7 +37,9 @@ class Panel:
         self._path = self._pixels(reference[:: max(len(reference) // 500, 1)]).tolist()
         self._ground: pygame.Surface | None = None
 
-    def draw(self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float]) -> pygame.Surface:
+    def draw(
+        self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float]
+    ) -> pygame.Surface:
         """The panel now; refresh: the map has changed; view [m]: half the scene."""
         self.surface.fill(canvas.PAPER)
         self._clock(shot)
@@ -62,9 +65,7 @@ class Panel:
         self._put(f"{shot.reward:+.3f}", _RIGHT, 19, size=13, bold=True, align=1.0)
         done = min(shot.time / shot.duration, 1.0)
         pygame.draw.rect(self.surface, canvas.RULE, (_LEFT, 40, _RIGHT - _LEFT, 3))
-        pygame.draw.rect(
-            self.surface, canvas.BLUE, (_LEFT, 40, round(done * (_RIGHT - _LEFT)), 3)
-        )
+        pygame.draw.rect(self.surface, canvas.BLUE, (_LEFT, 40, round(done * (_RIGHT - _LEFT)), 3))
 
     def _tracking(self, shot: Snapshot) -> None:
         self._heading("TRACKING", 52)
@@ -148,14 +149,16 @@ class Panel:
     def _pixels(self, points: Points) -> Points:
         return (points - self._middle) * (self._scale, -self._scale) + _OVERVIEW.center
 
-    def _overview(self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float]) -> None:
+    def _overview(
+        self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float]
+    ) -> None:
         box = _OVERVIEW
         self._heading("OVERVIEW", 434)
         if refresh or self._ground is None:
             self._ground = self._new_ground(shot)
         self.surface.blit(self._ground, box)
         self.surface.set_clip(box)
-        for start, end in zip(self._path, self._path[1:], strict=False):
+        for start, end in pairwise(self._path):
             pygame.draw.aaline(self.surface, canvas.BLUE, start, end, 2)
         trail = self._pixels(memory.trail[:: max(len(memory.trail) // 500, 1)])
         here = self._pixels(np.array([shot.pose[:2]]))[0]

@@ -64,16 +64,18 @@ class Renderer:
         Raises ValueError for anything else.
         """
         self.render_mode = checked_choice("render_mode", render_mode, MODES)
-        if not isinstance(pixels_per_metre, int) or not ZOOM[0] <= pixels_per_metre <= ZOOM[1]:
+        if pixels_per_metre not in range(ZOOM[0], ZOOM[1] + 1):
             raise ValueError(
                 f"pixels_per_metre = {pixels_per_metre}; must be an int in [{ZOOM[0]}, {ZOOM[1]}]"
             )
         if soil_parameter is not None:
             checked_choice("soil_parameter", soil_parameter, SoilParameters._fields)
         self.fps = fps
-        self._zoom = pixels_per_metre
+        self._zoom = int(pixels_per_metre)
         self._soil_parameter = soil_parameter
-        self.close()
+        self._window: pygame.Window | None = None
+        self._clock = pygame.time.Clock()
+        self._forget()
 
     def draw(self, simulation: Simulation, row: int) -> NDArray[np.uint8] | None:
         """The picture of vehicle `row` (HEIGHT, WIDTH, 3); None in `human` mode.
@@ -89,11 +91,12 @@ class Renderer:
 
     def close(self) -> None:
         """Close the window and forget everything; drawing again starts afresh."""
-        window: pygame.Window | None = getattr(self, "_window", None)
-        if window is not None and pygame.display.get_init():
-            window.destroy()
-        self._window: pygame.Window | None = None
-        self._clock: pygame.time.Clock | None = None
+        if self._window is not None and pygame.display.get_init():
+            self._window.destroy()
+        self._window = None
+        self._forget()
+
+    def _forget(self) -> None:
         self._picture: pygame.Surface | None = None
         self._text = canvas.Text()
         self._stage: _Stage | None = None
@@ -135,10 +138,9 @@ class Renderer:
 
     def _show(self, picture: pygame.Surface) -> None:
         """Put the picture on the screen and wait for its time."""
-        if self._window is None or self._clock is None or not pygame.display.get_init():
+        if self._window is None or not pygame.display.get_init():
             pygame.display.init()
             self._window = pygame.Window("tracked_env", (WIDTH, HEIGHT))
-            self._clock = pygame.time.Clock()
         self._window.get_surface().blit(picture, (0, 0))
         self._window.flip()
         pygame.event.pump()

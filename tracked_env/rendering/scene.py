@@ -6,6 +6,7 @@ that smooths the edges. It is transparent; its colours are premultiplied by thei
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ Outline = Sequence[tuple[float, float]]  # [m]
 
 FORCE_SCALE = 0.15e-3  # [m/N] length of an arrow
 FORCE_SHOWN = 100.0  # [N] smaller forces get no arrow
-FORCE_LIMIT = 50e3  # [N] larger forces get no longer arrow
 PAD_PITCH = 0.16  # [m] between two pads of a track
 BESIDE = 0.18  # [m] from a track to the arrows of its forces
 GHOST_REACH = 100.0  # [m] a reference farther away is not drawn
@@ -46,7 +46,7 @@ class Camera(NamedTuple):
     def pixels(self, points: Points) -> Points:
         """World points (P, 2) [m] as pixels (P, 2)."""
         offset = (points - (self.x, self.y)) * (self.scale, -self.scale)
-        return offset + (self.middle_x, self.middle_y)
+        return offset + np.array([self.middle_x, self.middle_y])
 
 
 class Brush:
@@ -82,7 +82,7 @@ class Brush:
 
     def arrow(self, x: float, y: float, length: float, across: bool, colour: Colour) -> None:
         """From (x, y) along the frame's x axis, or its y axis when `across`; length [m] signed."""
-        size, sign = min(abs(length), FORCE_SCALE * FORCE_LIMIT), math.copysign(1.0, length)
+        size, sign = abs(length), math.copysign(1.0, length)
         head = min(0.28, 0.75 * size)
         for halo, fill in ((0.035, canvas.WHITE), (0.0, colour)):
             shaft, half = 0.045 + halo, 0.55 * head + 1.5 * halo
@@ -109,7 +109,7 @@ def path(
         travelled = np.abs(np.diff(part, axis=0)).sum(axis=1).cumsum() // POINT_DISTANCE
         kept = np.flatnonzero(np.diff(travelled, prepend=-1.0, append=math.inf))
         corners = part[kept].tolist()
-        for start, end in zip(corners, corners[1:], strict=False):
+        for start, end in pairwise(corners):
             pygame.draw.aaline(picture, colour, start, end, width)
 
 
@@ -150,7 +150,7 @@ def vehicle(
     drawn = (
         shot.state.effort_left, shot.state.effort_right, *shot.resistance, shot.lateral_force
     )  # fmt: skip
-    longest = FORCE_SCALE * min(max(abs(force) for force in drawn), FORCE_LIMIT)
+    longest = FORCE_SCALE * max(abs(force) for force in drawn)
     side = 0.5 * (p.track_gauge + p.track_width) + BESIDE
     reach = max(size, math.hypot(longest, side)) + 0.3
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tracked_env import batch as b
 from tracked_env.episode import Episode
+from tracked_env.physics import state as s
 from tracked_env.physics import torque_plant
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_ROWS, PlantParameters
@@ -54,7 +55,7 @@ class Snapshot(NamedTuple):
 def motion_resistances(floats, i):
     """Motion resistance [N] of the left and the right track of vehicle i, by the plant."""
     motion = torque_plant.Motion(
-        floats[i, b.STATE + 3], floats[i, b.STATE + 4], floats[i, b.STATE + 5]
+        floats[i, b.STATE + s.V_X], floats[i, b.STATE + s.V_Y], floats[i, b.STATE + s.YAW_RATE]
     )
     c, d = b.COEFFICIENTS, b.DRIVE
     k = torque_plant.Coefficients(
@@ -66,7 +67,7 @@ def motion_resistances(floats, i):
     )
     limits = torque_plant.traction_limits(motion, k.half_gauge, drive)
     loads = torque_plant.sliding_loads(
-        motion, floats[i, b.STATE + 6], floats[i, b.STATE + 7], k, limits
+        motion, floats[i, b.STATE + s.TORQUE_LEFT], floats[i, b.STATE + s.TORQUE_RIGHT], k, limits
     )
     return loads.resistance_left, loads.resistance_right
 

@@ -45,9 +45,7 @@ def values_on_grid(start, events, count, parameter, time, xs, ys, out):
             value = start
             for e in range(count):
                 if int(events[0, e, 1]) == parameter:
-                    value = schedule.changed_value(
-                        value, events, 0, e, time, xs[column], ys[row]
-                    )
+                    value = schedule.changed_value(value, events, 0, e, time, xs[column], ys[row])
             out[row, column] = value
 
 

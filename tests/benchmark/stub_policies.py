@@ -1,0 +1,71 @@
+"""Policies for the tests of the benchmark: simple, or wrong on purpose."""
+
+from typing import Any
+
+import numpy as np
+
+from tracked_env.benchmark.policies import PolicyContext, PolicyEntry, PolicyFactory
+
+
+class Constant:
+    """The same action always; notes how it is called."""
+
+    def __init__(self, left: float = 0.3, right: float = 0.3) -> None:
+        self.action = (left, right)
+        self.calls: list[tuple[Any, Any]] = []  # (state, episode_start)
+        self.observations: list[np.ndarray] = []
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Any, Any]:
+        self.calls.append((state, np.array(episode_start)))
+        self.observations.append(np.array(observation))
+        return np.tile(np.float32(self.action), (len(observation), 1)), len(self.calls)
+
+
+class Truthful(Constant):
+    """Declares that it needs the truth, and keeps what it was told."""
+
+    needs_truth = True
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.told: list[dict[str, np.ndarray]] = []
+
+    def observe_truth(self, truth: dict[str, np.ndarray]) -> None:
+        self.told.append(truth)
+
+
+class Curious(Constant):
+    """Has the hook but does not declare it."""
+
+    def observe_truth(self, truth: Any) -> None:
+        raise AssertionError("the truth was handed to a policy that does not declare it")
+
+
+class WithContext(Constant):
+    """A policy that wants to know the environment's clock."""
+
+    def __init__(self, context: PolicyContext) -> None:
+        super().__init__()
+        self.context = context
+
+
+class Diverging(Constant):
+    """Commands something that is no number, in its third step."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        action, state = super().predict(*args, **kwargs)
+        return (action * np.nan if state == 3 else action), state
+
+
+INSTANCE = Constant(0.1, 0.2)
+NOTHING = 3
+
+
+def entry(name: str, make: PolicyFactory, fingerprint: str = "1") -> PolicyEntry:
+    return PolicyEntry(name, make, fingerprint)

@@ -1,0 +1,230 @@
+"""The paired runner: same episodes for all, nothing lost, nothing seen that must not be."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.policies import POLICIES
+from tests.benchmark.stub_policies import Constant, Curious, Diverging, Truthful, entry
+from tracked_env.benchmark import DEFAULT_SETS, BenchmarkConfig, Store, load_policy, run
+from tracked_env.benchmark.metrics import METRICS
+from tracked_env.benchmark.policies import PolicyEntry
+from tracked_env.benchmark.runner import drive, pending, shown
+from tracked_env.physics.parameters import PARAMETER_NAMES
+from tracked_env.uncertainty import NOMINAL, UNCERTAINTY_SETS
+
+SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
+BRIEF = BenchmarkConfig(duration=1.0)  # 50 steps: too short to leave the path
+COAST = entry("coast", lambda context: Constant(0.0, 0.0))
+SPIN = entry("spin", lambda context: Constant(-1.0, 1.0))
+
+
+def done(
+    folder: Path, config: BenchmarkConfig, *policies: PolicyEntry, **options: Any
+) -> list[dict[str, Any]]:
+    return run(config, policies, Store(folder, config.identity()), **options)
+
+
+def values(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Records without the time that a computer took."""
+    return [{k: v for k, v in r.items() if k != "predict_time"} for r in records]
+
+
+def test_there_is_one_record_per_set_policy_and_episode_in_the_order_asked_for(
+    tmp_path: Path,
+) -> None:
+    config = BenchmarkConfig(sets=("payload", "ood"), episodes=3, duration=0.5, seed=7)
+    records = done(tmp_path, config, SPIN, COAST)
+    assert [(r["set"], r["policy"], r["episode"], r["seed"]) for r in records] == [
+        (s, p, i, 7 + i) for s in ("payload", "ood") for p in ("spin", "coast") for i in range(3)
+    ]
+    assert all(set(METRICS) <= set(r) for r in records)
+
+
+def test_every_policy_meets_the_same_episodes(tmp_path: Path) -> None:
+    records = done(tmp_path, SHORT, COAST, SPIN)
+    digests = [[r["digest"] for r in records if r["policy"] == p] for p in ("coast", "spin")]
+    assert digests[0] == digests[1]
+    assert len(set(digests[0])) == SHORT.episodes
+
+
+def test_every_policy_meets_the_same_noise_however_it_drives() -> None:
+    noises = []
+    for action in ((0.0, 0.0), (-1.0, 1.0)):
+        policy = Constant(*action)
+        env = SHORT.environment("soil-and-mass", 2, truth=False)
+        trace, _ = drive(policy, env, [0, 1], lambda: None)
+        measured = np.array(policy.observations)[1:, :, 3] * 2.0  # v_x [m/s]
+        true = trace.channel("speed_error")
+        reference = np.array(policy.observations)[1:, :, 13] * 2.0
+        noises.append(measured - (reference - true[:-1]))
+    assert np.std(noises[0]) == pytest.approx(0.03, rel=0.2)
+    assert np.allclose(noises[0], noises[1], atol=1e-5)
+
+
+def test_the_size_of_a_chunk_does_not_change_a_number(tmp_path: Path) -> None:
+    nominal = load_policy("nominal", POLICIES)
+    whole = done(tmp_path / "whole", SHORT, nominal)
+    parts = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0, chunk=3)
+    assert values(done(tmp_path / "parts", parts, nominal)) == values(whole)
+
+
+def test_the_rmse_is_the_one_that_the_environment_counts() -> None:
+    env = BRIEF.environment("soil-and-mass", 3, truth=False)
+    trace, _ = drive(Constant(0.2, 0.3), env, [0, 1, 2], lambda: None)
+    error = trace.channel("error")
+    assert np.sqrt(np.mean(error**2, axis=0)) == pytest.approx(env.simulation.rmse, rel=1e-12)
+
+
+def test_an_episode_that_leaves_the_path_ends_alone_and_counts_the_limit(tmp_path: Path) -> None:
+    config = BenchmarkConfig(sets=("nominal",), episodes=4, duration=8.0)
+    records = done(tmp_path, config, SPIN)
+    assert {r["ended"] for r in records} == {"off-path"}
+    assert len({r["driven_time"] for r in records}) > 1
+    for record in records:
+        lacking = 1.0 - record["driven_time"] / 8.0
+        assert record["tracking_rmse"] >= 5.0 * np.sqrt(lacking)
+        assert record["final_error"] == 5.0
+
+
+def test_a_policy_gets_its_state_back_and_is_told_of_the_start_once() -> None:
+    policy = Constant()
+    drive(policy, BRIEF.environment("payload", 2, truth=False), [0, 1], lambda: None)
+    assert [state for state, _ in policy.calls] == [None, *range(1, 50)]
+    assert [start.tolist() for _, start in policy.calls[:2]] == [[True, True], [False, False]]
+    assert not any(start.any() for _, start in policy.calls[1:])
+
+
+def test_the_truth_is_handed_over_before_every_action_and_holds_what_changes() -> None:
+    policy = Truthful()
+    drive(policy, BRIEF.environment("payload", 3, truth=True), [0, 1, 2], lambda: None)
+    assert len(policy.told) == len(policy.calls) == 50
+    assert set(PARAMETER_NAMES) <= set(policy.told[0])
+    assert not [name for name in policy.told[0] if name.startswith("_")]
+    assert policy.told[0]["mass"].tolist() == [NOMINAL.mass] * 3
+    assert np.all(policy.told[-1]["mass"] != NOMINAL.mass)  # the payload has stepped
+
+
+def test_no_other_policy_is_handed_the_truth(tmp_path: Path) -> None:
+    records = done(tmp_path, SHORT, entry("curious", lambda context: Curious()))
+    assert len(records) == SHORT.episodes
+
+
+class Interrupting(Constant):
+    """Ctrl-C when the clock has run `after` steps in all."""
+
+    def __init__(self, clock: list[int], after: int) -> None:
+        super().__init__(0.0, 0.0)
+        self.clock, self.after = clock, after
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        self.clock[0] += 1
+        if self.clock[0] == self.after:
+            raise KeyboardInterrupt
+        return super().predict(*args, **kwargs)
+
+
+def test_an_interruption_loses_only_the_chunk_in_progress(tmp_path: Path) -> None:
+    config = BenchmarkConfig(sets=("payload", "ood"), episodes=4, duration=1.0, chunk=2)
+    clock = [0]
+    policy = entry("coast", lambda context: Interrupting(clock, after=130))
+    with pytest.raises(KeyboardInterrupt):
+        done(tmp_path, config, policy)
+    store = Store(tmp_path, config.identity())
+    assert [(task.uncertainty_set, task.episodes) for task in pending(config, [policy], store)] == [
+        ("ood", (0, 1)), ("ood", (2, 3))
+    ]  # fmt: skip
+    clock[0] = 1000
+    continued = run(config, [policy], store)
+    assert clock[0] == 1000 + 2 * 50
+    assert values(continued) == values(done(tmp_path / "new", config, COAST))
+
+
+def test_a_finished_benchmark_runs_nothing_again(tmp_path: Path) -> None:
+    first = done(tmp_path, SHORT, COAST)
+
+    def refuse(context: Any) -> Any:
+        raise AssertionError("a finished episode ran again")
+
+    assert done(tmp_path, SHORT, entry("coast", refuse)) == first
+
+
+def test_more_episodes_sets_and_policies_continue_in_the_same_folder(tmp_path: Path) -> None:
+    done(tmp_path, SHORT, COAST)
+    more = BenchmarkConfig(sets=("soil-and-mass", "ood"), episodes=6, duration=2.0)
+    store = Store(tmp_path, more.identity())
+    tasks = list(pending(more, [COAST, SPIN], store))
+    assert [(t.policy.name, t.uncertainty_set, t.episodes) for t in tasks] == [
+        ("coast", "soil-and-mass", (4, 5)),
+        ("spin", "soil-and-mass", tuple(range(6))),
+        ("coast", "ood", tuple(range(6))),
+        ("spin", "ood", tuple(range(6))),
+    ]
+
+
+def test_a_policy_whose_source_has_changed_runs_again_and_the_others_do_not(
+    tmp_path: Path,
+) -> None:
+    done(tmp_path, SHORT, COAST, SPIN)
+    store = Store(tmp_path, SHORT.identity())
+    changed = entry("spin", SPIN.make, fingerprint="2")
+    assert [task.policy.name for task in pending(SHORT, [COAST, changed], store)] == ["spin"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"seed": 1}, {"sensors": "ideal"}, {"duration": 1.0}, {"reference": {"kind": "circle"}},
+     {"lateral": "constrained"}, {"error_limit": 3.0}, {"control_rate": 25.0}],
+)  # fmt: skip
+def test_whatever_changes_numbers_is_part_of_the_identity(change: dict[str, Any]) -> None:
+    changed = BenchmarkConfig(**{"sets": SHORT.sets, "duration": 2.0, **change})
+    assert changed.identity() != SHORT.identity()
+
+
+def test_an_error_of_a_policy_says_whose_it_was_and_where(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="must be finite") as caught:
+        done(tmp_path, SHORT, entry("diverging", lambda context: Diverging()))
+    assert caught.value.__notes__ == ["policy 'diverging', set 'soil-and-mass', step 2"]
+
+
+def test_progress_adds_up_to_every_step_of_every_vehicle(tmp_path: Path) -> None:
+    config = BenchmarkConfig(sets=("nominal",), episodes=4, duration=8.0)  # SPIN ends early
+    reported: list[int] = []
+    report: Callable[[int, str], None] = lambda steps, label: reported.append(steps)  # noqa: E731
+    done(tmp_path, config, COAST, SPIN, progress=report)
+    assert sum(reported) == 2 * 4 * 400
+    assert min(reported) >= 0
+
+
+def test_what_is_kept_for_the_figures_is_small() -> None:
+    env = BenchmarkConfig(episodes=8).environment("drift", 8, truth=False)
+    trace, _ = drive(Constant(0.0, 0.0), env, range(8), lambda: None)
+    kept = shown(trace)
+    assert kept["error"].shape == (300, 8)
+    assert kept["motion"].shape[1] == 4
+    assert sum(array.nbytes for array in kept.values()) < 600_000
+
+
+def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
+    assert set(DEFAULT_SETS) == set(UNCERTAINTY_SETS) - {"nominal"}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"sets": ("soil",)}, "unknown uncertainty set 'soil'"),
+        ({"sets": ()}, "must be one or more"),
+        ({"sets": ("ood", "ood")}, "each named once"),
+        ({"episodes": 0}, "episodes = 0; must be at least 1"),
+        ({"seed": -1}, "seed = -1; must be at least 0"),
+        ({"sensors": "gps"}, "unknown sensor preset 'gps'"),
+        ({"duration": 0.0}, "duration = 0.0 s"),
+        ({"reference": "cirle"}, "must be one of straight, circle"),
+    ],
+)
+def test_a_wrong_configuration_is_refused_at_once(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        BenchmarkConfig(**wrong)

@@ -131,14 +131,6 @@ def test_one_step_of_the_pose_agrees_with_adaptive_quadrature(step, rng):
             np.testing.assert_allclose([c, s], [math.cos(rotation), math.sin(rotation)], atol=1e-15)
 
 
-def test_the_rotation_within_a_piece_is_exact_up_to_half_a_radian():
-    for angle in np.linspace(-0.5, 0.5, 101):
-        exact = [math.cos(angle), math.sin(angle)]
-        np.testing.assert_allclose(
-            kernels.rotation_within_piece(angle), exact, rtol=0.0, atol=2.3e-16
-        )
-
-
 def test_steps_that_cross_knots_lead_where_steps_that_end_at_knots_lead(rng):
     speed, yaw_rate = wild_profile(rng)
     straddling = walk(speed, yaw_rate, 0.0, 0.2, 14)

@@ -14,6 +14,7 @@ from tracked_env import observation as obs
 from tracked_env.physics import measurement
 from tracked_env.physics import reference_profile as profile
 from tracked_env.physics import state as s
+from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula
 from tracked_env.physics.measurement import GROUP_START
 from tracked_env.physics.parameters import PARAMETER_INDEX
@@ -64,7 +65,8 @@ def sample_sensors(floats, counters, noise, i, step):
         error = floats[i, b.BIAS + c] + floats[i, b.SIGMA + c] * noise[i, cursor, c]
         floats[i, b.READING + c] = truth[c] + error
     for g in range(b.GROUP_COUNT):
-        due = step % counters[i, b.PERIOD + g] == 0
+        period = counters[i, b.PERIOD + g]
+        due = period == 1 or step % period == 0
         lost = noise[i, cursor, measurement.CHANNEL_COUNT + g] < floats[i, b.DROPOUT + g]
         if due and (not lost or step == 0):
             for c in range(GROUP_START[g], GROUP_START[g + 1]):
@@ -95,7 +97,7 @@ def deliver(floats, counters, history, i, step):
 def tracking_error(floats, i):
     """True error of vehicle i: reference minus vehicle in the body frame, and heading."""
     yaw = floats[i, b.STATE + s.YAW]
-    cosine, sine = math.cos(yaw), math.sin(yaw)
+    cosine, sine = rotation(yaw)
     dx = floats[i, b.REFERENCE_X] - floats[i, b.STATE + s.X]
     dy = floats[i, b.REFERENCE_Y] - floats[i, b.STATE + s.Y]
     floats[i, b.ERROR_X] = cosine * dx + sine * dy
@@ -108,7 +110,7 @@ def tracking_error(floats, i):
 def write_observation(floats, i, step, control_period, out):
     """Pack what vehicle i sees into out[i] by the layout of `tracked_env.observation`."""
     yaw = floats[i, b.DELIVERED + 2]
-    cosine, sine = math.cos(yaw), math.sin(yaw)
+    cosine, sine = rotation(yaw)
     dx = floats[i, b.REFERENCE_X] - floats[i, b.DELIVERED]
     dy = floats[i, b.REFERENCE_Y] - floats[i, b.DELIVERED + 1]
     obs.store(out, i, _POSITION_ERROR_X, cosine * dx + sine * dy)

@@ -280,7 +280,8 @@ class Simulation:
     @property
     def success(self) -> NDArray[np.bool_]:
         """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
-        return self.truncated & (self.rmse < SUCCESS_RMSE)
+        truncated = self.truncated
+        return truncated & (self.rmse < SUCCESS_RMSE) if truncated.any() else truncated
 
     def reference_position(self, i: int) -> NDArray[np.float64]:
         """(2,) position [m] of the reference of vehicle i now, world frame."""

@@ -17,7 +17,7 @@ from tracked_env import sensing
 from tracked_env.physics import reference_profile as profile
 from tracked_env.physics import schedule, torque_plant
 from tracked_env.physics import state as s
-from tracked_env.physics.elementary import small_rotation
+from tracked_env.physics.elementary import rotation, small_rotation
 from tracked_env.physics.integration import rk4_step
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_ROWS, PlantParameters
@@ -121,14 +121,14 @@ def _substep(accelerations, w, lanes, h, limited):
             demand_left + decay * (middle[0] - demand_left),
             demand_right + decay * (middle[1] - demand_right),
         )
-        moved, travel_x, travel_y, rotation = rk4_step(
+        moved, travel_x, travel_y, turn = rk4_step(
             accelerations, motion, start, middle, end, k, limits, h
         )
         cosine, sine = w[_COSINE, i], w[_SINE, i]
         w[s.X, i] += cosine * travel_x - sine * travel_y
         w[s.Y, i] += sine * travel_x + cosine * travel_y
-        w[s.YAW, i] += rotation
-        turn_cosine, turn_sine = small_rotation(rotation)
+        w[s.YAW, i] += turn
+        turn_cosine, turn_sine = small_rotation(turn)
         w[_COSINE, i] = cosine * turn_cosine - sine * turn_sine
         w[_SINE, i] = sine * turn_cosine + cosine * turn_sine
         w[s.V_X, i] = moved.v_x
@@ -151,8 +151,8 @@ def _load(floats, w, chosen, first, lanes):
         w[_DEMAND_LEFT, lane] = limit * floats[i, b.PREVIOUS_ACTION]
         w[_DEMAND_RIGHT, lane] = limit * floats[i, b.PREVIOUS_ACTION + 1]
         w[_DECAY, lane] = floats[i, b.TORQUE_DECAY]
-        w[_COSINE, lane] = math.cos(w[s.YAW, lane])
-        w[_SINE, lane] = math.sin(w[s.YAW, lane])
+    for lane in range(lanes):
+        w[_COSINE, lane], w[_SINE, lane] = rotation(w[s.YAW, lane])
 
 
 @formula

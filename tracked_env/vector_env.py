@@ -184,9 +184,10 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         simulation = self.simulation
         floats = simulation.batch.floats
         errors = floats[:, b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy()
+        block = floats[:, b.TERMS : b.TERMS + len(b.REWARD_TERMS)].copy()
         terms: dict[str, Any] = {}
-        for column, name in enumerate(b.REWARD_TERMS, start=b.TERMS):
-            terms[name], terms["_" + name] = floats[:, column].copy(), mask
+        for column, name in enumerate(b.REWARD_TERMS):
+            terms[name], terms["_" + name] = block[:, column], mask
         info: dict[str, Any] = {
             "tracking_error": errors,
             "_tracking_error": mask,

@@ -116,4 +116,6 @@ def test_rows_past_the_end_of_an_episode_are_void() -> None:
         success=np.array([True, False]), torque_limit=np.full(2, 8000.0),
     )  # fmt: skip
     alone = metrics.evaluate(trace(100))
-    assert {k: v[1] for k, v in metrics.evaluate(pair).items()} == {k: v[0] for k, v in alone.items()}
+    assert {k: v[1] for k, v in metrics.evaluate(pair).items()} == {
+        k: v[0] for k, v in alone.items()
+    }

@@ -71,7 +71,7 @@ def _new(
     """
     from matplotlib.figure import Figure
 
-    right, top, bottom = 0.15, 0.75, 0.55
+    right, top, bottom = 0.15, 0.9, 0.55
     width = left + columns * panel[0] + (columns - 1) * gap[0] + right
     height = bottom + rows * panel[1] + (rows - 1) * gap[1] + top
     figure = Figure(figsize=(width, height), dpi=DPI)
@@ -83,14 +83,14 @@ def _new(
 
 
 def _head(figure: "Figure", axes: "Axes", title: str, style: dict[str, Look]) -> None:
-    """Title at the upper left, and one legend for all panels at the upper right."""
+    """Title at the upper left, and below it one legend for all panels."""
     width, height = figure.get_size_inches()
     handles, labels = axes.get_legend_handles_labels()
     by_label = dict(zip(labels, handles, strict=True))
     order = [label for label in ("reference", *style) if label in by_label]
     figure.legend(
         [by_label[label] for label in order], order,
-        loc="upper right", bbox_to_anchor=(1.0, 1.0 - 0.02 / height), ncols=len(labels),
+        loc="upper left", bbox_to_anchor=(0.0, 1.0 - 0.3 / height), ncols=len(labels),
     )  # fmt: skip
     figure.suptitle(title, x=0.12 / width, y=1.0 - 0.12 / height, ha="left", va="top", fontsize=11)
 

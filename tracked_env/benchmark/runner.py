@@ -9,6 +9,7 @@ import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,8 +39,9 @@ CHUNK = 64  # [episodes] run as one batch; has no influence on results
 REPORT_EVERY = 50  # [control steps] between two calls of `progress`
 SHOWN_EPISODES = 4  # whose motion is kept in full, for the figures
 SHOWN_POINTS = 300  # times at which the error of all episodes of the first chunk is kept
-# Files and folders of this package that do not change numbers.
-_HARMLESS = ("report.py", "figures.py", "statistics.py", "video.py", "rendering", "sb3.py")
+# Files and folders of the package that do not change the numbers of an episode.
+_HERE = {path.name for path in Path(__file__).parent.glob("*.py")}
+_HARMLESS = ("rendering", "sb3.py", *(_HERE - {"metrics.py", "runner.py"}))
 
 _COLUMNS = [
     b.STATE + s.X, b.STATE + s.Y, b.STATE + s.YAW,

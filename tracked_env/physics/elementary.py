@@ -22,8 +22,15 @@ LN2_LOW = 1.90821492927058770002e-10  # [-] ln 2 - LN2_HIGH
 ROUND_MAGIC = 6755399441055744.0  # [-] 1.5 * 2**52: adding it rounds to the nearest integer
 EXP_ARGUMENT_LIMIT = 700.0  # [-] |x| is clipped here: exp(700) is still finite
 
-_INVERSE_FACTORIAL = [1.0 / math.factorial(n) for n in range(14)]
-(_, _, _F2, _F3, _F4, _F5, _F6, _F7, _F8, _F9, _F10, _F11, _F12, _F13) = _INVERSE_FACTORIAL
+TWO_OVER_PI = 2.0 / math.pi  # [1/rad]
+HALF_PI_HIGH = 1.57079632673412561417e00  # [rad] pi/2, upper 33 bits: k * it is exact
+HALF_PI_MIDDLE = 6.07710050630396597660e-11  # [rad] the next 33 bits
+HALF_PI_LOW = 2.02226624879595063154e-21  # [rad] the rest
+
+_INVERSE_FACTORIAL = [1.0 / math.factorial(n) for n in range(16)]
+(_, _, _F2, _F3, _F4, _F5, _F6, _F7, _F8, _F9, _F10, _F11, _F12, _F13, _F14, _F15) = (
+    _INVERSE_FACTORIAL
+)
 
 
 @formula
@@ -57,6 +64,31 @@ def small_rotation(angle):
     z = angle * angle
     cosine = 1.0 - z * (1 / 2 - z * (1 / 24 - z * (1 / 720)))
     sine = angle * (1.0 - z * (1 / 6 - z * (1 / 120 - z * (1 / 5040))))
+    return cosine, sine
+
+
+@formula
+def rotation(angle):
+    """Return (cos, sin) of an angle [rad]; error < 1e-15 (1 + |angle|) for |angle| < 1e6.
+
+    Cody-Waite reduction to |r| <= pi/4, Taylor polynomials, quadrant by selection.
+    """
+    quarter = angle * TWO_OVER_PI + ROUND_MAGIC
+    k = quarter - ROUND_MAGIC
+    r = ((angle - k * HALF_PI_HIGH) - k * HALF_PI_MIDDLE) - k * HALF_PI_LOW
+    z = r * r
+    c = _F12 - z * _F14
+    c = _F8 - z * (_F10 - z * c)
+    c = 1.0 - z * (1 / 2 - z * (_F4 - z * (_F6 - z * c)))
+    s = _F11 - z * (_F13 - z * _F15)
+    s = _F5 - z * (_F7 - z * (_F9 - z * s))
+    s = r * (1.0 - z * (1 / 6 - z * s))
+    quadrant = np.float64(quarter).view(np.int64)
+    odd = quadrant & 1
+    cosine = s if odd else c
+    sine = c if odd else s
+    cosine = -cosine if (quadrant + 1) & 2 else cosine
+    sine = -sine if quadrant & 2 else sine
     return cosine, sine
 
 

@@ -1,0 +1,124 @@
+"""From records to a summary: what is said, and what makes a set separate."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tracked_env.benchmark import report
+from tracked_env.benchmark.metrics import METRICS
+
+EASY = np.linspace(0.04, 0.06, 16)
+
+
+def records(uncertainty_set: str, **rmse: Any) -> list[dict[str, Any]]:
+    """Records of one set with the given RMSE per policy; the other metrics are 0.5."""
+    return [
+        {
+            **dict.fromkeys(METRICS, 0.5), "set": uncertainty_set, "policy": policy, "episode": i,
+            "seed": i, "digest": f"{uncertainty_set}{i}", "ended": "time", "predict_time": 2e-6,
+            "tracking_rmse": float(value),
+        }
+        for policy, values in rmse.items()
+        for i, value in enumerate(values)
+    ]  # fmt: skip
+
+
+def comparison(nominal: Any, oracle: Any) -> report.Comparison:
+    summary = report.summarise(records("set", nominal=nominal, oracle=oracle))
+    return summary.comparisons["set"]["oracle"]
+
+
+def test_a_set_separates_when_the_difference_is_certain_and_the_ratio_large_enough() -> None:
+    found = comparison(3.0 * EASY, EASY)
+    assert found.worse
+    assert found.ratio.value == pytest.approx(3.0)
+    assert found.difference.value == pytest.approx(2.0 * EASY.mean())
+    assert found.worse_share == 1.0
+
+
+def test_a_certain_but_small_difference_does_not_separate() -> None:
+    found = comparison(1.1 * EASY, EASY)
+    assert found.difference.low > 0.0
+    assert not found.worse
+
+
+def test_a_large_but_uncertain_difference_does_not_separate() -> None:
+    nominal = np.where(np.arange(16) % 2, 3.0 * EASY, 0.02 * EASY)
+    found = comparison(nominal, EASY)
+    assert found.ratio.value > report.SEPARATION_RATIO
+    assert found.difference.low < 0.0 < found.difference.value
+    assert not found.worse
+
+
+def test_a_baseline_that_is_better_is_not_worse() -> None:
+    assert not comparison(EASY, 3.0 * EASY).worse
+
+
+def test_policies_that_did_not_meet_the_same_episodes_are_not_compared() -> None:
+    both = records("set", nominal=EASY, oracle=EASY)
+    both[3]["digest"] = "other"
+    with pytest.raises(ValueError, match="did not meet the same episodes"):
+        report.summarise(both)
+
+
+def test_all_sets_pools_the_episodes_of_several_sets_and_one_set_has_no_such_row() -> None:
+    one = records("a", nominal=EASY, oracle=EASY)
+    two = one + records("b", nominal=9.0 * EASY, oracle=EASY)
+    assert report.ALL_SETS not in report.summarise(one).policies
+    pooled = report.summarise(two).policies[report.ALL_SETS]
+    assert pooled["nominal"].episodes == 32
+    assert pooled["nominal"].rmse_mean.value == pytest.approx(5.0 * EASY.mean())
+
+
+def test_a_single_policy_is_summarised_without_a_comparison() -> None:
+    text = report.terminal(report.summarise(records("set", mine=EASY)))
+    assert "mine" in text
+    assert "clearly worse" not in text
+
+
+def test_nothing_finished_is_an_error() -> None:
+    with pytest.raises(ValueError, match="no finished episode"):
+        report.summarise([])
+
+
+def test_the_terminal_table_is_aligned_fits_and_names_its_units() -> None:
+    long = records("terrain-transition", nominal=100.0 * EASY, oracle=EASY)
+    long += records("ood", nominal=EASY, oracle=EASY)
+    lines = report.terminal(report.summarise(long)).splitlines()
+    table = lines[: lines.index("")]
+    assert max(len(line) for line in lines) <= 132
+    assert {len(line) for line in table} == {len(table[0])}
+    assert "[m]" in table[0]
+    assert "[kJ]" in table[0]
+    assert [line.split()[0] for line in table[2:6]] == [
+        "terrain-transition", "oracle", "ood", "oracle"
+    ]  # fmt: skip
+
+
+def test_the_markdown_has_as_many_cells_in_every_row() -> None:
+    text = report.markdown(report.summarise(records("set", nominal=EASY, oracle=EASY)))
+    tables = [part.splitlines() for part in text.split("\n\n") if "|" in part]
+    assert len(tables) == 2
+    for table in tables:
+        assert len({line.count("|") for line in table}) == 1
+
+
+def test_json_and_csv_hold_every_record_and_the_configuration(tmp_path: Path) -> None:
+    given = records("set", nominal=EASY, oracle=0.5 * EASY)
+    header = {"hash": "abc", "identity": {"seed": 0}, "versions": {}, "machine": {}}
+    report.write(tmp_path, header, given, report.summarise(given))
+    document = json.loads((tmp_path / "results.json").read_text())
+    assert document["episodes"] == given
+    assert document["identity"] == {"seed": 0}
+    assert document["units"]["energy"] == "J"
+    found = document["summary"]["comparisons"]["set"]["oracle"]
+    assert found["ratio"]["value"] == pytest.approx(2.0)
+    assert found["worse"] is True
+    with (tmp_path / "episodes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["tracking_rmse"]) for row in rows] == [r["tracking_rmse"] for r in given]
+    assert (tmp_path / "summary.md").read_text().startswith("| set | policy |")

@@ -22,11 +22,13 @@ try:
 except ImportError:
     sys.exit("evaluate.py needs tyro: run `make install`, or pip install 'tracked-env[cli]'")
 
+from baselines.controllers.feedback_linearization import FeedbackLinearizingController
 from baselines.policies import POLICIES
 from tracked_env.benchmark import DEFAULT_SETS, BenchmarkConfig, Store, load_policy, report
-from tracked_env.benchmark.policies import PolicyEntry
+from tracked_env.benchmark.policies import Policy, PolicyEntry
 from tracked_env.benchmark.runner import Progress, pending, run
 from tracked_env.benchmark.store import identity_hash
+from tracked_env.physics.parameters import PlantParameters
 
 INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
 
@@ -40,6 +42,7 @@ class Config:
     """Policies to compare; the first one is the baseline.
     nominal: feedback linearization with nominal parameters.
     oracle: the same controller with the true parameters.
+    path/to/agent.zip: a PPO agent trained by train.py.
     module:attribute: any object with a `predict` as in
     Stable-Baselines3, or a class or function that makes one."""
 
@@ -77,6 +80,10 @@ class Config:
 
     video: bool = False
     """Record the first episode of the first set, every policy."""
+
+    paper: Literal["none", "strawa2021"] = "none"
+    """Instead of the benchmark, run the scenarios of the paper
+    again: table and figures of its sections 8.1 and 8.2."""
 
     chunk: int = 64
     """Episodes run and stored together; numbers do not change."""
@@ -163,12 +170,49 @@ def draw(
         print(f"not drawn: {error}", file=sys.stderr)
 
 
+def reproduce(config: Config) -> int:
+    """The paper's scenarios: print the table, write it and the figures."""
+    from tracked_env.benchmark import strawa2021
+
+    def controller(parameters: PlantParameters, period: float, lateral: str) -> Policy:
+        return FeedbackLinearizingController(parameters, period, lateral=lateral)
+
+    runs = strawa2021.run_all(controller)
+    table = strawa2021.table(runs)
+    folder = config.output / "strawa2021"
+    folder.mkdir(parents=True, exist_ok=True)
+    print(report.aligned(table))
+    (folder / "table.md").write_text(report.markdown_rows(table) + "\n")
+    files = strawa2021.save_figures(runs, folder) if config.figures else []
+    print(f"\ntable.md and {len(files)} figures in {folder}")
+    return 0
+
+
+def loaded_policies(specs: tuple[str, ...]) -> list[PolicyEntry]:
+    """One entry per name; PyTorch is imported only when a trained agent is among them."""
+    entries = []
+    for spec in dict.fromkeys(specs):
+        if spec.endswith(".zip"):
+            try:
+                from agents.ppo import agent_entry
+            except ImportError as error:
+                raise ValueError(
+                    f"policy {spec!r}: {error}. Trained agents need pip install 'tracked-env[rl]'"
+                ) from error
+            entries.append(agent_entry(Path(spec)))
+        else:
+            entries.append(load_policy(spec, POLICIES))
+    return entries
+
+
 def main(config: Config) -> int:
     """Run, print the summary, write the results; returns the exit status."""
     began = time.perf_counter()
+    if config.paper != "none":
+        return reproduce(config)
     try:
         benchmark = benchmark_config(config)
-        entries = [load_policy(spec, POLICIES) for spec in dict.fromkeys(config.policies)]
+        entries = loaded_policies(config.policies)
         store = Store(result_folder(config.output, benchmark), benchmark.identity())
     except ValueError as error:
         print(f"evaluate.py: {error}", file=sys.stderr)

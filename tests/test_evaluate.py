@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -9,7 +10,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+from baselines.policies import POLICIES
+from tracked_env.benchmark.metrics import METRICS
+from tracked_env.benchmark.report import SEPARATION_RATIO
+from tracked_env.observation import SIZE
 
 pytest.importorskip("tyro", reason="the command line needs the extra `cli`")
 
@@ -123,3 +130,21 @@ def test_the_help_explains_every_option(evaluate: Any) -> None:
                    "lateral", "output", "figures", "video", "chunk"):  # fmt: skip
         assert f"--{option}" in text
     assert "the first one is the baseline" in text
+
+
+def test_the_page_on_evaluation_shows_every_metric_and_policy_and_its_examples_run(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (repository / "docs" / "evaluation.md").read_text(encoding="utf-8")
+    for name, metric in METRICS.items():
+        assert f"| `{name}` | {metric.unit} | {metric.meaning} |" in text
+    assert all(f"| `{name}` |" in text for name in POLICIES)
+    assert f"at least {SEPARATION_RATIO}" in text
+    monkeypatch.chdir(tmp_path)
+    for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
+        found: dict[str, Any] = {}
+        exec(compile(block, "evaluation.md", "exec"), found)
+        if "Proportional" in found:
+            action, _ = found["Proportional"]().predict(np.zeros((3, SIZE), np.float32))
+            assert action.shape == (3, 2)
+    assert (tmp_path / "results" / "mine" / "episodes.jsonl").exists()

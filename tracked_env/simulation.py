@@ -193,15 +193,19 @@ class Simulation:
                 f"action has shape {actions.shape}; must be {self._action_shape}: sprocket torque "
                 "left, right over the torque limit, in [-1, 1]"
             )
-        if self._until_refill <= 0:
-            self._refill()
-        self._until_refill -= 1
         chosen = self.all if chosen is None else chosen
         size = chosen.size
+        refill = self._until_refill <= 0
         if self.solver.threads > 1 and size >= THREADED_COUNT:
-            bad = self._step_threaded(actions, chosen)
+            bad = self._step_threaded(actions, chosen, refill)
         else:
+            if refill:
+                self._refill(chosen)
             bad = self._advance(actions, chosen, 0, size, True)
+        self._until_refill -= 1
+        if refill and size:
+            last = self.batch.counters[chosen, b.NOISE_CURSOR].max()
+            self._until_refill = b.NOISE_BLOCK - 1 - int(last)
         if bad >= 0:
             raise ValueError(
                 f"action[{bad}] = {actions[bad].tolist()}; must be finite, in [-1, 1]. Did the "
@@ -221,7 +225,9 @@ class Simulation:
             *self.batch, chosen, actions, self.observations, start, stop, moving, *self._clock
         )
 
-    def _step_threaded(self, actions: NDArray[np.float32], chosen: NDArray[np.int64]) -> int:
+    def _step_threaded(
+        self, actions: NDArray[np.float32], chosen: NDArray[np.int64], refill: bool
+    ) -> int:
         """The same on several threads; refuses a non-finite action before any of them moves."""
         finite = np.isfinite(actions[chosen]).all(axis=1)
         if not finite.all():
@@ -232,8 +238,11 @@ class Simulation:
         blocks = -(-size // stepping.LANES)
         share = -(-blocks // threads) * stepping.LANES
 
-        def run(first: int) -> int:
-            return self._advance(actions, chosen, first, min(first + share, size), True)
+        def run(first: int) -> None:
+            last = min(first + share, size)
+            if refill:
+                self._refill(chosen[first:last])
+            self._advance(actions, chosen, first, last, True)
 
         parts = [self._pool.submit(run, first) for first in range(share, size, share)]
         run(0)
@@ -241,14 +250,13 @@ class Simulation:
             part.result()
         return -1
 
-    def _refill(self) -> None:
-        """Draw the next noise block of every vehicle that is about to use up its own."""
+    def _refill(self, chosen: NDArray[np.int64]) -> None:
+        """Draw the next noise block of those chosen vehicles that are about to use up theirs."""
         cursor = self.batch.counters[:, b.NOISE_CURSOR]
-        used_up = np.flatnonzero(cursor >= b.NOISE_BLOCK - 1)
+        used_up = chosen[cursor[chosen] >= b.NOISE_BLOCK - 1]
         for i in used_up[self._noisy[used_up]]:
             self._draw_noise(int(i))
         cursor[used_up] = -1  # the step moves it to the first row
-        self._until_refill = int(b.NOISE_BLOCK - 1 - cursor.max())
 
     def _draw_noise(self, i: int) -> None:
         generator = self._noise_rngs[i]

@@ -110,8 +110,8 @@ def _weak_soil(rng: np.random.Generator, profile: ReferenceProfile, duration: fl
         friction_angle=soil.friction_angle * rng.uniform(0.95, 1.05),  # =soil *U(0.95, 1.05)
         shear_deformation_modulus=soil.shear_deformation_modulus
         * rng.uniform(0.7, 1.3),  # =soil *U(0.7, 1.3)
-        longitudinal_resistance=rng.uniform(0.1, 0.2),  # =U(0.1, 0.2)
-        lateral_resistance=rng.uniform(0.5, 0.7),  # =U(0.5, 0.7)
+        longitudinal_resistance=rng.uniform(0.1, 0.16),  # =U(0.1, 0.16)
+        lateral_resistance=rng.uniform(0.45, 0.65),  # =U(0.45, 0.65)
     )
     return Draw(parameters, [])
 

@@ -9,7 +9,6 @@ from scipy.integrate import solve_ivp
 from docs.step_halving import (
     CONTROL_PERIOD,
     MANOEUVRES,
-    REST,
     SANDY_LOAM,
     Command,
     circle_entry,
@@ -199,7 +198,3 @@ def test_the_tabulated_manoeuvres_agree_with_a_fine_step_to_the_tenth_of_a_milli
         gap = run(command, SUBSTEPS, p, start=start) - run(command, 128, p, start=start)
         assert np.hypot(gap[:, X], gap[:, Y]).max() < 1e-4
         assert np.abs(gap[:, YAW]).max() < 1e-4
-
-
-def test_rest_is_the_start_of_every_manoeuvre_unless_said_otherwise():
-    assert run(constant(1300.0, 1300.0, steps=1), 1)[0, V_X:TORQUE_LEFT] == pytest.approx(REST)

@@ -70,7 +70,7 @@ METRICS = {
     "final_error": Metric("m", "distance to the reference at the end"),
     "heading_rmse": Metric("rad", "RMSE of the heading error"),
     "speed_rmse": Metric("m/s", "RMSE of the speed error"),
-    "energy": Metric("J", "work of the sprockets, |torque * speed| over time"),
+    "energy": Metric("J", "work of the sprockets, braking counts as well"),
     "saturation_share": Metric("-", "part of the time with a demand at the torque limit"),
     "torque_chatter": Metric("N m/s", "mean rate of change of the torque demand"),
     "success": Metric("-", "ended by time with an RMSE below 0.5 m"),

@@ -34,7 +34,7 @@ class Panel:
         low, high = reference.min(axis=0) - 3.0, reference.max(axis=0) + 3.0
         self._scale = float(min(np.array(_OVERVIEW.size) / (high - low)))  # [px/m]
         self._middle = 0.5 * (low + high)
-        self._path = self._pixels(reference[:: max(len(reference) // 500, 1)]).tolist()
+        self._path = self._pixels(reference[:: max(len(reference) // 500, 1)])
         self._ground: pygame.Surface | None = None
 
     def draw(
@@ -158,8 +158,6 @@ class Panel:
             self._ground = self._new_ground(shot)
         self.surface.blit(self._ground, box)
         self.surface.set_clip(box)
-        for start, end in pairwise(self._path):
-            pygame.draw.aaline(self.surface, canvas.BLUE, start, end, 2)
         trail = self._pixels(memory.trail[:: max(len(memory.trail) // 500, 1)])
         here = self._pixels(np.array([shot.pose[:2]]))[0]
         pygame.draw.aalines(self.surface, canvas.INK, False, [*trail.tolist(), here.tolist()])
@@ -171,12 +169,14 @@ class Panel:
         pygame.draw.rect(self.surface, canvas.RULE, box, 1)
 
     def _new_ground(self, shot: Snapshot) -> pygame.Surface:
-        """The soil map below the overview, in cells of two pixels."""
+        """What does not move: the soil map, in cells of two pixels, and the path."""
         offset_x = np.arange(-_OVERVIEW.width / 2 + 1, _OVERVIEW.width / 2, 2) / self._scale
         offset_y = np.arange(-_OVERVIEW.height / 2 + 1, _OVERVIEW.height / 2, 2) / self._scale
         pixels = self._soil.image(shot, self._middle[0] + offset_x, self._middle[1] - offset_y)
         ground = canvas.surface(*_OVERVIEW.size)
         canvas.paint(ground, pixels.repeat(2, 0).repeat(2, 1))
+        for start, end in pairwise((self._path - np.array(_OVERVIEW.topleft)).tolist()):
+            pygame.draw.aaline(ground, canvas.BLUE, start, end, 2)
         return ground
 
 

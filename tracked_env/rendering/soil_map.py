@@ -131,12 +131,12 @@ class SoilMap:
         cells = -(-side // CELL_PIXELS)
         middles = TILE * (np.arange(cells) + 0.5) * CELL_PIXELS / side
         coarse = self.image(shot, TILE * column + middles, -(TILE * row + middles))
-        fine = coarse.repeat(CELL_PIXELS, 0).repeat(CELL_PIXELS, 1)[:side, :side]
-        shade = np.ones((side, side, 1))
+        plain = coarse.repeat(CELL_PIXELS, 0).repeat(CELL_PIXELS, 1)[:side, :side]
+        lined = plain.copy()
         for metre in range(TILE - 1, -1, -1):
-            line = metre * side // TILE
-            factor = _THIN if metre else _THICK
-            shade[line], shade[:, line] = factor, np.minimum(shade[:, line], factor)
+            line, factor = metre * side // TILE, _THIN if metre else _THICK
+            lined[line] = factor * plain[line]
+            lined[:, line] = factor * plain[:, line]
         tile = surface(side, side)
-        paint(tile, np.round(fine * shade).astype(np.uint8))
+        paint(tile, lined)
         return tile

@@ -1,0 +1,1 @@
+"""Reinforcement-learning agents: settings, training, loading. Needs the extra `rl`."""

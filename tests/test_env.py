@@ -100,10 +100,12 @@ def test_every_parameter_set_by_options_reaches_the_physics(group, name):
 @pytest.mark.parametrize("name", RANGES)
 @pytest.mark.parametrize("wrong", ["below", "above", float("nan"), "1", None, [1.0, 2.0], True])
 def test_a_wrong_parameter_is_refused_with_name_value_range_and_hint(name, wrong):
-    low, high, unit, hint = RANGES[name]
-    value = {"below": low - 1.0, "above": high * 1.1 + 1.0}.get(wrong, wrong) if isinstance(
-        wrong, str
-    ) else wrong
+    low, high, _, hint = RANGES[name]
+    value = (
+        {"below": low - 1.0, "above": high * 1.1 + 1.0}.get(wrong, wrong)
+        if isinstance(wrong, str)
+        else wrong
+    )
     group = next(group for group, names in GROUPS.items() if name in names)
     with pytest.raises(ValueError) as caught:
         make().reset(seed=0, options={group: {name: value}})
@@ -125,7 +127,10 @@ def test_a_wrong_parameter_is_refused_with_name_value_range_and_hint(name, wrong
         ({"start": {"offset": 1.0}}, "offset_x"),
         ({"schedule": {"mass": 1.0}}, "list"),
         ({"schedule": [{"parameter": "mass", "kind": "step"}]}, "ramp"),
-        ({"schedule": [{"parameter": "mass", "kind": "ramp", "target": 1e9, "start": 1.0}]}, "tonnes"),
+        (
+            {"schedule": [{"parameter": "mass", "kind": "ramp", "target": 1e9, "start": 1.0}]},
+            "tonnes",
+        ),
         ({"schedule": [{"parameter": "mass", "kind": "ramp", "target": 1e3}]}, "start"),
         ({"schedule": [{"parameter": "torque_limit", "kind": "ramp"}]}, "torque_limit"),
         ([1], "dict"),
@@ -159,7 +164,7 @@ def test_wrong_options_are_refused_and_the_running_episode_survives(options, say
     ],
 )
 def test_wrong_constructor_arguments_are_value_errors(arguments):
-    with pytest.raises(ValueError, match="must|known are"):
+    with pytest.raises(ValueError, match=r"must|known are"):
         TrackedVehicleEnv(**arguments)
 
 

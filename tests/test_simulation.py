@@ -165,7 +165,8 @@ def test_a_payload_step_acts_inside_the_episode_and_is_seen_in_the_truth():
 def test_ramps_are_linear_and_regions_and_lines_act_where_they_lie():
     schedule = [
         {"parameter": "inertia", "kind": "ramp", "target": 2180.0, "start": 0.2, "duration": 1.0},
-        {"parameter": "cohesion", "kind": "region", "target": 1e3, "x": 2.0, "y": 0.0, "radius": 0.5},
+        {"parameter": "cohesion", "kind": "region", "target": 1e3,
+         "x": 2.0, "y": 0.0, "radius": 0.5},
         {"parameter": "lateral_resistance", "kind": "line", "target": 0.4, "x": 1.0, "y": 0.0,
          "direction": 0.0, "edge": 0.2},
     ]  # fmt: skip

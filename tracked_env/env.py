@@ -1,7 +1,7 @@
 """One tracked vehicle behind the Gymnasium interface: the simulation core with N = 1."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -19,71 +19,74 @@ ObsType = NDArray[np.float32]
 class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     """A skid-steering tracked vehicle on unknown soil follows a reference in time.
 
-    ## Description
-    A tracked vehicle (Strawa et al. 2021) turns by driving its two tracks with different
-    sprocket torques. Mass, inertia, soil strength and resistance are drawn per episode, may
-    change inside it, and are not observed. The task is to stay on a moving reference pose.
-    SI units, body frame x forward and y left, yaw positive to the left.
+        ## Description
+        A tracked vehicle (Strawa et al. 2021) turns by driving its two tracks with different
+        sprocket torques. Mass, inertia, soil strength and resistance are drawn per episode, may
+        change inside it, and are not observed. The task is to stay on a moving reference pose.
+        SI units, body frame x forward and y left, yaw positive to the left.
 
-    ## Action Space
-    `Box(-1, 1, (2,), float32)`
+        ## Action Space
+        `Box(-1, 1, (2,), float32)`
 
-    | index | action | min | max | unit |
-    |--|--|--|--|--|
-    | 0 | left sprocket torque over `torque_limit` | -1 | 1 | - |
-    | 1 | right sprocket torque over `torque_limit` | -1 | 1 | - |
+        | index | action | min | max | unit |
+        |--|--|--|--|--|
+        | 0 | left sprocket torque over `torque_limit` | -1 | 1 | - |
+        | 1 | right sprocket torque over `torque_limit` | -1 | 1 | - |
 
-    Values outside are clipped; a non-finite value or a wrong shape is a ValueError. Equal
-    torques drive straight on; more on the right turns left.
+        Values outside are clipped; a non-finite value or a wrong shape is a ValueError. Equal
+        torques drive straight on; more on the right turns left.
 
-    ## Observation Space
-    `Box(float32)`: sensor readings and the reference, each over its scale. No true state.
+        ## Observation Space
+        `Box(float32)`: sensor readings and the reference, each over its scale. No true state.
 
-OBSERVATION_TABLE
+    OBSERVATION_TABLE
 
-    ## Rewards
-    Sum of bounded terms (`tracked_env.rewards`), in [-0.1, 1] per step: closeness of position
-    (weight 0.7), heading (0.15) and speed (0.15), minus effort (0.05) and change of the action
-    (0.05). They are in `info["reward_terms"]`.
+        ## Rewards
+        Sum of bounded terms (`tracked_env.rewards`), in [-0.1, 1] per step: closeness of position
+        (weight 0.7), heading (0.15) and speed (0.15), minus effort (0.05) and change of the action
+        (0.05). They are in `info["reward_terms"]`.
 
-    ## Starting State
-    Beside the start of the reference: U(-0.3, 0.3) m forward and to the left, U(-0.1, 0.1) rad
-    off, at its speed *U(0.8, 1.2).
+        ## Starting State
+        Beside the start of the reference: U(-0.3, 0.3) m forward and to the left, U(-0.1, 0.1) rad
+        off, at its speed *U(0.8, 1.2).
 
-    ## Episode End
-    Terminated: more than `error_limit` from the reference, or a non-finite state.
-    Truncated: after `duration`. No TimeLimit wrapper is needed.
+        ## Episode End
+        Terminated: more than `error_limit` from the reference, or a non-finite state.
+        Truncated: after `duration`. No TimeLimit wrapper is needed.
 
-    ## Arguments
-    All are JSON-able.
+        ## Arguments
+        All are JSON-able.
 
-    | argument | default | meaning |
-    |--|--|--|
-    | `reference` | `"random"` | name or dict, see `tracked_env.references` |
-    | `uncertainty` | `"soil-and-mass"` | set by name, or {parameter: [low, high]} |
-    | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, or dict of overrides |
-    | `duration` | 30 | [s] of an episode |
-    | `control_rate` | 50 | [Hz] of actions and observations |
-    | `lateral` | `"sliding"` | lateral closure, or `"constrained"` as in the paper |
-    | `error_limit` | 5 | [m] distance that ends an episode |
-    | `time_step` | 0.0025 | [s] longest integration step |
-    | `expose_truth` | False | put true state and parameters into `info["truth"]` |
-    | `render_mode` | None | `"human"` or `"rgb_array"` |
+        | argument | default | meaning |
+        |--|--|--|
+        | `reference` | `"random"` | name or dict, see `tracked_env.references` |
+        | `uncertainty` | `"soil-and-mass"` | set by name, or {parameter: [low, high]} |
+        | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, or dict of overrides |
+        | `duration` | 30 | [s] of an episode |
+        | `control_rate` | 50 | [Hz] of actions and observations |
+        | `lateral` | `"sliding"` | lateral closure, or `"constrained"` as in the paper |
+        | `error_limit` | 5 | [m] distance that ends an episode |
+        | `time_step` | 0.0025 | [s] longest integration step |
+        | `expose_truth` | False | put true state and parameters into `info["truth"]` |
+        | `render_mode` | None | `"human"` or `"rgb_array"` |
 
-    `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
-    `closure` ({parameter: value}), `reference`, `sensors`, `schedule` (a list of changes, see
-    `tracked_env.schedule`) and `start` ({offset_x, offset_y, offset_yaw, speed, yaw_rate}).
-    An unknown key is a ValueError.
+        `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
+        `closure` ({parameter: value}), `reference`, `sensors`, `schedule` (a list of changes, see
+        `tracked_env.schedule`) and `start` ({offset_x, offset_y, offset_yaw, speed, yaw_rate}).
+        An unknown key is a ValueError.
 
-    ## Info
-    `tracking_error` (2,) [m, rad]: distance to the reference, heading error; `reward_terms`;
-    `is_success`: ended by time with an RMSE below 0.5 m; `truth` when asked for.
+        ## Info
+        `tracking_error` (2,) [m, rad]: distance to the reference, heading error; `reward_terms`;
+        `is_success`: ended by time with an RMSE below 0.5 m; `truth` when asked for.
 
-    ## Version History
-    * v0: initial version
+        ## Version History
+        * v0: initial version
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 50}
+    metadata: dict[str, Any] = {  # noqa: RUF012, an instance variable in Gymnasium
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 50,
+    }
 
     def __init__(
         self,
@@ -153,7 +156,7 @@ OBSERVATION_TABLE
             info["truth"] = {name: float(value[0]) for name, value in truth.items()}
         return info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Draw the scene: an RGB array (height, width, 3), or a window in `human` mode.
 
         Raises ImportError with the extra to install when pygame is missing.

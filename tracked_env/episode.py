@@ -109,7 +109,9 @@ def _start(
     )
 
 
-def _schedule(options: Mapping[str, Any], drawn: Sequence[Mapping[str, Any]]) -> NDArray[np.float64]:
+def _schedule(
+    options: Mapping[str, Any], drawn: Sequence[Mapping[str, Any]]
+) -> NDArray[np.float64]:
     given = options.get("schedule")
     return encode_schedule(drawn if given is None else given)
 

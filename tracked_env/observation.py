@@ -65,7 +65,9 @@ FIELDS: tuple[Field, ...] = (
     Field("previous_action_left", "-", 1.0, 1.0, "left action of the step before", True),
     Field("previous_action_right", "-", 1.0, 1.0, "right action of the step before", True),
     Field("pose_age", "s", 1.0, 60.0, "age of position, heading and velocity", False),
-    Field("inertial_age", "s", 1.0, 60.0, "age of accelerations, yaw rate, yaw acceleration", False),
+    Field(
+        "inertial_age", "s", 1.0, 60.0, "age of accelerations, yaw rate, yaw acceleration", False
+    ),
     Field("drive_age", "s", 1.0, 60.0, "age of sprocket speeds and torques", False),
 )
 NAMES = tuple(field.name for field in FIELDS)

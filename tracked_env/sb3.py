@@ -88,13 +88,19 @@ class TrackedVehicleVecEnv(VecEnv):
         )
 
     def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+        self,
+        method_name: str,
+        *method_args: Any,
+        indices: VecEnvIndices = None,
+        **method_kwargs: Any,
     ) -> list[Any]:
         """Refused: rows are not environments of their own."""
-        raise NotImplementedError(f"rows of this VecEnv have no method {method_name!r} of their own")
+        raise NotImplementedError(f"rows of this VecEnv share one environment: {method_name!r}")
 
     def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None
+        self,
+        wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]],
+        indices: VecEnvIndices = None,
     ) -> list[bool]:
         """No row is wrapped by itself."""
         return [False for _ in self._indices(indices)]

@@ -56,14 +56,14 @@ _FIELDS: dict[str, tuple[tuple[str, float | None, Range], ...]] = {
 CHANGEABLE = tuple(name for name in PARAMETER_NAMES if name != "torque_limit")
 
 
-def encode_event(event: Mapping[str, Any]) -> list[float]:
+def encode_event(event: object) -> list[float]:
     """One row of eight numbers for the kernel. Raises ValueError for anything not understood.
 
     `torque_limit` cannot change inside an episode: the action is measured in it.
     """
-    kind = checked_choice(
-        "schedule kind", event.get("kind") if isinstance(event, Mapping) else event, KINDS
-    )
+    if not isinstance(event, Mapping):
+        raise ValueError(f"schedule entry {event!r}; must be a dict with 'parameter' and 'kind'")
+    kind = checked_choice("schedule kind", event.get("kind"), KINDS)
     fields = _FIELDS[kind]
     allowed = ("parameter", "kind", "target", *(name for name, _, _ in fields))
     checked_keys(f"schedule entry of kind '{kind}'", event, allowed)

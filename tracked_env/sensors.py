@@ -180,9 +180,7 @@ def _fixed_part(sensors: Sensors, control_period: float) -> tuple[SensorDraw, ND
     return draw, magnitudes
 
 
-def draw_sensors(
-    sensors: Sensors, control_period: float, rng: np.random.Generator
-) -> SensorDraw:
+def draw_sensors(sensors: Sensors, control_period: float, rng: np.random.Generator) -> SensorDraw:
     """Draw biases; turn rates and delays [s] into control steps of `control_period` [s]."""
     fixed, magnitudes = _fixed_part(sensors, control_period)
     bias = np.zeros(CHANNEL_COUNT)

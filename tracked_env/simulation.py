@@ -298,9 +298,7 @@ class Simulation:
     def truth(self) -> dict[str, NDArray[np.float64]]:
         """True state and parameters in force, by name; each (N,)."""
         state = {name: self.column(b.STATE + k) for k, name in enumerate(STATE_NAMES)}
-        parameters = {
-            name: self.column(b.PARAMETERS + k) for k, name in enumerate(PARAMETER_NAMES)
-        }
+        parameters = {name: self.column(b.PARAMETERS + k) for k, name in enumerate(PARAMETER_NAMES)}
         return {**state, **parameters}
 
     def close(self) -> None:

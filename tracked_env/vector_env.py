@@ -1,7 +1,7 @@
 """N tracked vehicles behind Gymnasium's vector interface: the simulation core with N > 1."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tracked_env import batch as b
 from tracked_env import observation as obs
-from tracked_env.env import RENDER_MODES, ObsType
+from tracked_env.env import ObsType
 from tracked_env.simulation import Simulation, TorqueConfig
 from tracked_env.validation import checked_choice
 
@@ -36,7 +36,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
     Extra arguments: `threads` (default 2) is used from 512 vehicles on; numbers do not change.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012, an instance variable in Gymnasium
         "render_modes": ["rgb_array"],
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -59,7 +59,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         threads: int = 2,
     ) -> None:
         if render_mode is not None:
-            checked_choice("render_mode", render_mode, RENDER_MODES)
+            checked_choice("render_mode", render_mode, self.metadata["render_modes"])
         config = TorqueConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
             time_step, threads,
@@ -218,4 +218,5 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         """Release the threads and the renderers."""
         for renderer in self._renderers:
             renderer.close()
+        self._renderers = []
         self.simulation.close()

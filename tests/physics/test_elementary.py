@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tracked_env.physics.elementary import (
-    rotation,
     exponential,
     regularised_sign,
+    rotation,
     saturated_sign,
     signed,
     small_rotation,

@@ -123,12 +123,12 @@ def run(
         demands.append(np.clip(action, -1.0, 1.0) * truth["torque_limit"])
         references.append(env.simulation.reference_position(0))
     names = list(info["truth"])
-    error = np.array(errors)
+    error = np.array(errors, dtype=np.float64)
     time = 0.01 * np.arange(1, len(error) + 1)
     late = error[time >= SETTLED]
     return Run(
         time,
-        error,
+        error.astype(np.float64),
         dict(zip(names, np.array(rows).T, strict=True)),
         np.array(references).T,
         np.array(demands).T,

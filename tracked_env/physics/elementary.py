@@ -14,6 +14,7 @@ Reference: [1] J.-M. Muller, "Elementary Functions", 3rd ed., ch. 11 (range redu
 import math
 
 import numpy as np
+
 from tracked_env.physics.jit import formula
 
 LOG2_E = 1.4426950408889634  # [-] log2(e)

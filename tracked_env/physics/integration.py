@@ -8,9 +8,8 @@ torque follows its demand by a first-order lag whose exact solution is used at e
 References: [1] Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.1.
 """
 
-from tracked_env.physics.jit import formula
-
 from tracked_env.physics.elementary import small_rotation
+from tracked_env.physics.jit import formula
 from tracked_env.physics.torque_plant import Motion
 
 

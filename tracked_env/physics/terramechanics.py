@@ -16,9 +16,8 @@ References: [1] Strawa et al., Electronics 10 (2021) 187. [2] Wong, Theory of Gr
 
 import math
 
-from tracked_env.physics.jit import formula
-
 from tracked_env.physics.elementary import exponential, saturated_sign, signed
+from tracked_env.physics.jit import formula
 
 GRAVITY = 9.81  # [m/s^2] g, as both papers use it
 MOTION_RESISTANCE_REGULARISATION = 0.1  # [m/s] slower tracks meet less rolling resistance
@@ -36,9 +35,7 @@ def maximum_tractive_effort(cohesion, friction_angle, track_width, contact_lengt
     cohesion c [Pa], friction_angle phi [rad], track_width w [m], contact_length l [m],
     mass m [kg]. Limits: F_max >= 0; c = 0 gives dry sand, phi = 0 saturated clay.
     """
-    return track_width * contact_length * cohesion + 0.5 * mass * GRAVITY * math.tan(
-        friction_angle
-    )
+    return track_width * contact_length * cohesion + 0.5 * mass * GRAVITY * math.tan(friction_angle)
 
 
 @formula
@@ -148,9 +145,9 @@ def resisting(speed, applied, magnitude, inverse_width):
 
     speed [m/s or rad/s], applied [N or N m] (what the drive pushes with), magnitude >= 0.
     With s = saturated_sign(speed): G = magnitude s + (1 - |s|) clip(applied, +-magnitude).
-    The result is SUBTRACTED from the applied load. Limits: |speed| >= 1 / inverse_width: S (19) exactly;
-    at standstill it balances any load up to `magnitude` exactly, so a load below the
-    resistance never sets the vehicle in motion and a coasting vehicle comes to rest.
+    The result is SUBTRACTED from the applied load. Limits: |speed| >= 1 / inverse_width gives
+    S (19) exactly; at standstill it balances any load up to `magnitude` exactly, so a load below
+    the resistance never sets the vehicle in motion and a coasting vehicle comes to rest.
     """
     s = saturated_sign(speed, inverse_width)
     held = min(max(applied, -magnitude), magnitude)

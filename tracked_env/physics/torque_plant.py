@@ -19,10 +19,9 @@ References: [1] Strawa et al., Electronics 10 (2021) 187.
 import math
 from typing import NamedTuple
 
-from tracked_env.physics.jit import formula
-
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import exponential, saturated_sign
+from tracked_env.physics.jit import formula
 
 
 class Coefficients(NamedTuple):
@@ -181,7 +180,9 @@ def constrained_loads(motion, torque_left, torque_right, k, limits):
     arm = max(0.25 * length * length - d * d, 0.0)
     magnitude = k.turning_resistance_factor * k.friction_intensity * arm
     applied = k.half_gauge * ((fr - rr) - (fl - rl))
-    return Loads(fl, fr, rl, rr, force, -soil.resisting(motion.yaw_rate, applied, magnitude, inverse_width))
+    return Loads(
+        fl, fr, rl, rr, force, -soil.resisting(motion.yaw_rate, applied, magnitude, inverse_width)
+    )
 
 
 @formula

@@ -37,7 +37,7 @@ QUANTITIES = {
     "torque_time_constant": Quantity("torque time constant", "ms", 1e3, 0),
     "cohesion": Quantity("cohesion c", "kPa", 1e-3, 1, 0.0, 80.0),
     "friction_angle": Quantity("friction angle φ", "°", _DEG, 1, 0.0, 45.0),
-    "shear_deformation_modulus": Quantity("shear modulus K", "mm", 1e3, 1, 0.0, 40.0),
+    "shear_deformation_modulus": Quantity("shear deformation K", "mm", 1e3, 1, 0.0, 40.0),
     "longitudinal_resistance": Quantity("motion resistance", "", 1.0, 2, 0.0, 1.2),
     "lateral_resistance": Quantity("lateral resistance", "", 1.0, 2, 0.0, 1.2),
     "turning_resistance_factor": Quantity("turning factor", "", 1.0, 2),

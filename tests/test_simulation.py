@@ -8,11 +8,12 @@ import pytest
 
 from tracked_env import batch as b
 from tracked_env import observation as obs
+from tracked_env.configuration import TorqueConfig
 from tracked_env.physics import state as s
 from tracked_env.physics.measurement import CHANNELS
 from tracked_env.physics.parameters import HEAVY_CLAY
 from tracked_env.sensors import PRESETS, Sensors, make_sensors
-from tracked_env.simulation import Simulation, TorqueConfig
+from tracked_env.simulation import Simulation
 from tracked_env.uncertainty import NOMINAL, SOILS, STRAWA_MAPS, UNCERTAINTY_SETS
 
 STRAIGHT = {"kind": "straight", "speed": 2.0}

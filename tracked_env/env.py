@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from tracked_env import batch as b
 from tracked_env import observation as obs
-from tracked_env.simulation import Simulation, TorqueConfig
+from tracked_env.configuration import TorqueConfig
+from tracked_env.simulation import Simulation
 from tracked_env.validation import checked_choice
 
 RENDER_MODES = ("human", "rgb_array")

@@ -9,6 +9,10 @@ Each term is between 0 and 1; the weights below say what it is worth per control
 The sum lies in [-0.1, 1]: always better to stay on the path than to end the episode.
 """
 
+import math
+
+from tracked_env import batch as b
+from tracked_env.physics import state as s
 from tracked_env.physics.jit import formula
 
 POSITION_SCALE = 0.5  # [m] distance at which the term is 1/2
@@ -45,3 +49,30 @@ def reward_terms(distance, heading_error, speed_error, left, right, left_before,
         _EFFORT * 0.5 * (left * left + right * right),
         _SMOOTHNESS * 0.125 * (change_left * change_left + change_right * change_right),
     )
+
+
+@formula
+def judge(floats, counters, i, error_limit):
+    """Reward, and whether the episode of vehicle i ends."""
+    distance = floats[i, b.ERROR_DISTANCE]
+    left, right = floats[i, b.PREVIOUS_ACTION], floats[i, b.PREVIOUS_ACTION + 1]
+    speed_error = floats[i, b.REFERENCE_MOTION] - floats[i, b.STATE + s.V_X]
+    terms = reward_terms(
+        distance,
+        floats[i, b.ERROR_YAW],
+        speed_error,
+        left,
+        right,
+        floats[i, b.ACTION_BEFORE],
+        floats[i, b.ACTION_BEFORE + 1],
+    )
+    total = 0.0
+    for row in range(len(b.REWARD_TERMS)):
+        floats[i, b.TERMS + row] = terms[row]
+        total += terms[row]
+    floats[i, b.REWARD] = total
+    floats[i, b.SQUARED_ERROR_SUM] += distance * distance
+    inside = distance <= error_limit and math.isfinite(floats[i, b.STATE + s.YAW])
+    counters[i, b.TERMINATED] = 0 if inside else 1
+    ended = counters[i, b.STEP] >= counters[i, b.MAX_STEP]
+    counters[i, b.TRUNCATED] = 1 if ended and inside else 0

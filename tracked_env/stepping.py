@@ -21,7 +21,7 @@ from tracked_env.physics.elementary import rotation, small_rotation
 from tracked_env.physics.integration import rk4_step
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_ROWS, PlantParameters
-from tracked_env.rewards import reward_terms
+from tracked_env.rewards import judge
 
 LANES = 64
 REST = 1e-12  # [m/s, rad/s] slower is rest: decaying velocities would end as slow denormals
@@ -215,33 +215,6 @@ def _move(floats, w, chosen, first, lanes, substeps, h, constrained):
 
 
 @formula
-def _judge(floats, counters, i, error_limit):
-    """Reward, and whether the episode of vehicle i ends."""
-    distance = floats[i, b.ERROR_DISTANCE]
-    left, right = floats[i, b.PREVIOUS_ACTION], floats[i, b.PREVIOUS_ACTION + 1]
-    speed_error = floats[i, b.REFERENCE_MOTION] - floats[i, b.STATE + s.V_X]
-    terms = reward_terms(
-        distance,
-        floats[i, b.ERROR_YAW],
-        speed_error,
-        left,
-        right,
-        floats[i, b.ACTION_BEFORE],
-        floats[i, b.ACTION_BEFORE + 1],
-    )
-    total = 0.0
-    for row in range(len(b.REWARD_TERMS)):
-        floats[i, b.TERMS + row] = terms[row]
-        total += terms[row]
-    floats[i, b.REWARD] = total
-    floats[i, b.SQUARED_ERROR_SUM] += distance * distance
-    inside = distance <= error_limit and math.isfinite(floats[i, b.STATE + s.YAW])
-    counters[i, b.TERMINATED] = 0 if inside else 1
-    ended = counters[i, b.STEP] >= counters[i, b.MAX_STEP]
-    counters[i, b.TRUNCATED] = 1 if ended and inside else 0
-
-
-@formula
 def _advance_reference(floats, counters, speed_profile, yaw_rate_profile, i, period):
     """Move the reference pose of vehicle i on by one control step."""
     x, y, cosine, sine, rotation = profile.advance_pose(
@@ -312,5 +285,5 @@ def advance_batch(
                 i, counters[i, b.STEP], period, observations,
             )  # fmt: skip
             if moving:
-                _judge(floats, counters, i, error_limit)
+                judge(floats, counters, i, error_limit)
     return -1

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from tracked_env import batch as b
 from tracked_env import observation as obs
+from tracked_env.configuration import TorqueConfig
 from tracked_env.env import ObsType
-from tracked_env.simulation import Simulation, TorqueConfig
+from tracked_env.simulation import Simulation
 from tracked_env.validation import checked_choice
 
 Bools = NDArray[np.bool_]

@@ -124,11 +124,11 @@ def run(
         references.append(env.simulation.reference_position(0))
     names = list(info["truth"])
     error = np.array(errors, dtype=np.float64)
-    time = 0.01 * np.arange(1, len(error) + 1)
+    time = np.array([0.01 * (k + 1) for k in range(len(errors))], dtype=np.float64)
     late = error[time >= SETTLED]
     return Run(
         time,
-        error.astype(np.float64),
+        error,
         dict(zip(names, np.array(rows).T, strict=True)),
         np.array(references).T,
         np.array(demands).T,

@@ -5,6 +5,7 @@ VENV          ?= .venv
 PIP_ARGS      ?=
 EVALUATE_ARGS ?=
 PYTEST_ARGS   ?=
+TRAIN_ARGS    ?=
 BENCHMARK_ARGS ?=
 
 BIN        := $(VENV)/bin
@@ -14,17 +15,20 @@ DOCS_STAMP := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install evaluate test lint format docs benchmark clean clean-cache
+.PHONY: help install evaluate train test lint format docs benchmark clean clean-cache
 
 help: ## list the commands
 	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-13s %s\n", $$1, $$2 }' Makefile
-	@echo "PIP_ARGS go to pip install, EVALUATE_ARGS, PYTEST_ARGS and BENCHMARK_ARGS to their program."
+	@echo "PIP_ARGS go to pip install, EVALUATE_ARGS, TRAIN_ARGS, PYTEST_ARGS and BENCHMARK_ARGS to their program."
 
 install: $(STAMP) ## create the virtual environment and install everything but the docs tools
 
 evaluate: $(STAMP) ## compare the policies on the uncertainty sets (the main job)
 	$(BIN)/python evaluate.py $(EVALUATE_ARGS)
+
+train: $(STAMP) ## train a PPO agent into runs/ppo
+	$(BIN)/python train.py $(TRAIN_ARGS)
 
 test: $(STAMP) ## run the whole test suite
 	$(BIN)/python -m pytest $(PYTEST_ARGS)

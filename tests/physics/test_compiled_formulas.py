@@ -27,6 +27,7 @@ ARGUMENTS = {
     elementary: {
         "exponential": [(x,) for x in NUMBERS],
         "small_rotation": [(x,) for x in (-0.05, 0.0, 0.003)],
+        "rotation": [(x,) for x in NUMBERS],
         "regularised_sign": [(x, 0.03) for x in NUMBERS],
         "saturated_sign": [(x, 10.0) for x in NUMBERS],
         "signed": [(3.0, x) for x in NUMBERS],

@@ -25,6 +25,7 @@ LATERAL_FRICTION_REGULARISATION = 0.03  # [m/s] lateral time constant eps / (1.5
 YAW_FRICTION_REGULARISATION = 0.06  # [rad/s] the same for the turning moment of S (21)
 STANDSTILL_SPEED = 1e-6  # [m/s] a track slower than this stands; keeps 0/0 out of the slip
 SLIP_SPEED_FLOOR = 1e-3  # [m/s] the slip ratio fades to 0 when track and soil both stand
+LEAST_EFFORT = 1e-6  # [N] F_max of a soil without cohesion and friction; keeps 0/0 out
 SERIES_LIMIT = 0.125  # [-] below it power series replace closed forms that would cancel
 
 
@@ -126,7 +127,7 @@ def belt_speed(effort, track_speed, slip_ratio, speed_limit):
     speed = max(abs(track_speed), STANDSTILL_SPEED)
     slip = abs(slip_ratio)
     faster = min(speed / max(1.0 - slip, 1e-12), max(speed_limit, speed))
-    driving = effort * track_speed >= 0.0
+    driving = effort * track_speed >= 0.0 or abs(track_speed) < STANDSTILL_SPEED
     magnitude = faster if driving else speed * (1.0 - slip)
     direction = track_speed if abs(track_speed) > STANDSTILL_SPEED else effort
     moves = abs(track_speed) > STANDSTILL_SPEED or slip >= 1.0 - 1e-6

@@ -81,6 +81,7 @@ def drive_limits(p):
     maximum = soil.maximum_tractive_effort(
         p.cohesion, p.friction_angle, p.track_width, p.contact_length, p.mass
     )
+    maximum = max(maximum, soil.LEAST_EFFORT)
     shear_length = p.contact_length / p.shear_deformation_modulus
     limit = maximum * soil.mobilised_shear(shear_length)
     return DriveLimits(

@@ -215,7 +215,7 @@ def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"sets": ("soil",)}, "unknown uncertainty set 'soil'"),
+        ({"sets": ("ood", "soil")}, "unknown uncertainty set 'soil'"),
         ({"sets": ()}, "must be one or more"),
         ({"sets": ("ood", "ood")}, "each named once"),
         ({"episodes": 0}, "episodes = 0; must be at least 1"),

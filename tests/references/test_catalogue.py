@@ -1,0 +1,118 @@
+"""The catalogue of references against closed forms, symmetries and the limits they promise."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import fresnel, j0, struve
+
+from tests.references.reference_cases import DURATION, SMOOTH_KINDS, build
+from tracked_env.references import catalogue, make_reference, sample
+
+
+@pytest.mark.parametrize("kind", SMOOTH_KINDS)
+def test_smooth_references_have_no_jump_up_to_the_third_derivative_of_position(kind, rng):
+    profile = build(kind, rng, **({"initial_speed": 0.5} if kind == "straight" else {}))
+    knots = 0.5 * np.arange(1, len(profile.speed) - 1)  # the spiral ends at the last one
+    before, after = sample(profile, knots - 1e-9), sample(profile, knots)
+    for field in ("speed", "acceleration", "jerk", "yaw_rate", "yaw_acceleration"):
+        np.testing.assert_allclose(getattr(before, field), getattr(after, field), atol=1e-7)
+
+
+def test_a_circle_closes_after_a_revolution_and_keeps_its_distance_to_the_centre(rng):
+    profile = build("circle", rng, speed=2.0, radius=5.0)
+    period = 2.0 * math.pi * 5.0 / 2.0
+    path = sample(profile, np.linspace(0.0, period, 200))
+    np.testing.assert_allclose([path.x[-1], path.y[-1]], [0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(np.hypot(path.x, path.y - 5.0), 5.0, atol=1e-9)
+    assert path.yaw[-1] == pytest.approx(2.0 * math.pi, abs=1e-12)
+
+
+def test_a_reversed_circle_keeps_its_centre_on_the_side_of_its_direction(rng):
+    path = sample(build("circle", rng, speed=-2.0, radius=5.0), np.linspace(0.0, 10.0, 50))
+    np.testing.assert_allclose(np.hypot(path.x, path.y - 5.0), 5.0, atol=1e-9)
+    assert path.x[1] < 0.0 and path.yaw_rate[0] < 0.0
+
+
+def test_the_figure_eight_closes_and_its_tips_are_its_size_apart(rng):
+    speed, size = 2.0, 30.0
+    assert j0(catalogue.EIGHT_AMPLITUDE) == pytest.approx(0.0, abs=1e-15)
+    assert struve(0, catalogue.EIGHT_AMPLITUDE) == pytest.approx(catalogue.EIGHT_EXTENT, rel=1e-14)
+    spec = {"kind": "figure_eight", "speed": speed, "size": size}
+    profile = make_reference(spec, 45.0, rng)
+    period = 2.0 * size / catalogue.EIGHT_EXTENT / speed
+    path = sample(profile, period * np.array([0.0, 0.25, 0.5, 0.75, 1.0]))
+    np.testing.assert_allclose([path.x[[2, 4]], path.y[[2, 4]]], 0.0, atol=1e-9)
+    assert path.yaw[-1] == pytest.approx(0.0, abs=1e-10)
+    tips = math.hypot(path.x[3] - path.x[1], path.y[3] - path.y[1])
+    assert tips == pytest.approx(size, abs=1e-8)
+    assert path.yaw_rate[1] / speed == pytest.approx(5.664 / size, rel=1e-4)
+
+
+def test_the_spiral_is_a_clothoid_with_the_radii_that_were_asked_for(rng):
+    speed, radius_end = 2.0, 8.0
+    profile = build("spiral", rng, speed=speed, radius_start=1e4, radius_end=radius_end)
+    path = sample(profile, np.linspace(0.0, DURATION, 50))
+    curvature = path.yaw_rate / path.speed
+    line = 1e-4 + (1.0 / radius_end - 1e-4) * np.linspace(0.0, 1.0, 50)
+    np.testing.assert_allclose(curvature, line, atol=1e-14)
+    # Closed form: yaw = a t + b t^2, so the position is a difference of Fresnel integrals.
+    a, b = speed * 1e-4, 0.5 * speed * (1.0 / radius_end - 1e-4) / DURATION
+    shift, scale = a / (2.0 * b), math.sqrt(2.0 * b / math.pi)
+    (s1, c1), (s0, c0) = fresnel(scale * (DURATION + shift)), fresnel(scale * shift)
+    turn, factor = b * shift**2, speed / scale
+    x = factor * (math.cos(turn) * (c1 - c0) + math.sin(turn) * (s1 - s0))
+    y = factor * (math.cos(turn) * (s1 - s0) - math.sin(turn) * (c1 - c0))
+    np.testing.assert_allclose([path.x[-1], path.y[-1]], [x, y], atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", ["circle", "figure_eight", "spiral", "identification"])
+def test_the_other_direction_is_the_mirror_image(kind, rng):
+    times = np.linspace(0.0, DURATION, 101)
+    left = sample(build(kind, rng, direction=1), times)
+    right = sample(build(kind, rng, direction=-1), times)
+    for field in ("y", "yaw", "yaw_rate", "yaw_acceleration"):
+        assert np.array_equal(getattr(left, field), -getattr(right, field))
+    for field in ("x", "speed", "acceleration", "jerk"):
+        assert np.array_equal(getattr(left, field), getattr(right, field))
+    assert left.yaw_rate.max() > 0.0
+
+
+def test_the_straight_ramp_keeps_its_acceleration_and_ends_at_its_speed(rng):
+    profile = build("straight", rng, speed=3.0, initial_speed=-1.0, acceleration=0.8)
+    path = sample(profile, np.linspace(0.0, DURATION, 3001))
+    assert path.speed[0] == pytest.approx(-1.0, abs=1e-14) and path.speed[-1] == 3.0
+    assert 0.7 < path.acceleration.max() <= 0.8 and path.acceleration.min() >= -1e-12
+    assert not path.y.any() and not path.yaw.any()
+
+
+def test_the_identification_manoeuvre_is_straight_for_7_s_then_its_curvature_grows(rng):
+    path = sample(build("identification", rng, radius_end=6.0), np.linspace(0.0, 30.5, 306))
+    curvature = path.yaw_rate / path.speed
+    assert np.abs(path.yaw_rate[:70]).max() < 1e-12
+    assert np.all(np.diff(curvature[72:]) > 0.0)
+    assert curvature[-1] == pytest.approx(1.0 / 6.0, rel=1e-6)
+    assert path.speed[0] == pytest.approx(0.5) and np.ptp(path.speed[50:]) > 0.35
+
+
+def test_the_chicane_jumps_as_focchi_53_prints(rng):
+    profile = build("chicane", rng, speed=0.2, yaw_rate=0.3)
+    path = sample(profile, [0.0, 1.0, 2.0 - 1e-9, 2.0, 11.9, 12.0, 20.0])
+    np.testing.assert_allclose(path.speed, [0.0, 0.2, 0.4, 0.2, 0.2, 0.2, 0.2], atol=1e-8)
+    np.testing.assert_allclose(path.yaw_rate, [0.0, 0.0, 0.0, 0.3, 0.3, -0.3, -0.3])
+
+
+def test_random_paths_stay_within_all_their_limits_and_use_them():
+    limits = {"speed_range": [0.5, 4.0], "yaw_rate_limit": 0.8, "lateral_acceleration_limit": 1.2}
+    extremes = []
+    for seed in range(40):
+        profile = build("random", np.random.default_rng(seed), **limits)
+        path = sample(profile, np.linspace(0.0, DURATION + 3.0, 1001))
+        lateral = np.abs(path.speed * path.yaw_rate)
+        assert path.speed.min() >= 0.5 - 1e-12 and path.speed.max() <= 4.0 + 1e-12
+        assert np.abs(path.yaw_rate).max() <= 0.8 + 1e-12
+        assert lateral.max() <= 1.2 + 1e-12
+        assert np.abs(path.acceleration).max() <= 3.5 / 2.0 + 1e-12
+        assert path.acceleration[0] == pytest.approx(0.0, abs=1e-12)
+        extremes.append((np.ptp(path.speed), np.abs(path.yaw_rate).max(), lateral.max()))
+    assert np.all(np.mean(extremes, axis=0) > [2.5, 0.35, 0.9])

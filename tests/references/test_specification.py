@@ -1,0 +1,105 @@
+"""Specifications: what is drawn from them, the arrays they give, and what refusals say."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from tests.references.reference_cases import DURATION, KINDS, POINTS
+from tracked_env.references import make_reference, sample
+from tracked_env.references.specification import MIXED
+
+
+@pytest.mark.parametrize("duration", [0.5, 7.3, 20.0, 20.2])
+def test_the_number_of_segments_depends_on_the_duration_alone(duration, rng):
+    for kind in KINDS:
+        spec = {"kind": kind, "points": POINTS} if kind == "waypoints" else kind
+        profile = make_reference(spec, duration, rng)
+        shape = (math.ceil(duration / 0.5) + 1, 6)
+        assert profile.speed.shape == profile.yaw_rate.shape == shape
+        for array in (profile.speed, profile.yaw_rate):
+            assert array.dtype == np.float64 and array.flags.c_contiguous and array.flags.writeable
+
+
+def test_the_same_generator_gives_the_same_reference_and_another_one_another():
+    for kind in ("random", "mixed"):
+        one, same, other = (
+            make_reference(kind, DURATION, np.random.default_rng(seed)) for seed in (1, 1, 2)
+        )
+        assert np.array_equal(one.speed, same.speed)
+        assert np.array_equal(one.yaw_rate, same.yaw_rate)
+        assert not np.array_equal(one.yaw_rate, other.yaw_rate)
+
+
+def test_a_pair_is_drawn_uniformly_whatever_the_order_of_the_keys():
+    spec = {"kind": "circle", "radius": [5.0, 15.0], "speed": [1.0, 2.0], "direction": [-1, 1]}
+    turned = dict(reversed(spec.items()))
+    speeds, radii = [], []
+    for seed in range(200):
+        one = make_reference(spec, 5.0, np.random.default_rng(seed))
+        two = make_reference(turned, 5.0, np.random.default_rng(seed))
+        assert np.array_equal(one.yaw_rate, two.yaw_rate) and np.array_equal(one.speed, two.speed)
+        speeds.append(one.speed[0, 0])
+        radii.append(one.speed[0, 0] / one.yaw_rate[0, 0])
+    assert 1.0 <= min(speeds) < 1.05 and 1.95 < max(speeds) <= 2.0
+    assert 5.0 <= min(np.abs(radii)) < 5.5 and 14.5 < max(np.abs(radii)) <= 15.0
+    assert 60 < np.sum(np.array(radii) > 0.0) < 140
+
+
+def test_mixed_references_keep_the_lateral_acceleration_that_their_table_promises(rng):
+    for spec in MIXED:
+        choices = [value if isinstance(value, list) else [value] for value in spec.values()]
+        for corner in itertools.product(*choices):
+            extreme = dict(zip(spec, corner, strict=True))
+            path = sample(make_reference(extreme, 20.0, rng), np.linspace(0.0, 20.0, 201))
+            assert np.abs(path.speed * path.yaw_rate).max() <= 1.5 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("circel", ["'circel'", "must be one of straight, circle"]),
+        (3, ["reference = 3", "a name or a dictionary"]),
+        (
+            {"kind": "circle", "raduis": 3.0},
+            ["'raduis'", "speed, radius, direction", "misspelling"],
+        ),
+        ({"kind": "waypoints", "points": POINTS, "x": 1.0}, ["'x'", "points, speed"]),
+        ({"kind": "circle", "radius": -3.0}, ["radius = -3.0 m", "[1, 10000] m", "direction"]),
+        ({"kind": "circle", "speed": 7.2}, ["speed = 7.2 m/s", "[-5, 5]", "km/h"]),
+        ({"kind": "circle", "speed": math.nan}, ["speed = nan m/s"]),
+        ({"kind": "circle", "speed": True}, ["speed = True"]),
+        ({"kind": "circle", "speed": "fast"}, ["speed = 'fast'"]),
+        ({"kind": "circle", "speed": None}, ["speed = None"]),
+        ({"kind": "circle", "speed": [2.0, 1.0]}, ["low <= high", "Swap"]),
+        ({"kind": "circle", "speed": [1.0, 2.0, 3.0]}, ["[low, high]"]),
+        ({"kind": "circle", "yaw": 180.0}, ["yaw = 180.0 rad", "degrees"]),
+        ({"kind": "circle", "direction": 0.5}, ["direction = 0.5", "+1 (left), -1 (right)"]),
+        ({"kind": "figure_eight", "speed": -1.0}, ["speed = -1.0 m/s", "reverse"]),
+        ({"kind": "figure_eight", "speed": 5.0, "size": 5.0}, ["<= 5.0 rad/s", "lower the speed"]),
+        ({"kind": "chicane", "turn_time": 2.2}, ["turn_time = 2.2 s", "multiple of 0.5 s"]),
+        ({"kind": "chicane", "switch_time": 1.0}, ["switch_time = 1.0 s", "turn_time = 2.0 s"]),
+        ({"kind": "random", "speed_range": [3.0, 1.0]}, ["speed_range", "low <= high"]),
+        ({"kind": "waypoints"}, ["points missing"]),
+        ({"kind": "waypoints", "points": [[0.0, 0.0]]}, ["(1, 2)", "2 <= M"]),
+        ({"kind": "waypoints", "points": [[0, 1, 2], [0, 1, 2]]}, ["(2, 3)", "(2, M)"]),
+        ({"kind": "waypoints", "points": [[0, 0], [math.nan, 1]]}, ["NaN"]),
+        ({"kind": "waypoints", "points": [[0, 0], [0, 0], [1, 1]]}, ["0 and 1", "repeated"]),
+        (
+            {"kind": "waypoints", "points": [[0, 0], [1, 0], [1, 1], [0, 1], [0, 2]], "speed": 3.0},
+            ["misses way-point", "lower the speed"],
+        ),
+    ],
+)
+def test_a_bad_specification_is_refused_with_quantity_value_range_and_cause(spec, words, rng):
+    with pytest.raises(ValueError) as error:
+        make_reference(spec, DURATION, rng)
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, math.nan, math.inf, 1e5])
+def test_a_bad_duration_is_refused(duration, rng):
+    with pytest.raises(ValueError, match=r"duration = .* s; must be a number within"):
+        make_reference("circle", duration, rng)

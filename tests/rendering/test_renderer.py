@@ -1,0 +1,153 @@
+"""Pictures come in every way Gymnasium asks for them, repeat, and name what is wrong."""
+
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pygame
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RecordVideo
+
+import tracked_env  # noqa: F401
+from tests.rendering.picture_cases import CENTRED, SHAPE, driven, started
+from tracked_env import batch as b
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.rendering import Renderer, canvas, snapshot
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+ID = "tracked_env/Torque-v0"
+
+
+def test_a_picture_is_an_rgb_array_and_opens_no_window() -> None:
+    picture = driven(started(), 3)
+    assert (picture.shape, picture.dtype) == (SHAPE, np.uint8)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
+    code = (
+        "import gymnasium, pygame, tracked_env\n"
+        f"env = gymnasium.make('{ID}', render_mode='rgb_array')\n"
+        "env.reset(seed=0); env.render()\n"
+        "assert not pygame.display.get_init() and pygame.display.get_surface() is None"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_same_calls_give_the_same_pixels() -> None:
+    first, second = (started(uncertainty="mixed", sensors="rtk") for _ in range(2))
+    one, other = driven(first, 20, 0.2, 0.4), driven(second, 20, 0.2, 0.4)
+    assert np.array_equal(one, other)
+    again = first.render()
+    assert again is not None and np.array_equal(one, again)
+    assert not np.array_equal(one, driven(first, 20))
+
+
+def test_a_new_episode_forgets_the_old_one() -> None:
+    used = started()
+    driven(used, 30)
+    used.reset(seed=3, options={"start": CENTRED})
+    assert np.array_equal(driven(used, 5), driven(started(), 5))
+
+
+def test_the_vector_environment_draws_each_row_as_the_single_one_does() -> None:
+    vector = TrackedVehicleVectorEnv(2, render_mode="rgb_array")
+    single = TrackedVehicleEnv(render_mode="rgb_array")
+    vector.reset(seed=5)
+    single.reset(seed=6)
+    action = np.array([0.3, 0.2], dtype=np.float32)
+    for _ in range(5):
+        vector.step(np.stack([action, action]))
+        single.step(action)
+        pictures, picture = vector.render(), single.render()
+    assert pictures is not None and picture is not None and len(pictures) == 2
+    assert np.array_equal(pictures[1], picture)
+    assert not np.array_equal(pictures[0], picture)
+    vector.close()
+
+
+def test_closing_twice_and_drawing_again_work_even_after_pygame_quit() -> None:
+    env = started()
+    drawing = Renderer("rgb_array", 50)
+    drawing.close()
+    for disturb in (drawing.close, drawing.close, pygame.quit, pygame.font.init):
+        disturb()
+        picture = driven(env, 1)
+        again = drawing.draw(env.simulation, 0)
+        assert again is not None and np.abs(again.astype(int) - picture).mean() < 0.5
+
+
+def test_a_window_shows_what_the_array_holds_and_closes() -> None:
+    env = started()
+    human, other = Renderer("human", 1000), Renderer("human", 1000)
+    picture = Renderer("rgb_array", 50).draw(env.simulation, 0)
+    for window in (human, other):
+        assert window.draw(env.simulation, 0) is None
+    assert picture is not None and human._window is not None and other._window is not None
+    assert human._window is not other._window
+    assert np.array_equal(canvas.to_array(human._window.get_surface()), picture)
+    for window in (human, human, other):
+        window.close()
+    assert human._window is None
+    assert human.draw(env.simulation, 0) is None
+    human.close()
+
+
+def test_gymnasium_checks_the_environment_and_its_rendering_without_a_warning() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gymnasium.make(ID, render_mode="rgb_array").unwrapped)
+
+
+def test_a_recorded_video_can_be_played(tmp_path: Path) -> None:
+    moviepy = pytest.importorskip("moviepy")
+    base = gymnasium.make(ID, render_mode="rgb_array", duration=0.5, uncertainty="drift")
+    env = RecordVideo(base, str(tmp_path / "videos"), episode_trigger=lambda episode: True)
+    env.reset(seed=0)
+    done = False
+    while not done:
+        done = any(env.step(np.array([0.3, 0.3], dtype=np.float32))[2:4])
+    last = base.render()
+    env.close()
+    (file,) = tmp_path.glob("videos/*.mp4")
+    with moviepy.VideoFileClip(str(file)) as clip:
+        frames = list(clip.iter_frames())
+        assert clip.fps == 50
+    assert len(frames) == pytest.approx(26, abs=1)
+    assert frames[-1].shape == SHAPE
+    assert isinstance(last, np.ndarray)
+    assert np.abs(frames[-1].astype(float) - last).mean() < 4.0  # lossy
+
+
+def test_a_state_that_is_not_finite_is_drawn_and_named() -> None:
+    env = started()
+    driven(env, 2)
+    env.simulation.batch.floats[0, b.STATE : b.STATE + 6] = np.nan
+    assert env.render() is not None
+    assert "not finite" in snapshot.take(env.simulation, 0).ending
+
+
+def test_wrong_arguments_are_named() -> None:
+    with pytest.raises(ValueError, match="render_mode"):
+        Renderer("ansi", 50)
+    with pytest.raises(ValueError, match="pixels_per_metre = 7"):
+        Renderer("rgb_array", 50, pixels_per_metre=7)
+    with pytest.raises(ValueError, match="soil_parameter"):
+        Renderer("rgb_array", 50, soil_parameter="mass")
+    env = TrackedVehicleEnv(render_mode="rgb_array")
+    with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
+        env.render()
+
+
+@pytest.mark.parametrize(("module", "word"), [("None", "not installed"), ("Old()", "older")])
+def test_without_pygame_ce_the_error_names_what_to_install(module: str, word: str) -> None:
+    code = (
+        "import sys, types, tracked_env\n"
+        "Old = lambda: types.ModuleType('pygame')\n"
+        f"sys.modules['pygame'] = {module}\n"
+        "try:\n    import tracked_env.rendering\n"
+        "except ImportError as error:\n    print(error)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert 'tracked-env[render]"' in said.stdout and word in said.stdout

@@ -1,0 +1,106 @@
+"""The scene: vehicle, reference and forces are drawn where they are, at every size."""
+
+import numpy as np
+import pygame
+import pytest
+from numpy.typing import NDArray
+
+from tests.rendering.picture_cases import (
+    CENTRED,
+    SHAPE,
+    Picture,
+    driven,
+    pixel,
+    region,
+    started,
+)
+from tracked_env.rendering import Renderer, canvas, snapshot
+
+
+def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it() -> None:
+    pale, brown = canvas.SOIL_SCALE[0].tolist(), canvas.SOIL_SCALE[170].tolist()
+    at_left = started({"schedule": [region(0.0, 5.5)]}).render()
+    assert at_left is not None
+    assert pixel(at_left, 0.1, 5.4) == pale
+    assert pixel(at_left, 0.1, -5.4) == brown
+    ahead = started({"schedule": [region(5.5, 0.0)]}).render()
+    assert ahead is not None
+    assert pixel(ahead, 5.4, -0.4) == pale
+    assert pixel(ahead, -5.4, -0.4) == brown
+
+
+def rows_of(picture: Picture, colour: canvas.Colour) -> NDArray[np.float64]:
+    """How far above the middle of the scene [m] each pixel of that colour is."""
+    scene = picture[60:580, :680]
+    rows = np.flatnonzero((scene == colour).all(axis=2).any(axis=1))
+    return (260 - rows) / 40
+
+
+def test_forces_and_reference_are_drawn_on_the_side_where_they_are() -> None:
+    env = started({"start": {**CENTRED, "offset_y": -3.0}})
+    for _ in range(3):
+        env.step(np.array([0.05, 0.5], dtype=np.float32))
+    picture = env.render()
+    assert picture is not None
+    blue, green = rows_of(picture, canvas.BLUE), rows_of(picture, canvas.GREEN)
+    assert 3.9 < blue.max() < 4.1  # the left edge of the reference's footprint
+    assert -1.4 < green.min() < green.max() < -0.9  # only the right track pushes
+    arrow = (picture[60:580, :680] == canvas.GREEN).all(axis=2).sum()
+    assert arrow > 120  # 9 kN; the 1 kN on the left has no pixel of the pure colour
+
+
+def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture() -> None:
+    pictures = []
+    for side in (1, -1):
+        env = started({"start": {**CENTRED, "offset_y": 1.0 * side}})
+        torques = (0.18, 0.35)[::side]
+        pictures.append(driven(env, 60, *torques)[70:571, 70:670])  # row 320 is the middle
+    # Vehicle, ghost, lines and arrows, but not ground and grid:
+    dark = [picture.max(axis=2) < 180 for picture in pictures]
+    assert dark[0].sum() > 3000
+    flipped = dark[1][::-1]
+    wrong = [np.mean(dark[0] != other) / dark[0].mean() for other in (flipped, dark[1])]
+    assert wrong[0] < 0.06 < 0.5 < wrong[1]
+
+
+def test_drawn_forces_balance_as_in_the_plant() -> None:
+    env = started(lateral="sliding")
+    for _ in range(20):
+        env.step(np.array([0.2, 0.6], dtype=np.float32))
+    shot = snapshot.take(env.simulation, 0)
+    drawbar = shot.state.effort_left + shot.state.effort_right - sum(shot.resistance)
+    assert drawbar == pytest.approx(shot.parameters.mass * shot.state.acceleration_x, rel=1e-9)
+    assert min(shot.resistance) > 1000.0
+    assert shot.lateral_force > 1000.0  # turning left, the soil pushes to the left
+    picture = env.render()
+    assert picture is not None
+    assert rows_of(picture, canvas.PURPLE).mean() > 0.1
+
+
+@pytest.mark.parametrize(
+    "vehicle",
+    [
+        {"mass": 1e5, "inertia": 1e6, "contact_length": 10.0, "track_gauge": 10.0,
+         "torque_limit": 1e6},
+        {"mass": 10.0, "inertia": 0.5, "contact_length": 0.1, "track_gauge": 0.1,
+         "track_width": 0.01, "torque_limit": 0.1},
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("zoom", [20, 100])
+def test_the_largest_and_the_smallest_vehicle_can_be_drawn(
+    vehicle: dict[str, float], zoom: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make, sizes = canvas.surface, []
+
+    def recorded(width: int, height: int, transparent: bool = False) -> pygame.Surface:
+        sizes.append(width * height)
+        return make(width, height, transparent)
+
+    monkeypatch.setattr(canvas, "surface", recorded)
+    env = started({"vehicle": vehicle}, error_limit=1e6)
+    drawing = Renderer("rgb_array", 50, pixels_per_metre=zoom)
+    for _ in range(10):
+        env.step(np.array([1.0, -1.0], dtype=np.float32))
+        picture = drawing.draw(env.simulation, 0)
+    assert picture is not None and picture.shape == SHAPE
+    assert max(sizes) < 16e6  # a sprite is no larger than what can be seen of it

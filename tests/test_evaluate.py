@@ -109,7 +109,7 @@ def test_a_policy_of_another_package_is_compared_from_its_folder(
     [
         ({"sensors": "gps"}, "unknown sensor preset 'gps'"),
         ({"sets": ("mud",)}, "unknown uncertainty set 'mud'"),
-        ({"policies": ("agent.zip",)}, "cannot be loaded yet"),
+        ({"policies": ("agent.zip",)}, "no such file"),
         ({"reference": '{"kind": '}, "not a JSON object"),
     ],
 )

@@ -29,7 +29,10 @@ PERIOD_LIMIT = 10.0  # [s] longest sampling period
 
 
 class Sensors(NamedTuple):
-    """Errors of all sensors; defaults are the ideal ones. Rates of 0 mean every control step."""
+    """Errors of all sensors; defaults are the ideal ones.
+
+    Rates of 0 mean every control step; others, and delays, are rounded to whole control steps.
+    """
 
     position_noise: float = 0.0  # [m] sigma of x and of y
     yaw_noise: float = 0.0  # [rad] sigma

@@ -75,7 +75,11 @@ class Simulation:
             rng = self.rngs[i]
             if rng is None:
                 raise ValueError(f"vehicle {i} has no random stream: call reset(seed=...) first")
-            drawn.append(draw_episode(rng, self.settings, given))
+            try:
+                drawn.append(draw_episode(rng, self.settings, given))
+            except ValueError as error:
+                where = f"vehicle {i}: " if self.count > 1 else ""
+                raise ValueError(f"{where}{error}") from error
         for i, episode in zip(chosen, drawn, strict=True):
             self._load(int(i), episode)
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)

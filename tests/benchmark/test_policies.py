@@ -84,7 +84,7 @@ def test_a_factory_with_an_argument_named_context_gets_it(module: str) -> None:
     ("spec", "message"),
     [
         ("nominl", "Did you mean 'nominal'"),
-        ("agents/ppo.zip", "cannot be loaded yet.*module:function"),
+        ("agents/ppo.zip", "not loaded by the harness.*module:function"),
         ("no_such_module:policy", "No module named 'no_such_module'.*current folder"),
         ("{module}:Missing", "no attribute 'Missing'"),
         ("{module}:NOTHING", "no `predict` and is no factory"),

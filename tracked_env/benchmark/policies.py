@@ -112,7 +112,7 @@ def load_policy(spec: str, registry: Mapping[str, PolicyFactory]) -> PolicyEntry
         return PolicyEntry(spec, make, source_fingerprint(make.__module__))
     if spec.endswith(".zip"):
         raise ValueError(
-            f"policy {spec!r}: archives of trained agents cannot be loaded yet. Wrap it: a module "
+            f"policy {spec!r}: archives of agents are not loaded by the harness. Wrap it: a module "
             "with a function that loads the archive and returns it, passed as module:function. "
             f"Named policies are {sorted(registry)}."
         )

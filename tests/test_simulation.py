@@ -48,7 +48,7 @@ def test_sensor_noise_and_bias_have_the_laws_of_the_preset():
     for _ in range(steps):
         simulation.step(actions)
         state = simulation.batch.floats[:, b.STATE : b.STATE + s.STATE_ROWS]
-        delivered = simulation.batch.floats[:, b.DELIVERED : b.DELIVERED + len(CHANNELS)]
+        delivered = simulation.batch.floats[:, b.SAMPLE : b.SAMPLE + len(CHANNELS)]
         truth = np.zeros_like(delivered)
         for c, name in enumerate(CHANNELS):
             if "torque" not in name:

@@ -3,10 +3,11 @@
 Everything the kernels touch lives in a few arrays, one vehicle per row:
     floats    (N, FLOAT_COLUMNS)   state, parameters, reference, sensors, bookkeeping
     counters  (N, COUNTER_COLUMNS) integers: clocks and flags
-    speed_profile, yaw_rate_profile (N, S, 6)  polynomials of the reference
+    profile   (S, N, 12)           reference: polynomials of speed (6) and of yaw rate (6)
     events    (N, E, EVENT_FIELDS) what changes inside the episode
-    noise     (N, NOISE_BLOCK, NOISE_COUNT) float32 normal numbers drawn ahead
+    noise     (NOISE_BLOCK, N, NOISE_COUNT) float32 normal numbers drawn ahead
     history   (N, H, DELIVERED_COUNT) past samples, for delayed sensors
+Profile and noise have the time first: vehicles that run in step then read one stream of memory.
 A column is an offset, so that a kernel takes one array instead of a hundred.
 """
 
@@ -33,8 +34,7 @@ REWARD_TERMS = ("position", "heading", "speed", "effort", "smoothness")
 # --- columns of `floats` -------------------------------------------------------------------
 STATE = 0
 PARAMETERS = STATE + STATE_ROWS  # in force now
-BASE = PARAMETERS + PARAMETER_ROWS  # at the start of the episode
-COEFFICIENTS = BASE + PARAMETER_ROWS  # derived from PARAMETERS
+COEFFICIENTS = PARAMETERS + PARAMETER_ROWS  # derived from PARAMETERS
 DRIVE = COEFFICIENTS + COEFFICIENT_COUNT  # derived from PARAMETERS
 TORQUE_DECAY = DRIVE + DRIVE_COUNT  # [-] exp(-h / 2T) of half a sub-step
 REFERENCE_X = TORQUE_DECAY + 1  # [m]
@@ -48,19 +48,20 @@ SIGMA = AHEAD_YAW_RATE + AHEAD  # standard deviation per channel
 BIAS = SIGMA + CHANNEL_COUNT  # per channel
 CROSS_COUPLING = BIAS + CHANNEL_COUNT  # [-]
 DROPOUT = CROSS_COUPLING + 1  # per group: a normal number below it loses the sample
-READING = DROPOUT + GROUP_COUNT  # what each channel would read now
-SAMPLE = READING + CHANNEL_COUNT  # latest samples, and the step each group was sampled
-DELIVERED = SAMPLE + DELIVERED_COUNT  # what has arrived: samples after their delay
+SAMPLE = DROPOUT + GROUP_COUNT  # latest samples, and the step each group was sampled
+DELIVERED = SAMPLE + DELIVERED_COUNT  # samples after their delay; unused while nobody has one
 ERROR_X = DELIVERED + DELIVERED_COUNT  # [m] true error, reference minus vehicle, body frame
 ERROR_Y = ERROR_X + 1  # [m]
+# What a step reports lies together, so that one pass over the batch collects it.
 ERROR_DISTANCE = ERROR_Y + 1  # [m]
 ERROR_YAW = ERROR_DISTANCE + 1  # [rad]
-SQUARED_ERROR_SUM = ERROR_YAW + 1  # [m^2] over the episode, for its RMSE
-REWARD = SQUARED_ERROR_SUM + 1
+REWARD = ERROR_YAW + 1
 TERMS = REWARD + 1  # one per reward term
-PREVIOUS_ACTION = TERMS + len(REWARD_TERMS)  # left, right
+SQUARED_ERROR_SUM = TERMS + len(REWARD_TERMS)  # [m^2] over the episode, for its RMSE
+PREVIOUS_ACTION = SQUARED_ERROR_SUM + 1  # left, right
 ACTION_BEFORE = PREVIOUS_ACTION + 2  # left, right
-FLOAT_COLUMNS = ACTION_BEFORE + 2
+BASE = ACTION_BEFORE + 2  # parameters at the start of the episode
+FLOAT_COLUMNS = BASE + PARAMETER_ROWS
 
 # --- columns of `counters` -----------------------------------------------------------------
 STEP = 0  # control steps since reset
@@ -79,8 +80,7 @@ class Batch(NamedTuple):
 
     floats: NDArray[np.float64]
     counters: NDArray[np.int64]
-    speed_profile: NDArray[np.float64]
-    yaw_rate_profile: NDArray[np.float64]
+    profile: NDArray[np.float64]
     events: NDArray[np.float64]
     noise: NDArray[np.float32]
     history: NDArray[np.float64]
@@ -91,10 +91,9 @@ def allocate(count: int, segments: int, events: int = 1, history: int = 1) -> Ba
     return Batch(
         np.zeros((count, FLOAT_COLUMNS)),
         np.zeros((count, COUNTER_COLUMNS), dtype=np.int64),
-        np.zeros((count, segments, 6)),
-        np.zeros((count, segments, 6)),
+        np.zeros((segments, count, 12)),
         np.zeros((count, events, EVENT_FIELDS)),
-        np.zeros((count, NOISE_BLOCK, NOISE_COUNT), dtype=np.float32),
+        np.zeros((NOISE_BLOCK, count, NOISE_COUNT), dtype=np.float32),
         np.zeros((count, history, DELIVERED_COUNT)),
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from tracked_env import batch as b
 from tracked_env import observation as obs
 from tracked_env.physics import measurement
-from tracked_env.physics import reference_profile as profile
+from tracked_env.physics import reference_profile
 from tracked_env.physics import state as s
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula
@@ -44,14 +44,14 @@ def wrapped(angle):
 
 
 @formula
-def reference_rates(floats, speed_profile, yaw_rate_profile, i, time):
+def reference_rates(floats, profile, i, time):
     """Reference rates at `time` [s] and ahead, into their rows."""
-    speed, yaw_rate = speed_profile[i], yaw_rate_profile[i]
-    rates = profile.evaluate(speed, yaw_rate, time)
+    speed, yaw_rate = profile[:, i, :6], profile[:, i, 6:]
+    rates = reference_profile.evaluate(speed, yaw_rate, time)
     for row in range(5):
         floats[i, b.REFERENCE_MOTION + row] = rates[row]
     for j in range(b.AHEAD):
-        v, w = profile.speed_and_yaw_rate(speed, yaw_rate, time + _AHEAD_TIMES[j])
+        v, w = reference_profile.speed_and_yaw_rate(speed, yaw_rate, time + _AHEAD_TIMES[j])
         floats[i, b.AHEAD_SPEED + j] = v
         floats[i, b.AHEAD_YAW_RATE + j] = w
 
@@ -61,27 +61,24 @@ def sample_sensors(floats, counters, noise, i, step):
     """Take this step's samples of vehicle i; `step` counts control steps since reset."""
     cursor = counters[i, b.NOISE_CURSOR]
     truth = measurement.signals(floats, i, floats[i, _RADIUS], floats[i, b.CROSS_COUPLING])
-    for c in range(measurement.CHANNEL_COUNT):
-        error = floats[i, b.BIAS + c] + floats[i, b.SIGMA + c] * noise[i, cursor, c]
-        floats[i, b.READING + c] = truth[c] + error
     for g in range(b.GROUP_COUNT):
         period = counters[i, b.PERIOD + g]
         due = period == 1 or step % period == 0
-        lost = noise[i, cursor, measurement.CHANNEL_COUNT + g] < floats[i, b.DROPOUT + g]
+        lost = noise[cursor, i, measurement.CHANNEL_COUNT + g] < floats[i, b.DROPOUT + g]
         if due and (not lost or step == 0):
             for c in range(GROUP_START[g], GROUP_START[g + 1]):
-                floats[i, b.SAMPLE + c] = floats[i, b.READING + c]
+                error = floats[i, b.BIAS + c] + floats[i, b.SIGMA + c] * noise[cursor, i, c]
+                floats[i, b.SAMPLE + c] = truth[c] + error
             floats[i, b.SAMPLE + measurement.CHANNEL_COUNT + g] = step
 
 
 @formula
 def deliver(floats, counters, history, i, step):
-    """Pass on the samples that have arrived after each group's delay."""
+    """Pass on the samples that have arrived after each group's delay: returns the column
+    where they start."""
     slots = history.shape[1]
     if slots == 1:  # nobody in this batch has a delayed sensor
-        for row in range(b.DELIVERED_COUNT):
-            floats[i, b.DELIVERED + row] = floats[i, b.SAMPLE + row]
-        return
+        return b.SAMPLE
     slot = step % slots
     for row in range(b.DELIVERED_COUNT):
         history[i, slot, row] = floats[i, b.SAMPLE + row]
@@ -91,6 +88,7 @@ def deliver(floats, counters, history, i, step):
             floats[i, b.DELIVERED + c] = history[i, past, c]
         row = measurement.CHANNEL_COUNT + g
         floats[i, b.DELIVERED + row] = history[i, past, row]
+    return b.DELIVERED
 
 
 @formula
@@ -107,17 +105,20 @@ def tracking_error(floats, i):
 
 
 @formula
-def write_observation(floats, i, step, control_period, out):
-    """Pack what vehicle i sees into out[i] by the layout of `tracked_env.observation`."""
-    yaw = floats[i, b.DELIVERED + 2]
+def write_observation(floats, i, step, control_period, arrived, out):
+    """Pack what vehicle i sees into out[i] by the layout of `tracked_env.observation`.
+
+    arrived: column of `floats` where the delivered samples start.
+    """
+    yaw = floats[i, arrived + 2]
     cosine, sine = rotation(yaw)
-    dx = floats[i, b.REFERENCE_X] - floats[i, b.DELIVERED]
-    dy = floats[i, b.REFERENCE_Y] - floats[i, b.DELIVERED + 1]
+    dx = floats[i, b.REFERENCE_X] - floats[i, arrived]
+    dy = floats[i, b.REFERENCE_Y] - floats[i, arrived + 1]
     obs.store(out, i, _POSITION_ERROR_X, cosine * dx + sine * dy)
     obs.store(out, i, _POSITION_ERROR_X + 1, cosine * dy - sine * dx)
     obs.store(out, i, _HEADING_ERROR, wrapped(floats[i, b.REFERENCE_YAW] - yaw))
     for c in range(_FIRST_VELOCITY, measurement.CHANNEL_COUNT):
-        obs.store(out, i, _CHANNEL_COLUMN[c], floats[i, b.DELIVERED + c])
+        obs.store(out, i, _CHANNEL_COLUMN[c], floats[i, arrived + c])
     for row in range(5):
         obs.store(out, i, _REFERENCE + row, floats[i, b.REFERENCE_MOTION + row])
     for j in range(b.AHEAD):
@@ -126,18 +127,18 @@ def write_observation(floats, i, step, control_period, out):
     obs.store(out, i, _PREVIOUS_ACTION, floats[i, b.PREVIOUS_ACTION])
     obs.store(out, i, _PREVIOUS_ACTION + 1, floats[i, b.PREVIOUS_ACTION + 1])
     for g in range(b.GROUP_COUNT):
-        taken = floats[i, b.DELIVERED + measurement.CHANNEL_COUNT + g]
+        taken = floats[i, arrived + measurement.CHANNEL_COUNT + g]
         obs.store(out, i, _AGE + g, (step - taken) * control_period)
 
 
 @formula
 def observe(
-    floats, counters, speed_profile, yaw_rate_profile, noise, history,
+    floats, counters, profile, noise, history,
     i, step, period, observations,
 ):  # fmt: skip
     """All of the above for vehicle i at control step `step` of length `period` [s]."""
-    reference_rates(floats, speed_profile, yaw_rate_profile, i, step * period)
+    reference_rates(floats, profile, i, step * period)
     tracking_error(floats, i)
     sample_sensors(floats, counters, noise, i, step)
-    deliver(floats, counters, history, i, step)
-    write_observation(floats, i, step, period, observations)
+    arrived = deliver(floats, counters, history, i, step)
+    write_observation(floats, i, step, period, arrived, observations)

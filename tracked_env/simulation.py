@@ -22,6 +22,7 @@ from tracked_env import stepping
 from tracked_env.configuration import TorqueConfig, make_solver
 from tracked_env.episode import Episode, draw_episode, make_settings
 from tracked_env.physics import state as s
+from tracked_env.physics.measurement import NOISE_COUNT
 from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS, Range
 from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
 from tracked_env.references import number_of_segments
@@ -96,8 +97,8 @@ class Simulation:
         c[:] = 0
         f[b.BASE : b.BASE + PARAMETER_ROWS] = episode.parameters
         f[b.PARAMETERS : b.PARAMETERS + PARAMETER_ROWS] = episode.parameters
-        data.speed_profile[i] = episode.profile.speed
-        data.yaw_rate_profile[i] = episode.profile.yaw_rate
+        data.profile[:, i, :6] = episode.profile.speed
+        data.profile[:, i, 6:] = episode.profile.yaw_rate
         f[b.REFERENCE_X : b.REFERENCE_X + 3] = episode.profile[2:]
         yaw = episode.profile.yaw
         f[b.REFERENCE_COSINE : b.REFERENCE_COSINE + 2] = np.cos(yaw), np.sin(yaw)
@@ -218,13 +219,18 @@ class Simulation:
     def _draw_noise(self, i: int) -> None:
         generator = self._noise_rngs[i]
         assert generator is not None
-        generator.standard_normal(out=self.batch.noise[i], dtype=np.float32)
+        self.batch.noise[:, i] = generator.standard_normal(
+            (b.NOISE_BLOCK, NOISE_COUNT), dtype=np.float32
+        )
 
     # --- what can be read -----------------------------------------------------------------
-    def column(self, column: int, count: int = 1) -> NDArray[np.float64]:
-        """A copy of one column (N,) or of several (N, count) of the floats."""
-        floats = self.batch.floats
-        return floats[:, column].copy() if count == 1 else floats[:, column : column + count].copy()
+    def column(self, column: int) -> NDArray[np.float64]:
+        """A copy (N,) of one column of the floats."""
+        return self.batch.floats[:, column].copy()
+
+    def report(self) -> NDArray[np.float64]:
+        """A copy (N, 8) of distance [m], heading error [rad], reward, and its five terms."""
+        return self.batch.floats[:, b.ERROR_DISTANCE : b.TERMS + len(b.REWARD_TERMS)].copy()
 
     @property
     def terminated(self) -> NDArray[np.bool_]:

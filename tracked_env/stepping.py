@@ -14,7 +14,7 @@ import numpy as np
 
 from tracked_env import batch as b
 from tracked_env import sensing
-from tracked_env.physics import reference_profile as profile
+from tracked_env.physics import reference_profile
 from tracked_env.physics import schedule, torque_plant
 from tracked_env.physics import state as s
 from tracked_env.physics.elementary import rotation, small_rotation
@@ -215,11 +215,11 @@ def _move(floats, w, chosen, first, lanes, substeps, h, constrained):
 
 
 @formula
-def _advance_reference(floats, counters, speed_profile, yaw_rate_profile, i, period):
+def _advance_reference(floats, counters, profile, i, period):
     """Move the reference pose of vehicle i on by one control step."""
-    x, y, cosine, sine, rotation = profile.advance_pose(
-        speed_profile[i],
-        yaw_rate_profile[i],
+    x, y, cosine, sine, rotation = reference_profile.advance_pose(
+        profile[:, i, :6],
+        profile[:, i, 6:],
         counters[i, b.STEP] * period,
         period,
         floats[i, b.REFERENCE_X],
@@ -249,7 +249,7 @@ def _begin(floats, counters, events, actions, i, moving, period, h, constrained)
 
 @loop
 def advance_batch(
-    floats, counters, speed_profile, yaw_rate_profile, events, noise, history,
+    floats, counters, profile, events, noise, history,
     chosen, actions, observations, start, stop,
     moving, substeps, h, error_limit, constrained,
 ):  # fmt: skip
@@ -277,11 +277,11 @@ def advance_batch(
         for lane in range(lanes):
             i = chosen[first + lane]
             if moving:
-                _advance_reference(floats, counters, speed_profile, yaw_rate_profile, i, period)
+                _advance_reference(floats, counters, profile, i, period)
                 counters[i, b.STEP] += 1
                 counters[i, b.NOISE_CURSOR] += 1
             sensing.observe(
-                floats, counters, speed_profile, yaw_rate_profile, noise, history,
+                floats, counters, profile, noise, history,
                 i, counters[i, b.STEP], period, observations,
             )  # fmt: skip
             if moving:

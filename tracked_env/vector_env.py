@@ -104,7 +104,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         given = [{**common, **((rows[i] if rows else None) or {})} for i in chosen]
         self.simulation.reset(chosen, given)
         self._ended[chosen] = False
-        return self.simulation.observations.copy(), self._info(mask)
+        return self.simulation.observations.copy(), self._info(mask, self.simulation.report())
 
     def _mask(self, mask: Any) -> Bools:
         if mask is None:
@@ -139,10 +139,9 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         ended = self._ended
         resting = ended.any()
         simulation.step(actions, np.flatnonzero(~ended) if resting else None)
-        rewards = simulation.column(b.REWARD)
+        report = simulation.report()
+        rewards = report[:, 2].copy()
         terminated, truncated = simulation.terminated, simulation.truncated
-        info_mask = self._every
-        final: dict[str, Any] = {}
         if resting:
             rewards[ended] = 0.0
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -150,18 +149,14 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
                 terminated[ended] = False
                 truncated[ended] = False
         over = terminated | truncated
+        final: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
             final = self._final(over)
             self._restart(over)
             over = np.zeros_like(over)
         self._ended = over
-        return (
-            simulation.observations.copy(),
-            rewards,
-            terminated,
-            truncated,
-            {**self._info(info_mask), **final},
-        )
+        info = self._info(self._every, simulation.report() if resting or final else report)
+        return simulation.observations.copy(), rewards, terminated, truncated, {**info, **final}
 
     def _restart(self, mask: Bools) -> None:
         chosen = np.flatnonzero(mask)
@@ -176,30 +171,26 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         return {
             "final_obs": final_obs,
             "_final_obs": mask,
-            "final_info": self._info(mask),
+            "final_info": self._info(mask, self.simulation.report()),
             "_final_info": mask,
         }
 
-    def _info(self, mask: Bools) -> dict[str, Any]:
+    def _info(self, mask: Bools, report: NDArray[np.float64]) -> dict[str, Any]:
         """Info of every row as arrays, each with its mask `_name`, as Gymnasium has it."""
-        simulation = self.simulation
-        floats = simulation.batch.floats
-        errors = floats[:, b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy()
-        block = floats[:, b.TERMS : b.TERMS + len(b.REWARD_TERMS)].copy()
         terms: dict[str, Any] = {}
-        for column, name in enumerate(b.REWARD_TERMS):
-            terms[name], terms["_" + name] = block[:, column], mask
+        for column, name in enumerate(b.REWARD_TERMS, start=3):
+            terms[name], terms["_" + name] = report[:, column], mask
         info: dict[str, Any] = {
-            "tracking_error": errors,
+            "tracking_error": report[:, :2],
             "_tracking_error": mask,
             "reward_terms": terms,
             "_reward_terms": mask,
-            "is_success": simulation.success,
+            "is_success": self.simulation.success,
             "_is_success": mask,
         }
         if self.expose_truth:
             truth: dict[str, Any] = {}
-            for name, value in simulation.truth().items():
+            for name, value in self.simulation.truth().items():
                 truth[name], truth["_" + name] = value, mask
             info["truth"], info["_truth"] = truth, mask
         return info

@@ -18,7 +18,7 @@ import math
 
 from tracked_env.physics.jit import formula
 
-WAVE_LOW, WAVE_HIGH = 0.05, 1.5  # [-] a wave is clipped here: (44) leaves the physical range
+WAVE_LOW, WAVE_HIGH = 0.2, 1.5  # [-] a wave is clipped here: (44) leaves the physical range
 RAMP, REGION, LINE, WAVE = range(4)
 KINDS = {"ramp": RAMP, "region": REGION, "line": LINE, "wave": WAVE}
 

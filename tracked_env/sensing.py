@@ -11,8 +11,7 @@ import numpy as np
 
 from tracked_env import batch as b
 from tracked_env import observation as obs
-from tracked_env.physics import measurement
-from tracked_env.physics import reference_profile
+from tracked_env.physics import measurement, reference_profile
 from tracked_env.physics import state as s
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula

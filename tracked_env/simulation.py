@@ -57,7 +57,10 @@ class Simulation:
         self._action_shape = (count, 2)
         self._idle: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
         solver = self.solver
-        self._clock = (solver.substeps, solver.substep, solver.error_limit, solver.constrained)
+        self._clock = (solver.substeps, solver.substep, solver.error_limit)
+        self._kernel = (
+            stepping.advance_constrained if solver.constrained else stepping.advance_sliding
+        )
         self._noisy = np.zeros(count, dtype=bool)
         self._pool: ThreadPoolExecutor | None = None
         self._until_refill = 0
@@ -179,7 +182,7 @@ class Simulation:
         stop: int,
         moving: bool,
     ) -> int:
-        return stepping.advance_batch(
+        return self._kernel(
             *self.batch, chosen, actions, self.observations, start, stop, moving, *self._clock
         )
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from tracked_env import batch as b
 from tracked_env import sensing
-from tracked_env.physics import reference_profile
-from tracked_env.physics import schedule, torque_plant
+from tracked_env.physics import reference_profile, schedule, torque_plant
 from tracked_env.physics import state as s
 from tracked_env.physics.elementary import rotation, small_rotation
 from tracked_env.physics.integration import rk4_step
@@ -247,43 +246,51 @@ def _begin(floats, counters, events, actions, i, moving, period, h, constrained)
         derive(floats, i, h, constrained)
 
 
-@loop
-def advance_batch(
-    floats, counters, profile, events, noise, history,
-    chosen, actions, observations, start, stop,
-    moving, substeps, h, error_limit, constrained,
-):  # fmt: skip
-    """Advance vehicles chosen[start:stop] by one control step and write their observations.
+def _compiled(constrained):
+    """The step kernel of one closure; each is compiled when it is first used."""
 
-    chosen: (M,) int64 indices of vehicles; actions: (N, 2) float32, clipped to [-1, 1];
-    observations: (N, SIZE) float32; moving: False completes freshly loaded vehicles instead
-    of moving them; h [s] is the sub-step, `substeps` of them make a control step;
-    error_limit [m] ends an episode; constrained: the closure.
-    Returns -1, or the first row with a non-finite action: then no vehicle has moved.
-    """
-    for j in range(start, stop):
-        i = chosen[j]
-        if not math.isfinite(actions[i, 0]) or not math.isfinite(actions[i, 1]):
-            return i
-    period = substeps * h
-    scratch = np.empty((_SCRATCH_ROWS, LANES))
-    for first in range(start, stop, LANES):
-        lanes = min(LANES, stop - first)
-        for lane in range(lanes):
-            i = chosen[first + lane]
-            _begin(floats, counters, events, actions, i, moving, period, h, constrained)
-        steps = substeps if moving else 0
-        _move(floats, scratch, chosen, first, lanes, steps, h, constrained)
-        for lane in range(lanes):
-            i = chosen[first + lane]
-            if moving:
-                _advance_reference(floats, counters, profile, i, period)
-                counters[i, b.STEP] += 1
-                counters[i, b.NOISE_CURSOR] += 1
-            sensing.observe(
-                floats, counters, profile, noise, history,
-                i, counters[i, b.STEP], period, observations,
-            )  # fmt: skip
-            if moving:
-                judge(floats, counters, i, error_limit)
-    return -1
+    def advance_batch(
+        floats, counters, profile, events, noise, history,
+        chosen, actions, observations, start, stop,
+        moving, substeps, h, error_limit,
+    ):  # fmt: skip
+        """Advance vehicles chosen[start:stop] by one control step and write their observations.
+
+        chosen: (M,) int64 indices of vehicles; actions: (N, 2) float32, clipped to [-1, 1];
+        observations: (N, SIZE) float32; moving: False completes freshly loaded vehicles instead
+        of moving them; h [s] is the sub-step, `substeps` of them make a control step;
+        error_limit [m] ends an episode.
+        Returns -1, or the first row with a non-finite action: then no vehicle has moved.
+        """
+        for j in range(start, stop):
+            i = chosen[j]
+            if not math.isfinite(actions[i, 0]) or not math.isfinite(actions[i, 1]):
+                return i
+        period = substeps * h
+        scratch = np.empty((_SCRATCH_ROWS, LANES))
+        for first in range(start, stop, LANES):
+            lanes = min(LANES, stop - first)
+            for lane in range(lanes):
+                i = chosen[first + lane]
+                _begin(floats, counters, events, actions, i, moving, period, h, constrained)
+            steps = substeps if moving else 0
+            _move(floats, scratch, chosen, first, lanes, steps, h, constrained)
+            for lane in range(lanes):
+                i = chosen[first + lane]
+                if moving:
+                    _advance_reference(floats, counters, profile, i, period)
+                    counters[i, b.STEP] += 1
+                    counters[i, b.NOISE_CURSOR] += 1
+                sensing.observe(
+                    floats, counters, profile, noise, history,
+                    i, counters[i, b.STEP], period, observations,
+                )  # fmt: skip
+                if moving:
+                    judge(floats, counters, i, error_limit)
+        return -1
+
+    return loop(advance_batch)
+
+
+advance_sliding = _compiled(False)
+advance_constrained = _compiled(True)

@@ -64,6 +64,7 @@ class Simulation:
         self._noisy = np.zeros(count, dtype=bool)
         self._pool: ThreadPoolExecutor | None = None
         self._until_refill = 0
+        self.some_ended = False  # by the last step
 
     # --- an episode starts ----------------------------------------------------------------
     def reset(
@@ -158,19 +159,20 @@ class Simulation:
         size = chosen.size
         refill = self._until_refill <= 0
         if self.solver.threads > 1 and size >= THREADED_COUNT:
-            bad = self._step_threaded(actions, chosen, refill)
+            result = self._step_threaded(actions, chosen, refill)
         else:
             if refill:
                 self._refill(chosen)
-            bad = self._advance(actions, chosen, 0, size, True)
+            result = self._advance(actions, chosen, 0, size, True)
         self._until_refill -= 1
         if refill and size:
             last = self.batch.counters[chosen, b.NOISE_CURSOR].max()
             self._until_refill = b.NOISE_BLOCK - 1 - int(last)
-        if bad >= 0:
+        self.some_ended = result == stepping.SOME_ENDED
+        if result >= 0:
             raise ValueError(
-                f"action[{bad}] = {actions[bad].tolist()}; must be finite, in [-1, 1]. Did the "
-                "policy diverge, or divide by zero? No vehicle was moved."
+                f"action[{result}] = {actions[result].tolist()}; must be finite, in [-1, 1]. "
+                "Did the policy diverge, or divide by zero? No vehicle was moved."
             )
         return self.observations
 
@@ -199,17 +201,14 @@ class Simulation:
         blocks = -(-size // stepping.LANES)
         share = -(-blocks // threads) * stepping.LANES
 
-        def run(first: int) -> None:
+        def run(first: int) -> int:
             last = min(first + share, size)
             if refill:
                 self._refill(chosen[first:last])
-            self._advance(actions, chosen, first, last, True)
+            return self._advance(actions, chosen, first, last, True)
 
         parts = [self._pool.submit(run, first) for first in range(share, size, share)]
-        run(0)
-        for part in parts:
-            part.result()
-        return -1
+        return min(run(0), *(part.result() for part in parts))
 
     def _refill(self, chosen: NDArray[np.int64]) -> None:
         """Draw the next noise block of those chosen vehicles that are about to use up theirs."""
@@ -254,8 +253,7 @@ class Simulation:
     @property
     def success(self) -> NDArray[np.bool_]:
         """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
-        truncated = self.truncated
-        return truncated & (self.rmse < SUCCESS_RMSE) if truncated.any() else truncated
+        return self.truncated & (self.rmse < SUCCESS_RMSE)
 
     def reference_position(self, i: int) -> NDArray[np.float64]:
         """(2,) position [m] of the reference of vehicle i now, world frame."""

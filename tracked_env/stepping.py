@@ -23,6 +23,7 @@ from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_ROWS, Plan
 from tracked_env.rewards import judge
 
 LANES = 64
+CALM, SOME_ENDED = -1, -2  # results of a step: whether some vehicle's episode has ended
 REST = 1e-12  # [m/s, rad/s] slower is rest: decaying velocities would end as slow denormals
 OPEN_LIMIT = 1e30  # [N] traction limit that does not bind
 _TORQUE_LIMIT = b.PARAMETERS + PARAMETER_INDEX["torque_limit"]
@@ -260,12 +261,14 @@ def _compiled(constrained):
         observations: (N, SIZE) float32; moving: False completes freshly loaded vehicles instead
         of moving them; h [s] is the sub-step, `substeps` of them make a control step;
         error_limit [m] ends an episode.
-        Returns -1, or the first row with a non-finite action: then no vehicle has moved.
+        Returns CALM or SOME_ENDED, or the first row with a non-finite action: then no vehicle
+        has moved.
         """
         for j in range(start, stop):
             i = chosen[j]
             if not math.isfinite(actions[i, 0]) or not math.isfinite(actions[i, 1]):
                 return i
+        result = CALM
         period = substeps * h
         scratch = np.empty((_SCRATCH_ROWS, LANES))
         for first in range(start, stop, LANES):
@@ -287,7 +290,9 @@ def _compiled(constrained):
                 )  # fmt: skip
                 if moving:
                     judge(floats, counters, i, error_limit)
-        return -1
+                    if counters[i, b.TERMINATED] + counters[i, b.TRUNCATED] > 0:
+                        result = SOME_ENDED
+        return result
 
     return loop(advance_batch)
 

@@ -104,7 +104,9 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         given = [{**common, **((rows[i] if rows else None) or {})} for i in chosen]
         self.simulation.reset(chosen, given)
         self._ended[chosen] = False
-        return self.simulation.observations.copy(), self._info(mask, self.simulation.report())
+        return self.simulation.observations.copy(), self._info(
+            mask, self.simulation.report(), self.simulation.success
+        )
 
     def _mask(self, mask: Any) -> Bools:
         if mask is None:
@@ -141,6 +143,11 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         simulation.step(actions, np.flatnonzero(~ended) if resting else None)
         report = simulation.report()
         rewards = report[:, 2].copy()
+        if not simulation.some_ended and not resting:  # nearly always: nothing to look up
+            terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
+            self._ended = truncated.copy()
+            info = self._info(self._every, report, success)
+            return simulation.observations.copy(), rewards, terminated, truncated, info
         terminated, truncated = simulation.terminated, simulation.truncated
         if resting:
             rewards[ended] = 0.0
@@ -150,13 +157,14 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
                 truncated[ended] = False
         over = terminated | truncated
         final: dict[str, Any] = {}
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and simulation.some_ended:
             final = self._final(over)
             self._restart(over)
             over = np.zeros_like(over)
         self._ended = over
-        info = self._info(self._every, simulation.report() if resting or final else report)
-        return simulation.observations.copy(), rewards, terminated, truncated, {**info, **final}
+        info = self._info(self._every, simulation.report(), simulation.success)
+        info.update(final)
+        return simulation.observations.copy(), rewards, terminated, truncated, info
 
     def _restart(self, mask: Bools) -> None:
         chosen = np.flatnonzero(mask)
@@ -171,11 +179,11 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         return {
             "final_obs": final_obs,
             "_final_obs": mask,
-            "final_info": self._info(mask, self.simulation.report()),
+            "final_info": self._info(mask, self.simulation.report(), self.simulation.success),
             "_final_info": mask,
         }
 
-    def _info(self, mask: Bools, report: NDArray[np.float64]) -> dict[str, Any]:
+    def _info(self, mask: Bools, report: NDArray[np.float64], success: Bools) -> dict[str, Any]:
         """Info of every row as arrays, each with its mask `_name`, as Gymnasium has it."""
         terms: dict[str, Any] = {}
         for column, name in enumerate(b.REWARD_TERMS, start=3):
@@ -185,7 +193,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             "_tracking_error": mask,
             "reward_terms": terms,
             "_reward_terms": mask,
-            "is_success": self.simulation.success,
+            "is_success": success,
             "_is_success": mask,
         }
         if self.expose_truth:

@@ -5,7 +5,8 @@ Everything the kernels touch lives in a few arrays, one vehicle per row:
     counters  (N, COUNTER_COLUMNS) integers: clocks and flags
     profile   (S, N, 12)           reference: polynomials of speed (6) and of yaw rate (6)
     events    (N, E, EVENT_FIELDS) what changes inside the episode
-    noise     (NOISE_BLOCK, N, NOISE_COUNT) float32 normal numbers drawn ahead
+    noise     (NOISE_BLOCK / NOISE_RUN, N, NOISE_RUN, NOISE_COUNT) float32 normal numbers
+              drawn ahead; NOISE_RUN steps lie together because writing is scattered too
     history   (N, H, DELIVERED_COUNT) past samples, for delayed sensors
 Profile and noise have the time first: vehicles that run in step then read one stream of memory.
 A column is an offset, so that a kernel takes one array instead of a hundred.
@@ -23,6 +24,7 @@ from tracked_env.physics.state import STATE_ROWS
 from tracked_env.physics.torque_plant import Coefficients, DriveLimits
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle
+NOISE_RUN = 8  # [steps] of it that are neighbours in memory
 EVENT_FIELDS = 8
 AHEAD = len(LOOK_AHEAD)
 GROUP_COUNT = len(GROUPS)
@@ -93,7 +95,7 @@ def allocate(count: int, segments: int, events: int = 1, history: int = 1) -> Ba
         np.zeros((count, COUNTER_COLUMNS), dtype=np.int64),
         np.zeros((segments, count, 12)),
         np.zeros((count, events, EVENT_FIELDS)),
-        np.zeros((NOISE_BLOCK, count, NOISE_COUNT), dtype=np.float32),
+        np.zeros((NOISE_BLOCK // NOISE_RUN, count, NOISE_RUN, NOISE_COUNT), dtype=np.float32),
         np.zeros((count, history, DELIVERED_COUNT)),
     )
 

@@ -59,14 +59,15 @@ def reference_rates(floats, profile, i, time):
 def sample_sensors(floats, counters, noise, i, step):
     """Take this step's samples of vehicle i; `step` counts control steps since reset."""
     cursor = counters[i, b.NOISE_CURSOR]
+    run, place = cursor // b.NOISE_RUN, cursor % b.NOISE_RUN
     truth = measurement.signals(floats, i, floats[i, _RADIUS], floats[i, b.CROSS_COUPLING])
     for g in range(b.GROUP_COUNT):
         period = counters[i, b.PERIOD + g]
         due = period == 1 or step % period == 0
-        lost = noise[cursor, i, measurement.CHANNEL_COUNT + g] < floats[i, b.DROPOUT + g]
+        lost = noise[run, i, place, measurement.CHANNEL_COUNT + g] < floats[i, b.DROPOUT + g]
         if due and (not lost or step == 0):
             for c in range(GROUP_START[g], GROUP_START[g + 1]):
-                error = floats[i, b.BIAS + c] + floats[i, b.SIGMA + c] * noise[cursor, i, c]
+                error = floats[i, b.BIAS + c] + floats[i, b.SIGMA + c] * noise[run, i, place, c]
                 floats[i, b.SAMPLE + c] = truth[c] + error
             floats[i, b.SAMPLE + measurement.CHANNEL_COUNT + g] = step
 

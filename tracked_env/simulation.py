@@ -222,7 +222,7 @@ class Simulation:
         generator = self._noise_rngs[i]
         assert generator is not None
         self.batch.noise[:, i] = generator.standard_normal(
-            (b.NOISE_BLOCK, NOISE_COUNT), dtype=np.float32
+            (b.NOISE_BLOCK // b.NOISE_RUN, b.NOISE_RUN, NOISE_COUNT), dtype=np.float32
         )
 
     # --- what can be read -----------------------------------------------------------------

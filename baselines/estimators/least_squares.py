@@ -1,0 +1,251 @@
+"""Recursive least squares with exponential forgetting for two parameters, in information form.
+
+Model: y = phi . theta + e, e ~ N(0, R), R known sample by sample from the sensors' data sheets.
+In units of the prior, theta = theta_0 + sigma_0 x, with J the information of the data,
+    eps = y - phi . theta                                              S 7.1.1
+    J   = L^(1/2) J L^(1/2) + phi phi^T / R,   P = (J + 1)^-1
+    x  += P phi eps / R
+L = diag(lambda_1, lambda_2): with both equal it is the exponentially forgetting least squares of S, with
+two factors each parameter forgets at its own rate (vector forgetting). The 1 is the prior: it
+never fades, so P never exceeds the prior covariance, however long nothing is excited (no
+wind-up), yet it does not pull back: it is centred on the present estimate. Per sample:
+    excitation gate  samples that gain nothing, phi^T P phi < GAIN_GATE R, are not used and do
+                     not age what is known
+    outliers         eps^2 > OUTLIER_GATE (phi^T P phi + R) is rejected; PATIENCE in a row are a
+                     change of the parameters, and so is an alarm of the two-sided CUSUM of
+                     eps / sqrt(S)
+    changes          parameter 2 (of the soil) moves often, parameter 1 (of the vehicle) jumps
+                     seldom: after a change parameter 2 is released, and on trial a second
+                     hypothesis is followed in which parameter 1 was. It takes over when the
+                     likelihood of what is seen speaks for it clearly
+    noisy regressor  the noise of phi_1 would bias theta_1 towards 0; its known variance V is
+                     taken out of the normal equations: J_11 -= V / R, and V theta_1 added to
+                     phi_1 eps (bias-compensated least squares)
+    projection       on the bounds, in the metric of J
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.1. [2] E. S. Page, Biometrika
+41 (1954) 100: cumulative sums. [3] A. Vahidi et al., Vehicle System Dynamics 43 (2005) 31:
+least squares with multiple forgetting for mass and grade.
+[4] S. Sagara, K. Wada, International Journal of Control 25 (1977) 123: on-line bias compensation.
+"""
+
+import math
+from typing import NamedTuple
+
+from tracked_env.physics.jit import formula
+
+OUTLIER_GATE = 25.0  # [-] five standard deviations
+PATIENCE = 4  # [samples] that many outliers in a row are a change
+CUSUM_SLACK = 0.75  # [-] standard deviations of bias that do not count as a change
+CUSUM_LIMIT = 10.0  # [-] a bias of 2 sigma is found in 8 samples; false alarms once in 1e6
+GAIN_GATE = 1e-6  # [-] share of R by which a sample must reduce the uncertainty
+EXCITED = 1.0  # [-] excitation from which on the data determine every parameter
+TRIAL = 500.0  # [samples] for which both explanations of a change are followed
+DECIDED = 15.0  # [-] log of the likelihood ratio that decides; a ramp of the soil gathers some
+LARGEST_EVIDENCE = 3.0  # [-] that one sample may add: an outlier decides nothing
+
+# What is remembered of one vehicle, the columns of `memory`: two hypotheses of SIZE columns
+# (the second one is on trial while TRIAL_LEFT > 0), then what belongs to both.
+X_1, X_2, J_11, J_12, J_22 = range(5)
+SIZE = 5
+OUTLIERS, CUSUM_UP, CUSUM_DOWN, SKIPPED, CHANGES, TRIAL_LEFT, EVIDENCE, JUMPS = range(10, 18)
+MEMORY = 18
+
+
+class Prior(NamedTuple):
+    """Prior and bounds of two parameters, and how fast each is forgotten."""
+
+    mean_1: float
+    mean_2: float
+    sigma_1: float
+    sigma_2: float
+    low_1: float
+    low_2: float
+    high_1: float
+    high_2: float
+    forgetting_1: float  # [-] lambda, per used sample
+    forgetting_2: float  # [-]
+    jump_keeps_2: bool  # a jump of parameter 1 leaves parameter 2 as it was
+    follows_changes: bool  # False: no gate for outliers and no search for changes, as in S
+
+
+class Sample(NamedTuple):
+    """One equation y = phi_1 theta_1 + phi_2 theta_2 + e."""
+
+    y: float
+    phi_1: float
+    phi_2: float
+    variance: float  # R of e
+    noise_1: float  # variance of phi_1
+
+
+@formula
+def values(memory, i, prior):
+    """(theta_1, theta_2) of vehicle i."""
+    return (
+        prior.mean_1 + prior.sigma_1 * memory[i, X_1],
+        prior.mean_2 + prior.sigma_2 * memory[i, X_2],
+    )
+
+
+@formula
+def covariance(memory, i, prior):
+    """(P_11, P_12, P_22) of theta of vehicle i: at most the prior's."""
+    a, b, c = memory[i, J_11] + 1.0, memory[i, J_12], memory[i, J_22] + 1.0
+    inverse = 1.0 / (a * c - b * b)
+    return (
+        c * inverse * prior.sigma_1 * prior.sigma_1,
+        -b * inverse * prior.sigma_1 * prior.sigma_2,
+        a * inverse * prior.sigma_2 * prior.sigma_2,
+    )
+
+
+@formula
+def eigenvalues(memory, i):
+    """(smallest, largest) eigenvalue [-] of the information J of vehicle i."""
+    a, b, c = memory[i, J_11], memory[i, J_12], memory[i, J_22]
+    mean, half = 0.5 * (a + c), 0.5 * (a - c)
+    root = math.sqrt(half * half + b * b)
+    return max((a * c - b * b) / max(mean + root, 1e-300), 0.0), mean + root
+
+
+@formula
+def _forget(memory, i, h, share_1, share_2):
+    """Scale the information of both parameters [-] in hypothesis h."""
+    memory[i, h + J_11] *= share_1
+    memory[i, h + J_22] *= share_2
+    memory[i, h + J_12] *= math.sqrt(share_1 * share_2)
+
+
+@formula
+def _project(memory, i, h, prior):
+    """Move the estimate into its bounds along the least-cost direction of J."""
+    low = (prior.low_1 - prior.mean_1) / prior.sigma_1
+    high = (prior.high_1 - prior.mean_1) / prior.sigma_1
+    moved = min(max(memory[i, h + X_1], low), high) - memory[i, h + X_1]
+    x_2 = memory[i, h + X_2] - moved * memory[i, h + J_12] / (memory[i, h + J_22] + 1.0)
+    low_2 = (prior.low_2 - prior.mean_2) / prior.sigma_2
+    high_2 = (prior.high_2 - prior.mean_2) / prior.sigma_2
+    bounded = min(max(x_2, low_2), high_2)
+    step_1 = (bounded - x_2) * memory[i, h + J_12] / (memory[i, h + J_11] + 1.0)
+    x_1 = memory[i, h + X_1] + moved - step_1
+    memory[i, h + X_1] = min(max(x_1, low), high)
+    memory[i, h + X_2] = bounded
+
+
+@formula
+def _innovation(memory, i, h, sample, prior):
+    """(eps, phi^T P phi) of hypothesis h before the sample."""
+    theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, h + X_1]
+    theta_2 = prior.mean_2 + prior.sigma_2 * memory[i, h + X_2]
+    error = sample.y - sample.phi_1 * theta_1 - sample.phi_2 * theta_2
+    p_1, p_2 = sample.phi_1 * prior.sigma_1, sample.phi_2 * prior.sigma_2
+    a, b, c = memory[i, h + J_11] + 1.0, memory[i, h + J_12], memory[i, h + J_22] + 1.0
+    return error, (c * p_1 * p_1 - 2.0 * b * p_1 * p_2 + a * p_2 * p_2) / (a * c - b * b)
+
+
+@formula
+def _learn(memory, i, h, sample, prior, error):
+    """Forget a little, and take the sample into hypothesis h."""
+    _forget(memory, i, h, prior.forgetting_1, prior.forgetting_2)
+    p_1, p_2 = sample.phi_1 * prior.sigma_1, sample.phi_2 * prior.sigma_2
+    weight = 1.0 / sample.variance
+    noise = sample.noise_1 * prior.sigma_1
+    memory[i, h + J_12] += weight * p_1 * p_2
+    memory[i, h + J_22] += weight * p_2 * p_2
+    least = memory[i, h + J_12] * memory[i, h + J_12] / max(memory[i, h + J_22], 1e-300)
+    raised = memory[i, h + J_11] + weight * (p_1 * p_1 - noise * prior.sigma_1)
+    memory[i, h + J_11] = max(raised, least)
+    a, b, c = memory[i, h + J_11] + 1.0, memory[i, h + J_12], memory[i, h + J_22] + 1.0
+    scale = weight / (a * c - b * b)
+    theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, h + X_1]
+    g_1, g_2 = p_1 * error + noise * theta_1, p_2 * error
+    memory[i, h + X_1] += scale * (c * g_1 - b * g_2)
+    memory[i, h + X_2] += scale * (a * g_2 - b * g_1)
+    _project(memory, i, h, prior)
+
+
+@formula
+def _alarm(memory, i, normalised):
+    """Count this innovation (in standard deviations); True when the parameters have changed."""
+    outlier = normalised * normalised > OUTLIER_GATE
+    memory[i, OUTLIERS] = memory[i, OUTLIERS] + 1.0 if outlier else 0.0
+    bounded = min(max(normalised, -5.0), 5.0)
+    memory[i, CUSUM_UP] = max(memory[i, CUSUM_UP] + bounded - CUSUM_SLACK, 0.0)
+    memory[i, CUSUM_DOWN] = max(memory[i, CUSUM_DOWN] - bounded - CUSUM_SLACK, 0.0)
+    largest = max(memory[i, CUSUM_UP], memory[i, CUSUM_DOWN])
+    return largest > CUSUM_LIMIT or memory[i, OUTLIERS] >= PATIENCE
+
+
+@formula
+def release(memory, i, h, parameter_1, parameter_2):
+    """Forget all that the data said of the parameters marked; the other keeps what is left
+    when they may be anything."""
+    a, b, c = memory[i, h + J_11], memory[i, h + J_12], memory[i, h + J_22]
+    memory[i, h + J_11] = 0.0 if parameter_1 else a - (b * b / (c + 1.0) if parameter_2 else 0.0)
+    memory[i, h + J_22] = 0.0 if parameter_2 else c - (b * b / (a + 1.0) if parameter_1 else 0.0)
+    memory[i, h + J_12] = 0.0 if parameter_1 or parameter_2 else b
+
+
+@formula
+def _branch(memory, i, prior):
+    """A change: parameter 2 has moved, or on trial, parameter 1 has jumped."""
+    memory[i, OUTLIERS] = 0.0
+    memory[i, CUSUM_UP] = 0.0
+    memory[i, CUSUM_DOWN] = 0.0
+    memory[i, CHANGES] += 1.0
+    if memory[i, TRIAL_LEFT] <= 0.0:
+        for k in range(SIZE):
+            memory[i, SIZE + k] = memory[i, k]
+        memory[i, TRIAL_LEFT] = TRIAL
+        memory[i, EVIDENCE] = 0.0
+        release(memory, i, SIZE, True, not prior.jump_keeps_2)
+    release(memory, i, 0, False, True)
+
+
+@formula
+def _judge(memory, i, sample, prior, error, total):
+    """Follow the hypothesis on trial and decide when the evidence is clear."""
+    other, gain = _innovation(memory, i, SIZE, sample, prior)
+    spread = gain + sample.variance
+    evidence = 0.5 * (error * error / total - other * other / spread + math.log(total / spread))
+    memory[i, EVIDENCE] += min(max(evidence, -LARGEST_EVIDENCE), LARGEST_EVIDENCE)
+    memory[i, TRIAL_LEFT] -= 1.0
+    if other * other > OUTLIER_GATE * spread:
+        release(memory, i, SIZE, False, True)
+    _learn(memory, i, SIZE, sample, prior, other)
+    if memory[i, EVIDENCE] > DECIDED:
+        for k in range(SIZE):
+            memory[i, k] = memory[i, SIZE + k]
+        memory[i, JUMPS] += 1.0
+        memory[i, TRIAL_LEFT] = 0.0
+    if memory[i, EVIDENCE] < -DECIDED:
+        memory[i, TRIAL_LEFT] = 0.0
+
+
+@formula
+def step(memory, i, sample, prior):
+    """Take one sample of vehicle i. Returns (status, eps^2 / S): status as estimate.Status.
+
+    Status 1 (holding) when the sample gains nothing or some direction is not excited.
+    """
+    error, gain = _innovation(memory, i, 0, sample, prior)
+    total = gain + sample.variance
+    nis = error * error / total
+    status = 1
+    if gain > GAIN_GATE * sample.variance:
+        refused = False
+        if prior.follows_changes:
+            refused = nis > OUTLIER_GATE
+            if _alarm(memory, i, error / math.sqrt(total)):
+                _branch(memory, i, prior)
+                refused = False
+        if refused:
+            status = 2
+        else:
+            _learn(memory, i, 0, sample, prior, error)
+            if memory[i, TRIAL_LEFT] > 0.0:
+                _judge(memory, i, sample, prior, error, total)
+            smallest, _largest = eigenvalues(memory, i)
+            status = 0 if smallest >= EXCITED else 1
+    return status, nis

@@ -1,0 +1,146 @@
+"""Mass and motion resistance from the longitudinal motion.
+
+    a_x = (F_L + F_R) / m - g mu_l (s_L + s_R) / 2,    F = torque / r,  s = sign(v_track)
+a_x is what the accelerometer feels, dv_x/dt - w v_y, so the coupling with lateral and yaw motion
+is in it, and each track has its own resistance: `coupled`, exact in curves too. S 7.1.2 assumes
+longitudinal motion: `paper` takes dv_x/dt for a_x and s_L = s_R = sign(v_x).
+Variance of the equation: accelerometer, torque sensors, and the slope of s where it is not flat.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2, its suggestion in 8.3.1.
+"""
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from baselines.estimators import least_squares as ls
+from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, DataSheet
+from baselines.estimators.two_parameters import (
+    HOLDING,
+    REJECTED,
+    SLOWEST,
+    TwoParameterEstimator,
+    answer,
+    checked_forgetting,
+)
+from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import RANGES, PlantParameters
+
+# At 50 Hz: mass remembers 80 s, resistance 1 s (soil changes under way, payload seldom).
+MASS_FORGETTING = 0.9995
+RESISTANCE_FORGETTING = 0.9
+PAPER_FORGETTING = 0.998  # S 8.3.1
+INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
+RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
+MASS_FACTOR = 5.0  # [-] mass is sought between nominal / factor and nominal * factor
+MODEL_NOISE = 0.02  # [m/s^2] of the equation itself: what the model leaves out
+
+_V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
+_A_X, _TORQUE = COLUMN["acceleration_x"], COLUMN["torque_left"]
+
+
+class Known(NamedTuple):
+    """Constants of the longitudinal equation."""
+
+    inverse_radius: float  # [1/m] 1/r
+    half_gauge: float  # [m] B/2
+    inverse_mass: float  # [1/kg] nominal, for the variance
+    resistance: float  # [-] nominal mu_l, for the variance
+    acceleration_variance: float  # [m^2/s^4] accelerometer and model
+    effort_variance: float  # [N^2] of F_L + F_R
+    speed_variance: float  # [m^2/s^2] of a track's speed
+    coupled: bool
+
+
+@formula
+def equation(z, i, known):
+    """The Sample of vehicle i from its measurement z (N, 13), and whether the tracks move."""
+    v_x, w = z[i, _V_X], z[i, _W]
+    left, right = v_x - w * known.half_gauge, v_x + w * known.half_gauge
+    force = (z[i, _TORQUE] + z[i, _TORQUE + 1]) * known.inverse_radius
+    slowest = min(abs(left), abs(right)) if known.coupled else abs(v_x)
+    if known.coupled:
+        y = z[i, _A_X]
+        side = 0.5 * (math.copysign(1.0, left) + math.copysign(1.0, right))
+    else:
+        y = z[i, _A_X] + w * z[i, _V_Y]
+        side = math.copysign(1.0, v_x)
+    scale = known.inverse_mass * known.inverse_mass
+    variance = known.acceleration_variance + scale * known.effort_variance
+    return ls.Sample(
+        y, force, -soil.GRAVITY * side, variance, known.effort_variance
+    ), slowest > SLOWEST
+
+
+@loop
+def update_all(z, fresh, memory, prior, known, out):
+    """One sample of every vehicle: z (N, 13), fresh (N, 3), memory (N, MEMORY) in and out."""
+    for i in range(z.shape[0]):
+        status, nis = HOLDING, np.nan
+        if fresh[i, INERTIAL] and fresh[i, DRIVE]:
+            sample, moving = equation(z, i, known)
+            if not math.isfinite(sample.y + sample.phi_1 + sample.phi_2):
+                memory[i, ls.SKIPPED] += 1.0
+                status = REJECTED
+            elif moving:
+                status, nis = ls.step(memory, i, sample, prior)
+        answer(memory, i, prior, status, nis, out)
+
+
+class LongitudinalEstimator(TwoParameterEstimator):
+    """Estimates [1/m, mu_l] of N vehicles; see the head of the file.
+
+    regression: "coupled" (default) or "paper". forgetting: (mass, resistance) factors per
+    sample; None takes the defaults of the regression. follows_changes: outlier gate and search
+    for changes; None = True for "coupled", False for "paper".
+    """
+
+    names = ("inverse_mass", "longitudinal_resistance")
+    _kernel = update_all
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float = 0.02,
+        data_sheet: DataSheet | None = None,
+        count: int = 1,
+        regression: Literal["coupled", "paper"] = "coupled",
+        forgetting: tuple[float, float] | None = None,
+        follows_changes: bool | None = None,
+    ) -> None:
+        if regression not in ("coupled", "paper"):
+            raise ValueError(f"regression = {regression!r}; must be 'coupled' or 'paper'")
+        coupled = regression == "coupled"
+        if forgetting is None:
+            forgetting = (PAPER_FORGETTING,) * 2
+            if coupled:
+                forgetting = (MASS_FORGETTING, RESISTANCE_FORGETTING)
+        for factor in forgetting:
+            checked_forgetting("forgetting", factor)
+        nominal = 1.0 / parameters.mass
+        bounds = RANGES["longitudinal_resistance"]
+        prior = ls.Prior(
+            nominal, parameters.longitudinal_resistance,
+            INVERSE_MASS_SIGMA * nominal, RESISTANCE_SIGMA,
+            nominal / MASS_FACTOR, bounds.low, nominal * MASS_FACTOR, bounds.high,
+            *forgetting, True, coupled if follows_changes is None else follows_changes,
+        )  # fmt: skip
+        super().__init__(parameters, control_period, data_sheet, count, prior)
+        sheet, p = self.data_sheet, self.parameters
+        effort = sheet.torque_noise / p.sprocket_radius
+        self._known = Known(
+            1.0 / p.sprocket_radius,
+            0.5 * p.track_gauge,
+            nominal,
+            p.longitudinal_resistance,
+            sheet.acceleration_noise**2 + MODEL_NOISE**2,
+            2.0 * effort * effort,
+            sheet.velocity_noise**2,
+            coupled,
+        )
+
+    def known(self) -> tuple[Any, ...]:
+        """Constants of the equation."""
+        return (self._known,)

@@ -1,0 +1,189 @@
+"""From observations to measurements: absolute pose, new samples, samples that belong together.
+
+An observation holds the pose as an error against the reference. The reader integrates the
+reference from the observed speed and yaw rate (cubic between two observations), so that
+    p = p_ref - R(yaw) e_p,    yaw = yaw_ref - e_yaw
+are coordinates in a frame fixed at the start of the episode. What the integration loses is
+common to p and p_ref, hence nothing that a controller acts on. A group has a new sample when its
+age has not grown by one control period. Inertial and drive samples of different age are paired
+by the time at which they were taken, so that regressions see one moment.
+
+Assumption: one call per control step and vehicle.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, POSE, Measurement
+from tracked_env import observation as layout
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.measurement import CHANNEL_COUNT
+
+LONGEST_AGE = 1.0  # [s] older samples are not paired
+
+# Columns of `memory`: reference pose and motion, ages, steps; then two rings of samples.
+(
+    REF_X, REF_Y, REF_YAW, SPEED, ACCELERATION, YAW_RATE, YAW_ACCELERATION,
+    AGE, _AGE_INERTIAL, _AGE_DRIVE, STEP,
+) = range(11)  # fmt: skip
+RINGS = 11
+GROUP_SIZE = 4  # channels of the inertial and of the drive group
+SLOT = 1 + GROUP_SIZE  # step at which it was taken (plus one, 0 = empty), values
+
+_I = layout.INDEX
+_SCALE = layout.SCALE
+_ERROR_X, _ERROR_Y = _I["position_error_x"], _I["position_error_y"]
+_ERROR_YAW, _SPEED, _REF_YAW_RATE = (
+    _I["heading_error"], _I["reference_speed"], _I["reference_yaw_rate"],
+)  # fmt: skip
+_ACCELERATION, _BEND = _I["reference_acceleration"], _I["reference_yaw_acceleration"]
+_AGES = _I["pose_age"]
+_COPIED = np.array(  # (observation column, channel) of what is taken as it is
+    [
+        (_I[name], COLUMN[name])
+        for name in (
+            "v_x", "v_y", "acceleration_x", "acceleration_y", "yaw_rate", "yaw_acceleration",
+            "sprocket_speed_left", "sprocket_speed_right", "torque_left", "torque_right",
+        )
+    ]
+)  # fmt: skip
+_FIRST = np.array([0, COLUMN["acceleration_x"], COLUMN["sprocket_speed_left"]])  # of each group
+assert [_I["inertial_age"], _I["drive_age"]] == [_AGES + 1, _AGES + 2]
+
+
+class Reading(NamedTuple):
+    """What an observation says."""
+
+    latest: Measurement  # each group's last sample
+    paired: Measurement  # inertial and drive of one moment; not fresh where there is no pair
+    reference: NDArray[np.float64]  # (N, 3) pose of the reference now [m, m, rad]
+
+
+@formula
+def advance_reference(memory, i, speed, acceleration, yaw_rate, yaw_acceleration, period):
+    """Move the reference pose of vehicle i by one period [s] to the motion now observed.
+
+    Cubic Hermite interpolation of speed and yaw rate, Simpson's rule for the position.
+    """
+    v, a, w, bend = (
+        memory[i, SPEED], memory[i, ACCELERATION],
+        memory[i, YAW_RATE], memory[i, YAW_ACCELERATION],
+    )  # fmt: skip
+    half = period * ((13.0 * w + 3.0 * yaw_rate) / 32.0) + period * period * (
+        (11.0 * bend - 5.0 * yaw_acceleration) / 192.0
+    )
+    whole = 0.5 * period * (w + yaw_rate) + period * period * (bend - yaw_acceleration) / 12.0
+    v_middle = 0.5 * (v + speed) + period * (a - acceleration) / 8.0
+    yaw = memory[i, REF_YAW]
+    c_0, s_0 = rotation(yaw)
+    c_1, s_1 = rotation(yaw + half)
+    c_2, s_2 = rotation(yaw + whole)
+    memory[i, REF_X] += period / 6.0 * (v * c_0 + 4.0 * v_middle * c_1 + speed * c_2)
+    memory[i, REF_Y] += period / 6.0 * (v * s_0 + 4.0 * v_middle * s_1 + speed * s_2)
+    memory[i, REF_YAW] = yaw + whole
+
+
+@formula
+def _pair(memory, i, taken_inertial, taken_drive, slots, latest, paired):
+    """Fill the inertial and drive channels of `paired`; True when both are of one moment."""
+    drive_ring = RINGS + slots * SLOT
+    when = min(taken_inertial, taken_drive)
+    a = RINGS + (when % slots) * SLOT
+    b = drive_ring + (when % slots) * SLOT
+    together = memory[i, a] == when + 1.0 and memory[i, b] == when + 1.0
+    for c in range(GROUP_SIZE):
+        paired[i, _FIRST[INERTIAL] + c] = memory[i, a + 1 + c]
+        paired[i, _FIRST[DRIVE] + c] = memory[i, b + 1 + c]
+    return together
+
+
+@loop
+def read_all(observation, memory, start, period, slots, latest, paired, fresh, pair, age, ref):
+    """Read every row: observation (N, SIZE), start (N,) bool; the others are written."""
+    for i in range(observation.shape[0]):
+        if start[i]:
+            memory[i, :] = 0.0
+        speed = observation[i, _SPEED] * _SCALE[_SPEED]
+        acceleration = observation[i, _ACCELERATION] * _SCALE[_ACCELERATION]
+        yaw_rate = observation[i, _REF_YAW_RATE] * _SCALE[_REF_YAW_RATE]
+        bend = observation[i, _BEND] * _SCALE[_BEND]
+        step = int(memory[i, STEP])
+        if step > 0:
+            advance_reference(memory, i, speed, acceleration, yaw_rate, bend, period)
+        memory[i, SPEED], memory[i, ACCELERATION] = speed, acceleration
+        memory[i, YAW_RATE], memory[i, YAW_ACCELERATION] = yaw_rate, bend
+        for g in range(3):
+            age[i, g] = observation[i, _AGES + g] * _SCALE[_AGES + g]
+            fresh[i, g] = step == 0 or age[i, g] < memory[i, AGE + g] + 0.5 * period
+            memory[i, AGE + g] = age[i, g]
+        for k in range(_COPIED.shape[0]):
+            latest[i, _COPIED[k, 1]] = observation[i, _COPIED[k, 0]] * _SCALE[_COPIED[k, 0]]
+        yaw = memory[i, REF_YAW] - observation[i, _ERROR_YAW] * _SCALE[_ERROR_YAW]
+        c, s = rotation(yaw)
+        e_x = observation[i, _ERROR_X] * _SCALE[_ERROR_X]
+        e_y = observation[i, _ERROR_Y] * _SCALE[_ERROR_Y]
+        latest[i, 0] = memory[i, REF_X] - (c * e_x - s * e_y)
+        latest[i, 1] = memory[i, REF_Y] - (s * e_x + c * e_y)
+        latest[i, 2] = yaw
+        for g in range(3):
+            ref[i, g] = memory[i, REF_X + g]
+        for g in (INERTIAL, DRIVE):
+            taken = max(step - int(age[i, g] / period + 0.5), 0)
+            if fresh[i, g]:
+                at = RINGS + ((g - 1) * slots + taken % slots) * SLOT
+                memory[i, at] = taken + 1.0
+                for k in range(GROUP_SIZE):
+                    memory[i, at + 1 + k] = latest[i, _FIRST[g] + k]
+        for k in range(CHANNEL_COUNT):
+            paired[i, k] = latest[i, k]
+        together = _pair(
+            memory, i, max(step - int(age[i, INERTIAL] / period + 0.5), 0),
+            max(step - int(age[i, DRIVE] / period + 0.5), 0), slots, latest, paired,
+        )  # fmt: skip
+        new = fresh[i, INERTIAL] or fresh[i, DRIVE]
+        pair[i, POSE] = fresh[i, POSE]
+        pair[i, INERTIAL] = together and new
+        pair[i, DRIVE] = together and new
+        memory[i, STEP] = step + 1.0
+
+
+class ObservationReader:
+    """Reads the observations of N vehicles, one call per control step.
+
+    control_period [s]; count: vehicles. Its whole state is `memory`.
+    """
+
+    def __init__(self, control_period: float, count: int = 1) -> None:
+        self.control_period = float(control_period)
+        self.slots = round(LONGEST_AGE / control_period) + 2
+        self.memory = np.zeros((count, RINGS + 2 * self.slots * SLOT))
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Forget all, of the vehicles named (indices or a mask), or of all."""
+        self.memory[slice(None) if rows is None else np.asarray(rows)] = 0.0
+
+    def read(
+        self, observation: NDArray[np.float32], start: NDArray[np.bool_] | None = None
+    ) -> Reading:
+        """Read (N, SIZE) observations; rows with `start` begin a new episode.
+
+        Raises ValueError for a wrong shape.
+        """
+        count = len(self.memory)
+        if observation.shape != (count, layout.SIZE):
+            raise ValueError(
+                f"observation has shape {observation.shape}; must be ({count}, {layout.SIZE}). "
+                "Did a wrapper stack or append to it?"
+            )
+        start = np.zeros(count, dtype=bool) if start is None else start
+        latest, paired = np.empty((2, count, CHANNEL_COUNT))
+        fresh, pair = np.empty((2, count, 3), dtype=bool)
+        age, reference = np.empty((2, count, 3))
+        read_all(
+            observation, self.memory, start, self.control_period, self.slots,
+            latest, paired, fresh, pair, age, reference,
+        )  # fmt: skip
+        return Reading(Measurement(latest, fresh, age), Measurement(paired, pair, age), reference)

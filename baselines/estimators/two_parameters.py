@@ -1,0 +1,132 @@
+"""What the two regressions on the vehicle's motion share: memory, bounds, answers.
+
+A regression turns a measurement into one equation per vehicle; least_squares takes it from
+there. A sample that cannot be used (stale, standstill) holds, one with NaN is counted.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.estimators import least_squares as ls
+from baselines.estimators.estimate import Estimate
+from baselines.estimators.measurement import DataSheet, Measurement
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import PlantParameters
+
+CONVERGING, HOLDING, REJECTED = 0, 1, 2  # of estimate.Status, as plain numbers for kernels
+SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing about it
+# Columns of the answer of a kernel, per vehicle.
+VALUE_1, VALUE_2, P_11, P_12, P_22, EXCITATION, CONDITION, STATUS, NIS = range(9)
+ANSWER = 9
+
+
+@formula
+def answer(memory, i, prior, status, nis, out):
+    """Write what is known of vehicle i into out (N, ANSWER)."""
+    out[i, VALUE_1], out[i, VALUE_2] = ls.values(memory, i, prior)
+    out[i, P_11], out[i, P_12], out[i, P_22] = ls.covariance(memory, i, prior)
+    smallest, largest = ls.eigenvalues(memory, i)
+    out[i, EXCITATION] = smallest
+    out[i, CONDITION] = largest / smallest if smallest > 0.0 else np.inf
+    out[i, STATUS] = status
+    out[i, NIS] = nis
+
+
+@loop
+def read_all(memory, prior, out):
+    """The present answer of every vehicle, without a sample."""
+    for i in range(memory.shape[0]):
+        answer(memory, i, prior, HOLDING, np.nan, out)
+
+
+def checked_forgetting(name: str, value: float) -> float:
+    """A forgetting factor. Raises ValueError outside (0.5, 1]."""
+    if not 0.5 < value <= 1.0:
+        raise ValueError(
+            f"{name} = {value}; must be in (0.5, 1]. It is the share of old information that is "
+            "kept per sample: 0.998 remembers about 500 samples. Did you pass 1 - lambda?"
+        )
+    return float(value)
+
+
+class TwoParameterEstimator:
+    """Forgetting least squares for two parameters of N vehicles.
+
+    parameters: nominal ones, the prior mean. control_period [s]. data_sheet: noise of the
+    sensors. count: vehicles. Subclasses name the parameters and give prior and kernel.
+    Raises ValueError for a period, count or forgetting factor that makes no sense.
+    """
+
+    names: tuple[str, ...]
+    _kernel: Callable[..., None]
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        data_sheet: DataSheet | None,
+        count: int,
+        prior: ls.Prior,
+    ) -> None:
+        if not 0.0 < control_period <= 1.0:
+            raise ValueError(
+                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
+            )
+        if count < 1:
+            raise ValueError(f"count = {count} vehicles; must be at least 1")
+        self.parameters = PlantParameters(*(float(value) for value in parameters))
+        self.control_period = float(control_period)
+        self.data_sheet = DataSheet() if data_sheet is None else data_sheet
+        self.prior = ls.Prior(*(float(x) for x in prior[:-1]), bool(prior[-1]))
+        self.memory = np.zeros((count, ls.MEMORY))
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Forget all, of the vehicles named (indices or a mask), or of all."""
+        self.memory[slice(None) if rows is None else np.asarray(rows)] = 0.0
+
+    def known(self) -> tuple[Any, ...]:
+        """What the kernel needs besides the measurement."""
+        return ()
+
+    def compute(self, measurement: Measurement) -> NDArray[np.float64]:
+        """Take one sample; returns the bare answer (N, ANSWER)."""
+        out = np.empty((len(self.memory), ANSWER))
+        type(self)._kernel(
+            measurement.values, measurement.fresh, self.memory, self.prior, *self.known(), out
+        )
+        return out
+
+    def update(self, measurement: Measurement) -> Estimate:
+        """Take one sample of every vehicle.
+
+        Raises ValueError when the measurement is of another number of vehicles.
+        """
+        if len(measurement.values) != len(self.memory):
+            raise ValueError(
+                f"measurement of {len(measurement.values)} vehicles for an estimator of "
+                f"{len(self.memory)}"
+            )
+        return self.estimate(self.compute(measurement))
+
+    def read(self) -> Estimate:
+        """What is known now, without a sample."""
+        out = np.empty((len(self.memory), ANSWER))
+        read_all(self.memory, self.prior, out)
+        return self.estimate(out)
+
+    def estimate(self, out: NDArray[np.float64]) -> Estimate:
+        """The answer of the kernel as an Estimate."""
+        covariance = out[:, [P_11, P_12, P_12, P_22]].reshape(-1, 2, 2)
+        return Estimate(
+            self.names,
+            out[:, :2],
+            covariance,
+            out[:, EXCITATION],
+            out[:, CONDITION],
+            out[:, STATUS].astype(np.int64),
+            out[:, NIS],
+            self.memory[:, ls.SKIPPED].astype(np.int64),
+        )

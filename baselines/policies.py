@@ -1,9 +1,11 @@
 """Named policies for the benchmark: what each knows of the vehicle and its soil.
 
     nominal   the feedback-linearizing controller with the nominal parameters, right or wrong
+    adaptive  the same controller with the parameters that it identifies under way
     oracle    the same controller, handed the true parameters at every step: what perfect
               identification would reach. It measures like everybody else.
-A factory takes a context with `control_period` [s] and `lateral` (closure).
+A factory takes a context with `control_period` [s], `lateral` (closure) and `sensors` (data
+sheet: the noise of the sensors, which everybody may know).
 """
 
 from collections.abc import Callable, Mapping
@@ -12,7 +14,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.adaptive import AdaptivePolicy
 from baselines.controllers.feedback_linearization import FeedbackLinearizingController
+from baselines.estimators.measurement import DataSheet
 from tracked_env.physics.parameters import PARAMETER_NAMES, plant_parameters
 
 
@@ -26,6 +30,10 @@ class Context(Protocol):
     @property
     def lateral(self) -> str:
         """Lateral closure of the plant."""
+
+    @property
+    def sensors(self) -> Any:
+        """Data sheet: an object with the attributes of estimators.measurement.DataSheet."""
 
 
 class OracleController(FeedbackLinearizingController):
@@ -45,6 +53,16 @@ def nominal(context: Context) -> FeedbackLinearizingController:
     )
 
 
+def adaptive(context: Context) -> AdaptivePolicy:
+    """The controller that identifies vehicle and soil under way."""
+    return AdaptivePolicy(
+        plant_parameters(),
+        control_period=context.control_period,
+        data_sheet=DataSheet.of(context.sensors),
+        lateral=context.lateral,
+    )
+
+
 def oracle(context: Context) -> OracleController:
     """The controller that knows the true parameters."""
     return OracleController(
@@ -52,4 +70,8 @@ def oracle(context: Context) -> OracleController:
     )
 
 
-POLICIES: dict[str, Callable[[Any], Any]] = {"nominal": nominal, "oracle": oracle}
+POLICIES: dict[str, Callable[[Any], Any]] = {
+    "nominal": nominal,
+    "adaptive": adaptive,
+    "oracle": oracle,
+}

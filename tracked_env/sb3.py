@@ -5,12 +5,12 @@ environment per vehicle. Ended rows restart in the same step, as SB3 expects; th
 observation is in `infos[i]["terminal_observation"]`. Needs the extra `rl`.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
@@ -20,19 +20,22 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 
 class TrackedVehicleVecEnv(VecEnv):
-    """An SB3 `VecEnv` over a `TrackedVehicleVectorEnv` in SAME_STEP mode.
+    """An SB3 `VecEnv` over a `TrackedVehicleVectorEnv`, wrapped or not, in SAME_STEP mode.
 
     `infos` are empty dicts except for rows that ended: `terminal_observation`,
     `TimeLimit.truncated`, `is_success`, `tracking_error` (2,) [m, rad], `reward_terms`.
     """
 
-    def __init__(self, env: TrackedVehicleVectorEnv) -> None:
-        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
+        core = env.unwrapped
+        if not isinstance(core, TrackedVehicleVectorEnv):
+            raise ValueError(f"{core} is no TrackedVehicleVectorEnv")
+        if core.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
-                f"autoreset_mode = {env.autoreset_mode}; must be SAME_STEP, which is what SB3 does"
+                f"autoreset_mode = {core.autoreset_mode}; must be SAME_STEP, which is what SB3 does"
             )
-        self.env = env
-        self.render_mode = env.render_mode
+        self.env: Any = env
+        self.render_mode = core.render_mode
         self._actions: NDArray[np.float32] | None = None
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
@@ -115,11 +118,13 @@ def make_vec_env(
     seed: int | None = None,
     env_kwargs: Mapping[str, Any] | None = None,
     monitor: bool = True,
+    wrapper: Callable[[VectorEnv[Any, Any, Any]], VectorEnv[Any, Any, Any]] | None = None,
 ) -> VecEnv:
     """N vehicles for SB3, e.g. `PPO("MlpPolicy", make_vec_env(n_envs=64))`.
 
     env_kwargs: arguments of the environment. seed: row i is seeded seed + i at the first
     reset. monitor: wrap in `VecMonitor`, so that SB3 logs episode returns and success.
+    wrapper: applied to the vector env, such as IdentifiedVectorObservation with its observer.
     """
     env = gymnasium.make_vec(
         env_id,
@@ -127,8 +132,8 @@ def make_vec_env(
         vectorization_mode="vector_entry_point",
         **{**(env_kwargs or {}), "autoreset_mode": AutoresetMode.SAME_STEP},
     )
-    assert isinstance(env.unwrapped, TrackedVehicleVectorEnv)
-    vec_env: VecEnv = TrackedVehicleVecEnv(env.unwrapped)
+    env = env if wrapper is None else wrapper(env)
+    vec_env: VecEnv = TrackedVehicleVecEnv(env)
     if seed is not None:
         vec_env.seed(seed)
     return VecMonitor(vec_env, info_keywords=("is_success",)) if monitor else vec_env

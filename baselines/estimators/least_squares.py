@@ -3,12 +3,14 @@
 Model: y = phi . theta + e, e ~ N(0, R), R known sample by sample from the sensors' data sheets.
 In units of the prior, theta = theta_0 + sigma_0 x, with J the information of the data,
     eps = y - phi . theta                                              S 7.1.1
-    J   = L^(1/2) J L^(1/2) + phi phi^T / R,   P = (J + 1)^-1
+    J   = F(lambda J) + phi phi^T / R,   P = (J + 1)^-1
     x  += P phi eps / R
-L = diag(lambda_1, lambda_2): with both equal it is the exponentially forgetting least squares of S, with
-two factors each parameter forgets at its own rate (vector forgetting). The 1 is the prior: it
-never fades, so P never exceeds the prior covariance, however long nothing is excited (no
-wind-up), yet it does not pull back: it is centred on the present estimate. Per sample:
+lambda forgets exponentially, as in S. The soil changes faster than the vehicle, so parameter 2
+may also walk: F adds drift_2 to its variance. (A forgetting factor of its own would do the same
+to the estimate, but leave a P that takes the walking parameter for known: the mass would seem
+ten times surer than it is.) The 1 is the prior: it never fades, so P never exceeds the prior
+covariance, however long nothing is excited (no wind-up), yet it does not pull back: it is
+centred on the present estimate. Per sample:
     excitation gate  samples that gain nothing, phi^T P phi < GAIN_GATE R, are not used and do
                      not age what is known
     outliers         eps^2 > OUTLIER_GATE (phi^T P phi + R) is rejected; PATIENCE in a row are a
@@ -21,12 +23,13 @@ wind-up), yet it does not pull back: it is centred on the present estimate. Per 
     noisy regressor  the noise of phi_1 would bias theta_1 towards 0; its known variance V is
                      taken out of the normal equations: J_11 -= V / R, and V theta_1 added to
                      phi_1 eps (bias-compensated least squares)
+    holding          where phi_1 varies against phi_2 by its noise alone, it is all noise that
+                     is left of theta_1: it is kept, neither learned nor forgotten, and only
+                     theta_2 learns
     projection       on the bounds, in the metric of J
 
-References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.1. [2] E. S. Page, Biometrika
-41 (1954) 100: cumulative sums. [3] A. Vahidi et al., Vehicle System Dynamics 43 (2005) 31:
-least squares with multiple forgetting for mass and grade.
-[4] S. Sagara, K. Wada, International Journal of Control 25 (1977) 123: on-line bias compensation.
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.1. [2] E. S. Page
+(1954): cumulative sums. [3] S. Sagara, K. Wada (1977): on-line bias compensation.
 """
 
 import math
@@ -41,15 +44,21 @@ CUSUM_LIMIT = 10.0  # [-] a bias of 2 sigma is found in 8 samples; false alarms 
 GAIN_GATE = 1e-6  # [-] share of R by which a sample must reduce the uncertainty
 EXCITED = 1.0  # [-] excitation from which on the data determine every parameter
 TRIAL = 500.0  # [samples] for which both explanations of a change are followed
-DECIDED = 15.0  # [-] log of the likelihood ratio that decides; a ramp of the soil gathers some
+DECIDED = 12.0  # [-] log of the likelihood ratio that decides; a ramp of the soil gathers some
 LARGEST_EVIDENCE = 3.0  # [-] that one sample may add: an outlier decides nothing
+LARGEST = 1e12  # [-] information that J may hold: beyond it the determinant would cancel
+VARIES = 3.0  # [-] of phi_1 against phi_2 in units of the variance of its noise: not noise alone
+VARIES_SHARE = 0.05  # [-] of a sample in the mean of that: 20 samples
+VARIES_MOST = 100.0  # [-] that a sample may count
 
 # What is remembered of one vehicle, the columns of `memory`: two hypotheses of SIZE columns
 # (the second one is on trial while TRIAL_LEFT > 0), then what belongs to both.
 X_1, X_2, J_11, J_12, J_22 = range(5)
 SIZE = 5
-OUTLIERS, CUSUM_UP, CUSUM_DOWN, SKIPPED, CHANGES, TRIAL_LEFT, EVIDENCE, JUMPS = range(10, 18)
-MEMORY = 18
+(
+    OUTLIERS, CUSUM_UP, CUSUM_DOWN, SKIPPED, CHANGES, TRIAL_LEFT, EVIDENCE, JUMPS, VARIATION,
+) = range(2 * SIZE, 2 * SIZE + 9)  # fmt: skip
+MEMORY = 2 * SIZE + 9
 
 
 class Prior(NamedTuple):
@@ -63,8 +72,8 @@ class Prior(NamedTuple):
     low_2: float
     high_1: float
     high_2: float
-    forgetting_1: float  # [-] lambda, per used sample
-    forgetting_2: float  # [-]
+    forgetting: float  # [-] lambda, per used sample, of both
+    drift_2: float  # [-] variance that parameter 2 gains per sample, in units of sigma_2^2
     jump_keeps_2: bool  # a jump of parameter 1 leaves parameter 2 as it was
     follows_changes: bool  # False: no gate for outliers and no search for changes, as in S
 
@@ -82,9 +91,11 @@ class Sample(NamedTuple):
 @formula
 def values(memory, i, prior):
     """(theta_1, theta_2) of vehicle i."""
+    theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, X_1]
+    theta_2 = prior.mean_2 + prior.sigma_2 * memory[i, X_2]
     return (
-        prior.mean_1 + prior.sigma_1 * memory[i, X_1],
-        prior.mean_2 + prior.sigma_2 * memory[i, X_2],
+        min(max(theta_1, prior.low_1), prior.high_1),
+        min(max(theta_2, prior.low_2), prior.high_2),
     )
 
 
@@ -110,11 +121,15 @@ def eigenvalues(memory, i):
 
 
 @formula
-def _forget(memory, i, h, share_1, share_2):
-    """Scale the information of both parameters [-] in hypothesis h."""
-    memory[i, h + J_11] *= share_1
-    memory[i, h + J_22] *= share_2
-    memory[i, h + J_12] *= math.sqrt(share_1 * share_2)
+def _forget(memory, i, h, prior, hold_1):
+    """Time update of hypothesis h: exponential forgetting, unless parameter 1 is held, then the
+    random walk of parameter 2."""
+    share = 1.0 if hold_1 else prior.forgetting
+    a, b, c = memory[i, h + J_11] * share, memory[i, h + J_12] * share, memory[i, h + J_22] * share
+    walk = 1.0 / (1.0 + prior.drift_2 * c)
+    memory[i, h + J_11] = a - prior.drift_2 * walk * b * b
+    memory[i, h + J_12] = b * walk
+    memory[i, h + J_22] = c * walk
 
 
 @formula
@@ -145,23 +160,41 @@ def _innovation(memory, i, h, sample, prior):
 
 
 @formula
-def _learn(memory, i, h, sample, prior, error):
-    """Forget a little, and take the sample into hypothesis h."""
-    _forget(memory, i, h, prior.forgetting_1, prior.forgetting_2)
+def _noise_alone(memory, i, sample, prior):
+    """Whether phi_1 has lately varied against phi_2 by no more than its noise."""
+    if sample.noise_1 <= 0.0:
+        return False
+    b, c = memory[i, J_12] * prior.sigma_2, memory[i, J_22] * prior.sigma_1
+    off = sample.phi_1 - sample.phi_2 * b / c if c > 0.0 else 0.0
+    varies = min(off * off / sample.noise_1, VARIES_MOST)
+    memory[i, VARIATION] += VARIES_SHARE * (varies - memory[i, VARIATION])
+    return memory[i, VARIATION] < VARIES
+
+
+@formula
+def _learn(memory, i, h, sample, prior, error, hold_1):
+    """Forget a little, and take the sample into hypothesis h; hold_1: parameter 1 is kept."""
+    _forget(memory, i, h, prior, hold_1)
     p_1, p_2 = sample.phi_1 * prior.sigma_1, sample.phi_2 * prior.sigma_2
-    weight = 1.0 / sample.variance
+    weight = min(1.0 / sample.variance, LARGEST / (p_1 * p_1 + p_2 * p_2))
     noise = sample.noise_1 * prior.sigma_1
-    memory[i, h + J_12] += weight * p_1 * p_2
-    memory[i, h + J_22] += weight * p_2 * p_2
-    least = memory[i, h + J_12] * memory[i, h + J_12] / max(memory[i, h + J_22], 1e-300)
-    raised = memory[i, h + J_11] + weight * (p_1 * p_1 - noise * prior.sigma_1)
-    memory[i, h + J_11] = max(raised, least)
-    a, b, c = memory[i, h + J_11] + 1.0, memory[i, h + J_12], memory[i, h + J_22] + 1.0
-    scale = weight / (a * c - b * b)
-    theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, h + X_1]
-    g_1, g_2 = p_1 * error + noise * theta_1, p_2 * error
-    memory[i, h + X_1] += scale * (c * g_1 - b * g_2)
-    memory[i, h + X_2] += scale * (a * g_2 - b * g_1)
+    a, b, c = memory[i, h + J_11], memory[i, h + J_12], memory[i, h + J_22]
+    alone = a - b * b / max(c, 1e-300)
+    b, c = b + weight * p_1 * p_2, c + weight * p_2 * p_2
+    least = b * b / max(c, 1e-300)
+    raised = least + alone if hold_1 else a + weight * (p_1 * p_1 - noise * prior.sigma_1)
+    a = max(raised, least)
+    shrink = min(1.0, LARGEST / max(a + c, 1.0))
+    a, b, c = a * shrink, b * shrink, c * shrink
+    memory[i, h + J_11], memory[i, h + J_12], memory[i, h + J_22] = a, b, c
+    if hold_1:
+        memory[i, h + X_2] += weight * p_2 * error / (c + 1.0)
+    else:
+        theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, h + X_1]
+        g_1, g_2 = p_1 * error + noise * theta_1, p_2 * error
+        scale = weight / ((a + 1.0) * (c + 1.0) - b * b)
+        memory[i, h + X_1] += scale * ((c + 1.0) * g_1 - b * g_2)
+        memory[i, h + X_2] += scale * ((a + 1.0) * g_2 - b * g_1)
     _project(memory, i, h, prior)
 
 
@@ -213,7 +246,7 @@ def _judge(memory, i, sample, prior, error, total):
     memory[i, TRIAL_LEFT] -= 1.0
     if other * other > OUTLIER_GATE * spread:
         release(memory, i, SIZE, False, True)
-    _learn(memory, i, SIZE, sample, prior, other)
+    _learn(memory, i, SIZE, sample, prior, other, False)
     if memory[i, EVIDENCE] > DECIDED:
         for k in range(SIZE):
             memory[i, k] = memory[i, SIZE + k]
@@ -233,19 +266,25 @@ def step(memory, i, sample, prior):
     total = gain + sample.variance
     nis = error * error / total
     status = 1
-    if gain > GAIN_GATE * sample.variance:
+    if not math.isfinite(nis + total):
+        memory[i, SKIPPED] += 1.0
+        status = 2
+    elif gain > GAIN_GATE * sample.variance:
         refused = False
         if prior.follows_changes:
             refused = nis > OUTLIER_GATE
             if _alarm(memory, i, error / math.sqrt(total)):
                 _branch(memory, i, prior)
+                error, gain = _innovation(memory, i, 0, sample, prior)
+                total = gain + sample.variance
                 refused = False
         if refused:
             status = 2
         else:
-            _learn(memory, i, 0, sample, prior, error)
+            hold_1 = _noise_alone(memory, i, sample, prior)
+            _learn(memory, i, 0, sample, prior, error, hold_1)
             if memory[i, TRIAL_LEFT] > 0.0:
                 _judge(memory, i, sample, prior, error, total)
             smallest, _largest = eigenvalues(memory, i)
-            status = 0 if smallest >= EXCITED else 1
+            status = 0 if smallest >= EXCITED and not hold_1 else 1
     return status, nis

@@ -4,7 +4,8 @@
 a_x is what the accelerometer feels, dv_x/dt - w v_y, so the coupling with lateral and yaw motion
 is in it, and each track has its own resistance: `coupled`, exact in curves too. S 7.1.2 assumes
 longitudinal motion: `paper` takes dv_x/dt for a_x and s_L = s_R = sign(v_x).
-Variance of the equation: accelerometer, torque sensors, and the slope of s where it is not flat.
+Variance of the equation: accelerometer and torque sensors. Tracks slower than SLOWEST are left
+out: there s is not yet +-1.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2, its suggestion in 8.3.1.
 """
@@ -28,10 +29,9 @@ from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 
-# At 50 Hz: mass remembers 80 s, resistance 1 s (soil changes under way, payload seldom).
-MASS_FORGETTING = 0.9995
-RESISTANCE_FORGETTING = 0.9
-PAPER_FORGETTING = 0.998  # S 8.3.1
+FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
+RESISTANCE_DRIFT = 0.01  # [1/sqrt(s)] random walk of mu_l: 0.02 in a second, more by `changes`
+PAPER_FORGETTING = 0.998  # [-] S 8.3.1
 INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
 RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
 MASS_FACTOR = 5.0  # [-] mass is sought between nominal / factor and nominal * factor
@@ -47,10 +47,8 @@ class Known(NamedTuple):
     inverse_radius: float  # [1/m] 1/r
     half_gauge: float  # [m] B/2
     inverse_mass: float  # [1/kg] nominal, for the variance
-    resistance: float  # [-] nominal mu_l, for the variance
     acceleration_variance: float  # [m^2/s^4] accelerometer and model
     effort_variance: float  # [N^2] of F_L + F_R
-    speed_variance: float  # [m^2/s^2] of a track's speed
     coupled: bool
 
 
@@ -81,7 +79,8 @@ def update_all(z, fresh, memory, prior, known, out):
         status, nis = HOLDING, np.nan
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
             sample, moving = equation(z, i, known)
-            if not math.isfinite(sample.y + sample.phi_1 + sample.phi_2):
+            seen = sample.y + sample.phi_1 + sample.phi_2 + z[i, _V_X] + z[i, _W]
+            if not math.isfinite(seen):
                 memory[i, ls.SKIPPED] += 1.0
                 status = REJECTED
             elif moving:
@@ -92,8 +91,9 @@ def update_all(z, fresh, memory, prior, known, out):
 class LongitudinalEstimator(TwoParameterEstimator):
     """Estimates [1/m, mu_l] of N vehicles; see the head of the file.
 
-    regression: "coupled" (default) or "paper". forgetting: (mass, resistance) factors per
-    sample; None takes the defaults of the regression. follows_changes: outlier gate and search
+    regression: "coupled" (default) or "paper". forgetting: factor per sample. drift
+    [1/sqrt(s)]: random walk of mu_l. None takes the defaults of the regression; "paper" has
+    lambda = 0.998 and no walk. follows_changes: outlier gate and search
     for changes; None = True for "coupled", False for "paper".
     """
 
@@ -107,25 +107,26 @@ class LongitudinalEstimator(TwoParameterEstimator):
         data_sheet: DataSheet | None = None,
         count: int = 1,
         regression: Literal["coupled", "paper"] = "coupled",
-        forgetting: tuple[float, float] | None = None,
+        forgetting: float | None = None,
+        drift: float | None = None,
         follows_changes: bool | None = None,
     ) -> None:
         if regression not in ("coupled", "paper"):
             raise ValueError(f"regression = {regression!r}; must be 'coupled' or 'paper'")
         coupled = regression == "coupled"
         if forgetting is None:
-            forgetting = (PAPER_FORGETTING,) * 2
-            if coupled:
-                forgetting = (MASS_FORGETTING, RESISTANCE_FORGETTING)
-        for factor in forgetting:
-            checked_forgetting("forgetting", factor)
+            forgetting = FORGETTING if coupled else PAPER_FORGETTING
+        if drift is None:
+            drift = RESISTANCE_DRIFT if coupled else 0.0
+        checked_forgetting("forgetting", forgetting)
+        walk = drift * drift * control_period / RESISTANCE_SIGMA**2
         nominal = 1.0 / parameters.mass
         bounds = RANGES["longitudinal_resistance"]
         prior = ls.Prior(
             nominal, parameters.longitudinal_resistance,
             INVERSE_MASS_SIGMA * nominal, RESISTANCE_SIGMA,
             nominal / MASS_FACTOR, bounds.low, nominal * MASS_FACTOR, bounds.high,
-            *forgetting, True, coupled if follows_changes is None else follows_changes,
+            forgetting, walk, True, coupled if follows_changes is None else follows_changes,
         )  # fmt: skip
         super().__init__(parameters, control_period, data_sheet, count, prior)
         sheet, p = self.data_sheet, self.parameters
@@ -134,10 +135,8 @@ class LongitudinalEstimator(TwoParameterEstimator):
             1.0 / p.sprocket_radius,
             0.5 * p.track_gauge,
             nominal,
-            p.longitudinal_resistance,
             sheet.acceleration_noise**2 + MODEL_NOISE**2,
             2.0 * effort * effort,
-            sheet.velocity_noise**2,
             coupled,
         )
 

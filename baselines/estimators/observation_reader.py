@@ -6,7 +6,7 @@ reference from the observed speed and yaw rate (cubic between two observations),
 are coordinates in a frame fixed at the start of the episode. What the integration loses is
 common to p and p_ref, hence nothing that a controller acts on. A group has a new sample when its
 age has not grown by one control period. Inertial and drive samples of different age are paired
-by the time at which they were taken, so that regressions see one moment.
+by the time at which they were taken, so that regressions see one moment; each pair is given once.
 
 Assumption: one call per control step and vehicle.
 """
@@ -23,13 +23,15 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.measurement import CHANNEL_COUNT
 
 LONGEST_AGE = 1.0  # [s] older samples are not paired
+DELAY_RISE = 0.2  # [-] slope at which the delay of a group follows ages that stay up
 
-# Columns of `memory`: reference pose and motion, ages, steps; then two rings of samples.
+# Columns of `memory`: reference pose and motion, ages, steps, when the last pair was taken (plus
+# one, 0 = none yet); then two rings of samples.
 (
     REF_X, REF_Y, REF_YAW, SPEED, ACCELERATION, YAW_RATE, YAW_ACCELERATION,
-    AGE, _AGE_INERTIAL, _AGE_DRIVE, STEP,
-) = range(11)  # fmt: skip
-RINGS = 11
+    AGE, _AGE_INERTIAL, _AGE_DRIVE, STEP, DELAY, LAST_PAIR,
+) = range(13)  # fmt: skip
+RINGS = 13
 GROUP_SIZE = 4  # channels of the inertial and of the drive group
 SLOT = 1 + GROUP_SIZE  # step at which it was taken (plus one, 0 = empty), values
 
@@ -41,6 +43,7 @@ _ERROR_YAW, _SPEED, _REF_YAW_RATE = (
 )  # fmt: skip
 _ACCELERATION, _BEND = _I["reference_acceleration"], _I["reference_yaw_acceleration"]
 _AGES = _I["pose_age"]
+_OLDEST = float(layout.FIELDS[_AGES].bound)  # [s] at which ages are clipped
 _COPIED = np.array(  # (observation column, channel) of what is taken as it is
     [
         (_I[name], COLUMN[name])
@@ -60,6 +63,7 @@ class Reading(NamedTuple):
     latest: Measurement  # each group's last sample
     paired: Measurement  # inertial and drive of one moment; not fresh where there is no pair
     reference: NDArray[np.float64]  # (N, 3) pose of the reference now [m, m, rad]
+    drive_delay: NDArray[np.float64]  # (N,) [s] the delay of the drive group; dropouts apart
 
 
 @formula
@@ -87,8 +91,9 @@ def advance_reference(memory, i, speed, acceleration, yaw_rate, yaw_acceleration
 
 
 @formula
-def _pair(memory, i, taken_inertial, taken_drive, slots, latest, paired):
-    """Fill the inertial and drive channels of `paired`; True when both are of one moment."""
+def _pair(memory, i, taken_inertial, taken_drive, slots, paired):
+    """Fill the inertial and drive channels of `paired` with samples of one moment, the last for
+    which both can have come; True when both are there and were not given before."""
     drive_ring = RINGS + slots * SLOT
     when = min(taken_inertial, taken_drive)
     a = RINGS + (when % slots) * SLOT
@@ -97,11 +102,16 @@ def _pair(memory, i, taken_inertial, taken_drive, slots, latest, paired):
     for c in range(GROUP_SIZE):
         paired[i, _FIRST[INERTIAL] + c] = memory[i, a + 1 + c]
         paired[i, _FIRST[DRIVE] + c] = memory[i, b + 1 + c]
-    return together
+    if not together or memory[i, LAST_PAIR] > when:
+        return False
+    memory[i, LAST_PAIR] = when + 1.0
+    return True
 
 
 @loop
-def read_all(observation, memory, start, period, slots, latest, paired, fresh, pair, age, ref):
+def read_all(
+    observation, memory, start, period, slots, latest, paired, fresh, pair, age, pair_age, ref
+):  # fmt: skip
     """Read every row: observation (N, SIZE), start (N,) bool; the others are written."""
     for i in range(observation.shape[0]):
         if start[i]:
@@ -117,8 +127,11 @@ def read_all(observation, memory, start, period, slots, latest, paired, fresh, p
         memory[i, YAW_RATE], memory[i, YAW_ACCELERATION] = yaw_rate, bend
         for g in range(3):
             age[i, g] = observation[i, _AGES + g] * _SCALE[_AGES + g]
-            fresh[i, g] = step == 0 or age[i, g] < memory[i, AGE + g] + 0.5 * period
+            newest = min(memory[i, AGE + g] + period, _OLDEST) - 0.5 * period
+            fresh[i, g] = step == 0 or age[i, g] < newest
             memory[i, AGE + g] = age[i, g]
+        risen = memory[i, DELAY] + DELAY_RISE * period
+        memory[i, DELAY] = min(age[i, DRIVE], risen)
         for k in range(_COPIED.shape[0]):
             latest[i, _COPIED[k, 1]] = observation[i, _COPIED[k, 0]] * _SCALE[_COPIED[k, 0]]
         yaw = memory[i, REF_YAW] - observation[i, _ERROR_YAW] * _SCALE[_ERROR_YAW]
@@ -139,14 +152,13 @@ def read_all(observation, memory, start, period, slots, latest, paired, fresh, p
                     memory[i, at + 1 + k] = latest[i, _FIRST[g] + k]
         for k in range(CHANNEL_COUNT):
             paired[i, k] = latest[i, k]
-        together = _pair(
-            memory, i, max(step - int(age[i, INERTIAL] / period + 0.5), 0),
-            max(step - int(age[i, DRIVE] / period + 0.5), 0), slots, latest, paired,
-        )  # fmt: skip
-        new = fresh[i, INERTIAL] or fresh[i, DRIVE]
-        pair[i, POSE] = fresh[i, POSE]
-        pair[i, INERTIAL] = together and new
-        pair[i, DRIVE] = together and new
+        taken_inertial = max(step - int(age[i, INERTIAL] / period + 0.5), 0)
+        taken_drive = max(step - int(age[i, DRIVE] / period + 0.5), 0)
+        together = _pair(memory, i, taken_inertial, taken_drive, slots, paired)
+        oldest = max(age[i, INERTIAL], age[i, DRIVE])
+        for g in range(3):
+            pair[i, g] = fresh[i, POSE] if g == POSE else together
+            pair_age[i, g] = age[i, POSE] if g == POSE else oldest
         memory[i, STEP] = step + 1.0
 
 
@@ -154,9 +166,16 @@ class ObservationReader:
     """Reads the observations of N vehicles, one call per control step.
 
     control_period [s]; count: vehicles. Its whole state is `memory`.
+    Raises ValueError for a period or count that makes no sense.
     """
 
     def __init__(self, control_period: float, count: int = 1) -> None:
+        if not 0.0 < control_period <= 1.0:
+            raise ValueError(
+                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
+            )
+        if count < 1:
+            raise ValueError(f"count = {count} vehicles; must be at least 1")
         self.control_period = float(control_period)
         self.slots = round(LONGEST_AGE / control_period) + 2
         self.memory = np.zeros((count, RINGS + 2 * self.slots * SLOT))
@@ -181,9 +200,14 @@ class ObservationReader:
         start = np.zeros(count, dtype=bool) if start is None else start
         latest, paired = np.empty((2, count, CHANNEL_COUNT))
         fresh, pair = np.empty((2, count, 3), dtype=bool)
-        age, reference = np.empty((2, count, 3))
+        age, pair_age, reference = np.empty((3, count, 3))
         read_all(
             observation, self.memory, start, self.control_period, self.slots,
-            latest, paired, fresh, pair, age, reference,
+            latest, paired, fresh, pair, age, pair_age, reference,
         )  # fmt: skip
-        return Reading(Measurement(latest, fresh, age), Measurement(paired, pair, age), reference)
+        return Reading(
+            Measurement(latest, fresh, age),
+            Measurement(paired, pair, pair_age),
+            reference,
+            self.memory[:, DELAY].copy(),
+        )

@@ -5,11 +5,13 @@ S is the moment of the lateral friction per weight and mu_t, f the turning resis
 soil's resistance grows with m mu_t, hence that product is estimated and handed out divided by
 the mass in use. R_L, R_R cancel unless the tracks move in opposite directions.
     sliding      S from the closed form of the friction (terramechanics); v_y from the lateral
-                 accelerometer, a_y = -mu_t g v_y / (|w| l / 2) inside the contact
+                 accelerometer, a_y = -mu_t g v_y / (|w| l / 2) inside the contact. That v_y
+                 depends on mu_t: the regressor is d(C S)/dC, and y is shifted to match
     constrained  S = sign(w) (l^2/4 - d^2) / l, and the terms of S (28): I + m d^2, m d w v_x, F_y d
 The regressor of S 7.1.2 has the wrong sign and the factor 2; here it has f.
-Variance of the equation: torque sensors, yaw acceleration, and the gyro times the slope of S,
-which is steep on the straight: there a sample weighs next to nothing.
+Variance of the equation: torque sensors, yaw acceleration, gyro and lateral accelerometer times
+the slopes of S. On the straight S is steep, and its friction not that of a turning vehicle:
+samples below a least yaw rate are left out, or noise would be taken for turning.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2.
 """
@@ -23,9 +25,8 @@ from numpy.typing import NDArray
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Estimate
 from baselines.estimators.longitudinal import PAPER_FORGETTING
-from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, DataSheet, Measurement
+from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, DataSheet
 from baselines.estimators.two_parameters import (
-    ANSWER,
     HOLDING,
     P_12,
     P_22,
@@ -35,20 +36,22 @@ from baselines.estimators.two_parameters import (
     TwoParameterEstimator,
     answer,
     checked_forgetting,
-    read_all,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import saturated_sign
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 
-# At 50 Hz: inertia remembers 80 s, lateral resistance 1 s.
-INERTIA_FORGETTING = 0.9995
-FRICTION_FORGETTING = 0.9
+FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
+FRICTION_DRIFT = 0.02  # [1/sqrt(s)] random walk of m mu_t, of its nominal value
 INERTIA_SIGMA = 0.4  # [-] of the nominal inertia: prior standard deviation
 FRICTION_SIGMA = 0.4  # [-] of the nominal m mu_t
 INERTIA_FACTOR = 6.0  # [-] inertia is sought between nominal / factor and nominal * factor
 MODEL_NOISE = 20.0  # [N m] of the equation itself
+ITERATIONS = 3  # [-] for v_y; the first is exact in fast turns
+EPS2 = soil.LATERAL_FRICTION_REGULARISATION**2  # [m^2/s^2]
+LEAST_FRICTION = 0.1  # [-] mu_t of which v_y is still found
+INSIDE = 0.8  # [-] of the half contact: the ICR is sought inside it
 
 _V_X, _W = COLUMN["v_x"], COLUMN["yaw_rate"]
 _A_Y, _BEND, _TORQUE = COLUMN["acceleration_y"], COLUMN["yaw_acceleration"], COLUMN["torque_left"]
@@ -65,6 +68,8 @@ class Known(NamedTuple):
     moment_variance: float  # [N^2 m^2] torque sensors and model
     bend_variance: float  # [rad^2/s^4] of dw/dt
     turn_variance: float  # [rad^2/s^2] of w
+    side_noise: float  # [m/s^2] sigma of the lateral accelerometer
+    least_turn: float  # [rad/s] slower turns are left out
     constrained: bool
 
 
@@ -82,43 +87,67 @@ def unit_moment(v_y, w, known):
 
 
 @formula
+def lever(v_y, half):
+    """-v_y mu_t g / a_y [m/s] of the regularised friction; half = w l / 2 [m/s]."""
+    rear, front = v_y - half, v_y + half
+    e_rear, e_front = math.sqrt(rear * rear + EPS2), math.sqrt(front * front + EPS2)
+    return (e_rear + e_front) / (2.0 + EPS2 / (e_rear * e_front))
+
+
+@formula
+def sideways(a_y, w, weight_share, known):
+    """(v_y [m/s], C dS/dC, what the noise of a_y does to S) g of the sliding closure.
+
+    a_y [m/s^2] as measured, weight_share m / C = 1 / mu_t [-].
+    """
+    half = 0.5 * known.contact_length * w
+    share = weight_share / soil.GRAVITY
+    inside = INSIDE * math.sqrt(half * half + EPS2)
+    v_y, free, per_acceleration = 0.0, 0.0, 0.0
+    for _ in range(ITERATIONS):
+        per_acceleration = share * lever(v_y, half)
+        free = -a_y * per_acceleration
+        v_y = min(max(free, -inside), inside)
+    step = max(known.side_noise * per_acceleration, 1e-3 * inside)
+    change = 0.5 * (unit_moment(v_y + step, w, known) - unit_moment(v_y - step, w, known))
+    return v_y, -change * v_y / step if abs(free) < inside else 0.0, change
+
+
+@formula
 def equation(z, i, known, mass, resistance, friction, inertia):
-    """The Sample of vehicle i, and whether the tracks move.
+    """The Sample of vehicle i, and whether it moves and turns.
 
     mass m [kg], resistance mu_l [-], friction m mu_t [kg] and inertia [kg m^2] as known so far.
     """
     v_x, w = z[i, _V_X], z[i, _W]
     left, right = v_x - w * known.half_gauge, v_x + w * known.half_gauge
-    # Both tracks forward: the sides cancel.
-    side = 0.5 * (math.copysign(1.0, right) - math.copysign(1.0, left))
-    rolling = side * resistance * mass * soil.GRAVITY
-    drive = (z[i, _TORQUE + 1] - z[i, _TORQUE]) * known.inverse_radius
-    y = known.half_gauge * (drive - rolling)
-    d = known.icr_forward
+    # Both tracks forward: the resistances cancel.
+    opposite = 0.5 * (math.copysign(1.0, right) - math.copysign(1.0, left))
+    rolling = opposite * resistance * mass * soil.GRAVITY
+    y = known.half_gauge * ((z[i, _TORQUE + 1] - z[i, _TORQUE]) * known.inverse_radius - rolling)
+    v_y, shift, side, across = 0.0, 0.0, 0.0, 0.0
     if known.constrained:
-        v_y = 0.0
+        d = known.icr_forward
         y += mass * d * (w * v_x - d * z[i, _BEND])
         sign = saturated_sign(w, 1.0 / soil.YAW_FRICTION_REGULARISATION)
-        extra = 2.0 * soil.GRAVITY / known.contact_length * d * d * sign
+        across = 2.0 * soil.GRAVITY / known.contact_length * d * d * sign
     else:
-        half = 0.5 * known.contact_length * abs(w)
-        v_y = -z[i, _A_Y] * half * mass / (max(friction, 0.1 * mass) * soil.GRAVITY)
-        v_y = min(max(v_y, -0.8 * half), 0.8 * half)
-        extra = 0.0
+        weight_share = mass / max(friction, LEAST_FRICTION * mass)
+        v_y, shift, side = sideways(z[i, _A_Y], w, weight_share, known)
     factor = known.turning_resistance_factor
-    shape = factor * unit_moment(v_y, w, known) + extra
-    probe = math.sqrt(known.turn_variance)
-    slope = factor * (
-        unit_moment(v_y, abs(w) + probe, known) - unit_moment(v_y, abs(w) - probe, known)
-    )
+    turn = math.sqrt(known.turn_variance)
+    slope = 0.5 * (unit_moment(v_y, w + turn, known) - unit_moment(v_y, w - turn, known))
+    spread = factor * friction
     variance = (
         known.moment_variance
         + inertia * inertia * known.bend_variance
-        + 0.25 * friction * friction * slope * slope
+        + spread * spread * (slope * slope + side * side)
     )
-    return ls.Sample(y, z[i, _BEND], shape, variance, known.bend_variance), min(
-        abs(left), abs(right)
-    ) > SLOWEST
+    usable = min(abs(left), abs(right)) > SLOWEST and abs(w) > known.least_turn
+    regressor = factor * (unit_moment(v_y, w, known) + shift) + across
+    return ls.Sample(
+        y + factor * shift * friction, z[i, _BEND], regressor, variance, known.bend_variance
+    ), usable
 
 
 @loop
@@ -130,7 +159,8 @@ def update_all(z, fresh, memory, prior, known, mass, resistance, out):
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
             inertia, friction = ls.values(memory, i, prior)
             sample, moving = equation(z, i, known, mass[i], resistance[i], friction, inertia)
-            if not math.isfinite(sample.y + sample.phi_1 + sample.phi_2 + sample.variance):
+            seen = sample.y + sample.phi_1 + sample.phi_2 + sample.variance
+            if not math.isfinite(seen + z[i, _V_X]):
                 memory[i, ls.SKIPPED] += 1.0
                 status = REJECTED
             elif moving:
@@ -143,8 +173,8 @@ class TurningEstimator(TwoParameterEstimator):
 
     mass, mass_variance, resistance: arrays (N,) that the owner keeps up to date; they start
     at the nominal values with variance 0. lateral: closure, "sliding" or "constrained".
-    forgetting: (inertia, friction) factors per sample; regression "paper" takes 0.998 for
-    both and searches no changes, "coupled" (default) takes those of this file.
+    forgetting: factor per sample. drift [1/sqrt(s)]: random walk of m mu_t. None takes the
+    defaults of the regression; "paper" has lambda = 0.998, no walk, and searches no changes.
     """
 
     names = ("inertia", "lateral_resistance")
@@ -158,7 +188,8 @@ class TurningEstimator(TwoParameterEstimator):
         count: int = 1,
         lateral: str = "sliding",
         regression: str = "coupled",
-        forgetting: tuple[float, float] | None = None,
+        forgetting: float | None = None,
+        drift: float | None = None,
         follows_changes: bool | None = None,
     ) -> None:
         if lateral not in ("sliding", "constrained"):
@@ -167,11 +198,11 @@ class TurningEstimator(TwoParameterEstimator):
             raise ValueError(f"regression = {regression!r}; must be 'coupled' or 'paper'")
         coupled = regression == "coupled"
         if forgetting is None:
-            forgetting = (PAPER_FORGETTING,) * 2
-            if coupled:
-                forgetting = (INERTIA_FORGETTING, FRICTION_FORGETTING)
-        for factor in forgetting:
-            checked_forgetting("forgetting", factor)
+            forgetting = FORGETTING if coupled else PAPER_FORGETTING
+        if drift is None:
+            drift = FRICTION_DRIFT if coupled else 0.0
+        checked_forgetting("forgetting", forgetting)
+        walk = drift * drift * control_period / FRICTION_SIGMA**2
         inertia = parameters.inertia
         friction = parameters.mass * parameters.lateral_resistance
         limit = RANGES["lateral_resistance"].high
@@ -179,7 +210,7 @@ class TurningEstimator(TwoParameterEstimator):
             inertia, friction, INERTIA_SIGMA * inertia, FRICTION_SIGMA * friction,
             inertia / INERTIA_FACTOR, 0.02 * friction,
             inertia * INERTIA_FACTOR, limit * INERTIA_FACTOR * parameters.mass,
-            *forgetting, False, coupled if follows_changes is None else follows_changes,
+            forgetting, walk, False, coupled if follows_changes is None else follows_changes,
         )  # fmt: skip
         super().__init__(parameters, control_period, data_sheet, count, prior)
         sheet, p = self.data_sheet, self.parameters
@@ -193,11 +224,20 @@ class TurningEstimator(TwoParameterEstimator):
             2.0 * (0.5 * p.track_gauge * effort) ** 2 + MODEL_NOISE**2,
             sheet.yaw_acceleration_noise**2,
             sheet.gyro_noise**2 + sheet.gyro_bias**2 + 1e-8,
+            sheet.acceleration_noise,
+            soil.YAW_FRICTION_REGULARISATION
+            if lateral == "constrained"
+            else 2.0 * soil.LATERAL_FRICTION_REGULARISATION / p.contact_length,
             lateral == "constrained",
         )
         self.mass = np.full(count, p.mass)
         self.mass_variance = np.zeros(count)
         self.resistance = np.full(count, p.longitudinal_resistance)
+
+    def release_inertia(self, rows: NDArray[np.bool_]) -> None:
+        """Forget what the data said of the inertia and friction of the vehicles marked (N,)."""
+        for column in (ls.J_11, ls.J_12, ls.J_22):
+            self.memory[rows, column] = 0.0
 
     def known(self) -> tuple[Any, ...]:
         """Constants of the equation, and what the longitudinal estimator knows."""

@@ -80,7 +80,7 @@ class TwoParameterEstimator:
         self.parameters = PlantParameters(*(float(value) for value in parameters))
         self.control_period = float(control_period)
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
-        self.prior = ls.Prior(*(float(x) for x in prior[:-1]), bool(prior[-1]))
+        self.prior = ls.Prior(*(float(x) for x in prior[:-2]), *(bool(x) for x in prior[-2:]))
         self.memory = np.zeros((count, ls.MEMORY))
 
     def reset(self, rows: ArrayLike | None = None) -> None:

@@ -70,6 +70,19 @@ def test_mobilised_shear_has_its_limits_and_is_monotone():
     assert soil.mobilised_shear(1e4) == pytest.approx(1.0 - 1e-4, rel=1e-14)
 
 
+def test_the_slope_of_the_mobilised_shear_is_that_of_finite_differences():
+    assert soil.mobilised_shear_slope(0.0) == 0.5
+    for u in (1e-3, 0.05, 0.1249, 0.125, 0.1251, 0.7, 3.0, 40.0):
+        h = 1e-4 * max(u, 0.1)
+        outer = soil.mobilised_shear(u + 2.0 * h) - soil.mobilised_shear(max(u - 2.0 * h, 0.0))
+        inner = soil.mobilised_shear(u + h) - soil.mobilised_shear(u - h)
+        expected = (8.0 * inner - outer) / (12.0 * h)
+        assert soil.mobilised_shear_slope(u) == pytest.approx(expected, rel=1e-9)
+    series, closed = soil.mobilised_shear_slope(0.125 - 1e-15), soil.mobilised_shear_slope(0.125)
+    assert series == pytest.approx(closed, rel=1e-12)
+    assert soil.mobilised_shear_slope(1e5) == pytest.approx(1e-10, rel=1e-4)
+
+
 def test_slip_and_effort_are_inverse_of_each_other_on_every_soil():
     slips = np.concatenate([np.logspace(-9, 0, 40), [0.0, 0.00125, 0.5, 0.99]])
     for maximum, shear_length in _soils():
@@ -207,3 +220,43 @@ def test_the_held_load_gives_back_at_most_a_trace_of_power_within_the_width():
     ]
     assert min(powers) >= -0.0842 * RESISTANCE * width
     assert max(powers) > 0.0
+
+
+# --- track speed from the belt ----------------------------------------------------------------
+
+SPEEDS = (-20.0, -1.7, -0.3, 0.3, 1.7, 20.0)
+
+
+@pytest.mark.parametrize("belt", SPEEDS)
+@pytest.mark.parametrize("slip", [-0.97, -0.5, -0.02, 0.0, 0.02, 0.5, 0.97])
+def test_track_speed_from_belt_is_the_inverse_of_the_slip_ratio(belt, slip):
+    speed = soil.track_speed_from_belt(belt, slip)
+    assert soil.slip_ratio(belt, speed) == pytest.approx(slip, abs=1e-14)
+
+
+@pytest.mark.parametrize("belt", SPEEDS)
+@pytest.mark.parametrize("slip", [0.0, 0.1, 0.6, 1.0])
+def test_a_driving_track_moves_at_one_minus_slip_of_its_belt(belt, slip):
+    driving = math.copysign(slip, belt)
+    assert soil.track_speed_from_belt(belt, driving) == pytest.approx(belt * (1.0 - slip))
+
+
+@pytest.mark.parametrize("belt", SPEEDS)
+def test_a_braking_track_is_faster_than_its_belt_but_finite_when_locked(belt):
+    braking = -math.copysign(0.6, belt)
+    assert soil.track_speed_from_belt(belt, braking) == pytest.approx(belt / 0.4)
+    locked = soil.track_speed_from_belt(belt, -math.copysign(1.0, belt))
+    assert locked == pytest.approx(belt / soil.LOCKED_MARGIN)
+
+
+def test_track_speed_from_belt_is_smooth_at_no_slip_and_zero_for_a_standing_belt():
+    left, right = soil.track_speed_from_belt(2.0, -1e-6), soil.track_speed_from_belt(2.0, 1e-6)
+    assert (left - 2.0) / 1e-6 == pytest.approx(2.0, rel=1e-5)
+    assert (right - 2.0) / 1e-6 == pytest.approx(-2.0, rel=1e-5)
+    assert all(soil.track_speed_from_belt(0.0, i) == 0.0 for i in (-1.0, -0.4, 0.0, 0.4, 1.0))
+
+
+@pytest.mark.parametrize("belt", SPEEDS)
+@pytest.mark.parametrize("slip", [-1.0, -0.3, 0.0, 0.3, 1.0])
+def test_track_speed_from_belt_of_reverse_driving_is_the_mirror_image(belt, slip):
+    assert soil.track_speed_from_belt(-belt, -slip) == -soil.track_speed_from_belt(belt, slip)

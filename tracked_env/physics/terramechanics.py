@@ -25,6 +25,7 @@ LATERAL_FRICTION_REGULARISATION = 0.03  # [m/s] lateral time constant eps / (1.5
 YAW_FRICTION_REGULARISATION = 0.06  # [rad/s] the same for the turning moment of S (21)
 STANDSTILL_SPEED = 1e-6  # [m/s] a track slower than this stands; keeps 0/0 out of the slip
 SLIP_SPEED_FLOOR = 1e-3  # [m/s] the slip ratio fades to 0 when track and soil both stand
+LOCKED_MARGIN = 0.02  # [-] braking slip beyond 1 - this: the belt no longer tells the track's speed
 LEAST_EFFORT = 1e-6  # [N] F_max of a soil without cohesion and friction; keeps 0/0 out
 SERIES_LIMIT = 0.125  # [-] below it power series replace closed forms that would cancel
 
@@ -55,6 +56,21 @@ def mobilised_shear(shear_ratio):
     safe = max(shear_ratio, SERIES_LIMIT)
     closed = 1.0 - (1.0 - exponential(-safe)) / safe
     return _small_mobilised_shear(shear_ratio) if shear_ratio < SERIES_LIMIT else closed
+
+
+@formula
+def mobilised_shear_slope(shear_ratio):
+    """f'(u) = [(1 - exp(-u)) / u - exp(-u)] / u [-], derivative of `mobilised_shear`, u >= 0.
+
+    Limits: f'(0) = 1/2, f' -> 1 / u^2 for u -> inf. Series error < 1e-12 of 1.
+    """
+    safe = max(shear_ratio, SERIES_LIMIT)
+    decay = exponential(-safe)
+    closed = ((1.0 - decay) / safe - decay) / safe
+    u = min(shear_ratio, SERIES_LIMIT)
+    tail = 1 / 144 - u * (1 / 840 - u * (1 / 5760 - u / 45360))
+    series = 1 / 2 - u * (1 / 3 - u * (1 / 8 - u * (1 / 30 - u * tail)))
+    return series if shear_ratio < SERIES_LIMIT else closed
 
 
 @formula
@@ -138,6 +154,20 @@ def belt_speed(effort, track_speed, slip_ratio, speed_limit):
 def slip_ratio(belt, track_speed):
     """i = (V_t - V) / max(|V_t|, |V|) [-], in [-1, 1]; 0 when both stand still."""
     return (belt - track_speed) / max(max(abs(belt), abs(track_speed)), SLIP_SPEED_FLOOR)
+
+
+@formula
+def track_speed_from_belt(belt, slip_ratio):
+    """Track speed V [m/s] over the ground from belt speed V_t [m/s] and slip ratio i: inverse
+    of `slip_ratio`.
+
+    Driving (i V_t >= 0): V = V_t (1 - |i|), 0 for |i| >= 1. Braking: V = V_t / (1 - |i|), with
+    1 - |i| not below LOCKED_MARGIN: of a locked track the belt does not tell the speed. Both
+    have the value V_t and the slope -|V_t| at i = 0. A belt that stands gives 0.
+    """
+    slip = abs(slip_ratio)
+    faster = belt / max(1.0 - slip, LOCKED_MARGIN)
+    return belt * max(1.0 - slip, 0.0) if slip_ratio * belt >= 0.0 else faster
 
 
 @formula

@@ -1,0 +1,186 @@
+"""Unscented Kalman filter for the slips of both tracks, and a filtered pose: S 7.2, batched.
+
+The model is in slip_model, delayed samples in dead_reckoning, the filter in slip_unscented, the
+rest of a step in slip_step. slip_filterpy is the same observer around the filter of filterpy.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+from baselines.estimators import dead_reckoning, slip_model, slip_unscented
+from baselines.estimators import slip_step as step
+from baselines.estimators.estimate import Estimate
+from baselines.estimators.measurement import DataSheet, Measurement
+from baselines.estimators.slip_model import ROWS, STATES
+from tracked_env.physics.jit import loop
+from tracked_env.physics.measurement import CHANNEL_COUNT, GROUPS
+from tracked_env.physics.parameters import RANGES, PlantParameters
+
+FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
+
+
+@loop
+def forget(memory, rows):
+    """Vehicles `rows` as nothing were known of them."""
+    for i in rows:
+        memory[i, :] = 0.0
+        memory[i, step.HELD_L] = memory[i, step.HELD_R] = step.LARGEST_READING
+        for a in range(STATES):
+            memory[i, step.COVARIANCE + (STATES + 1) * a] = slip_model.largest_variance(a)
+
+
+@loop
+def motion_all(memory, k, motion):
+    """(X, Y, psi, v_x, v_y, w) of all vehicles into motion (N, 6)."""
+    for i in range(memory.shape[0]):
+        belt_left, belt_right = memory[i, step.BELT_L], memory[i, step.BELT_R]
+        slip_left, slip_right = (
+            memory[i, step.STATE + slip_model.SLIP_LEFT],
+            memory[i, step.STATE + slip_model.SLIP_RIGHT],
+        )
+        alpha = memory[i, step.STATE + slip_model.SIDE_SLIP]
+        u = slip_model.make_inputs(
+            belt_left, belt_right, belt_left, belt_right, slip_left, slip_right, alpha, k
+        )
+        left, right, tangent = slip_model.gains(slip_left, slip_right, alpha, u)
+        velocity = slip_model.body_velocity(left, right, belt_left, belt_right, tangent, k)
+        for a in range(3):
+            motion[i, a] = memory[i, step.STATE + a]
+            motion[i, 3 + a] = velocity[a]
+
+
+class Motion(NamedTuple):
+    """Filtered pose and velocities of N vehicles, each (N,)."""
+
+    x: NDArray[np.float64]  # [m] world
+    y: NDArray[np.float64]  # [m] world
+    yaw: NDArray[np.float64]  # [rad] not wrapped
+    v_x: NDArray[np.float64]  # [m/s] body
+    v_y: NDArray[np.float64]  # [m/s] body
+    yaw_rate: NDArray[np.float64]  # [rad/s]
+
+
+def _checked(quantity: str, value: float, low: float, high: float, unit: str, hint: str) -> float:
+    if not low <= value <= high:  # NaN is outside
+        raise ValueError(
+            f"{quantity} = {value} {unit}; must be in [{low:g}, {high:g}] {unit}. {hint}"
+        )
+    return float(value)
+
+
+class SlipObserver:
+    """Slip ratios, side slip angle and pose of N vehicles from pose and sprocket speeds.
+
+    parameters: nominal; only track gauge and sprocket radius are used. control_period [s]:
+    time between two updates. data_sheet: noise of the sensors. count: N.
+    velocity: True uses v_x, v_y of the pose group and the gyro too, False the paper's pose alone.
+    Process noise, standard deviations that grow with the square root of time:
+    position_drift [m/sqrt(s)], yaw_drift [rad/sqrt(s)]: what the kinematics leave out, bumps and
+    flexing tracks. slip_drift [1/sqrt(s)]: a slip changes by 0.02 in a second, straight into a
+    turn on clay. side_slip_drift [rad/sqrt(s)]: likewise.
+    longest_delay [s]: of the pose group; older samples count as that old.
+
+    Raises ValueError for arguments outside their range.
+    """
+
+    names = slip_model.NAMES
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        data_sheet: DataSheet,
+        count: int = 1,
+        velocity: bool = True,
+        position_drift: float = 0.01,
+        yaw_drift: float = 0.003,
+        slip_drift: float = 0.02,
+        side_slip_drift: float = 0.03,
+        longest_delay: float = 1.0,
+    ) -> None:
+        self.control_period = _checked(
+            "control_period", control_period, 1e-4, 1.0, "s", "Did you pass a rate?"
+        )
+        _checked("count", count, 1, 10**7, "vehicles", "It is the size of the batch.")
+        for name in ("track_gauge", "sprocket_radius"):
+            low, high, unit, hint = RANGES[name]
+            _checked(name, getattr(parameters, name), low, high, unit, hint)
+        for name, sigma in data_sheet._asdict().items():
+            _checked(name, sigma, 0.0, 1e4, "(SI)", "Sigmas are not negative.")
+        drifts = (position_drift, yaw_drift, slip_drift, side_slip_drift)
+        for name, drift in zip(("position", "yaw", "slip", "side_slip"), drifts, strict=True):
+            _checked(f"{name}_drift", drift, 0.0, 10.0, "SI/sqrt(s)", "It is no variance.")
+        _checked("longest_delay", longest_delay, 0.0, 10.0, "s", "Did you pass milliseconds?")
+        self.velocity = bool(velocity)
+        rows = ROWS if velocity else 3
+        gate = float(chi2.isf(FALSE_ALARM, rows))
+        self._constants = slip_model.make_constants(
+            parameters, self.control_period, data_sheet, drifts, gate, rows
+        )
+        self._slots = dead_reckoning.slots_for(longest_delay, self.control_period)
+        columns = step.RING + dead_reckoning.columns_for(self._slots)
+        self.memory = np.zeros((int(count), columns))
+        self.reset()
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Forget all, of the vehicles named (indices or a mask), or of all."""
+        every = np.arange(len(self.memory))
+        forget(self.memory, every if rows is None else np.atleast_1d(every[np.asarray(rows)]))
+
+    def update(self, measurement: Measurement) -> Estimate:
+        """Take one sample of every vehicle. NIS is NaN without a new pose sample.
+
+        Raises ValueError for arrays whose shape is not that of a Measurement of N vehicles.
+        """
+        n = len(self.memory)
+        shapes = ((n, CHANNEL_COUNT), (n, len(GROUPS)), (n, len(GROUPS)))
+        for name, array, shape in zip(Measurement._fields, measurement, shapes, strict=True):
+            if array.shape != shape:
+                raise ValueError(
+                    f"measurement.{name} has shape {array.shape}; must be {shape}. "
+                    f"Is the observer made for count = {n} vehicles?"
+                )
+        value, covariance = np.empty((n, STATES)), np.empty((n, STATES, STATES))
+        summary, status = np.empty((n, 4)), np.empty(n, dtype=np.int64)
+        self._advance(measurement, value, covariance, summary, status)
+        return Estimate(
+            self.names, value, covariance, summary[:, 0], summary[:, 1], status,
+            summary[:, 2], summary[:, 3].astype(np.int64),
+        )  # fmt: skip
+
+    def _advance(
+        self,
+        measurement: Measurement,
+        value: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+        summary: NDArray[np.float64],
+        status: NDArray[np.int64],
+    ) -> None:
+        """The filter itself: writes its results into the arrays, all but the first out."""
+        slip_unscented.update_all(
+            *measurement, self._constants, self._slots, self.memory,
+            value, covariance, summary, status,
+        )  # fmt: skip
+
+    def motion(self) -> Motion:
+        """Filtered pose; velocities by the model from the last belt speeds and the slips."""
+        columns = np.empty((len(self.memory), 6))
+        motion_all(self.memory, self._constants, columns)
+        return Motion(*columns.T)
+
+    @property
+    def slips(self) -> NDArray[np.float64]:
+        """(N, 2) i_L, i_R [-]."""
+        return self.memory[:, step.STATE + slip_model.SLIP_LEFT :][:, :2].copy()
+
+    @property
+    def slip_variances(self) -> NDArray[np.float64]:
+        """(N, 2) variances of i_L, i_R [-]."""
+        left = step.COVARIANCE + (STATES + 1) * slip_model.SLIP_LEFT
+        right = step.COVARIANCE + (STATES + 1) * slip_model.SLIP_RIGHT
+        return self.memory[:, [left, right]]

@@ -1,0 +1,298 @@
+"""What surrounds the filter in one step of the slip observer: memory, samples, gate, bounds.
+
+Order of one step, for whatever does the filtering between:
+    take_drive    belt speeds in, Inputs out; missing ones stay as they were and are counted; a
+                  belt that jumps does not take the vehicle along, so it changes the slip
+    (predict)
+    reckon        the step's way into the ring of dead_reckoning
+    take_pose     sample, its R and how old it is; rows that are missing get a huge variance
+    start, or judge and (update)
+                  NIS above the gate is an outlier; PATIENCE of them in a row are a change: then
+                  `inflate` frees what the innovation contradicts, and the sample is used
+    finish        slips and alpha into their bounds, covariance symmetric and bounded
+Information on s = (i_L, i_R, alpha): eigenvalues of D P_s^-1 D - 1, D the prior's sigmas.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2. [2] O. K. Smith, Comm. ACM
+4 (1961) 168: eigenvalues of a symmetric 3 x 3 matrix.
+"""
+
+import math
+
+from baselines.estimators import dead_reckoning, slip_model
+from baselines.estimators.dead_reckoning import Way
+from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, POSE
+from baselines.estimators.slip_model import (
+    BELT_SIGMAS,
+    PRIOR_SIDE_SLIP,
+    PRIOR_SLIP,
+    ROWS,
+    SIDE_SLIP,
+    SIDE_SLIP_LIMIT,
+    SLIP_LEFT,
+    SLIP_LIMIT,
+    SLIP_RIGHT,
+    STATES,
+    YAW,
+    X,
+    Y,
+)
+from tracked_env.physics.elementary import signed
+from tracked_env.physics.jit import formula
+from tracked_env.physics.terramechanics import slip_ratio, track_speed_from_belt
+
+PATIENCE = 5  # [samples] that many outliers in a row are a change
+POSE_GATE = 30.7  # [-] chi^2 of three rows that white noise exceeds once in 1e6
+EXCITED = 1.0  # [-] excitation from which on the data determine slips and side slip
+JITTER = 1e-12  # [SI] added to every variance per step: keeps P positive definite
+TRACK_ACCELERATION = 8.0  # [m/s^2] of a track over the ground; what a belt does beyond is slip
+LOST_DIGITS = 1e-6  # [SI] least variance after rounding has spoilt the covariance
+FASTEST_BELT = 100.0  # [m/s] a belt beyond it is a fault of the sensor, as NaN is
+OLDEST = 10.0  # [s] an older sample counts as that old
+LARGEST_READING = 1e9  # [SI] anything beyond is a fault of the sensor, as NaN is
+
+# What is remembered of one vehicle, the columns of `memory`.
+STATE = 0
+COVARIANCE = STATE + STATES
+BELT_L, BELT_R, HELD_L, HELD_R, STARTED, OUTLIERS, SKIPPED = range(
+    COVARIANCE + STATES * STATES, COVARIANCE + STATES * STATES + 7
+)  # belt speeds and for how many steps they are held, a pose came (1 = yes), in a row, counted
+RING = SKIPPED + 1
+
+_SPEED_L, _SPEED_R = COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]
+_YAW_RATE = COLUMN["yaw_rate"]
+
+
+@formula
+def _usable(reading):
+    """False for NaN, infinity and nonsense."""
+    return abs(reading) < LARGEST_READING
+
+
+@formula
+def load(memory, i, x, p):
+    """State and covariance of vehicle i into x (STATES,) and p (STATES, STATES)."""
+    for a in range(STATES):
+        x[a] = memory[i, STATE + a]
+        for b in range(STATES):
+            p[a, b] = memory[i, COVARIANCE + STATES * a + b]
+
+
+@formula
+def store(memory, i, x, p):
+    """The reverse of `load`."""
+    for a in range(STATES):
+        memory[i, STATE + a] = x[a]
+        for b in range(STATES):
+            memory[i, COVARIANCE + STATES * a + b] = p[a, b]
+
+
+@formula
+def _slip_of_jump(x, p, state, last, belt, steps, k):
+    """Slip `state` after the belt went from `last` to `belt` [m/s] within `steps` steps.
+
+    The track over the ground follows by TRACK_ACCELERATION at most.
+    """
+    follows = TRACK_ACCELERATION * k.period * steps
+    if abs(belt - last) > follows + BELT_SIGMAS * math.sqrt(k.belt_variance):
+        speed = track_speed_from_belt(last, x[state]) + signed(follows, belt - last)
+        jumped = min(max(slip_ratio(belt, speed), -SLIP_LIMIT), SLIP_LIMIT)
+        p[state, state] += min((jumped - x[state]) ** 2, PRIOR_SLIP * PRIOR_SLIP)
+        x[state] = jumped
+
+
+@formula
+def take_drive(memory, i, values, fresh, x, p, k):
+    """Inputs of this step; the belt speeds are remembered."""
+    last_left, last_right = memory[i, BELT_L], memory[i, BELT_R]
+    left, right = k.radius * values[i, _SPEED_L], k.radius * values[i, _SPEED_R]
+    memory[i, HELD_L] += 1.0
+    memory[i, HELD_R] += 1.0
+    seen_left, seen_right = abs(left) < FASTEST_BELT, abs(right) < FASTEST_BELT
+    if seen_left:
+        _slip_of_jump(x, p, SLIP_LEFT, last_left, left, memory[i, HELD_L], k)
+        memory[i, BELT_L] = left
+        memory[i, HELD_L] = 0.0 if fresh[i, DRIVE] else memory[i, HELD_L]
+    if seen_right:
+        _slip_of_jump(x, p, SLIP_RIGHT, last_right, right, memory[i, HELD_R], k)
+        memory[i, BELT_R] = right
+        memory[i, HELD_R] = 0.0 if fresh[i, DRIVE] else memory[i, HELD_R]
+    if not (seen_left and seen_right):
+        memory[i, SKIPPED] += 1.0
+    return slip_model.make_inputs(
+        last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
+        x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP], k,
+    )  # fmt: skip
+
+
+@formula
+def reckon(memory, i, slots, yaw, u, k):
+    """Add the step's way, with heading `yaw` [rad] in its middle."""
+    way = slip_model.step_way(yaw, memory[i, BELT_L], memory[i, BELT_R], u, k)
+    dead_reckoning.push(memory, i, RING, slots, way)
+
+
+@formula
+def _steps(age, k):
+    """Whole control steps in `age` [s]; 0 for what is not a positive number."""
+    return math.floor(min(age, OLDEST) / k.period + 0.5) if age > 0.0 else 0.0
+
+
+@formula
+def _moment(memory, i, slots, steps, k):
+    """Belt speeds of `steps` steps ago, with what serves as their instruments."""
+    way = dead_reckoning.since(memory, i, RING, slots, steps)
+    return (
+        way.belt_left,
+        way.belt_right,
+        slip_model.instrument(way.instrument_left, way.belt_left, k),
+        slip_model.instrument(way.instrument_right, way.belt_right, k),
+    )
+
+
+@formula
+def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
+    """Sample into z (ROWS,), its R into noise (ROWS, ROWS).
+
+    Returns (the way since it was taken, belt speeds when the gyro's was taken). Velocities that
+    are missing, and a gyro without a new sample, are replaced by the model's with a huge variance.
+    The drive's own delay counts: its latest belt speed is one of `age` ago.
+    """
+    drive, pose = _steps(age[i, DRIVE], k), _steps(age[i, POSE], k)
+    sums = dead_reckoning.since(memory, i, RING, slots, pose)
+    way = Way(
+        sums.d_left, sums.d_right, sums.c_left, sums.s_left, sums.c_right, sums.s_right,
+        *_moment(memory, i, slots, pose - drive, k),
+    )  # fmt: skip
+    gyro = Way(
+        0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+        *_moment(memory, i, slots, _steps(age[i, INERTIAL], k) - drive, k),
+    )  # fmt: skip
+    slip_model.fill_measurement_noise(noise, u, way, gyro, pose, k)
+    expected = slip_model.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, way, gyro, k)
+    z[0], z[1] = values[i, 0], values[i, 1]
+    z[2] = expected[2] + slip_model.wrapped(values[i, 2] - expected[2])
+    z[3], z[4], z[5] = values[i, 3], values[i, 4], values[i, _YAW_RATE]
+    missing = False
+    for row in range(3, int(k.rows)):
+        new = row < 5 or fresh[i, INERTIAL]
+        missing = missing or (new and not _usable(z[row]))
+        if not (new and _usable(z[row])):
+            z[row] = expected[row]
+            noise[row, :] = 0.0
+            noise[:, row] = 0.0
+            noise[row, row] = slip_model.IGNORED
+    if missing:
+        memory[i, SKIPPED] += 1.0
+    return way, gyro
+
+
+@formula
+def has_pose(values, fresh, i):
+    """(a new pose sample came, it can be used)."""
+    x, y, yaw = values[i, 0], values[i, 1], values[i, 2]
+    return fresh[i, POSE], _usable(x) and _usable(y) and _usable(yaw)
+
+
+@formula
+def start(memory, i, x, p, z, noise, way):
+    """Pose from the first sample, as uncertain as the sensor is and as far as it is old."""
+    driven = max(abs(way.d_left), abs(way.d_right))
+    for a in range(3):
+        x[a] = z[a]
+        p[a, :] = 0.0
+        p[:, a] = 0.0
+        p[a, a] = noise[a, a] + (driven * driven if a < YAW else 0.0)
+    memory[i, STARTED] = 1.0
+
+
+@formula
+def judge(memory, i, nis, k):
+    """0 = use the sample, 1 = outlier, 2 = one too many outliers: follow it."""
+    if nis <= k.gate:
+        memory[i, OUTLIERS] = 0.0
+        return 0
+    memory[i, OUTLIERS] += 1.0
+    if memory[i, OUTLIERS] < PATIENCE:
+        return 1
+    memory[i, OUTLIERS] = 0.0
+    return 2
+
+
+@formula
+def bound(p):
+    """Covariance symmetric, its variances within their bounds: P <- D P D."""
+    for a in range(STATES):
+        p[a, a] += JITTER
+        largest = slip_model.largest_variance(a)
+        if p[a, a] > largest:
+            shrink = math.sqrt(largest / p[a, a])
+            for b in range(a):
+                p[b, a] *= shrink
+            for b in range(a + 1, STATES):
+                p[a, b] *= shrink
+            p[a, a] = largest
+    for a in range(STATES):
+        for b in range(a):
+            p[a, b] = p[b, a]
+
+
+@formula
+def inflate(p, east, north, turn, pose_nis, nis, k):
+    """Free the pose where the sample contradicts it, and the slips where the velocities do.
+
+    Without velocities the slips are freed in any case.
+    """
+    if pose_nis > POSE_GATE:
+        p[X, X] += east * east
+        p[Y, Y] += north * north
+        p[YAW, YAW] += turn * turn
+    if k.rows < ROWS or nis - pose_nis > POSE_GATE:
+        p[SLIP_LEFT, SLIP_LEFT] += PRIOR_SLIP * PRIOR_SLIP
+        p[SLIP_RIGHT, SLIP_RIGHT] += PRIOR_SLIP * PRIOR_SLIP
+        p[SIDE_SLIP, SIDE_SLIP] += PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP
+    bound(p)
+
+
+@formula
+def information(p):
+    """(smallest, largest) eigenvalue [-] of the information on slips and side slip."""
+    s, t = 1.0 / (PRIOR_SLIP * PRIOR_SLIP), 1.0 / (PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP)
+    a, b, c = s * p[3, 3], s * p[4, 4], t * p[5, 5]
+    cross = math.sqrt(s * t)
+    d, e, f = s * p[3, 4], cross * p[4, 5], cross * p[3, 5]
+    mean = (a + b + c) / 3.0
+    off = d * d + e * e + f * f
+    a, b, c = a - mean, b - mean, c - mean
+    radius = math.sqrt((a * a + b * b + c * c + 2.0 * off) / 6.0)
+    determinant = a * (b * c - e * e) - d * (d * c - e * f) + f * (d * e - b * f)
+    shape = 0.5 * determinant / max(radius * radius * radius, 1e-300)
+    angle = math.acos(min(max(shape, -1.0), 1.0)) / 3.0
+    most = mean + 2.0 * radius * math.cos(angle)
+    least = mean + 2.0 * radius * math.cos(angle + 2.0 * math.pi / 3.0)
+    largest = 1.0 / max(least, 1e-15) - 1.0
+    return max(1.0 / max(most, 1e-15) - 1.0, 0.0), max(largest, 0.0)
+
+
+@formula
+def finish(memory, i, x, p, root, u, used, outcome):
+    """Bounds, memory; root (STATES, STATES) is scratch.
+
+    Returns (excitation, condition, status as estimate.Status).
+    """
+    x[SLIP_LEFT] = min(max(x[SLIP_LEFT], -SLIP_LIMIT), SLIP_LIMIT)
+    x[SLIP_RIGHT] = min(max(x[SLIP_RIGHT], -SLIP_LIMIT), SLIP_LIMIT)
+    x[SIDE_SLIP] = min(max(x[SIDE_SLIP], -SIDE_SLIP_LIMIT), SIDE_SLIP_LIMIT)
+    bound(p)
+    if not slip_model.factorise(p, root, STATES, 1.0):
+        # Rounding has used up the digits, after nonsense: keep the variances, drop the rest.
+        for a in range(STATES):
+            variance = min(max(p[a, a], LOST_DIGITS), slip_model.largest_variance(a))
+            p[a, :] = 0.0
+            p[:, a] = 0.0
+            p[a, a] = variance
+    store(memory, i, x, p)
+    smallest, largest = information(p)
+    moves = min(min(u.fade_left, u.fade_right), u.fade_side) > 0.0
+    learns = used and moves and smallest >= EXCITED
+    status = outcome if outcome == 2 else (0 if learns else 1)
+    return smallest, largest / smallest if smallest > 1e-9 else math.inf, status

@@ -1,0 +1,200 @@
+"""Soil estimator: [F_max, K] of the ground under the tracks, from slips and torques.
+
+A window of samples of both tracks (soil_window) and a damped Gauss-Newton fit of S (7) to it
+(soil_regression); the generalised Newton-Raphson method of S with weights and a weak prior.
+Identifiability: at u = i l / K << 1 only the stiffness F_max l / (2 K), the slope dF/di at
+i = 0, is observable; near i = 1 only F_max. `ratio_only` and `effort_limit` say so.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.3.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.estimators import soil_regression as sr
+from baselines.estimators.estimate import Estimate
+from baselines.estimators.measurement import DataSheet, Measurement
+from baselines.estimators.soil_window import DETERMINED, Sensing, update_all
+from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.parameters import RANGES, PlantParameters
+
+EFFORT_RANGE = (100.0, 1e6)  # [N] bounds of F_max
+EFFORT_FLOOR = 5.0  # [N] sigma of the model: F is not quite quasi-static
+SLIP_FLOOR = 2e-4  # [-] sigma of the model, likewise
+CLEAR_EFFORT = 5.0  # [-] standard deviations that an effort must be above zero
+TRUSTED = 100.0  # [-] inverse variance of ln F from the data that a controller may rely on
+PRIOR_SIGMA = (1.0, 0.7)  # [-] of ln F_max (weak soil to clay: a factor e), ln K (1 to 6 cm)
+
+
+def _inside(name: str, value: float, low: float, high: float, unit: str, hint: str) -> float:
+    """The value, checked; ValueError says what is wrong."""
+    if not low <= value <= high:  # NaN is outside
+        raise ValueError(f"{name} = {value:g} {unit}; must be in [{low:g}, {high:g}]. {hint}")
+    return float(value)
+
+
+class SoilEstimator:
+    """Estimates [F_max [N], K [m]] of vehicles on the move.
+
+    parameters: nominal; its soil is the first guess. count: vehicles N.
+    window: [control steps] 50 as in S. iterations: at most, per update, 20 as in S.
+    residual: "total" (both errors) or "effort" (S (43)); see soil_regression.
+    correlation_steps: [control steps] over which errors of given slips are correlated; 1 =
+    white. A filter's slip needs more, else the covariance is too small.
+    Raises ValueError for a parameter or option outside its range.
+    """
+
+    names = ("effort_maximum", "shear_deformation_modulus")
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        data_sheet: DataSheet,
+        count: int = 1,
+        window: int = 50,
+        iterations: int = 20,
+        residual: str = "total",
+        correlation_steps: float = 1.0,
+    ) -> None:
+        for name in (
+            "mass", "track_width", "track_gauge", "contact_length", "sprocket_radius", "cohesion",
+            "friction_angle", "shear_deformation_modulus",
+        ):  # fmt: skip
+            _inside(f"nominal {name}", float(getattr(parameters, name)), *RANGES[name])
+        _inside("control_period", control_period, 1e-4, 10.0, "s", "Did you pass Hz or ms?")
+        _inside("count", count, 1, 1e9, "vehicles", "There is at least one.")
+        _inside("window", window, 2, 10000, "control steps", "Did you pass seconds?")
+        _inside("iterations", iterations, 1, 1000, "-", "S allows 20.")
+        _inside("correlation_steps", correlation_steps, 1.0, 1e4, "control steps", "1 = white.")
+        for name in ("torque_noise", "sprocket_speed_noise", "velocity_noise", "gyro_noise"):
+            _inside(name, getattr(data_sheet, name), 0.0, 1e6, "SI", "A standard deviation.")
+        if residual not in ("total", "effort"):
+            raise ValueError(f"residual = {residual!r}; must be 'total' or 'effort'")
+        p, sheet = parameters, data_sheet
+        radius, half = float(p.sprocket_radius), 0.5 * float(p.track_gauge)
+        effort = math.hypot(sheet.torque_noise / radius, EFFORT_FLOOR)
+        low_k, high_k = RANGES["shear_deformation_modulus"][:2]
+        self._model = sr.Model(
+            float(p.contact_length), effort * effort,
+            1.0 / PRIOR_SIGMA[0] ** 2, 1.0 / PRIOR_SIGMA[1] ** 2,
+            math.log(EFFORT_RANGE[0]), math.log(EFFORT_RANGE[1]),
+            math.log(low_k), math.log(high_k), residual == "total", int(iterations),
+        )  # fmt: skip
+        turn = half * half * (sheet.gyro_noise**2 + sheet.gyro_bias**2)
+        self._sensing = Sensing(
+            radius, half, (radius * sheet.sprocket_speed_noise) ** 2,
+            2.0 * sheet.velocity_noise**2 + turn, SLIP_FLOOR**2, CLEAR_EFFORT * effort,
+            float(correlation_steps), int(window),
+        )  # fmt: skip
+        maximum = soil.maximum_tractive_effort(
+            p.cohesion, p.friction_angle, p.track_width, p.contact_length, p.mass
+        )
+        maximum = min(max(maximum, EFFORT_RANGE[0]), EFFORT_RANGE[1])
+        self._nominal = np.log([maximum, p.shear_deformation_modulus])
+        self._given: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._nothing = np.zeros((count, 2))
+        samples = 2 * int(window)
+        self.memory = np.zeros((count, sr.HEADER + sr.BLOCKS * samples))
+        self._scratch = np.zeros((2 * sr.ROWS + 1, samples))
+        self.reset()
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Forget all of the vehicles `rows` (indices or a mask), or of all."""
+        where = slice(None) if rows is None else np.asarray(rows)
+        self.memory[where] = 0.0
+        for columns in ((sr.LOG_F, sr.LOG_K), (sr.ANCHOR_F, sr.ANCHOR_K)):
+            for column, number in zip(columns, self._nominal, strict=True):
+                self.memory[where, column] = number
+        self.memory[where, sr.CONVERGED] = 1.0
+
+    def provide_slip(self, slip: ArrayLike, variance: ArrayLike, correlation: float = 0.0) -> None:
+        """Slip ratios (N, 2) and their variances for the next update, such as a filter's.
+
+        correlation: of the errors of the two tracks, in [0, 1]. Without this call the slip
+        follows from sprocket speeds, v_x and yaw rate of the measurement. Raises ValueError
+        for other shapes.
+        """
+        shape = (len(self.memory), 2)
+        arrays = np.array(slip, dtype=float), np.array(variance, dtype=float)
+        if arrays[0].shape != shape or arrays[1].shape != shape:
+            raise ValueError(f"slip {arrays[0].shape}, variance {arrays[1].shape}; must be {shape}")
+        self._given = (
+            arrays[0],
+            arrays[1]
+            * (1.0 + _inside("correlation", correlation, 0.0, 1.0, "-", "It is a coefficient.")),
+        )
+
+    def update(self, measurement: Measurement) -> Estimate:
+        """Take one sample of every vehicle; uses provided slips once."""
+        count = len(self.memory)
+        if measurement.values.shape[0] != count:
+            raise ValueError(
+                f"measurement of {measurement.values.shape[0]} vehicles; this estimates {count}"
+            )
+        slips, variances = self._given or (self._nothing, self._nothing)
+        value, covariance = np.empty((count, 2)), np.empty((count, 2, 2))
+        excitation, condition, nis = np.empty(count), np.empty(count), np.empty(count)
+        status = np.empty(count, dtype=np.int64)
+        update_all(
+            self.memory, measurement.values, measurement.fresh, self._given is not None, slips,
+            variances, self._sensing, self._model, self._scratch, value, covariance, excitation,
+            condition, status, nis,
+        )  # fmt: skip
+        self._given = None
+        skipped = self.memory[:, sr.SKIPPED].astype(np.int64)
+        return Estimate(self.names, value, covariance, excitation, condition, status, nis, skipped)
+
+    @property
+    def iterations(self) -> NDArray[np.int64]:
+        """Steps of the fit in the last update, (N,); 0 where there was none."""
+        return self.memory[:, sr.ITERATIONS].astype(np.int64)
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """Whether the last fit converged, (N,); else the values before it are kept."""
+        return self.memory[:, sr.CONVERGED] > 0.5
+
+    @property
+    def changes(self) -> NDArray[np.int64]:
+        """New soils found so far, (N,)."""
+        return self.memory[:, sr.CHANGES].astype(np.int64)
+
+    @property
+    def stiffness(self) -> NDArray[np.float64]:
+        """F_max l / (2 K) [N], the slope dF/di at i = 0, (N,)."""
+        difference = self.memory[:, sr.LOG_F] - self.memory[:, sr.LOG_K]
+        return 0.5 * self._model.contact_length * np.exp(difference)
+
+    @property
+    def stiffness_deviation(self) -> NDArray[np.float64]:
+        """Standard deviation [N] of the stiffness, from data and prior, (N,)."""
+        return self.stiffness * np.sqrt(self._variance(-1.0, self._model))
+
+    def _variance(
+        self, twist: float | NDArray[np.float64], model: sr.Model | None
+    ) -> NDArray[np.float64]:
+        """Variance of ln F_max + twist ln K; without a model from the data alone (or inf)."""
+        prior = (0.0, 0.0) if model is None else (model.information_f, model.information_k)
+        a, b = self.memory[:, sr.J_FF] + prior[0], self.memory[:, sr.J_FK]
+        c = self.memory[:, sr.J_KK] + prior[1]
+        determinant = a * c - b * b
+        safe = determinant > 1e-12 * a * c
+        numerator = c - 2.0 * b * twist + a * np.square(twist)
+        return np.divide(numerator, determinant, out=np.full(len(a), np.inf), where=safe)
+
+    @property
+    def ratio_only(self) -> NDArray[np.bool_]:
+        """True where the data determine the stiffness, but not F_max, to 20 %, (N,)."""
+        stiff = self._variance(-1.0, self._model) * DETERMINED <= 1.0
+        return stiff & (self._variance(0.0, None) * DETERMINED > 1.0)
+
+    def effort_limit(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """(F(i = 1) [N] of one track, whether the data of the window determine it to 10 %)."""
+        shear_length = self._model.contact_length * np.exp(-self.memory[:, sr.LOG_K])
+        share = np.array([soil.mobilised_shear(u) for u in shear_length])
+        slope = np.array([soil.mobilised_shear_slope(u) for u in shear_length])
+        trusted = self._variance(-shear_length * slope / share, None) * TRUSTED <= 1.0
+        return np.exp(self.memory[:, sr.LOG_F]) * share, trusted

@@ -1,0 +1,265 @@
+"""Damped Gauss-Newton fit of the soil's [F_max, K] to a window of slips and efforts.
+
+Model of both tracks, S (7), with p = (ln F_max, ln K), f = mobilised_shear, u = |i| l / K:
+    F(i; p)    = F_max f(u) sign(i),    F' = dF/di = F_max (l / K) f'(u)
+    dF/dln F_max = F,                   dF/dln K = -i F'
+Both the slip i_m and the effort F_m = torque / r of a sample are measured with errors. Two
+residuals e with variance R:
+    effort  e = F_m - F(i_m),   R = sigma_F^2 + F'(i_m)^2 sigma_i^2            S (43), weighted
+    total   e = F_m - F(i*) - F'(i*) (i_m - i*),  R = sigma_F^2 + F'(i*)^2 sigma_i^2
+            i* = i_m + sigma_i^2 F'(i*) e / R, the slip that both measurements make most likely
+`effort` is attenuated by noise of the slip: F is concave and F' is taken at the wrong place.
+`total` is the least squares of both errors (effective variance at the fitted point): where
+slip noise rules it is a residual in slip, i_m - i(F_m), at full slip one in effort.
+Minimised is, with the weak prior Lambda around the anchor p_0 (the last determined value),
+    sum of e^2 / R + (p - p_0)^T Lambda (p - p_0)
+by steps (A + Lambda + mu diag) dp = g, A = sum of J^T J / R, within the bounds, mu raised when
+the cost does not fall: never singular; a direction that the data do not determine stays at p_0.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.3. [2] J. Orear, Am. J.
+Physics 50 (1982) 912: effective variance. [3] D. W. Marquardt, SIAM J. 11 (1963) 431.
+"""
+
+import math
+from typing import NamedTuple
+
+from tracked_env.physics.elementary import signed
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.terramechanics import (
+    SERIES_LIMIT,
+    mobilised_shear,
+    mobilised_shear_slope,
+    slip_from_effort,
+)
+
+DECREMENT = 0.01  # [-] squared step in standard deviations below which the fit has converged
+LONGEST_STEP = 1.5  # [-] in ln F_max and ln K, per iteration
+FREE_STEPS = 12  # [-] iterations of `total` without damping, see fit
+FIRST_DAMPING = 0.1  # [-] mu after the first step that did not lower the cost
+LARGEST_DAMPING = 1e8  # [-] beyond it no step lowers the cost
+SMALLEST_SLIP = 1e-9  # [-] fitted slips stay positive
+SHRINK = 0.2  # [-] a step leaves at least this share of a fitted slip
+
+# What is remembered of one vehicle ahead of its window, the columns of `memory`.
+(
+    LOG_F, LOG_K, ANCHOR_F, ANCHOR_K, J_FF, J_FK, J_KK, FILLED, NEXT, OUTLIERS, SKIPPED,
+    CHANGES, WAITING, ITERATIONS, CONVERGED, MISFITS,
+) = range(16)  # fmt: skip
+HEADER = 16
+BLOCKS = 4  # of 2 * window columns each: slip, effort, variance of the slip, fitted slip
+ROWS = 6  # of the scratch: F, i F', e, 1 / R, next i*, d i*/dF
+
+
+class Model(NamedTuple):
+    """What the fit knows beforehand."""
+
+    contact_length: float  # [m] l
+    effort_variance: float  # [N^2] sigma_F^2
+    information_f: float  # [-] 1 / variance of ln F_max, prior
+    information_k: float  # [-] 1 / variance of ln K, prior
+    low_f: float  # ln of the bounds
+    high_f: float
+    low_k: float
+    high_k: float
+    total: bool  # which residual
+    largest_iterations: int
+
+
+class Normal(NamedTuple):
+    """Normal equations at one point, data only."""
+
+    ff: float  # entries of A
+    fk: float
+    kk: float
+    f: float  # sum of J^T e / R
+    k: float
+    cost: float  # sum of e^2 / R
+    samples: float
+
+
+@formula
+def residual(slip, effort, variance, star, maximum, shear_length, model):
+    """(F, i F', e, 1/R, next i*, d i*/dF) of one sample at the fitted slip `star`.
+
+    maximum F_max [N], shear_length l / K [-]. The next i* is one Newton step towards the
+    minimum over i of (i_m - i)^2 / sigma_i^2 + (F_m - F(i))^2 / sigma_F^2; the curvature
+    F'' < 0 is used only where it makes the step shorter (F_m > F), there the step would
+    oscillate without it. For the residual `effort` i* is the measured slip and stays.
+    """
+    u = abs(star) * shear_length
+    share, rise = mobilised_shear(u), mobilised_shear_slope(u)
+    force = maximum * signed(share, star)
+    slope = maximum * shear_length * rise
+    rest = effort - force
+    spread = slope * slope * variance
+    weight = 1.0 / (model.effort_variance + spread)
+    error = rest - slope * (slip - star)
+    # f'' = (exp(-u) - 2 f') / u with exp(-u) = 1 - u (1 - f); -1/3 for u -> 0.
+    bend = (1.0 - u * (1.0 - share) - 2.0 * rise) / max(u, SERIES_LIMIT)
+    bend = -1 / 3 if u < SERIES_LIMIT else bend
+    curvature = max(-rest * bend, 0.0) * maximum * shear_length * shear_length
+    inverse = 1.0 / (model.effort_variance + spread + curvature * variance)
+    step = ((slip - star) * model.effort_variance + slope * variance * rest) * inverse
+    following = min(max(star + step, SHRINK * star), 1.0)
+    if not model.total:
+        following, inverse = star, 0.0
+    return force, star * slope, error, weight, following, slope * variance * inverse
+
+
+@formula
+def sample_slip(slip, effort, variance, log_f, log_k, model):
+    """Fitted slip i* of a new sample with effort > 0 [N]: four Newton steps."""
+    maximum, shear_length = math.exp(log_f), model.contact_length * math.exp(-log_k)
+    reach = 3.0 * math.sqrt(variance)
+    guess = slip_from_effort(effort, maximum, shear_length)
+    guess = min(max(guess, slip - reach), slip + reach)
+    star = min(max(guess, SMALLEST_SLIP), 1.0) if model.total else slip
+    for _ in range(4):
+        star = residual(slip, effort, variance, star, maximum, shear_length, model)[4]
+    return star
+
+
+@formula
+def _evaluate(window, star, scratch, n, log_f, log_k, model):
+    """Residuals of n samples into `scratch` (ROWS, >= n), at the fitted slips `star`."""
+    slip, effort, variance = window[0], window[1], window[2]
+    maximum = math.exp(log_f)
+    shear_length = model.contact_length * math.exp(-log_k)
+    for k in range(n):
+        force, twist, error, weight, following, gain = residual(
+            slip[k], effort[k], variance[k], star[k], maximum, shear_length, model
+        )
+        scratch[0, k] = force
+        scratch[1, k] = twist
+        scratch[2, k] = error
+        scratch[3, k] = weight
+        scratch[4, k] = following
+        scratch[5, k] = gain
+
+
+@formula
+def _normal(effort, scratch, n):
+    """Sum up the normal equations; empty samples are zero and add nothing."""
+    ff, fk, kk, f, k_, cost, samples = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(n):
+        weight = scratch[3, k]
+        a, b, error = scratch[0, k], scratch[1, k], scratch[2, k]
+        wa, wb = weight * a, weight * b
+        ff += wa * a
+        fk -= wa * b
+        kk += wb * b
+        f += wa * error
+        k_ -= wb * error
+        cost += weight * error * error
+        samples += 1.0 if effort[k] > 0.0 else 0.0
+    return Normal(ff, fk, kk, f, k_, cost, samples)
+
+
+@formula
+def _move_slips(star, scratch, moved, n, step_f, step_k):
+    """Fitted slips after a step of the parameters, to first order, into `moved`."""
+    for k in range(n):
+        change = scratch[0, k] * step_f - scratch[1, k] * step_k
+        new = scratch[4, k] - scratch[5, k] * change
+        moved[k] = min(max(new, SHRINK * star[k]), max(1.0, star[k]))
+
+
+@formula
+def _step(normal, log_f, log_k, anchor_f, anchor_k, mu, limited, model):
+    """(step of ln F_max, of ln K, Newton decrement) with damping mu, kept within the bounds."""
+    pull_f = normal.f - model.information_f * (log_f - anchor_f)
+    pull_k = normal.k - model.information_k * (log_k - anchor_k)
+    h_ff = (normal.ff + model.information_f) * (1.0 + mu)
+    h_kk = (normal.kk + model.information_k) * (1.0 + mu)
+    inverse = 1.0 / (h_ff * h_kk - normal.fk * normal.fk)
+    step_f = (h_kk * pull_f - normal.fk * pull_k) * inverse
+    step_k = (h_ff * pull_k - normal.fk * pull_f) * inverse
+    if limited:
+        length = max(abs(step_f), abs(step_k))
+        share = LONGEST_STEP / max(length, LONGEST_STEP)
+        step_f *= share
+        step_k *= share
+    # On a bound the other parameter takes the best step along it.
+    free_f = min(max(log_f + step_f, model.low_f), model.high_f) - log_f
+    if free_f != step_f:
+        step_k = (pull_k - normal.fk * free_f) / h_kk
+    free_k = min(max(log_k + step_k, model.low_k), model.high_k) - log_k
+    if free_k != step_k:
+        free_f = (pull_f - normal.fk * free_k) / h_ff
+        free_f = min(max(log_f + free_f, model.low_f), model.high_f) - log_f
+    decrement = h_ff * free_f * free_f + 2.0 * normal.fk * free_f * free_k + h_kk * free_k * free_k
+    return free_f, free_k, decrement
+
+
+@formula
+def _prior_cost(log_f, log_k, anchor_f, anchor_k, model):
+    """(p - p_0)^T Lambda (p - p_0) [-]."""
+    f, k = log_f - anchor_f, log_k - anchor_k
+    return model.information_f * f * f + model.information_k * k * k
+
+
+@loop
+def fit(window, n, scratch, start, anchor, model):
+    """Fit the first n samples of one vehicle, from `start` with prior mean `anchor`.
+
+    window (BLOCKS, samples), its last row the fitted slips, updated; scratch (2 ROWS + 1, samples);
+    start, anchor: (ln F_max, ln K). The first FREE_STEPS of `total` are full steps within the
+    bounds: far from the solution its cost, linear around slips that are not yet fitted, is too
+    low to compare with. Returns (ln F_max, ln K, Normal, iterations, converged).
+    """
+    effort, star = window[1], window[3]
+    here, there, moved = scratch[:ROWS], scratch[ROWS : 2 * ROWS], scratch[2 * ROWS]
+    log_f, log_k = start
+    anchor_f, anchor_k = anchor
+    _evaluate(window, star, here, n, log_f, log_k, model)
+    normal = _normal(effort, here, n)
+    cost = normal.cost + _prior_cost(log_f, log_k, anchor_f, anchor_k, model)
+    mu, iterations, converged = 0.0, 0, False
+    while iterations < model.largest_iterations and not converged and mu < LARGEST_DAMPING:
+        iterations += 1
+        free = model.total and iterations <= FREE_STEPS
+        step_f, step_k, decrement = _step(
+            normal, log_f, log_k, anchor_f, anchor_k, 0.0, not free, model
+        )
+        converged = decrement < DECREMENT
+        if not converged and mu > 0.0:
+            step_f, step_k, decrement = _step(
+                normal, log_f, log_k, anchor_f, anchor_k, mu, True, model
+            )
+        new_f, new_k = log_f + step_f, log_k + step_k
+        _move_slips(star, here, moved, n, step_f, step_k)
+        if converged:
+            star[:n] = moved[:n]
+            log_f, log_k = new_f, new_k
+        else:
+            _evaluate(window, moved, there, n, new_f, new_k, model)
+            if model.total:
+                moved[:n] = there[4, :n]
+                _evaluate(window, moved, there, n, new_f, new_k, model)
+            else:  # its weights are no part of the cost: they stay
+                there[3, :n] = here[3, :n]
+            trial = _normal(effort, there, n)
+            trial_cost = trial.cost + _prior_cost(new_f, new_k, anchor_f, anchor_k, model)
+            if trial_cost <= cost or free:
+                here, there = there, here
+                star[:n] = moved[:n]
+                log_f, log_k, normal, cost = new_f, new_k, trial, trial_cost
+                mu = 0.1 * mu if mu > FIRST_DAMPING else 0.0
+            else:
+                mu = max(10.0 * mu, FIRST_DAMPING)
+                if model.total:  # compare with slips that are fitted as well as the trial's
+                    star[:n] = here[4, :n]
+                    _evaluate(window, star, here, n, log_f, log_k, model)
+                    normal = _normal(effort, here, n)
+                    cost = normal.cost + _prior_cost(log_f, log_k, anchor_f, anchor_k, model)
+    return log_f, log_k, normal, iterations, converged
+
+
+@formula
+def eigen(ff, fk, kk):
+    """(smallest, largest eigenvalue, cosine, sine of the direction of the largest) of a matrix."""
+    mean, half = 0.5 * (ff + kk), 0.5 * (ff - kk)
+    root = math.sqrt(half * half + fk * fk)
+    smallest = max((ff * kk - fk * fk) / max(mean + root, 1e-300), 0.0)
+    angle = 0.5 * math.atan2(fk, half)
+    return smallest, mean + root, math.cos(angle), math.sin(angle)

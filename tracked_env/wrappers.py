@@ -1,0 +1,165 @@
+"""Wrappers that append what an observer has identified to the observation.
+
+An observer watches the observations of N vehicles and returns features; the identification
+stack of `baselines` is one:
+    IdentifiedObservation(env, IdentificationStack())
+    IdentifiedVectorObservation(vector_env, IdentificationStack(count=64))
+It sees what an agent sees, never the truth, and forgets when an episode ends.
+"""
+
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+FEATURE_BOUND = 10.0  # [-] features are clipped to this; they are of order one
+
+Observations = NDArray[np.float32]
+
+
+class Observer(Protocol):
+    """What the wrappers need of an observer of N vehicles."""
+
+    @property
+    def count(self) -> int:
+        """Number of vehicles."""
+
+    @property
+    def control_period(self) -> float:
+        """Time [s] between two observations."""
+
+    @property
+    def feature_names(self) -> tuple[str, ...]:
+        """Names of the F features."""
+
+    def observe(self, observation: Observations, start: NDArray[np.bool_]) -> Observations:
+        """Features (N, F) after observations (N, D); rows with `start` begin an episode."""
+
+    def memories(self) -> Any:
+        """A copy of all that is remembered."""
+
+    def restore(self, memories: Any, rows: NDArray[np.bool_] | None = None) -> None:
+        """Go on from `memories`, in the rows marked or in all."""
+
+
+def _checked(env: Any, count: int, observer: Observer) -> Any:
+    """The widened space of one vehicle. Raises ValueError when env and observer do not fit."""
+    if observer.count != count:
+        raise ValueError(
+            f"an observer of {observer.count} vehicles for {count}; pass count={count}"
+        )
+    period = env.unwrapped.simulation.solver.control_period
+    if abs(observer.control_period - period) > 1e-9:
+        raise ValueError(
+            f"the observer's control period is {observer.control_period:g} s, that of the "
+            f"environment {period:g} s. Did you set control_rate in only one of them?"
+        )
+    space = getattr(env, "single_observation_space", env.observation_space)
+    bound = np.full(len(observer.feature_names), FEATURE_BOUND, dtype=np.float32)
+    return gymnasium.spaces.Box(
+        np.concatenate([space.low, -bound]), np.concatenate([space.high, bound]), dtype=np.float32
+    )
+
+
+def _joined(observation: Observations, features: Observations) -> Observations:
+    bounded = np.clip(np.nan_to_num(features), -FEATURE_BOUND, FEATURE_BOUND)
+    return np.concatenate([observation, bounded], axis=-1, dtype=np.float32)
+
+
+class IdentifiedObservation(
+    gymnasium.ObservationWrapper[Observations, NDArray[np.float32], Observations]
+):
+    """Appends the features of an observer of one vehicle to the observation of one env.
+
+    Raises ValueError for an observer of another size or control period.
+    """
+
+    def __init__(self, env: gymnasium.Env[Observations, NDArray[np.float32]], observer: Observer):
+        super().__init__(env)
+        self.observation_space = _checked(env, 1, observer)
+        self.observer = observer
+        self._start = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Start an episode; the observer forgets the last one."""
+        self._start = True
+        return super().reset(seed=seed, options=options)
+
+    def observation(self, observation: Observations) -> Observations:
+        """Observation and features, (D + F,)."""
+        features = self.observer.observe(observation[None], np.array([self._start]))
+        self._start = False
+        return _joined(observation, features[0])
+
+
+class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
+    """The same for a vector env, in every autoreset mode, `final_obs` included.
+
+    Raises ValueError for an observer of another size or control period.
+    """
+
+    def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], observer: Observer) -> None:
+        super().__init__(env)
+        self.single_observation_space = _checked(env, env.num_envs, observer)
+        self.observation_space = batch_space(self.single_observation_space, env.num_envs)
+        self.observer = observer
+        self._mode = AutoresetMode(env.metadata["autoreset_mode"])
+        self._over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
+        self._features: Observations = np.zeros(
+            (env.num_envs, len(observer.feature_names)), dtype=np.float32
+        )
+
+    def reset(
+        self,
+        *,
+        seed: Any = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Start episodes; with `options["reset_mask"]` only the rows marked."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        mask = (options or {}).get("reset_mask")
+        started = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
+        self._features = self._only(started, observation, started)
+        self._over[started] = False
+        return _joined(observation, self._features), info
+
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Any]:
+        """Advance all rows; an ended row's features come before those of its next episode."""
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        ended = terminated | truncated
+        resting = self._over
+        if self._mode is AutoresetMode.SAME_STEP and ended.any():
+            last = observation.copy()
+            for i in np.flatnonzero(ended):
+                last[i] = info["final_obs"][i]
+            features = self.observer.observe(last, np.zeros_like(ended))
+            for i in np.flatnonzero(ended):
+                info["final_obs"][i] = _joined(last[i], features[i])
+            self._features = features
+            self._features = self._only(ended, observation, ended)
+        elif self._mode is AutoresetMode.NEXT_STEP:
+            self._features = self.observer.observe(observation, resting)
+            self._over = ended
+        elif resting.any():  # DISABLED: ended rows wait for a reset
+            self._features = self._only(~resting, observation, np.zeros_like(ended))
+            self._over = resting | ended
+        else:
+            self._features = self.observer.observe(observation, np.zeros_like(ended))
+            self._over = ended if self._mode is AutoresetMode.DISABLED else resting
+        return _joined(observation, self._features), reward, terminated, truncated, info
+
+    def _only(
+        self, rows: NDArray[np.bool_], observation: Observations, start: NDArray[np.bool_]
+    ) -> Observations:
+        """Features after an observation of the rows marked; the others keep theirs."""
+        before = self.observer.memories()
+        features = self.observer.observe(observation, start)
+        self.observer.restore(before, ~rows)
+        return np.where(rows[:, None], features, self._features)

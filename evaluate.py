@@ -41,6 +41,7 @@ class Config:
     policies: tuple[str, ...] = tuple(POLICIES)
     """Policies to compare; the first one is the baseline.
     nominal: feedback linearization with nominal parameters.
+    adaptive: the same controller, parameters identified on line.
     oracle: the same controller with the true parameters.
     path/to/agent.zip: a PPO agent trained by train.py.
     module:attribute: any object with a `predict` as in

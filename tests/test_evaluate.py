@@ -52,13 +52,13 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(
     assert "nominal clearly worse" in done.stdout
     document = result(tmp_path)
     assert [(r["policy"], r["episode"]) for r in document["episodes"]] == [
-        ("nominal", 0), ("nominal", 1), ("oracle", 0), ("oracle", 1)
+        ("nominal", 0), ("nominal", 1), ("adaptive", 0), ("adaptive", 1), ("oracle", 0), ("oracle", 1)
     ]  # fmt: skip
     assert document["identity"]["sensors"] == {"preset": "rtk", "pose_delay": 0.02}
     (folder,) = (tmp_path / "results").iterdir()
     assert folder.name.startswith("random-rtk-1s-seed0-")
     assert {path.name for path in (folder / "figures").iterdir()} == {
-        "overview.png", "errors.png", "paths-payload.png", "drive-payload.png"
+        "overview.png", "errors.png", "paths-payload.png", "drive-payload.png", "beliefs-payload.png"
     }  # fmt: skip
 
 
@@ -80,14 +80,14 @@ def test_a_run_that_was_killed_continues_with_what_it_had(
     process.send_signal(signal.SIGKILL)
     process.wait()
     kept = files[0].read_text().splitlines()
-    assert 3 <= len(kept) < 1 + 12, "killed too early or too late to show anything"
+    assert 3 <= len(kept) < 1 + 18, "killed too early or too late to show anything"
     again = evaluate(*arguments)
     assert again.returncode == 0, again.stderr
-    assert f"{len(kept) - 1} of 12 episodes are already in" in again.stdout
+    assert f"{len(kept) - 1} of 18 episodes are already in" in again.stdout
     lines = files[0].read_text().splitlines()
     assert lines[: len(kept)] == kept
-    assert len(lines) == 1 + 12
-    assert len(result(tmp_path)["episodes"]) == 12
+    assert len(lines) == 1 + 18
+    assert len(result(tmp_path)["episodes"]) == 18
 
 
 def test_a_policy_of_another_package_is_compared_from_its_folder(

@@ -55,6 +55,46 @@ class WithContext(Constant):
         self.context = context
 
 
+class Believing(Constant):
+    """Believes what it was built with, whatever happens: {name: (value, standard deviation)}."""
+
+    def __init__(self, believed: dict[str, tuple[float, float]], action: float = 0.3) -> None:
+        super().__init__(action, action)
+        self.believed = believed
+
+    def estimates(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        count = len(self.observations[-1])
+        return {
+            name: (np.full(count, value), np.full(count, deviation))
+            for name, (value, deviation) in self.believed.items()
+        }
+
+
+class Tracking(Truthful):
+    """Knows the truth but for a factor: value = factor * truth, with a claimed sigma.
+
+    excited() and nis() follow its own clock: excited in every second call, NIS 2, 0, 2, 0 ...
+    """
+
+    def __init__(self, names: tuple[str, ...], factor: float, sigma: float) -> None:
+        super().__init__()
+        self.action = (0.0, 0.0)
+        self.names, self.factor, self.sigma = names, factor, sigma  # sigma as share of the truth
+
+    def estimates(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        truth = self.told[-1]
+        return {
+            name: (self.factor * truth[name], self.sigma * np.abs(truth[name]))
+            for name in self.names
+        }
+
+    def excited(self) -> dict[str, np.ndarray]:
+        return {self.names[0]: np.full(len(self.observations[-1]), len(self.calls) % 2 == 1)}
+
+    def nis(self) -> dict[str, np.ndarray]:
+        return {"filter": np.full(len(self.observations[-1]), 2.0 * (len(self.calls) % 2))}
+
+
 class Diverging(Constant):
     """Commands something that is no number, in its third step."""
 

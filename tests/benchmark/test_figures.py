@@ -3,9 +3,10 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.benchmark.stub_policies import Constant, entry
+from tests.benchmark.stub_policies import Believing, Constant, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, figures, run
 
 pytest.importorskip("matplotlib", reason="figures need the extra `render`")
@@ -90,6 +91,50 @@ def test_the_end_of_a_policy_that_left_the_path_is_marked(
     figure = figures.paths("payload", drawn(finished)["payload"], style, seed=0)
     crosses = [line for line in figure.axes[0].lines if line.get_marker() == "X"]
     assert style["spin"].colour in {line.get_color() for line in crosses}
+
+
+@pytest.fixture(scope="module")
+def believed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Store, list[figures.Record]]:
+    """A store with a policy that estimates parameters, one of them with a wide band."""
+    store = Store(tmp_path_factory.mktemp("believed"), CONFIG.identity())
+    guess = {"mass": (1450.0, 100.0), "lateral_resistance": (0.8, 1e3), "slip_left": (0.0, 0.1)}
+    policies = [
+        entry("coast", lambda context: Constant(0.0, 0.0)),
+        entry("guess", lambda context: Believing(guess, 0.0)),
+    ]
+    return store, run(CONFIG, policies, store)
+
+
+def test_policies_that_estimate_get_a_picture_of_their_beliefs(
+    believed: tuple[Store, list[figures.Record]], tmp_path: Path
+) -> None:
+    store, records = believed
+    files = figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
+    assert "beliefs-payload.png" in [path.name for path in files]
+
+
+def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(
+    believed: tuple[Store, list[figures.Record]],
+) -> None:
+    store, _ = believed
+    traces = {name: store.load_trace(name, "payload") or {} for name in ("coast", "guess")}
+    figure = figures.beliefs("payload", traces, figures.looks(["coast", "guess"]), seed=0)
+    assert figure is not None
+    assert len(figure.axes) == 2 * 3  # mass and lateral resistance of three episodes
+    assert "[kg]" in figure.axes[0].get_ylabel()
+    low, high = figure.axes[0].get_ylim()
+    masses = traces["guess"]["believed_truth"][:, 0]
+    assert low < min(np.nanmin(masses), 1450.0)
+    assert max(np.nanmax(masses), 1450.0) < high
+    assert figure.axes[3].get_ylim()[1] < 2.0  # not the 2000 of the claimed band
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["true", "guess"]
+
+
+def test_without_estimates_there_is_no_picture_of_beliefs(
+    finished: tuple[Store, list[figures.Record]],
+) -> None:
+    traces, style = drawn(finished), figures.looks(["coast", "spin"])
+    assert figures.beliefs("payload", traces["payload"], style, seed=0) is None
 
 
 def test_policies_differ_in_more_than_colour() -> None:

@@ -45,7 +45,8 @@ def test_a_registered_name_makes_a_fresh_policy_each_time() -> None:
 @pytest.mark.parametrize("name", sorted(POLICIES))
 def test_named_policies_get_clock_and_closure_of_the_environment(name: str) -> None:
     policy = made(name)
-    assert (policy.control_period, policy.lateral) == (0.05, "constrained")
+    controller = getattr(policy, "controller", policy)
+    assert (controller.control_period, controller.lateral) == (0.05, "constrained")
 
 
 def test_only_the_oracle_asks_for_the_truth() -> None:

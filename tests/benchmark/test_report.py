@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tracked_env.benchmark import report
+from tracked_env.benchmark.identification import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS
 
 EASY = np.linspace(0.04, 0.06, 16)
@@ -85,6 +86,106 @@ def test_nothing_finished_is_an_error() -> None:
         report.summarise([])
 
 
+def test_the_score_is_zero_for_nominal_one_for_the_oracle_and_in_between_by_the_gap_closed() -> (
+    None
+):
+    given = records("set", nominal=3.0 * EASY, mine=1.5 * EASY, worse=4.0 * EASY, oracle=EASY)
+    found = report.summarise(given).comparisons["set"]
+    for policy, expected in (("mine", 0.75), ("worse", -0.5), ("oracle", 1.0)):
+        score = found[policy].score
+        assert score is not None
+        assert tuple(score) == pytest.approx((expected,) * 3)  # the same redraws: all cancels
+
+
+def test_there_is_no_score_without_both_anchors_or_without_a_certain_gap() -> None:
+    only = report.summarise(records("set", nominal=3.0 * EASY, mine=EASY)).comparisons["set"]
+    assert only["mine"].score is None
+    uncertain = np.where(np.arange(16) % 2, 1.2, 0.8) * EASY
+    assert comparison(uncertain, EASY).score is None
+    assert comparison(EASY, EASY).score is None
+
+
+def test_the_score_does_not_depend_on_which_policy_is_the_baseline() -> None:
+    given = records("set", mine=1.5 * EASY, nominal=3.0 * EASY, oracle=EASY)
+    found = report.summarise(given).comparisons["set"]
+    assert found["nominal"].score == pytest.approx((0.0, 0.0, 0.0))
+    assert found["oracle"].score == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_only_failures_that_the_baseline_does_not_share_are_counted() -> None:
+    given = records("set", nominal=EASY[:4], mine=EASY[:4])
+    for row, change in {
+        0: {"terminated": 1.0, "success": 0.0},
+        4: {"success": 0.0},
+        5: {"terminated": 1.0, "success": 0.0},
+        6: {"success": 0.0},
+    }.items():
+        given[row].update(change)
+    assert report.summarise(given).comparisons["set"]["mine"].fails_alone == 2
+
+
+def test_recovery_is_averaged_over_the_episodes_with_a_change_and_shown_for_such_sets(
+    tmp_path: Path,
+) -> None:
+    given = records("a", nominal=EASY[:4], oracle=EASY[:4]) + records(
+        "b", nominal=EASY[:4], oracle=EASY[:4]
+    )
+    for record in given:
+        changed = record["set"] == "a" and record["episode"] < 2
+        record["recovery_time"] = float(record["episode"] + 1) if changed else None
+        record["peak_after_change"] = 0.4 if changed else None
+    summary = report.summarise(given)
+    assert summary.policies["a"]["nominal"].changed == 2
+    assert summary.policies["a"]["nominal"].means["recovery_time"] == 1.5
+    assert [row[0] for row in report.recovery_table(summary)[1:]] == ["a", "a"] + ["all sets"] * 2
+    report.write(tmp_path, {}, given, summary)
+    text = (tmp_path / "results.json").read_text()
+    assert "NaN" not in text
+    assert json.loads(text)["summary"]["policies"]["b"]["oracle"]["means"]["recovery_time"] is None
+    without = [record for record in given if record["set"] == "b"]
+    assert "recovery [s]" not in report.terminal(report.summarise(without))
+
+
+def test_estimates_are_summarised_shown_and_written(tmp_path: Path) -> None:
+    given = records("set", nominal=EASY[:3], mine=EASY[:3])
+    believed = dict.fromkeys(ESTIMATION_METRICS, 0.5)
+    for record, time in zip(given[3:], (1.0, 2.0, None), strict=True):
+        settled = 0.0 if time is None else 1.0
+        mass = {**believed, "settling_time": time, "settled": settled, "excited": None}
+        record["identification"] = {"mass": mass}
+        record["nis"] = {"filter": 1.25}
+    assert "NEES" not in report.terminal(report.summarise(given[:3]))
+    summary = report.summarise(given)
+    mass = summary.identification["set"]["mine"]["mass"]
+    assert (mass.settling_time, mass.settled) == (
+        2.0,
+        pytest.approx(2 / 3),
+    )  # median of 1, 2, never
+    assert np.isnan(mass.excited)
+    assert "nominal" not in summary.identification["set"]
+    text = report.terminal(summary)
+    assert "NEES" in text
+    assert "1.25" in text
+    report.write(tmp_path, {}, given, summary)
+    document = json.loads((tmp_path / "results.json").read_text())
+    assert document["summary"]["identification"]["set"]["mine"]["mass"]["nees"] == 0.5
+    assert document["summary"]["nis"]["set"]["mine"]["filter"] == 1.25
+    assert document["units"]["settling_time"] == "s"
+    with (tmp_path / "episodes.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["mass.settling_time"] for row in rows] == ["", "", "", "1.0", "2.0", ""]
+    assert rows[5]["nis.filter"] == "1.25"
+    assert "| set | mine | mass |" in (tmp_path / "summary.md").read_text()
+
+
+def test_most_episodes_that_never_settle_are_called_never() -> None:
+    given = records("set", mine=EASY[:3])
+    for record, settled in zip(given, (1.0, 0.0, 0.0), strict=True):
+        times = {"settling_time": 1.0 if settled else None, "settled": settled}
+        record["identification"] = {"mass": {**dict.fromkeys(ESTIMATION_METRICS, 0.5), **times}}
+    assert "never" in report.terminal(report.summarise(given))
+
+
 def test_the_terminal_table_is_aligned_fits_and_names_its_units() -> None:
     long = records("terrain-transition", nominal=100.0 * EASY, oracle=EASY)
     long += records("ood", nominal=EASY, oracle=EASY)
@@ -102,7 +203,7 @@ def test_the_terminal_table_is_aligned_fits_and_names_its_units() -> None:
 def test_the_markdown_has_as_many_cells_in_every_row() -> None:
     text = report.markdown(report.summarise(records("set", nominal=EASY, oracle=EASY)))
     tables = [part.splitlines() for part in text.split("\n\n") if "|" in part]
-    assert len(tables) == 2
+    assert len(tables) == 3  # policies, comparison, recovery
     for table in tables:
         assert len({line.count("|") for line in table}) == 1
 

@@ -11,9 +11,11 @@ from baselines.policies import POLICIES
 from tests.benchmark.stub_policies import Constant, Curious, Diverging, Truthful, entry
 from tracked_env.benchmark import DEFAULT_SETS, BenchmarkConfig, Store, load_policy, run
 from tracked_env.benchmark.metrics import METRICS
-from tracked_env.benchmark.policies import PolicyEntry
-from tracked_env.benchmark.runner import drive, pending, shown
+from tracked_env.benchmark.policies import PolicyContext, PolicyEntry
+from tracked_env.benchmark.runner import drive, pending
+from tracked_env.benchmark.shown import shown
 from tracked_env.physics.parameters import PARAMETER_NAMES
+from tracked_env.sensors import STRAWA
 from tracked_env.uncertainty import NOMINAL, UNCERTAINTY_SETS
 
 SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
@@ -106,6 +108,25 @@ def test_the_truth_is_handed_over_before_every_action_and_holds_what_changes() -
     assert not [name for name in policy.told[0] if name.startswith("_")]
     assert policy.told[0]["mass"].tolist() == [NOMINAL.mass] * 3
     assert np.all(policy.told[-1]["mass"] != NOMINAL.mass)  # the payload has stepped
+
+
+def test_a_policy_is_told_the_data_sheet_of_the_sensors_and_nothing_of_the_truth(
+    tmp_path: Path,
+) -> None:
+    config = BenchmarkConfig(
+        sets=("ood",), episodes=1, duration=0.5, sensors={"preset": "strawa", "gyro_noise": 0.5}
+    )
+    told: list[Any] = []
+
+    def make(context: PolicyContext) -> Constant:
+        told.append(context)
+        return Constant()
+
+    done(tmp_path, config, entry("curious", make))
+    (context,) = told
+    assert context.sensors == STRAWA._replace(gyro_noise=0.5)
+    assert context == config.context()
+    assert context._fields == ("control_period", "lateral", "sensors")
 
 
 def test_no_other_policy_is_handed_the_truth(tmp_path: Path) -> None:

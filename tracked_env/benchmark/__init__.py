@@ -7,9 +7,10 @@ from tracked_env.benchmark.policies import (
     PolicyFactory,
     load_policy,
 )
-from tracked_env.benchmark.report import Summary, summarise, terminal
+from tracked_env.benchmark.report import terminal
 from tracked_env.benchmark.runner import DEFAULT_SETS, BenchmarkConfig, run
 from tracked_env.benchmark.store import Store
+from tracked_env.benchmark.summary import Summary, summarise
 
 __all__ = [
     "DEFAULT_SETS",

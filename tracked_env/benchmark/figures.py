@@ -1,103 +1,53 @@
 """Figures of a finished benchmark, as PNG; needs matplotlib (extra `render`).
 
-    overview.png        tracking RMSE of every episode, per set and policy
-    errors.png          distance to the reference over time: median and quartiles
-    paths-<set>.png     reference and driven paths of the first episodes
-    drive-<set>.png     error, torque and slip of one episode over time
-Colours are those of Okabe and Ito, distinguishable with any colour vision; every policy has a
-line style and a marker of its own as well.
+overview.png        tracking RMSE of every episode, per set and policy
+errors.png          distance to the reference over time: median and quartiles
+paths-<set>.png     reference and driven paths of the first episodes
+drive-<set>.png     error, torque and slip of one episode over time
+beliefs-<set>.png   true and estimated parameters over time, if a policy estimates any
 """
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.benchmark.drawing import (
+    DPI,
+    PALETTE,
+    REFERENCE_COLOUR,
+    STYLE,
+    Look,
+    Traces,
+    head,
+    looks,
+    new_figure,
+)
 from tracked_env.benchmark.metrics import CHANNELS
 from tracked_env.benchmark.store import Record, Store
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PALETTE = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe-Ito
-LINE_STYLES = ("--", "-", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
-MARKERS = ("v", "o", "s", "D", "^", "P")
-REFERENCE_COLOUR = "0.55"
-MARKER_TIME = 5.0  # [s] between two markers on a path
-DPI = 120  # [1/inch]
-STYLE: dict[Any, Any] = {
-    "font.size": 9.0,
-    "axes.titlesize": 10.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "0.9",
-    "axes.axisbelow": True,
-    "legend.frameon": False,
+__all__ = [
+    "DPI", "PALETTE", "REFERENCE_COLOUR", "STYLE", "Look", "Record", "Traces", "beliefs", "drive",
+    "errors", "looks", "overview", "paths", "save_all",
+]  # fmt: skip
+
+BELIEFS = {  # drawn, with their labels
+    "mass": "mass [kg]",
+    "inertia": "inertia [kg m$^2$]",
+    "longitudinal_resistance": r"$\mu_l$ [-]",
+    "lateral_resistance": r"$\mu_t$ [-]",
 }
-
-
-class Look(NamedTuple):
-    """How one policy is drawn."""
-
-    colour: str
-    line_style: Any
-    marker: str
-
-
-def looks(policies: Sequence[str]) -> dict[str, Look]:
-    """A look per policy, the same in every figure."""
-    return {
-        name: Look(PALETTE[i % 6], LINE_STYLES[i % 6], MARKERS[i % 6])
-        for i, name in enumerate(policies)
-    }
-
-
-def _new(
-    panel: tuple[float, float],
-    rows: int = 1,
-    columns: int = 1,
-    left: float = 0.65,
-    gap: tuple[float, float] = (0.35, 0.4),
-    **shared: Any,
-) -> Any:
-    """Figure and axes (rows, columns), without any global state.
-
-    panel, gap: width and height of a panel and between two [inch]; left: left margin [inch].
-    Fixed margins, because measuring the labels takes longer than drawing the figure.
-    """
-    from matplotlib.figure import Figure
-
-    right, top, bottom = 0.15, 0.9, 0.55
-    width = left + columns * panel[0] + (columns - 1) * gap[0] + right
-    height = bottom + rows * panel[1] + (rows - 1) * gap[1] + top
-    figure = Figure(figsize=(width, height), dpi=DPI)
-    grid = {
-        "left": left / width, "right": 1.0 - right / width, "wspace": gap[0] / panel[0],
-        "bottom": bottom / height, "top": 1.0 - top / height, "hspace": gap[1] / panel[1],
-    }  # fmt: skip
-    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **shared)
-
-
-def _head(figure: "Figure", axes: "Axes", title: str, style: dict[str, Look]) -> None:
-    """Title at the upper left, and below it one legend for all panels."""
-    width, height = figure.get_size_inches()
-    handles, labels = axes.get_legend_handles_labels()
-    by_label = dict(zip(labels, handles, strict=True))
-    order = [label for label in ("reference", *style) if label in by_label]
-    figure.legend(
-        [by_label[label] for label in order], order,
-        loc="upper left", bbox_to_anchor=(0.0, 1.0 - 0.3 / height), ncols=len(labels),
-    )  # fmt: skip
-    figure.suptitle(title, x=0.12 / width, y=1.0 - 0.12 / height, ha="left", va="top", fontsize=11)
+MARKER_TIME = 5.0  # [s] between two markers on a path
 
 
 def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Look]) -> "Figure":
     """Every episode as a point, quartiles as a box; RMSE on a logarithmic axis."""
-    figure, grid = _new((7.0, 0.24 * len(sets) * (len(style) + 1)), left=1.4)
+    figure, grid = new_figure((7.0, 0.24 * len(sets) * (len(style) + 1)), left=1.4)
     axes = grid[0, 0]
     rng = np.random.default_rng(0)  # of the vertical scatter of the points
     for row, name in enumerate(sets):
@@ -128,18 +78,15 @@ def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Lo
     for row in range(1, len(sets)):
         axes.axhline(row - 0.5, color="0.85", linewidth=0.8)
     axes.set_xlabel("tracking RMSE of an episode [m]")
-    _head(figure, axes, "Tracking error of every episode", style)
+    head(figure, axes, "Tracking error of every episode", style)
     return figure
-
-
-Traces = dict[str, dict[str, NDArray[Any]]]  # of one set, by policy
 
 
 def errors(traces: dict[str, Traces], style: dict[str, Look]) -> "Figure":
     """One panel per set: median of the error over the episodes, and the quartiles as a band."""
     columns = min(len(traces), 4)
     rows = -(-len(traces) // columns)
-    figure, grid = _new((2.4, 1.8), rows, columns, gap=(0.2, 0.45), sharex=True, sharey=True)
+    figure, grid = new_figure((2.4, 1.8), rows, columns, gap=(0.2, 0.45), sharex=True, sharey=True)
     panels = grid.ravel()
     for axes, (name, by_policy) in zip(panels, traces.items(), strict=False):
         for policy, trace in by_policy.items():
@@ -160,7 +107,7 @@ def errors(traces: dict[str, Traces], style: dict[str, Look]) -> "Figure":
         grid[last, column].tick_params(labelbottom=True)
     for row in range(rows):
         grid[row, 0].set_ylabel("distance to reference [m]")
-    _head(figure, panels[0], "Tracking error over time: median and quartiles", style)
+    head(figure, panels[0], "Tracking error over time: median and quartiles", style)
     return figure
 
 
@@ -177,7 +124,7 @@ def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figu
     longest = max(traces.values(), key=lambda trace: len(trace["motion"]))
     count = longest["motion"].shape[1]
     every = max(round(MARKER_TIME / float(longest["control_period"])), 1)
-    figure, grid = _new((2.4, 2.6), 1, count, gap=(0.5, 0.0))
+    figure, grid = new_figure((2.4, 2.6), 1, count, gap=(0.5, 0.0))
     for episode, axes in enumerate(grid[0]):
         x, y = (_motion(longest, f"reference_{axis}", episode) for axis in "xy")
         axes.plot(
@@ -198,13 +145,13 @@ def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figu
         axes.set_title(f"episode {episode} (seed {seed + episode})")
         axes.set_xlabel("x [m]")
     grid[0, 0].set_ylabel("y [m]")
-    _head(figure, grid[0, 0], f"{name}: paths, a marker every {MARKER_TIME:g} s", style)
+    head(figure, grid[0, 0], f"{name}: paths, a marker every {MARKER_TIME:g} s", style)
     return figure
 
 
 def drive(name: str, traces: Traces, style: dict[str, Look], episode: int = 0) -> "Figure":
     """Error, torque and slip of one episode of a set over time; a column per side."""
-    figure, grid = _new((4.0, 1.6), 3, 2, gap=(0.75, 0.4), sharex=True)
+    figure, grid = new_figure((4.0, 1.6), 3, 2, gap=(0.75, 0.4), sharex=True)
     for row in grid[1:]:
         row[1].sharey(row[0])
     for policy, trace in reversed(traces.items()):  # the baseline on top
@@ -225,7 +172,57 @@ def drive(name: str, traces: Traces, style: dict[str, Look], episode: int = 0) -
     grid[1, 0].set_ylabel("sprocket torque [kN m]")
     grid[2, 0].set_ylabel("slip [%]")
     figure.align_ylabels(grid[:, 0])
-    _head(figure, grid[0, 0], f"{name}: episode {episode}", style)
+    head(figure, grid[0, 0], f"{name}: episode {episode}", style)
+    return figure
+
+
+def _believed(trace: dict[str, NDArray[Any]], name: str, episode: int) -> NDArray[np.float64]:
+    """Time, true value, estimate and its standard deviation, (4, points); NaN after the end."""
+    row = list(trace["believed_names"]).index(name)
+    parts = [trace[f"believed_{part}"][:, row, episode] for part in ("truth", "value", "deviation")]
+    return np.array([trace["believed_time"], *parts], dtype=np.float64)
+
+
+def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figure | None":
+    """True and estimated parameters with a band of two claimed sigma; a column per episode.
+
+    None when no policy estimates one of BELIEFS. The axes show truth and estimates, a band that
+    is wider is cut off.
+    """
+    known = {policy: set(map(str, t.get("believed_names", ()))) for policy, t in traces.items()}
+    rows = [parameter for parameter in BELIEFS if any(parameter in of for of in known.values())]
+    if not rows:
+        return None
+    count = max(traces[policy]["believed_value"].shape[2] for policy, of in known.items() if of)
+    figure, grid = new_figure(
+        (2.5, 1.35), len(rows), count, left=0.75, gap=(0.25, 0.2), sharex=True, sharey="row"
+    )
+    for parameter, panels in zip(rows, grid, strict=True):
+        policies = [policy for policy, of in known.items() if parameter in of]
+        extremes = []
+        for episode, axes in enumerate(panels):
+            drawn = {p: _believed(traces[p], parameter, episode) for p in policies}
+            time, truth, _, _ = max(drawn.values(), key=lambda d: np.isfinite(d[1]).sum())
+            axes.plot(time, truth, color=REFERENCE_COLOUR, linewidth=4.0, alpha=0.5, label="true")
+            extremes.append([np.nanmin(truth), np.nanmax(truth)])
+            for policy, (time, _, value, deviation) in reversed(drawn.items()):
+                look = style[policy]
+                band = value - 2.0 * deviation, value + 2.0 * deviation
+                axes.fill_between(time, *band, color=look.colour, alpha=0.2, linewidth=0)
+                line = {"linestyle": look.line_style, "color": look.colour, "linewidth": 1.2}
+                axes.plot(time, value, label=policy, **line)
+                finite = value[np.isfinite(value)]
+                if finite.size:
+                    extremes.append(list(np.quantile(finite, [0.01, 0.99])))
+        low, high = np.min(extremes), np.max(extremes)
+        margin = 0.15 * (high - low) + 0.05 * abs(high)
+        panels[0].set_ylim(low - margin, high + margin)
+        panels[0].set_ylabel(BELIEFS[parameter])
+    for episode in range(count):
+        grid[0, episode].set_title(f"episode {episode} (seed {seed + episode})")
+        grid[-1, episode].set_xlabel("time [s]")
+    figure.align_ylabels(grid[:, 0])
+    head(figure, grid[0, 0], rf"{name}: parameters, estimates $\pm 2\sigma$", style)
     return figure
 
 
@@ -250,6 +247,9 @@ def save_all(
         for name, traces in found.items():
             drawn[f"paths-{name}"] = paths(name, traces, style, seed)
             drawn[f"drive-{name}"] = drive(name, traces, style)
+            believed = beliefs(name, traces, style, seed)
+            if believed is not None:
+                drawn[f"beliefs-{name}"] = believed
         files = []
         for title, figure in drawn.items():
             path = folder / f"{title}.png"

@@ -8,13 +8,17 @@ of the episode, E the error limit, tau and omega of the two sprockets:
     torque chatter     mean |demand_k - demand_(k-1)| / h               over both sides
 An episode that ends early counts e_k = E for the time it lacks, and e_k never counts more than
 E: leaving the path is never better than staying on it. Heading, speed, energy, saturation and
-chatter are taken over the time driven; read them beside the share of terminations.
+chatter are taken over the time driven; read them beside the share of terminations. Recovery
+and peak after an abrupt change of the true parameters are defined in `changes`; they are NaN where
+there is none.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tracked_env.benchmark.changes import CHANGING, RECOVERED, Change, abrupt_changes, recovery
 
 FloatArray = NDArray[np.float64]
 
@@ -32,6 +36,7 @@ CHANNELS = (
     "torque_left", "torque_right",  # [N m] of the drives
     "sprocket_speed_left", "sprocket_speed_right",  # [rad/s]
     "slip_left", "slip_right",  # [-]
+    *CHANGING,  # [SI] parameters that were in force during the step
 )  # fmt: skip
 
 
@@ -55,6 +60,14 @@ class Trace(NamedTuple):
         """(T, n) whether the episode was still running."""
         return np.arange(len(self.values))[:, None] < self.steps
 
+    def changes(self) -> list[list[Change]]:
+        """The abrupt changes of every episode in the time driven."""
+        columns = [CHANNELS.index(name) for name in CHANGING]
+        return [
+            abrupt_changes(self.values[:steps, i, columns], self.control_period)
+            for i, steps in enumerate(self.steps)
+        ]
+
 
 class Metric(NamedTuple):
     """Unit and meaning of one column of the records."""
@@ -76,6 +89,10 @@ METRICS = {
     "success": Metric("-", "ended by time with an RMSE below 0.5 m"),
     "terminated": Metric("-", "ended before its time"),
     "driven_time": Metric("s", "time until the end of the episode"),
+    "recovery_time": Metric(
+        "s", f"time after an abrupt change until the distance stays below {RECOVERED:g} m"
+    ),
+    "peak_after_change": Metric("m", "largest distance to the reference after that change"),
 }
 
 
@@ -85,6 +102,12 @@ def counted_error(trace: Trace) -> FloatArray:
     error = np.where(trace.driven(), trace.channel("error"), trace.error_limit)
     counted[: len(error)] = np.where(error < trace.error_limit, error, trace.error_limit)
     return counted  # a NaN is not below the limit, so it counts as the limit
+
+
+def settled_step(trace: Trace) -> int:
+    """First control step of the settled part."""
+    whole = trace.max_steps * trace.control_period
+    return round(min(SETTLING_TIME, 0.5 * whole) / trace.control_period)
 
 
 def _total(values: FloatArray) -> FloatArray:
@@ -117,10 +140,11 @@ def ending(trace: Trace) -> list[str]:
 
 
 def evaluate(trace: Trace) -> dict[str, FloatArray]:
-    """Every metric of METRICS, (n,) each."""
+    """Every metric of METRICS, (n,) each; NaN only in the two about an abrupt change."""
     period = trace.control_period
     error = counted_error(trace)
-    settled = round(min(SETTLING_TIME, 0.5 * trace.max_steps * period) / period)
+    settled = settled_step(trace)
+    after = [recovery(error[:, i], c, period) for i, c in enumerate(trace.changes())]
     power = np.abs(_sides(trace, "torque") * _sides(trace, "sprocket_speed")).sum(axis=0)
     action = _sides(trace, "action")
     before = np.concatenate([action[:, :1], action[:, :-1]], axis=1)  # the first step is no change
@@ -139,4 +163,6 @@ def evaluate(trace: Trace) -> dict[str, FloatArray]:
         "success": trace.success.astype(np.float64),
         "terminated": trace.terminated.astype(np.float64),
         "driven_time": trace.steps * period,
+        "recovery_time": np.array([time for time, _ in after]),
+        "peak_after_change": np.array([peak for _, peak in after]),
     }

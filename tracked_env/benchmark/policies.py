@@ -7,6 +7,16 @@ handed back unchanged at the next call; what it holds is the policy's business.
 
 A policy that declares `needs_truth = True` gets, before each `predict`, the true state and
 parameters through `observe_truth(truth)`, {name: (N,)}. No other policy ever sees them.
+
+A policy that identifies parameters may say what it believes; the benchmark asks after each
+`predict` and compares with the truth (see `identification`). It has a method
+    estimates() -> {name: (value (N,), standard deviation (N,))}       SI
+and, if it likes,
+    excited()   -> {name: (N,) bool}   whether the data say something about that parameter now
+    nis()       -> {filter: (N,)}      normalised innovation squared of its filters, NaN = no sample
+The names are the same in every call; estimates of what is not in `identification.KNOWN` are not
+judged. The answers must
+not change what the policy does.
 """
 
 import hashlib
@@ -17,6 +27,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from tracked_env.sensors import RTK, Sensors
 from tracked_env.validation import unknown
 
 
@@ -39,6 +50,7 @@ class PolicyContext(NamedTuple):
 
     control_period: float  # [s]
     lateral: str  # lateral closure
+    sensors: Sensors = RTK  # their data sheet; the signs of the biases are not in it
 
 
 PolicyFactory = Callable[[PolicyContext], Policy]
@@ -134,3 +146,8 @@ def checked_policy(entry: PolicyEntry, context: PolicyContext) -> Policy:
 def needs_truth(policy: Policy) -> bool:
     """Whether a policy declares that it must see the true state and parameters."""
     return bool(getattr(policy, "needs_truth", False))
+
+
+def identifies(policy: Policy) -> bool:
+    """Whether a policy says what it believes of the parameters."""
+    return callable(getattr(policy, "estimates", None))

@@ -1,124 +1,38 @@
-"""From records to a summary, and the summary as terminal table, Markdown, JSON and CSV.
+"""The summary of a benchmark as terminal table, Markdown, JSON and CSV.
 
-Per set and policy: interquartile mean (IQM) and mean of the tracking RMSE over the episodes, each
-with a 95 % bootstrap interval, and means of the other metrics. Every policy is then compared
-with the first one, the baseline, on the same episodes:
-    ratio        IQM of the baseline's RMSE over the policy's
-    difference   mean over the episodes of (baseline's - policy's RMSE) [m]
-    worse        the baseline is clearly worse: the interval of the difference lies above 0 and
-                 the ratio is at least SEPARATION_RATIO. With nominal as the baseline, a set
-                 separates when this holds for the oracle.
-`all sets` pools the episodes of all sets, redrawn set by set (stratified).
+Tables: every policy on every set; every policy against the baseline; what happens after abrupt
+changes, if there are any; how good the estimates are, if a policy makes any.
 """
 
 import csv
 import io
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from tracked_env.benchmark import statistics as stats
+from tracked_env.benchmark.changes import RECOVERED
+from tracked_env.benchmark.identification import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record, write_atomically
+from tracked_env.benchmark.summary import (
+    ALL_SETS,
+    SEPARATION_RATIO,
+    Comparison,
+    Summary,
+    summarise,
+)
 
-SEPARATION_RATIO = 1.2  # [-] of the interquartile means
-ALL_SETS = "all sets"
+__all__ = [
+    "ALL_SETS", "SEPARATION_RATIO", "Comparison", "Summary", "aligned", "markdown",
+    "markdown_rows", "summarise", "terminal", "write",
+]  # fmt: skip
+
 RECORD_COLUMNS = ("set", "policy", "episode", "seed", "digest", "ended", *METRICS, "predict_time")
 
 
-class PolicySummary(NamedTuple):
-    """One policy on one set."""
-
-    episodes: int
-    rmse_iqm: Estimate  # [m]
-    rmse_mean: Estimate  # [m]
-    means: dict[str, float]  # of every metric, in its unit
-    predict_time: float  # [s] per vehicle and step
-
-
-class Comparison(NamedTuple):
-    """The baseline against one policy on one set."""
-
-    ratio: Estimate  # [-]
-    difference: Estimate  # [m]
-    worse_share: float  # [-] of the episodes in which the baseline is worse
-    worse: bool  # clearly, see above
-
-
-class Summary(NamedTuple):
-    """What a benchmark says: {set: {policy: ...}}, sets and policies in their order."""
-
-    baseline: str
-    policies: dict[str, dict[str, PolicySummary]]
-    comparisons: dict[str, dict[str, Comparison]]
-
-
-def _column(records: Sequence[Record], name: str) -> NDArray[np.float64]:
-    return np.array([record[name] for record in records], dtype=np.float64)
-
-
-def _policy_summary(strata: Sequence[Sequence[Record]]) -> PolicySummary:
-    rmse = [_column(records, "tracking_rmse") for records in strata]
-    pooled = [record for records in strata for record in records]
-    return PolicySummary(
-        len(pooled),
-        stats.estimate(rmse),
-        stats.estimate(rmse, stats.mean),
-        {name: float(_column(pooled, name).mean()) for name in METRICS},
-        float(_column(pooled, "predict_time").mean()),
-    )
-
-
-def compare(baseline: Sequence[Sequence[Record]], other: Sequence[Sequence[Record]]) -> Comparison:
-    """Baseline against another policy; strata of records of the same episodes.
-
-    Raises ValueError when the episodes differ.
-    """
-    for first, second in zip(baseline, other, strict=True):
-        if [r["digest"] for r in first] != [r["digest"] for r in second]:
-            raise ValueError(
-                f"policies {first[0]['policy']!r} and {second[0]['policy']!r} did not meet the "
-                f"same episodes of {first[0]['set']!r}; delete the folder of results"
-            )
-    columns = [[_column(records, "tracking_rmse") for records in s] for s in (baseline, other)]
-    pairs = stats.paired(*columns)
-    ratio = stats.estimate(pairs, stats.ratio_of_means)
-    difference = stats.estimate(pairs, stats.mean_difference)
-    pooled = np.concatenate(pairs)
-    share = float(np.mean(pooled[:, 0] > pooled[:, 1]))
-    clearly = difference.low > 0.0 and ratio.value >= SEPARATION_RATIO
-    return Comparison(ratio, difference, share, bool(clearly))
-
-
-def summarise(records: Sequence[Record]) -> Summary:
-    """Summary of records as the runner returns them; the first policy is the baseline."""
-    groups: dict[str, dict[str, list[Record]]] = {}
-    for record in records:
-        groups.setdefault(record["set"], {}).setdefault(record["policy"], []).append(record)
-    if not groups:
-        raise ValueError("no finished episode to summarise")
-    baseline = records[0]["policy"]
-    rows: dict[str, list[dict[str, list[Record]]]] = {name: [by] for name, by in groups.items()}
-    if len(groups) > 1:
-        rows[ALL_SETS] = list(groups.values())
-    policies: dict[str, dict[str, PolicySummary]] = {}
-    comparisons: dict[str, dict[str, Comparison]] = {}
-    for name, strata in rows.items():
-        names = list(strata[0])
-        by_policy = {policy: [stratum[policy] for stratum in strata] for policy in names}
-        policies[name] = {policy: _policy_summary(by_policy[policy]) for policy in names}
-        comparisons[name] = {
-            policy: compare(by_policy[baseline], by_policy[policy]) for policy in names[1:]
-        }
-    return Summary(baseline, policies, comparisons)
-
-
-# --- tables ---------------------------------------------------------------------------------
 def _interval(e: Estimate, digits: int = 3) -> str:
     return f"{e.value:.{digits}f} [{e.low:.{digits}f}, {e.high:.{digits}f}]"
 
@@ -145,47 +59,101 @@ def comparison_table(summary: Summary) -> list[list[str]]:
     """Rows of cells, the header first: one row per set and policy but the baseline."""
     base = summary.baseline
     rows = [
-        ["set", "policy", f"RMSE {base} / policy", f"{base} - policy [m]", f"{base} worse in",
-         f"{base} clearly worse"],
+        ["set", "policy", "RMSE ratio", f"{base} - policy [m]", f"{base} clearly worse",
+         "fails alone", "score"],
     ]  # fmt: skip
     for name, by_policy in summary.comparisons.items():
         for policy, c in by_policy.items():
             rows.append(
                 [name, policy, _interval(c.ratio, 1), _interval(c.difference),
-                 f"{c.worse_share:.0%}", "yes" if c.worse else "NO"]
+                 f"{'yes' if c.worse else 'NO'}, in {c.worse_share:.0%}", f"{c.fails_alone}",
+                 "-" if c.score is None else _interval(c.score, 2)]
             )  # fmt: skip
     return rows
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """A table for the terminal: first two columns left, the others right; repeated sets blank."""
+def recovery_table(summary: Summary) -> list[list[str]]:
+    """Rows of cells, the header first: one row per set with abrupt changes and policy."""
+    rows = [["set", "policy", "episodes with a change", "recovery [s]", "peak after it [m]"]]
+    for name, by_policy in summary.policies.items():
+        for policy, p in by_policy.items():
+            if p.changed:
+                recovery, peak = (p.means[m] for m in ("recovery_time", "peak_after_change"))
+                rows.append([name, policy, f"{p.changed}", f"{recovery:.1f}", f"{peak:.2f}"])
+    return rows
+
+
+def _share(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.1%}" if value < 10.0 else ">1000%"
+
+
+def identification_table(summary: Summary) -> list[list[str]]:
+    """Rows of cells, the header first: one row per set, policy and estimated parameter."""
+    rows = [
+        ["set", "policy", "parameter", "error settled", "settling [s]", "settles", "NEES",
+         "in 3 sigma", "excited", "diverged"],
+    ]  # fmt: skip
+    for name, by_policy in summary.identification.items():
+        for policy, by_parameter in by_policy.items():
+            for parameter, e in by_parameter.items():
+                time = f"{e.settling_time:.1f}" if math.isfinite(e.settling_time) else "never"
+                rows.append(
+                    [name, policy, parameter, _share(e.settled_relative_rmse),
+                     "-" if math.isnan(e.settling_time) else time, _share(e.settled),
+                     "-" if math.isnan(e.nees) else f"{e.nees:.3g}", _share(e.in_three_sigma),
+                     _share(e.excited), _share(e.diverged)]
+                )  # fmt: skip
+    return rows
+
+
+def nis_table(summary: Summary) -> list[list[str]]:
+    """Rows of cells, the header first: one row per set, policy and filter."""
+    return [["set", "policy", "filter", "mean NIS"]] + [
+        [name, policy, of, "-" if math.isnan(value) else f"{value:.3g}"]
+        for name, by_policy in summary.nis.items()
+        for policy, by_filter in by_policy.items()
+        for of, value in by_filter.items()
+    ]
+
+
+def aligned(rows: Sequence[Sequence[str]], names: int = 2) -> str:
+    """A table for the terminal: the first `names` columns left, the others right.
+
+    Of these names, what the row above has as well is left out, but for the last.
+    """
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = []
-    before = ""
+    before: Sequence[str] = ()
     for number, row in enumerate(rows):
-        cells = [("" if row[0] == before else row[0]), *row[1:]]
-        before = row[0]
-        parts = [c.ljust(w) for c, w in zip(cells[:2], widths[:2], strict=True)]
-        parts += [c.rjust(w) for c, w in zip(cells[2:], widths[2:], strict=True)]
+        cells = list(row)
+        for i in range(names - 1):
+            if row[: i + 1] == before[: i + 1]:
+                cells[i] = ""
+        before = row
+        parts = [c.ljust(w) for c, w in zip(cells[:names], widths[:names], strict=True)]
+        parts += [c.rjust(w) for c, w in zip(cells[names:], widths[names:], strict=True)]
         lines.append("  ".join(parts).rstrip())
         if number == 0:
             lines.append("-" * len(lines[0]))
     return "\n".join(lines)
 
 
-def markdown_rows(rows: Sequence[Sequence[str]]) -> str:
+def markdown_rows(rows: Sequence[Sequence[str]], names: int = 2) -> str:
     """The same as a Markdown table."""
     head, *body = rows
-    rule = ["--" if i < 2 else "--:" for i in range(len(head))]
+    rule = ["--" if i < names else "--:" for i in range(len(head))]
     return "\n".join("| " + " | ".join(row) + " |" for row in [head, rule, *body])
 
 
 def rule(summary: Summary) -> str:
-    """The sentence that explains the last column."""
+    """The sentences that explain the columns of the comparison."""
+    base = summary.baseline
     return (
-        f"Ratio of the IQMs and mean of the paired differences, with 95 % intervals. "
-        f"{summary.baseline} is clearly worse when the\ninterval of the difference lies above 0 "
-        f"and the ratio is at least {SEPARATION_RATIO}."
+        f"RMSE ratio: IQM of {base} over that of the policy. {base} - policy: mean of the paired "
+        f"differences. Intervals: 95 %.\n{base} is clearly worse when the interval of the "
+        f"difference lies above 0 and the ratio is at least {SEPARATION_RATIO};\n`in`: episodes "
+        f"in which it is worse. Fails alone: episodes that {base} masters and the policy does not."
+        "\nScore: 0 = nominal, 1 = oracle."
     )
 
 
@@ -199,41 +167,74 @@ def legend(summary: Summary) -> str:
     )
 
 
+RECOVERY_LEGEND = (
+    "After the first abrupt change of the true parameters: time until the distance stays below "
+    f"{RECOVERED:g} m, and its\nlargest value; means over the episodes with a change."
+)
+IDENTIFICATION_LEGEND = (
+    "Error settled: median relative RMS error after 5 s. Settling: median time after the last "
+    "abrupt change until\nwithin 10 % for good. NEES: 1 expected; in 3 sigma: 99.7 % expected."
+)
+
+
+def _parts(summary: Summary) -> list[tuple[list[list[str]], int, str]]:
+    """Tables that have something to say, how many of their columns are names, their legends."""
+    tables = [
+        (policy_table(summary), 2, legend(summary)),
+        (comparison_table(summary), 2, rule(summary)),
+        (recovery_table(summary), 2, RECOVERY_LEGEND),
+        (identification_table(summary), 3, IDENTIFICATION_LEGEND),
+        (
+            nis_table(summary),
+            3,
+            "Mean normalised innovation squared; the dimension of the innovation is expected.",
+        ),
+    ]
+    return [table for table in tables if len(table[0]) > 1]
+
+
 def terminal(summary: Summary) -> str:
     """The whole summary as plain text."""
-    parts = [aligned(policy_table(summary)), legend(summary)]
-    if any(summary.comparisons.values()):
-        parts += [aligned(comparison_table(summary)), rule(summary)]
-    return "\n\n".join(parts)
+    parts = _parts(summary)
+    return "\n\n".join(f"{aligned(rows, names)}\n\n{text}" for rows, names, text in parts)
 
 
 def markdown(summary: Summary) -> str:
     """The whole summary as Markdown."""
-    parts = [markdown_rows(policy_table(summary)), legend(summary)]
-    if any(summary.comparisons.values()):
-        parts += [markdown_rows(comparison_table(summary)), rule(summary)]
-    return "\n\n".join(parts) + "\n"
+    parts = _parts(summary)
+    return "\n\n".join(f"{markdown_rows(r, names)}\n\n{text}" for r, names, text in parts) + "\n"
 
 
 def plain(value: Any) -> Any:
-    """Named tuples as dicts, all the way down, for JSON."""
+    """Named tuples as dicts, all the way down, for JSON; what is not finite is None."""
     if isinstance(value, tuple) and hasattr(value, "_fields"):
         return {name: plain(part) for name, part in zip(value._fields, value, strict=True)}
     if isinstance(value, dict):
         return {key: plain(part) for key, part in value.items()}
-    return value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def flat(record: Record) -> Record:
+    """A record with its estimates as columns `parameter.metric` and `nis.filter`, for CSV."""
+    columns = {k: v for k, v in record.items() if k not in ("identification", "nis")}
+    for name, values in record.get("identification", {}).items():
+        columns.update({f"{name}.{metric}": value for metric, value in values.items()})
+    columns.update({f"nis.{name}": value for name, value in record.get("nis", {}).items()})
+    return columns
 
 
 def write(
     folder: Path, header: Mapping[str, Any], records: Sequence[Record], summary: Summary
 ) -> None:
     """Write results.json, episodes.csv and summary.md into `folder`."""
-    units = {name: metric.unit for name, metric in METRICS.items()}
+    units = {name: metric.unit for name, metric in {**METRICS, **ESTIMATION_METRICS}.items()}
     document = {**header, "units": units, "summary": plain(summary), "episodes": list(records)}
     write_atomically(folder / "results.json", (json.dumps(document, indent=1) + "\n").encode())
     text = io.StringIO()
-    writer = csv.DictWriter(text, RECORD_COLUMNS, lineterminator="\n")
+    rows = [flat(record) for record in records]
+    columns = dict.fromkeys([*RECORD_COLUMNS, *(name for row in rows for name in row)])
+    writer = csv.DictWriter(text, list(columns), lineterminator="\n")
     writer.writeheader()
-    writer.writerows(records)
+    writer.writerows(rows)
     write_atomically(folder / "episodes.csv", text.getvalue().encode())
     write_atomically(folder / "summary.md", markdown(summary).encode())

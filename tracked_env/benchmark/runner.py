@@ -16,19 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import batch as b
-from tracked_env.benchmark import metrics
+from tracked_env.benchmark import identification, metrics
+from tracked_env.benchmark.changes import CHANGING
 from tracked_env.benchmark.policies import (
     Policy,
     PolicyContext,
     PolicyEntry,
     checked_policy,
+    identifies,
     needs_truth,
     source_fingerprint,
 )
+from tracked_env.benchmark.shown import shown
 from tracked_env.benchmark.store import Record, Store
 from tracked_env.episode import Episode
 from tracked_env.physics import state as s
 from tracked_env.physics.parameters import PARAMETER_INDEX
+from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import UNCERTAINTY_SETS
 from tracked_env.validation import checked_choice
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -37,11 +41,10 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 DEFAULT_SETS = tuple(name for name in UNCERTAINTY_SETS if name != "nominal")
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
 REPORT_EVERY = 50  # [control steps] between two calls of `progress`
-SHOWN_EPISODES = 4  # whose motion is kept in full, for the figures
-SHOWN_POINTS = 300  # times at which the error of all episodes of the first chunk is kept
 # Files and folders of the package that do not change the numbers of an episode.
-_HERE = {path.name for path in Path(__file__).parent.glob("*.py")}
-_HARMLESS = ("rendering", "sb3.py", *(_HERE - {"metrics.py", "runner.py"}))
+_HERE = {path.name for path in Path(__file__).parent.iterdir()}
+_NUMBERS = {"metrics.py", "runner.py", "changes.py", "identification.py"}
+_HARMLESS = ("rendering", "sb3.py", *(_HERE - _NUMBERS))
 
 _COLUMNS = [
     b.STATE + s.X, b.STATE + s.Y, b.STATE + s.YAW,
@@ -52,6 +55,7 @@ _COLUMNS = [
     b.STATE + s.TORQUE_LEFT, b.STATE + s.TORQUE_RIGHT,
     b.STATE + s.SPROCKET_SPEED_LEFT, b.STATE + s.SPROCKET_SPEED_RIGHT,
     b.STATE + s.SLIP_LEFT, b.STATE + s.SLIP_RIGHT,
+    *(b.PARAMETERS + PARAMETER_INDEX[name] for name in CHANGING),
 ]  # fmt: skip
 _SPEED_ERROR = metrics.CHANNELS.index("speed_error")
 
@@ -92,6 +96,10 @@ class BenchmarkConfig:
         for name in ("sets", "episodes", "chunk"):
             del fields[name]
         return {**fields, "source": source_fingerprint("tracked_env", _HARMLESS)}
+
+    def context(self) -> PolicyContext:
+        """What a policy may know of the environment."""
+        return PolicyContext(1.0 / self.control_rate, self.lateral, make_sensors(self.sensors))
 
     def environment(self, uncertainty_set: str, count: int, truth: bool) -> TrackedVehicleVectorEnv:
         """A batch in which an ended episode rests."""
@@ -137,9 +145,16 @@ def episode_digest(episode: Episode) -> str:
 
 
 def drive(
-    policy: Policy, env: TrackedVehicleVectorEnv, seeds: Sequence[int], on_step: Callable[[], None]
+    policy: Policy,
+    env: TrackedVehicleVectorEnv,
+    seeds: Sequence[int],
+    on_step: Callable[[], None],
+    recorder: identification.Recorder | None = None,
 ) -> tuple[metrics.Trace, float]:
-    """Run one episode per seed to its end. Returns their trace and the time in `predict` [s]."""
+    """Run one episode per seed to its end. Returns their trace and the time in `predict` [s].
+
+    recorder: takes down what a policy believes, beside the truth of that moment.
+    """
     simulation = env.simulation
     solver = simulation.solver
     observation, info = env.reset(seed=list(seeds))
@@ -156,6 +171,8 @@ def drive(
         began = time.perf_counter()
         action, state = policy.predict(observation, state, start, deterministic=True)
         predict_time += time.perf_counter() - began
+        if recorder is not None:
+            recorder.take(policy, simulation.batch.floats)
         start = np.zeros_like(start)
         observation, _, terminated, truncated, info = env.step(np.asarray(action, np.float32))
         floats = simulation.batch.floats
@@ -179,26 +196,14 @@ def drive(
     return trace, predict_time
 
 
-def shown(trace: metrics.Trace) -> dict[str, NDArray[Any]]:
-    """What the figures need: the error of all episodes, the full motion of a few."""
-    error = metrics.counted_error(trace)
-    times = np.unique(np.linspace(0, len(error) - 1, SHOWN_POINTS).astype(int))
-    few = trace.values[:, :SHOWN_EPISODES].astype(np.float32)
-    few[~trace.driven()[:, :SHOWN_EPISODES]] = np.nan
-    return {
-        "time": (times + 1) * trace.control_period,
-        "error": error[times].astype(np.float32),
-        "motion": few,
-        "torque_limit": trace.torque_limit[:SHOWN_EPISODES],
-        "control_period": np.array(trace.control_period),
-    }
-
-
 def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progress) -> None:
     """Run one chunk and store it. An error of the policy says where it happened."""
     count = len(task.episodes)
-    policy = checked_policy(task.policy, PolicyContext(1.0 / config.control_rate, config.lateral))
+    policy = checked_policy(task.policy, config.context())
     env = config.environment(task.uncertainty_set, count, needs_truth(policy))
+    recorder = None
+    if identifies(policy):
+        recorder = identification.Recorder(count, env.simulation.settings.max_steps)
     label = f"{task.uncertainty_set}: {task.policy.name}"
     reported, steps = 0, 0
 
@@ -211,7 +216,7 @@ def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progre
 
     seeds = [config.seed + i for i in task.episodes]
     try:
-        trace, predict_time = drive(policy, env, seeds, on_step)
+        trace, predict_time = drive(policy, env, seeds, on_step, recorder)
     except Exception as error:
         error.add_note(f"policy {task.policy.name!r}, set {task.uncertainty_set!r}, step {steps}")
         raise
@@ -219,15 +224,19 @@ def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progre
         env.close()
     columns = metrics.evaluate(trace)
     endings = metrics.ending(trace)
+    beliefs = recorder.beliefs() if recorder is not None else None
+    believed: list[dict[str, Any]] = [{}] * count
+    if beliefs is not None:
+        believed = identification.evaluate(beliefs, trace)
     episodes: list[Record] = []
     for row, (episode, seed) in enumerate(zip(task.episodes, seeds, strict=True)):
         drawn = env.simulation.episodes[row]
         assert drawn is not None
         known = {"episode": episode, "seed": seed, "digest": episode_digest(drawn)}
-        values = {name: float(column[row]) for name, column in columns.items()}
-        episodes.append({**known, "ended": endings[row], **values})
+        values = {name: identification.optional(column[row]) for name, column in columns.items()}
+        episodes.append({**known, "ended": endings[row], **values, **believed[row]})
     if task.episodes[0] == 0:
-        store.save_trace(task.policy.name, task.uncertainty_set, shown(trace))
+        store.save_trace(task.policy.name, task.uncertainty_set, shown(trace, beliefs))
     chunk = {
         "policy": task.policy.name,
         "fingerprint": task.policy.fingerprint,

@@ -110,3 +110,32 @@ def ratio_of_means(pairs: FloatArray) -> FloatArray:
     """Interquartile mean of the first over that of the second, (..., 2, n) -> (...)."""
     top, bottom = interquartile_mean(pairs[..., 0, :]), interquartile_mean(pairs[..., 1, :])
     return np.divide(top, bottom, out=np.full_like(top, np.inf), where=bottom > 0.0)
+
+
+def gap_closed(triples: FloatArray) -> FloatArray:
+    """Part of the gap from a low to a high anchor that a policy closes, (..., 3, n) -> (...).
+
+    Rows of the second last axis: values of the anchor that scores 0, of the one that scores 1,
+    and of the policy; smaller values are better. With the interquartile means A, B and C:
+    (A - C) / (A - B), NaN where A <= B.
+    """
+    low, high, policy = np.moveaxis(interquartile_mean(triples), -1, 0)
+    gap = low - high
+    return np.divide(low - policy, gap, out=np.full_like(gap, np.nan), where=gap > 0.0)
+
+
+def score(
+    low: Sequence[ArrayLike], high: Sequence[ArrayLike], policy: Sequence[ArrayLike]
+) -> Estimate | None:
+    """`gap_closed` with its stratified bootstrap interval, the same redraws for all three.
+
+    Each argument: strata of values (n_s,) of the same episodes. None when the gap between the
+    anchors is not certain (a redraw in forty has none): the score would mean nothing.
+    """
+    triples = [np.stack(parts, axis=-1) for parts in zip(low, high, policy, strict=True)]
+    value = float(gap_closed(np.concatenate(triples).T))
+    distribution = bootstrap(triples, gap_closed)
+    known = distribution[~np.isnan(distribution)]
+    if np.isnan(value) or known.size < (0.5 + 0.5 * LEVEL) * distribution.size:
+        return None
+    return Estimate(value, *interval(known))

@@ -9,7 +9,6 @@ import numpy as np
 
 from tracked_env.benchmark.policies import (
     Policy,
-    PolicyContext,
     PolicyEntry,
     checked_policy,
     needs_truth,
@@ -25,7 +24,7 @@ def record(
 
     Returns the file. Raises ImportError that names the extra to install.
     """
-    policy = checked_policy(entry, PolicyContext(1.0 / config.control_rate, config.lateral))
+    policy = checked_policy(entry, config.context())
     name = "".join(c if c.isalnum() or c in "-_." else "_" for c in entry.name)
     path = folder / f"{uncertainty_set}--{name}--seed-{config.seed + episode}.mp4"
     folder.mkdir(parents=True, exist_ok=True)

@@ -9,14 +9,12 @@ References: [1] Strawa et al., Electronics 10 (2021) 187.
 """
 
 import math
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.benchmark.policies import Policy
+from tracked_env.benchmark.strawa2021.tools import Controller
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import ClosureParameters, PlantParameters, plant_parameters
 from tracked_env.uncertainty import STRAWA_MAPS
@@ -69,9 +67,6 @@ class Run(NamedTuple):
     sprocket_torque: NDArray[np.float64]  # (2, T) demanded, left and right [N m]
     settled_rms: float  # of the error after SETTLED [m]
     settled_max: float
-
-
-Controller = Callable[[PlantParameters, float, str], Policy]
 
 
 def believed_parameters(scenario: Scenario, turning_factor: float) -> PlantParameters:
@@ -168,51 +163,3 @@ def table(runs: dict[tuple[str, str, float], Run]) -> list[list[str]]:
              f"{100.0 * limited.mean():.0f} %", f"{100.0 * slip:.1f} %"],
         )  # fmt: skip
     return lines
-
-
-def save_figures(runs: dict[tuple[str, str, float], Run], folder: Path) -> list[Path]:
-    """One PNG per scenario: paths, error, torque and slip. Needs matplotlib."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    from tracked_env.benchmark.figures import DPI, PALETTE, REFERENCE_COLOUR, STYLE
-
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    with matplotlib.rc_context(STYLE):
-        for name, scenario in SCENARIOS.items():
-            figure = Figure(figsize=(10.0, 6.4), dpi=DPI, layout="constrained")
-            axes = figure.subplots(2, 3)
-            for row, path in enumerate(PATHS):
-                for factor, colour in zip(scenario.turning_factors, PALETTE, strict=False):
-                    result = runs[name, path, factor]
-                    style = "-" if factor == 1.0 else "--"
-                    label = f"factor {factor:g} in (20)"
-                    line = {"color": colour, "linestyle": style, "linewidth": 1.2}
-                    truth = result.truth
-                    shown = result.time <= SETTLED
-                    axes[row, 0].plot(truth["x"][shown], truth["y"][shown], label=label, **line)
-                    axes[row, 1].plot(result.time, np.maximum(result.error, 1e-10), **line)
-                    for side, faded in zip(("left", "right"), (0.45, 1.0), strict=True):
-                        torque = truth[f"effort_{side}"] * truth["sprocket_radius"] / 1e3
-                        axes[row, 2].plot(
-                            result.time[shown], torque[shown], alpha=faded, **line,
-                            label=f"{side}, factor {factor:g}",
-                        )  # fmt: skip
-                x, y = runs[name, path, 1.0].reference[:, : int(100 * SETTLED)]
-                axes[row, 0].plot(x, y, color=REFERENCE_COLOUR, linewidth=4.0, alpha=0.4,
-                                  label="reference", zorder=0)  # fmt: skip
-                axes[row, 0].set_aspect("equal", adjustable="datalim")
-                axes[row, 0].set_xlabel("x [m]")
-                axes[row, 0].set_ylabel(f"{path}: y [m]")
-                axes[row, 1].set_yscale("log")
-                axes[row, 1].set_xlabel("time [s]")
-                axes[row, 1].set_ylabel("distance to reference [m]")
-                axes[row, 2].set_xlabel("time [s]")
-                axes[row, 2].set_ylabel("transmitted torque [kN m]")
-            axes[0, 0].legend(loc="center", fontsize=8)
-            axes[0, 2].legend(fontsize=8)
-            figure.suptitle(f"Section {scenario.section}: {scenario.title}")
-            files.append(folder / f"strawa2021-{name}.png")
-            figure.savefig(files[-1])
-    return files

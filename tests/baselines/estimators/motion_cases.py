@@ -1,0 +1,87 @@
+"""Measurements that obey the plant's equations exactly, for the tests of the regressions."""
+
+import numpy as np
+
+from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
+from tracked_env.physics import torque_plant as plant
+from tracked_env.physics.parameters import plant_parameters
+
+CLAY = plant_parameters()
+NO_LIMITS = plant.TractionLimits(-1e9, 1e9, -1e9, 1e9)
+EXACT = DataSheet(*[0.0] * 6, 0.0, 1.0, 0.0, 0.0)  # sensors without errors
+RTK = DataSheet()
+
+
+KINDS = ("curves", "straight", "reverse", "pivot", "steady")
+
+
+def _waves(rng, t):
+    """A smooth random function of time, of order 1."""
+    return sum(
+        rng.uniform(0.3, 1.0) * np.sin(rng.uniform(0.5, 4.0) * t + rng.uniform(0.0, 6.3))
+        for _ in range(4)
+    )
+
+
+def motion(kind, seed=0, steps=1000, period=0.02):
+    """(v_x, v_y, yaw rate, torque left, torque right), each (steps,), of one kind of drive.
+
+    curves: both ways, changing speed. straight: no turning. reverse: curves, backwards.
+    pivot: the tracks run in opposite directions. steady: straight, at constant torque. Torques
+    vary freely: the acceleration that they cause is measured, but not integrated.
+    """
+    rng = np.random.default_rng(seed)
+    t = period * np.arange(steps)
+    along, across, phase = _waves(rng, t), _waves(rng, t), rng.uniform(0.0, 6.3)
+    v_x, yaw_rate = 2.5 + 0.2 * along, 0.4 * across
+    mean = 1500.0 + 300.0 * along
+    side = 900.0 * np.sign(yaw_rate) + 500.0 * np.sin(2.1 * t) + 200.0 * along * across
+    if kind in ("straight", "steady"):
+        yaw_rate, side = np.zeros(steps), np.zeros(steps)
+    if kind == "steady":
+        mean = np.full(steps, 1500.0)
+    if kind == "reverse":
+        v_x, mean = -v_x, -mean
+    if kind == "pivot":
+        v_x, yaw_rate, mean = 0.1 * along, 1.2 + 0.2 * across, 300.0 * along
+    half = 0.5 * CLAY.contact_length * np.abs(yaw_rate)
+    return v_x, 0.4 * half * np.sin(1.3 * t + phase), yaw_rate, mean - side, mean + side
+
+
+def mirrored(measurement: Measurement) -> Measurement:
+    """The same with left and right exchanged."""
+    values = measurement.values.copy()
+    for name in ("y", "yaw", "v_y", "acceleration_y", "yaw_rate", "yaw_acceleration"):
+        values[:, COLUMN[name]] *= -1.0
+    for name in ("sprocket_speed", "torque"):
+        left, right = COLUMN[f"{name}_left"], COLUMN[f"{name}_right"]
+        values[:, [left, right]] = values[:, [right, left]]
+    return measurement._replace(values=values)
+
+
+def measurements(p, kind, closure="sliding", sheet=EXACT, count=1, seed=0, steps=1000):
+    """A list of measurements of `count` vehicles with parameters p: the plant's accelerations
+    at every moment of a motion, with the sensors' noise (no bias)."""
+    constrained = closure == "constrained"
+    k = plant.coefficients(p, constrained)
+    rates = plant.constrained_accelerations if constrained else plant.sliding_accelerations
+    rng = np.random.default_rng(seed + 1000)
+    result: list[Measurement] = []
+    for v_x, v_y, w, left, right in zip(*motion(kind, seed, steps), strict=True):
+        state = plant.Motion(v_x, -p.icr_forward * w if constrained else v_y, w)
+        rate_x, rate_y, bend = rates(state, left, right, k, NO_LIMITS)
+        a_x, a_y = plant.inertial_acceleration(state, rate_x, rate_y)
+        noise = rng.standard_normal((8, count))
+        result.append(
+            make_measurement(
+                v_x=state.v_x + sheet.velocity_noise * noise[0],
+                v_y=state.v_y + sheet.velocity_noise * noise[1],
+                acceleration_x=a_x + sheet.acceleration_noise * noise[2],
+                acceleration_y=a_y + sheet.acceleration_noise * noise[3],
+                yaw_rate=w + sheet.gyro_noise * noise[4],
+                yaw_acceleration=bend + sheet.yaw_acceleration_noise * noise[5],
+                torque_left=left + sheet.torque_noise * noise[6],
+                torque_right=right + sheet.torque_noise * noise[7],
+            )
+        )
+    return result

@@ -1,0 +1,79 @@
+"""What the tests of the least squares share: priors, random regressions, and a loop over samples."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimators import least_squares as ls
+from tracked_env.physics.jit import loop
+
+# Nothing but recursive least squares with a prior: no forgetting, no search for changes.
+PLAIN = ls.Prior(
+    1.0, 2.0, 1.0, 0.5, -1e9, -1e9, 1e9, 1e9,
+    forgetting=1.0, drift_2=0.0, jump_keeps_2=True, follows_changes=False,
+)  # fmt: skip
+# As the vehicle's regressions use it.
+LIVELY = PLAIN._replace(forgetting=0.9995, drift_2=1e-4, follows_changes=True)
+
+
+class Run(NamedTuple):
+    """What was known after each of T samples of N vehicles."""
+
+    value: NDArray[np.float64]  # (N, T, 2)
+    covariance: NDArray[np.float64]  # (N, T, 2, 2)
+    eigenvalues: NDArray[np.float64]  # (N, T, 2) smallest, largest, of the information
+    status: NDArray[np.int64]  # (N, T)
+    nis: NDArray[np.float64]  # (N, T)
+    memory: NDArray[np.float64]  # (N, MEMORY) at the end
+
+
+@loop
+def _run_all(samples, memory, prior, value, covariance, eigenvalues, status, nis):
+    for i in range(samples.shape[0]):
+        for k in range(samples.shape[1]):
+            s = samples[i, k]
+            sample = ls.Sample(s[0], s[1], s[2], s[3], s[4])
+            status[i, k], nis[i, k] = ls.step(memory, i, sample, prior)
+            value[i, k, 0], value[i, k, 1] = ls.values(memory, i, prior)
+            p_11, p_12, p_22 = ls.covariance(memory, i, prior)
+            covariance[i, k, 0, 0], covariance[i, k, 1, 1] = p_11, p_22
+            covariance[i, k, 0, 1] = covariance[i, k, 1, 0] = p_12
+            smallest, largest = ls.eigenvalues(memory, i)
+            eigenvalues[i, k, 0], eigenvalues[i, k, 1] = smallest, largest
+
+
+def run(samples, prior, memory=None) -> Run:
+    """Feed samples (N, T, 5), columns as in ls.Sample; memory: where to go on from."""
+    samples = np.ascontiguousarray(samples, dtype=float)
+    count, steps = samples.shape[:2]
+    prior = ls.Prior(*(float(x) for x in prior[:-2]), *(bool(x) for x in prior[-2:]))
+    memory = np.zeros((count, ls.MEMORY)) if memory is None else memory.copy()
+    value, eigenvalues = np.empty((count, steps, 2)), np.empty((count, steps, 2))
+    covariance = np.empty((count, steps, 2, 2))
+    status, nis = np.empty((count, steps), dtype=np.int64), np.empty((count, steps))
+    _run_all(samples, memory, prior, value, covariance, eigenvalues, status, nis)
+    return Run(value, covariance, eigenvalues, status, nis, memory)
+
+
+def regression(theta, steps, seed=0, count=1, variance=0.04, noise_1=0.0, know_noise=True):
+    """Samples (count, steps, 5) of y = phi . theta + e with white regressors, phi_1 of mean 3.
+
+    theta: (2,), (count, 2) or (count, steps, 2). noise_1: variance of what is added to phi_1;
+    know_noise: whether the sample says so.
+    """
+    rng = np.random.default_rng(seed)
+    phi = rng.standard_normal((count, steps, 2)) + np.array([3.0, -1.0])
+    theta = np.asarray(theta, dtype=float)
+    theta = theta[:, None, :] if theta.ndim == 2 else theta
+    y = (phi * theta).sum(-1) + np.sqrt(variance) * rng.standard_normal((count, steps))
+    seen = phi[..., 0] + np.sqrt(noise_1) * rng.standard_normal((count, steps))
+    total = variance + noise_1 * np.broadcast_to(theta, phi.shape)[..., 0] ** 2
+    known = np.full((count, steps), noise_1 if know_noise else 0.0)
+    return np.stack([y, seen, phi[..., 1], total, known], axis=-1)
+
+
+def nees(result: Run, theta, step=-1) -> NDArray[np.float64]:
+    """Normalised estimation error squared (N,) after a step."""
+    error = result.value[:, step] - theta
+    return np.einsum("ni,nij,nj->n", error, np.linalg.inv(result.covariance[:, step]), error)

@@ -1,0 +1,57 @@
+"""What of a chunk of episodes is kept for the figures: little, in a file of arrays.
+
+time, error                  error of all episodes at SHOWN_POINTS times
+motion                       every channel of the first SHOWN_EPISODES, NaN after their end
+believed_time, _names,       of a policy that estimates: value, standard deviation and truth
+  _value, _deviation, _truth (points, parameters, episodes) of the same episodes
+torque_limit, control_period
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.benchmark.identification import Beliefs
+from tracked_env.benchmark.metrics import Trace, counted_error
+
+SHOWN_EPISODES = 4  # whose motion is kept in full
+SHOWN_POINTS = 300  # times at which error and beliefs are kept
+
+
+def _thinned(steps: int) -> NDArray[np.int64]:
+    """At most SHOWN_POINTS of `steps` rows, first and last among them."""
+    return np.unique(np.linspace(0, steps - 1, SHOWN_POINTS).astype(np.int64))
+
+
+def shown(trace: Trace, beliefs: Beliefs | None = None) -> dict[str, NDArray[Any]]:
+    """The arrays of the head of this file, from a whole chunk."""
+    error = counted_error(trace)
+    times = _thinned(len(error))
+    few = trace.values[:, :SHOWN_EPISODES].astype(np.float32)
+    few[~trace.driven()[:, :SHOWN_EPISODES]] = np.nan
+    return {
+        "time": (times + 1) * trace.control_period,
+        "error": error[times].astype(np.float32),
+        "motion": few,
+        "torque_limit": trace.torque_limit[:SHOWN_EPISODES],
+        "control_period": np.array(trace.control_period),
+        **({} if beliefs is None else _believed(trace, beliefs)),
+    }
+
+
+def _believed(trace: Trace, beliefs: Beliefs) -> dict[str, NDArray[Any]]:
+    """The beliefs of the first episodes, NaN after their end."""
+    times = _thinned(len(beliefs.value))
+    void = (times[:, None] >= trace.steps[:SHOWN_EPISODES])[:, None]
+
+    def kept(array: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.where(void, np.float32(np.nan), array[times, :, :SHOWN_EPISODES])
+
+    return {
+        "believed_time": times * trace.control_period,
+        "believed_names": np.array(beliefs.names),
+        "believed_value": kept(beliefs.value),
+        "believed_deviation": kept(beliefs.deviation),
+        "believed_truth": kept(beliefs.truth),
+    }

@@ -1,0 +1,2 @@
+"""x."""
+from tracked_env.benchmark.strawa2021.control import *

@@ -21,6 +21,7 @@ from baselines.estimators.two_parameters import (
     HOLDING,
     REJECTED,
     SLOWEST,
+    TORQUE_MARGIN,
     TwoParameterEstimator,
     answer,
     checked_forgetting,
@@ -49,6 +50,7 @@ class Known(NamedTuple):
     inverse_mass: float  # [1/kg] nominal, for the variance
     acceleration_variance: float  # [m^2/s^4] accelerometer and model
     effort_variance: float  # [N^2] of F_L + F_R
+    largest_torque: float  # [N m] that can be
     coupled: bool
 
 
@@ -82,6 +84,8 @@ def update_all(z, fresh, memory, prior, known, out):
             seen = sample.y + sample.phi_1 + sample.phi_2 + z[i, _V_X] + z[i, _W]
             if not math.isfinite(seen):
                 memory[i, ls.SKIPPED] += 1.0
+                status = REJECTED
+            elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > known.largest_torque:
                 status = REJECTED
             elif moving:
                 status, nis = ls.step(memory, i, sample, prior)
@@ -137,6 +141,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
             nominal,
             sheet.acceleration_noise**2 + MODEL_NOISE**2,
             2.0 * effort * effort,
+            TORQUE_MARGIN * p.torque_limit,
             coupled,
         )
 

@@ -16,13 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import least_squares as ls
+from baselines.estimators import stack_links as links
 from baselines.estimators.estimate import Estimate, Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.measurement import COLUMN, POSE, DataSheet
+from baselines.estimators.measurement import COLUMN, DataSheet
 from baselines.estimators.observation_reader import ObservationReader, Reading
 from baselines.estimators.slip_observer import Motion, SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
+from tracked_env import observation as layout
 from tracked_env.physics import torque_plant as plant
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
 
@@ -90,33 +92,6 @@ class Identification(NamedTuple):
     def status(self) -> dict[str, NDArray[np.int64]]:
         """Status of each of ESTIMATORS, (N,)."""
         return {name: getattr(self, name).status for name in ESTIMATORS}
-
-
-def ahead(motion: Motion, reading: Reading) -> Motion:
-    """The motion now, from the filtered one, which is as old as the drive samples.
-
-    Acceleration and yaw acceleration are taken as constant over the delay.
-    """
-    delay = reading.drive_delay
-    if not (delay > 0.0).any():
-        return motion
-    felt = [
-        np.nan_to_num(reading.paired.channel(name))
-        for name in ("acceleration_x", "yaw_acceleration")
-    ]
-    gain_x = (felt[0] + motion.yaw_rate * motion.v_y) * delay
-    gain_w = felt[1] * delay
-    v_x, w = motion.v_x + 0.5 * gain_x, motion.yaw_rate + 0.5 * gain_w
-    yaw = motion.yaw + 0.5 * w * delay
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    return Motion(
-        motion.x + delay * (cosine * v_x - sine * motion.v_y),
-        motion.y + delay * (sine * v_x + cosine * motion.v_y),
-        motion.yaw + w * delay,
-        motion.v_x + gain_x,
-        motion.v_y,
-        motion.yaw_rate + gain_w,
-    )
 
 
 class IdentificationStack:
@@ -188,14 +163,17 @@ class IdentificationStack:
     def restore(self, memories: Memories, rows: NDArray[np.bool_] | None = None) -> None:
         """Go on from what `memories` returned, in the rows marked (N,) or in all.
 
-        Raises ValueError for another number of vehicles.
+        Raises ValueError for the state of another stack.
         """
         for part, memory in zip(self._parts, memories, strict=True):
+            if len(memory) != self.count:
+                raise ValueError(f"state of {len(memory)} vehicles; must be of {self.count}")
             if memory.shape != part.memory.shape:
                 raise ValueError(
-                    f"state of shape {memory.shape}; must be {part.memory.shape}. Is it of "
-                    "another number of vehicles?"
+                    f"state with {memory.shape[1]} columns; must have {part.memory.shape[1]}. "
+                    "Is it of a stack with another control period?"
                 )
+        for part, memory in zip(self._parts, memories, strict=True):
             where = slice(None) if rows is None else rows
             part.memory[where] = memory[where]
 
@@ -207,31 +185,50 @@ class IdentificationStack:
     def update(
         self, observation: NDArray[np.float32], start: NDArray[np.bool_] | None = None
     ) -> Identification:
-        """Take one observation of every vehicle, (N, SIZE); rows with `start` begin anew."""
+        """Take one observation of every vehicle, (N, SIZE); rows with `start` begin anew.
+
+        NaN of a sensor is skipped. Raises ValueError for a wrong shape, and for a reference,
+        action or age that is not finite; then nothing has been remembered.
+        """
+        self._check(observation)
         if start is not None and start.any():
             self.reset(start)
         reading = self.reader.read(observation)
-        latest = reading.latest
-        # The filter's time is that of the drive samples, which move it.
-        latest.age[:, POSE] = np.maximum(latest.age[:, POSE] - reading.drive_delay, 0.0)
+        latest, paired = reading.latest, reading.paired
+        behind = np.empty(self.count)
+        links.date(latest.age, reading.drive_delay, behind)
         slip = self.slip.update(latest)
         motion = self.slip.motion()
-        paired = reading.paired
         paired.values[:, _V_X], paired.values[:, _V_Y] = motion.v_x, motion.v_y
         jumps = self.longitudinal.memory[:, ls.JUMPS].copy()
         longitudinal = self.longitudinal.update(paired)
-        mass = 1.0 / longitudinal.value[:, 0]
-        self.turning.mass = mass
-        self.turning.mass_variance = longitudinal.covariance[:, 0, 0] * mass**4
-        self.turning.resistance = longitudinal.value[:, 1].copy()
-        jumped = self.longitudinal.memory[:, ls.JUMPS] > jumps
-        if jumped.any():
-            self.turning.release_inertia(jumped)
-        turning = self.turning.update(paired)
+        turning, jumped = self.turning, np.empty(self.count, dtype=bool)
+        if links.hand_on(
+            self.longitudinal.memory, jumps, longitudinal.value, longitudinal.covariance,
+            turning.mass, turning.mass_variance, turning.resistance, jumped,
+        ):  # fmt: skip
+            turning.release_inertia(jumped)
         self.soil.provide_slip(self.slip.slips, self.slip.slip_variances)
         soil = self.soil.update(latest)
         _limit, traction_known = self.soil.effort_limit()
-        return Identification(reading, motion, longitudinal, turning, slip, soil, traction_known)
+        links.advance(*motion, behind, paired.values)
+        return Identification(
+            reading, motion, longitudinal, turning.update(paired), slip, soil, traction_known
+        )
+
+    def _check(self, observation: NDArray[np.float32]) -> None:
+        """Raise ValueError for what `update` cannot take."""
+        if observation.shape != (self.count, layout.SIZE):
+            raise ValueError(
+                f"observation has shape {observation.shape}; must be ({self.count}, "
+                f"{layout.SIZE}). Is the stack made for another count?"
+            )
+        row, column = links.first_bad(observation)
+        if row >= 0:
+            raise ValueError(
+                f"observation[{row}]: {layout.NAMES[column]} = {observation[row, column]}; must be "
+                "finite. Only sensors may be NaN. Did a wrapper divide by zero?"
+            )
 
 
 def features(known: Identification, nominal: PlantParameters) -> NDArray[np.float32]:

@@ -32,6 +32,7 @@ from baselines.estimators.two_parameters import (
     P_22,
     REJECTED,
     SLOWEST,
+    TORQUE_MARGIN,
     VALUE_2,
     TwoParameterEstimator,
     answer,
@@ -70,6 +71,7 @@ class Known(NamedTuple):
     turn_variance: float  # [rad^2/s^2] of w
     side_noise: float  # [m/s^2] sigma of the lateral accelerometer
     least_turn: float  # [rad/s] slower turns are left out
+    largest_torque: float  # [N m] that can be
     constrained: bool
 
 
@@ -163,6 +165,8 @@ def update_all(z, fresh, memory, prior, known, mass, resistance, out):
             if not math.isfinite(seen + z[i, _V_X]):
                 memory[i, ls.SKIPPED] += 1.0
                 status = REJECTED
+            elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > known.largest_torque:
+                status = REJECTED
             elif moving:
                 status, nis = ls.step(memory, i, sample, prior)
         answer(memory, i, prior, status, nis, out)
@@ -228,6 +232,7 @@ class TurningEstimator(TwoParameterEstimator):
             soil.YAW_FRICTION_REGULARISATION
             if lateral == "constrained"
             else 2.0 * soil.LATERAL_FRICTION_REGULARISATION / p.contact_length,
+            TORQUE_MARGIN * p.torque_limit,
             lateral == "constrained",
         )
         self.mass = np.full(count, p.mass)

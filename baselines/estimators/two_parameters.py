@@ -17,6 +17,7 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
 
 CONVERGING, HOLDING, REJECTED = 0, 1, 2  # of estimate.Status, as plain numbers for kernels
+TORQUE_MARGIN = 1.5  # [-] of the drives' limit: a larger torque is not one, and would weigh much
 SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing about it
 # Columns of the answer of a kernel, per vehicle.
 VALUE_1, VALUE_2, P_11, P_12, P_22, EXCITATION, CONDITION, STATUS, NIS = range(9)
@@ -80,7 +81,8 @@ class TwoParameterEstimator:
         self.parameters = PlantParameters(*(float(value) for value in parameters))
         self.control_period = float(control_period)
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
-        self.prior = ls.Prior(*(float(x) for x in prior[:-2]), *(bool(x) for x in prior[-2:]))
+        numbers = [float(x) for x in prior[:-2]]
+        self.prior = ls.Prior._make([*numbers, *(bool(x) for x in prior[-2:])])
         self.memory = np.zeros((count, ls.MEMORY))
 
     def reset(self, rows: ArrayLike | None = None) -> None:

@@ -1,4 +1,4 @@
-"""What the tests of the least squares share: priors, random regressions, and a loop over samples."""
+"""What the tests of the least squares share: priors, regressions, a loop over samples."""
 
 from typing import NamedTuple
 
@@ -54,6 +54,12 @@ def run(samples, prior, memory=None) -> Run:
     status, nis = np.empty((count, steps), dtype=np.int64), np.empty((count, steps))
     _run_all(samples, memory, prior, value, covariance, eigenvalues, status, nis)
     return Run(value, covariance, eigenvalues, status, nis, memory)
+
+
+def prior_draws(count, seed=7):
+    """Parameters (count, 2) drawn from the prior of PLAIN."""
+    draws = np.random.default_rng(seed).standard_normal((count, 2))
+    return [PLAIN.mean_1, PLAIN.mean_2] + draws * [PLAIN.sigma_1, PLAIN.sigma_2]
 
 
 def regression(theta, steps, seed=0, count=1, variance=0.04, noise_1=0.0, know_noise=True):

@@ -1,0 +1,294 @@
+"""Inertia and lateral resistance from measurements that obey the plant's equations."""
+
+import numpy as np
+import pytest
+
+from baselines.estimators import least_squares as ls
+from baselines.estimators import turning
+from baselines.estimators.estimate import Status
+from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, Measurement
+from baselines.estimators.turning import TurningEstimator
+from tests.baselines.estimators.motion_cases import CLAY, EXACT, KINDS, RTK, measurements, mirrored
+from tracked_env.physics import terramechanics as soil
+
+TRUTH = CLAY._replace(
+    mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0, lateral_resistance=0.65
+)
+CLOSURES = ("sliding", "constrained")
+
+
+def with_closure(p, factor=1.0, icr=0.2):
+    return p._replace(turning_resistance_factor=factor, icr_forward=icr)
+
+
+def true_values(p):
+    return np.array([p.inertia, p.lateral_resistance])
+
+
+def estimator(sheet=EXACT, count=1, nominal=CLAY, truth=TRUTH, **options):
+    """With the mass and motion resistance of `truth`, as the longitudinal estimator finds them."""
+    found = TurningEstimator(nominal, 0.02, data_sheet=sheet, count=count, **options)
+    found.mass[:], found.resistance[:] = truth.mass, truth.longitudinal_resistance
+    return found
+
+
+def follow(found, samples):
+    """Estimates after each sample."""
+    return [found.update(sample) for sample in samples]
+
+
+def relative_error(estimate, p):
+    """(N, 2) of I and mu_t."""
+    return estimate.value / true_values(p) - 1.0
+
+
+# --- exact where the model is ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("closure", CLOSURES)
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+@pytest.mark.parametrize("kind", ["curves", "reverse", "pivot"])
+def test_without_noise_inertia_and_lateral_resistance_are_found(kind, factor, closure):
+    truth, nominal = with_closure(TRUTH, factor), with_closure(CLAY, factor)
+    found = estimator(nominal=nominal, lateral=closure)
+    last = follow(found, measurements(truth, kind, closure))[-1]
+    assert np.abs(relative_error(last, truth)).max() < 2e-4  # what is left of the prior
+    assert last.status[0] == Status.CONVERGING
+    assert found.memory[0, ls.CHANGES] == 0
+
+
+@pytest.mark.parametrize("closure", CLOSURES)
+def test_the_paper_s_settings_find_them_too(closure):
+    truth, nominal = with_closure(TRUTH), with_closure(CLAY)
+    found = estimator(nominal=nominal, lateral=closure, regression="paper")
+    last = follow(found, measurements(truth, "curves", closure))[-1]
+    assert np.abs(relative_error(last, truth)).max() < 2e-4
+
+
+def test_the_lateral_velocity_is_found_from_the_lateral_acceleration():
+    known = estimator()._known
+    for w in (-1.0, -0.2, -0.05, 0.03, 0.1, 0.6):
+        for share in np.linspace(-0.5, 0.5, 11):
+            v_y = share * np.hypot(0.5 * CLAY.contact_length * w, 0.03)
+            intensity = 0.7 * soil.GRAVITY / CLAY.contact_length
+            a_y, _moment = soil.lateral_friction(v_y, w, intensity, CLAY.contact_length)
+            found, _shift, _noise = turning.sideways(a_y, w, 1.0 / 0.7, known)
+            assert found == pytest.approx(v_y, rel=0.01, abs=1e-9)
+
+
+@pytest.mark.parametrize("lateral", [0.2, 0.4, 1.1])
+def test_a_far_lateral_resistance_is_found_although_the_regressor_depends_on_it(lateral):
+    truth = TRUTH._replace(lateral_resistance=lateral)
+    last = follow(estimator(), measurements(truth, "curves"))[-1]
+    assert np.abs(relative_error(last, truth)).max() < 1e-3
+
+
+def test_with_opposite_tracks_the_motion_resistance_enters():
+    # Both resistances turn the same way: a wrong mu_l is taken for lateral friction.
+    found = estimator()
+    found.resistance[:] = 0.5 * TRUTH.longitudinal_resistance
+    last = follow(found, measurements(TRUTH, "pivot"))[-1]
+    extra = 0.25 * TRUTH.longitudinal_resistance * CLAY.track_gauge  # over mu_t l / 4, at v_y = 0
+    expected = extra / (0.25 * TRUTH.lateral_resistance * CLAY.contact_length)
+    assert relative_error(last, TRUTH)[0, 1] == pytest.approx(expected, rel=0.2)
+    same = estimator()
+    same.resistance[:] = 0.5 * TRUTH.longitudinal_resistance
+    both_forward = follow(same, measurements(TRUTH, "curves"))[-1]
+    assert np.abs(relative_error(both_forward, TRUTH)).max() < 2e-4
+
+
+# --- noise ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("closure", CLOSURES)
+@pytest.mark.parametrize("factor", [1.0, 2.0])
+@pytest.mark.parametrize("kind", ["curves", "reverse", "pivot"])
+def test_with_the_noise_of_the_sensors_errors_are_small_and_as_large_as_said(kind, factor, closure):
+    count = 100
+    truth, nominal = with_closure(TRUTH, factor), with_closure(CLAY, factor)
+    found = estimator(RTK, count, nominal, lateral=closure)
+    results = follow(found, measurements(truth, kind, closure, RTK, count))
+    error = relative_error(results[-1], truth)
+    assert np.sqrt((error**2).mean(0)).max() < 0.02
+    assert found.memory[:, ls.CHANGES].mean() < 0.2
+    for result in results[200::100]:
+        error = result.value - true_values(truth)
+        sigma = np.stack([result.deviation(name) for name in result.names], axis=1)
+        assert (np.abs(error) < 3.0 * sigma).mean() > 0.97
+        squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(result.covariance), error)
+        assert 0.1 < squared.mean() < 2.4
+    assert 0.6 < np.nanmean([result.nis for result in results[50:]]) < 1.2
+
+
+@pytest.mark.parametrize("closure", CLOSURES)
+@pytest.mark.parametrize("sheet", [EXACT, RTK], ids=["exact", "rtk"])
+def test_on_the_straight_it_holds_however_long(sheet, closure):
+    count = 10
+    found = estimator(sheet, count, lateral=closure)
+    fresh = follow(found, measurements(TRUTH, "straight", closure, sheet, count))[-1]
+    assert not found.memory.any()
+    assert (fresh.excitation == 0.0).all()
+    assert (fresh.status == Status.HOLDING).all()
+    follow(found, measurements(TRUTH, "curves", closure, sheet, count))
+    memory = found.memory.copy()
+    after = follow(found, measurements(TRUTH, "straight", closure, sheet, count))[-1]
+    assert np.array_equal(found.memory, memory)
+    assert np.abs(relative_error(after, TRUTH)).max() < 0.1
+
+
+def test_other_soil_is_found_and_the_inertia_kept():
+    count = 50
+    before = measurements(TRUTH, "curves", sheet=RTK, count=count, steps=600)
+    slippery = TRUTH._replace(lateral_resistance=0.4)
+    after = measurements(slippery, "curves", sheet=RTK, count=count, steps=600, seed=1)
+    found = estimator(RTK, count)
+    last = follow(found, before + after)[-1]
+    assert (found.memory[:, ls.CHANGES] >= 1).mean() > 0.9
+    error = np.abs(relative_error(last, slippery))
+    assert np.quantile(error, 0.9, axis=0).max() < 0.05
+
+
+# --- the mass -------------------------------------------------------------------------------
+
+
+def test_the_uncertainty_of_the_mass_adds_to_that_of_the_lateral_resistance():
+    samples = measurements(TRUTH, "curves", sheet=RTK)
+    sure, unsure = estimator(RTK), estimator(RTK)
+    unsure.mass_variance[:] = (0.1 * TRUTH.mass) ** 2
+    one, other = follow(sure, samples)[-1], follow(unsure, samples)[-1]
+    assert np.array_equal(one.value, other.value)
+    added = (0.1 * one.of("lateral_resistance")) ** 2
+    assert other.covariance - one.covariance == pytest.approx(
+        np.array([[[0.0, 0.0], [0.0, added[0]]]]), rel=1e-9
+    )
+    assert np.array_equal(unsure.read().covariance, other.covariance)
+
+
+def test_another_mass_rescales_the_lateral_resistance_so_that_the_friction_stays():
+    found = estimator(RTK)
+    before = follow(found, measurements(TRUTH, "curves", sheet=RTK))[-1]
+    found.mass[:] *= 1.25
+    after = found.read()
+    assert after.value[0] == pytest.approx(before.value[0] / [1.0, 1.25], rel=1e-12)
+    assert after.deviation("lateral_resistance") == pytest.approx(
+        before.deviation("lateral_resistance") / 1.25, rel=1e-12
+    )
+    assert after.of("inertia") == before.of("inertia")
+
+
+def test_releasing_the_inertia_keeps_the_values_and_forgets_how_sure_they_were():
+    found = estimator(RTK, 2)
+    before = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
+    found.release_inertia(np.array([True, False]))
+    after = found.read()
+    assert np.array_equal(after.value, before.value)
+    assert after.deviation("inertia")[0] == pytest.approx(0.4 * CLAY.inertia)
+    assert np.array_equal(after.covariance[1], before.covariance[1])
+
+
+# --- symmetry, holding, memory --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("closure", CLOSURES)
+def test_exchanging_left_and_right_changes_nothing(kind, closure):
+    samples = measurements(TRUTH, kind, closure, sheet=RTK, steps=300)
+    one, other = estimator(RTK, lateral=closure), estimator(RTK, lateral=closure)
+    follow(one, samples)
+    follow(other, [mirrored(sample) for sample in samples])
+    signed = [ls.CUSUM_UP, ls.CUSUM_DOWN]  # the innovation changes its sign
+    one.memory[:, signed] = one.memory[:, signed[::-1]]
+    assert np.array_equal(one.memory, other.memory)
+
+
+def test_at_standstill_and_with_old_samples_everything_is_kept():
+    found = estimator(RTK)
+    samples = measurements(TRUTH, "curves", sheet=RTK, steps=300)
+    before = follow(found, samples)[-1]
+    memory = found.memory.copy()
+    still = samples[0]._replace(values=samples[0].values.copy())
+    still.values[:, COLUMN["v_x"]] = 0.0
+    still.values[:, COLUMN["yaw_rate"]] = 0.1  # the tracks are slower than the soil lets go
+    for _ in range(2000):
+        assert found.update(still).status[0] == Status.HOLDING
+    for group in (INERTIAL, DRIVE):
+        old = samples[0].fresh.copy()
+        old[:, group] = False
+        assert found.update(samples[0]._replace(fresh=old)).status[0] == Status.HOLDING
+    assert np.array_equal(found.memory, memory)
+    assert np.array_equal(found.read().value, before.value)
+
+
+@pytest.mark.parametrize("channel", ["v_x", "yaw_rate", "yaw_acceleration", "acceleration_y"])
+def test_a_missing_number_is_skipped_and_counted(channel):
+    found = estimator(RTK)
+    samples = measurements(TRUTH, "curves", sheet=RTK, steps=200)
+    before = follow(found, samples)[-1]
+    samples[0].values[:, COLUMN[channel]] = np.nan
+    after = found.update(samples[0])
+    assert after.status[0] == Status.REJECTED
+    assert after.skipped[0] == 1
+    assert np.array_equal(after.value, before.value)
+    assert np.array_equal(after.covariance, before.covariance)
+
+
+def test_a_torque_that_no_drive_has_is_refused():
+    found = estimator(RTK)
+    samples = measurements(TRUTH, "curves", sheet=RTK, steps=50)
+    follow(found, samples)
+    memory = found.memory.copy()
+    for channel in ("torque_left", "torque_right"):
+        wild = samples[0]._replace(values=samples[0].values.copy())
+        wild.values[:, COLUMN[channel]] = -2.0 * CLAY.torque_limit
+        assert found.update(wild).status[0] == Status.REJECTED
+    assert np.array_equal(found.memory, memory)
+
+
+@pytest.mark.parametrize("closure", CLOSURES)
+def test_bounds_hold_under_dropouts_outliers_and_reversals(closure):
+    rng = np.random.default_rng(6)
+    found = estimator(RTK, 20, lateral=closure)
+    samples = []
+    for seed, kind in enumerate(("curves", "reverse", "pivot", "straight", "curves")):
+        samples += measurements(TRUTH, kind, closure, RTK, count=20, seed=seed, steps=300)
+    for sample in samples:
+        wild = rng.random(sample.values.shape) < 0.01
+        sample.values[wild] *= rng.choice([-50.0, 0.0, 50.0, np.nan], wild.sum())
+        estimate = found.update(sample)
+        assert (estimate.value >= [CLAY.inertia / 6.0, 0.0]).all()
+        assert (estimate.value <= [6.0 * CLAY.inertia, 2.0]).all()
+        assert (np.linalg.eigvalsh(estimate.covariance * [[1e-6, 1e-3], [1e-3, 1.0]]) > 0.0).all()
+
+
+@pytest.mark.parametrize("closure", CLOSURES)
+def test_a_batch_equals_single_vehicles_and_a_copied_memory_goes_on(closure):
+    samples = measurements(TRUTH, "curves", closure, sheet=RTK, count=4, steps=200)
+    batch = estimator(RTK, 4, lateral=closure)
+    last = follow(batch, samples)[-1]
+    for i in range(4):
+        alone, other = estimator(RTK, lateral=closure), estimator(RTK, lateral=closure)
+        mine = [Measurement(*(part[i : i + 1] for part in sample)) for sample in samples]
+        follow(alone, mine[:90])
+        other.memory[:] = alone.memory.copy()
+        single = follow(other, mine[90:])[-1]
+        assert np.array_equal(other.memory[0], batch.memory[i])
+        assert np.array_equal(single.value[0], last.value[i])
+        assert np.array_equal(single.covariance[0], last.covariance[i])
+
+
+# --- errors ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"lateral": "slide"}, "lateral"),
+        ({"regression": "simple"}, "regression"),
+        ({"control_period": -0.02}, "control_period"),
+        ({"count": 0}, "count"),
+        ({"forgetting": 0.002}, "lambda"),
+    ],
+)
+def test_nonsense_is_refused_with_a_reason(options, message):
+    with pytest.raises(ValueError, match=message):
+        TurningEstimator(CLAY, **options)

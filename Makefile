@@ -15,7 +15,7 @@ DOCS_STAMP := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install evaluate train test lint format docs benchmark clean clean-cache
+.PHONY: help install evaluate paper train test lint format docs benchmark clean clean-cache
 
 help: ## list the commands
 	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
@@ -26,6 +26,9 @@ install: $(STAMP) ## create the virtual environment and install everything but t
 
 evaluate: $(STAMP) ## compare the policies on the uncertainty sets (the main job)
 	$(BIN)/python evaluate.py $(EVALUATE_ARGS)
+
+paper: $(STAMP) ## run section 8 of the paper again: its claims, figures, one page (minutes)
+	$(BIN)/python evaluate.py --paper strawa2021 $(EVALUATE_ARGS)
 
 train: $(STAMP) ## train a PPO agent into runs/ppo
 	$(BIN)/python train.py $(TRAIN_ARGS)

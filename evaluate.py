@@ -22,13 +22,11 @@ try:
 except ImportError:
     sys.exit("evaluate.py needs tyro: run `make install`, or pip install 'tracked-env[cli]'")
 
-from baselines.controllers.feedback_linearization import FeedbackLinearizingController
 from baselines.policies import POLICIES
 from tracked_env.benchmark import DEFAULT_SETS, BenchmarkConfig, Store, load_policy, report
-from tracked_env.benchmark.policies import Policy, PolicyEntry
+from tracked_env.benchmark.policies import PolicyEntry
 from tracked_env.benchmark.runner import Progress, pending, run
 from tracked_env.benchmark.store import identity_hash
-from tracked_env.physics.parameters import PlantParameters
 
 INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
 
@@ -83,8 +81,8 @@ class Config:
     """Record the first episode of the first set, every policy."""
 
     paper: Literal["none", "strawa2021"] = "none"
-    """Instead of the benchmark, run the scenarios of the paper
-    again: table and figures of its sections 8.1 and 8.2."""
+    """Instead of the benchmark, run section 8 of the paper again:
+    its claims beside what comes out, figures 9 to 36, one page."""
 
     chunk: int = 64
     """Episodes run and stored together; numbers do not change."""
@@ -172,20 +170,34 @@ def draw(
 
 
 def reproduce(config: Config) -> int:
-    """The paper's scenarios: print the table, write it and the figures."""
+    """Section 8 of the paper: run it, print what it claims beside what comes out, write the page.
+
+    Without matplotlib the page has no figures.
+    """
+    from baselines import strawa2021 as baseline
     from tracked_env.benchmark import strawa2021
+    from tracked_env.benchmark.strawa2021 import claims, page
 
-    def controller(parameters: PlantParameters, period: float, lateral: str) -> Policy:
-        return FeedbackLinearizingController(parameters, period, lateral=lateral)
+    began = time.perf_counter()
 
-    runs = strawa2021.run_all(controller)
-    table = strawa2021.table(runs)
+    def say(text: str) -> None:
+        print(f"{time.perf_counter() - began:5.0f} s  {text}", flush=True)
+
+    tools = strawa2021.Tools(
+        baseline.controller, baseline.policy, baseline.SlipTool, baseline.SoilTool
+    )
+    results = strawa2021.run_everything(tools, say)
     folder = config.output / "strawa2021"
-    folder.mkdir(parents=True, exist_ok=True)
-    print(report.aligned(table))
-    (folder / "table.md").write_text(report.markdown_rows(table) + "\n")
-    files = strawa2021.save_figures(runs, folder) if config.figures else []
-    print(f"\ntable.md and {len(files)} figures in {folder}")
+    say("page")
+    try:
+        files = page.write(results, folder, config.figures)
+    except ImportError as error:
+        print(f"not drawn: {error}", file=sys.stderr)
+        files = page.write(results, folder, draw=False)
+    print(f"\n{page.terminal(claims.claims(results))}\n")
+    names = ", ".join(file.name for file in files if file.suffix != ".png")
+    drawn = sum(file.suffix == ".png" for file in files)
+    print(f"{names} and {drawn} figures in {folder}; {time.perf_counter() - began:.0f} s")
     return 0
 
 

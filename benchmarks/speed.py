@@ -22,6 +22,7 @@ import gymnasium
 import numpy as np
 
 import tracked_env
+from baselines.adaptive import AdaptivePolicy
 from tracked_env.batch import bytes_per_vehicle
 
 TORQUE = tracked_env.TORQUE_ID
@@ -89,6 +90,32 @@ def vector_step(env_id: str, count: int, wild: bool = False, **arguments: object
     return call
 
 
+def identification_step(count: int, slip: str, policy: bool = False) -> Callable[[], object]:
+    """One step of the whole identification stack, or of the adaptive policy around it.
+
+    Its observations are those of a drive on weak soil, where every estimator has work to do.
+    """
+    env = gymnasium.make_vec(TORQUE, num_envs=count, uncertainty="weak-soil")
+    driver = AdaptivePolicy(slip=slip)
+    observation, _ = env.reset(seed=0)
+    seen, state = [], None
+    for _ in range(250):
+        action, state = driver.predict(observation, state)
+        observation = env.step(action)[0]
+        seen.append(observation)
+    turn = [49]
+
+    def call() -> None:
+        nonlocal state
+        turn[0] = turn[0] + 1 if turn[0] < len(seen) - 1 else 50
+        if policy:
+            _, state = driver.predict(seen[turn[0]], state)
+        else:
+            driver.stack.update(seen[turn[0]])
+
+    return call
+
+
 def episode_seconds(call: Callable[[], object], calls: int) -> float:
     """Mean duration [s] of one call over a whole episode, its autoresets included."""
     start = time.perf_counter()
@@ -151,6 +178,15 @@ def measure(seconds: float) -> list[Row]:
     rows.append(
         Row("reset of one vehicle", 1e6 * best_time(env.reset, seconds) / 64, 64, rows[0].name)
     )
+    for name, count, arguments in (
+        ("Identification stack with filterpy, 1 vehicle", 1, ("filterpy",)),
+        ("Identification stack, 1 vehicle", 1, ("batched",)),
+        ("Identification stack, 64 vehicles", 64, ("batched",)),
+        ("Adaptive policy, 1 vehicle", 1, ("batched", True)),
+        ("Adaptive policy, 64 vehicles", 64, ("batched", True)),
+    ):
+        call = identification_step(count, *arguments)
+        rows.append(Row(name, 1e6 * best_time(call, seconds) / count, count, rows[0].name))
     return rows
 
 

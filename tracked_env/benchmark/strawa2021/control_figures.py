@@ -85,11 +85,16 @@ def scenario(runs: Runs, name: str) -> Figure:
         panel.set_ylabel(unit)
         panel.set_xlabel("time [s]")
     axes[0, 2].set_yscale("log")
+    low, high = axes[0, 2].get_ylim()
+    axes[0, 2].set_ylim(min(low, 1e-2), max(high, 10.0))
     slip = np.concatenate([axes_line.get_ydata()[100:] for axes_line in axes[2, 2].lines])
     if np.abs(slip).max() < 20.0:  # the first second is the jump onto the path
         axes[2, 2].set_ylim(min(0.0, 1.3 * slip.min()), 1.3 * slip.max())
     for panel in (axes[0, 0], axes[0, 2], axes[2, 0]):
-        panel.legend(fontsize=7, loc="center" if panel is axes[0, 0] else "best")
+        panel.legend(
+            fontsize=7, loc="center" if panel is axes[0, 0] else "best",
+            frameon=True, framealpha=0.85, edgecolor="none",
+        )  # fmt: skip
     figure.suptitle(f"Section {case.section}: {case.title} ({NUMBERS[name]} of the paper)")
     return figure
 
@@ -122,6 +127,7 @@ def maps(runs: Runs) -> Figure:
         axes[2].axhline(believed, color=colour, linestyle=":", label=f"{label}, controller")
     axes[2].set_title("on the circle")
     axes[2].set_xlabel("time [s]")
+    axes[2].set_ylim(0.38, 0.93)
     axes[2].legend(fontsize=7, ncols=2, loc="lower right")
     return figure
 

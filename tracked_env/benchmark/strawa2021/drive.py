@@ -4,6 +4,7 @@ Row k of every history belongs to the time k h: the truth then, and what the pol
 it had seen the observation of that time.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -77,10 +78,11 @@ def drive(
         observation = env.step(action)[0]
     env.close()
     by_name = dict(zip((*STATE_NAMES, *PARAMETER_NAMES), truth.transpose(1, 0, 2), strict=True))
-    error = np.hypot(reference[:, :, 0] - by_name["x"], reference[:, :, 1] - by_name["y"])
-    return Drive(np.arange(steps) * PERIOD, by_name, reference, error, belief, kept)
+    error: Floats = np.hypot(reference[:, :, 0] - by_name["x"], reference[:, :, 1] - by_name["y"])
+    time: Floats = np.arange(steps, dtype=np.float64) * PERIOD
+    return Drive(time, by_name, reference, error, belief, kept)
 
 
 def rms(values: Floats) -> float:
-    """Root mean square of all values."""
-    return float(np.sqrt(np.mean(np.square(values))))
+    """Root mean square of all values; nan of none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan

@@ -30,7 +30,10 @@ ESTIMATED = {  # label, limits of the value, limits of the relative error [%]
 }
 
 
-def _figure(size: tuple[float, float], rows: int, columns: int, **shared: Any) -> tuple[Figure, Any]:
+def _figure(
+    size: tuple[float, float], rows: int, columns: int, **shared: Any
+) -> tuple[Figure, Any]:
+    """Figure and axes (rows, columns)."""
     figure = Figure(figsize=size, dpi=DPI, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **shared)
 
@@ -43,22 +46,29 @@ def _kind(kind: str) -> dict[str, Any]:
 def sweep(surfaces: dict[tuple[str, float], Surface], factor: float = 2.0) -> Figure:
     """Figure 17: one surface per path."""
     chosen = {way: s for (way, own), s in surfaces.items() if own == factor}
-    figure = Figure(figsize=(10.0, 3.6), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(10.0, 3.0), dpi=DPI)
+    figure.subplots_adjust(left=0.0, right=0.98, bottom=0.08, top=0.95, wspace=0.08)
     for column, (way, surface) in enumerate(chosen.items()):
         axes: Any = figure.add_subplot(1, len(chosen), column + 1, projection="3d")
         mass, inertia = np.meshgrid(surface.factors, surface.factors, indexing="ij")
         axes.plot_surface(mass, inertia, surface.rmse, cmap="viridis", rstride=1, cstride=1)
-        axes.set_title(way)
+        axes.set_title(f"RMSE [m], {way}", y=0.98)
         axes.set_xlabel("mass / true")
         axes.set_ylabel("inertia / true")
-        axes.set_zlabel("RMSE [m]")
+        axes.set_xticks((0.5, 1.0, 1.5))
+        axes.set_yticks((0.5, 1.0, 1.5))
         axes.view_init(elev=24.0, azim=-60.0)
-        axes.set_box_aspect(None, zoom=0.85)
+        axes.set_box_aspect(None, zoom=1.0)
     return figure
 
 
-def estimates(runs: dict[Condition, Drive], like: Condition, title: str) -> Figure:
-    """Figures 28 to 31 under one condition: the first vehicle, value and relative error."""
+def estimates(
+    runs: dict[Condition, Drive], like: Condition, title: str, zoom: float = 1.0
+) -> Figure:
+    """Figures 28 to 31 under one condition: the first vehicle, value and relative error.
+
+    zoom: of the errors' axes but for the mass, whose limits the paper names.
+    """
     figure, axes = _figure((10.0, 8.6), len(ESTIMATED), 2, sharex=True)
     for row, (name, (label, values, errors)) in enumerate(ESTIMATED.items()):
         for kind in ("paper", "coupled"):
@@ -71,7 +81,7 @@ def estimates(runs: dict[Condition, Drive], like: Condition, title: str) -> Figu
         axes[row, 0].set_ylabel(label)
         axes[row, 1].set_ylabel("relative error [%]")
         axes[row, 0].set_ylim(values)
-        axes[row, 1].set_ylim(errors)
+        axes[row, 1].set_ylim([limit / (1.0 if row == 0 else zoom) for limit in errors])
         for panel in axes[row]:
             panel.axvline(ident.STRAIGHT, color="0.7", linewidth=0.8)
     for level in (-5.0, -1.0, 1.0, 5.0):
@@ -96,11 +106,11 @@ def trajectory(runs: dict[Condition, Drive], like: Condition) -> Figure:
             result = runs[like._replace(kind=kind, sensors=sensors)]
             error = np.sqrt(np.mean(result.error**2, axis=1))
             axes[0, column].plot(result.time, np.maximum(error, 1e-5), **_kind(kind))
-            axes[0, column].set_title(f"distance to the reference, {sensors} sensors")
-            axes[0, column].set_ylabel("[m]")
+            axes[0, column].set_title(f"{sensors} sensors")
+            axes[0, column].set_ylabel("distance to the reference [m]")
             axes[0, column].set_xlabel("time [s]")
             axes[0, column].set_yscale("log")
-            axes[0, column].set_ylim(1e-5, 10.0)
+            axes[0, column].set_ylim(1e-4, 10.0)
     axes[0, 0].set_title("path, sensors of the paper")
     axes[0, 0].set_aspect("equal", adjustable="datalim")
     axes[0, 0].set_xlabel("x [m]")
@@ -134,7 +144,8 @@ def slip(result: slips.Slips) -> Figure:
             panel.set_ylim(min(seen.min(), 0.0) - 6.0, seen.max() + 8.0)
     for panel in axes[-1]:
         panel.set_xlabel("time [s]")
-    axes[-1, 0].legend(fontsize=7, ncols=2, loc="upper left")
+    handles, labels = axes[-1, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
 
 
@@ -148,8 +159,8 @@ def soil(results: Results, way: str = "manoeuvre") -> Figure:
     case = CASES.index(Case(way, "changing"))
     figure, axes = _figure((10.0, 7.2), 3, 2, sharex=True)
     exact = results.soil["printed"]
-    rows = (("effort", "true_effort", 1e-3, "$F_{max}$ [kN]", (0.0, 25.0)),
-            ("modulus", "true_modulus", 1e3, "K [mm]", (0.0, 80.0)))  # fmt: skip
+    rows = (("effort", "true_effort", 1e-3, "$F_{max}$ [kN]", (0.0, 30.0)),
+            ("modulus", "true_modulus", 1e3, "K [mm]", (0.0, 60.0)))  # fmt: skip
     for row, (name, true, scale, label, limits) in enumerate(rows):
         axes[row, 0].plot(exact.time, scale * getattr(exact, true)[:, case], **TRUE)
         for method, (text, colour, style) in methods.items():
@@ -174,7 +185,8 @@ def soil(results: Results, way: str = "manoeuvre") -> Figure:
     for panel in axes.flat:
         for change in CHANGES:
             panel.axvline(change, color="0.7", linewidth=0.8)
-    axes[0, 0].legend(fontsize=7, loc="upper left", ncols=2)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
 
 
@@ -193,7 +205,7 @@ def save(results: Results, folder: Path) -> dict[str, tuple[Path, str]]:
         )
         uniform = like._replace(ground="uniform")
         drawn["estimates-uniform"] = (
-            estimates(identified, uniform, "Noise of the paper, uniform ground, factor 2"),
+            estimates(identified, uniform, "Noise of the paper, uniform ground, factor 2", 10.0),
             "The same on ground whose coefficients are everywhere those of X = 0.",
         )
         drawn["trajectory"] = (trajectory(identified, like), "Figure 32 of the paper: the "

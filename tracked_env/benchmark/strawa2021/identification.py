@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tracked_env.benchmark.strawa2021.control import ICR_FORWARD, SCENARIOS, believed_parameters
-from tracked_env.benchmark.strawa2021.drive import PERIOD, Drive, Floats, drive
+from tracked_env.benchmark.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
 from tracked_env.benchmark.strawa2021.tools import Tools
 from tracked_env.schedule import Event, ramp_events
 from tracked_env.sensors import PRESETS, Sensors
@@ -59,11 +59,19 @@ def scaled(sensors: Sensors, factor: float) -> Sensors:
 
 
 def manoeuvre(
-    speed: float = SPEED, radius_end: float = 6.0, amplitude: float = 0.2, period: float = 4.0
+    speed: float = SPEED,
+    radius_end: float = 6.0,
+    amplitude: float = 0.2,
+    period: float = 4.0,
+    start: float | None = None,
 ) -> Event:
-    """The reference: along +Y, then a spiral to the left; the speed oscillates."""
+    """The reference: along +Y, then a spiral to the left; the speed oscillates.
+
+    start [m/s]: speed at the beginning, `speed` unless given.
+    """
     return {
-        "kind": "identification", "speed": speed, "initial_speed": speed,
+        "kind": "identification", "speed": speed,
+        "initial_speed": speed if start is None else start,
         "straight_duration": STRAIGHT, "radius_end": radius_end,
         "speed_amplitude": amplitude, "speed_period": period,
         "x": 0.0, "y": 0.0, "yaw": 0.5 * math.pi,
@@ -82,7 +90,7 @@ def options(condition: Condition, reference: Event) -> dict[str, Any]:
         },
         "start": {
             "offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0,
-            "speed": reference["speed"], "yaw_rate": 0.0,
+            "speed": reference["initial_speed"], "yaw_rate": 0.0,
         },
     }  # fmt: skip
 
@@ -148,38 +156,37 @@ class Quality(NamedTuple):
     mass_spiral_worst: float
     exceeds: float  # [s] first time after STRAIGHT with more than 5 %, nan = never
     inertia: float  # rms after SETTLED
-    longitudinal_bias: float  # mean error of mu_l after STRAIGHT [-], absolute
+    longitudinal_bias: float  # mean error of mu_l after STRAIGHT [-]
     longitudinal_rms: float
     lateral_bias: float  # mu_t after SETTLED
     lateral_rms: float
+    longitudinal_held: float  # mean error of mu_l from STRAIGHT until `exceeds`, or the end
+    lateral_held: float  # of mu_t
     rmse: float  # [m] distance to the reference
 
 
 def quality(result: Drive) -> Quality:
     """Numbers of one condition, over all its vehicles."""
     mass, inertia = relative_error(result, "mass"), relative_error(result, "inertia")
-    line, spiral = window(result, BEGUN, STRAIGHT), window(result, STRAIGHT)
-    beyond = np.abs(mass[spiral]).max(axis=1) > 0.05
-    numbers = []
-    for name, start in (("longitudinal_resistance", STRAIGHT), ("lateral_resistance", SETTLED)):
-        rows = window(result, start)
-        error = result.belief[name][rows] - result.truth[name][rows]
-        numbers += [float(error.mean()), rms(error)]
-    return Quality(
-        rms(mass[line]),
-        worst(mass[line]),
-        rms(mass[spiral]),
-        worst(mass[spiral]),
-        float(result.time[spiral][beyond.argmax()]) if beyond.any() else math.nan,
-        rms(inertia[window(result, SETTLED)]),
-        *numbers,
-        rms(result.error),
+    along, across = (
+        result.belief[name] - result.truth[name]
+        for name in ("longitudinal_resistance", "lateral_resistance")
     )
+    line, spiral = window(result, BEGUN, STRAIGHT), window(result, STRAIGHT)
+    excited = window(result, SETTLED)
+    beyond = np.abs(mass[spiral]).max(axis=1) > 0.05
+    exceeds = float(result.time[spiral][beyond.argmax()]) if beyond.any() else math.nan
+    held = window(result, STRAIGHT, exceeds if beyond.any() else math.inf)
+    return Quality(
+        rms(mass[line]), worst(mass[line]), rms(mass[spiral]), worst(mass[spiral]), exceeds,
+        rms(inertia[excited]), mean(along[spiral]), rms(along[spiral]), mean(across[excited]),
+        rms(across[excited]), mean(along[held]), mean(across[held]), rms(result.error),
+    )  # fmt: skip
 
 
-def rms(values: Floats) -> float:
-    """Root mean square of all values; nan of none."""
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
+def mean(values: Floats) -> float:
+    """Mean of all values; nan of none."""
+    return float(values.mean()) if values.size else math.nan
 
 
 def worst(values: Floats) -> float:
@@ -191,14 +198,13 @@ SPEEDS = (1.0, 2.0, 3.0)
 RADII = (6.0, 12.0, 24.0)
 NOISES = (0.01, 0.1, 1.0)  # times `strawa`
 AMPLITUDES = (0.05, 0.2, 0.5)  # [m/s]
+STARTS = (0.5, 1.0, 2.0)  # [m/s]
 
 
 def by_path(tools: Tools, kind: str) -> dict[tuple[float, float], Quality]:
     """Over speed [m/s] and final radius [m], ideal sensors, printed factor, maps."""
     cases = [(speed, radius) for speed in SPEEDS for radius in RADII]
-    result = identify(
-        tools, Condition(kind, 2.0, "ideal"), [manoeuvre(*case) for case in cases]
-    )
+    result = identify(tools, Condition(kind, 2.0, "ideal"), [manoeuvre(*case) for case in cases])
     return {case: quality(only(result, i, 1)) for i, case in enumerate(cases)}
 
 
@@ -208,12 +214,17 @@ def by_noise(tools: Tools, kind: str) -> dict[tuple[float, float], Quality]:
     paths = [manoeuvre(amplitude=amplitude) for amplitude in AMPLITUDES]
     for noise in NOISES:
         sensors = scaled(PRESETS["strawa"], noise)
-        result = identify(
-            tools, Condition(kind, 2.0, "strawa", "uniform"), paths, SEEDS, sensors
-        )
+        result = identify(tools, Condition(kind, 2.0, "strawa", "uniform"), paths, SEEDS, sensors)
         for i, amplitude in enumerate(AMPLITUDES):
             found[noise, amplitude] = quality(only(result, i * SEEDS, SEEDS))
     return found
+
+
+def by_start(tools: Tools, kind: str) -> dict[float, Quality]:
+    """Over the speed [m/s] at the start, the paper's noise, uniform ground, factor 2."""
+    paths = [manoeuvre(start=start) for start in STARTS]
+    result = identify(tools, Condition(kind, 2.0, "strawa", "uniform"), paths)
+    return {start: quality(only(result, i * SEEDS, SEEDS)) for i, start in enumerate(STARTS)}
 
 
 def only(result: Drive, first: int, count: int) -> Drive:

@@ -64,11 +64,11 @@ def _newton(
         share = 1.0 + np.expm1(-u) / u  # df/dF_max
         slope = maximum * (decay + np.expm1(-u) / u) / modulus  # df/dK
         residual = maximum * share - force
-        a, b, c = share @ share, share @ slope, slope @ slope
+        a, b, c = float(share @ share), float(share @ slope), float(slope @ slope)
         determinant = a * c - b * b
         if not determinant > 1e-12 * a * c:
             return guess, count, False
-        p, q = share @ residual, slope @ residual
+        p, q = float(share @ residual), float(slope @ residual)
         step = (c * p - b * q) / determinant, (a * q - b * p) / determinant
         maximum, modulus = maximum - step[0], modulus - step[1]
         if not (0.0 < maximum < 1e7 and 1e-5 < modulus < 10.0):

@@ -19,6 +19,7 @@ class Results(NamedTuple):
     identification: dict[Condition, Drive]
     by_path: dict[str, dict[tuple[float, float], Quality]]  # by regression
     by_noise: dict[str, dict[tuple[float, float], Quality]]
+    by_start: dict[str, dict[float, Quality]]
     slip: slip.Slips
     soil: dict[str, soil.Soil]
     soil_noise: dict[str, dict[float, soil.Soil]]  # by ground and sigma of the slips
@@ -34,6 +35,7 @@ def run_all(tools: Tools, say: Callable[[str], None] = lambda text: None) -> Res
     identified = identification.run_all(tools)
     by_path = {kind: identification.by_path(tools, kind) for kind in REGRESSIONS}
     by_noise = {kind: identification.by_noise(tools, kind) for kind in REGRESSIONS}
+    by_start = {kind: identification.by_start(tools, kind) for kind in REGRESSIONS}
     say("section 8.3.2: slip")
     slips = slip.run_all(tools)
     say("section 8.3.3: soil")
@@ -43,5 +45,5 @@ def run_all(tools: Tools, say: Callable[[str], None] = lambda text: None) -> Res
         for ground in soil.GROUNDS
     }
     return Results(
-        controlled, surfaces, identified, by_path, by_noise, slips, soils, noise
+        controlled, surfaces, identified, by_path, by_noise, by_start, slips, soils, noise
     )

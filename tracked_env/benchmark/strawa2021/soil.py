@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.strawa2021.control import ICR_FORWARD, PATHS, SCENARIOS
-from tracked_env.benchmark.strawa2021.drive import PERIOD, Drive, Floats, drive
+from tracked_env.benchmark.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
 from tracked_env.benchmark.strawa2021.identification import SPEED, manoeuvre
 from tracked_env.benchmark.strawa2021.printed_gnr import printed_gnr
 from tracked_env.benchmark.strawa2021.tools import Tools
@@ -32,19 +32,15 @@ GROUNDS: dict[str, tuple[dict[str, float], list[Event]]] = {
     "changing": (
         LOAM,
         [
-            *ramp_events(
-                {"cohesion": 15e3, "shear_deformation_modulus": 0.01}, CHANGES[0], 0.0
-            ),
-            *ramp_events(
-                {"cohesion": 12e3, "shear_deformation_modulus": 0.03}, CHANGES[1], 0.0
-            ),
+            *ramp_events({"cohesion": 15e3, "shear_deformation_modulus": 0.01}, CHANGES[0], 0.0),
+            *ramp_events({"cohesion": 12e3, "shear_deformation_modulus": 0.03}, CHANGES[1], 0.0),
         ],
     ),
     "heavy clay": ({}, []),
 }
 WAYS = {"circle": PATHS["circle"], "manoeuvre": manoeuvre()}
 SENSORS = ("ideal", "rtk", "strawa")
-FIRST_GUESS = (20e3, 0.015)  # F_max [N], K [m] of the printed method: right nowhere
+FIRST_GUESS = (20e3, 0.015)  # F_max [N], K [m] of every method: right nowhere
 NOISES = (0.0, 1e-5, 1e-4, 1e-3)  # [-] sigma of white noise on the slips
 
 
@@ -106,7 +102,12 @@ def run_all(
 ) -> dict[str, Soil]:
     """Every method on every case; by name of the method."""
     found = {}
-    parameters = plant_parameters()
+    nominal = plant_parameters()
+    load = 0.5 * nominal.mass * terramechanics.GRAVITY * math.tan(nominal.friction_angle)
+    parameters = nominal._replace(
+        cohesion=(FIRST_GUESS[0] - load) / (nominal.track_width * nominal.contact_length),
+        shear_deformation_modulus=FIRST_GUESS[1],
+    )
     for sensors in SENSORS:
         result = _drive(tools, sensors, cases, duration)
         count = len(cases)
@@ -120,9 +121,7 @@ def run_all(
         else:
             observer = tools.slip(parameters, PERIOD, PRESETS[sensors], count, True)
             observed = [observer.observe(seen) for seen in result.observations]
-        tool = tools.soil(
-            parameters, PERIOD, PRESETS[sensors], count, "total", sensors != "ideal"
-        )
+        tool = tools.soil(parameters, PERIOD, PRESETS[sensors], count, "total", sensors != "ideal")
         says = [
             tool.observe(seen, *slips)
             for seen, slips in zip(result.observations, observed, strict=True)
@@ -140,16 +139,16 @@ def _printed(exact: Soil, cases: Sequence[int], slip: Floats) -> Soil:
     """The method as printed on the true efforts of some cases and the slips given."""
     length, cases = plant_parameters().contact_length, list(cases)
     fits = [
-        printed_gnr(slip[:, k], exact.force[:, i], length, FIRST_GUESS)
-        for k, i in enumerate(cases)
+        printed_gnr(slip[:, k], exact.force[:, i], length, FIRST_GUESS) for k, i in enumerate(cases)
     ]
-    maximum, modulus, iterations, converged = (
-        np.stack([fit[k] for fit in fits], axis=-1) for k in range(4)
+    maximum, modulus, iterations = (
+        np.stack([np.asarray(fit[k], dtype=np.float64) for fit in fits], axis=-1) for k in range(3)
     )
+    converged = np.stack([fit.converged for fit in fits], axis=-1)
     return exact._replace(
         method="printed", true_effort=exact.true_effort[:, cases],
         true_modulus=exact.true_modulus[:, cases], effort=maximum, modulus=modulus,
-        iterations=iterations, converged=converged > 0.5,
+        iterations=iterations, converged=converged,
         ratio_only=np.zeros(maximum.shape, dtype=bool), slip=slip, force=exact.force[:, cases],
     )  # fmt: skip
 
@@ -196,9 +195,6 @@ def quality(soil: Soil, case: int) -> Quality:
         longest = math.inf if never else max(longest, (last[-1] + 1) * PERIOD)
     used = soil.iterations[:, case] > 0
     done = soil.converged[:, case]
-
-    def rms(values: Floats) -> float:
-        return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
 
     return Quality(
         rms(effort[calm]), rms(modulus[calm]), rms(stiffness[calm]), longest,

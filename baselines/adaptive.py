@@ -22,18 +22,23 @@ from baselines.estimators.measurement import COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
-from tracked_env.physics.jit import loop
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
 
 _ROW = PARAMETER_INDEX
 _I, _SCALE, _BOUND = layout.INDEX, layout.SCALE, layout.BOUND
 _X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
 _V_X, _V_Y, _W = _I["v_x"], _I["v_y"], _I["yaw_rate"]
-_GYRO = COLUMN["yaw_rate"]
+_GYRO, _REJECTED = COLUMN["yaw_rate"], int(Status.REJECTED)
+WILD_GYRO = 1.0  # [rad/s] from what the belts say: a refused gyro beyond that is not shown
 # Sensor fields that the controller does not use, but whose NaN would stop it.
 _UNUSED = np.array(
     [_I[name] for name in layout.NAMES if name.startswith(("acc", "yaw_acc", "sprocket", "torque"))]
 )
+_MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
+_INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
+_COHESION, _ANGLE = _ROW["cohesion"], _ROW["friction_angle"]
+_MODULUS = _ROW["shear_deformation_modulus"]
 
 
 class AdaptiveState(NamedTuple):
@@ -43,24 +48,48 @@ class AdaptiveState(NamedTuple):
     memories: Memories  # of the estimators
 
 
+@formula
+def _show(observation, i, column, value, always):
+    """Write an SI value in place of what was measured: always, or where that is missing."""
+    if always or not np.isfinite(observation[i, column]):
+        layout.store(observation, i, column, value)
+
+
 @loop
-def show_filtered(observation, reference, pose, velocity, gyro):
-    """Write the filtered motion into observation (N, SIZE): reference and pose (N, 3) in one
-    frame, velocity (N, 3) v_x, v_y, yaw rate by model, gyro (N,) used where finite."""
+def show(observation, reference, x, y, yaw, v_x, v_y, yaw_rate, gyro, filtered):
+    """Put the filtered motion, (N,) each, into observation (N, SIZE), in one frame with
+    reference (N, 3); not filtered: only where NaN. gyro (N,) [rad/s] goes before yaw_rate where
+    it is finite."""
     for i in range(observation.shape[0]):
-        c, s = rotation(pose[i, 2])
-        e_x, e_y = reference[i, 0] - pose[i, 0], reference[i, 1] - pose[i, 1]
-        layout.store(observation, i, _X, c * e_x + s * e_y)
-        layout.store(observation, i, _Y, c * e_y - s * e_x)
-        turn = reference[i, 2] - pose[i, 2]
+        c, s = rotation(yaw[i])
+        e_x, e_y = reference[i, 0] - x[i], reference[i, 1] - y[i]
+        turn = reference[i, 2] - yaw[i]
         turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
-        layout.store(observation, i, _YAW, turn)
-        layout.store(observation, i, _V_X, velocity[i, 0])
-        layout.store(observation, i, _V_Y, velocity[i, 1])
-        layout.store(observation, i, _W, gyro[i] if np.isfinite(gyro[i]) else velocity[i, 2])
+        _show(observation, i, _X, c * e_x + s * e_y, filtered)
+        _show(observation, i, _Y, c * e_y - s * e_x, filtered)
+        _show(observation, i, _YAW, turn, filtered)
+        _show(observation, i, _V_X, v_x[i], filtered)
+        _show(observation, i, _V_Y, v_y[i], filtered)
+        _show(observation, i, _W, gyro[i] if np.isfinite(gyro[i]) else yaw_rate[i], filtered)
         for k in range(_UNUSED.shape[0]):
-            if not np.isfinite(observation[i, _UNUSED[k]]):
-                observation[i, _UNUSED[k]] = 0.0
+            _show(observation, i, _UNUSED[k], 0.0, False)
+
+
+@loop
+def hand_over(parameters, longitudinal, turning, soil, known, nominal, base):
+    """Estimates into the controller's parameters (PARAMETER_ROWS, N).
+
+    longitudinal (N, 2) 1/m, mu_l; turning (N, 2) I, mu_t; soil (N, 2) F_max, K, where known
+    (N,) and else nominal (PARAMETER_ROWS,). base [m^2] of a track.
+    """
+    for i in range(parameters.shape[1]):
+        parameters[_MASS, i] = 1.0 / longitudinal[i, 0]
+        parameters[_RESISTANCE, i] = longitudinal[i, 1]
+        parameters[_INERTIA, i], parameters[_FRICTION, i] = turning[i, 0], turning[i, 1]
+        # F_max as cohesion alone: the controller needs no more than the product.
+        parameters[_COHESION, i] = soil[i, 0] / base if known[i] else nominal[_COHESION]
+        parameters[_ANGLE, i] = 0.0 if known[i] else nominal[_ANGLE]
+        parameters[_MODULUS, i] = soil[i, 1] if known[i] else nominal[_MODULUS]
 
 
 class AdaptivePolicy:
@@ -106,8 +135,9 @@ class AdaptivePolicy:
             self.parameters, self.controller.control_period, self.data_sheet, count,
             self.controller.lateral, **self._options,
         )  # fmt: skip
-        nominal = np.array(self.parameters, dtype=np.float64)
-        self.controller.parameters = np.repeat(nominal[:, None], count, axis=1)
+        self._nominal = np.array(self.parameters, dtype=np.float64)
+        self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
+        self._nothing_known = np.zeros(count, dtype=bool)
 
     def predict(
         self,
@@ -123,7 +153,8 @@ class AdaptivePolicy:
         deterministic: without effect. One call per control step.
         Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
         A NaN in a sensor field is skipped. Raises ValueError for a wrong shape, a state of
-        another number of vehicles, or a reference that is not finite.
+        another number of vehicles, or a reference that is not finite; then the state given
+        is still good.
         """
         single = np.ndim(observation) == 1
         batch = np.array(observation, dtype=np.float32, ndmin=2)
@@ -133,55 +164,45 @@ class AdaptivePolicy:
                 f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
                 f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
             )
+        start = np.full(count, state is None)
+        if episode_start is not None:
+            given = np.asarray(episode_start, dtype=bool)
+            if given.shape not in ((), (1,), (count,)):
+                raise ValueError(f"episode_start has shape {given.shape}; must be ({count},)")
+            start |= given
         if count != self.stack.count:
             self._build(count)
             self._given = None
-        start = np.zeros(count, dtype=bool)
-        if state is None:
-            start[:] = True
-        elif state is not self._given:
+        if state is not None and state is not self._given:
             self.stack.restore(state.memories)
-        if episode_start is not None:
-            start |= np.asarray(episode_start, dtype=bool)
+        self._given = None  # until this call has ended well, `stack` is in no known state
         known = self.stack.update(batch, start)
         self._adapt(known)
-        if self.filtered:
-            motion = known.motion
-            show_filtered(
-                batch, known.reading.reference, np.stack(motion[:3], axis=-1),
-                np.stack(motion[3:], axis=-1), self._gyro(known),
-            )  # fmt: skip
-        xi = None if state is None else state.xi
-        action, xi = self.controller.predict(batch, xi, start)
+        show(
+            batch, known.reading.reference, *known.motion, self._gyro(known), self.filtered,
+        )  # fmt: skip
+        action, xi = self.controller.predict(batch, None if state is None else state.xi, start)
         self.known = known
         self._given = AdaptiveState(xi, self.stack.memories())
         return (action[0] if single else action), self._given
 
     def _gyro(self, known: Identification) -> NDArray[np.float64]:
-        """The gyro where its sample is new, else NaN, (N,)."""
-        latest = known.reading.latest
+        """The gyro where its sample is new and the filter has not refused it, else NaN, (N,)."""
+        latest, slip = known.reading.latest, known.slip
         stale = latest.age[:, INERTIAL] > 0.5 * self.controller.control_period
-        return np.where(stale, np.nan, latest.values[:, _GYRO])
+        gyro = latest.values[:, _GYRO]
+        wild = np.abs(gyro - known.motion.yaw_rate) > WILD_GYRO
+        outlier = (slip.status == _REJECTED) & np.isfinite(slip.nis) & wild
+        return np.where(stale | outlier, np.nan, gyro)
 
     def _adapt(self, known: Identification) -> None:
         """Hand the estimates to the controller."""
-        rows = self.controller.parameters
-        rows[_ROW["mass"]] = known.mass
-        rows[_ROW["longitudinal_resistance"]] = known.longitudinal.value[:, 1]
-        rows[_ROW["inertia"]] = known.turning.value[:, 0]
-        rows[_ROW["lateral_resistance"]] = known.turning.value[:, 1]
-        if not self.uses_soil:
-            return
         p = self.parameters
-        effort, trusted = known.soil.value[:, 0], known.traction_known
-        # F_max as cohesion alone: the controller needs no more than the product.
-        rows[_ROW["cohesion"]] = np.where(
-            trusted, effort / (p.track_width * p.contact_length), p.cohesion
-        )
-        rows[_ROW["friction_angle"]] = np.where(trusted, 0.0, p.friction_angle)
-        rows[_ROW["shear_deformation_modulus"]] = np.where(
-            trusted, known.soil.value[:, 1], p.shear_deformation_modulus
-        )
+        hand_over(
+            self.controller.parameters, known.longitudinal.value, known.turning.value,
+            known.soil.value, known.traction_known if self.uses_soil else self._nothing_known,
+            self._nominal, float(p.track_width * p.contact_length),
+        )  # fmt: skip
 
     def estimates(self) -> Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """(value, standard deviation) by name after the last call, each (N,), SI."""

@@ -51,7 +51,10 @@ def _checked(env: Any, count: int, observer: Observer) -> Any:
         raise ValueError(
             f"an observer of {observer.count} vehicles for {count}; pass count={count}"
         )
-    period = env.unwrapped.simulation.solver.control_period
+    simulation = getattr(env.unwrapped, "simulation", None)
+    if simulation is None:
+        raise ValueError(f"{env.unwrapped} is no environment of this project")
+    period = simulation.solver.control_period
     if abs(observer.control_period - period) > 1e-9:
         raise ValueError(
             f"the observer's control period is {observer.control_period:g} s, that of the "
@@ -64,13 +67,15 @@ def _checked(env: Any, count: int, observer: Observer) -> Any:
     )
 
 
-def _joined(observation: Observations, features: Observations) -> Observations:
+def joined(observation: Observations, features: Observations) -> Observations:
+    """Observation (..., D) and features (..., F), those finite and clipped, as one."""
     bounded = np.clip(np.nan_to_num(features), -FEATURE_BOUND, FEATURE_BOUND)
     return np.concatenate([observation, bounded], axis=-1, dtype=np.float32)
 
 
 class IdentifiedObservation(
-    gymnasium.ObservationWrapper[Observations, NDArray[np.float32], Observations]
+    gymnasium.ObservationWrapper[Observations, NDArray[np.float32], Observations],
+    gymnasium.utils.RecordConstructorArgs,
 ):
     """Appends the features of an observer of one vehicle to the observation of one env.
 
@@ -78,7 +83,8 @@ class IdentifiedObservation(
     """
 
     def __init__(self, env: gymnasium.Env[Observations, NDArray[np.float32]], observer: Observer):
-        super().__init__(env)
+        gymnasium.utils.RecordConstructorArgs.__init__(self, observer=observer)
+        gymnasium.ObservationWrapper.__init__(self, env)
         self.observation_space = _checked(env, 1, observer)
         self.observer = observer
         self._start = True
@@ -94,7 +100,7 @@ class IdentifiedObservation(
         """Observation and features, (D + F,)."""
         features = self.observer.observe(observation[None], np.array([self._start]))
         self._start = False
-        return _joined(observation, features[0])
+        return joined(observation, features[0])
 
 
 class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
@@ -126,7 +132,7 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
         started = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
         self._features = self._only(started, observation, started)
         self._over[started] = False
-        return _joined(observation, self._features), info
+        return joined(observation, self._features), info
 
     def step(
         self, actions: NDArray[np.float32]
@@ -141,7 +147,7 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
                 last[i] = info["final_obs"][i]
             features = self.observer.observe(last, np.zeros_like(ended))
             for i in np.flatnonzero(ended):
-                info["final_obs"][i] = _joined(last[i], features[i])
+                info["final_obs"][i] = joined(last[i], features[i])
             self._features = features
             self._features = self._only(ended, observation, ended)
         elif self._mode is AutoresetMode.NEXT_STEP:
@@ -153,7 +159,7 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
         else:
             self._features = self.observer.observe(observation, np.zeros_like(ended))
             self._over = ended if self._mode is AutoresetMode.DISABLED else resting
-        return _joined(observation, self._features), reward, terminated, truncated, info
+        return joined(observation, self._features), reward, terminated, truncated, info
 
     def _only(
         self, rows: NDArray[np.bool_], observation: Observations, start: NDArray[np.bool_]

@@ -1,0 +1,258 @@
+"""All estimators together: memory, features, what one tells the other, and consistency."""
+
+import numpy as np
+import pytest
+
+from baselines.estimators import least_squares as ls
+from baselines.estimators import stack_links as links
+from baselines.estimators.measurement import DataSheet
+from baselines.estimators.stack import ESTIMATORS, FEATURES, QUANTITIES, IdentificationStack
+from baselines.policies import oracle
+from tests.baselines.episodes import context
+from tracked_env import observation as layout
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+COUNT = 48
+START = np.zeros(COUNT, dtype=bool)
+
+
+def record(uncertainty, steps, count=COUNT, reset=None, **options):
+    """Observations (steps, count, SIZE) on random paths, well driven, and the truth of each step.
+
+    The controller knows the truth, so that the estimates do not act on what they are given.
+    """
+    env = TrackedVehicleVectorEnv(
+        count, uncertainty=uncertainty, duration=0.02 * steps, expose_truth=True,
+        autoreset_mode="Disabled", **options,
+    )  # fmt: skip
+    driver, state, seen, truths = oracle(context()), None, [], []
+    observation, info = env.reset(seed=100, options=reset)
+    for _ in range(steps):
+        seen.append(observation)
+        truths.append(info["truth"])
+        driver.observe_truth(info["truth"])
+        action, state = driver.predict(observation, state)
+        observation, *_, info = env.step(action)
+    return np.array(seen), truths
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return record("soil-and-mass", 501)
+
+
+@pytest.fixture(scope="module")
+def identified(drive):
+    """The stack after 10 s, and what it then knows."""
+    stack = IdentificationStack(count=COUNT)
+    for observation in drive[0]:
+        known = stack.update(observation)
+    return stack, known
+
+
+# --- what is found --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["mass", "inertia", "longitudinal_resistance", "lateral_resistance"]
+)
+def test_after_ten_seconds_the_parameters_are_known_and_so_is_their_error(drive, identified, name):
+    value, deviation = identified[1].estimates()[name]
+    truth = drive[1][-1][name]
+    assert np.median(np.abs(value / truth - 1.0)) < 0.015  # 0.5 to 0.8 %
+    assert np.max(np.abs(value / truth - 1.0)) < 0.08
+    normalised = (value - truth) / deviation
+    assert np.mean(np.abs(normalised) < 3.0) > 0.97
+    assert 0.25 < np.mean(normalised**2) < 2.0  # 0.5 to 0.8 of 192 vehicles
+
+
+def test_the_error_is_as_large_as_its_covariance_says(drive, identified):
+    truth = drive[1][-1]
+    nees = {}
+    for name, first, second in (
+        ("longitudinal", 1.0 / truth["mass"], truth["longitudinal_resistance"]),
+        ("turning", truth["inertia"], truth["lateral_resistance"]),
+    ):
+        estimate = getattr(identified[1], name)
+        error = estimate.value - np.stack([first, second], axis=-1)
+        weighted = np.linalg.solve(estimate.covariance, error[..., None])[..., 0]
+        nees[name] = np.mean(np.sum(error * weighted, axis=-1)) / 2.0
+    assert 0.4 < nees["longitudinal"] < 1.5, nees  # 0.82 of 192 vehicles
+    assert 0.35 < nees["turning"] < 1.5, nees  # 0.70
+
+
+def test_slips_and_pose_are_those_of_the_vehicle(drive, identified):
+    motion, truth = identified[1].motion, drive[1][-1]
+    assert np.abs(motion.v_x - truth["v_x"]).max() < 0.05
+    assert np.abs(motion.yaw_rate - truth["yaw_rate"]).max() < 0.1
+    value, deviation = identified[1].estimates()["slip_left"]
+    track = truth["v_x"] - truth["yaw_rate"] * 0.5 * identified[0].parameters.track_gauge
+    belt = track / (1.0 - value)  # all drive forward on firm soil
+    assert np.median(np.abs(value)) < 0.1
+    assert (belt > track)[value > 3.0 * deviation].all()
+
+
+def test_a_jump_of_the_mass_sets_the_inertia_free():
+    factor = 2.0
+    nominal = IdentificationStack().parameters
+    schedule = [
+        {"parameter": name, "kind": "ramp", "target": factor * getattr(nominal, name),
+         "start": 6.0, "duration": 0.0}
+        for name in ("mass", "inertia")
+    ]  # fmt: skip
+    seen, truths = record("nominal", 600, 24, {"schedule": schedule})
+    stack = IdentificationStack(count=24)
+    widened = np.zeros(24, dtype=bool)
+    for step, observation in enumerate(seen):
+        before = stack.turning.memory[:, ls.J_11].copy()
+        jumps = stack.longitudinal.memory[:, ls.JUMPS].copy()
+        known = stack.update(observation)
+        jumped = stack.longitudinal.memory[:, ls.JUMPS] > jumps
+        assert step >= 300 or not jumped.any()
+        widened |= jumped & (stack.turning.memory[:, ls.J_11] < 0.2 * before)
+        assert np.array_equal(stack.turning.mass, known.mass)
+    assert widened.mean() > 0.9
+    for name in ("mass", "inertia"):
+        value = known.estimates()[name][0]
+        assert np.median(np.abs(value / truths[-1][name] - 1.0)) < 0.05
+
+
+# --- memory ---------------------------------------------------------------------------------
+
+
+def outputs(known):
+    return np.stack([np.stack(pair) for pair in known.estimates().values()])
+
+
+@pytest.mark.parametrize("slip", ["batched", "filterpy"])
+def test_memories_put_back_go_on_exactly_as_before(drive, slip):
+    seen = drive[0][:60, :2]
+    stack, other = (IdentificationStack(count=2, slip=slip) for _ in range(2))
+    for observation in seen[:40]:
+        stack.update(observation)
+    kept = stack.memories()
+    first = [outputs(stack.update(observation)) for observation in seen[40:]]
+    for again in (stack, other):
+        again.restore(kept)
+        assert np.array_equal(first, [outputs(again.update(o)) for o in seen[40:]])
+
+
+def test_restoring_some_rows_leaves_the_others(drive):
+    stack = IdentificationStack(count=COUNT)
+    for observation in drive[0][:20]:
+        stack.update(observation)
+    kept = stack.memories()
+    for observation in drive[0][20:40]:
+        stack.update(observation)
+    later, rows = stack.memories(), np.arange(COUNT) % 3 == 0
+    stack.restore(kept, rows)
+    for memory, old, new in zip(stack.memories(), kept, later, strict=True):
+        assert np.array_equal(memory[rows], old[rows])
+        assert np.array_equal(memory[~rows], new[~rows])
+        assert not np.array_equal(old[rows], new[rows])
+
+
+@pytest.mark.parametrize("how", ["reset", "start"])
+def test_forgotten_rows_are_as_new_and_the_others_go_on(drive, how):
+    stack, whole, fresh = (IdentificationStack(count=COUNT) for _ in range(3))
+    rows = np.arange(COUNT) % 2 == 0
+    for step, observation in enumerate(drive[0][:80]):
+        if step == 40 and how == "reset":
+            stack.reset(np.flatnonzero(rows))
+        known = outputs(stack.update(observation, rows & (step == 40) & (how == "start")))
+        unbroken = outputs(whole.update(observation))
+        new = outputs(fresh.update(observation)) if step >= 40 else None
+    assert np.array_equal(known[..., ~rows], unbroken[..., ~rows])
+    assert np.array_equal(known[..., rows], new[..., rows])
+
+
+# --- features -------------------------------------------------------------------------------
+
+
+def test_features_are_named_finite_and_of_order_one(drive):
+    stack = IdentificationStack(count=COUNT)
+    assert stack.feature_names == FEATURES
+    assert len(set(FEATURES)) == 2 * len(QUANTITIES) + len(ESTIMATORS)
+    for observation in drive[0][:200]:
+        shown = stack.observe(observation, START)
+        assert shown.shape == (COUNT, len(FEATURES))
+        assert shown.dtype == np.float32
+        assert np.abs(shown).max() < 10.0
+    column = {name: shown[:, i] for i, name in enumerate(FEATURES)}
+    known = stack.update(drive[0][200])
+    scale = stack.parameters.mass
+    assert column["mass"] == pytest.approx(known.mass / scale, abs=0.02)
+    assert (column["mass_deviation"] < 0.2).all()
+    for name in ESTIMATORS:
+        assert ((column[f"{name}_excitation"] >= 0) & (column[f"{name}_excitation"] <= 1)).all()
+
+
+def test_every_quantity_is_told_with_its_deviation(identified):
+    known = identified[1]
+    assert tuple(known.estimates()) == QUANTITIES
+    for value, deviation in known.estimates().values():
+        assert value.shape == deviation.shape == (COUNT,)
+        assert (deviation > 0.0).all()
+    for told in (known.excitation(), known.nis(), known.status()):
+        assert tuple(told) == ESTIMATORS
+    assert known.traction_known.dtype == bool
+
+
+# --- what passes between the estimators ------------------------------------------------------
+
+
+def test_a_filter_that_is_behind_is_brought_to_the_present():
+    speed, turn, acceleration, behind = 2.0, 0.3, 0.5, 0.1
+    felt = np.zeros((2, 13))
+    felt[:, links._A_X] = acceleration
+    motion = [np.full(2, value) for value in (1.0, 2.0, 0.5, speed, 0.0, turn)]
+    links.advance(*motion, np.array([behind, 0.0]), felt)
+    x, y, yaw, v_x, v_y, w = motion
+    t = np.linspace(0.0, behind, 2001)
+    v, heading = speed + acceleration * t, 0.5 + turn * t
+    assert x[0] == pytest.approx(1.0 + np.trapezoid(v * np.cos(heading), t), abs=1e-4)
+    assert y[0] == pytest.approx(2.0 + np.trapezoid(v * np.sin(heading), t), abs=1e-4)
+    assert (yaw[0], v_x[0], v_y[0], w[0]) == pytest.approx((0.53, 2.05, 0.0, 0.3))
+    assert [column[1] for column in motion] == [1.0, 2.0, 0.5, 2.0, 0.0, 0.3]
+
+
+def test_the_filter_is_behind_only_where_pose_and_drive_are_both_late():
+    age = np.array([[0.1, 0.0, 0.1], [0.0, 0.0, 0.1], [0.3, 0.0, 0.1], [0.2, 0.0, 0.0]])
+    behind = np.empty(4)
+    links.date(age, age[:, 2].copy(), behind)
+    assert behind == pytest.approx([0.1, 0.0, 0.1, 0.0])
+    assert age[:, 0] == pytest.approx([0.0, 0.0, 0.2, 0.2])
+
+
+# --- errors ---------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_read_is_refused_and_nothing_is_remembered(drive):
+    stack = IdentificationStack(count=COUNT)
+    stack.update(drive[0][0])
+    before = stack.memories()
+    broken = drive[0][1].copy()
+    broken[5, layout.INDEX["drive_age"]] = np.nan
+    with pytest.raises(ValueError, match=r"observation\[5\]: drive_age = nan; must be finite"):
+        stack.update(broken, ~START)
+    for wrong in (drive[0][1][:3], drive[0][1][:, :-1], drive[0][1][0]):
+        with pytest.raises(ValueError, match=r"observation has shape .*; must be \(48, 31\)"):
+            stack.update(wrong, ~START)
+    assert all(np.array_equal(a, b) for a, b in zip(before, stack.memories(), strict=True))
+
+
+def test_foreign_memories_and_options_are_refused():
+    stack = IdentificationStack(count=2)
+    with pytest.raises(ValueError, match="state of 3 vehicles; must be of 2"):
+        stack.restore(IdentificationStack(count=3).memories())
+    with pytest.raises(ValueError, match=r"columns; must have .* control period"):
+        stack.restore(IdentificationStack(control_period=0.1, count=2).memories())
+    for options, says in (
+        ({"slip": "kf"}, "slip = 'kf'; must be 'batched' or 'filterpy'"),
+        ({"count": 0}, "count = 0 vehicles; must be at least 1"),
+        ({"control_period": 0.0}, "control_period = 0.0 s; must be in"),
+        ({"lateral": "none"}, "lateral = 'none'"),
+        ({"data_sheet": DataSheet(torque_noise=-1.0)}, "torque_noise = -1"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            IdentificationStack(**options)

@@ -18,6 +18,7 @@ from baselines.estimators.estimate import Estimate
 from baselines.estimators.measurement import DataSheet, Measurement
 from baselines.estimators.soil_window import DETERMINED, Sensing, update_all
 from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 
 EFFORT_RANGE = (100.0, 1e6)  # [N] bounds of F_max
@@ -33,6 +34,20 @@ def _inside(name: str, value: float, low: float, high: float, unit: str, hint: s
     if not low <= value <= high:  # NaN is outside
         raise ValueError(f"{name} = {value:g} {unit}; must be in [{low:g}, {high:g}]. {hint}")
     return float(value)
+
+
+@loop
+def limits(memory, contact_length, limit, trusted):
+    """F(i = 1) [N] of one track, and whether the data of the window determine it, (N,) each."""
+    for i in range(memory.shape[0]):
+        u = contact_length * math.exp(-memory[i, sr.LOG_K])
+        share = soil.mobilised_shear(u)
+        twist = -u * soil.mobilised_shear_slope(u) / share
+        a, b, c = memory[i, sr.J_FF], memory[i, sr.J_FK], memory[i, sr.J_KK]
+        determinant = a * c - b * b
+        numerator = c - 2.0 * b * twist + a * twist * twist
+        limit[i] = math.exp(memory[i, sr.LOG_F]) * share
+        trusted[i] = determinant > 1e-12 * a * c and numerator * TRUSTED <= determinant
 
 
 class SoilEstimator:
@@ -193,8 +208,7 @@ class SoilEstimator:
 
     def effort_limit(self) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """(F(i = 1) [N] of one track, whether the data of the window determine it to 10 %)."""
-        shear_length = self._model.contact_length * np.exp(-self.memory[:, sr.LOG_K])
-        share = np.array([soil.mobilised_shear(u) for u in shear_length])
-        slope = np.array([soil.mobilised_shear_slope(u) for u in shear_length])
-        trusted = self._variance(-shear_length * slope / share, None) * TRUSTED <= 1.0
-        return np.exp(self.memory[:, sr.LOG_F]) * share, trusted
+        count = len(self.memory)
+        limit, trusted = np.empty(count), np.empty(count, dtype=bool)
+        limits(self.memory, self._model.contact_length, limit, trusted)
+        return limit, trusted

@@ -2,8 +2,9 @@
 
 Every policy meets the same vehicles, soils, references and sensor noise. The summary says, per
 uncertainty set, how far each policy is from the reference, and whether the first one is clearly
-worse than the others. Results go to a folder named after the configuration, under OUTPUT:
-results.json, episodes.csv, summary.md and figures.
+worse than the others; the leaderboard orders them by score. Results go to a folder named after
+the configuration, under OUTPUT: results.json, episodes.csv, summary.md, leaderboard.html and
+figures.
 
 An interrupted run loses at most the chunk of episodes in progress; run it again to continue.
 """
@@ -14,6 +15,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,11 +25,24 @@ except ImportError:
     sys.exit("evaluate.py needs tyro: run `make install`, or pip install 'tracked-env[cli]'")
 
 from baselines.policies import POLICIES
-from tracked_env.benchmark import DEFAULT_SETS, BenchmarkConfig, Store, load_policy, report
+from tracked_env.benchmark import (
+    DEFAULT_SETS,
+    BenchmarkConfig,
+    Store,
+    Summary,
+    check,
+    leaderboard,
+    page,
+    report,
+)
+from tracked_env.benchmark.loading import archives, load_policies, shipped_agents
 from tracked_env.benchmark.policies import PolicyEntry
 from tracked_env.benchmark.runner import Progress, pending, run
+from tracked_env.benchmark.sets import VERSION
 from tracked_env.benchmark.store import identity_hash
+from tracked_env.benchmark.summary import Row, rows_of
 
+SHIPPED = shipped_agents(Path(__file__).parent / "agents" / "pretrained")
 INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
 
 
@@ -36,36 +51,39 @@ class Config:
     """What to compare, on what, and where the results go."""
 
     # Each line of these texts is a line of --help.
-    policies: tuple[str, ...] = tuple(POLICIES)
+    policies: tuple[str, ...] = (*POLICIES, *(SHIPPED if find_spec("torch") else ()))
     """Policies to compare; the first one is the baseline.
     nominal: feedback linearization with nominal parameters.
     adaptive: the same controller, parameters identified on line.
     oracle: the same controller with the true parameters.
-    path/to/agent.zip: a PPO agent trained by train.py.
+    ppo ...: an agent in agents/pretrained, with all its seeds.
+    path/to/agent.zip: an agent trained by train.py or any other
+    archive of Stable-Baselines3. NAME=runs/ppo-*/agent.zip: the
+    seeds of one agent, summarised together.
     module:attribute: any object with a `predict` as in
     Stable-Baselines3, or a class or function that makes one."""
 
     sets: tuple[str, ...] = DEFAULT_SETS
-    """Uncertainty sets: the laws of vehicle, soil and changes.
-    There is also `nominal`: nothing is unknown, no change."""
+    """Evaluation sets: the laws of vehicle, soil and changes, and
+    the sensors. Also `nominal`: nothing is unknown, no change."""
 
     episodes: int = 32
-    """Episodes per set; episode i is seeded SEED + i."""
+    """Episodes per set; the frozen ones are the first 100 of each."""
 
     seed: int = 0
-    """Seed of the first episode."""
+    """Seed of the first episode; of the frozen ones it is 0."""
 
-    sensors: str = "rtk"
-    """Sensor preset ideal, rtk or strawa, or JSON overrides:
-    '{"preset": "rtk", "pose_delay": 0.1}'"""
+    sensors: str | None = None
+    """Instead of the sensors of each set: preset ideal, rtk or
+    strawa, or JSON: '{"preset": "rtk", "pose_delay": 0.1}'"""
 
-    reference: str = "random"
-    """Reference to follow (random, mixed, circle, figure_eight,
-    straight, spiral, identification, chicane), or JSON:
-    '{"kind": "circle", "radius": 10, "speed": 2}'"""
+    reference: str | None = None
+    """Instead of the reference of each set: random, mixed, circle,
+    figure_eight, straight, spiral, identification, chicane, or
+    JSON: '{"kind": "circle", "radius": 10, "speed": 2}'"""
 
-    duration: float = 30.0
-    """Length of an episode [s]."""
+    duration: float | None = None
+    """Instead of the length of the episodes of each set [s]."""
 
     lateral: Literal["sliding", "constrained"] = "sliding"
     """Lateral closure of the plant: sliding tracks, or the ICR
@@ -88,9 +106,9 @@ class Config:
     """Episodes run and stored together; numbers do not change."""
 
 
-def name_or_json(text: str, what: str) -> str | Mapping[str, Any]:
+def name_or_json(text: str | None, what: str) -> str | Mapping[str, Any] | None:
     """`text` itself, or the JSON object that it holds. Raises ValueError."""
-    if not text.lstrip().startswith("{"):
+    if text is None or not text.lstrip().startswith("{"):
         return text
     try:
         return dict(json.loads(text))
@@ -117,8 +135,11 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
     labels = [
         spec if isinstance(spec, str) else spec.get(key, "custom")
         for spec, key in ((benchmark.reference, "kind"), (benchmark.sensors, "preset"))
+        if spec is not None
     ]
-    name = f"{'-'.join(labels)}-{benchmark.duration:g}s-seed{benchmark.seed}"
+    if benchmark.duration is not None:
+        labels.append(f"{benchmark.duration:g}s")
+    name = "-".join([*(labels or [VERSION]), f"seed{benchmark.seed}"])
     return output / f"{name}-{identity_hash(benchmark.identity())[:8]}"
 
 
@@ -201,21 +222,33 @@ def reproduce(config: Config) -> int:
     return 0
 
 
-def loaded_policies(specs: tuple[str, ...]) -> list[PolicyEntry]:
-    """One entry per name; PyTorch is imported only when a trained agent is among them."""
-    entries = []
-    for spec in dict.fromkeys(specs):
-        if spec.endswith(".zip"):
-            try:
-                from agents.ppo import agent_entry
-            except ImportError as error:
-                raise ValueError(
-                    f"policy {spec!r}: {error}. Trained agents need pip install 'tracked-env[rl]'"
-                ) from error
-            entries.append(agent_entry(Path(spec)))
-        else:
-            entries.append(load_policy(spec, POLICIES))
-    return entries
+def open_archive(path: Path) -> PolicyEntry:
+    """A trained agent; PyTorch is imported only here. Raises ValueError."""
+    try:
+        import torch
+
+        from agents.loading import agent_entry
+    except ImportError as error:
+        raise ValueError(
+            f"policy {str(path)!r}: {error}. Trained agents need pip install 'tracked-env[rl]'"
+        ) from error
+    torch.set_num_threads(1)  # networks this small are faster on one, and a busy machine is too
+    return agent_entry(path)
+
+
+def write_leaderboard(
+    config: Config, store: Store, summary: Summary, rows: Mapping[str, Row], conditions: str
+) -> str:
+    """Write the leaderboard as JSON, Markdown and HTML; returns it as text."""
+    board = leaderboard.leaderboard(summary, rows, conditions)
+    leaderboard.write(store.folder, board)
+    paths = [path for spec in config.policies for path in archives(spec, SHIPPED)]
+    folders: dict[str, list[Path]] = {}
+    for name, path in paths:
+        folders.setdefault(name, []).append(path.parent)
+    curves = leaderboard.read_curves(folders)
+    page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
+    return leaderboard.terminal(board)
 
 
 def main(config: Config) -> int:
@@ -225,29 +258,33 @@ def main(config: Config) -> int:
         return reproduce(config)
     try:
         benchmark = benchmark_config(config)
-        entries = loaded_policies(config.policies)
+        entries = load_policies(config.policies, POLICIES, SHIPPED, open_archive)
         store = Store(result_folder(config.output, benchmark), benchmark.identity())
     except ValueError as error:
         print(f"evaluate.py: {error}", file=sys.stderr)
         return 2
-    for notice in store.notices:
+    checked = check(benchmark)
+    for notice in (*store.notices, checked.message):
         print(notice)
     tasks = list(pending(benchmark, entries, store))
     asked = len(entries) * len(benchmark.sets) * benchmark.episodes
     missing = sum(len(task.episodes) for task in tasks)
     if missing < asked:
         print(f"{asked - missing} of {asked} episodes are already in {store.folder}")
-    steps = round(benchmark.duration * benchmark.control_rate)
+    steps = sum(len(task.episodes) * benchmark.max_steps(task.uncertainty_set) for task in tasks)
     try:
-        with progress_bar(missing * steps) as progress:
+        with progress_bar(steps) as progress:
             records = run(benchmark, entries, store, progress)
     except KeyboardInterrupt:
         print(f"\ninterrupted; run the same command to continue in {store.folder}", file=sys.stderr)
         return INTERRUPTED
-    summary = report.summarise(records)
-    report.write(store.folder, store.header, records, summary)
-    print(f"\n{report.terminal(summary)}\n")
-    print(f"results.json, episodes.csv and summary.md in {store.folder}")
+    rows = rows_of(records)
+    summary = report.summarise(records, rows)
+    report.write(store.folder, {**store.header, "benchmark": checked._asdict()}, records, summary)
+    conditions = f"{checked.message}; source {benchmark.identity()['source']}"
+    board = write_leaderboard(config, store, summary, rows, conditions)
+    print(f"\n{report.terminal(summary)}\n\n\nLeaderboard\n\n{board}\n")
+    print(f"results.json, episodes.csv, summary.md and leaderboard.html in {store.folder}")
     draw(config, benchmark, entries, store, records)
     print(f"done in {time.perf_counter() - began:.1f} s")
     return 0

@@ -1,33 +1,63 @@
-"""Train a PPO agent on randomized tracked vehicles and soils, in minutes on two cores.
+"""Train an RL agent on randomized tracked vehicles and soils, in minutes on two cores.
 
-All vehicles of a batch are stepped in one process. The agent, its exact configuration, the
-versions and the learning curve go to OUTPUT. Compare it with the controllers afterwards:
+All vehicles of a batch are stepped in one process. OUTPUT gets agent.zip (the best on held-out
+episodes), last.zip, config.json and curve.csv. Killed? The same command with --resume goes on
+from the last checkpoint. Compare the agent with the controllers afterwards:
 
-    python evaluate.py --policies nominal oracle runs/ppo/agent.zip
+    python evaluate.py --policies nominal adaptive oracle runs/ppo/agent.zip
 """
 
 import json
 import sys
-import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any, Literal
 
 try:
+    import gymnasium
     import torch
     import tyro
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+    from tqdm import tqdm
 
-    from agents.ppo import PPOConfig, Progress, describe, make_model
+    from agents import checkpoints
+    from agents.algorithms import ALGORITHMS, make_model
+    from agents.configs import PPOConfig, RecurrentPPOConfig, SACConfig, TD3Config, TQCConfig
+    from agents.memory import LAGS, RESIDUAL_SCALE, AgentVectorEnv, make_memory
+    from agents.precision import SCALE, PreciseReward
+    from agents.training import Schedule, Trainer, checkpoint_interval
     from tracked_env.sb3 import make_vec_env
 except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl,cli]'")
 
 from tracked_env import TORQUE_ID
+from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.store import machine, versions, write_atomically
+from tracked_env.sensors import make_sensors
+
+INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
+# `mixture`: everything that the benchmark calls in distribution; `ood` stays out of every training.
+MIXTURE = (
+    "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
+    "mixed",
+)  # fmt: skip
+FREE = ("resume", "output", "tensorboard", "quiet")  # may differ when a training is resumed
 
 
 @dataclass(frozen=True)
 class Config:
     """What to train, on what, and where it goes."""
+
+    agent: Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"] = "ppo"
+    """Algorithm; its settings are the options that start with its name."""
+
+    memory: Literal["blind", "history", "estimates", "residual"] = "blind"
+    """What the agent has besides the present observation.
+    blind: nothing (recurrent-ppo remembers by itself).
+    history: past samples. estimates: the identified parameters.
+    residual: corrects the action of the adaptive controller."""
 
     steps: int = 2_000_000
     """Environment steps, over all vehicles."""
@@ -35,17 +65,58 @@ class Config:
     seed: int = 0
     """Of the networks and of the vehicles: same seed, same machine, same agent."""
 
-    uncertainty: str = "soil-and-mass"
-    """Uncertainty set to train on."""
+    vehicles: int = 64
+    """Vehicles stepped together."""
+
+    env: str = TORQUE_ID
+    """Id of the environment."""
+
+    uncertainty: tuple[str, ...] = ("soil-and-mass",)
+    """Uncertainty sets to train on, or `mixture` for all but ood;
+    of several, every episode draws one."""
 
     sensors: str = "rtk"
-    """Sensor preset: ideal, rtk or strawa."""
+    """Sensor preset ideal, rtk or strawa, or JSON overrides:
+    '{"preset": "rtk", "pose_delay": 0.1}'"""
 
     reference: str = "random"
-    """Kind of reference to follow."""
+    """Kind of reference to follow, or JSON."""
 
-    output: Path = Path("runs/ppo")
-    """Folder for agent.zip, config.json and curve.csv."""
+    duration: float = 30.0
+    """Length of an episode [s]."""
+
+    lateral: Literal["sliding", "constrained"] = "sliding"
+    """Lateral closure of the plant."""
+
+    output: Path | None = None
+    """Folder of the training; default is runs/AGENT-MEMORY-seedSEED."""
+
+    resume: bool = False
+    """Go on from the last checkpoint in OUTPUT; starts where there is none."""
+
+    evaluate_every: int = 200_000
+    """Steps between evaluations on held-out episodes."""
+
+    held_out: int = 64
+    """Held-out episodes; 0 evaluates never and keeps the last agent."""
+
+    checkpoint_every: int | None = None
+    """Steps between checkpoints; default is every rollout,
+    or 50 000 for agents with a replay buffer."""
+
+    normalise: bool = False
+    """Normalise what the network sees by its running mean and
+    deviation. It is of order one already."""
+
+    precision: float = SCALE
+    """Distance [m] of a sharper reward term that only the training
+    sees; 0 leaves it out."""
+
+    lags: tuple[int, ...] = LAGS
+    """Of memory history: ages of the samples [control steps]."""
+
+    residual_scale: float = RESIDUAL_SCALE
+    """Of memory residual: largest correction, over the torque limit."""
 
     tensorboard: bool = False
     """Also write TensorBoard logs to OUTPUT."""
@@ -53,63 +124,161 @@ class Config:
     threads: int = 1
     """Threads of PyTorch; one is often faster than two for networks of this size."""
 
+    quiet: bool = False
+    """Show no progress bar."""
+
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """Settings of PPO."""
+
+    sac: SACConfig = field(default_factory=SACConfig)
+    """Settings of SAC."""
+
+    td3: TD3Config = field(default_factory=TD3Config)
+    """Settings of TD3."""
+
+    tqc: TQCConfig = field(default_factory=TQCConfig)
+    """Settings of TQC."""
+
+    recurrent_ppo: RecurrentPPOConfig = field(default_factory=RecurrentPPOConfig)
+    """Settings of RecurrentPPO."""
+
+    @property
+    def settings(self) -> Any:
+        """Settings of the chosen algorithm."""
+        return getattr(self, self.agent.replace("-", "_"))
+
+    @property
+    def folder(self) -> Path:
+        """Where everything goes."""
+        return self.output or Path("runs") / f"{self.agent}-{self.memory}-seed{self.seed}"
+
+    @property
+    def memory_options(self) -> dict[str, Any]:
+        """Options of the chosen kind of memory."""
+        options = {"history": {"lags": list(self.lags)}, "residual": {"scale": self.residual_scale}}
+        return options.get(self.memory, {})
+
+
+def name_or_json(text: str, what: str) -> str | Mapping[str, Any]:
+    """`text` itself, or the JSON object that it holds. Raises ValueError."""
+    if not text.lstrip().startswith("{"):
+        return text
+    try:
+        return dict(json.loads(text))
+    except ValueError as error:
+        raise ValueError(f"--{what} {text}: not a JSON object ({error})") from error
+
+
+def environment_arguments(config: Config) -> dict[str, Any]:
+    """Arguments of the environment. Raises ValueError."""
+    sets = [
+        part for name in config.uncertainty for part in (MIXTURE if name == "mixture" else (name,))
+    ]
+    return {
+        "uncertainty": sets[0] if len(sets) == 1 else sets,
+        "sensors": name_or_json(config.sensors, "sensors"),
+        "reference": name_or_json(config.reference, "reference"),
+        "duration": config.duration,
+        "lateral": config.lateral,
+    }
+
+
+def exact(config: Config) -> dict[str, Any]:
+    """The configuration as JSON knows it, settings of the other algorithms left out."""
+    others = {name.replace("-", "_") for name in ALGORITHMS} - {config.agent.replace("-", "_")}
+    kept = {name: value for name, value in asdict(config).items() if name not in others}
+    return dict(json.loads(json.dumps(kept, default=str)))
+
+
+def make_environment(config: Config, arguments: Mapping[str, Any]) -> tuple[VecEnv, PolicyContext]:
+    """The vehicles as the agent sees them, and their context. Raises ValueError."""
+    context = PolicyContext(0.02, config.lateral, make_sensors(arguments["sensors"]))
+    memory = make_memory(config.memory, config.memory_options, context, config.vehicles)
+
+    def wrapper(env: gymnasium.vector.VectorEnv[Any, Any, Any]) -> AgentVectorEnv:
+        return AgentVectorEnv(
+            PreciseReward(env, config.precision) if config.precision else env, memory
+        )
+
+    env = make_vec_env(config.env, config.vehicles, config.seed, arguments, wrapper=wrapper)
+    return (VecNormalize(env, norm_reward=False) if config.normalise else env), context
+
+
+def recipe_of(config: Config, arguments: Mapping[str, Any], period: float) -> dict[str, Any]:
+    """What every archive of this training says of itself."""
+    return {
+        "algorithm": config.agent,
+        "memory": config.memory,
+        "memory_options": config.memory_options,
+        "control_period": period,
+        "environment": {"id": config.env, **arguments},
+        "config": exact(config),
+        "versions": versions(),
+        "machine": machine(),
+        "command": " ".join(["python", *sys.argv]),
+    }
+
+
+def learn(config: Config, model: BaseAlgorithm, trainer: Trainer) -> bool:
+    """Train to the end; False when interrupted."""
+    left = config.steps - model.num_timesteps
+    if left <= 0:
+        return True
+    try:
+        model.learn(left, callback=trainer, reset_num_timesteps=model.num_timesteps == 0)
+    except KeyboardInterrupt:
+        return False
+    return True
 
 
 def main(config: Config) -> int:
     """Train and save; returns the exit status."""
     torch.set_num_threads(config.threads)
-    env_kwargs = {
-        "uncertainty": config.uncertainty,
-        "sensors": config.sensors,
-        "reference": config.reference,
-    }
+    folder = config.folder
     try:
-        env = make_vec_env(TORQUE_ID, config.ppo.n_envs, config.seed, env_kwargs)
-    except ValueError as error:
+        if config.steps < 1:
+            raise ValueError(f"steps = {config.steps}; must be at least 1")
+        captured = checkpoints.going_on(folder, config.resume, exact(config), FREE)
+        arguments = environment_arguments(config)
+        env, context = make_environment(config, arguments)
+        log = str(folder) if config.tensorboard else None
+        model = make_model(config.agent, config.settings, env, config.seed, log)
+        held_out = None
+        if config.held_out > 0:
+            held_out = gymnasium.make_vec(
+                config.env, config.held_out, "vector_entry_point",
+                **arguments, autoreset_mode="Disabled",
+            ).unwrapped  # fmt: skip
+    except (ValueError, gymnasium.error.Error) as error:
         print(f"train.py: {error}", file=sys.stderr)
         return 2
-    config.output.mkdir(parents=True, exist_ok=True)
-    log = str(config.output) if config.tensorboard else None
-    model = make_model(env, config.ppo, config.seed, log)
-    curve: list[str] = ["steps,seconds,mean_return"]
-    began = time.perf_counter()
-
-    def report(steps: int, mean_return: float) -> None:
-        seconds = time.perf_counter() - began
-        curve.append(f"{steps},{seconds:.2f},{mean_return:.3f}")
-        done = 100.0 * steps / config.steps
-        print(
-            f"\r{done:5.1f} %  {steps:>10,} steps  {steps / seconds:>8,.0f} steps/s  "
-            f"mean return {mean_return:7.1f} of at most 1500",
-            end="",
-            flush=True,
-        )
-
-    interrupted = False
-    try:
-        model.learn(config.steps, callback=Progress(report))
-    except KeyboardInterrupt:
-        interrupted = True
-    seconds = time.perf_counter() - began
-    extra = {
-        "command": " ".join(["python", *sys.argv]),
-        "environment": {"id": TORQUE_ID, **env_kwargs},
-        "config": json.loads(json.dumps(asdict(config), default=str)),
-        "steps": model.num_timesteps,
-        "seconds": round(seconds, 1),
-        "interrupted": interrupted,
-        "versions": versions(),
-        "machine": machine(),
-    }
-    model.save(config.output / "agent.zip")
-    text = json.dumps(describe(config.ppo, extra), indent=2)
-    write_atomically(config.output / "config.json", text.encode())
-    write_atomically(config.output / "curve.csv", "\n".join(curve).encode())
-    state = "interrupted" if interrupted else "done"
-    print(f"\n{state} after {model.num_timesteps:,} steps and {seconds:.0f} s; {config.output}")
-    return 130 if interrupted else 0
+    folder.mkdir(parents=True, exist_ok=True)
+    recipe = recipe_of(config, arguments, context.control_period)
+    write_atomically(folder / "config.json", json.dumps(recipe, indent=2).encode())
+    if captured is not None:
+        checkpoints.resume(model, captured)
+        print(f"going on after {model.num_timesteps:,} steps")
+    every = checkpoint_interval(model, config.checkpoint_every)
+    with tqdm(
+        total=config.steps, initial=model.num_timesteps, unit=" steps", unit_scale=True,
+        disable=config.quiet, dynamic_ncols=True,
+    ) as bar:  # fmt: skip
+        trainer = Trainer(
+            folder, Schedule(config.steps, config.evaluate_every, every), recipe,
+            (config.memory, config.memory_options, context), held_out, captured,
+            bar.update, lambda text: bar.set_postfix_str(text, refresh=False),
+        )  # fmt: skip
+        finished = learn(config, model, trainer)
+    if not finished:
+        print(f"\ninterrupted; go on with --resume --output {folder}", file=sys.stderr)
+        return INTERRUPTED
+    checkpoints.remove(folder)
+    best = f"best {trainer.best:.4f} m held out, " if held_out is not None else ""
+    print(
+        f"done: {model.num_timesteps:,} steps in {trainer.seconds:.0f} s, {best}"
+        f"{trainer.throughput:,.0f} steps/s with the learner; {folder / 'agent.zip'}"
+    )
+    return 0
 
 
 if __name__ == "__main__":

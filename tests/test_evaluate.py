@@ -16,6 +16,7 @@ import pytest
 from baselines.policies import POLICIES
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.report import SEPARATION_RATIO
+from tracked_env.benchmark.sets import EPISODES, SETS, VERSION
 from tracked_env.observation import SIZE
 
 pytest.importorskip("tyro", reason="the command line needs the extra `cli`")
@@ -23,6 +24,7 @@ pytest.importorskip("tyro", reason="the command line needs the extra `cli`")
 import evaluate as evaluate_module
 
 TINY = ("--sets", "payload", "--episodes", "2", "--duration", "1", "--no-figures")
+THREE = ("--policies", "nominal", "adaptive", "oracle")
 
 
 @pytest.fixture
@@ -47,18 +49,25 @@ def result(folder: Path) -> dict[str, Any]:
 def test_a_small_run_prints_the_summary_and_writes_results_and_figures(
     evaluate: Any, tmp_path: Path
 ) -> None:
-    done = evaluate(*TINY[:-1], "--sensors", '{"preset": "rtk", "pose_delay": 0.02}')
+    done = evaluate(*TINY[:-1], *THREE, "--sensors", '{"preset": "rtk", "pose_delay": 0.02}')
     assert done.returncode == 0, done.stderr
-    assert "nominal clearly worse" in done.stdout
+    assert "clearly worse" in done.stdout
     document = result(tmp_path)
     assert [(r["policy"], r["episode"]) for r in document["episodes"]] == [
-        ("nominal", 0), ("nominal", 1), ("adaptive", 0), ("adaptive", 1), ("oracle", 0), ("oracle", 1)
+        ("nominal", 0), ("nominal", 1), ("adaptive", 0), ("adaptive", 1), ("oracle", 0),
+        ("oracle", 1),
     ]  # fmt: skip
+    assert document["benchmark"]["comparable"] is False
+    assert "sets of your own, not v1: sensors" in done.stdout
+    assert "Leaderboard" in done.stdout
     assert document["identity"]["sensors"] == {"preset": "rtk", "pose_delay": 0.02}
     (folder,) = (tmp_path / "results").iterdir()
-    assert folder.name.startswith("random-rtk-1s-seed0-")
+    assert "data:image/png" in (folder / "leaderboard.html").read_text()
+    assert len(json.loads((folder / "leaderboard.json").read_text())["agents"]) == 3
+    assert folder.name.startswith("rtk-1s-seed0-")
     assert {path.name for path in (folder / "figures").iterdir()} == {
-        "overview.png", "errors.png", "paths-payload.png", "drive-payload.png", "beliefs-payload.png"
+        "overview.png", "errors.png", "paths-payload.png", "drive-payload.png",
+        "beliefs-payload.png",
     }  # fmt: skip
 
 
@@ -66,7 +75,7 @@ def test_a_run_that_was_killed_continues_with_what_it_had(
     evaluate: Any, repository: Path, tmp_path: Path
 ) -> None:
     arguments = ("--sets", "payload", "--episodes", "6", "--chunk", "1", "--no-figures",
-                 "--duration", "15")  # fmt: skip
+                 "--duration", "15", *THREE)  # fmt: skip
     process = subprocess.Popen(
         [sys.executable, str(repository / "evaluate.py"), *arguments],
         cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -108,7 +117,7 @@ def test_a_policy_of_another_package_is_compared_from_its_folder(
     ("arguments", "message"),
     [
         ({"sensors": "gps"}, "unknown sensor preset 'gps'"),
-        ({"sets": ("mud",)}, "unknown uncertainty set 'mud'"),
+        ({"sets": ("mud",)}, "unknown evaluation set 'mud'"),
         ({"policies": ("agent.zip",)}, "no such file"),
         ({"reference": '{"kind": '}, "not a JSON object"),
     ],
@@ -140,6 +149,9 @@ def test_the_page_on_evaluation_shows_every_metric_and_policy_and_its_examples_r
         assert f"| `{name}` | {metric.unit} | {metric.meaning} |" in text
     assert all(f"| `{name}` |" in text for name in POLICIES)
     assert f"at least {SEPARATION_RATIO}" in text
+    assert all(f"| `{s.name}` | `{s.uncertainty}` |" in text for s in SETS.values())
+    assert f"first {EPISODES} episodes" in text
+    assert f"version {VERSION}" in text
     monkeypatch.chdir(tmp_path)
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
         found: dict[str, Any] = {}

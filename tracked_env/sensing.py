@@ -60,7 +60,9 @@ def sample_sensors(floats, counters, noise, i, step):
     """Take this step's samples of vehicle i; `step` counts control steps since reset."""
     cursor = counters[i, b.NOISE_CURSOR]
     run, place = cursor // b.NOISE_RUN, cursor % b.NOISE_RUN
-    truth = measurement.signals(floats, i, floats[i, _RADIUS], floats[i, b.CROSS_COUPLING])
+    truth = measurement.signals(
+        floats, i, floats[i, _RADIUS], floats[i, b.CROSS_COUPLING], floats[i, b.VELOCITY]
+    )
     for g in range(b.GROUP_COUNT):
         period = counters[i, b.PERIOD + g]
         due = period == 1 or step % period == 0

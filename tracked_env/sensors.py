@@ -26,6 +26,7 @@ from tracked_env.validation import checked_choice, checked_keys, checked_number
 
 DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
 PERIOD_LIMIT = 10.0  # [s] longest sampling period
+UNMEASURED = 1e3  # [m/s] velocity noise that a data sheet states where nothing is measured
 
 
 class Sensors(NamedTuple):
@@ -54,6 +55,7 @@ class Sensors(NamedTuple):
     pose_dropout: float = 0.0  # [-] probability that a sample is lost
     inertial_dropout: float = 0.0  # [-]
     drive_dropout: float = 0.0  # [-]
+    velocity_measured: float = 1.0  # [-] 0: v_x and v_y read 0, and velocity_noise is UNMEASURED
 
 
 IDEAL = Sensors()
@@ -97,6 +99,7 @@ _RANGES = {
         f"{group}_dropout": Range(0.0, 1.0, "-", "It is a probability, not a percentage.")
         for group in GROUPS
     },
+    "velocity_measured": Range(0.0, 1.0, "-", "It is 1, measured, or 0, not measured."),
 }
 
 
@@ -116,23 +119,38 @@ class SensorDraw(NamedTuple):
     period: NDArray[np.int64]  # (3,) [control steps]
     delay: NDArray[np.int64]  # (3,) [control steps]
     noisy: bool  # False: no random number is needed
+    velocity: float  # 1, or 0 where v_x and v_y are not measured
 
 
 def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -> Sensors:
     """Sensors from a preset name, or a dict {"preset": name, field: value, ...}.
 
-    Without "preset" the fields override `base`. Raises ValueError for an unknown preset or
-    field and for a value outside its range.
+    Without "preset" the fields override `base`. Where the velocity is not measured the result
+    says so twice: velocity_measured is 0, and velocity_noise is UNMEASURED, so that an estimator
+    which weighs by the data sheet is right without knowing of it. Raises ValueError for an unknown
+    preset or field and for a value outside its range.
     """
     if isinstance(spec, Sensors):
-        return spec
+        return _stated(spec)
     if isinstance(spec, str):
         return PRESETS[checked_choice("sensor preset", spec, PRESETS)]
     given = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields)))
     if "preset" in given:
         base = PRESETS[checked_choice("sensor preset", given.pop("preset"), PRESETS)]
     values = {name: checked_number(name, value, _RANGES[name]) for name, value in given.items()}
-    return base._replace(**values)
+    again = values.get("velocity_measured", 0.0) > base.velocity_measured
+    if again and "velocity_noise" not in values:
+        raise ValueError("velocity_measured = 1 again; name its velocity_noise [m/s] as well")
+    return _stated(base._replace(**values))
+
+
+def _stated(sensors: Sensors) -> Sensors:
+    """Sensors whose data sheet is true where the velocity is not measured. Raises ValueError."""
+    if sensors.velocity_measured == 0.0:
+        return sensors._replace(velocity_noise=UNMEASURED)
+    if sensors.velocity_measured != 1.0:
+        raise ValueError(f"velocity_measured = {sensors.velocity_measured!r}; must be 0 or 1")
+    return sensors
 
 
 def _sigma(sensors: Sensors) -> NDArray[np.float64]:
@@ -141,7 +159,7 @@ def _sigma(sensors: Sensors) -> NDArray[np.float64]:
     return np.array(
         [s.position_noise] * 2
         + [s.yaw_noise]
-        + [s.velocity_noise] * 2
+        + [s.velocity_noise if s.velocity_measured else 0.0] * 2
         + [s.acceleration_noise] * 2
         + [s.gyro_noise, yaw_acceleration]
         + [s.sprocket_speed_noise] * 2
@@ -179,6 +197,7 @@ def _fixed_part(sensors: Sensors, control_period: float) -> tuple[SensorDraw, ND
         np.array(periods, dtype=np.int64),
         np.array(delays, dtype=np.int64),
         bool(np.any(sigma > 0.0) or np.any(probability > 0.0)),
+        sensors.velocity_measured,
     )
     return draw, magnitudes
 

@@ -9,6 +9,7 @@ its sensor noise from a generator of its own, seeded by the episode: what a poli
 changes what the vehicle, the soil, the reference and the noise are.
 """
 
+import copy
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -31,6 +32,12 @@ from tracked_env.validation import checked_number
 
 THREADED_COUNT = 512  # [vehicles] from here on two threads are faster than one
 SUCCESS_RMSE = 0.5  # [m] an episode that ends by time with a smaller error is a success
+
+
+_RUNNING = (  # attributes that change while episodes run
+    "batch", "observations", "rngs", "_noise_rngs", "episodes", "_noisy", "_until_refill",
+    "some_ended",
+)  # fmt: skip
 
 
 class Simulation:
@@ -113,6 +120,7 @@ class Simulation:
         f[b.SIGMA : b.SIGMA + len(sensors.sigma)] = sensors.sigma
         f[b.BIAS : b.BIAS + len(sensors.bias)] = sensors.bias
         f[b.CROSS_COUPLING] = sensors.cross_coupling
+        f[b.VELOCITY] = sensors.velocity
         f[b.DROPOUT : b.DROPOUT + b.GROUP_COUNT] = sensors.dropout
         c[b.PERIOD : b.PERIOD + b.GROUP_COUNT] = sensors.period
         c[b.DELAY : b.DELAY + b.GROUP_COUNT] = sensors.delay
@@ -224,6 +232,19 @@ class Simulation:
         self.batch.noise[:, i] = generator.standard_normal(
             (b.NOISE_BLOCK // b.NOISE_RUN, b.NOISE_RUN, NOISE_COUNT), dtype=np.float32
         )
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that changes while episodes run; can be pickled. `resume` goes on from it."""
+        return copy.deepcopy({name: getattr(self, name) for name in _RUNNING})
+
+    def resume(self, snapshot: Mapping[str, Any]) -> None:
+        """Go on from what `snapshot` returned, bit for bit; of the same count and config."""
+        if len(snapshot["observations"]) != self.count:
+            raise ValueError(
+                f"snapshot of {len(snapshot['observations'])} vehicles; must be of {self.count}"
+            )
+        for name, value in copy.deepcopy(dict(snapshot)).items():
+            setattr(self, name, value)
 
     # --- what can be read -----------------------------------------------------------------
     def column(self, column: int) -> NDArray[np.float64]:

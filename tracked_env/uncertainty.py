@@ -13,7 +13,7 @@ Vehicles, table of terrain values (c, phi) and the ranges of K in its section on
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -183,6 +183,13 @@ def _ood(rng: np.random.Generator, profile: ReferenceProfile, duration: float) -
     return Draw(parameters, [])
 
 
+def _slow_drive(rng: np.random.Generator, profile: ReferenceProfile, duration: float) -> Draw:
+    """A `soil-and-mass` vehicle whose motors answer late."""
+    parameters = _firm_ground(rng)
+    lag = rng.uniform(0.15, 0.3)  # =U(0.15, 0.3)
+    return Draw(parameters._replace(torque_time_constant=lag), [])
+
+
 # (44): mu_l = 0.7 + 0.02 X cos(0.3 Y);  (45): mu_t = 0.6 + 0.03 X sin(0.2 X) exp(-0.01 Y)
 STRAWA_MAPS: list[Event] = [
     wave("longitudinal_resistance", mean=0.7, amplitude=0.02, k_y=0.3),
@@ -199,16 +206,32 @@ UNCERTAINTY_SETS: dict[str, Law] = {
     "drift": _drift,
     "mixed": _mixed,
     "ood": _ood,
+    "slow-drive": _slow_drive,
 }
 
 
-def make_uncertainty(spec: str | Mapping[str, Any]) -> Law:
+def _one_of(laws: Sequence[Law]) -> Law:
+    """Each episode follows one of `laws`, all with the same odds."""
+
+    def law(rng: np.random.Generator, profile: ReferenceProfile, duration: float) -> Draw:
+        return laws[int(rng.integers(len(laws)))](rng, profile, duration)
+
+    return law
+
+
+def make_uncertainty(spec: str | Mapping[str, Any] | Sequence[Any]) -> Law:
     """A set by name, or {parameter: [low, high]}: each drawn = U(low, high), no change.
+
+    A list of those is a mixture: every episode draws one of them, all with the same odds.
 
     Raises ValueError for an unknown set or parameter and for a value outside its range.
     """
     if isinstance(spec, str):
         return UNCERTAINTY_SETS[checked_choice("uncertainty set", spec, UNCERTAINTY_SETS)]
+    if isinstance(spec, (list, tuple)):
+        if not spec:
+            raise ValueError("uncertainty = []; a mixture needs at least one set")
+        return _one_of([make_uncertainty(part) for part in spec])
     ranges: dict[str, tuple[float, float]] = {}
     for name, bounds in checked_keys("uncertainty", spec, PARAMETER_INDEX).items():
         if not isinstance(bounds, (list, tuple)) or len(bounds) != 2:

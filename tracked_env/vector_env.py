@@ -35,6 +35,8 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
     up, until it is reset by `reset_mask`). The environment truncates by itself.
 
     Extra arguments: `threads` (default 2) is used from 512 vehicles on; numbers do not change.
+    `max_episode_steps` truncates as TimeLimit does for one environment: an episode that it cuts
+    short of `duration` is no success. Gymnasium passes it when an id is registered with it.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012, an instance variable in Gymnasium
@@ -58,7 +60,10 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int = 2,
+        max_episode_steps: int | None = None,
     ) -> None:
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ValueError(f"max_episode_steps = {max_episode_steps}; must be at least 1")
         if render_mode is not None:
             checked_choice("render_mode", render_mode, self.metadata["render_modes"])
         config = TorqueConfig(
@@ -81,6 +86,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._every = np.ones(num_envs, dtype=np.bool_)
         self._ended = np.zeros(num_envs, dtype=np.bool_)
+        self._max_steps = max_episode_steps
         self._renderers: list[Any] = []
 
     def reset(
@@ -102,11 +108,22 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         chosen = np.flatnonzero(mask)
         self._seed(chosen, seed)
         given = [{**common, **((rows[i] if rows else None) or {})} for i in chosen]
-        self.simulation.reset(chosen, given)
+        self._start(chosen, given)
         self._ended[chosen] = False
         return self.simulation.observations.copy(), self._info(
-            mask, self.simulation.report(), self.simulation.success
+            mask, self.simulation.report(), self._success()
         )
+
+    def _start(self, chosen: NDArray[np.int64], given: Sequence[dict[str, Any] | None]) -> None:
+        self.simulation.reset(chosen, given)
+        if self._max_steps is not None:
+            limits = self.simulation.batch.counters[:, b.MAX_STEP]
+            limits[chosen] = np.minimum(limits[chosen], self._max_steps)
+
+    def _success(self) -> Bools:
+        """An episode that `max_episode_steps` has cut short has not been driven to its end."""
+        steps = self.simulation.batch.counters[:, b.STEP]
+        return self.simulation.success & (steps >= self.simulation.settings.max_steps)
 
     def _mask(self, mask: Any) -> Bools:
         if mask is None:
@@ -162,13 +179,13 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             self._restart(over)
             over = np.zeros_like(over)
         self._ended = over
-        info = self._info(self._every, simulation.report(), simulation.success)
+        info = self._info(self._every, simulation.report(), self._success())
         info.update(final)
         return simulation.observations.copy(), rewards, terminated, truncated, info
 
     def _restart(self, mask: Bools) -> None:
         chosen = np.flatnonzero(mask)
-        self.simulation.reset(chosen, [None] * len(chosen))
+        self._start(chosen, [None] * len(chosen))
 
     def _final(self, over: Bools) -> dict[str, Any]:
         """What SAME_STEP would otherwise lose: last observation and info of the ended rows."""
@@ -179,7 +196,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         return {
             "final_obs": final_obs,
             "_final_obs": mask,
-            "final_info": self._info(mask, self.simulation.report(), self.simulation.success),
+            "final_info": self._info(mask, self.simulation.report(), self._success()),
             "_final_info": mask,
         }
 

@@ -12,7 +12,8 @@ from tracked_env.benchmark.changes import (
     abrupt_changes,
     recovery,
 )
-from tracked_env.benchmark.runner import BenchmarkConfig, drive
+from tracked_env.benchmark.configuration import BenchmarkConfig
+from tracked_env.benchmark.runner import drive
 
 PERIOD = 0.02  # [s]
 STEPS = 1000

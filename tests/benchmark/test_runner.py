@@ -9,7 +9,7 @@ import pytest
 
 from baselines.policies import POLICIES
 from tests.benchmark.stub_policies import Constant, Curious, Diverging, Truthful, entry
-from tracked_env.benchmark import DEFAULT_SETS, BenchmarkConfig, Store, load_policy, run
+from tracked_env.benchmark import DEFAULT_SETS, SETS, BenchmarkConfig, Store, load_policy, run
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.policies import PolicyContext, PolicyEntry
 from tracked_env.benchmark.runner import drive, pending
@@ -125,7 +125,7 @@ def test_a_policy_is_told_the_data_sheet_of_the_sensors_and_nothing_of_the_truth
     done(tmp_path, config, entry("curious", make))
     (context,) = told
     assert context.sensors == STRAWA._replace(gyro_noise=0.5)
-    assert context == config.context()
+    assert context == config.context("ood")
     assert context._fields == ("control_period", "lateral", "sensors")
 
 
@@ -230,13 +230,14 @@ def test_what_is_kept_for_the_figures_is_small() -> None:
 
 
 def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
-    assert set(DEFAULT_SETS) == set(UNCERTAINTY_SETS) - {"nominal"}
+    assert set(DEFAULT_SETS) == set(SETS) - {"nominal"}
+    assert {entry.uncertainty for entry in SETS.values()} == set(UNCERTAINTY_SETS)
 
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"sets": ("ood", "soil")}, "unknown uncertainty set 'soil'"),
+        ({"sets": ("ood", "soil")}, "unknown evaluation set 'soil'"),
         ({"sets": ()}, "must be one or more"),
         ({"sets": ("ood", "ood")}, "each named once"),
         ({"episodes": 0}, "episodes = 0; must be at least 1"),

@@ -72,27 +72,9 @@ def test_strata_are_redrawn_within_themselves() -> None:
     assert stats.bootstrap([np.concatenate(strata)], stats.mean, resamples=200).std() > 0.05
 
 
-def test_what_both_policies_share_cancels_in_the_paired_difference() -> None:
-    rng = np.random.default_rng(3)
-    difficulty = rng.exponential(5.0, 32)
-    pairs = stats.paired([difficulty + 0.1], [difficulty])
-    value, low, high = stats.estimate(pairs, stats.mean_difference)
-    assert (value, low, high) == pytest.approx((0.1, 0.1, 0.1))
-    assert stats.estimate(pairs, stats.ratio_of_means).low > 1.0
-
-
-def test_the_ratio_to_a_policy_without_any_error_is_infinite() -> None:
-    assert stats.ratio_of_means(np.array([[1.0, 1.0], [0.0, 0.0]])) == np.inf
-
-
 def test_the_same_values_give_the_same_interval() -> None:
     values = np.random.default_rng(4).normal(size=20)
     assert stats.estimate([values]) == stats.estimate([values])
-
-
-def test_unequal_numbers_of_episodes_are_not_pairs() -> None:
-    with pytest.raises(ValueError, match="are not pairs"):
-        stats.paired([np.ones(3)], [np.ones(4)])
 
 
 def test_an_empty_stratum_is_refused() -> None:

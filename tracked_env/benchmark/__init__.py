@@ -1,5 +1,7 @@
 """Paired comparison of policies on named uncertainty sets; docs/evaluation.md shows its use."""
 
+from tracked_env.benchmark.configuration import BenchmarkConfig
+from tracked_env.benchmark.frozen import check
 from tracked_env.benchmark.policies import (
     Policy,
     PolicyContext,
@@ -8,19 +10,23 @@ from tracked_env.benchmark.policies import (
     load_policy,
 )
 from tracked_env.benchmark.report import terminal
-from tracked_env.benchmark.runner import DEFAULT_SETS, BenchmarkConfig, run
+from tracked_env.benchmark.runner import run
+from tracked_env.benchmark.sets import DEFAULT_SETS, SETS, BenchmarkSet
 from tracked_env.benchmark.store import Store
 from tracked_env.benchmark.summary import Summary, summarise
 
 __all__ = [
     "DEFAULT_SETS",
+    "SETS",
     "BenchmarkConfig",
+    "BenchmarkSet",
     "Policy",
     "PolicyContext",
     "PolicyEntry",
     "PolicyFactory",
     "Store",
     "Summary",
+    "check",
     "load_policy",
     "run",
     "summarise",

@@ -39,9 +39,9 @@ class Look(NamedTuple):
 
 
 def looks(policies: Sequence[str]) -> dict[str, Look]:
-    """A look per policy, the same in every figure."""
+    """A look per policy, the same in every figure; no two alike among 36."""
     return {
-        name: Look(PALETTE[i % 6], LINE_STYLES[i % 6], MARKERS[i % 6])
+        name: Look(PALETTE[i % 6], LINE_STYLES[(i + i // 6) % 6], MARKERS[(i + i // 6) % 6])
         for i, name in enumerate(policies)
     }
 

@@ -27,6 +27,7 @@ from tracked_env.benchmark.drawing import (
 )
 from tracked_env.benchmark.metrics import CHANNELS
 from tracked_env.benchmark.store import Record, Store
+from tracked_env.benchmark.summary import agent_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -229,7 +230,10 @@ def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Fi
 def save_all(
     folder: Path, store: Store, records: Sequence[Record], sets: Sequence[str], seed: int
 ) -> list[Path]:
-    """Draw everything into `folder`; returns the files. Raises ImportError without matplotlib."""
+    """Draw everything into `folder`; returns the files. Raises ImportError without matplotlib.
+
+    Of an agent with several seeds the first one is drawn.
+    """
     try:
         import matplotlib
     except ImportError as error:
@@ -237,7 +241,11 @@ def save_all(
             "figures need matplotlib: pip install 'tracked-env[render]', or pass --no-figures"
         ) from error
     folder.mkdir(parents=True, exist_ok=True)
-    style = looks(list(dict.fromkeys(record["policy"] for record in records)))
+    first: dict[str, str] = {}
+    for record in records:
+        first.setdefault(agent_of(record["policy"]), record["policy"])
+    records = [record for record in records if record["policy"] in first.values()]
+    style = looks(list(first.values()))
     found: dict[str, Traces] = {}
     for name in sets:
         loaded = {policy: store.load_trace(policy, name) for policy in style}

@@ -15,6 +15,7 @@ from typing import Any
 from tracked_env.benchmark.changes import RECOVERED
 from tracked_env.benchmark.identification import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS
+from tracked_env.benchmark.reliability import FEW_SEEDS
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record, write_atomically
 from tracked_env.benchmark.summary import (
@@ -37,17 +38,23 @@ def _interval(e: Estimate, digits: int = 3) -> str:
     return f"{e.value:.{digits}f} [{e.low:.{digits}f}, {e.high:.{digits}f}]"
 
 
+def marked(agent: str, seeds: int) -> str:
+    """The name of an agent, with a star where too few seeds stand behind its intervals."""
+    return f"{agent} *" if 0 < seeds <= FEW_SEEDS else agent
+
+
 def policy_table(summary: Summary) -> list[list[str]]:
     """Rows of cells, the header first: one row per set and policy."""
     rows = [
-        ["set", "policy", "RMSE [m]: IQM [95 %]", "mean", "max error", "success", "ended early",
+        ["set", "policy", "RMSE [m]: IQM [95 %]", "mean", "worst", "max", "success", "early",
          "energy [kJ]", "saturated", "chatter [kN m/s]"],
     ]  # fmt: skip
     for name, by_policy in summary.policies.items():
         for policy, p in by_policy.items():
             m = p.means
             rows.append(
-                [name, policy, _interval(p.rmse_iqm), f"{p.rmse_mean.value:.3f}",
+                [name, marked(policy, p.seeds), _interval(p.rmse_iqm), f"{p.rmse_mean.value:.3f}",
+                 f"{p.rmse_worst.value:.2f}",
                  f"{m['max_error']:.2f}", f"{m['success']:.0%}", f"{m['terminated']:.0%}",
                  f"{m['energy'] / 1e3:.0f}", f"{m['saturation_share']:.1%}",
                  f"{m['torque_chatter'] / 1e3:.1f}"]
@@ -59,15 +66,16 @@ def comparison_table(summary: Summary) -> list[list[str]]:
     """Rows of cells, the header first: one row per set and policy but the baseline."""
     base = summary.baseline
     rows = [
-        ["set", "policy", "RMSE ratio", f"{base} - policy [m]", f"{base} clearly worse",
-         "fails alone", "score"],
+        ["set", "policy", "RMSE ratio", f"{base} - policy [m]", "clearly worse",
+         "P(better)", "fails alone", "score"],
     ]  # fmt: skip
     for name, by_policy in summary.comparisons.items():
         for policy, c in by_policy.items():
+            score = summary.policies[name][policy].score
             rows.append(
                 [name, policy, _interval(c.ratio, 1), _interval(c.difference),
-                 f"{'yes' if c.worse else 'NO'}, in {c.worse_share:.0%}", f"{c.fails_alone}",
-                 "-" if c.score is None else _interval(c.score, 2)]
+                 "yes" if c.worse else "NO", f"{c.improvement.value:.0%}", f"{c.fails_alone:.3g}",
+                 "-" if score is None else _interval(score, 2)]
             )  # fmt: skip
     return rows
 
@@ -151,19 +159,22 @@ def rule(summary: Summary) -> str:
     return (
         f"RMSE ratio: IQM of {base} over that of the policy. {base} - policy: mean of the paired "
         f"differences. Intervals: 95 %.\n{base} is clearly worse when the interval of the "
-        f"difference lies above 0 and the ratio is at least {SEPARATION_RATIO};\n`in`: episodes "
-        f"in which it is worse. Fails alone: episodes that {base} masters and the policy does not."
-        "\nScore: 0 = nominal, 1 = oracle."
+        f"difference lies above 0 and the ratio is at least {SEPARATION_RATIO}.\nP(better): part "
+        "of the episodes in which the policy has the smaller RMSE. Fails alone: episodes that "
+        f"{base}\nmasters and the policy does not. Score: 0 = nominal, 1 = oracle."
     )
 
 
 def legend(summary: Summary) -> str:
     """What the numbers of the first table are."""
-    count = next(iter(summary.policies.values()))[summary.baseline].episodes
+    first = next(iter(summary.policies.values()))
+    few = any(0 < p.seeds <= FEW_SEEDS for p in first.values())
     return (
-        f"{count} episodes per set, the same for every policy. RMSE: distance to the reference. "
-        "IQM: mean of the middle half\nof the episodes, with a percentile bootstrap interval; all "
-        "other columns are means over the episodes."
+        f"{first[summary.baseline].episodes} episodes per set, the same for every policy. RMSE: "
+        "distance to the reference. IQM: mean of the middle half\nof the episodes, with a "
+        "percentile bootstrap interval; worst: mean of the largest tenth. Max: largest\n"
+        "distance. Early: ended before its time. All but the IQM are means over the episodes."
+        + (f"\n* fewer than {FEW_SEEDS + 1} training seeds" if few else "")
     )
 
 

@@ -1,15 +1,14 @@
-"""Paired runner: every policy drives the same episodes of the same uncertainty sets.
+"""Paired runner: every policy drives the same episodes of the same sets.
 
-Episode i of a set is seeded `seed + i`, whatever the policy and the size of the batch: vehicle,
-soil, reference, start and every sensor noise sample are the same for all. A chunk of episodes
-runs as one batch; it is stored when it has ended, so an interruption costs at most one chunk.
+Episode i of a set (see `sets`) is seeded `seed + i`, whatever the policy and the size of the batch:
+vehicle, soil, reference, start and every sensor noise sample are the same for all. A chunk of
+episodes runs as one batch; it is stored when it has ended, so an interruption costs at most one
+chunk.
 """
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,33 +17,22 @@ from numpy.typing import NDArray
 from tracked_env import batch as b
 from tracked_env.benchmark import identification, metrics
 from tracked_env.benchmark.changes import CHANGING
+from tracked_env.benchmark.configuration import BenchmarkConfig
 from tracked_env.benchmark.policies import (
     Policy,
-    PolicyContext,
     PolicyEntry,
     checked_policy,
     identifies,
     needs_truth,
-    source_fingerprint,
 )
 from tracked_env.benchmark.shown import shown
 from tracked_env.benchmark.store import Record, Store
 from tracked_env.episode import Episode
 from tracked_env.physics import state as s
 from tracked_env.physics.parameters import PARAMETER_INDEX
-from tracked_env.sensors import make_sensors
-from tracked_env.uncertainty import UNCERTAINTY_SETS
-from tracked_env.validation import checked_choice
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-# In `nominal` a controller with nominal parameters knows everything: it separates nothing.
-DEFAULT_SETS = tuple(name for name in UNCERTAINTY_SETS if name != "nominal")
-CHUNK = 64  # [episodes] run as one batch; has no influence on results
 REPORT_EVERY = 50  # [control steps] between two calls of `progress`
-# Files and folders of the package that do not change the numbers of an episode.
-_HERE = {path.name for path in Path(__file__).parent.iterdir()}
-_NUMBERS = {"metrics.py", "runner.py", "changes.py", "identification.py"}
-_HARMLESS = ("rendering", "sb3.py", *(_HERE - _NUMBERS))
 
 _COLUMNS = [
     b.STATE + s.X, b.STATE + s.Y, b.STATE + s.YAW,
@@ -60,61 +48,6 @@ _COLUMNS = [
 _SPEED_ERROR = metrics.CHANNELS.index("speed_error")
 
 Progress = Callable[[int, str], None]  # (vehicle steps done since the last call, what runs)
-
-
-@dataclass(frozen=True)
-class BenchmarkConfig:
-    """What is run. All but `sets`, `episodes` and `chunk` is part of a result's identity."""
-
-    sets: tuple[str, ...] = DEFAULT_SETS
-    episodes: int = 32  # per set
-    seed: int = 0
-    reference: str | Mapping[str, Any] = "random"
-    sensors: str | Mapping[str, Any] = "rtk"
-    duration: float = 30.0  # [s]
-    control_rate: float = 50.0  # [Hz]
-    lateral: str = "sliding"
-    error_limit: float = 5.0  # [m]
-    chunk: int = CHUNK
-
-    def __post_init__(self) -> None:
-        """Raise ValueError for everything that the environment or the runner would refuse."""
-        for name in self.sets:
-            checked_choice("uncertainty set", name, UNCERTAINTY_SETS)
-        if len(set(self.sets)) != len(self.sets) or not self.sets:
-            raise ValueError(f"sets = {self.sets}; must be one or more, each named once")
-        for name in ("episodes", "chunk"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}; must be at least 1")
-        if self.seed < 0:
-            raise ValueError(f"seed = {self.seed}; must be at least 0")
-        self.environment(self.sets[0], 1, truth=False).close()
-
-    def identity(self) -> dict[str, Any]:
-        """Everything that changes the numbers of an episode, the policy apart."""
-        fields = asdict(self)
-        for name in ("sets", "episodes", "chunk"):
-            del fields[name]
-        return {**fields, "source": source_fingerprint("tracked_env", _HARMLESS)}
-
-    def context(self) -> PolicyContext:
-        """What a policy may know of the environment."""
-        return PolicyContext(1.0 / self.control_rate, self.lateral, make_sensors(self.sensors))
-
-    def environment(self, uncertainty_set: str, count: int, truth: bool) -> TrackedVehicleVectorEnv:
-        """A batch in which an ended episode rests."""
-        return TrackedVehicleVectorEnv(
-            count,
-            reference=self.reference,
-            uncertainty=uncertainty_set,
-            sensors=self.sensors,
-            duration=self.duration,
-            control_rate=self.control_rate,
-            lateral=self.lateral,
-            error_limit=self.error_limit,
-            expose_truth=truth,
-            autoreset_mode="Disabled",
-        )
 
 
 class Task(NamedTuple):
@@ -199,7 +132,7 @@ def drive(
 def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progress) -> None:
     """Run one chunk and store it. An error of the policy says where it happened."""
     count = len(task.episodes)
-    policy = checked_policy(task.policy, config.context())
+    policy = checked_policy(task.policy, config.context(task.uncertainty_set))
     env = config.environment(task.uncertainty_set, count, needs_truth(policy))
     recorder = None
     if identifies(policy):

@@ -1,25 +1,29 @@
 """From records to a summary.
 
-Per set and policy: interquartile mean (IQM) and mean of the tracking RMSE over the episodes, each
-with a 95 % bootstrap interval, and means of the other metrics over the episodes that have them.
-Every policy is then compared with the first one, the baseline, on the same episodes:
-    ratio        IQM of the baseline's RMSE over the policy's
-    difference   mean over the episodes of (baseline's - policy's RMSE) [m]
+A policy `name@seed` is one training of the agent `name`; its seeds are summarised together. Per set
+and agent: interquartile mean (IQM), mean, and mean of the worst tenth of the tracking RMSE over
+seeds and episodes, each with a 95 % bootstrap interval (see `reliability`), and means of the other
+metrics over the episodes that have them.
+    score        (IQM of nominal - IQM of agent) / (IQM of nominal - IQM of oracle), if both are
+                 among the policies: 0 is as good as nominal, 1 as the oracle
+Every agent is then compared with the first one, the baseline, on the same episodes:
+    ratio        IQM of the baseline's RMSE over the agent's
+    difference   mean over seeds and episodes of (baseline's - agent's RMSE) [m]
+    improvement  probability that the agent has the smaller RMSE in an episode
     worse        the baseline is clearly worse: the interval of the difference lies above 0 and
                  the ratio is at least SEPARATION_RATIO. With nominal as the baseline, a set
                  separates when this holds for the oracle.
-    fails alone  episodes in which the policy ends early or without success, the baseline not
-    score        (IQM of nominal - IQM of policy) / (IQM of nominal - IQM of oracle), if both are
-                 among the policies: 0 is as good as nominal, 1 as the oracle
+    fails alone  episodes in which the agent ends early or without success, the baseline not
 `all sets` pools the episodes of all sets, redrawn set by set (stratified).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.benchmark import reliability as rel
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.identification import IdentificationSummary, mean_nis
 from tracked_env.benchmark.identification import summarise as summarise_beliefs
@@ -30,32 +34,36 @@ from tracked_env.benchmark.store import Record
 SEPARATION_RATIO = 1.2  # [-] of the interquartile means
 ALL_SETS = "all sets"
 LOW_ANCHOR, HIGH_ANCHOR = "nominal", "oracle"  # policies that score 0 and 1
+SEED_MARK = "@"  # between the name of an agent and that of one of its seeds
+BySeed = dict[str, list[Record]]  # records of one agent on one set
 
 
 class PolicySummary(NamedTuple):
-    """One policy on one set."""
+    """One agent on one set."""
 
-    episodes: int
+    episodes: int  # of one seed
     rmse_iqm: Estimate  # [m]
     rmse_mean: Estimate  # [m]
+    rmse_worst: Estimate  # [m] mean of the worst tenth
     means: dict[str, float]  # of every metric, over the episodes that have it; NaN if none has
     predict_time: float  # [s] per vehicle and step
-    changed: int = 0  # episodes with an abrupt change of the parameters
-
-
-class Comparison(NamedTuple):
-    """The baseline against one policy on one set."""
-
-    ratio: Estimate  # [-]
-    difference: Estimate  # [m]
-    worse_share: float  # [-] of the episodes in which the baseline is worse
-    worse: bool  # clearly, see above
-    fails_alone: int = 0  # episodes in which the policy fails and the baseline does not
+    changed: int = 0  # episodes with an abrupt change of the parameters, of all seeds
+    seeds: int = 0  # trainings; 0 for a policy that is not trained
     score: Estimate | None = None  # [-] 0 as nominal, 1 as oracle; None if they are not told apart
 
 
+class Comparison(NamedTuple):
+    """One agent against another, the baseline, on one set."""
+
+    ratio: Estimate  # [-]
+    difference: Estimate  # [m]
+    improvement: Estimate  # [-]
+    worse: bool  # clearly, see above
+    fails_alone: float = 0  # episodes in which the agent fails and the baseline does not, per seed
+
+
 class Summary(NamedTuple):
-    """What a benchmark says: {set: {policy: ...}}, sets and policies in their order."""
+    """What a benchmark says: {set: {agent: ...}}, sets and agents in their order."""
 
     baseline: str
     policies: dict[str, dict[str, PolicySummary]]
@@ -65,12 +73,22 @@ class Summary(NamedTuple):
     nis: dict[str, dict[str, dict[str, float]]]
 
 
+def agent_of(policy: str) -> str:
+    """The agent that a policy `name@seed` is a training of; other names stay."""
+    return policy.rpartition(SEED_MARK)[0] or policy
+
+
+def by_agent(records: Sequence[Record]) -> dict[str, BySeed]:
+    """Records of one set by agent and policy, in their order."""
+    found: dict[str, BySeed] = {}
+    for record in records:
+        seeds = found.setdefault(agent_of(record["policy"]), {})
+        seeds.setdefault(record["policy"], []).append(record)
+    return found
+
+
 def _column(records: Sequence[Record], name: str) -> NDArray[np.float64]:
     return np.array([record[name] for record in records], dtype=np.float64)
-
-
-def _rmse(strata: Sequence[Sequence[Record]]) -> list[NDArray[np.float64]]:
-    return [_column(records, "tracking_rmse") for records in strata]
 
 
 def _mean(records: Sequence[Record], name: str) -> float:
@@ -85,80 +103,124 @@ def failed(record: Record) -> bool:
     return bool(record["terminated"] > 0.5 or record["success"] < 0.5)
 
 
-def _policy_summary(strata: Sequence[Sequence[Record]]) -> PolicySummary:
-    rmse = _rmse(strata)
-    pooled = [record for records in strata for record in records]
-    return PolicySummary(
-        len(pooled),
-        stats.estimate(rmse),
-        stats.estimate(rmse, stats.mean),
-        {name: _mean(pooled, name) for name in METRICS},
-        _mean(pooled, "predict_time"),
-        sum(record["recovery_time"] is not None for record in pooled),
-    )
+class Row:
+    """One line of the summary: some sets, every agent on their episodes."""
 
-
-def compare(
-    baseline: Sequence[Sequence[Record]],
-    other: Sequence[Sequence[Record]],
-    anchors: tuple[Sequence[Sequence[Record]], Sequence[Sequence[Record]]] | None = None,
-) -> Comparison:
-    """Baseline against another policy; strata of records of the same episodes.
-
-    anchors: the same of the policies that score 0 and 1; without them there is no score.
-    Raises ValueError when the episodes differ.
-    """
-    for first, second in zip(baseline, other, strict=True):
-        if [r["digest"] for r in first] != [r["digest"] for r in second]:
-            raise ValueError(
-                f"policies {first[0]['policy']!r} and {second[0]['policy']!r} did not meet the "
-                f"same episodes of {first[0]['set']!r}; delete the folder of results"
-            )
-    own = _rmse(other)
-    pairs = stats.paired(_rmse(baseline), own)
-    ratio = stats.estimate(pairs, stats.ratio_of_means)
-    difference = stats.estimate(pairs, stats.mean_difference)
-    pooled = np.concatenate(pairs)
-    share = float(np.mean(pooled[:, 0] > pooled[:, 1]))
-    clearly = difference.low > 0.0 and ratio.value >= SEPARATION_RATIO
-    alone = sum(
-        failed(b) and not failed(a)
-        for first, second in zip(baseline, other, strict=True)
-        for a, b in zip(first, second, strict=True)
-    )
-    score = None
-    if anchors is not None:
-        score = stats.score(_rmse(anchors[0]), _rmse(anchors[1]), own)
-    return Comparison(ratio, difference, share, bool(clearly), alone, score)
-
-
-def summarise(records: Sequence[Record]) -> Summary:
-    """Summary of records as the runner returns them; the first policy is the baseline."""
-    groups: dict[str, dict[str, list[Record]]] = {}
-    for record in records:
-        groups.setdefault(record["set"], {}).setdefault(record["policy"], []).append(record)
-    if not groups:
-        raise ValueError("no finished episode to summarise")
-    baseline = records[0]["policy"]
-    rows: dict[str, list[dict[str, list[Record]]]] = {name: [by] for name, by in groups.items()}
-    if len(groups) > 1:
-        rows[ALL_SETS] = list(groups.values())
-    policies: dict[str, dict[str, PolicySummary]] = {}
-    comparisons: dict[str, dict[str, Comparison]] = {}
-    identification: dict[str, dict[str, dict[str, IdentificationSummary]]] = {}
-    nis: dict[str, dict[str, dict[str, float]]] = {}
-    for name, strata in rows.items():
-        names = list(strata[0])
-        by_policy = {policy: [stratum[policy] for stratum in strata] for policy in names}
-        policies[name] = {policy: _policy_summary(by_policy[policy]) for policy in names}
-        anchors = None
-        if {LOW_ANCHOR, HIGH_ANCHOR} <= set(names):
-            anchors = by_policy[LOW_ANCHOR], by_policy[HIGH_ANCHOR]
-        comparisons[name] = {
-            policy: compare(by_policy[baseline], by_policy[policy], anchors) for policy in names[1:]
+    def __init__(self, sets: Sequence[Mapping[str, BySeed]]) -> None:
+        """sets: {agent: records by seed} of each. Raises ValueError when the episodes differ."""
+        self.sets = sets
+        self.names = list(sets[0])
+        self.seeds = {name: list(sets[0][name]) for name in self.names}
+        sizes = [self._checked(of) for of in sets]
+        self.redraws = rel.Redraws(sizes)
+        self.redrawn = {
+            name: rel.redraw(self.matrix(name, "tracking_rmse"), self.redraws, number)
+            for number, name in enumerate(self.names)
         }
-        pooled = {policy: [r for s in strata for r in s[policy]] for policy in names}
-        believed = {policy: summarise_beliefs(records) for policy, records in pooled.items()}
-        identification[name] = {policy: by for policy, by in believed.items() if by}
-        nis[name] = {policy: mean_nis(pooled[policy]) for policy in identification[name]}
-    return Summary(baseline, policies, comparisons, identification, nis)
+
+    def _checked(self, agents: Mapping[str, BySeed]) -> int:
+        """Number of episodes of a set, seen to be the same for every policy."""
+        first: list[Record] = []
+        for name, seeds in self.seeds.items():
+            for policy in seeds:
+                records = agents.get(name, {}).get(policy, [])
+                first = first or records
+                if [r["digest"] for r in records] != [r["digest"] for r in first]:
+                    raise ValueError(
+                        f"policies {first[0]['policy']!r} and {policy!r} did not meet the same "
+                        f"episodes of {first[0]['set']!r}; delete the folder of results"
+                    )
+        return len(first)
+
+    def pooled(self, name: str) -> list[Record]:
+        """All records of an agent, seed by seed."""
+        return [r for policy in self.seeds[name] for of in self.sets for r in of[name][policy]]
+
+    def matrix(self, name: str, metric: str) -> NDArray[np.float64]:
+        """A metric of an agent, (S, N)."""
+        return _column(self.pooled(name), metric).reshape(len(self.seeds[name]), -1)
+
+    def score(self, name: str) -> Estimate | None:
+        """Where an agent is between the anchors."""
+        if not {LOW_ANCHOR, HIGH_ANCHOR} <= set(self.names):
+            return None
+        three = [self.redrawn[key] for key in (LOW_ANCHOR, HIGH_ANCHOR, name)]
+        low, high, own = (float(stats.interquartile_mean(r.values.ravel())) for r in three)
+        return rel.score((low, high, own), *three)
+
+    def scores(self, name: str) -> NDArray[np.float64]:
+        """Redraws (B,) of the score; needs the anchors. All rows draw the same seeds."""
+        three = [self.redrawn[key].iqm for key in (LOW_ANCHOR, HIGH_ANCHOR, name)]
+        return rel.gap_closed(*three)
+
+    def summary(self, name: str) -> PolicySummary:
+        """What one agent is worth on these sets."""
+        redrawn, records = self.redrawn[name], self.pooled(name)
+        flat = redrawn.values.ravel()
+        trained = any(SEED_MARK in policy for policy in self.seeds[name])
+        return PolicySummary(
+            redrawn.values.shape[1],
+            rel.estimate(float(stats.interquartile_mean(flat)), redrawn.iqm),
+            rel.estimate(float(flat.mean()), redrawn.mean),
+            rel.estimate(float(stats.worst_tenth(flat)), redrawn.worst),
+            {metric: _mean(records, metric) for metric in METRICS},
+            _mean(records, "predict_time"),
+            sum(record["recovery_time"] is not None for record in records),
+            len(self.seeds[name]) if trained else 0,
+            self.score(name),
+        )
+
+    def compare(self, base: str, name: str) -> Comparison:
+        """An agent against another."""
+        a, b = self.redrawn[base], self.redrawn[name]
+        own = [float(stats.interquartile_mean(r.values.ravel())) for r in (a, b)]
+        ratio = rel.estimate(
+            float(rel.ratio(np.array(own[0]), np.array(own[1]))), rel.ratio(a.iqm, b.iqm)
+        )
+        difference = rel.estimate(float(a.values.mean() - b.values.mean()), a.mean - b.mean)
+        fails = [
+            np.array([failed(r) for r in self.pooled(of)]).reshape(len(self.seeds[of]), -1)
+            for of in (base, name)
+        ]
+        return Comparison(
+            ratio,
+            difference,
+            rel.improvement(b, a, self.redraws),
+            bool(difference.low > 0.0 and ratio.value >= SEPARATION_RATIO),
+            float((fails[1].mean(axis=0) * (1.0 - fails[0].mean(axis=0))).sum()),
+        )
+
+
+def rows_of(records: Sequence[Record]) -> dict[str, Row]:
+    """One Row per set, and `all sets` if there are several. Raises ValueError without a record."""
+    sets: dict[str, list[Record]] = {}
+    for record in records:
+        sets.setdefault(record["set"], []).append(record)
+    if not sets:
+        raise ValueError("no finished episode to summarise")
+    groups = {name: by_agent(of) for name, of in sets.items()}
+    rows = {name: Row([group]) for name, group in groups.items()}
+    if len(groups) > 1:
+        rows[ALL_SETS] = Row(list(groups.values()))
+    return rows
+
+
+def summarise(records: Sequence[Record], rows: Mapping[str, Row] | None = None) -> Summary:
+    """Summary of records as the runner returns them; the first agent is the baseline.
+
+    rows: those of the records, where they are known already.
+    """
+    rows = rows_of(records) if rows is None else rows
+    baseline = agent_of(records[0]["policy"])
+    found = Summary(baseline, {}, {}, {}, {})
+    for name, row in rows.items():
+        found.policies[name] = {agent: row.summary(agent) for agent in row.names}
+        found.comparisons[name] = {
+            agent: row.compare(baseline, agent) for agent in row.names if agent != baseline
+        }
+        believed = {agent: summarise_beliefs(row.pooled(agent)) for agent in row.names}
+        found.identification[name] = {agent: of for agent, of in believed.items() if of}
+        found.nis[name] = {
+            agent: mean_nis(row.pooled(agent)) for agent in found.identification[name]
+        }
+    return found

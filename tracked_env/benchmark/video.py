@@ -7,13 +7,13 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
+from tracked_env.benchmark.configuration import BenchmarkConfig
 from tracked_env.benchmark.policies import (
     Policy,
     PolicyEntry,
     checked_policy,
     needs_truth,
 )
-from tracked_env.benchmark.runner import BenchmarkConfig
 from tracked_env.env import TrackedVehicleEnv
 
 
@@ -24,7 +24,7 @@ def record(
 
     Returns the file. Raises ImportError that names the extra to install.
     """
-    policy = checked_policy(entry, config.context())
+    policy = checked_policy(entry, config.context(uncertainty_set))
     name = "".join(c if c.isalnum() or c in "-_." else "_" for c in entry.name)
     path = folder / f"{uncertainty_set}--{name}--seed-{config.seed + episode}.mp4"
     folder.mkdir(parents=True, exist_ok=True)
@@ -41,15 +41,7 @@ def _record(
     try:
         env = gymnasium.wrappers.RecordVideo(
             TrackedVehicleEnv(
-                reference=config.reference,
-                uncertainty=uncertainty_set,
-                sensors=config.sensors,
-                duration=config.duration,
-                control_rate=config.control_rate,
-                lateral=config.lateral,
-                error_limit=config.error_limit,
-                expose_truth=needs_truth(policy),
-                render_mode="rgb_array",
+                **config.arguments(uncertainty_set, needs_truth(policy)), render_mode="rgb_array"
             ),
             video_folder=folder,
             episode_trigger=lambda number: True,

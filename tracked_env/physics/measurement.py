@@ -26,11 +26,12 @@ NOISE_COUNT = CHANNEL_COUNT + len(GROUPS)  # normal numbers per step: channels, 
 
 
 @formula
-def signals(state, i, sprocket_radius, cross_coupling):
+def signals(state, i, sprocket_radius, cross_coupling, velocity):
     """Noise-free value of every channel of vehicle i, in the order of CHANNELS.
 
     state: (N, >= STATE_ROWS), its first columns the state; sprocket_radius r [m];
-    cross_coupling [-] between the two accelerometer axes. The torque that a shaft sensor
+    cross_coupling [-] between the two accelerometer axes; velocity [-] 1, or 0 where the body
+    velocity is not measured and reads 0. The torque that a shaft sensor
     sees is the transmitted one, F r: sprocket and track have no inertia in this model, so
     what the soil does not take the drive cannot give.
     """
@@ -39,8 +40,8 @@ def signals(state, i, sprocket_radius, cross_coupling):
         state[i, rows.X],
         state[i, rows.Y],
         state[i, rows.YAW],
-        state[i, rows.V_X],
-        state[i, rows.V_Y],
+        velocity * state[i, rows.V_X],
+        velocity * state[i, rows.V_Y],
         forward + cross_coupling * lateral,
         lateral + cross_coupling * forward,
         state[i, rows.YAW_RATE],

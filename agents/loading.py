@@ -1,0 +1,149 @@
+"""A trained agent as one file: the archive of Stable-Baselines3 with the agent's recipe in it.
+
+`recipe.json` inside the archive says what surrounds the network: algorithm, kind of memory and
+its options, normalisation, control period; and how the agent came about: configuration, steps,
+seconds, versions, machine, command. An archive without it, from `model.save` of any of the
+algorithms on the plain environment, is loaded as a blind agent.
+
+Loading unpickles what SB3 has pickled: open only archives that you trust.
+"""
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from agents import memory
+from agents.algorithms import ALGORITHMS
+from agents.policy import AgentPolicy, Normalisation
+from tracked_env import observation as layout
+from tracked_env.benchmark import PolicyContext, PolicyEntry
+from tracked_env.benchmark.policies import source_fingerprint
+from tracked_env.benchmark.store import write_atomically
+
+RECIPE = "recipe.json"
+FORMAT = 1  # of the recipe
+_NEEDED = ("format", "algorithm", "memory", "memory_options", "normalisation", "control_period")
+# Order in which an archive without a recipe is tried: who is the pickiest comes first.
+_TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
+
+
+def save_agent(path: Path, model: BaseAlgorithm, recipe: Mapping[str, Any]) -> None:
+    """Write model and recipe as one archive, whole or not at all."""
+    buffer = io.BytesIO()
+    model.save(buffer)
+    with zipfile.ZipFile(buffer, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(RECIPE, json.dumps({"format": FORMAT, **recipe}, indent=1))
+    write_atomically(path, buffer.getvalue())
+
+
+def read_recipe(path: Path) -> dict[str, Any] | None:
+    """The recipe in an archive, None where there is none.
+
+    Raises ValueError for a missing or damaged file, and for a recipe of another format.
+    """
+    if not path.is_file():
+        raise ValueError(f"agent {path}: no such file. Was it trained with another --output?")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            damaged = archive.testzip()
+            names = archive.namelist()
+            if damaged is None and RECIPE not in names and "data" in names:
+                return None
+            recipe = json.loads(archive.read(RECIPE)) if damaged is None else {}
+    except (zipfile.BadZipFile, OSError, KeyError, EOFError, ValueError) as error:
+        raise ValueError(
+            f"agent {path} cannot be loaded: not an archive of an agent, or damaged ({error})"
+        ) from error
+    if damaged is not None:
+        raise ValueError(f"agent {path} cannot be loaded: {damaged} in it is damaged")
+    if not isinstance(recipe, dict) or recipe.get("format") != FORMAT:
+        raise ValueError(
+            f"agent {path} has a recipe of another format; must be {FORMAT}. Is it of another "
+            "version of this project?"
+        )
+    missing = [name for name in _NEEDED if name not in recipe]
+    if missing or recipe["algorithm"] not in ALGORITHMS:
+        raise ValueError(
+            f"agent {path}: its recipe lacks {missing} or names an algorithm that is none of "
+            f"{', '.join(ALGORITHMS)}"
+        )
+    return recipe
+
+
+def load_model(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
+    """The model in an archive, of the first of `algorithms` that can load it. ValueError if none"""
+    errors = []
+    for name in algorithms:
+        try:
+            return ALGORITHMS[name][0].load(path, device="cpu")
+        except Exception as error:  # SB3 raises what happens to go wrong
+            errors.append(f"{name}: {type(error).__name__}: {str(error)[:200]}")
+    raise ValueError(f"agent {path} cannot be loaded as {'; '.join(errors)}")
+
+
+def normalisation_of(recipe: Mapping[str, Any]) -> Normalisation | None:
+    """The running normalisation that a recipe holds."""
+    stored = recipe["normalisation"]
+    if stored is None:
+        return None
+    return Normalisation(
+        np.array(stored["mean"]), np.array(stored["variance"]), stored["epsilon"], stored["clip"]
+    )
+
+
+def agent_name(path: Path) -> str:
+    """What tables call an agent: its file, or the folder of a file that train.py has named."""
+    return path.resolve().parent.name if path.stem in ("agent", "last") else path.stem
+
+
+def _fingerprint(path: Path, kind: str) -> str:
+    """Digest of the archive and of the code around its network."""
+    digest = hashlib.sha256(path.read_bytes())
+    for file in ("memory.py", "policy.py"):
+        digest.update(Path(memory.__file__).with_name(file).read_bytes())
+    if kind in ("estimates", "residual"):
+        digest.update(source_fingerprint("baselines").encode())
+    return digest.hexdigest()[:12]
+
+
+def agent_entry(path: Path) -> PolicyEntry:
+    """A trained agent as a policy of the benchmark.
+
+    Raises ValueError for a missing, damaged or foreign file, and for an agent that sees or does
+    something else than this environment offers.
+    """
+    path = Path(path)
+    recipe = read_recipe(path)
+    plain = recipe is None
+    if recipe is None:
+        recipe = {"memory": "blind", "memory_options": {}, "normalisation": None}
+    model = load_model(path, _TRIED if plain else (recipe["algorithm"],))
+    kind, options = recipe["memory"], recipe["memory_options"]
+    normalisation = normalisation_of(recipe)
+    shown = getattr(model.observation_space, "shape", None)
+    context = PolicyContext(recipe.get("control_period", 0.02), "sliding")
+    expected = (layout.SIZE + len(memory.make_memory(kind, options, context, 1).feature_names),)
+    if shown != expected or getattr(model.action_space, "shape", None) != (2,):
+        raise ValueError(
+            f"agent {path} sees {shown} and acts {model.action_space}; must see {expected} "
+            f"(memory {kind!r}) and act (2,). Was it trained on another environment, or inside "
+            "a wrapper? Then pass it as module:function."
+        )
+
+    def make(context: PolicyContext) -> AgentPolicy:
+        period = recipe.get("control_period")
+        if period is not None and abs(period - context.control_period) > 1e-9:
+            raise ValueError(
+                f"agent {path} was trained with a control period of {period:g} s; this "
+                f"environment has {context.control_period:g} s"
+            )
+        return AgentPolicy(model, kind, options, context, normalisation)
+
+    return PolicyEntry(agent_name(path), make, _fingerprint(path, kind))

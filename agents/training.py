@@ -1,0 +1,193 @@
+"""One training: learn, look at held-out episodes now and then, keep the best, write checkpoints.
+
+Held-out episodes are seeded from HELD_OUT_SEED on; training and the benchmark's episodes have
+other seeds. They are driven in one batch, with the policy in its benchmark form, and draw
+nothing from the training's random streams: evaluating more often does not change the agent.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+
+from agents import checkpoints
+from agents.loading import save_agent
+from agents.policy import AgentPolicy, Normalisation
+from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.store import write_atomically
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+HELD_OUT_SEED = 1_000_000
+CURVE = ("steps", "seconds", "mean_return", "held_out_rmse")
+CURVE_ROWS = 200  # of a whole training, about
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """When what happens, all in environment steps over all vehicles."""
+
+    total: int
+    evaluate_every: int
+    checkpoint_every: int  # 0: before every rollout
+
+
+def normalisation(model: BaseAlgorithm) -> Normalisation | None:
+    """The running normalisation of a model's environment, as it is now."""
+    layer = model.get_vec_normalize_env()
+    if layer is None:
+        return None
+    statistics: Any = layer.obs_rms
+    return Normalisation(
+        statistics.mean.copy(), statistics.var.copy(), layer.epsilon, layer.clip_obs
+    )
+
+
+def held_out_rmse(policy: AgentPolicy, env: TrackedVehicleVectorEnv) -> float:
+    """Interquartile mean, over held-out episodes, of the RMSE of the distance [m].
+
+    env: a batch in DISABLED mode, one row per episode. Steps after a vehicle has left its path
+    count as the error at which it left, so leaving early is never the better score.
+    """
+    simulation = env.simulation
+    steps, limit = simulation.settings.max_steps, simulation.solver.error_limit
+    observation, _ = env.reset(seed=HELD_OUT_SEED)
+    state, start = None, np.ones(env.num_envs, dtype=bool)
+    squares = np.zeros(env.num_envs)
+    gone = np.zeros(env.num_envs, dtype=bool)
+    for _ in range(steps):
+        observation[gone] = np.nan_to_num(observation[gone])  # one may have diverged
+        action, state = policy.predict(observation, state, start)
+        start = np.zeros_like(start)
+        observation, _, terminated, truncated, info = env.step(action)
+        gone |= terminated
+        distance = np.where(gone, limit, info["tracking_error"][:, 0])
+        squares += distance**2
+        if (terminated | truncated).all() and not truncated.any():
+            squares += (steps - simulation.batch.counters[:, 0].max()) * limit**2
+            break
+    errors = np.sort(np.sqrt(squares / steps))
+    quarter = len(errors) // 4
+    return float(errors[quarter : len(errors) - quarter].mean())
+
+
+class Trainer(BaseCallback):
+    """Evaluates, saves and writes checkpoints between rollouts; counts steps in between.
+
+    output: folder. schedule: when. recipe: what stands in every archive. policy: arguments
+    kind, options, context of `AgentPolicy`. held_out: see `held_out_rmse`; None evaluates never.
+    captured: of a checkpoint, to go on from. on_steps(n) after each step of the batch.
+    """
+
+    def __init__(
+        self,
+        output: Path,
+        schedule: Schedule,
+        recipe: Mapping[str, Any],
+        policy: tuple[str, Mapping[str, Any], PolicyContext],
+        held_out: TrackedVehicleVectorEnv | None,
+        captured: Mapping[str, Any] | None = None,
+        on_steps: Callable[[int], None] = lambda steps: None,
+        on_text: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        super().__init__()
+        self.output, self.schedule, self.recipe = output, schedule, dict(recipe)
+        self.policy_arguments, self.held_out = policy, held_out
+        self.on_steps, self.on_text = on_steps, on_text
+        self.curve: list[tuple[float, ...]] = []
+        self.best, self.evaluated, self.saved, self.drawn = float("inf"), 0, 0, 0
+        self.spent, self.evaluating = 0.0, 0.0  # [s] before this process, and in evaluations
+        if captured is not None:
+            for name, value in captured["trainer"].items():
+                setattr(self, name, value)
+        self._began = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on this training so far, in all processes [s]."""
+        return self.spent + time.perf_counter() - self._began
+
+    @property
+    def throughput(self) -> float:
+        """Environment steps per second of learning; held-out episodes not counted."""
+        return self.model.num_timesteps / max(self.seconds - self.evaluating, 1e-9)
+
+    def _on_step(self) -> bool:
+        self.on_steps(self.training_env.num_envs)
+        return True
+
+    def _on_rollout_start(self) -> None:
+        """Between an update and the next rollout the state of a training is smallest."""
+        done, schedule = self.model.num_timesteps, self.schedule
+        if done - self.drawn >= schedule.total // CURVE_ROWS and done > self.drawn:
+            self._note(float("nan"))
+        if done - self.evaluated >= schedule.evaluate_every:
+            self.evaluate()
+        if done > self.saved and done - self.saved >= schedule.checkpoint_every:
+            self.saved = done
+            self._write_checkpoint()
+
+    def _write_checkpoint(self) -> None:
+        names = ("curve", "best", "evaluated", "saved", "drawn", "evaluating")
+        trainer = {**{name: getattr(self, name) for name in names}, "spent": self.seconds}
+        state = {"recipe": self.recipe, "trainer": trainer}
+        checkpoints.write(self.output, {**state, **checkpoints.capture(self.model)})
+
+    def _note(self, rmse: float) -> None:
+        """Add a row to the learning curve."""
+        ended = self.model.ep_info_buffer or []
+        returns = [float(info["r"]) for info in ended]
+        mean = sum(returns) / len(returns) if returns else float("nan")
+        self.drawn = self.model.num_timesteps
+        self.curve.append((self.drawn, round(self.seconds, 2), round(mean, 3), rmse))
+        self.on_text(
+            f"return {mean:.0f}" + (f", held out {self.best:.3f} m" if self.best < 1e9 else "")
+        )
+
+    def evaluate(self) -> None:
+        """Drive the held-out episodes, keep the agent, and apart from it the best one."""
+        self.evaluated = self.model.num_timesteps
+        statistics = normalisation(self.model)
+        rmse = float("nan")
+        if self.held_out is not None:
+            began = time.perf_counter()
+            policy = AgentPolicy(self.model, *self.policy_arguments, statistics)
+            rmse = held_out_rmse(policy, self.held_out)
+            self.evaluating += time.perf_counter() - began
+            self.logger.record("held_out/rmse", rmse)
+        better = not rmse >= self.best  # also where nothing is held out
+        self.best = rmse if rmse < self.best else self.best
+        self._note(rmse)
+        stored = None
+        if statistics is not None:
+            stored = {
+                "mean": statistics.mean.tolist(), "variance": statistics.variance.tolist(),
+                "epsilon": statistics.epsilon, "clip": statistics.clip,
+            }  # fmt: skip
+        recipe = {
+            **self.recipe, "normalisation": stored, "steps": self.model.num_timesteps,
+            "seconds": round(self.seconds, 1), "held_out_rmse": rmse if rmse == rmse else None,
+        }  # fmt: skip
+        save_agent(self.output / "last.zip", self.model, recipe)
+        if better:
+            write_atomically(self.output / "agent.zip", (self.output / "last.zip").read_bytes())
+        rows = [
+            ",".join(f"{value:g}" if i else f"{value:.0f}" for i, value in enumerate(row))
+            for row in self.curve
+        ]
+        write_atomically(self.output / "curve.csv", "\n".join([",".join(CURVE), *rows]).encode())
+
+    def _on_training_end(self) -> None:
+        self.evaluate()
+
+
+def checkpoint_interval(model: BaseAlgorithm, asked: int | None) -> int:
+    """Steps between checkpoints: every rollout, or 50 000 where a replay buffer is written too."""
+    if asked is not None:
+        return asked
+    return 0 if isinstance(model, OnPolicyAlgorithm) else 50_000

@@ -1,0 +1,40 @@
+"""Small trainings that the tests of agents share: a few hundred steps of a few vehicles."""
+
+from pathlib import Path
+
+import numpy as np
+
+from agents.configs import PPOConfig, RecurrentPPOConfig, SACConfig, TD3Config, TQCConfig
+from agents.loading import read_recipe
+from train import Config
+
+OFF_POLICY = {"buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "hidden": (16,)}
+ON_POLICY = {"n_steps": 32, "batch_size": 128, "n_epochs": 2, "hidden": (16,)}
+
+
+def small(output: Path, **changes) -> Config:
+    """A configuration that trains in about a second; episodes last 1 s, so that many end."""
+    defaults = {
+        "steps": 512, "vehicles": 4, "duration": 1.0, "held_out": 2, "evaluate_every": 256,
+        "uncertainty": ("mixture",), "output": output, "quiet": True, "seed": 3,
+        "ppo": PPOConfig(**ON_POLICY), "recurrent_ppo": RecurrentPPOConfig(**ON_POLICY),
+        "sac": SACConfig(**OFF_POLICY), "td3": TD3Config(**OFF_POLICY),
+        "tqc": TQCConfig(**OFF_POLICY),
+    }  # fmt: skip
+    return Config(**{**defaults, **changes})
+
+
+def parameters(path: Path) -> dict[str, np.ndarray]:
+    """Network parameters in an archive, by name."""
+    from agents.loading import load_model
+
+    recipe = read_recipe(path)
+    model = load_model(path, (recipe["algorithm"],))
+    return {name: value.numpy() for name, value in model.policy.state_dict().items()}
+
+
+def same_parameters(one: Path, other: Path) -> bool:
+    """Whether two archives hold the same networks, bit for bit."""
+    first, second = parameters(one), parameters(other)
+    assert list(first) == list(second)
+    return all(np.array_equal(first[name], second[name]) for name in first)

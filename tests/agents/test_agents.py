@@ -1,0 +1,133 @@
+"""Every algorithm with every kind of memory: trains, is saved, and acts as it was trained."""
+
+import json
+
+import numpy as np
+import pytest
+from gymnasium.vector import VectorWrapper
+
+from agents.algorithms import ALGORITHMS
+from agents.loading import agent_entry, load_model, normalisation_of, read_recipe
+from agents.memory import KINDS, AgentVectorEnv, make_memory
+from tests.agents.agent_cases import small
+from tracked_env import observation as obs
+from tracked_env.benchmark import PolicyContext
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+from train import main
+
+CONTEXT = PolicyContext(0.02, "sliding")
+STEPS = 120  # more than two episodes of 1 s
+
+
+class Recorded(VectorWrapper):
+    """Keeps the commands that reach the vehicles."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.commands = []
+
+    def step(self, actions):
+        self.commands.append(np.array(actions))
+        return super().step(actions)
+
+
+def vehicles(count=3):
+    return Recorded(
+        TrackedVehicleVectorEnv(
+            count, uncertainty="payload", duration=1.0, autoreset_mode="SameStep"
+        )
+    )
+
+
+def as_trained(path):
+    """Commands of the agent inside the wrapper of its training."""
+    recipe = read_recipe(path)
+    model = load_model(path, (recipe["algorithm"],))
+    normalise = normalisation_of(recipe) or (lambda values: values)
+    inner = vehicles()
+    memory = make_memory(recipe["memory"], recipe["memory_options"], CONTEXT, 3)
+    env = AgentVectorEnv(inner, memory)
+    observation, _ = env.reset(seed=5)
+    recurrent, start = None, np.ones(3, dtype=bool)
+    for _ in range(STEPS):
+        action, recurrent = model.predict(
+            normalise(observation), recurrent, start, deterministic=True
+        )
+        observation, _, terminated, truncated, _ = env.step(action)
+        start = terminated | truncated
+    return np.array(inner.commands)
+
+
+def as_evaluated(path):
+    """Commands of the agent as a policy of the benchmark."""
+    policy = agent_entry(path).make(CONTEXT)
+    env = vehicles()
+    observation, _ = env.reset(seed=5)
+    state, start = None, np.ones(3, dtype=bool)
+    for _ in range(STEPS):
+        action, state = policy.predict(observation, state, start, deterministic=True)
+        observation, _, terminated, truncated, _ = env.step(action)
+        start = terminated | truncated
+    return np.array(env.commands)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_an_agent_acts_in_the_benchmark_as_in_training(algorithm, kind, tmp_path):
+    assert main(small(tmp_path, agent=algorithm, memory=kind, steps=256)) == 0
+    trained, evaluated = as_trained(tmp_path / "last.zip"), as_evaluated(tmp_path / "last.zip")
+    assert np.ptp(trained) > 0.0
+    np.testing.assert_array_equal(trained, evaluated)
+
+
+def test_running_normalisation_is_saved_with_the_agent_and_used(tmp_path):
+    assert main(small(tmp_path, normalise=True, memory="history")) == 0
+    path = tmp_path / "agent.zip"
+    stored = normalisation_of(read_recipe(path))
+    assert stored.mean.shape == stored.variance.shape and np.abs(stored.mean).max() > 0.01
+    np.testing.assert_array_equal(as_trained(path), as_evaluated(path))
+
+
+@pytest.mark.parametrize("kind", ["history", "residual"])
+def test_the_state_is_all_that_an_agent_remembers(kind, tmp_path):
+    """Going on from a state kept earlier gives the same action, in a fresh policy too."""
+    assert main(small(tmp_path, agent="recurrent-ppo", memory=kind, steps=256)) == 0
+    entry = agent_entry(tmp_path / "agent.zip")
+    policy, fresh = entry.make(CONTEXT), entry.make(CONTEXT)
+    env = vehicles()
+    observation, _ = env.reset(seed=1)
+    state = None
+    for _ in range(10):
+        action, state = policy.predict(observation, state)
+        observation = env.step(action)[0]
+    first, _ = policy.predict(observation, state)
+    policy.predict(np.zeros((3, obs.SIZE), np.float32), state)
+    again, _ = policy.predict(observation, state)
+    elsewhere, _ = fresh.predict(observation, state)
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(first, elsewhere)
+
+
+def test_an_agent_drives_one_vehicle_or_many(tmp_path):
+    assert main(small(tmp_path, memory="history", steps=256)) == 0
+    entry = agent_entry(tmp_path / "agent.zip")
+    batch = np.random.default_rng(0).normal(size=(4, obs.SIZE)).astype(np.float32)
+    together, _ = entry.make(CONTEXT).predict(batch)
+    for row, observation in zip(together, batch, strict=True):
+        alone, _ = entry.make(CONTEXT).predict(observation)
+        assert alone.shape == (2,)
+        np.testing.assert_allclose(alone, row, atol=1e-6)
+    with pytest.raises(ValueError, match="widens it by itself"):
+        entry.make(CONTEXT).predict(np.zeros((4, obs.SIZE + 1), np.float32))
+
+
+def test_the_archive_says_how_the_agent_came_about(tmp_path):
+    assert main(small(tmp_path, agent="td3", memory="residual", residual_scale=0.2)) == 0
+    recipe = read_recipe(tmp_path / "agent.zip")
+    assert recipe["algorithm"] == "td3" and recipe["memory_options"] == {"scale": 0.2}
+    assert recipe["config"]["seed"] == 3 and recipe["config"]["td3"]["batch_size"] == 32
+    assert "ppo" not in recipe["config"]
+    assert recipe["versions"]["torch"] and recipe["seconds"] > 0 and recipe["steps"] <= 512
+    assert recipe["environment"]["uncertainty"][0] == "soil-and-mass"
+    assert "ood" not in recipe["environment"]["uncertainty"]
+    assert json.loads((tmp_path / "config.json").read_text())["config"] == recipe["config"]

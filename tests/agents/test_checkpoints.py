@@ -1,0 +1,137 @@
+"""A training that was killed goes on as if nothing had happened; damaged files are noticed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import train
+from agents import checkpoints
+from agents.algorithms import ALGORITHMS
+from tests.agents.agent_cases import parameters, same_parameters, small
+
+
+class Killed(Exception):
+    """Stands for a signal that leaves no time for anything."""
+
+
+def killed_after(steps, config, monkeypatch):
+    """Run a training until `steps`, then stop it in the middle of a rollout."""
+    done = 0
+    original = train.Trainer._on_step
+
+    def step(trainer):
+        nonlocal done
+        done += trainer.training_env.num_envs
+        if done > steps:
+            raise Killed
+        return original(trainer)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(train.Trainer, "_on_step", step)
+        with pytest.raises(Killed):
+            train.main(config)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkeypatch, capsys):
+    """In mid-episode, with running normalisation and a memory, over a held-out evaluation."""
+    changes = {"agent": algorithm, "memory": "history", "normalise": True, "checkpoint_every": 100}
+    whole = small(tmp_path / "whole", **changes)
+    sac = replace(whole.sac, learning_starts=360)  # killed while its actions are drawn blindly
+    whole = replace(whole, sac=sac)
+    assert train.main(whole) == 0
+    torn = replace(whole, output=tmp_path / "torn")
+    killed_after(330, torn, monkeypatch)
+    assert (torn.folder / checkpoints.FILE).exists()
+    assert train.main(replace(torn, resume=True)) == 0
+    assert "going on after" in capsys.readouterr().out
+    for name in ("last.zip", "agent.zip"):
+        assert same_parameters(whole.folder / name, torn.folder / name)
+    curves = [
+        np.genfromtxt(c.folder / "curve.csv", delimiter=",", names=True) for c in (whole, torn)
+    ]
+    for column in ("steps", "mean_return", "held_out_rmse"):
+        np.testing.assert_array_equal(curves[0][column], curves[1][column])
+    assert not (torn.folder / checkpoints.FILE).exists()
+
+
+def test_a_resumed_residual_goes_on_with_its_estimators(tmp_path, monkeypatch):
+    whole = small(tmp_path / "whole", memory="residual")
+    assert train.main(whole) == 0
+    torn = replace(whole, output=tmp_path / "torn")
+    killed_after(270, torn, monkeypatch)
+    assert train.main(replace(torn, resume=True)) == 0
+    assert same_parameters(whole.folder / "last.zip", torn.folder / "last.zip")
+
+
+def test_the_same_seed_gives_the_same_agent_and_another_one_another(tmp_path):
+    first, again = small(tmp_path / "a"), small(tmp_path / "b")
+    other = small(tmp_path / "c", seed=4)
+    for config in (first, again, other):
+        assert train.main(config) == 0
+    assert same_parameters(first.folder / "last.zip", again.folder / "last.zip")
+    assert not same_parameters(first.folder / "last.zip", other.folder / "last.zip")
+
+
+def test_evaluating_more_often_does_not_change_the_agent(tmp_path):
+    often = small(tmp_path / "a", evaluate_every=128)
+    never = small(tmp_path / "b", held_out=0)
+    for config in (often, never):
+        assert train.main(config) == 0
+    assert same_parameters(often.folder / "last.zip", never.folder / "last.zip")
+    assert parameters(never.folder / "agent.zip")
+
+
+def damage(path):
+    """Turn a bit in the middle of a file."""
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(bytes(data))
+
+
+@pytest.mark.parametrize("cut", [True, False], ids=["torn", "one bit turned"])
+def test_a_damaged_checkpoint_gives_way_to_the_one_before(cut, tmp_path, monkeypatch, capsys):
+    whole, torn = small(tmp_path / "whole"), small(tmp_path / "torn")
+    assert train.main(whole) == 0
+    killed_after(400, torn, monkeypatch)
+    latest = torn.folder / checkpoints.FILE
+    if cut:
+        latest.write_bytes(latest.read_bytes()[:2000])
+    else:
+        damage(latest)
+    assert train.main(replace(torn, resume=True)) == 0
+    shown = capsys.readouterr()
+    assert "is damaged" in shown.err and "going on from the one before" in shown.err
+    assert "going on after 256 steps" in shown.out
+    assert same_parameters(whole.folder / "last.zip", torn.folder / "last.zip")
+
+
+def test_nothing_but_damaged_checkpoints_is_a_clear_error(tmp_path, monkeypatch, capsys):
+    config = small(tmp_path / "torn")
+    killed_after(400, config, monkeypatch)
+    for name in (checkpoints.FILE, checkpoints.PREVIOUS):
+        damage(config.folder / name)
+    assert train.main(replace(config, resume=True)) == 2
+    assert "Nothing to resume" in capsys.readouterr().err
+
+
+def test_a_kill_while_a_checkpoint_is_written_loses_neither(tmp_path, monkeypatch):
+    config = small(tmp_path / "torn")
+    killed_after(400, config, monkeypatch)
+    before = checkpoints.read(config.folder)[0]["attributes"]["num_timesteps"]
+    half = (config.folder / checkpoints.FILE).read_bytes()[:5000]
+    (config.folder / f".{checkpoints.FILE}.tmp").write_bytes(half)
+    assert checkpoints.read(config.folder)[0]["attributes"]["num_timesteps"] == before
+    (config.folder / checkpoints.FILE).unlink()  # killed between the two renamings
+    assert checkpoints.read(config.folder)[0]["attributes"]["num_timesteps"] == before - 128
+
+
+def test_an_unfinished_training_is_not_overwritten_nor_mixed(tmp_path, monkeypatch, capsys):
+    config = small(tmp_path)
+    killed_after(400, config, monkeypatch)
+    assert train.main(config) == 2
+    assert "add --resume" in capsys.readouterr().err
+    assert train.main(replace(config, resume=True, seed=9)) == 2
+    assert "seed (then 3, now 9)" in capsys.readouterr().err
+    assert train.main(replace(config, resume=True)) == 0

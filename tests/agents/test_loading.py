@@ -1,0 +1,104 @@
+"""Archives of agents: plain ones of SB3 load, damaged and foreign ones are clear errors."""
+
+import json
+import zipfile
+
+import gymnasium
+import numpy as np
+import pytest
+from sb3_contrib import TQC, RecurrentPPO
+from stable_baselines3 import PPO, SAC, TD3
+
+from agents.loading import agent_entry
+from tests.agents.agent_cases import small
+from tracked_env import TORQUE_ID
+from tracked_env import observation as obs
+from tracked_env.benchmark import PolicyContext
+from train import main
+
+CONTEXT = PolicyContext(0.02, "sliding")
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained")
+    assert main(small(folder, steps=128)) == 0
+    return folder / "agent.zip"
+
+
+@pytest.mark.parametrize("algorithm", [PPO, SAC, TD3, TQC, RecurrentPPO])
+def test_an_archive_of_sb3_alone_is_loaded_as_a_blind_agent(algorithm, tmp_path):
+    policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
+    model = algorithm(policy, gymnasium.make(TORQUE_ID), device="cpu", seed=0)
+    model.save(tmp_path / "mine.zip")
+    entry = agent_entry(tmp_path / "mine.zip")
+    assert entry.name == "mine"
+    batch = np.random.default_rng(0).normal(size=(3, obs.SIZE)).astype(np.float32)
+    action, _ = entry.make(CONTEXT).predict(batch)
+    expected, _ = model.predict(batch, episode_start=np.ones(3, bool), deterministic=True)
+    np.testing.assert_array_equal(action, expected)
+
+
+def test_an_agent_of_another_environment_is_refused(tmp_path):
+    PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(tmp_path / "pendulum.zip")
+    with pytest.raises(ValueError, match=r"sees \(3,\).*must see \(31,\)"):
+        agent_entry(tmp_path / "pendulum.zip")
+
+
+def test_an_agent_of_another_control_rate_is_refused(trained):
+    with pytest.raises(ValueError, match=r"period of 0\.02 s; this environment has 0\.05 s"):
+        agent_entry(trained).make(PolicyContext(0.05, "sliding"))
+
+
+def test_missing_damaged_and_foreign_files_are_clear_errors(trained, tmp_path):
+    path = tmp_path / "agent.zip"
+    with pytest.raises(ValueError, match="no such file"):
+        agent_entry(path)
+    path.write_bytes(b"not an archive")
+    with pytest.raises(ValueError, match="cannot be loaded"):
+        agent_entry(path)
+    whole = trained.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match="cannot be loaded"):
+        agent_entry(path)
+    bits = bytearray(whole)
+    bits[len(bits) // 3] ^= 1
+    path.write_bytes(bytes(bits))
+    with pytest.raises(ValueError, match="damaged"):
+        agent_entry(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("holiday.txt", "a picture")
+    with pytest.raises(ValueError, match="not an archive of an agent"):
+        agent_entry(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", "{}")
+    with pytest.raises(ValueError, match="cannot be loaded as recurrent-ppo"):
+        agent_entry(path)
+
+
+@pytest.mark.parametrize(
+    ("recipe", "message"),
+    [
+        ({"format": 99}, "another format"),
+        ({"format": 1, "algorithm": "ppo"}, "lacks .*memory"),
+        ([], "another format"),
+    ],
+)
+def test_a_recipe_that_is_not_understood_is_a_clear_error(recipe, message, tmp_path):
+    path = tmp_path / "agent.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", "{}")
+        archive.writestr("recipe.json", json.dumps(recipe))
+    with pytest.raises(ValueError, match=message):
+        agent_entry(path)
+
+
+def test_agents_are_called_after_their_folder_and_told_apart(trained, tmp_path):
+    entry = agent_entry(trained)
+    assert entry.name == trained.parent.name
+    copy = tmp_path / "champion.zip"
+    copy.write_bytes(trained.read_bytes())
+    assert agent_entry(copy).name == "champion"
+    assert agent_entry(copy).fingerprint == entry.fingerprint
+    assert main(small(tmp_path / "other", steps=128, seed=8)) == 0
+    assert agent_entry(tmp_path / "other" / "agent.zip").fingerprint != entry.fingerprint

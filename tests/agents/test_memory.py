@@ -1,0 +1,156 @@
+"""Kinds of memory: closed forms, forgetting, going on from a state, and the residual."""
+
+import numpy as np
+import pytest
+
+from agents.memory import KINDS, LAGS, REMEMBERED, AgentVectorEnv, make_memory, seen
+from baselines.adaptive import AdaptivePolicy
+from tracked_env import observation as obs
+from tracked_env.benchmark import PolicyContext
+from tracked_env.sensors import make_sensors
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+CONTEXT = PolicyContext(0.02, "sliding")
+NEVER = np.zeros(2, dtype=bool)
+ALWAYS = np.ones(2, dtype=bool)
+SPEED = obs.INDEX["v_x"]
+
+
+def observations(steps, count=2):
+    """Observations whose speed is the number of the step, plus 100 per row."""
+    for step in range(steps):
+        batch = np.zeros((count, obs.SIZE), dtype=np.float32)
+        batch[:, SPEED] = step + 100.0 * np.arange(count)
+        yield batch
+
+
+def past_speeds(features):
+    return features.reshape(len(features), len(LAGS), len(REMEMBERED))[
+        :, :, REMEMBERED.index("v_x")
+    ]
+
+
+def test_history_holds_the_samples_at_its_lags():
+    history = make_memory("history", {}, CONTEXT, 2)
+    for step, batch in enumerate(observations(50)):
+        features = history.observe(batch, ALWAYS if step == 0 else NEVER)
+        expected = np.maximum(step - np.array(LAGS), 0)
+        np.testing.assert_array_equal(past_speeds(features)[0], expected)
+        np.testing.assert_array_equal(past_speeds(features)[1], expected + 100)
+    assert features.shape == (2, len(history.feature_names))
+
+
+def test_history_forgets_the_rows_that_start_and_no_others():
+    history = make_memory("history", {"lags": [1, 3]}, CONTEXT, 2)
+    for step, batch in enumerate(observations(10)):
+        features = history.observe(batch, np.array([step == 0, step in (0, 9)]))
+    speeds = features.reshape(2, 2, -1)[:, :, REMEMBERED.index("v_x")]
+    np.testing.assert_array_equal(speeds, [[8, 6], [109, 109]])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_row_remembers_the_same_alone_and_in_a_batch(kind):
+    env = TrackedVehicleVectorEnv(3, uncertainty="payload", duration=1.0)
+    batch = make_memory(kind, {}, CONTEXT, 3)
+    alone = make_memory(kind, {}, CONTEXT, 1)
+    observation, _ = env.reset(seed=0)
+    for step in range(20):
+        start = np.full(3, step == 0)
+        together = batch.observe(observation, start)
+        single = alone.observe(observation[1:2], start[:1])
+        np.testing.assert_array_equal(together[1:2], single)
+        observation = env.step(np.full((3, 2), 0.3, np.float32))[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_memories_put_back_in_some_rows_leave_the_others(kind):
+    env = TrackedVehicleVectorEnv(3, uncertainty="payload")
+    one, other = make_memory(kind, {}, CONTEXT, 3), make_memory(kind, {}, CONTEXT, 3)
+    observation, _ = env.reset(seed=0)
+    for step in range(10):
+        start = np.full(3, step == 0)
+        one.observe(observation, start)
+        other.observe(observation, start)
+        observation = env.step(np.full((3, 2), 0.3, np.float32))[0]
+    kept = one.memories()
+    stranger = np.roll(observation, 1, axis=0)
+    np.testing.assert_array_equal(
+        one.observe(stranger, np.zeros(3, bool)), other.observe(stranger, np.zeros(3, bool))
+    )
+    one.restore(kept, np.array([True, False, True]))
+    expected = make_memory(kind, {}, CONTEXT, 3)
+    expected.restore(kept)
+    last = expected.observe(observation, np.zeros(3, bool))
+    moved = other.observe(observation, np.zeros(3, bool))
+    mixed = one.observe(observation, np.zeros(3, bool))
+    np.testing.assert_array_equal(mixed[[0, 2]], last[[0, 2]])
+    np.testing.assert_array_equal(mixed[1], moved[1])
+    assert kind == "blind" or not np.array_equal(mixed[1], last[1])
+
+
+def test_the_residual_of_zero_is_the_adaptive_policy():
+    inner = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
+    env = AgentVectorEnv(inner, make_memory("residual", {}, CONTEXT, 2))
+    plain = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
+    env.reset(seed=0)
+    observation, _ = plain.reset(seed=0)
+    policy, state, start = AdaptivePolicy(), None, ALWAYS
+    for _ in range(150):  # over the end of an episode
+        action, state = policy.predict(observation, state, start)
+        observation, *_, terminated, truncated, _ = plain.step(action)
+        start = terminated | truncated
+        widened = env.step(np.zeros((2, 2), np.float32))[0]
+        np.testing.assert_array_equal(widened[:, : obs.SIZE], observation)
+
+
+def test_the_residual_is_scaled_and_stays_within_the_limits():
+    memory = make_memory("residual", {"scale": 0.5}, CONTEXT, 2)
+    features = np.zeros((2, len(memory.feature_names)), np.float32)
+    features[:, :2] = [[0.1, -0.2], [0.9, -0.9]]
+    command = memory.command(np.array([[1.0, -0.4], [1.0, -1.0]], np.float32), features)
+    np.testing.assert_allclose(command, [[0.6, -0.4], [1.0, -1.0]], atol=1e-7)
+
+
+def test_the_network_sees_zero_for_what_is_not_measured_and_bounded_features():
+    observation = np.zeros((1, obs.SIZE), np.float32)
+    observation[0, SPEED] = np.nan
+    shown = seen(observation, np.array([[np.inf, -1e9, np.nan]], np.float32))
+    assert shown[0, SPEED] == 0.0 and shown[0, -3:].tolist() == [10.0, -10.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "message"),
+    [
+        ("elephant", {}, "kinds are blind, history"),
+        ("blind", {"lags": [1]}, "options"),
+        ("history", {"lags": [0, 1]}, "must rise, from 1"),
+        ("history", {"lags": []}, "must rise, from 1"),
+        ("residual", {"scale": 0.0}, r"must be in \(0, 2\]"),
+    ],
+)
+def test_wrong_kinds_and_options_are_clear_errors(kind, options, message):
+    with pytest.raises(ValueError, match=message):
+        make_memory(kind, options, CONTEXT, 2)
+
+
+def test_the_filtered_errors_are_the_true_ones_with_ideal_sensors():
+    """In their scales: position error 0.2 m, heading 0.1 rad, speed 0.2 m/s, yaw rate 0.1."""
+    env = TrackedVehicleVectorEnv(2, uncertainty="nominal", sensors="ideal")
+    memory = make_memory("residual", {}, PolicyContext(0.02, "sliding", make_sensors("ideal")), 2)
+    observation, _ = env.reset(seed=0)
+    for step in range(20):
+        features = memory.observe(observation, np.full(2, step == 0))
+        known = obs.unpack(observation)
+        expected = {
+            "filtered_error_x": known["position_error_x"] / 0.2,
+            "filtered_error_y": known["position_error_y"] / 0.2,
+            "filtered_heading_error": known["heading_error"] / 0.1,
+            "filtered_speed_error": (known["reference_speed"] - known["v_x"]) / 0.2,
+            "filtered_v_y": known["v_y"] / 0.2,
+            "filtered_yaw_rate_error": (known["reference_yaw_rate"] - known["yaw_rate"]) / 0.1,
+        }
+        for name, values in expected.items() if step > 2 else ():  # the filter has begun
+            shown = features[:, memory.feature_names.index(name)]
+            np.testing.assert_allclose(shown, values, atol=0.005, err_msg=name)
+        command = memory.command(np.zeros((2, 2), np.float32), features)
+        observation = env.step(command)[0]

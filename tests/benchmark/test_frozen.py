@@ -1,0 +1,143 @@
+"""The frozen sets: what is drawn is what was drawn, and whoever deviates is told."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tracked_env import uncertainty
+from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
+from tracked_env.benchmark.sets import EPISODES, VERSION
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.sensors import UNMEASURED, make_sensors
+
+ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
+
+
+def test_every_set_draws_the_episodes_of_the_version() -> None:
+    answer = check(BenchmarkConfig(sets=tuple(SETS), episodes=EPISODES))
+    assert answer.comparable, answer.message
+    assert answer.message == f"sets {VERSION}, hash {answer.hash}, {EPISODES} episodes each"
+
+
+def test_the_kept_file_holds_every_set_and_its_own_hash() -> None:
+    document = frozen.kept()
+    assert list(document["sets"]) == list(SETS)
+    assert document["hash"] == frozen.total(document["sets"])
+    assert len({entry["hash"] for entry in document["sets"].values()}) == len(SETS)
+
+
+def test_fewer_episodes_are_a_part_of_the_version_and_more_are_not_in_it() -> None:
+    few = check(BenchmarkConfig(sets=("payload",), episodes=32))
+    assert few.comparable
+    assert "first 32 of 100" in few.message
+    assert not check(BenchmarkConfig(sets=("payload",), episodes=101)).comparable
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"seed": 1}, {"sensors": "ideal"}, {"reference": "circle"}, {"duration": 20.0},
+     {"lateral": "constrained"}, {"control_rate": 25.0}, {"error_limit": 4.0}],
+)  # fmt: skip
+def test_a_configuration_that_deviates_is_not_the_version_and_is_told_in_what(
+    change: dict[str, Any],
+) -> None:
+    answer = check(BenchmarkConfig(sets=("payload",), **change))
+    assert not answer.comparable
+    assert next(iter(change)) in answer.message
+    assert len(change) == 1 < len(frozen.FIXED)
+
+
+def test_a_law_that_draws_otherwise_is_found_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    law = uncertainty.UNCERTAINTY_SETS["slow-drive"]
+
+    def slower(*given: Any) -> uncertainty.Draw:
+        draw = law(*given)
+        lag = draw.parameters.torque_time_constant * (1.0 + 1e-6)
+        return draw._replace(parameters=draw.parameters._replace(torque_time_constant=lag))
+
+    monkeypatch.setitem(uncertainty.UNCERTAINTY_SETS, "slow-drive", slower)
+    answer = check(ONE)
+    assert not answer.comparable
+    for words in ("NOT comparable", "slow-drive (other episodes)", "NumPy", "new version"):
+        assert words in answer.message
+
+
+def test_other_dynamics_of_the_same_episodes_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    document = frozen.kept()
+    document["sets"]["slow-drive"]["driven"][3] *= 1.0 + 1e-4
+    monkeypatch.setattr(frozen, "kept", lambda: document)
+    answer = check(ONE)
+    assert not answer.comparable
+    assert "driven or measured differently" in answer.message
+
+
+def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_does() -> None:
+    values = np.random.default_rng(0).normal(size=1000) * 10.0 ** np.arange(-5, 5).repeat(100)
+    bit = np.nextafter(values, np.inf)
+    assert np.mean(frozen.rounded(values) == frozen.rounded(bit)) > 0.999
+    assert not np.any(frozen.rounded(values) == frozen.rounded(values * (1.0 + 3e-8)))
+    assert np.array_equal(frozen.rounded(np.array([-0.0, -np.inf])), [0.0, -np.inf])
+    assert not np.signbit(frozen.rounded(-0.0))
+    assert frozen.rounded(2**62 + 1) == 2**62 + 1
+
+
+def test_the_command_that_makes_a_version_prints_what_is_kept(repository: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tracked_env.benchmark.frozen"],
+        cwd=repository, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    made, kept = json.loads(done.stdout), frozen.kept()
+    assert list(made) == list(kept)
+    assert made["hash"] == kept["hash"]
+    assert made["sets"]["ood"]["driven"] == pytest.approx(kept["sets"]["ood"]["driven"])
+
+
+def test_a_set_keeps_its_sensors_unless_others_are_given() -> None:
+    config = BenchmarkConfig(sets=("noisy", "payload"))
+    assert config.context("noisy").sensors == make_sensors("strawa")
+    assert config.context("payload").sensors == make_sensors("rtk")
+    assert BenchmarkConfig(sensors="ideal").context("noisy").sensors == make_sensors("ideal")
+
+
+def test_memory_sets_drive_the_vehicles_of_soil_and_mass() -> None:
+    drawn = {}
+    for name in ("soil-and-mass", "late-pose", "noisy", "no-velocity", "slow-drive"):
+        env = BenchmarkConfig(sets=(name,)).environment(name, 3, truth=False)
+        env.reset(seed=[0, 1, 2])
+        drawn[name] = [episode.parameters for episode in env.simulation.episodes]
+    lags = [p.torque_time_constant for p in drawn["slow-drive"]]
+    assert 0.15 <= min(lags) < max(lags) <= 0.3
+    same = [p._replace(torque_time_constant=0.05) for p in drawn["slow-drive"]]
+    assert all(found == drawn["soil-and-mass"] for found in (same, drawn["late-pose"]))
+    assert drawn["no-velocity"] == drawn["noisy"] == drawn["soil-and-mass"]
+
+
+def test_an_unmeasured_velocity_reads_zero_and_its_data_sheet_says_so() -> None:
+    env = TrackedVehicleEnv(sensors={"preset": "rtk", "velocity_measured": 0})
+    plain = TrackedVehicleEnv(sensors="rtk")
+    seen, _ = env.reset(seed=0)
+    other, _ = plain.reset(seed=0)
+    for _ in range(20):
+        seen, other = (e.step(np.array([0.4, 0.5]))[0] for e in (env, plain))
+        assert seen[3:5].tolist() == [0.0, 0.0]
+        assert np.all(other[3:5] != 0.0)
+        assert np.array_equal(np.delete(seen, [3, 4]), np.delete(other, [3, 4]))
+    assert make_sensors({"velocity_measured": 0}).velocity_noise == UNMEASURED
+    assert make_sensors(make_sensors("ideal")._replace(velocity_measured=0.0)).velocity_noise == (
+        UNMEASURED
+    )
+
+
+@pytest.mark.parametrize(
+    ("base", "given"),
+    [("rtk", {"velocity_measured": 0.5}), ("rtk", {"velocity_measured": 2}),
+     ({"velocity_measured": 0}, {"velocity_measured": 1})],
+)  # fmt: skip
+def test_a_velocity_is_measured_or_not_and_nothing_in_between(base: Any, given: Any) -> None:
+    with pytest.raises(ValueError, match="velocity_measured"):
+        make_sensors(given, base=make_sensors(base))

@@ -1,0 +1,207 @@
+"""The leaderboard: order, seeds, verdicts, and a page that needs nothing else."""
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.benchmark.test_report import EASY, records
+from tracked_env.benchmark import leaderboard as lb
+from tracked_env.benchmark import page
+from tracked_env.benchmark.report import policy_table, terminal
+from tracked_env.benchmark.summary import rows_of, summarise
+
+SEEDS = {f"ppo@{i}": (0.7 + 0.1 * i) * EASY for i in range(5)}
+FEW = {"few@3": 2.0 * EASY, "few@4": 2.0 * EASY}
+
+
+def board(
+    *sets: str, conditions: str = "sets v1", **rmse: Any
+) -> tuple[lb.Leaderboard, dict[str, Any]]:
+    given = [r for name in sets or ("a", "b") for r in records(name, **rmse)]
+    rows = rows_of(given)
+    return lb.leaderboard(summarise(given, rows), rows, conditions), rows
+
+
+ALL: dict[str, Any] = {
+    "nominal": 3.0 * EASY, "adaptive": 1.5 * EASY, "oracle": EASY, **SEEDS, **FEW,
+}  # fmt: skip
+
+
+def test_agents_are_ordered_by_their_score_and_seeds_are_one_agent() -> None:
+    found, _ = board(**ALL)
+    assert [p.agent for p in found.places] == ["ppo", "oracle", "adaptive", "few", "nominal"]
+    assert [p.seeds for p in found.places] == [5, 0, 0, 2, 0]
+    scores = [p.overall.score.value for p in found.places if p.overall.score]
+    assert scores == pytest.approx([1.05, 1.0, 0.75, 0.5, 0.0], abs=0.03)
+    assert found.sets == ["a", "b"]
+
+
+def test_the_statistics_of_an_agent_are_those_of_all_seeds_and_episodes() -> None:
+    found, _ = board("a", **ALL)
+    pooled = np.concatenate(list(SEEDS.values()))
+    assert found.places[0].overall.rmse_mean.value == pytest.approx(pooled.mean())
+    assert found.places[0].overall.episodes == 16
+    width = {p.agent: p.overall.rmse_mean.high - p.overall.rmse_mean.low for p in found.places}
+    assert width["ppo"] > 2.0 * width["oracle"]  # seeds differ more than episodes
+
+
+def test_in_the_mean_of_the_sets_a_set_that_fails_is_seen_and_in_the_score_it_is_not() -> None:
+    given = [
+        r
+        for i in range(6)
+        for r in records(
+            f"set{i}", nominal=3.0 * EASY, mine=(40.0 if i == 0 else 1.0) * EASY, oracle=EASY
+        )
+    ]
+    rows = rows_of(given)
+    found = {p.agent: p for p in lb.leaderboard(summarise(given, rows), rows).places}
+    mine = found["mine"]
+    assert mine.overall.score
+    assert mine.overall.score.value > 0.9
+    assert mine.balanced
+    assert mine.balanced.value == pytest.approx((5 * 1.0 + (3 - 40) / 2) / 6)
+    assert tuple(mine.balanced) == pytest.approx((mine.balanced.value,) * 3)
+    assert found["oracle"].balanced == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_the_mean_of_the_sets_has_the_interval_of_seeds_that_are_the_same_in_all() -> None:
+    found, _ = board("a", "b", "c", **ALL)
+    one, _ = board("a", **ALL)
+    many, single = found.places[0].balanced, one.places[0].balanced
+    assert many
+    assert single
+    assert many.high - many.low > 0.9 * (single.high - single.low)  # not smaller by sqrt(3)
+
+
+def test_without_scores_the_smaller_error_comes_first() -> None:
+    found, _ = board(one=2.0 * EASY, two=EASY)
+    assert [p.agent for p in found.places] == ["two", "one"]
+    assert found.reference == "one"
+
+
+def test_agents_are_compared_with_the_adaptive_baseline() -> None:
+    found, _ = board(**ALL)
+    said = {p.agent: lb.verdict(p.against) for p in found.places}
+    assert said == {
+        "ppo": "better", "oracle": "better", "adaptive": "reference", "few": "worse",
+        "nominal": "worse",
+    }  # fmt: skip
+    close, _ = board(
+        nominal=3 * EASY, adaptive=EASY, x=np.where(np.arange(16) % 2, 0.8, 1.2) * EASY
+    )
+    assert {p.agent: lb.verdict(p.against) for p in close.places}["x"] == "not certain"
+
+
+def test_fewer_than_five_seeds_are_marked_and_five_are_not() -> None:
+    found, _ = board(**ALL)
+    names = [row[1] for row in lb.table(found)[1:]]
+    assert names == ["ppo", "oracle", "adaptive", "few *", "nominal"]
+    assert "* fewer than 5 training seeds" in lb.terminal(found)
+    given = records("a", **ALL)
+    assert "few *" in [row[1] for row in policy_table(summarise(given))]
+    assert "* fewer than 5" in terminal(summarise(given))
+    assert "fewer" not in lb.terminal(board(nominal=EASY, mine=EASY)[0])
+
+
+def test_seeds_that_did_not_meet_the_same_episodes_are_not_pooled() -> None:
+    given = records("a", **SEEDS)
+    given[-1]["digest"] = "other"
+    with pytest.raises(ValueError, match="'ppo@4' did not meet the same episodes"):
+        summarise(given)
+
+
+def test_the_terminal_table_fits_and_markdown_and_json_say_the_same(tmp_path: Path) -> None:
+    found, _ = board(**ALL)
+    text = lb.terminal(found)
+    assert max(map(len, text.splitlines())) <= 140
+    assert text.endswith("sets v1")
+    files = lb.write(tmp_path, found)
+    assert [f.name for f in files] == ["leaderboard.json", "leaderboard.md"]
+    document = json.loads(files[0].read_text())
+    assert [a["agent"] for a in document["agents"]] == [p.agent for p in found.places]
+    assert document["agents"][2]["against"] is None
+    score = document["agents"][0]["scores"]["a"]
+    assert f"{score['value']:.2f} (" in files[1].read_text()
+    for part in files[1].read_text().split("\n\n"):
+        if part.startswith("|"):
+            assert len({line.count("|") for line in part.splitlines()}) == 1
+
+
+class Checker(HTMLParser):
+    """Balanced tags, and nothing that is fetched from anywhere."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+        self.seen: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append(tag)
+        self.sources += [v or "" for k, v in attrs if k in ("src", "href", "data", "srcset")]
+        if tag not in ("meta", "br", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_the_page_is_whole_escaped_and_needs_no_other_file(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    found, rows = board(**{**ALL, "<b>&me": EASY})
+    curves = {"ppo": [[(1e5, 1.0), (1e6, 0.1)], [(1e5, 2.0), (1e6, 0.2)]]}
+    path = page.write(tmp_path, found, rows["all sets"], curves)
+    text = path.read_text(encoding="utf-8")
+    checker = Checker()
+    checker.feed(text)
+    assert checker.open == []
+    assert len(checker.sources) == 3
+    assert all(source.startswith("data:image/png;base64,") for source in checker.sources)
+    assert not {"script", "link", "b"} & set(checker.seen)
+    assert "&lt;b&gt;&amp;me" in text
+    assert "url(" not in text
+    assert "http" not in re.sub(r"base64,[^\"]+", "", text)
+    assert [p.name for p in tmp_path.iterdir()] == ["leaderboard.html"]
+
+
+def test_the_page_without_figures_still_has_the_tables_and_every_cell_of_the_heat_map(
+    tmp_path: Path,
+) -> None:
+    found, rows = board(**ALL)
+    text = page.write(tmp_path, found, rows["all sets"], {}, draw=False).read_text()
+    assert "<img" not in text
+    assert text.count('<td style="background:') == 5 * 2
+    assert "Learning curves" not in text
+
+
+def test_figures_are_drawn_for_what_there_is() -> None:
+    pytest.importorskip("matplotlib")
+    found, rows = board(**ALL)
+    assert list(page.figures(found, rows["all sets"], {})) == [
+        "Tracking error", "Performance profile",
+    ]  # fmt: skip
+    axes = page.figures(found, rows["all sets"], {})["Performance profile"].axes[0]
+    assert {text.get_text() for text in axes.get_legend().get_texts()} == {
+        place.agent for place in found.places
+    }
+
+
+def test_the_colour_of_a_score_runs_from_red_to_blue_and_its_text_can_be_read() -> None:
+    assert page.colour(-3.0) == page.colour(0.0) == ("#ca562c", "#fff")
+    assert page.colour(1.0) == page.colour(7.0) == ("#2670a8", "#fff")
+    assert page.colour(0.5) == ("#f6edc8", "#000")
+
+
+def test_learning_curves_are_read_where_there_are_any(tmp_path: Path) -> None:
+    folders = [tmp_path / name for name in ("good", "none", "other", "empty")]
+    for folder in folders:
+        folder.mkdir()
+    (folders[0] / "curve.csv").write_text("steps,seconds,held_out_rmse\n10,1,nan\n20,2,0.5\n")
+    (folders[2] / "curve.csv").write_text("a,b\n1,2\n")
+    (folders[3] / "curve.csv").write_text("steps,held_out_rmse\n10,nan\n")
+    assert lb.read_curves({"x": folders, "y": folders[1:]}) == {"x": [[(20.0, 0.5)]]}

@@ -1,0 +1,130 @@
+"""Statistics over training seeds and episodes, against closed forms and published definitions."""
+
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu, norm
+
+from tracked_env.benchmark import reliability as rel
+from tracked_env.benchmark import statistics as stats
+
+RNG = np.random.default_rng(20)
+
+
+def redrawn(values: np.ndarray, sizes: list[int] | None = None, agent: int = 0) -> rel.Redrawn:
+    return rel.redraw(values, rel.Redraws(sizes or [values.shape[1]]), agent)
+
+
+def test_with_one_seed_it_is_the_stratified_bootstrap_redraw_by_redraw() -> None:
+    parts = [RNG.exponential(size=13), RNG.exponential(size=22)]
+    found = redrawn(np.concatenate(parts)[None], [13, 22])
+    for ours, statistic in (
+        (found.mean, stats.mean),
+        (found.iqm, stats.interquartile_mean),
+        (found.worst, stats.worst_tenth),
+    ):
+        assert ours == pytest.approx(stats.bootstrap(parts, statistic), rel=1e-12)
+
+
+def test_counts_give_the_statistics_of_what_was_drawn_seeds_and_episodes_crossed() -> None:
+    values = RNG.normal(size=(3, 9))
+    values[1, 2] = values[0, 4]  # a tie
+    draws = rel.Redraws([4, 5], resamples=50)
+    found = rel.redraw(values, draws, agent=2)
+    assert draws.episodes[:, :4].sum(axis=1).tolist() == [4] * 50
+    for b in range(50):
+        drawn = np.repeat(np.repeat(values, found.seeds[b], 0), draws.episodes[b], 1).ravel()
+        assert drawn.size == 27
+        assert found.iqm[b] == pytest.approx(stats.interquartile_mean(drawn))
+        assert found.worst[b] == pytest.approx(stats.worst_tenth(drawn))
+        assert found.mean[b] == pytest.approx(drawn.mean())
+
+
+def test_the_variance_of_the_mean_is_that_of_two_crossed_random_effects() -> None:
+    seeds, episodes = RNG.normal(size=8), RNG.normal(size=40)
+    found = redrawn(seeds[:, None] + episodes[None, :])
+    assert found.mean.var() == pytest.approx(seeds.var() / 8 + episodes.var() / 40, rel=0.06)
+
+
+def test_what_differs_between_seeds_is_in_the_interval_even_with_countless_episodes() -> None:
+    values = np.repeat([[0.1], [0.2], [0.3], [0.4], [0.5]], 400, axis=1)
+    low, high = stats.interval(redrawn(values).mean)
+    half = norm.ppf(0.975) * np.std([0.1, 0.2, 0.3, 0.4, 0.5]) / np.sqrt(5)
+    assert (low, high) == pytest.approx((0.3 - half, 0.3 + half), abs=0.02)
+
+
+def test_the_hardness_of_an_episode_cancels_between_agents_and_seeds_do_not() -> None:
+    hardness = RNG.exponential(5.0, 50)
+    one, two = (rel.redraw(hardness[None] + c, rel.Redraws([50]), a) for a, c in ((0, 1.0), (1, 0)))
+    assert (one.mean - two.mean) == pytest.approx(1.0)
+    seeds = RNG.normal(size=(5, 1)) + np.zeros((5, 50))
+    first, second = (rel.redraw(seeds, rel.Redraws([50]), agent) for agent in (0, 1))
+    assert np.var(first.mean - second.mean) == pytest.approx(2.0 * first.mean.var(), rel=0.1)
+
+
+def test_the_mean_of_the_worst_tenth_is_that_of_the_ten_largest_of_a_hundred() -> None:
+    assert stats.worst_tenth(RNG.permutation(np.arange(1.0, 101.0))) == 95.5
+    assert stats.worst_tenth([3.0, 1.0, 2.0]) == 3.0
+    assert stats.worst_tenth(np.arange(11.0)) == 9.5
+    sample = np.random.default_rng(1).normal(size=200_000)
+    assert stats.worst_tenth(sample) == pytest.approx(norm.pdf(norm.ppf(0.9)) / 0.1, rel=0.01)
+
+
+def test_the_probability_of_improvement_is_mann_whitneys_u_over_the_pairs() -> None:
+    x, y = RNG.integers(0, 4, (5, 30)).astype(float), RNG.integers(0, 5, (6, 30)).astype(float)
+    expected = [mannwhitneyu(y[:, n], x[:, n]).statistic / 30 for n in range(30)]
+    draws = rel.Redraws([30])
+    found = rel.improvement(rel.redraw(x, draws, 0), rel.redraw(y, draws, 1), draws)
+    assert found.value == pytest.approx(np.mean(expected))
+    back = rel.improvement(rel.redraw(y, draws, 1), rel.redraw(x, draws, 0), draws)
+    assert found.value + back.value == pytest.approx(1.0)
+    assert found.low < found.value < found.high
+    assert (found.low, found.high) == pytest.approx((1.0 - back.high, 1.0 - back.low))
+
+
+def test_the_probability_against_itself_is_a_half_and_against_something_worse_one() -> None:
+    values = RNG.normal(size=(1, 20))
+    draws = rel.Redraws([20])
+    own, worse = rel.redraw(values, draws, 0), rel.redraw(values + 1.0, draws, 1)
+    assert rel.improvement(own, own, draws) == (0.5, 0.5, 0.5)
+    assert rel.improvement(own, worse, draws) == (1.0, 1.0, 1.0)
+
+
+def test_the_interval_of_the_probability_is_that_of_a_share_when_seeds_do_not_matter() -> None:
+    first = np.where(np.arange(400) < 280, 0.0, 2.0)[None]
+    draws = rel.Redraws([400])
+    found = rel.improvement(
+        rel.redraw(first, draws, 0), rel.redraw(np.ones((1, 400)), draws, 1), draws
+    )
+    half = norm.ppf(0.975) * np.sqrt(0.7 * 0.3 / 400)
+    assert found == pytest.approx((0.7, 0.7 - half, 0.7 + half), abs=0.004)
+
+
+def test_a_performance_profile_is_the_empirical_distribution_with_a_band_around_it() -> None:
+    values = RNG.exponential(size=(4, 60))
+    tau = np.array([0.0, 0.5, 1.0, 2.0, 1e3])
+    draws = rel.Redraws([60])
+    share, low, high = rel.profile(rel.redraw(values, draws), draws, tau)
+    assert share == pytest.approx([(values <= t).mean() for t in tau])
+    assert np.all(np.diff(share) >= 0)
+    assert np.all((low <= share) & (share <= high))
+    assert np.all(low[1:4] < high[1:4])
+    assert (low[-1], high[-1]) == (1.0, 1.0)
+
+
+def test_the_score_is_the_part_of_the_gap_and_there_is_none_without_a_certain_gap() -> None:
+    base = np.linspace(0.04, 0.06, 16)
+    draws = rel.Redraws([16])
+    low, high, mine = (rel.redraw(f * base[None], draws) for f in (3.0, 1.0, 1.5))
+    found = rel.score((0.15, 0.05, 0.075), low, high, mine)
+    assert found == pytest.approx((0.75, 0.75, 0.75))
+    assert rel.score((0.05, 0.15, 0.075), high, low, mine) is None
+    assert rel.score((0.05, 0.05, 0.075), low, low, mine) is None
+
+
+def test_the_ratio_to_a_policy_without_any_error_is_infinite() -> None:
+    assert rel.ratio(np.array([1.0, 2.0]), np.array([0.0, 4.0])).tolist() == [np.inf, 0.5]
+
+
+def test_a_set_without_episodes_is_refused() -> None:
+    with pytest.raises(ValueError, match="no episodes"):
+        rel.Redraws([3, 0])

@@ -1,0 +1,156 @@
+"""Are these the episodes of the version? Digests of what is drawn, compared with those kept.
+
+Of every set, the first EPISODES are drawn, and a digest taken of all that they are: vehicle, soil,
+changes, reference, start, sensors, seed of the noise. Numbers enter it with 8 significant digits:
+the last bits depend on the processor. The equations of motion are not in it, so the first DRIVEN
+episodes are driven for a moment with a constant action, and the mean of where they end and of what
+is then seen is compared as well. The kept numbers are made by `python -m
+tracked_env.benchmark.frozen`, once per version.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env import batch as b
+from tracked_env.benchmark.configuration import BenchmarkConfig
+from tracked_env.benchmark.sets import EPISODES, SEED, SETS, VERSION
+from tracked_env.physics import state as s
+
+FILE = f"sets_{VERSION}.json"
+DRIVEN = 8  # episodes
+DRIVEN_STEPS = 100  # [control steps]
+ACTION = (0.35, 0.45)  # [-] left, right: drives off in a wide left turn
+BITS = 27  # of the mantissa that count, about 8 significant digits
+TOLERANCE = 1e-5  # [-] relative, of the driven numbers: far above rounding, far below a change
+# What a configuration may not say differently, with what it is in every version.
+FIXED = {"seed": SEED, "reference": None, "sensors": None, "duration": None,
+         "control_rate": 50.0, "lateral": "sliding", "error_limit": 5.0}  # fmt: skip
+
+
+class Check(NamedTuple):
+    """Whether results can be compared with those of others who name the same version."""
+
+    version: str
+    hash: str  # of the kept digests of all sets
+    comparable: bool
+    message: str  # for a person
+
+
+def rounded(values: Any) -> NDArray[Any]:
+    """`values` with BITS of the mantissa; integers as they are."""
+    array = np.asarray(values)
+    if array.dtype.kind != "f":
+        return array
+    mantissa, exponent = np.frexp(array.astype(np.float64))
+    return np.ldexp(np.round(np.ldexp(mantissa, BITS)), exponent - BITS) + 0.0  # no -0
+
+
+def _feed(digest: Any, value: Any) -> None:
+    if isinstance(value, tuple):
+        for part in value:
+            _feed(digest, part)
+    else:
+        digest.update(rounded(value).tobytes())
+
+
+def look(name: str, config: BenchmarkConfig | None = None) -> dict[str, Any]:
+    """What the episodes of a set are now: {"hash": digest, "driven": numbers}."""
+    config = BenchmarkConfig(sets=(name,)) if config is None else config
+    env = config.environment(name, EPISODES, truth=False)
+    simulation = env.simulation
+    env.reset(seed=[SEED + i for i in range(EPISODES)])
+    digest = hashlib.sha256()
+    _feed(digest, tuple(simulation.episodes))
+    env.close()
+    env = config.environment(name, DRIVEN, truth=False)
+    simulation = env.simulation
+    observation, _ = env.reset(seed=[SEED + i for i in range(DRIVEN)])
+    action = np.tile(np.array(ACTION, np.float32), (DRIVEN, 1))
+    for _ in range(DRIVEN_STEPS):
+        observation, *_ = env.step(action)
+    floats = simulation.batch.floats
+    driven = [floats[:, b.STATE + column] for column in (s.X, s.Y, s.YAW, s.V_X)]
+    seen = np.abs(observation.astype(np.float64)).sum(axis=1)
+    env.close()
+    numbers = [float(f"{np.abs(values).mean():.8g}") for values in (*driven, seen)]
+    return {"hash": digest.hexdigest()[:12], "driven": numbers}
+
+
+def total(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """One hash of the digests of all sets."""
+    text = json.dumps({name: found[name]["hash"] for name in sorted(found)})
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def kept() -> dict[str, Any]:
+    """The numbers of the version, as they are in the package."""
+    text = files("tracked_env.benchmark").joinpath(FILE).read_text(encoding="utf-8")
+    return dict(json.loads(text))
+
+
+def _deviations(config: BenchmarkConfig) -> list[str]:
+    """What the configuration says differently, in words."""
+    return [
+        f"{name} = {getattr(config, name)!r}"
+        for name, fixed in FIXED.items()
+        if getattr(config, name) != fixed
+    ]
+
+
+def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
+    """The sets that are no longer what they were, and in what."""
+    changed = []
+    for name in names:
+        now, then = look(name), known.get(name)
+        if then is None or now["hash"] != then["hash"]:
+            changed.append(f"{name} (other episodes)")
+        elif not np.allclose(now["driven"], then["driven"], rtol=TOLERANCE, atol=0.0):
+            changed.append(f"{name} (same episodes, driven or measured differently)")
+    return changed
+
+
+def check(config: BenchmarkConfig) -> Check:
+    """Compare the sets of a configuration with those of the version."""
+    document = kept()
+    mark = f"{VERSION}, hash {document['hash']}"
+
+    def answer(comparable: bool, text: str) -> Check:
+        return Check(VERSION, document["hash"], comparable, text)
+
+    deviations = _deviations(config)
+    if deviations:
+        return answer(False, f"sets of your own, not {VERSION}: {', '.join(deviations)}")
+    changed = _changed(config.sets, document["sets"])
+    if changed:
+        return answer(
+            False,
+            f"WARNING: results are NOT comparable with {mark}: {', '.join(changed)}. Either the "
+            "source of the simulation, of a law or of a set has changed (then it needs a new "
+            f"version), or NumPy {np.__version__} draws other random numbers than NumPy "
+            f"{document['numpy']}, with which the version was made.",
+        )
+    if config.episodes > EPISODES:
+        return answer(
+            False, f"sets {mark}, but only the first {EPISODES} of {config.episodes} episodes"
+        )
+    share = "" if config.episodes == EPISODES else f", first {config.episodes} of {EPISODES}"
+    return answer(True, f"sets {mark}, {config.episodes} episodes each{share}")
+
+
+def document() -> dict[str, Any]:
+    """What is kept of a version, from what is drawn now."""
+    found = {name: look(name) for name in SETS}
+    return {
+        "version": VERSION, "hash": total(found), "numpy": np.__version__, "episodes": EPISODES,
+        "seed": SEED, "sets": found,
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    print(json.dumps(document(), indent=1))

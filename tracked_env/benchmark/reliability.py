@@ -1,0 +1,152 @@
+"""Statistics of agents that were trained several times, each driving the same episodes.
+
+The values of an agent are a matrix (S, N): S training seeds, N episodes of one or several sets.
+Both are samples, and both are redrawn:
+    bootstrap               draw S of S seeds, and in each set n of n episodes, with replacement;
+                            every drawn seed meets every drawn episode [1, 2]. The episodes are the
+                            same for all agents: what makes an episode hard cancels in differences
+    probability             of improvement: that on an episode a seed of X has a smaller value than
+                            a seed of Y, ties count half: U / (S_X S_Y) of Mann and Whitney in
+                            each episode, mean over the episodes [1]
+    performance profile     share of all seeds and episodes with a value below tau [1]
+With one seed (a controller) this is the bootstrap of `statistics`. Few seeds give intervals that
+are too short: of the mean of 10, 5, 4, 3 normal numbers they cover 89, 84, 79, 73 % instead of
+95 %. FEW_SEEDS or less are marked.
+
+A redraw is kept as counts, how often each seed and each episode was drawn, so that the values are
+sorted once: a trimmed mean follows from the cumulative counts.
+
+References: [1] Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical
+Precipice, NeurIPS 2021, section 4. [2] Owen, The pigeonhole bootstrap, Annals of Applied
+Statistics 1 (2007) 386, for two crossed factors.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.benchmark.statistics import (
+    LEVEL,
+    RESAMPLES,
+    SEED,
+    Estimate,
+    FloatArray,
+    interval,
+)
+
+FEW_SEEDS = 4  # an agent with so many or less is marked
+BLOCK = 250  # [redraws] worked on at once: bounds the memory
+
+
+def _counts(rng: np.random.Generator, size: int, resamples: int) -> NDArray[np.int64]:
+    """How often each of `size` rows is drawn, in `resamples` draws of `size`: (B, size)."""
+    drawn = rng.integers(size, size=(resamples, size)) + size * np.arange(resamples)[:, None]
+    return np.bincount(drawn.ravel(), minlength=resamples * size).reshape(resamples, size)
+
+
+class Redraws:
+    """Redraws of the episodes of one or several sets, and of an agent's seeds."""
+
+    def __init__(self, sizes: Sequence[int], resamples: int = RESAMPLES, seed: int = SEED) -> None:
+        """sizes: episodes of each set. Raises ValueError for a set without any."""
+        if not sizes or min(sizes) < 1:
+            raise ValueError("a set has no episodes; there is nothing to draw from")
+        rng = np.random.default_rng(seed)
+        self.resamples, self.seed = resamples, seed
+        self.episodes = np.concatenate([_counts(rng, n, resamples) for n in sizes], axis=1)  # (B,N)
+
+    def seeds(self, count: int, agent: int) -> NDArray[np.int64]:
+        """Redraws (B, S) of the seeds of agent number `agent`, independent of other agents'."""
+        return _counts(np.random.default_rng([self.seed, agent]), count, self.resamples)
+
+
+class Redrawn(NamedTuple):
+    """An agent's values, and three statistics of each redraw."""
+
+    values: FloatArray  # (S, N)
+    seeds: NDArray[np.int64]  # (B, S) how often each seed was drawn
+    mean: FloatArray  # (B,)
+    iqm: FloatArray  # (B,) interquartile mean
+    worst: FloatArray  # (B,) mean of the worst tenth
+
+
+def redraw(values: FloatArray, redraws: Redraws, agent: int = 0) -> Redrawn:
+    """Statistics of an agent in every redraw; values (S, N)."""
+    seeds = redraws.seeds(len(values), agent)
+    order = np.argsort(values, axis=None)
+    ordered = values.ravel()[order]
+    total = values.size
+    quarter, tenth = total // 4, math.ceil(total / 10)
+    iqm, worst = np.empty(redraws.resamples), np.empty(redraws.resamples)
+    for first in range(0, redraws.resamples, BLOCK):
+        rows = slice(first, first + BLOCK)
+        drawn = seeds[rows, :, None] * redraws.episodes[rows, None, :]
+        reached = drawn.reshape(len(drawn), -1)[:, order].cumsum(axis=1)
+        for low, high, out in ((quarter, total - quarter, iqm), (total - tenth, total, worst)):
+            inside = np.diff(np.clip(reached, low, high), axis=1, prepend=low)
+            out[rows] = inside @ ordered / (high - low)
+    mean = np.einsum("bs,sn,bn->b", seeds, values, redraws.episodes, optimize=True) / total
+    return Redrawn(values, seeds, mean, iqm, worst)
+
+
+def estimate(value: float, distribution: FloatArray) -> Estimate:
+    """A statistic and the percentile interval of its redraws."""
+    return Estimate(float(value), *interval(distribution))
+
+
+def ratio(value: FloatArray, other: FloatArray) -> FloatArray:
+    """value / other; infinite where the other is 0."""
+    value = np.asarray(value, dtype=np.float64)
+    return np.divide(value, other, out=np.full_like(value, np.inf), where=np.asarray(other) > 0.0)
+
+
+def gap_closed(low: FloatArray, high: FloatArray, value: FloatArray) -> FloatArray:
+    """(low - value) / (low - high): 0 as the anchor `low`, 1 as `high`; NaN without a gap.
+
+    low, high, value: interquartile means; smaller ones are better.
+    """
+    gap = np.asarray(low - high, dtype=np.float64)
+    return np.divide(low - value, gap, out=np.full_like(gap, np.nan), where=gap > 0.0)
+
+
+def score(
+    values: tuple[float, float, float], low: Redrawn, high: Redrawn, agent: Redrawn
+) -> Estimate | None:
+    """`gap_closed` of interquartile means with its interval; values: those of low, high, agent.
+
+    None when the gap between the anchors is not certain (more than a redraw in forty has none).
+    """
+    own = float(gap_closed(*(np.array(value) for value in values)))
+    distribution = gap_closed(low.iqm, high.iqm, agent.iqm)
+    known = distribution[~np.isnan(distribution)]
+    if np.isnan(own) or known.size < (0.5 + 0.5 * LEVEL) * distribution.size:
+        return None
+    return estimate(own, known)
+
+
+def better(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Whether the first has the smaller value: 1, 0, or 1/2 for a tie; (S_1, S_2, N)."""
+    difference = second[None, :, :] - first[:, None, :]
+    return 0.5 * (np.sign(difference) + 1.0)
+
+
+def improvement(first: Redrawn, second: Redrawn, redraws: Redraws) -> Estimate:
+    """Probability that a seed of the first beats one of the second on the same episode."""
+    wins = better(first.values, second.values)
+    by_pair = redraws.episodes @ wins.reshape(-1, wins.shape[-1]).T  # (B, S_1 S_2)
+    drawn = first.seeds[:, :, None] * second.seeds[:, None, :]
+    distribution = (by_pair * drawn.reshape(len(drawn), -1)).sum(axis=1) / wins.size
+    return estimate(float(wins.mean()), distribution)
+
+
+def profile(agent: Redrawn, redraws: Redraws, tau: FloatArray) -> FloatArray:
+    """Performance profile and its 95 % band at the thresholds tau (T,): (3, T)."""
+    below = (agent.values[:, :, None] <= tau).astype(np.float64)  # (S, N, T)
+    total = agent.values.size
+    drawn = np.stack([redraws.episodes @ part for part in below])  # (S, B, T)
+    shares = np.einsum("bs,sbt->bt", agent.seeds, drawn) / total
+    bounds = np.quantile(shares, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)
+    return np.concatenate([below.mean(axis=(0, 1))[None], bounds])

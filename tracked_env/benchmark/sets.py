@@ -1,0 +1,54 @@
+"""The evaluation sets, version by version the same episodes for everyone.
+
+A set is a law of vehicles, soils and changes (`tracked_env.uncertainty`), with the sensors, the
+reference and the duration of its episodes; episode i is drawn from seed SEED + i. What the first
+EPISODES of them are is kept in `sets_v1.json`, and `frozen` compares. A set belongs here if it
+separates policies: nominal from oracle, and, in those about memory, one observation from many.
+
+To change anything here, or in what is drawn, is to make a new version.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+VERSION = "v1"
+EPISODES = 100  # of each set, that are compared with those of the version
+SEED = 0  # of the first episode
+
+
+class BenchmarkSet(NamedTuple):
+    """What the episodes of one set are drawn from."""
+
+    name: str
+    uncertainty: str  # name of the law
+    about: str  # what it asks of a policy
+    sensors: str | Mapping[str, Any] = "rtk"
+    reference: str | Mapping[str, Any] = "random"
+    duration: float = 30.0  # [s]
+
+
+_ALL = (
+    BenchmarkSet("nominal", "nominal", "nothing is unknown"),
+    BenchmarkSet("soil-and-mass", "soil-and-mass", "unknown vehicle on unknown soil"),
+    BenchmarkSet("payload", "payload", "the mass steps"),
+    BenchmarkSet("resistance-map", "resistance-map", "the resistance varies in the plane"),
+    BenchmarkSet("weak-soil", "weak-soil", "large slip, little traction"),
+    BenchmarkSet("terrain-transition", "terrain-transition", "a border to another soil"),
+    BenchmarkSet("drift", "drift", "everything slides away slowly"),
+    BenchmarkSet("mixed", "mixed", "several changes at once"),
+    BenchmarkSet("ood", "ood", "outside the ranges of all other sets"),
+    # Memory: one observation does not tell where the vehicle is or how fast it goes.
+    BenchmarkSet(
+        "late-pose", "soil-and-mass", "position, heading, velocity come 0.2 s late",
+        {"preset": "rtk", "pose_delay": 0.2},
+    ),
+    BenchmarkSet("noisy", "soil-and-mass", "position noise of 1 m", "strawa"),
+    BenchmarkSet(
+        "no-velocity", "soil-and-mass", "the velocity is not measured",
+        {"preset": "rtk", "velocity_measured": 0.0},
+    ),
+    BenchmarkSet("slow-drive", "slow-drive", "the motors lag 0.15 to 0.3 s"),
+)  # fmt: skip
+SETS = {entry.name: entry for entry in _ALL}
+# In `nominal` a controller with nominal parameters knows everything: it separates nothing.
+DEFAULT_SETS = tuple(name for name in SETS if name != "nominal")

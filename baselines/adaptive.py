@@ -125,6 +125,8 @@ class AdaptivePolicy:
         self.filtered = noisy if filtered is None else bool(filtered)
         self.uses_soil = bool(uses_soil)
         self._options: dict[str, Any] = {"regression": regression, "slip": slip}
+        # (PARAMETER_ROWS, N) or None: what to control with instead of the estimates.
+        self.given_parameters: NDArray[np.float64] | None = None
         self._given: AdaptiveState | None = None
         self.known: Identification | None = None
         self._build(1)
@@ -196,7 +198,10 @@ class AdaptivePolicy:
         return np.where(stale | outlier, np.nan, gyro)
 
     def _adapt(self, known: Identification) -> None:
-        """Hand the estimates to the controller."""
+        """Hand the estimates to the controller, or what was given in their place."""
+        if self.given_parameters is not None:
+            self.controller.parameters = self.given_parameters
+            return
         p = self.parameters
         hand_over(
             self.controller.parameters, known.longitudinal.value, known.turning.value,

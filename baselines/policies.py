@@ -2,8 +2,8 @@
 
     nominal   the feedback-linearizing controller with the nominal parameters, right or wrong
     adaptive  the same controller with the parameters that it identifies under way
-    oracle    the same controller, handed the true parameters at every step: what perfect
-              identification would reach. It measures like everybody else.
+    oracle    the adaptive policy, handed the true parameters at every step: what perfect
+              identification would reach. It measures, and filters, like the adaptive one.
 A factory takes a context with `control_period` [s], `lateral` (closure) and `sensors` (data
 sheet: the noise of the sensors, which everybody may know).
 """
@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.adaptive import AdaptivePolicy
+from baselines.adaptive import AdaptivePolicy, AdaptiveState
 from baselines.controllers.feedback_linearization import FeedbackLinearizingController
 from baselines.estimators.measurement import DataSheet
 from tracked_env.physics.parameters import PARAMETER_NAMES, plant_parameters
@@ -36,14 +36,33 @@ class Context(Protocol):
         """Data sheet: an object with the attributes of estimators.measurement.DataSheet."""
 
 
-class OracleController(FeedbackLinearizingController):
-    """The controller with the parameters in force, as handed to `observe_truth`."""
+class OraclePolicy:
+    """The adaptive policy with the parameters in force, as handed to `observe_truth`.
+
+    It filters what the sensors give as the adaptive policy does, and estimates no parameter.
+    Arguments as AdaptivePolicy.
+    """
 
     needs_truth = True
 
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self._policy = AdaptivePolicy(*arguments, **options)
+
     def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
-        self.parameters = np.stack([np.atleast_1d(truth[name]) for name in PARAMETER_NAMES])
+        self._policy.given_parameters = np.stack(
+            [np.atleast_1d(truth[name]) for name in PARAMETER_NAMES]
+        )
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveState | None = None,
+        episode_start: NDArray[np.bool_] | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AdaptiveState]:
+        """As AdaptivePolicy.predict."""
+        return self._policy.predict(observation, state, episode_start, deterministic)
 
 
 def nominal(context: Context) -> FeedbackLinearizingController:
@@ -53,21 +72,23 @@ def nominal(context: Context) -> FeedbackLinearizingController:
     )
 
 
+def _arguments(context: Context) -> dict[str, Any]:
+    return {
+        "parameters": plant_parameters(),
+        "control_period": context.control_period,
+        "data_sheet": DataSheet.of(context.sensors),
+        "lateral": context.lateral,
+    }
+
+
 def adaptive(context: Context) -> AdaptivePolicy:
     """The controller that identifies vehicle and soil under way."""
-    return AdaptivePolicy(
-        plant_parameters(),
-        control_period=context.control_period,
-        data_sheet=DataSheet.of(context.sensors),
-        lateral=context.lateral,
-    )
+    return AdaptivePolicy(**_arguments(context))
 
 
-def oracle(context: Context) -> OracleController:
+def oracle(context: Context) -> OraclePolicy:
     """The controller that knows the true parameters."""
-    return OracleController(
-        plant_parameters(), control_period=context.control_period, lateral=context.lateral
-    )
+    return OraclePolicy(**_arguments(context))
 
 
 POLICIES: dict[str, Callable[[Any], Any]] = {

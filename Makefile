@@ -15,7 +15,7 @@ DOCS_STAMP := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install evaluate paper train test lint format docs benchmark clean clean-cache
+.PHONY: help install leaderboard evaluate paper train test lint format docs benchmark clean clean-cache
 
 help: ## list the commands
 	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
@@ -29,6 +29,11 @@ evaluate: $(STAMP) ## compare the policies on the uncertainty sets (the main job
 
 paper: $(STAMP) ## run section 8 of the paper again: its claims, figures, one page (minutes)
 	$(BIN)/python evaluate.py --paper strawa2021 $(EVALUATE_ARGS)
+
+leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the table in the README
+	rm -rf results/leaderboard
+	$(BIN)/python evaluate.py --no-figures --output results/leaderboard
+	$(BIN)/python benchmarks/leaderboard.py results/leaderboard/v1-*
 
 train: $(STAMP) ## train a PPO agent into runs/ppo
 	$(BIN)/python train.py $(TRAIN_ARGS)

@@ -1,0 +1,115 @@
+"""Publish a leaderboard: from the results of evaluate.py into the README and agents/pretrained.
+
+    python evaluate.py                                    # all controllers and shipped agents
+    python benchmarks/leaderboard.py results/v1-seed0-*   # README.md and scores.json
+
+The README gets the table between its two markers, with what each agent cost to train, read from
+the curve.csv beside it. `agents/pretrained/scores.json` gets the interquartile mean of the RMSE
+per seed and set with a 95 % bootstrap interval over the episodes; a test runs some of them again.
+"""
+
+import argparse
+import json
+import re
+import sys
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tracked_env.benchmark import statistics as stats
+
+ROOT = Path(__file__).resolve().parent.parent
+PRETRAINED = ROOT / "agents" / "pretrained"
+MARKERS = ("<!-- leaderboard: begin -->", "<!-- leaderboard: end -->")
+
+
+def training_cost(agent: str) -> str:
+    """Steps and mean wall time of the trainings of a shipped agent, '-' for a controller."""
+    curves = [
+        np.genfromtxt(path, delimiter=",", names=True)
+        for path in sorted(PRETRAINED.glob(f"{agent}-seed*/curve.csv"))
+    ]
+    if not curves:
+        return "-"
+    seconds = np.mean([curve["seconds"][-1] for curve in curves])
+    return f"{curves[0]['steps'][-1] / 1e6:.1f} M steps, {seconds:.0f} s"
+
+
+def estimate_text(estimate: dict[str, float], digits: int) -> str:
+    """Value and interval."""
+    return "{value:.{d}f} [{low:.{d}f}, {high:.{d}f}]".format(**estimate, d=digits)
+
+
+def table(board: dict[str, Any]) -> str:
+    """The leaderboard as Markdown: overall, then the IQM of the RMSE per set."""
+    agents = board["agents"]
+    lines = [
+        "| | policy | seeds | RMSE, all sets [m] | score | worst tenth [m] | success "
+        "| chatter [kN m/s] | training of a seed |",
+        "|--:|--|--:|--:|--:|--:|--:|--:|--:|",
+    ]
+    for rank, entry in enumerate(agents, start=1):
+        o = entry["overall"]
+        seeds = entry["seeds"] or "-"
+        star = "" if seeds == "-" or seeds >= 5 else "*"
+        lines.append(
+            f"| {rank} | {entry['agent']} | {seeds}{star} | {estimate_text(o['rmse_iqm'], 3)} "
+            f"| {estimate_text(o['score'], 3)} | {o['rmse_worst']['value']:.2f} "
+            f"| {100 * o['means']['success']:.1f} % | {o['means']['torque_chatter'] / 1e3:.1f} "
+            f"| {training_cost(entry['agent'])} |"
+        )
+    names = [entry["agent"] for entry in agents]
+    lines += ["", "| set | " + " | ".join(names) + " |", "|--|" + "--:|" * len(names)]
+    for name in board["sets"]:
+        values = [entry["rmse"][name]["value"] for entry in agents]
+        cells = [f"**{v:.3f}**" if v == min(values) else f"{v:.3f}" for v in values]
+        lines.append(f"| `{name}` | " + " | ".join(cells) + " |")
+    lines += ["", f"{board['conditions']}. * fewer than five seeds."]
+    return "\n".join(lines)
+
+
+def seed_scores(results: dict[str, Any]) -> dict[str, Any]:
+    """{agent: {seed: {set: {iqm, low, high}}}} of everything with seeds, and the episodes."""
+    rmse: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for record in results["episodes"]:
+        if "@" in record["policy"]:
+            rmse[record["policy"], record["set"]].append(record["tracking_rmse"])
+    found: dict[str, Any] = {}
+    for (policy, name), values in rmse.items():
+        agent, _, seed = policy.partition("@")
+        estimate = stats.estimate([np.array(values)])
+        found.setdefault(agent, {}).setdefault(seed, {})[name] = {
+            "iqm": round(estimate.value, 5),
+            "low": round(estimate.low, 5),
+            "high": round(estimate.high, 5),
+        }
+    count = min((len(values) for values in rmse.values()), default=0)
+    return {"episodes": count, "seeds": found}
+
+
+def main() -> int:
+    """Write both files; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("results", type=Path, help="folder that evaluate.py has written")
+    folder = parser.parse_args().results
+    if not (folder / "leaderboard.json").is_file():
+        print(f"{folder}: no leaderboard.json. Is it a folder of evaluate.py?", file=sys.stderr)
+        return 2
+    board = json.loads((folder / "leaderboard.json").read_text(encoding="utf-8"))
+    results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    readme = ROOT / "README.md"
+    block = f"{MARKERS[0]}\n{table(board)}\n{MARKERS[1]}"
+    text = re.sub(
+        f"{MARKERS[0]}.*?{MARKERS[1]}", lambda _: block, readme.read_text("utf-8"), flags=re.DOTALL
+    )
+    readme.write_text(text, encoding="utf-8")
+    scores = json.dumps(seed_scores(results), indent=1)
+    (PRETRAINED / "scores.json").write_text(scores + "\n", encoding="utf-8")
+    print(f"README.md and {PRETRAINED / 'scores.json'} written")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -19,30 +19,31 @@ try:
     import torch
     import tyro
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.vec_env import VecEnv, VecNormalize
     from tqdm import tqdm
 
     from agents import checkpoints
     from agents.algorithms import ALGORITHMS, make_model
-    from agents.configs import PPOConfig, RecurrentPPOConfig, SACConfig, TD3Config, TQCConfig
-    from agents.memory import LAGS, RESIDUAL_SCALE, AgentVectorEnv, make_memory
-    from agents.precision import SCALE, PreciseReward
+    from agents.configs import (
+        PPOConfig,
+        RecurrentPPOConfig,
+        SACConfig,
+        StudentConfig,
+        TD3Config,
+        TQCConfig,
+    )  # fmt: skip
+    from agents.environment import environment_arguments, make_environment, make_held_out
+    from agents.inference import STUDENT
+    from agents.memory import LAGS, RESIDUAL_SCALE
+    from agents.precision import SCALE
+    from agents.student import make_student
     from agents.training import Schedule, Trainer, checkpoint_interval
-    from tracked_env.sb3 import make_vec_env
 except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl,cli]'")
 
 from tracked_env import TORQUE_ID
-from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.store import machine, versions, write_atomically
-from tracked_env.sensors import make_sensors
 
 INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
-# `mixture`: everything that the benchmark calls in distribution; `ood` stays out of every training.
-MIXTURE = (
-    "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
-    "mixed",
-)  # fmt: skip
 FREE = ("resume", "output", "tensorboard", "quiet")  # may differ when a training is resumed
 
 
@@ -53,11 +54,16 @@ class Config:
     agent: Literal["ppo", "sac", "td3", "tqc", "recurrent-ppo"] = "ppo"
     """Algorithm; its settings are the options that start with its name."""
 
-    memory: Literal["blind", "history", "estimates", "residual"] = "blind"
+    memory: Literal["blind", "history", "estimates", "residual", "teacher", "student"] = "blind"
     """What the agent has besides the present observation.
     blind: nothing (recurrent-ppo remembers by itself).
     history: past samples. estimates: the identified parameters.
-    residual: corrects the action of the adaptive controller."""
+    residual: corrects the action of the adaptive controller.
+    teacher: the true parameters. student: drives with TEACHER's network,
+    and infers from past samples what that was told."""
+
+    teacher: Path | None = None
+    """Of memory student: agent.zip of the teacher."""
 
     steps: int = 2_000_000
     """Environment steps, over all vehicles."""
@@ -113,7 +119,7 @@ class Config:
     sees; 0 leaves it out."""
 
     lags: tuple[int, ...] = LAGS
-    """Of memory history: ages of the samples [control steps]."""
+    """Of memory history and student: ages of the samples [control steps]."""
 
     residual_scale: float = RESIDUAL_SCALE
     """Of memory residual: largest correction, over the torque limit."""
@@ -142,6 +148,9 @@ class Config:
     recurrent_ppo: RecurrentPPOConfig = field(default_factory=RecurrentPPOConfig)
     """Settings of RecurrentPPO."""
 
+    student: StudentConfig = field(default_factory=StudentConfig)
+    """Settings of memory student."""
+
     @property
     def settings(self) -> Any:
         """Settings of the chosen algorithm."""
@@ -155,53 +164,22 @@ class Config:
     @property
     def memory_options(self) -> dict[str, Any]:
         """Options of the chosen kind of memory."""
-        options = {"history": {"lags": list(self.lags)}, "residual": {"scale": self.residual_scale}}
+        lags = list(self.lags)
+        options: dict[str, dict[str, Any]] = {
+            "history": {"lags": lags},
+            "residual": {"scale": self.residual_scale},
+            "student": {"lags": lags, "hidden": list(self.student.hidden)},
+        }
         return options.get(self.memory, {})
-
-
-def name_or_json(text: str, what: str) -> str | Mapping[str, Any]:
-    """`text` itself, or the JSON object that it holds. Raises ValueError."""
-    if not text.lstrip().startswith("{"):
-        return text
-    try:
-        return dict(json.loads(text))
-    except ValueError as error:
-        raise ValueError(f"--{what} {text}: not a JSON object ({error})") from error
-
-
-def environment_arguments(config: Config) -> dict[str, Any]:
-    """Arguments of the environment. Raises ValueError."""
-    sets = [
-        part for name in config.uncertainty for part in (MIXTURE if name == "mixture" else (name,))
-    ]
-    return {
-        "uncertainty": sets[0] if len(sets) == 1 else sets,
-        "sensors": name_or_json(config.sensors, "sensors"),
-        "reference": name_or_json(config.reference, "reference"),
-        "duration": config.duration,
-        "lateral": config.lateral,
-    }
 
 
 def exact(config: Config) -> dict[str, Any]:
     """The configuration as JSON knows it, settings of the other algorithms left out."""
-    others = {name.replace("-", "_") for name in ALGORITHMS} - {config.agent.replace("-", "_")}
+    student = config.memory == STUDENT
+    others = {name.replace("-", "_") for name in ALGORITHMS} | {"student"}
+    others -= {"student" if student else config.agent.replace("-", "_")}
     kept = {name: value for name, value in asdict(config).items() if name not in others}
     return dict(json.loads(json.dumps(kept, default=str)))
-
-
-def make_environment(config: Config, arguments: Mapping[str, Any]) -> tuple[VecEnv, PolicyContext]:
-    """The vehicles as the agent sees them, and their context. Raises ValueError."""
-    context = PolicyContext(0.02, config.lateral, make_sensors(arguments["sensors"]))
-    memory = make_memory(config.memory, config.memory_options, context, config.vehicles)
-
-    def wrapper(env: gymnasium.vector.VectorEnv[Any, Any, Any]) -> AgentVectorEnv:
-        return AgentVectorEnv(
-            PreciseReward(env, config.precision) if config.precision else env, memory
-        )
-
-    env = make_vec_env(config.env, config.vehicles, config.seed, arguments, wrapper=wrapper)
-    return (VecNormalize(env, norm_reward=False) if config.normalise else env), context
 
 
 def recipe_of(config: Config, arguments: Mapping[str, Any], period: float) -> dict[str, Any]:
@@ -231,6 +209,26 @@ def learn(config: Config, model: BaseAlgorithm, trainer: Trainer) -> bool:
     return True
 
 
+def teach(config: Config, arguments: Mapping[str, Any]) -> int:
+    """Train a student of `config.teacher`; returns the exit status. Raises ValueError."""
+    folder = config.folder
+    student, taught = make_student(config, arguments)
+    recipe = {**recipe_of(config, arguments, student.context.control_period), **taught}
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / "config.json", json.dumps(recipe, indent=2).encode())
+    with tqdm(
+        total=config.steps, unit=" steps", unit_scale=True, disable=config.quiet,
+        dynamic_ncols=True,
+    ) as bar:  # fmt: skip
+        show = lambda text: bar.set_postfix_str(text, refresh=False)  # noqa: E731
+        student.learn(config.steps, config.evaluate_every, folder, recipe, bar.update, show)
+    print(
+        f"done: {student.steps:,} steps in {student.curve[-1][1]:.0f} s, best "
+        f"{student.best:.4f} m held out; {folder / 'agent.zip'}"
+    )
+    return 0
+
+
 def main(config: Config) -> int:
     """Train and save; returns the exit status."""
     torch.set_num_threads(config.threads)
@@ -240,15 +238,12 @@ def main(config: Config) -> int:
             raise ValueError(f"steps = {config.steps}; must be at least 1")
         captured = checkpoints.going_on(folder, config.resume, exact(config), FREE)
         arguments = environment_arguments(config)
+        if config.memory == STUDENT:
+            return teach(config, arguments)
         env, context = make_environment(config, arguments)
         log = str(folder) if config.tensorboard else None
         model = make_model(config.agent, config.settings, env, config.seed, log)
-        held_out = None
-        if config.held_out > 0:
-            held_out = gymnasium.make_vec(
-                config.env, config.held_out, "vector_entry_point",
-                **arguments, autoreset_mode="Disabled",
-            ).unwrapped  # fmt: skip
+        held_out = make_held_out(config, arguments)
     except (ValueError, gymnasium.error.Error) as error:
         print(f"train.py: {error}", file=sys.stderr)
         return 2

@@ -196,3 +196,26 @@ class TQCConfig:
 
 
 AgentConfig = PPOConfig | RecurrentPPOConfig | SACConfig | TD3Config | TQCConfig
+
+
+@dataclass(frozen=True)
+class StudentConfig:
+    """A student of a teacher: how the inference of the hidden parameters is regressed."""
+
+    n_steps: int = 64
+    """Control steps per vehicle between two regressions."""
+
+    gradient_steps: int = 20
+    """Gradient steps of a regression, for 4096 new samples of 64 vehicles."""
+
+    batch_size: int = 1024
+    """Samples of one gradient step, of all that the buffer holds."""
+
+    buffer_size: int = 200_000
+    """Samples kept, the latest 62 s of 64 vehicles; 100 MB."""
+
+    learning_rate: float = 1e-3
+    """At the start; it falls linearly to 0 over the training."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers."""

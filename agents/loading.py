@@ -21,7 +21,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents import memory
 from agents.algorithms import ALGORITHMS
-from agents.policy import AgentPolicy, Normalisation
+from agents.inference import STUDENT, load_student
+from agents.policy import AgentPolicy, Normalisation, Predictor
+from agents.privileged import PRIVILEGED, TEACHER, TeacherPolicy, policy_of
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext, PolicyEntry
 from tracked_env.benchmark.policies import source_fingerprint
@@ -34,12 +36,19 @@ _NEEDED = ("format", "algorithm", "memory", "memory_options", "normalisation", "
 _TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
 
 
-def save_agent(path: Path, model: BaseAlgorithm, recipe: Mapping[str, Any]) -> None:
-    """Write model and recipe as one archive, whole or not at all."""
+def save_agent(
+    path: Path,
+    model: BaseAlgorithm,
+    recipe: Mapping[str, Any],
+    files: Mapping[str, bytes] | None = None,
+) -> None:
+    """Write model, recipe and further files as one archive, whole or not at all."""
     buffer = io.BytesIO()
     model.save(buffer)
     with zipfile.ZipFile(buffer, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(RECIPE, json.dumps({"format": FORMAT, **recipe}, indent=1))
+        for name, content in (files or {}).items():
+            archive.writestr(name, content)
     write_atomically(path, buffer.getvalue())
 
 
@@ -98,6 +107,18 @@ def normalisation_of(recipe: Mapping[str, Any]) -> Normalisation | None:
     )
 
 
+def load_teacher(path: Path | None) -> tuple[BaseAlgorithm, dict[str, Any]]:
+    """Model and recipe of a teacher. Raises ValueError where there is none."""
+    if path is None:
+        raise ValueError("a student needs --teacher, an agent.zip of --memory teacher")
+    recipe = read_recipe(path)
+    if recipe is None or recipe["memory"] != TEACHER:
+        kind = "blind" if recipe is None else recipe["memory"]
+        raise ValueError(f"agent {path} has memory {kind!r}; a student needs a teacher")
+    agent_entry(path)  # checks what it sees
+    return load_model(path, (recipe["algorithm"],)), recipe
+
+
 def agent_name(path: Path) -> str:
     """What tables call an agent: its file, or the folder of a file that train.py has named."""
     return path.resolve().parent.name if path.stem in ("agent", "last") else path.stem
@@ -108,6 +129,9 @@ def _fingerprint(path: Path, kind: str) -> str:
     digest = hashlib.sha256(path.read_bytes())
     for file in ("memory.py", "policy.py"):
         digest.update(Path(memory.__file__).with_name(file).read_bytes())
+    if kind in (TEACHER, STUDENT):
+        for file in ("privileged.py", "inference.py"):
+            digest.update(Path(memory.__file__).with_name(file).read_bytes())
     if kind in ("estimates", "residual"):
         digest.update(source_fingerprint("baselines").encode())
     return digest.hexdigest()[:12]
@@ -129,7 +153,10 @@ def agent_entry(path: Path) -> PolicyEntry:
     normalisation = normalisation_of(recipe)
     shown = getattr(model.observation_space, "shape", None)
     context = PolicyContext(recipe.get("control_period", 0.02), "sliding")
-    expected = (layout.SIZE + len(memory.make_memory(kind, options, context, 1).feature_names),)
+    names = PRIVILEGED  # which a student hands to its teacher's network
+    if kind not in (TEACHER, STUDENT):
+        names = memory.make_memory(kind, options, context, 1).feature_names
+    expected = (layout.SIZE + len(names),)
     if shown != expected or getattr(model.action_space, "shape", None) != (2,):
         raise ValueError(
             f"agent {path} sees {shown} and acts {model.action_space}; must see {expected} "
@@ -137,13 +164,18 @@ def agent_entry(path: Path) -> PolicyEntry:
             "a wrapper? Then pass it as module:function."
         )
 
-    def make(context: PolicyContext) -> AgentPolicy:
+    driver: Predictor = model
+    if kind == STUDENT:
+        driver = load_student(path, options, model, normalisation)
+        kind, options, normalisation = "history", {"lags": options["lags"]}, None
+
+    def make(context: PolicyContext) -> AgentPolicy | TeacherPolicy:
         period = recipe.get("control_period")
         if period is not None and abs(period - context.control_period) > 1e-9:
             raise ValueError(
                 f"agent {path} was trained with a control period of {period:g} s; this "
                 f"environment has {context.control_period:g} s"
             )
-        return AgentPolicy(model, kind, options, context, normalisation)
+        return policy_of(driver, kind, options, context, normalisation)
 
-    return PolicyEntry(agent_name(path), make, _fingerprint(path, kind))
+    return PolicyEntry(agent_name(path), make, _fingerprint(path, recipe["memory"]))

@@ -6,7 +6,7 @@ nothing from the training's random streams: evaluating more often does not chang
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,10 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from agents import checkpoints
 from agents.loading import save_agent
-from agents.policy import AgentPolicy, Normalisation
+from agents.policy import Normalisation
+from agents.privileged import policy_of
 from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.policies import Policy, needs_truth
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -48,7 +50,16 @@ def normalisation(model: BaseAlgorithm) -> Normalisation | None:
     )
 
 
-def held_out_rmse(policy: AgentPolicy, env: TrackedVehicleVectorEnv) -> float:
+def write_curve(folder: Path, names: Sequence[str], curve: Sequence[Sequence[float]]) -> None:
+    """Write a learning curve; its first column are steps."""
+    rows = [
+        ",".join(f"{value:g}" if i else f"{value:.0f}" for i, value in enumerate(row))
+        for row in curve
+    ]
+    write_atomically(folder / "curve.csv", "\n".join([",".join(names), *rows]).encode())
+
+
+def held_out_rmse(policy: Policy, env: TrackedVehicleVectorEnv) -> float:
     """Interquartile mean, over held-out episodes, of the RMSE of the distance [m].
 
     env: a batch in DISABLED mode, one row per episode. Steps after a vehicle has left its path
@@ -56,12 +67,14 @@ def held_out_rmse(policy: AgentPolicy, env: TrackedVehicleVectorEnv) -> float:
     """
     simulation = env.simulation
     steps, limit = simulation.settings.max_steps, simulation.solver.error_limit
-    observation, _ = env.reset(seed=HELD_OUT_SEED)
+    observation, info = env.reset(seed=HELD_OUT_SEED)
     state, start = None, np.ones(env.num_envs, dtype=bool)
     squares = np.zeros(env.num_envs)
     gone = np.zeros(env.num_envs, dtype=bool)
     for _ in range(steps):
         observation[gone] = np.nan_to_num(observation[gone])  # one may have diverged
+        if needs_truth(policy):
+            policy.observe_truth(info["truth"])  # type: ignore[attr-defined]
         action, state = policy.predict(observation, state, start)
         start = np.zeros_like(start)
         observation, _, terminated, truncated, info = env.step(action)
@@ -80,7 +93,7 @@ class Trainer(BaseCallback):
     """Evaluates, saves and writes checkpoints between rollouts; counts steps in between.
 
     output: folder. schedule: when. recipe: what stands in every archive. policy: arguments
-    kind, options, context of `AgentPolicy`. held_out: see `held_out_rmse`; None evaluates never.
+    kind, options, context of `policy_of`. held_out: see `held_out_rmse`; None evaluates never.
     captured: of a checkpoint, to go on from. on_steps(n) after each step of the batch.
     """
 
@@ -156,7 +169,7 @@ class Trainer(BaseCallback):
         rmse = float("nan")
         if self.held_out is not None:
             began = time.perf_counter()
-            policy = AgentPolicy(self.model, *self.policy_arguments, statistics)
+            policy = policy_of(self.model, *self.policy_arguments, statistics)
             rmse = held_out_rmse(policy, self.held_out)
             self.evaluating += time.perf_counter() - began
             self.logger.record("held_out/rmse", rmse)
@@ -176,11 +189,7 @@ class Trainer(BaseCallback):
         save_agent(self.output / "last.zip", self.model, recipe)
         if better:
             write_atomically(self.output / "agent.zip", (self.output / "last.zip").read_bytes())
-        rows = [
-            ",".join(f"{value:g}" if i else f"{value:.0f}" for i, value in enumerate(row))
-            for row in self.curve
-        ]
-        write_atomically(self.output / "curve.csv", "\n".join([",".join(CURVE), *rows]).encode())
+        write_curve(self.output, CURVE, self.curve)
 
     def _on_training_end(self) -> None:
         self.evaluate()

@@ -48,6 +48,11 @@ class OraclePolicy:
     def __init__(self, *arguments: Any, **options: Any) -> None:
         self._policy = AdaptivePolicy(*arguments, **options)
 
+    @property
+    def controller(self) -> FeedbackLinearizingController:
+        """The controller that drives."""
+        return self._policy.controller
+
     def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
         self._policy.given_parameters = np.stack(

@@ -1,0 +1,161 @@
+"""The training of a student of a privileged teacher (`agents.inference`, `agents.privileged`).
+
+The student drives from the first step on; what it meets, with the true inputs beside, goes into a
+buffer on which the inference is regressed (DAgger [1]: the samples are those of the student's own
+driving, not of the teacher's; as the adaptation module of RMA [2]). Truth is needed for that
+regression alone; the policy that is evaluated and saved is an `AgentPolicy` with a history.
+
+References: [1] Ross et al., arXiv:1011.0686. [2] Kumar et al., arXiv:2107.04034.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from torch import nn
+
+from agents.configs import StudentConfig
+from agents.environment import context_of, make_held_out, make_vehicles
+from agents.inference import WEIGHTS, StudentModel, make_inference, weights
+from agents.loading import load_teacher, normalisation_of, save_agent
+from agents.memory import AgentVectorEnv, History
+from agents.policy import AgentPolicy, Normalisation
+from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv
+from agents.training import held_out_rmse, write_curve
+from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.store import write_atomically
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+CURVE = ("steps", "seconds", "loss", "held_out_rmse")
+
+
+class Student:
+    """The training of a student.
+
+    env: exposes the truth, in SAME_STEP mode. teacher: its model and normalisation.
+    held_out: see `held_out_rmse`; None evaluates never. After `learn`: `best` [m], `curve`.
+    """
+
+    def __init__(
+        self,
+        env: TrackedVehicleVectorEnv,
+        teacher: tuple[BaseAlgorithm, Normalisation | None],
+        lags: tuple[int, ...],
+        config: StudentConfig,
+        context: PolicyContext,
+        seed: int,
+        held_out: TrackedVehicleVectorEnv | None = None,
+    ) -> None:
+        torch.manual_seed(seed)
+        self.teacher = teacher[0]
+        self.config, self.context, self.lags = config, context, lags
+        self.truth = Privileged(env.num_envs, context.control_period)
+        history = History(env.num_envs, context.control_period, lags)
+        self.env = AgentVectorEnv(TruthfulVectorEnv(env, self.truth), history)
+        self.model = StudentModel(make_inference(lags, config.hidden), *teacher)
+        self.optimiser = torch.optim.Adam(self.model.inference.parameters())
+        size = max(config.buffer_size // env.num_envs, config.n_steps)
+        shown = self.env.single_observation_space.shape[0]  # type: ignore[index]
+        self._seen = torch.zeros(size, env.num_envs, shown)
+        self._true = torch.zeros(size, env.num_envs, len(PRIVILEGED))
+        self._filled = 0  # rows of the buffer ever written
+        self._random = np.random.default_rng(seed)
+        self._observation, _ = self.env.reset(seed=seed)
+        self._state: Any = None
+        self._start = np.ones(env.num_envs, dtype=bool)
+        self.held_out = held_out
+        self.curve: list[tuple[float, ...]] = []
+        self.best, self.steps = float("inf"), 0
+
+    def policy(self) -> AgentPolicy:
+        """The student as the benchmark has it."""
+        return AgentPolicy(self.model, "history", {"lags": self.lags}, self.context)
+
+    def collect(self) -> float:
+        """Drive `n_steps`; returns the mean square of how wrong the inference was meanwhile."""
+        errors = 0.0
+        for _ in range(self.config.n_steps):
+            row = self._filled % len(self._seen)
+            self._seen[row] = torch.from_numpy(self._observation)
+            self._true[row] = torch.from_numpy(self.truth.present)
+            found = self.model.infer(self._observation)
+            errors += float(np.mean((found - self.truth.present) ** 2))
+            action, self._state = self.model.predict(
+                self._observation, self._state, self._start, deterministic=True
+            )
+            self._observation, _, terminated, truncated, _ = self.env.step(action)
+            self._start = terminated | truncated
+            self._filled += 1
+        self.steps += self.config.n_steps * self.env.num_envs
+        return errors / self.config.n_steps
+
+    def regress(self, rate: float) -> None:
+        """Gradient steps on samples of the buffer. rate: learning rate."""
+        count = min(self._filled, len(self._seen)) * self.env.num_envs
+        seen, true = self._seen.flatten(0, 1), self._true.flatten(0, 1)
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        for _ in range(self.config.gradient_steps):
+            rows = torch.from_numpy(self._random.integers(count, size=self.config.batch_size))
+            loss = nn.functional.mse_loss(self.model.inference(seen[rows]), true[rows])
+            self.optimiser.zero_grad()
+            loss.backward()
+            self.optimiser.step()
+
+    def learn(
+        self,
+        total: int,
+        evaluate_every: int,
+        folder: Path,
+        recipe: Mapping[str, Any],
+        on_steps: Callable[[int], None] = lambda steps: None,
+        on_text: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Train for `total` steps over all vehicles. recipe: what stands in every archive."""
+        began, evaluated = time.perf_counter(), 0
+        while self.steps < total:
+            before = self.steps
+            loss = self.collect()
+            self.regress(self.config.learning_rate * (1.0 - before / total))
+            on_steps(self.steps - before)
+            rmse = float("nan")
+            due = self.steps - evaluated >= evaluate_every or self.steps >= total
+            if due and self.held_out is not None:
+                rmse = held_out_rmse(self.policy(), self.held_out)
+            seconds = round(time.perf_counter() - began, 2)
+            self.curve.append((self.steps, seconds, round(loss, 5), rmse))
+            on_text(f"loss {loss:.3f}, held out {self.best:.3f} m")
+            if not due:
+                continue
+            evaluated = self.steps
+            reached: dict[str, Any] = {"steps": self.steps, "seconds": seconds}
+            reached["held_out_rmse"] = rmse if rmse == rmse else None
+            files = {WEIGHTS: weights(self.model.inference)}
+            save_agent(folder / "last.zip", self.teacher, {**recipe, **reached}, files)
+            if not rmse >= self.best:
+                self.best = rmse if rmse == rmse else self.best
+                write_atomically(folder / "agent.zip", (folder / "last.zip").read_bytes())
+            write_curve(folder, CURVE, self.curve)
+
+
+def make_student(config: Any, arguments: Mapping[str, Any]) -> tuple[Student, dict[str, Any]]:
+    """An untrained student, and what its recipe has from its teacher.
+
+    config: of train.py. arguments: of the environment. Raises ValueError.
+    """
+    if config.resume:
+        raise ValueError("a student's training takes minutes and has no checkpoint: omit --resume")
+    teacher, recipe = load_teacher(config.teacher)
+    env = make_vehicles(
+        config, arguments, config.vehicles, expose_truth=True, autoreset_mode="SameStep"
+    )
+    student = Student(
+        env, (teacher, normalisation_of(recipe)), tuple(config.lags), config.student,
+        context_of(config, arguments), config.seed, make_held_out(config, arguments),
+    )  # fmt: skip
+    names = ("algorithm", "normalisation")
+    return student, {**{name: recipe[name] for name in names}, "teacher": recipe}

@@ -1,0 +1,249 @@
+"""Teacher and student: who sees the truth, what the student learns, and that it drives alone."""
+
+import zipfile
+
+import numpy as np
+import pytest
+
+from agents.configs import StudentConfig
+from agents.environment import environment_arguments
+from agents.inference import WEIGHTS, StudentModel, make_inference
+from agents.loading import agent_entry, load_model, read_recipe
+from agents.memory import AgentVectorEnv, History
+from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, privileged
+from agents.student import make_student
+from tests.agents.agent_cases import same_parameters, small
+from tests.agents.test_agents import STEPS, Recorded, as_evaluated
+from tracked_env import observation as obs
+from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.policies import checked_policy, needs_truth
+from tracked_env.physics.parameters import plant_parameters
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+from train import main
+
+CONTEXT = PolicyContext(0.02, "sliding")
+SETTINGS = StudentConfig(n_steps=32, gradient_steps=30, batch_size=128, hidden=(16,))
+
+
+def vehicles(uncertainty="payload", **more):
+    return TrackedVehicleVectorEnv(
+        3, uncertainty=uncertainty, duration=1.0, autoreset_mode="SameStep", **more
+    )
+
+
+@pytest.fixture(scope="module")
+def teacher(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("teacher")
+    assert main(small(folder, memory="teacher")) == 0
+    return folder / "agent.zip"
+
+
+def student_config(output, teacher, **changes):
+    return small(output, memory="student", teacher=teacher, student=SETTINGS, **changes)
+
+
+@pytest.fixture(scope="module")
+def student(teacher, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("student")
+    assert main(student_config(folder, teacher, steps=4096, evaluate_every=2048)) == 0
+    return folder
+
+
+def test_privileged_inputs_are_0_at_nominal_and_of_order_one_where_parameters_spread():
+    nominal = {name: np.array([value]) for name, value in plant_parameters()._asdict().items()}
+    truth = {**nominal, "slip_left": np.zeros(1), "slip_right": np.zeros(1)}
+    np.testing.assert_array_equal(privileged(truth), np.zeros((1, len(PRIVILEGED))))
+    heavy = {**truth, "mass": nominal["mass"] * np.exp(0.3), "slip_left": np.array([-7.0])}
+    shown = dict(zip(PRIVILEGED, privileged(heavy)[0], strict=True))
+    assert shown["mass"] == pytest.approx(1.0) and shown["slip_left"] == pytest.approx(-2.0)
+    assert 0.0 < shown["traction_limit"] < 0.1  # cohesion bears most of it
+
+
+def test_privileged_inputs_belong_to_the_observation_they_stand_beside():
+    """At an episode's end too: `final_obs` has the old vehicle's, the new row the new one's."""
+    memory = Privileged(3, 0.02)
+    constant = vehicles("soil-and-mass", expose_truth=True)  # within an episode
+    env = AgentVectorEnv(TruthfulVectorEnv(constant, memory), memory)
+    parameters = [not name.startswith("slip") for name in PRIVILEGED]
+    core = env.unwrapped
+    observation, _ = env.reset(seed=0)
+    ends = 0
+    for _ in range(STEPS):
+        truth = privileged(core.simulation.truth())
+        np.testing.assert_array_equal(observation[:, obs.SIZE :], np.clip(truth, -10, 10))
+        observation, _, terminated, truncated, info = env.step(np.full((3, 2), 0.2, np.float32))
+        for i in np.flatnonzero(terminated | truncated):
+            ends += 1
+            last = info["final_obs"][i][obs.SIZE :]
+            np.testing.assert_array_equal(last[parameters], truth[i, parameters])
+            assert (observation[i, obs.SIZE :][parameters] != truth[i, parameters]).any()
+    assert ends >= 3
+
+
+def test_a_teacher_is_declared_privileged_and_refuses_to_drive_without_the_truth(teacher):
+    policy = checked_policy(agent_entry(teacher), CONTEXT)
+    assert needs_truth(policy)
+    with pytest.raises(ValueError, match="needs `observe_truth`"):
+        policy.predict(np.zeros((3, obs.SIZE), np.float32))
+    _, info = vehicles(expose_truth=True).reset(seed=0)
+    policy.observe_truth(info["truth"])
+    with pytest.raises(ValueError, match="truth of 3 vehicles"):
+        policy.predict(np.zeros((2, obs.SIZE), np.float32))
+
+
+def test_a_teacher_acts_in_the_benchmark_as_in_training(teacher):
+    recipe = read_recipe(teacher)
+    model = load_model(teacher, (recipe["algorithm"],))
+    memory, inner = Privileged(3, 0.02), Recorded(vehicles(expose_truth=True))
+    env = AgentVectorEnv(TruthfulVectorEnv(inner, memory), memory)
+    observation, _ = env.reset(seed=5)
+    for _ in range(STEPS):
+        observation = env.step(model.predict(observation, deterministic=True)[0])[0]
+    policy, plain = agent_entry(teacher).make(CONTEXT), Recorded(vehicles(expose_truth=True))
+    observation, info = plain.reset(seed=5)
+    state = None
+    for _ in range(STEPS):
+        policy.observe_truth(info["truth"])
+        action, state = policy.predict(observation, state)
+        observation, _, _, _, info = plain.step(action)
+    assert np.ptp(plain.commands) > 0.0
+    np.testing.assert_array_equal(inner.commands, plain.commands)
+
+
+def test_a_teacher_goes_on_after_an_interruption_as_if_nothing_had_been(teacher, tmp_path):
+    from agents.training import Trainer
+
+    def interrupt(self, text=None):
+        if self.model.num_timesteps >= 384:
+            raise KeyboardInterrupt
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Trainer, "_on_step", lambda self: interrupt(self) or True)
+        assert main(small(tmp_path, memory="teacher")) == 130
+    assert main(small(tmp_path, memory="teacher", resume=True)) == 0
+    assert same_parameters(tmp_path / "last.zip", teacher.parent / "last.zip")
+
+
+def test_the_regression_loss_falls(teacher, tmp_path):
+    config = student_config(tmp_path, teacher)
+    student, _ = make_student(config, environment_arguments(config))
+    losses = [student.collect()]
+    seen, true = student._seen[:32].flatten(0, 1).numpy(), student._true[:32].flatten(0, 1).numpy()
+    for _ in range(3):
+        student.regress(3e-3)
+        losses.append(np.mean((student.model.infer(seen) - true) ** 2))
+    assert (np.diff(losses) < 0.0).all() and losses[-1] < 0.3 * losses[0]
+
+
+def test_a_student_drives_with_its_teachers_network_and_says_whose(student, teacher):
+    curve = np.genfromtxt(student / "curve.csv", delimiter=",", names=True)
+    assert np.isfinite(curve["loss"]).all()
+    assert np.isfinite(curve["held_out_rmse"][-1]) and curve["steps"][-1] == 4096
+    assert same_parameters(student / "agent.zip", teacher)
+    recipe = read_recipe(student / "agent.zip")
+    assert recipe["memory"] == "student" and recipe["teacher"]["memory"] == "teacher"
+    assert recipe["config"]["student"]["n_steps"] == 32 and "ppo" not in recipe["config"]
+    assert (student / "config.json").is_file()
+
+
+def test_the_inference_is_regressed_on_the_truth_of_the_moment(teacher, tmp_path):
+    config = student_config(tmp_path, teacher)
+    student, _ = make_student(config, environment_arguments(config))
+    truth = privileged(student.env.unwrapped.simulation.truth())
+    shown = student._observation.copy()
+    student.collect()
+    np.testing.assert_array_equal(student._true[0].numpy(), truth)
+    np.testing.assert_array_equal(student._seen[0].numpy(), shown)
+    np.testing.assert_array_equal(student.model.infer(shown), np.zeros_like(truth))
+
+
+def test_a_saved_student_acts_as_in_training(teacher, tmp_path):
+    config = student_config(tmp_path, teacher, steps=1024)
+    student, taught = make_student(config, environment_arguments(config))
+    recipe = {"memory": "student", "memory_options": config.memory_options, "control_period": 0.02}
+    student.learn(1024, 1024, tmp_path, {**recipe, **taught})
+    inner = Recorded(vehicles())
+    env = AgentVectorEnv(inner, History(3, 0.02))
+    observation, _ = env.reset(seed=5)
+    for _ in range(STEPS):
+        observation = env.step(student.model.predict(observation, deterministic=True)[0])[0]
+    assert np.abs(student.model.infer(observation)).max() > 0.0
+    np.testing.assert_array_equal(inner.commands, as_evaluated(tmp_path / "last.zip"))
+
+
+def test_a_student_drives_without_truth_and_remembers_all_in_its_state(student):
+    entry = agent_entry(student / "agent.zip")
+    policy, fresh = checked_policy(entry, CONTEXT), entry.make(CONTEXT)
+    assert not needs_truth(policy) and not hasattr(policy, "observe_truth")
+    env = vehicles()  # shows no truth
+    observation, info = env.reset(seed=1)
+    assert "truth" not in info
+    state = None
+    for _ in range(10):
+        action, state = policy.predict(observation, state)
+        observation = env.step(action)[0]
+    np.testing.assert_array_equal(
+        policy.predict(observation, state)[0], fresh.predict(observation, state)[0]
+    )
+
+
+def test_the_same_seed_gives_the_same_student(student, teacher, tmp_path):
+    def stored(path):
+        with zipfile.ZipFile(path) as archive, np.load(archive.open(WEIGHTS)) as file:
+            return {name: file[name] for name in file}
+
+    for name in ("one", "two"):
+        assert main(student_config(tmp_path / name, teacher, steps=256)) == 0
+    one, two = (stored(tmp_path / name / "last.zip") for name in ("one", "two"))
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+
+
+def test_another_seed_gives_another_student_of_the_same_teacher(teacher, tmp_path):
+    first = []
+    for seed in (3, 4):
+        config = student_config(tmp_path, teacher, seed=seed)
+        student, _ = make_student(config, environment_arguments(config))
+        first.append(student.model.inference[0].weight.detach().numpy().copy())
+    assert not np.array_equal(*first)
+
+
+def test_the_teachers_network_is_fed_the_observation_and_what_was_inferred():
+    class Echo:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return observation, state
+
+    inference = make_inference((1, 2), (8,))
+    inference[-1].bias.data += 0.5
+    width = inference[0].in_features
+    observation = np.random.default_rng(0).normal(size=(3, width)).astype(np.float32)
+    given, _ = StudentModel(inference, Echo(), None).predict(observation)
+    np.testing.assert_array_equal(given[:, : obs.SIZE], observation[:, : obs.SIZE])
+    np.testing.assert_array_equal(given[:, obs.SIZE :], np.full((3, len(PRIVILEGED)), 0.5))
+
+
+def test_what_makes_no_student_is_a_clear_error(teacher, student, tmp_path, capsys):
+    for changes, message in (
+        ({"teacher": None}, "needs --teacher"),
+        ({"teacher": tmp_path / "none.zip"}, "no such file"),
+        ({"teacher": student / "agent.zip"}, "memory 'student'; a student needs a teacher"),
+        ({"teacher": teacher, "resume": True}, "omit --resume"),
+    ):
+        given = {"memory": "student", **changes}
+        assert main(small(tmp_path / "out", **given)) == 2
+        assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(ValueError, match="expose_truth = True"):
+        TruthfulVectorEnv(vehicles(), Privileged(3, 0.02))
+
+
+def test_a_student_without_its_weights_is_refused(student, tmp_path):
+    path = tmp_path / "agent.zip"
+    with (
+        zipfile.ZipFile(student / "agent.zip") as whole,
+        zipfile.ZipFile(path, "w") as archive,
+    ):
+        for name in whole.namelist():
+            if name != WEIGHTS:
+                archive.writestr(name, whole.read(name))
+    with pytest.raises(ValueError, match=r"as a student: student\.npz in it is missing"):
+        agent_entry(path)

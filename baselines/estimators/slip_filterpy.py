@@ -138,6 +138,20 @@ def end(memory, i, link, x, p, value, covariance, summary, status):
     covariance[i] = p
 
 
+class _Filter(UnscentedKalmanFilter):
+    """filterpy's filter; its loop over the sigma points for P_xz is one product here."""
+
+    def cross_variance(
+        self,
+        x: NDArray[np.float64],
+        z: NDArray[np.float64],
+        sigmas_f: NDArray[np.float64],
+        sigmas_h: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """(42c): states x rows of z."""
+        return np.asarray((sigmas_f - x).T @ (self.Wc[:, None] * (sigmas_h - z)))
+
+
 class FilterpySlipObserver(SlipObserver):
     """SlipObserver with filterpy's filter inside; arguments and answers are the same."""
 
@@ -146,7 +160,7 @@ class FilterpySlipObserver(SlipObserver):
         self._numbers = np.array(self._constants)
         self._link = np.zeros(_LINK)
         rows = ROWS if self.velocity else 3
-        self._filter = UnscentedKalmanFilter(
+        self._filter = _Filter(
             STATES,
             rows,
             self.control_period,

@@ -55,7 +55,7 @@ class Config:
     """Policies to compare; the first one is the baseline.
     nominal: feedback linearization with nominal parameters.
     adaptive: the same controller, parameters identified on line.
-    oracle: the same controller with the true parameters.
+    oracle: adaptive with the true parameters, nothing to identify.
     ppo ...: an agent in agents/pretrained, with all its seeds.
     path/to/agent.zip: an agent trained by train.py or any other
     archive of Stable-Baselines3. NAME=runs/ppo-*/agent.zip: the

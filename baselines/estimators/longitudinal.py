@@ -24,7 +24,7 @@ from baselines.estimators.two_parameters import (
     TORQUE_MARGIN,
     TwoParameterEstimator,
     answer,
-    checked_forgetting,
+    tuning,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
@@ -32,7 +32,6 @@ from tracked_env.physics.parameters import RANGES, PlantParameters
 
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
 RESISTANCE_DRIFT = 0.01  # [1/sqrt(s)] random walk of mu_l: 0.02 in a second, more by `changes`
-PAPER_FORGETTING = 0.998  # [-] S 8.3.1
 INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
 RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
 MASS_FACTOR = 5.0  # [-] mass is sought between nominal / factor and nominal * factor
@@ -115,14 +114,9 @@ class LongitudinalEstimator(TwoParameterEstimator):
         drift: float | None = None,
         follows_changes: bool | None = None,
     ) -> None:
-        if regression not in ("coupled", "paper"):
-            raise ValueError(f"regression = {regression!r}; must be 'coupled' or 'paper'")
-        coupled = regression == "coupled"
-        if forgetting is None:
-            forgetting = FORGETTING if coupled else PAPER_FORGETTING
-        if drift is None:
-            drift = RESISTANCE_DRIFT if coupled else 0.0
-        checked_forgetting("forgetting", forgetting)
+        forgetting, drift, follows_changes = tuning(
+            regression, forgetting, drift, follows_changes, (FORGETTING, RESISTANCE_DRIFT)
+        )
         walk = drift * drift * control_period / RESISTANCE_SIGMA**2
         nominal = 1.0 / parameters.mass
         bounds = RANGES["longitudinal_resistance"]
@@ -130,7 +124,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
             nominal, parameters.longitudinal_resistance,
             INVERSE_MASS_SIGMA * nominal, RESISTANCE_SIGMA,
             nominal / MASS_FACTOR, bounds.low, nominal * MASS_FACTOR, bounds.high,
-            forgetting, walk, True, coupled if follows_changes is None else follows_changes,
+            forgetting, walk, True, follows_changes,
         )  # fmt: skip
         super().__init__(parameters, control_period, data_sheet, count, prior)
         sheet, p = self.data_sheet, self.parameters
@@ -142,7 +136,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
             sheet.acceleration_noise**2 + MODEL_NOISE**2,
             2.0 * effort * effort,
             TORQUE_MARGIN * p.torque_limit,
-            coupled,
+            regression == "coupled",
         )
 
     def known(self) -> tuple[Any, ...]:

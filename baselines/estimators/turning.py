@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Estimate
-from baselines.estimators.longitudinal import PAPER_FORGETTING
 from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, DataSheet
 from baselines.estimators.two_parameters import (
     HOLDING,
@@ -36,7 +35,7 @@ from baselines.estimators.two_parameters import (
     VALUE_2,
     TwoParameterEstimator,
     answer,
-    checked_forgetting,
+    tuning,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import saturated_sign
@@ -198,14 +197,9 @@ class TurningEstimator(TwoParameterEstimator):
     ) -> None:
         if lateral not in ("sliding", "constrained"):
             raise ValueError(f"lateral = {lateral!r}; must be 'sliding' or 'constrained'")
-        if regression not in ("coupled", "paper"):
-            raise ValueError(f"regression = {regression!r}; must be 'coupled' or 'paper'")
-        coupled = regression == "coupled"
-        if forgetting is None:
-            forgetting = FORGETTING if coupled else PAPER_FORGETTING
-        if drift is None:
-            drift = FRICTION_DRIFT if coupled else 0.0
-        checked_forgetting("forgetting", forgetting)
+        forgetting, drift, follows_changes = tuning(
+            regression, forgetting, drift, follows_changes, (FORGETTING, FRICTION_DRIFT)
+        )
         walk = drift * drift * control_period / FRICTION_SIGMA**2
         inertia = parameters.inertia
         friction = parameters.mass * parameters.lateral_resistance
@@ -214,7 +208,7 @@ class TurningEstimator(TwoParameterEstimator):
             inertia, friction, INERTIA_SIGMA * inertia, FRICTION_SIGMA * friction,
             inertia / INERTIA_FACTOR, 0.02 * friction,
             inertia * INERTIA_FACTOR, limit * INERTIA_FACTOR * parameters.mass,
-            forgetting, walk, False, coupled if follows_changes is None else follows_changes,
+            forgetting, walk, False, follows_changes,
         )  # fmt: skip
         super().__init__(parameters, control_period, data_sheet, count, prior)
         sheet, p = self.data_sheet, self.parameters

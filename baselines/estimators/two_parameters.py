@@ -16,6 +16,7 @@ from baselines.estimators.measurement import DataSheet, Measurement
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
 
+PAPER_FORGETTING = 0.998  # [-] S 8.3.1
 CONVERGING, HOLDING, REJECTED = 0, 1, 2  # of estimate.Status, as plain numbers for kernels
 TORQUE_MARGIN = 1.5  # [-] of the drives' limit: a larger torque is not one, and would weigh much
 SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing about it
@@ -51,6 +52,29 @@ def checked_forgetting(name: str, value: float) -> float:
             "kept per sample: 0.998 remembers about 500 samples. Did you pass 1 - lambda?"
         )
     return float(value)
+
+
+def tuning(
+    regression: str,
+    forgetting: float | None,
+    drift: float | None,
+    follows_changes: bool | None,
+    own: tuple[float, float],
+) -> tuple[float, float, bool]:
+    """(forgetting, drift, follows_changes): None takes `own` forgetting and drift and follows,
+    or, with regression "paper", lambda = 0.998, no drift, and follows nothing.
+
+    Raises ValueError for an unknown regression and a forgetting factor that makes no sense.
+    """
+    if regression not in ("coupled", "paper"):
+        raise ValueError(f"regression = {regression!r}; must be 'coupled' or 'paper'")
+    coupled = regression == "coupled"
+    defaults = own if coupled else (PAPER_FORGETTING, 0.0)
+    return (
+        checked_forgetting("forgetting", defaults[0] if forgetting is None else forgetting),
+        defaults[1] if drift is None else drift,
+        coupled if follows_changes is None else follows_changes,
+    )
 
 
 class TwoParameterEstimator:

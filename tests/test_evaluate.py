@@ -58,7 +58,7 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(
         ("oracle", 1),
     ]  # fmt: skip
     assert document["benchmark"]["comparable"] is False
-    assert "sets of your own, not v1: sensors" in done.stdout
+    assert "sets of your own, not v2: sensors" in done.stdout
     assert "Leaderboard" in done.stdout
     assert document["identity"]["sensors"] == {"preset": "rtk", "pose_delay": 0.02}
     (folder,) = (tmp_path / "results").iterdir()

@@ -8,14 +8,15 @@ import pytest
 
 from tracked_env import batch as b
 from tracked_env import observation as obs
-from tracked_env.configuration import TorqueConfig
+from tracked_env.configuration import EnvConfig
 from tracked_env.physics import state as s
 from tracked_env.physics.measurement import CHANNELS
-from tracked_env.physics.parameters import HEAVY_CLAY
+from tracked_env.physics.parameters import HEAVY_CLAY, VEHICLES
 from tracked_env.sensors import PRESETS, Sensors, make_sensors
 from tracked_env.simulation import Simulation
-from tracked_env.uncertainty import NOMINAL, SOILS, STRAWA_MAPS, UNCERTAINTY_SETS
+from tracked_env.uncertainty import SOILS, STRAWA_MAPS, UNCERTAINTY_SETS
 
+NOMINAL = VEHICLES["strawa"]
 STRAIGHT = {"kind": "straight", "speed": 2.0}
 ON_PATH = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 2.0, "yaw_rate": 0.0}
 CRUISE = 0.16001  # action that balances mu_l m g on the nominal soil: 1280 N m per track
@@ -24,7 +25,7 @@ CRUISE = 0.16001  # action that balances mu_l m g on the nominal soil: 1280 N m 
 def simulate(count=1, options=None, **config):
     """A simulation of `count` vehicles, reset with one generator each."""
     config = {"reference": STRAIGHT, "uncertainty": "nominal", "sensors": "ideal", **config}
-    simulation = Simulation(count, TorqueConfig(**config))
+    simulation = Simulation(count, EnvConfig(**config))
     simulation.rngs = [np.random.default_rng(i) for i in range(count)]
     given = {"start": ON_PATH, **(options or {})}
     simulation.reset(simulation.all, [given] * count)
@@ -108,11 +109,11 @@ def test_dropouts_come_with_their_probability_and_are_seen_as_age():
 
 
 def test_delay_of_one_vehicle_leaves_the_others_alone():
-    pair = Simulation(2, TorqueConfig(reference=STRAIGHT, sensors="rtk"))
+    pair = Simulation(2, EnvConfig(reference=STRAIGHT, sensors="rtk"))
     pair.rngs = [np.random.default_rng(i) for i in range(2)]
     late = {"sensors": {"pose_delay": 0.2, "drive_delay": 0.04}}
     pair.reset(pair.all, [None, late])
-    alone = Simulation(1, TorqueConfig(reference=STRAIGHT, sensors="rtk"))
+    alone = Simulation(1, EnvConfig(reference=STRAIGHT, sensors="rtk"))
     alone.rngs = [np.random.default_rng(0)]
     alone.reset(alone.all, [None])
     for _ in range(30):
@@ -202,7 +203,7 @@ def test_resistance_maps_are_equations_44_and_45():
 
 @pytest.mark.parametrize("name", UNCERTAINTY_SETS)
 def test_every_uncertainty_set_draws_physical_values_and_changes_what_it_promises(name):
-    simulation = Simulation(64, TorqueConfig(uncertainty=name, error_limit=1e6, sensors="ideal"))
+    simulation = Simulation(64, EnvConfig(uncertainty=name, error_limit=1e6, sensors="ideal"))
     simulation.rngs = [np.random.default_rng(i) for i in range(64)]
     simulation.reset(simulation.all, [None] * 64)
     start = simulation.truth()
@@ -213,11 +214,19 @@ def test_every_uncertainty_set_draws_physical_values_and_changes_what_it_promise
     resistance = {"longitudinal_resistance", "lateral_resistance"}
     expected = {
         "payload": {"mass", "inertia"},
+        "friction-step": {"friction_angle"},
+        "friction-drift": {
+            "friction_angle",
+            "shear_deformation_modulus",
+            "longitudinal_resistance",
+        },
         "resistance-map": resistance,
         "drift": {"mass", "inertia"} | resistance,
     }
     if name in expected:
         assert changed == expected[name]
+    elif name == "floor-mixed":
+        assert changed == {"mass", "inertia", "friction_angle"}
     elif name in ("terrain-transition", "mixed"):
         assert changed >= resistance
     else:
@@ -232,7 +241,7 @@ def test_sets_that_are_held_out_do_not_overlap_the_training_ranges():
     for name in ("soil-and-mass", "ood"):
         law = UNCERTAINTY_SETS[name]
         rng = np.random.default_rng(0)
-        draws[name] = np.array([law(rng, None, 30.0).parameters.mass for _ in range(300)])
+        draws[name] = np.array([law(rng, NOMINAL, None, 30.0).parameters.mass for _ in range(300)])
     inside, outside = draws["soil-and-mass"], draws["ood"]
     assert not np.any((outside > inside.min()) & (outside < inside.max()))
 
@@ -263,7 +272,7 @@ def test_a_soil_without_any_strength_gives_a_spinning_vehicle_and_no_nan():
 def test_what_the_policy_does_changes_neither_vehicle_nor_noise_nor_the_next_episode():
     runs = []
     for action, steps in ((0.1, 130), (0.25, 70)):
-        simulation = Simulation(2, TorqueConfig(uncertainty="mixed"))
+        simulation = Simulation(2, EnvConfig(uncertainty="mixed"))
         simulation.rngs = [np.random.default_rng(i) for i in range(2)]
         simulation.reset(simulation.all, [None] * 2)
         noise = simulation.batch.noise.copy()

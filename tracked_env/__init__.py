@@ -4,15 +4,36 @@ Importing this package registers the ids; `gymnasium.make("tracked_env:tracked_e
 does both in one call.
 """
 
+from typing import Any
+
 import gymnasium
 
 __version__ = "0.1.0"
 
 TORQUE_ID = "tracked_env/Torque-v0"
+SPEED_ID = "tracked_env/Speed-v0"
 
-if TORQUE_ID not in gymnasium.registry:
-    gymnasium.register(
-        id=TORQUE_ID,
-        entry_point="tracked_env.env:TrackedVehicleEnv",
-        vector_entry_point="tracked_env.vector_env:TrackedVehicleVectorEnv",
-    )
+# What Speed-v0 says differently from the defaults: a light vehicle, indoors, on patches.
+SPEED: dict[str, Any] = {
+    "vehicle": "focchi",
+    "plant": "distributed",
+    "drive": "speed",
+    "uncertainty": "friction",
+    "sensors": "mocap",
+    "reference": {
+        "kind": "random",
+        "speed_range": [0.1, 0.5],
+        "yaw_rate_limit": 0.9,
+        "lateral_acceleration_limit": 0.4,
+    },
+    "error_limit": 2.0,
+}
+
+for _id, _defaults in ((TORQUE_ID, {}), (SPEED_ID, SPEED)):
+    if _id not in gymnasium.registry:
+        gymnasium.register(
+            id=_id,
+            entry_point="tracked_env.env:TrackedVehicleEnv",
+            vector_entry_point="tracked_env.vector_env:TrackedVehicleVectorEnv",
+            kwargs=_defaults,
+        )

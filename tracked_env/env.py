@@ -1,6 +1,6 @@
 """One tracked vehicle behind the Gymnasium interface: the simulation core with N = 1."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from tracked_env import batch as b
 from tracked_env import observation as obs
-from tracked_env.configuration import TorqueConfig
+from tracked_env.configuration import EnvConfig
 from tracked_env.simulation import Simulation
 from tracked_env.validation import checked_choice
 
@@ -21,9 +21,11 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     """A skid-steering tracked vehicle on unknown soil follows a reference in time.
 
         ## Description
-        A tracked vehicle (Strawa et al. 2021) turns by driving its two tracks with different
-        sprocket torques. Mass, inertia, soil strength and resistance are drawn per episode, may
-        change inside it, and are not observed. The task is to stay on a moving reference pose.
+        A tracked vehicle turns by driving its two tracks differently: by their sprocket torques
+        (`tracked_env/Torque-v0`, after Strawa et al. 2021) or by their sprocket speeds
+        (`tracked_env/Speed-v0`, after Focchi et al. 2025). Mass, inertia, soil strength and
+        resistance are drawn per episode, may change inside it, and are not observed. The task is to
+        stay on a moving reference pose.
         SI units, body frame x forward and y left, yaw positive to the left.
 
         ## Action Space
@@ -34,8 +36,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | 0 | left sprocket torque over `torque_limit` | -1 | 1 | - |
         | 1 | right sprocket torque over `torque_limit` | -1 | 1 | - |
 
-        Values outside are clipped; a non-finite value or a wrong shape is a ValueError. Equal
-        torques drive straight on; more on the right turns left.
+        With `drive="speed"` it is the sprocket speed over `sprocket_speed_limit`. Values outside
+        are clipped; a non-finite value or a wrong shape is a ValueError. Equal actions drive
+        straight on; more on the right turns left.
 
         ## Observation Space
         `Box(float32)`: sensor readings and the reference, each over its scale. No true state.
@@ -48,26 +51,30 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         (0.05). They are in `info["reward_terms"]`.
 
         ## Starting State
-        Beside the start of the reference: U(-0.3, 0.3) m forward and to the left, U(-0.1, 0.1) rad
-        off, at its speed *U(0.8, 1.2).
+        Beside the start of the reference: U(-0.15, 0.15) contact lengths l forward and to the
+        left (0.3 m for l = 2 m), U(-0.1, 0.1) rad off, at its speed *U(0.8, 1.2).
 
         ## Episode End
         Terminated: more than `error_limit` from the reference, or a non-finite state.
         Truncated: after `duration`. No TimeLimit wrapper is needed.
 
         ## Arguments
-        All are JSON-able.
+        All are JSON-able; `tracked_env/Speed-v0` has defaults of its own (`tracked_env.SPEED`).
 
         | argument | default | meaning |
         |--|--|--|
         | `reference` | `"random"` | name or dict, see `tracked_env.references` |
         | `uncertainty` | `"soil-and-mass"` | set by name, or {parameter: [low, high]} |
-        | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, or dict of overrides |
+        | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, `mocap`, or dict of overrides |
         | `duration` | 30 | [s] of an episode |
         | `control_rate` | 50 | [Hz] of actions and observations |
-        | `lateral` | `"sliding"` | lateral closure, or `"constrained"` as in the paper |
+        | `lateral` | `"sliding"` | lateral closure of the lumped plant, or `"constrained"` |
         | `error_limit` | 5 | [m] distance that ends an episode |
         | `time_step` | 0.0025 | [s] longest integration step |
+        | `vehicle` | `"strawa"` | nominal vehicle and soil: `strawa`, `focchi`, `focchi-short` |
+        | `plant` | `"lumped"` | closed-form forces, or `"distributed"`: patches under the tracks |
+        | `drive` | `"torque"` | what the actions are; `"speed"` needs the distributed plant |
+        | `patches` | (10, 4) | of the distributed plant: along and across a track |
         | `expose_truth` | False | put true state and parameters into `info["truth"]` |
         | `render_mode` | None | `"human"` or `"rgb_array"` |
 
@@ -78,7 +85,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
 
         ## Info
         `tracking_error` (2,) [m, rad]: distance to the reference, heading error; `reward_terms`;
-        `is_success`: ended by time with an RMSE below 0.5 m; `truth` when asked for.
+        `is_success`: ended by time with an RMSE below l/4; `truth` when asked for.
 
         ## Version History
         * v0: initial version
@@ -99,14 +106,18 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         lateral: str = "sliding",
         error_limit: float = 5.0,
         time_step: float = 0.0025,
+        vehicle: str = "strawa",
+        plant: str = "lumped",
+        drive: str = "torque",
+        patches: Sequence[int] = (10, 4),
         expose_truth: bool = False,
         render_mode: str | None = None,
     ) -> None:
         if render_mode is not None:
             checked_choice("render_mode", render_mode, RENDER_MODES)
-        config = TorqueConfig(
+        config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step,
+            time_step, 1, vehicle, plant, drive, patches,
         )  # fmt: skip
         self.simulation = Simulation(1, config)
         self.expose_truth = expose_truth

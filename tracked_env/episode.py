@@ -2,8 +2,9 @@
 
 The draws of an episode, always in this order, from the vehicle's own generator:
     noise seed      = integer in [0, 2^63)
-    start           offset_x, offset_y = U(-0.3, 0.3) m, offset_yaw = U(-0.1, 0.1) rad,
-                    speed = reference speed *U(0.8, 1.2), yaw rate = that of the reference
+    start           offset_x, offset_y = U(-0.15, 0.15) contact lengths (0.3 m for 2 m),
+                    offset_yaw = U(-0.1, 0.1) rad, speed = reference speed *U(0.8, 1.2),
+                    yaw rate = that of the reference
     reference       as `tracked_env.references` says for its kind
     uncertainty     as `tracked_env.uncertainty` says for its set
     sensors         signs of the biases
@@ -26,6 +27,7 @@ from tracked_env.uncertainty import Law, make_uncertainty
 from tracked_env.validation import checked_keys, checked_number, checked_parameter
 
 OPTION_KEYS = (*GROUPS, "reference", "sensors", "schedule", "start")
+START_OFFSET = 0.15  # [-] of the nominal contact length, to either side
 DURATION_RANGE = Range(0.1, 3600.0, "s", "Did you pass control steps?")
 _START_RANGES = {
     "offset_x": Range(-100.0, 100.0, "m", "It is an offset, not a position."),
@@ -41,6 +43,7 @@ class EpisodeSettings(NamedTuple):
 
     reference: str | Mapping[str, Any]
     law: Law
+    nominal: PlantParameters  # around which the law draws
     sensors: Sensors
     duration: float  # [s]
     control_period: float  # [s]
@@ -68,13 +71,15 @@ def make_settings(
     sensors: str | Mapping[str, Any] | Sensors,
     duration: float,
     control_period: float,
+    nominal: PlantParameters,
 ) -> EpisodeSettings:
     """Check everything that an environment is built from. Raises ValueError."""
     length = checked_number("duration", duration, DURATION_RANGE)
     make_reference(reference, length, np.random.default_rng(0))
     return EpisodeSettings(
-        reference, make_uncertainty(uncertainty), make_sensors(sensors), length, control_period
-    )
+        reference, make_uncertainty(uncertainty), nominal, make_sensors(sensors), length,
+        control_period,
+    )  # fmt: skip
 
 
 def _overridden(parameters: PlantParameters, options: Mapping[str, Any]) -> PlantParameters:
@@ -86,13 +91,14 @@ def _overridden(parameters: PlantParameters, options: Mapping[str, Any]) -> Plan
 
 
 def _start(
-    profile: ReferenceProfile, draws: NDArray[np.float64], options: Mapping[str, Any]
+    profile: ReferenceProfile, draws: NDArray[np.float64], options: Mapping[str, Any], length: float
 ) -> VehicleState:
-    """Vehicle at the start: beside the reference, moving nearly as it does."""
+    """Vehicle of that contact length at the start: beside the reference, moving nearly as it
+    does."""
     given = checked_keys("options['start']", options.get("start"), _START_RANGES)
     values = {
-        "offset_x": 0.3 * draws[0],
-        "offset_y": 0.3 * draws[1],
+        "offset_x": START_OFFSET * length * draws[0],
+        "offset_y": START_OFFSET * length * draws[1],
         "offset_yaw": 0.1 * draws[2],
         "speed": profile.speed[0, 0] * (1.0 + 0.2 * draws[3]),
         "yaw_rate": profile.yaw_rate[0, 0],
@@ -127,7 +133,7 @@ def draw_episode(
     noise_seed = int(rng.integers(2**63))
     start_draws = rng.uniform(-1.0, 1.0, 4)
     profile = make_reference(settings.reference, settings.duration, rng)
-    truth = settings.law(rng, profile, settings.duration)
+    truth = settings.law(rng, settings.nominal, profile, settings.duration)
     if options.get("reference") is not None:
         profile = make_reference(
             options["reference"], settings.duration, np.random.default_rng(noise_seed)
@@ -140,6 +146,6 @@ def draw_episode(
         _schedule(options, truth.events),
         profile,
         draw_sensors(sensors, settings.control_period, rng),
-        _start(profile, start_draws, options),
+        _start(profile, start_draws, options, settings.nominal.contact_length),
         noise_seed,
     )

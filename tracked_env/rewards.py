@@ -1,9 +1,9 @@
 """Reward: a weighted sum of named, bounded terms of the true tracking error and the action.
 
 Each term is between 0 and 1; the weights below say what it is worth per control step.
-    position    = 1 / (1 + (distance / 0.5 m)^2)
+    position    = 1 / (1 + (distance / (l/4))^2)             l: contact length; l/4 of 2 m is 0.5 m
     heading     = 1 / (1 + (heading error / 0.25 rad)^2)
-    speed       = 1 / (1 + (speed error / 0.5 m/s)^2)
+    speed       = 1 / (1 + (speed error / (l/4 per s))^2)
     effort      = mean square of the action (left, right)
     smoothness  = mean square of the change of the action, over its largest value 4
 The sum lies in [-0.1, 1]: always better to stay on the path than to end the episode.
@@ -14,10 +14,11 @@ import math
 from tracked_env import batch as b
 from tracked_env.physics import state as s
 from tracked_env.physics.jit import formula
+from tracked_env.physics.parameters import PARAMETER_INDEX
 
-POSITION_SCALE = 0.5  # [m] distance at which the term is 1/2
+POSITION_SCALE = 0.25  # [-] distance over the contact length at which the term is 1/2
 HEADING_SCALE = 0.25  # [rad]
-SPEED_SCALE = 0.5  # [m/s]
+SPEED_SCALE = 0.25  # [1/s] of the contact length
 WEIGHTS = {
     "position": 0.7,
     "heading": 0.15,
@@ -25,6 +26,7 @@ WEIGHTS = {
     "effort": -0.05,
     "smoothness": -0.05,
 }
+_LENGTH = b.PARAMETERS + PARAMETER_INDEX["contact_length"]
 _POSITION, _HEADING, _SPEED, _EFFORT, _SMOOTHNESS = WEIGHTS.values()
 
 
@@ -39,7 +41,8 @@ def closeness(error, scale):
 def reward_terms(distance, heading_error, speed_error, left, right, left_before, right_before):
     """Weighted terms (position, heading, speed, effort, smoothness) and so their sum.
 
-    distance [m], heading_error [rad], speed_error [m/s], actions [-] in [-1, 1].
+    distance [-] and speed_error [1/s] over the contact length, heading_error [rad], actions [-] in
+    [-1, 1].
     """
     change_left, change_right = left - left_before, right - right_before
     return (
@@ -57,10 +60,11 @@ def judge(floats, counters, i, error_limit):
     distance = floats[i, b.ERROR_DISTANCE]
     left, right = floats[i, b.PREVIOUS_ACTION], floats[i, b.PREVIOUS_ACTION + 1]
     speed_error = floats[i, b.REFERENCE_MOTION] - floats[i, b.STATE + s.V_X]
+    length = floats[i, _LENGTH]
     terms = reward_terms(
-        distance,
+        distance / length,
         floats[i, b.ERROR_YAW],
-        speed_error,
+        speed_error / length,
         left,
         right,
         floats[i, b.ACTION_BEFORE],

@@ -6,6 +6,7 @@ Three groups share a sampling clock each: `pose` (INS/GNSS), `inertial` (IMU), `
     ideal   no error at all
     rtk     RTK-GNSS and a tactical IMU, the default
     strawa  the low-cost set of Strawa et al. (2021), section 5.2
+    mocap   motion capture and encoders indoors, the default of Speed-v0
 Laws of the draws, once per episode and vehicle:
     gyro and accelerometer bias     = s b, s = -1 or +1 with equal odds, b the data-sheet bias
     noise, every sample             = N(0, sigma^2)
@@ -83,7 +84,21 @@ STRAWA = Sensors(
     sprocket_speed_noise=0.1,
     torque_noise=0.1,
 )
-PRESETS = {"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA}
+# Focchi et al. (2025), section 4.1: marker-based motion capture at 200 Hz, differentiated and
+# filtered, encoders, and an IMU; they state no noise: values of such a system's data sheet.
+MOCAP = Sensors(
+    position_noise=0.001,
+    yaw_noise=float(np.radians(0.1)),
+    velocity_noise=0.01,
+    acceleration_noise=0.05,
+    acceleration_bias=0.02,
+    cross_coupling=0.001,
+    gyro_noise=0.002,
+    gyro_bias=0.001,
+    sprocket_speed_noise=0.02,
+    torque_noise=0.1,
+)
+PRESETS = {"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA, "mocap": MOCAP}
 
 _SIGMA = Range(0.0, 1e4, "its SI unit", "Did you pass a variance or degrees?")
 _RANGES = {

@@ -20,18 +20,21 @@ from numpy.typing import NDArray
 from tracked_env import batch as b
 from tracked_env import observation as obs
 from tracked_env import stepping
-from tracked_env.configuration import TorqueConfig, make_solver
+from tracked_env.configuration import EnvConfig, make_solver
 from tracked_env.episode import Episode, draw_episode, make_settings
+from tracked_env.moving_lumped import LANES
 from tracked_env.physics import state as s
 from tracked_env.physics.measurement import NOISE_COUNT
-from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS, Range
+from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PARAMETER_ROWS, Range
 from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
 from tracked_env.references import number_of_segments
 from tracked_env.sensors import longest_delay_steps
 from tracked_env.validation import checked_number
 
-THREADED_COUNT = 512  # [vehicles] from here on two threads are faster than one
-SUCCESS_RMSE = 0.5  # [m] an episode that ends by time with a smaller error is a success
+# [vehicles] of the lumped and of the distributed plant, from which two threads beat one
+THREADED_COUNT, THREADED_COUNT_DISTRIBUTED = 512, 16
+SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
+_LENGTH = b.PARAMETERS + PARAMETER_INDEX["contact_length"]
 
 
 _RUNNING = (  # attributes that change while episodes run
@@ -43,7 +46,7 @@ _RUNNING = (  # attributes that change while episodes run
 class Simulation:
     """N vehicles. All arrays have one row per vehicle; all values are SI, angles in rad."""
 
-    def __init__(self, count: int, config: TorqueConfig) -> None:
+    def __init__(self, count: int, config: EnvConfig) -> None:
         """Allocate `count` vehicles. Raises ValueError for a wrong argument."""
         self.count = int(checked_number("num_envs", count, Range(1, 10**6, "-", "A count.")))
         self.config = config
@@ -54,6 +57,7 @@ class Simulation:
             config.sensors,
             config.duration,
             self.solver.control_period,
+            self.solver.nominal,
         )
         self.batch = b.allocate(count, number_of_segments(self.settings.duration))
         self.observations: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
@@ -64,10 +68,16 @@ class Simulation:
         self._action_shape = (count, 2)
         self._idle: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
         solver = self.solver
-        self._clock = (solver.substeps, solver.substep, solver.error_limit)
+        self._clock: tuple[Any, ...] = (solver.substeps, solver.substep, solver.error_limit)
         self._kernel = (
             stepping.advance_constrained if solver.constrained else stepping.advance_sliding
         )
+        if solver.distributed:
+            self._kernel = stepping.advance_distributed
+            self._clock = (*self._clock, solver.patches, solver.by_torque)
+        self._threaded_count, self._share = THREADED_COUNT, LANES
+        if solver.distributed:
+            self._threaded_count, self._share = THREADED_COUNT_DISTRIBUTED, 1
         self._noisy = np.zeros(count, dtype=bool)
         self._pool: ThreadPoolExecutor | None = None
         self._until_refill = 0
@@ -114,7 +124,12 @@ class Simulation:
         yaw = episode.profile.yaw
         f[b.REFERENCE_COSINE : b.REFERENCE_COSINE + 2] = np.cos(yaw), np.sin(yaw)
         f[b.STATE : b.STATE + STATE_ROWS] = episode.state
-        if self.solver.constrained:
+        if self.solver.distributed:  # the belts roll
+            turn = 0.5 * episode.parameters.track_gauge * episode.state.yaw_rate
+            rolling = np.array([episode.state.v_x - turn, episode.state.v_x + turn])
+            first = b.STATE + s.SPROCKET_SPEED_LEFT
+            f[first : first + 2] = rolling / episode.parameters.sprocket_radius
+        elif self.solver.constrained:
             f[b.STATE + s.V_Y] = -episode.parameters.icr_forward * episode.state.yaw_rate
         sensors = episode.sensors
         f[b.SIGMA : b.SIGMA + len(sensors.sigma)] = sensors.sigma
@@ -153,20 +168,21 @@ class Simulation:
     ) -> NDArray[np.float32]:
         """Advance the chosen vehicles (default: all) by one control step.
 
-        actions: (N, 2) float32, left and right sprocket torque over the torque limit, clipped
-        to [-1, 1]. Raises ValueError for a wrong shape or a non-finite value, before moving.
+        actions: (N, 2) float32, left and right sprocket torque over the torque limit, or speed
+        over the speed limit, clipped to [-1, 1]. Raises ValueError for a wrong shape or a
+        non-finite value, before moving.
         Returns all observations (N, SIZE).
         """
         actions = np.asarray(actions, dtype=np.float32)
         if actions.shape != self._action_shape:
             raise ValueError(
                 f"action has shape {actions.shape}; must be {self._action_shape}: sprocket torque "
-                "left, right over the torque limit, in [-1, 1]"
+                "(or speed) left, right over its limit, in [-1, 1]"
             )
         chosen = self.all if chosen is None else chosen
         size = chosen.size
         refill = self._until_refill <= 0
-        if self.solver.threads > 1 and size >= THREADED_COUNT:
+        if self.solver.threads > 1 and size >= self._threaded_count:
             result = self._step_threaded(actions, chosen, refill)
         else:
             if refill:
@@ -206,8 +222,8 @@ class Simulation:
         threads, size = self.solver.threads, chosen.size
         if self._pool is None:
             self._pool = ThreadPoolExecutor(threads - 1, "tracked_env")
-        blocks = -(-size // stepping.LANES)
-        share = -(-blocks // threads) * stepping.LANES
+        blocks = -(-size // self._share)
+        share = -(-blocks // threads) * self._share
 
         def run(first: int) -> int:
             last = min(first + share, size)
@@ -274,7 +290,7 @@ class Simulation:
     @property
     def success(self) -> NDArray[np.bool_]:
         """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
-        return self.truncated & (self.rmse < SUCCESS_RMSE)
+        return self.truncated & (self.rmse < SUCCESS_RMSE * self.column(_LENGTH))
 
     def reference_position(self, i: int) -> NDArray[np.float64]:
         """(2,) position [m] of the reference of vehicle i now, world frame."""

@@ -1,11 +1,9 @@
 """The loops that advance a batch by one control step.
 
-One call advances vehicles start..stop-1: actions to torques, parameters in force, RK4
-sub-steps, slips, reference, sensors, tracking error, reward, flags, observation. Nothing
-in it depends on how many vehicles share the call, so a batch gives the bits of one vehicle.
-
-The sub-step loop runs over blocks of `LANES` vehicles copied into a scratch array whose row
-distance is a compile-time constant: that is what lets the compiler vectorise it.
+One call advances vehicles start..stop-1: actions taken, parameters in force, motion (see
+`moving_lumped`, `moving_patches`), reference, sensors, tracking error, reward, flags,
+observation. Nothing in it depends on how many vehicles share the call, so a batch gives the bits
+of one vehicle.
 """
 
 import math
@@ -13,65 +11,28 @@ import math
 import numpy as np
 
 from tracked_env import batch as b
-from tracked_env import sensing
-from tracked_env.physics import reference_profile, schedule, torque_plant
+from tracked_env import moving_lumped, moving_patches, sensing
+from tracked_env.moving_lumped import LANES
+from tracked_env.physics import reference_profile, schedule, torque_plant, track_patches
 from tracked_env.physics import state as s
-from tracked_env.physics.elementary import rotation, small_rotation
-from tracked_env.physics.integration import rk4_step
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_ROWS, PlantParameters
+from tracked_env.physics.parameters import PARAMETER_ROWS, row_parameters
 from tracked_env.rewards import judge
 
-LANES = 64
 CALM, SOME_ENDED = -1, -2  # results of a step: whether some vehicle's episode has ended
-REST = 1e-12  # [m/s, rad/s] slower is rest: decaying velocities would end as slow denormals
-OPEN_LIMIT = 1e30  # [N] traction limit that does not bind
-_TORQUE_LIMIT = b.PARAMETERS + PARAMETER_INDEX["torque_limit"]
-
-# Rows of the scratch block: the state, then
-_COSINE, _SINE, _DEMAND_LEFT, _DEMAND_RIGHT, _DECAY, _K = range(s.STATE_ROWS, s.STATE_ROWS + 6)
-_D = _K + b.COEFFICIENT_COUNT  # drive limits; the coefficients start at row _K
-_SCRATCH_ROWS = _D + b.DRIVE_COUNT
-
-
-@formula
-def _parameters(floats, i):
-    """PlantParameters of vehicle i."""
-    p = b.PARAMETERS
-    return PlantParameters(
-        floats[i, p], floats[i, p + 1], floats[i, p + 2], floats[i, p + 3],
-        floats[i, p + 4], floats[i, p + 5], floats[i, p + 6], floats[i, p + 7],
-        floats[i, p + 8], floats[i, p + 9], floats[i, p + 10], floats[i, p + 11],
-        floats[i, p + 12], floats[i, p + 13], floats[i, p + 14], floats[i, p + 15],
-    )  # fmt: skip
-
-
-@formula
-def _coefficients(w, row, i):
-    """Coefficients of lane i, from row `row` of the scratch block on."""
-    return torque_plant.Coefficients(
-        w[row, i], w[row + 1, i], w[row + 2, i], w[row + 3, i], w[row + 4, i],
-        w[row + 5, i], w[row + 6, i], w[row + 7, i], w[row + 8, i],
-    )  # fmt: skip
-
-
-@formula
-def _drive(w, row, i):
-    """DriveLimits of lane i, from row `row` of the scratch block on."""
-    return torque_plant.DriveLimits(w[row, i], w[row + 1, i], w[row + 2, i], w[row + 3, i])
 
 
 @formula
 def derive(floats, i, substep, constrained):
     """Refresh what follows from the parameters of vehicle i; substep h [s]."""
-    p = _parameters(floats, i)
+    p = row_parameters(floats, i, b.PARAMETERS)
     k = torque_plant.coefficients(p, constrained)
     drive = torque_plant.drive_limits(p)
     for row in range(b.COEFFICIENT_COUNT):
         floats[i, b.COEFFICIENTS + row] = k[row]
     for row in range(b.DRIVE_COUNT):
         floats[i, b.DRIVE + row] = drive[row]
-    floats[i, b.TORQUE_DECAY] = torque_plant.torque_decay(0.5 * substep, p.torque_time_constant)
+    floats[i, b.TORQUE_DECAY] = torque_plant.torque_decay(0.5 * substep, p.drive_time_constant)
 
 
 @formula
@@ -84,134 +45,6 @@ def _apply_events(floats, events, i, count, time):
         floats[i, row] = schedule.changed_value(
             floats[i, row], events, i, e, time, floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
         )
-
-
-@formula
-def _limits_bind(w, lanes):
-    """True when some lane's drive could reach its traction limit in the coming sub-step."""
-    binding = 0.0
-    for i in range(lanes):
-        motion = torque_plant.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
-        k, drive = _coefficients(w, _K, i), _drive(w, _D, i)
-        left = max(abs(w[s.TORQUE_LEFT, i]), abs(w[_DEMAND_LEFT, i])) * k.inverse_radius
-        right = max(abs(w[s.TORQUE_RIGHT, i]), abs(w[_DEMAND_RIGHT, i])) * k.inverse_radius
-        safe = torque_plant.safe_effort(motion, max(left, right), k.half_gauge, drive)
-        binding += 0.0 if safe else 1.0
-    return binding > 0.0
-
-
-@formula
-def _substep(accelerations, w, lanes, h, limited):
-    """One RK4 sub-step of length h [s] of every lane of the scratch block."""
-    for i in range(lanes):
-        motion = torque_plant.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
-        k = _coefficients(w, _K, i)
-        if limited:
-            limits = torque_plant.traction_limits(motion, k.half_gauge, _drive(w, _D, i))
-        else:
-            limits = torque_plant.TractionLimits(-OPEN_LIMIT, OPEN_LIMIT, -OPEN_LIMIT, OPEN_LIMIT)
-        decay = w[_DECAY, i]
-        demand_left, demand_right = w[_DEMAND_LEFT, i], w[_DEMAND_RIGHT, i]
-        start = (w[s.TORQUE_LEFT, i], w[s.TORQUE_RIGHT, i])
-        middle = (
-            demand_left + decay * (start[0] - demand_left),
-            demand_right + decay * (start[1] - demand_right),
-        )
-        end = (
-            demand_left + decay * (middle[0] - demand_left),
-            demand_right + decay * (middle[1] - demand_right),
-        )
-        moved, travel_x, travel_y, turn = rk4_step(
-            accelerations, motion, start, middle, end, k, limits, h
-        )
-        cosine, sine = w[_COSINE, i], w[_SINE, i]
-        w[s.X, i] += cosine * travel_x - sine * travel_y
-        w[s.Y, i] += sine * travel_x + cosine * travel_y
-        w[s.YAW, i] += turn
-        turn_cosine, turn_sine = small_rotation(turn)
-        w[_COSINE, i] = cosine * turn_cosine - sine * turn_sine
-        w[_SINE, i] = sine * turn_cosine + cosine * turn_sine
-        w[s.V_X, i] = moved.v_x
-        w[s.V_Y, i] = moved.v_y
-        w[s.YAW_RATE, i] = moved.yaw_rate
-        w[s.TORQUE_LEFT, i] = end[0]
-        w[s.TORQUE_RIGHT, i] = end[1]
-
-
-@formula
-def _load(floats, w, chosen, first, lanes):
-    """Copy vehicles chosen[first] .. chosen[first + lanes - 1] into the scratch block."""
-    for lane in range(lanes):
-        i = chosen[first + lane]
-        for row in range(s.STATE_ROWS):
-            w[row, lane] = floats[i, b.STATE + row]
-        for row in range(b.COEFFICIENT_COUNT + b.DRIVE_COUNT):
-            w[_K + row, lane] = floats[i, b.COEFFICIENTS + row]
-        limit = floats[i, _TORQUE_LIMIT]
-        w[_DEMAND_LEFT, lane] = limit * floats[i, b.PREVIOUS_ACTION]
-        w[_DEMAND_RIGHT, lane] = limit * floats[i, b.PREVIOUS_ACTION + 1]
-        w[_DECAY, lane] = floats[i, b.TORQUE_DECAY]
-    for lane in range(lanes):
-        w[_COSINE, lane], w[_SINE, lane] = rotation(w[s.YAW, lane])
-
-
-@formula
-def _store(floats, w, chosen, first, lanes):
-    """Copy the state of the scratch block back."""
-    for lane in range(lanes):
-        i = chosen[first + lane]
-        for row in range(s.STATE_ROWS):
-            floats[i, b.STATE + row] = w[row, lane]
-
-
-@formula
-def _integrate(w, lanes, substeps, h, constrained):
-    """Integrate the scratch block over one control step."""
-    for _ in range(substeps):
-        limited = _limits_bind(w, lanes)
-        if constrained:
-            _substep(torque_plant.constrained_accelerations, w, lanes, h, True)
-        elif limited:
-            _substep(torque_plant.sliding_accelerations, w, lanes, h, True)
-        else:
-            _substep(torque_plant.sliding_accelerations, w, lanes, h, False)
-    for row in range(s.V_X, s.YAW_RATE + 1):
-        for lane in range(lanes):
-            w[row, lane] = w[row, lane] if abs(w[row, lane]) > REST else 0.0
-
-
-@formula
-def _settle(loads_of, accelerations, w, lanes):
-    """Algebraic rows of the state of every lane: efforts, slips, accelerations."""
-    for i in range(lanes):
-        motion = torque_plant.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
-        k, drive = _coefficients(w, _K, i), _drive(w, _D, i)
-        limits = torque_plant.traction_limits(motion, k.half_gauge, drive)
-        left, right = w[s.TORQUE_LEFT, i], w[s.TORQUE_RIGHT, i]
-        loads = loads_of(motion, left, right, k, limits)
-        rates = accelerations(motion, left, right, k, limits)
-        forward, lateral = torque_plant.inertial_acceleration(motion, rates[0], rates[1])
-        speed_left, speed_right = torque_plant.track_speeds(motion, k.half_gauge)
-        slip_left, belt_left = torque_plant.track_slip(loads.effort_left, speed_left, drive)
-        slip_right, belt_right = torque_plant.track_slip(loads.effort_right, speed_right, drive)
-        w[s.SLIP_LEFT, i], w[s.SLIP_RIGHT, i] = slip_left, slip_right
-        w[s.SPROCKET_SPEED_LEFT, i] = belt_left * k.inverse_radius
-        w[s.SPROCKET_SPEED_RIGHT, i] = belt_right * k.inverse_radius
-        w[s.EFFORT_LEFT, i], w[s.EFFORT_RIGHT, i] = loads.effort_left, loads.effort_right
-        w[s.ACCELERATION_X, i], w[s.ACCELERATION_Y, i] = forward, lateral
-        w[s.YAW_ACCELERATION, i] = rates[2]
-
-
-@formula
-def _move(floats, w, chosen, first, lanes, substeps, h, constrained):
-    """Advance (substeps > 0) and settle one block of vehicles in the scratch array w."""
-    _load(floats, w, chosen, first, lanes)
-    _integrate(w, lanes, substeps, h, constrained)
-    if constrained:
-        _settle(torque_plant.constrained_loads, torque_plant.constrained_accelerations, w, lanes)
-    else:
-        _settle(torque_plant.sliding_loads, torque_plant.sliding_accelerations, w, lanes)
-    _store(floats, w, chosen, first, lanes)
 
 
 @formula
@@ -247,8 +80,37 @@ def _begin(floats, counters, events, actions, i, moving, period, h, constrained)
         derive(floats, i, h, constrained)
 
 
-def _compiled(constrained):
-    """The step kernel of one closure; each is compiled when it is first used."""
+@formula
+def _refused(actions, chosen, start, stop):
+    """The first chosen row with a non-finite action, or CALM."""
+    for j in range(start, stop):
+        i = chosen[j]
+        if not math.isfinite(actions[i, 0]) or not math.isfinite(actions[i, 1]):
+            return i
+    return CALM
+
+
+@formula
+def _finish(
+    floats, counters, profile, noise, history, observations, i, moving, period, error_limit
+):
+    """All that follows the motion of vehicle i; returns CALM or SOME_ENDED."""
+    if moving:
+        _advance_reference(floats, counters, profile, i, period)
+        counters[i, b.STEP] += 1
+        counters[i, b.NOISE_CURSOR] += 1
+    sensing.observe(
+        floats, counters, profile, noise, history, i, counters[i, b.STEP], period, observations
+    )
+    if moving:
+        judge(floats, counters, i, error_limit)
+        if counters[i, b.TERMINATED] + counters[i, b.TRUNCATED] > 0:
+            return SOME_ENDED
+    return CALM
+
+
+def _lumped(constrained):
+    """The step kernel of one lateral closure; each is compiled when it is first used."""
 
     def advance_batch(
         floats, counters, profile, events, noise, history,
@@ -264,38 +126,53 @@ def _compiled(constrained):
         Returns CALM or SOME_ENDED, or the first row with a non-finite action: then no vehicle
         has moved.
         """
-        for j in range(start, stop):
-            i = chosen[j]
-            if not math.isfinite(actions[i, 0]) or not math.isfinite(actions[i, 1]):
-                return i
-        result = CALM
+        result = _refused(actions, chosen, start, stop)
+        if result != CALM:
+            return result
         period = substeps * h
-        scratch = np.empty((_SCRATCH_ROWS, LANES))
+        scratch = np.empty((moving_lumped.SCRATCH_ROWS, LANES))
         for first in range(start, stop, LANES):
             lanes = min(LANES, stop - first)
             for lane in range(lanes):
                 i = chosen[first + lane]
                 _begin(floats, counters, events, actions, i, moving, period, h, constrained)
             steps = substeps if moving else 0
-            _move(floats, scratch, chosen, first, lanes, steps, h, constrained)
+            moving_lumped.move(floats, scratch, chosen, first, lanes, steps, h, constrained)
             for lane in range(lanes):
-                i = chosen[first + lane]
-                if moving:
-                    _advance_reference(floats, counters, profile, i, period)
-                    counters[i, b.STEP] += 1
-                    counters[i, b.NOISE_CURSOR] += 1
-                sensing.observe(
-                    floats, counters, profile, noise, history,
-                    i, counters[i, b.STEP], period, observations,
+                ended = _finish(
+                    floats, counters, profile, noise, history, observations,
+                    chosen[first + lane], moving, period, error_limit,
                 )  # fmt: skip
-                if moving:
-                    judge(floats, counters, i, error_limit)
-                    if counters[i, b.TERMINATED] + counters[i, b.TRUNCATED] > 0:
-                        result = SOME_ENDED
+                result = min(result, ended)
         return result
 
     return loop(advance_batch)
 
 
-advance_sliding = _compiled(False)
-advance_constrained = _compiled(True)
+advance_sliding = _lumped(False)
+advance_constrained = _lumped(True)
+
+
+@loop
+def advance_distributed(
+    floats, counters, profile, events, noise, history,
+    chosen, actions, observations, start, stop,
+    moving, substeps, h, error_limit, patches, by_torque,
+):  # fmt: skip
+    """The same for the distributed plant: patches under each track; by_torque: what the
+    actions are, torques or else sprocket speeds."""
+    result = _refused(actions, chosen, start, stop)
+    if result != CALM:
+        return result
+    period = substeps * h
+    scratch = np.empty((track_patches.SCRATCH_ROWS, track_patches.LANES))
+    for j in range(start, stop):
+        i = chosen[j]
+        _begin(floats, counters, events, actions, i, moving, period, h, False)
+        steps = substeps if moving else 0
+        moving_patches.move(floats, scratch, i, steps, h, patches, by_torque)
+        ended = _finish(
+            floats, counters, profile, noise, history, observations, i, moving, period, error_limit
+        )
+        result = min(result, ended)
+    return result

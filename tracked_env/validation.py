@@ -5,6 +5,7 @@ A message says quantity, value, allowed range and the likely cause:
 """
 
 import difflib
+import json
 import math
 from collections.abc import Iterable, Mapping
 from numbers import Real
@@ -62,3 +63,13 @@ def checked_parameter(name: str, value: object) -> float:
     if name not in RANGES:
         raise unknown("parameter", name, RANGES)
     return checked_number(name, value, RANGES[name])
+
+
+def name_or_json(text: str | None, what: str) -> str | Mapping[str, Any] | None:
+    """`text` itself, or the JSON object that it holds; what: the option. Raises ValueError."""
+    if text is None or not text.lstrip().startswith("{"):
+        return text
+    try:
+        return dict(json.loads(text))
+    except ValueError as error:
+        raise ValueError(f"--{what} {text}: not a JSON object ({error})") from error

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tracked_env import batch as b
 from tracked_env import observation as obs
-from tracked_env.configuration import TorqueConfig
+from tracked_env.configuration import EnvConfig
 from tracked_env.env import ObsType
 from tracked_env.simulation import Simulation
 from tracked_env.validation import checked_choice
@@ -56,6 +56,10 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         lateral: str = "sliding",
         error_limit: float = 5.0,
         time_step: float = 0.0025,
+        vehicle: str = "strawa",
+        plant: str = "lumped",
+        drive: str = "torque",
+        patches: Sequence[int] = (10, 4),
         expose_truth: bool = False,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
@@ -66,9 +70,9 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             raise ValueError(f"max_episode_steps = {max_episode_steps}; must be at least 1")
         if render_mode is not None:
             checked_choice("render_mode", render_mode, self.metadata["render_modes"])
-        config = TorqueConfig(
+        config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, threads,
+            time_step, threads, vehicle, plant, drive, patches,
         )  # fmt: skip
         self.num_envs = num_envs
         self.simulation = Simulation(num_envs, config)

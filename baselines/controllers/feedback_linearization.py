@@ -26,6 +26,7 @@ from tracked_env.physics.parameters import (
     PARAMETER_NAMES,
     RANGES,
     PlantParameters,
+    row_parameters,
 )
 
 CLOSURES = ("sliding", "constrained")
@@ -42,11 +43,7 @@ _SCALE = layout.SCALE
 @formula
 def _parameters_of(parameters, i):
     """PlantParameters of vehicle i from (PARAMETER_ROWS, N)."""
-    p = parameters[:, i]
-    return PlantParameters(
-        p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7],
-        p[8], p[9], p[10], p[11], p[12], p[13], p[14], p[15],
-    )  # fmt: skip
+    return row_parameters(parameters.T, i, 0)
 
 
 @formula

@@ -20,7 +20,7 @@ def _plant_step(accelerations, constrained):
     def step(state, p, action, count):
         """Advance state (8, N): X, Y, yaw, v_x, v_y, yaw rate, torques; in place."""
         k, drive = plant.coefficients(p, constrained), plant.drive_limits(p)
-        decay = plant.torque_decay(0.5 * SUB_STEP, p.torque_time_constant)
+        decay = plant.torque_decay(0.5 * SUB_STEP, p.drive_time_constant)
         for i in range(state.shape[1]):
             motion = plant.Motion(state[3, i], state[4, i], state[5, i])
             left, right = state[6, i], state[7, i]

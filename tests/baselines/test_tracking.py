@@ -17,7 +17,7 @@ OFFSET = starts(y=-1.0, v_x=0.3)  # the start of S 8.1: 1 m off, slow
 @pytest.mark.parametrize("d", [0.05, 0.2])
 @pytest.mark.parametrize("path", [CIRCLE, LINE], ids=["circle", "line"])
 def test_perfect_knowledge_leaves_no_error_in_the_constrained_closure(path, d, lag):
-    p = PRINTED._replace(icr_forward=d, torque_time_constant=lag)
+    p = PRINTED._replace(icr_forward=d, drive_time_constant=lag)
     run = drive(
         FeedbackLinearizingController(p, lateral="constrained"), p, path, OFFSET, 30.0,
         "constrained",
@@ -56,7 +56,7 @@ def test_sensor_noise_costs_millimetres(rate, rms):
 
 
 def test_a_winding_path_is_followed_because_the_heading_to_come_is_differentiated():
-    p = CLAY._replace(icr_forward=0.2, torque_time_constant=0.0)
+    p = CLAY._replace(icr_forward=0.2, drive_time_constant=0.0)
     sin, cos = np.sin, np.cos
     path = Path(
         lambda t: (2 + 0.5 * sin(0.5 * t), 0.25 * cos(0.5 * t), -0.125 * sin(0.5 * t)),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tracked_env import uncertainty
+from tracked_env import SPEED_ID, TORQUE_ID, uncertainty
 from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
 from tracked_env.benchmark.sets import EPISODES, VERSION
 from tracked_env.env import TrackedVehicleEnv
@@ -18,8 +18,10 @@ from tracked_env.sensors import UNMEASURED, make_sensors
 ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
 
 
-def test_every_set_draws_the_episodes_of_the_version() -> None:
-    answer = check(BenchmarkConfig(sets=tuple(SETS), episodes=EPISODES))
+@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])
+def test_every_set_draws_the_episodes_of_the_version(env: str) -> None:
+    of_env = tuple(name for name, entry in SETS.items() if entry.env == env)
+    answer = check(BenchmarkConfig(sets=of_env, episodes=EPISODES))
     assert answer.comparable, answer.message
     assert answer.message == f"sets {VERSION}, hash {answer.hash}, {EPISODES} episodes each"
 
@@ -57,8 +59,8 @@ def test_a_law_that_draws_otherwise_is_found_and_named(monkeypatch: pytest.Monke
 
     def slower(*given: Any) -> uncertainty.Draw:
         draw = law(*given)
-        lag = draw.parameters.torque_time_constant * (1.0 + 1e-6)
-        return draw._replace(parameters=draw.parameters._replace(torque_time_constant=lag))
+        lag = draw.parameters.drive_time_constant * (1.0 + 1e-6)
+        return draw._replace(parameters=draw.parameters._replace(drive_time_constant=lag))
 
     monkeypatch.setitem(uncertainty.UNCERTAINTY_SETS, "slow-drive", slower)
     answer = check(ONE)
@@ -110,9 +112,9 @@ def test_memory_sets_drive_the_vehicles_of_soil_and_mass() -> None:
         env = BenchmarkConfig(sets=(name,)).environment(name, 3, truth=False)
         env.reset(seed=[0, 1, 2])
         drawn[name] = [episode.parameters for episode in env.simulation.episodes]
-    lags = [p.torque_time_constant for p in drawn["slow-drive"]]
+    lags = [p.drive_time_constant for p in drawn["slow-drive"]]
     assert 0.15 <= min(lags) < max(lags) <= 0.3
-    same = [p._replace(torque_time_constant=0.05) for p in drawn["slow-drive"]]
+    same = [p._replace(drive_time_constant=0.05) for p in drawn["slow-drive"]]
     assert all(found == drawn["soil-and-mass"] for found in (same, drawn["late-pose"]))
     assert drawn["no-velocity"] == drawn["noisy"] == drawn["soil-and-mass"]
 

@@ -12,8 +12,7 @@ from tracked_env.benchmark import identification as ident
 from tracked_env.benchmark.identification import Beliefs, Recorder
 from tracked_env.benchmark.metrics import CHANNELS, Trace
 from tracked_env.benchmark.runner import drive
-from tracked_env.physics.parameters import PARAMETER_NAMES
-from tracked_env.uncertainty import NOMINAL
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 
 PERIOD = 0.02  # [s]
 STEPS = 1000
@@ -26,7 +25,17 @@ def trace(steps: int = STEPS, change: int | None = None) -> Trace:
     if change is not None:
         values[change:, 0, CHANNELS.index("mass")] = 2.0
     ended = np.array([steps < STEPS])
-    return Trace(values, np.array([steps]), STEPS, ended, ~ended, np.array([8e3]), 5.0, PERIOD)
+    return Trace(
+        values,
+        np.array([steps]),
+        STEPS,
+        ended,
+        ~ended,
+        np.array([8e3]),
+        np.array([2.0]),
+        5.0,
+        PERIOD,
+    )
 
 
 def measured(
@@ -111,7 +120,7 @@ def test_who_never_settles_has_no_settling_time() -> None:
 @pytest.mark.parametrize(
     ("value", "truth", "diverged"),
     [
-        (NOMINAL.mass, 500.0, 0.0),  # 190 % off, but no worse than knowing nothing
+        (VEHICLES["strawa"].mass, 500.0, 0.0),  # 190 % off, but no worse than knowing nothing
         (2000.0, 500.0, 1.0),
         (1400.0, 1000.0, 0.0),  # 40 %
         (2000.0, 1450.0, 0.0),  # worse than nominal, but not by half
@@ -180,7 +189,9 @@ def test_the_truth_beside_an_estimate_is_the_one_in_force_when_it_was_made() -> 
     drive(believing, env, range(3), lambda: None, recorder)
     beliefs = recorder.beliefs()
     weight = 9.81 * beliefs.truth[:, 0]
-    effort = 0.6 * NOMINAL.cohesion + 0.5 * weight * np.tan(NOMINAL.friction_angle)
+    effort = 0.6 * VEHICLES["strawa"].cohesion + 0.5 * weight * np.tan(
+        VEHICLES["strawa"].friction_angle
+    )
     assert beliefs.truth[:, 1] == pytest.approx(effort, rel=1e-5)
 
 

@@ -21,8 +21,9 @@ def trace(steps: int = STEPS, max_steps: int = STEPS, **channels: Any) -> Trace:
         values[:, 0, metrics.CHANNELS.index(name)] = channel
     ended = np.array([steps < max_steps])
     return Trace(
-        values, np.array([steps]), max_steps, ended, ~ended, np.array([8000.0]), LIMIT, PERIOD
-    )
+        values, np.array([steps]), max_steps, ended, ~ended, np.array([8000.0]),
+        np.array([2.0]), LIMIT, PERIOD,
+    )  # fmt: skip
 
 
 def value(of: Trace, name: str) -> float:
@@ -118,6 +119,7 @@ def test_rows_past_the_end_of_an_episode_are_void() -> None:
     pair = both._replace(
         values=values, steps=np.array([STEPS, 100]), terminated=np.array([False, True]),
         success=np.array([True, False]), torque_limit=np.full(2, 8000.0),
+        contact_length=np.full(2, 2.0),
     )  # fmt: skip
     alone = metrics.evaluate(trace(100))
     for name, column in metrics.evaluate(pair).items():

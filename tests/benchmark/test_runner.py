@@ -9,15 +9,25 @@ import pytest
 
 from baselines.policies import POLICIES
 from tests.benchmark.stub_policies import Constant, Curious, Diverging, Truthful, entry
-from tracked_env.benchmark import DEFAULT_SETS, SETS, BenchmarkConfig, Store, load_policy, run
+from tracked_env import SPEED_ID
+from tracked_env.benchmark import (
+    DEFAULT_SETS,
+    SETS,
+    BenchmarkConfig,
+    Store,
+    default_sets,
+    load_policy,
+    run,
+)
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.policies import PolicyContext, PolicyEntry
 from tracked_env.benchmark.runner import drive, pending
 from tracked_env.benchmark.shown import shown
-from tracked_env.physics.parameters import PARAMETER_NAMES
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.sensors import STRAWA
-from tracked_env.uncertainty import NOMINAL, UNCERTAINTY_SETS
+from tracked_env.uncertainty import UNCERTAINTY_SETS
 
+NOMINAL = VEHICLES["strawa"]
 SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
 BRIEF = BenchmarkConfig(duration=1.0)  # 50 steps: too short to leave the path
 COAST = entry("coast", lambda context: Constant(0.0, 0.0))
@@ -126,7 +136,7 @@ def test_a_policy_is_told_the_data_sheet_of_the_sensors_and_nothing_of_the_truth
     (context,) = told
     assert context.sensors == STRAWA._replace(gyro_noise=0.5)
     assert context == config.context("ood")
-    assert context._fields == ("control_period", "lateral", "sensors")
+    assert context._fields == ("control_period", "lateral", "sensors", "drive", "vehicle")
 
 
 def test_no_other_policy_is_handed_the_truth(tmp_path: Path) -> None:
@@ -230,7 +240,7 @@ def test_what_is_kept_for_the_figures_is_small() -> None:
 
 
 def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
-    assert set(DEFAULT_SETS) == set(SETS) - {"nominal"}
+    assert {*DEFAULT_SETS, *default_sets(SPEED_ID)} == set(SETS) - {"nominal", "floor"}
     assert {entry.uncertainty for entry in SETS.values()} == set(UNCERTAINTY_SETS)
 
 
@@ -238,6 +248,7 @@ def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
     ("wrong", "message"),
     [
         ({"sets": ("ood", "soil")}, "unknown evaluation set 'soil'"),
+        ({"sets": ("ood", "friction")}, "must be of one environment"),
         ({"sets": ()}, "must be one or more"),
         ({"sets": ("ood", "ood")}, "each named once"),
         ({"episodes": 0}, "episodes = 0; must be at least 1"),

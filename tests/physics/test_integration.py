@@ -62,7 +62,7 @@ def test_the_loop_solves_the_equations_of_motion_that_an_independent_solver_solv
 
     def rate(t, z):
         motion = Motion(*(float(v) for v in z[V_X:]))
-        torque = demand + (command.torque[0] - demand) * math.exp(-t / CLAY.torque_time_constant)
+        torque = demand + (command.torque[0] - demand) * math.exp(-t / CLAY.drive_time_constant)
         limits = traction_limits(motion, k.half_gauge, drive)
         accelerations = formula(motion, float(torque[0]), float(torque[1]), k, limits)
         c, s = math.cos(z[YAW]), math.sin(z[YAW])
@@ -82,7 +82,7 @@ def test_the_loop_solves_the_equations_of_motion_that_an_independent_solver_solv
     )  # fmt: skip
     found = run(command, 64, CLAY, constrained, start)[-1]
     assert found[:TORQUE_LEFT] == pytest.approx(solution.y[:, -1], abs=1e-8)
-    decay = math.exp(-29 * CONTROL_PERIOD / CLAY.torque_time_constant)
+    decay = math.exp(-29 * CONTROL_PERIOD / CLAY.drive_time_constant)
     assert found[TORQUE_LEFT] == pytest.approx(500.0 - 200.0 * decay, rel=1e-12)
 
 

@@ -11,7 +11,7 @@ from tracked_env.benchmark.policies import (
 )
 from tracked_env.benchmark.report import terminal
 from tracked_env.benchmark.runner import run
-from tracked_env.benchmark.sets import DEFAULT_SETS, SETS, BenchmarkSet
+from tracked_env.benchmark.sets import DEFAULT_SETS, SETS, BenchmarkSet, default_sets
 from tracked_env.benchmark.store import Store
 from tracked_env.benchmark.summary import Summary, summarise
 
@@ -27,6 +27,7 @@ __all__ = [
     "Store",
     "Summary",
     "check",
+    "default_sets",
     "load_policy",
     "run",
     "summarise",

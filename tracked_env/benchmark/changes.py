@@ -9,7 +9,7 @@ by more than RESOLUTION of it. Steps less than JOIN_TIME apart make one run, per
 Abrupt runs of all parameters that overlap are one change. With t_s and t_e start and end of the
 first change, t_n the start of the next (or the end of the episode) and e(t) the distance to the
 reference, counted as in `metrics`:
-    recovery time        smallest tau >= 0 with e(t) < RECOVERED for all t_e + tau < t <= t_n;
+    recovery time        smallest tau >= 0 with e(t) < RECOVERED l for all t_e + tau < t <= t_n;
                          t_n - t_e when there is none
     peak after change    max of e(t) over t_s < t <= t_n
 Both are NaN without an abrupt change in the time driven.
@@ -22,12 +22,14 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-CHANGING = ("mass", "inertia", "longitudinal_resistance", "lateral_resistance")
+CHANGING = (
+    "mass", "inertia", "longitudinal_resistance", "lateral_resistance", "friction_angle",
+)  # fmt: skip
 RESOLUTION = 1e-9  # [-] smaller relative changes are rounding
 ABRUPT_TIME = 2.0  # [s] a change that takes longer is a drift, which a policy can follow
 ABRUPT_CHANGE = 0.02  # [-] less is not felt: a graze of a border
 JOIN_TIME = 0.5  # [s] a vehicle that stops on a border and goes on crosses it once
-RECOVERED = 0.1  # [m] five sigma of the position of the `rtk` sensors, a fifth of a failure
+RECOVERED = 0.05  # [-] of the contact length l: 0.1 m for 2 m, a fifth of a failure
 
 
 class Change(NamedTuple):
@@ -80,11 +82,13 @@ def last_outside(outside: NDArray[np.bool_]) -> int:
     return int(found[-1]) + 1 if found.size else 0
 
 
-def recovery(error: FloatArray, changes: list[Change], period: float) -> tuple[float, float]:
+def recovery(
+    error: FloatArray, changes: list[Change], period: float, recovered: float
+) -> tuple[float, float]:
     """Recovery time [s] and peak [m] after the first change; NaN, NaN when there is none.
 
     error: (T,) counted distance to the reference [m] after each control step of the whole
-    episode, also past an early end; period [s] of a step.
+    episode, also past an early end; period [s] of a step; recovered [m]: what counts as such.
     """
     if not changes:
         return np.nan, np.nan
@@ -92,4 +96,4 @@ def recovery(error: FloatArray, changes: list[Change], period: float) -> tuple[f
     until = changes[1].first if len(changes) > 1 else len(error)
     # Entry k of the error is taken at time (k + 1) periods.
     after = error[last:until]
-    return period * last_outside(after >= RECOVERED), float(error[first:until].max())
+    return period * last_outside(after >= recovered), float(error[first:until].max())

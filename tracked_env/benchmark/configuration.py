@@ -29,7 +29,8 @@ _HARMLESS = ("rendering", "sb3.py", *(_HERE - _NUMBERS))
 class BenchmarkConfig:
     """What is run. All but `sets`, `episodes` and `chunk` is part of a result's identity.
 
-    None for reference, sensors or duration: what each set says.
+    None for reference, sensors, duration or error_limit: what each set, or its environment, says.
+    All sets are of one environment id.
     """
 
     sets: tuple[str, ...] = DEFAULT_SETS
@@ -40,13 +41,16 @@ class BenchmarkConfig:
     duration: float | None = None  # [s]
     control_rate: float = 50.0  # [Hz]
     lateral: str = "sliding"
-    error_limit: float = 5.0  # [m]
+    error_limit: float | None = None  # [m]
     chunk: int = CHUNK
 
     def __post_init__(self) -> None:
         """Raise ValueError for everything that the environment or the runner would refuse."""
         for name in self.sets:
             checked_choice("evaluation set", name, SETS)
+        ids = {SETS[name].env for name in self.sets}
+        if len(ids) > 1:
+            raise ValueError(f"sets = {self.sets} are of {sorted(ids)}; must be of one environment")
         if len(set(self.sets)) != len(self.sets) or not self.sets:
             raise ValueError(f"sets = {self.sets}; must be one or more, each named once")
         for name in ("episodes", "chunk"):
@@ -64,6 +68,11 @@ class BenchmarkConfig:
             del fields[name]
         return {**fields, "source": source_fingerprint("tracked_env", _HARMLESS)}
 
+    @property
+    def env(self) -> str:
+        """Environment id of the sets."""
+        return SETS[self.sets[0]].env
+
     def evaluation_set(self, name: str) -> BenchmarkSet:
         """A set, with what this configuration says differently."""
         given = {key: getattr(self, key) for key in ("reference", "sensors", "duration")}
@@ -71,20 +80,24 @@ class BenchmarkConfig:
 
     def context(self, name: str) -> PolicyContext:
         """What a policy may know of the environment of a set."""
-        sensors = make_sensors(self.evaluation_set(name).sensors)
-        return PolicyContext(1.0 / self.control_rate, self.lateral, sensors)
+        chosen = self.evaluation_set(name)
+        known = {k: v for k, v in chosen.arguments.items() if k in ("drive", "vehicle")}
+        sensors = make_sensors(chosen.sensors)
+        return PolicyContext(1.0 / self.control_rate, self.lateral, sensors, **known)
 
     def arguments(self, name: str, truth: bool) -> dict[str, Any]:
         """Arguments of an environment for a set; truth: whether it exposes it."""
         chosen = self.evaluation_set(name)
+        limit = {} if self.error_limit is None else {"error_limit": self.error_limit}
         return {
+            **chosen.arguments,
+            **limit,
             "reference": chosen.reference,
             "uncertainty": chosen.uncertainty,
             "sensors": chosen.sensors,
             "duration": chosen.duration,
             "control_rate": self.control_rate,
             "lateral": self.lateral,
-            "error_limit": self.error_limit,
             "expose_truth": truth,
         }
 

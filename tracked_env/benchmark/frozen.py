@@ -30,7 +30,7 @@ BITS = 27  # of the mantissa that count, about 8 significant digits
 TOLERANCE = 1e-5  # [-] relative, of the driven numbers: far above rounding, far below a change
 # What a configuration may not say differently, with what it is in every version.
 FIXED = {"seed": SEED, "reference": None, "sensors": None, "duration": None,
-         "control_rate": 50.0, "lateral": "sliding", "error_limit": 5.0}  # fmt: skip
+         "control_rate": 50.0, "lateral": "sliding", "error_limit": None}  # fmt: skip
 
 
 class Check(NamedTuple):

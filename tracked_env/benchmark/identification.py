@@ -28,9 +28,8 @@ from tracked_env import batch as b
 from tracked_env.benchmark.changes import last_outside
 from tracked_env.benchmark.metrics import Metric, Trace, settled_step
 from tracked_env.physics import state as s
-from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES
+from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, VEHICLES
 from tracked_env.physics.torque_plant import DriveLimits, drive_limits
-from tracked_env.uncertainty import NOMINAL
 
 SETTLED = 0.1  # [-] relative error within which an estimate is settled
 DIVERGED = 0.5  # [-] relative error from which on an estimate may count as diverged
@@ -131,8 +130,8 @@ class Recorder:
 @lru_cache(maxsize=1)
 def nominal_values() -> dict[str, float]:
     """What a policy that identifies nothing believes of each of KNOWN."""
-    effort = float(drive_limits(NOMINAL).effort_maximum)
-    return {**NOMINAL._asdict(), "effort_maximum": effort, **dict.fromkeys(_SLIPS, 0.0)}
+    effort = float(drive_limits(VEHICLES["strawa"]).effort_maximum)
+    return {**VEHICLES["strawa"]._asdict(), "effort_maximum": effort, **dict.fromkeys(_SLIPS, 0.0)}
 
 
 def scales(names: Sequence[str], truth: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -49,6 +49,7 @@ class Trace(NamedTuple):
     terminated: NDArray[np.bool_]  # (n,) ended before its time
     success: NDArray[np.bool_]  # (n,) as `info["is_success"]`
     torque_limit: FloatArray  # (n,) [N m]
+    contact_length: FloatArray  # (n,) [m]
     error_limit: float  # [m]
     control_period: float  # [s]
 
@@ -90,7 +91,7 @@ METRICS = {
     "terminated": Metric("-", "ended before its time"),
     "driven_time": Metric("s", "time until the end of the episode"),
     "recovery_time": Metric(
-        "s", f"time after an abrupt change until the distance stays below {RECOVERED:g} m"
+        "s", f"time after an abrupt change until the distance stays below {RECOVERED:g} l"
     ),
     "peak_after_change": Metric("m", "largest distance to the reference after that change"),
 }
@@ -144,7 +145,10 @@ def evaluate(trace: Trace) -> dict[str, FloatArray]:
     period = trace.control_period
     error = counted_error(trace)
     settled = settled_step(trace)
-    after = [recovery(error[:, i], c, period) for i, c in enumerate(trace.changes())]
+    after = [
+        recovery(error[:, i], c, period, RECOVERED * trace.contact_length[i])
+        for i, c in enumerate(trace.changes())
+    ]
     power = np.abs(_sides(trace, "torque") * _sides(trace, "sprocket_speed")).sum(axis=0)
     action = _sides(trace, "action")
     before = np.concatenate([action[:, :1], action[:, :-1]], axis=1)  # the first step is no change

@@ -51,6 +51,8 @@ class PolicyContext(NamedTuple):
     control_period: float  # [s]
     lateral: str  # lateral closure
     sensors: Sensors = RTK  # their data sheet; the signs of the biases are not in it
+    drive: str = "torque"  # what the actions are, torques or speeds of the sprockets
+    vehicle: str = "strawa"  # nominal vehicle and soil, a key of physics.parameters.VEHICLES
 
 
 PolicyFactory = Callable[[PolicyContext], Policy]

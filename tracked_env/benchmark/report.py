@@ -180,7 +180,7 @@ def legend(summary: Summary) -> str:
 
 RECOVERY_LEGEND = (
     "After the first abrupt change of the true parameters: time until the distance stays below "
-    f"{RECOVERED:g} m, and its\nlargest value; means over the episodes with a change."
+    f"{RECOVERED:g} contact lengths, and its\nlargest value; means over the episodes with a change."
 )
 IDENTIFICATION_LEGEND = (
     "Error settled: median relative RMS error after 5 s. Settling: median time after the last "

@@ -9,6 +9,7 @@ chunk.
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,6 +61,26 @@ class Task(NamedTuple):
 
 def _nothing(steps: int, label: str) -> None:
     """Report no progress."""
+
+
+@contextmanager
+def progress_bar(total: int) -> Iterator[Progress]:
+    """A function that reports control steps of vehicles; shows a bar when tqdm is installed."""
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        yield lambda steps, label: None
+        return
+    form = "{desc:<28} {percentage:3.0f}% |{bar}| [{elapsed}<{remaining}, {rate_fmt}]"
+    with tqdm(
+        total=total, unit=" steps", unit_scale=True, bar_format=form, dynamic_ncols=True
+    ) as bar:
+
+        def progress(steps: int, label: str) -> None:
+            bar.set_description_str(label, refresh=False)
+            bar.update(steps)
+
+        yield progress
 
 
 def episode_digest(episode: Episode) -> str:
@@ -123,6 +144,7 @@ def drive(
         terminated,
         np.asarray(info["is_success"], dtype=bool),
         simulation.column(b.PARAMETERS + PARAMETER_INDEX["torque_limit"]),
+        simulation.column(b.PARAMETERS + PARAMETER_INDEX["contact_length"]),
         solver.error_limit,
         solver.control_period,
     )

@@ -1,17 +1,21 @@
 """The evaluation sets, version by version the same episodes for everyone.
 
-A set is a law of vehicles, soils and changes (`tracked_env.uncertainty`), with the sensors, the
-reference and the duration of its episodes; episode i is drawn from seed SEED + i. What the first
-EPISODES of them are is kept in `sets_v1.json`, and `frozen` compares. A set belongs here if it
-separates policies: nominal from oracle, and, in those about memory, one observation from many.
+A set is a law of vehicles, soils and changes (`tracked_env.uncertainty`), with the environment id,
+the sensors, the reference and the duration of its episodes; episode i is drawn from seed SEED + i.
+What the first EPISODES of them are is kept in `sets_v2.json`, and `frozen` compares. A set belongs
+here if it separates policies: nominal from oracle, and, in those about memory, one observation from
+many.
 
 To change anything here, or in what is drawn, is to make a new version.
 """
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
-VERSION = "v1"
+from tracked_env import SPEED, SPEED_ID, TORQUE_ID
+
+VERSION = "v2"
 EPISODES = 100  # of each set, that are compared with those of the version
 SEED = 0  # of the first episode
 
@@ -25,6 +29,19 @@ class BenchmarkSet(NamedTuple):
     sensors: str | Mapping[str, Any] = "rtk"
     reference: str | Mapping[str, Any] = "random"
     duration: float = 30.0  # [s]
+    env: str = TORQUE_ID
+    arguments: Mapping[str, Any] = MappingProxyType({})  # further ones of the environment
+
+
+def _indoors(name: str, uncertainty: str, about: str, **given: Any) -> BenchmarkSet:
+    """A set of Speed-v0."""
+    further = ("vehicle", "plant", "drive", "error_limit")
+    arguments = {key: given.get(key, SPEED[key]) for key in further}
+    sensors = given.get("sensors", SPEED["sensors"])
+    reference = given.get("reference", SPEED["reference"])
+    return BenchmarkSet(
+        name, uncertainty, about, sensors, reference, 30.0, SPEED_ID, MappingProxyType(arguments)
+    )
 
 
 _ALL = (
@@ -48,7 +65,30 @@ _ALL = (
         {"preset": "rtk", "velocity_measured": 0.0},
     ),
     BenchmarkSet("slow-drive", "slow-drive", "the motors lag 0.15 to 0.3 s"),
+    # Another plant than any controller's model: the shear of patches under the tracks.
+    BenchmarkSet(
+        "distributed", "loose-soil", "patches under the tracks: a plant that nobody models",
+        arguments=MappingProxyType({"plant": "distributed"}),
+    ),
+    _indoors("floor", "nominal", "nothing is unknown, indoors"),
+    _indoors("friction", "friction", "unknown vehicle on an unknown floor"),
+    _indoors("friction-step", "friction-step", "a border to another floor"),
+    _indoors("friction-drift", "friction-drift", "the floor gets wet, or dries"),
+    _indoors("floor-mixed", "floor-mixed", "another load, another floor"),
+    _indoors("floor-ood", "floor-ood", "ice or soil, heavy loads, drives that lag"),
+    _indoors(
+        "floor-late-pose", "friction", "position, heading, velocity come 0.1 s late",
+        sensors={"preset": "mocap", "pose_delay": 0.1},
+    ),
 )  # fmt: skip
 SETS = {entry.name: entry for entry in _ALL}
 # In `nominal` a controller with nominal parameters knows everything: it separates nothing.
-DEFAULT_SETS = tuple(name for name in SETS if name != "nominal")
+_KNOWN = ("nominal", "floor")
+
+
+def default_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
+    """Names of the sets of an environment id that are run where none is named."""
+    return tuple(name for name, of in SETS.items() if of.env == env and name not in _KNOWN)
+
+
+DEFAULT_SETS = default_sets()

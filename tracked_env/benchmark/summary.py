@@ -5,7 +5,8 @@ and agent: interquartile mean (IQM), mean, and mean of the worst tenth of the tr
 seeds and episodes, each with a 95 % bootstrap interval (see `reliability`), and means of the other
 metrics over the episodes that have them.
     score        (IQM of nominal - IQM of agent) / (IQM of nominal - IQM of oracle), if both are
-                 among the policies: 0 is as good as nominal, 1 as the oracle
+                 among the policies: 0 is as good as nominal, 1 as the oracle; for Speed-v0 they
+                 are called `uc` and `slc-oracle`
 Every agent is then compared with the first one, the baseline, on the same episodes:
     ratio        IQM of the baseline's RMSE over the agent's
     difference   mean over seeds and episodes of (baseline's - agent's RMSE) [m]
@@ -33,7 +34,8 @@ from tracked_env.benchmark.store import Record
 
 SEPARATION_RATIO = 1.2  # [-] of the interquartile means
 ALL_SETS = "all sets"
-LOW_ANCHOR, HIGH_ANCHOR = "nominal", "oracle"  # policies that score 0 and 1
+# Policies that score 0 and 1: by torque, by speed.
+ANCHORS = (("nominal", "oracle"), ("uc", "slc-oracle"))
 SEED_MARK = "@"  # between the name of an agent and that of one of its seeds
 BySeed = dict[str, list[Record]]  # records of one agent on one set
 
@@ -140,17 +142,24 @@ class Row:
         """A metric of an agent, (S, N)."""
         return _column(self.pooled(name), metric).reshape(len(self.seeds[name]), -1)
 
+    def anchors(self) -> tuple[str, str] | None:
+        """The policies that score 0 and 1, if both are here."""
+        return next((pair for pair in ANCHORS if set(pair) <= set(self.names)), None)
+
     def score(self, name: str) -> Estimate | None:
         """Where an agent is between the anchors."""
-        if not {LOW_ANCHOR, HIGH_ANCHOR} <= set(self.names):
+        anchors = self.anchors()
+        if anchors is None:
             return None
-        three = [self.redrawn[key] for key in (LOW_ANCHOR, HIGH_ANCHOR, name)]
+        three = [self.redrawn[key] for key in (*anchors, name)]
         low, high, own = (float(stats.interquartile_mean(r.values.ravel())) for r in three)
         return rel.score((low, high, own), *three)
 
     def scores(self, name: str) -> NDArray[np.float64]:
         """Redraws (B,) of the score; needs the anchors. All rows draw the same seeds."""
-        three = [self.redrawn[key].iqm for key in (LOW_ANCHOR, HIGH_ANCHOR, name)]
+        anchors = self.anchors()
+        assert anchors is not None
+        three = [self.redrawn[key].iqm for key in (*anchors, name)]
         return rel.gap_closed(*three)
 
     def summary(self, name: str) -> PolicySummary:

@@ -3,11 +3,14 @@
 The physics takes every parameter per vehicle and per step. A batch keeps one parameter per
 row, in the order of `PARAMETER_NAMES`, shape (PARAMETER_ROWS, N).
 
-References: [1] Strawa et al., Electronics 10 (2021) 187, Tables 1 and 2.
+References: [1] Strawa et al., Electronics 10 (2021) 187, Tables 1 and 2. [2] Focchi et al.,
+"Pseudo-Kinematic Trajectory Control and Planning of Tracked Vehicles" (2025), Table 2.
 """
 
 import math
 from typing import NamedTuple
+
+from tracked_env.physics.jit import formula
 
 
 class VehicleParameters(NamedTuple):
@@ -21,7 +24,8 @@ class VehicleParameters(NamedTuple):
     sprocket_radius: float = 0.3  # [m] r
     torque_limit: float = 8000.0  # [N m] of one drive, at the sprocket
     sprocket_speed_limit: float = 20.0  # [rad/s] of one drive, at the sprocket
-    torque_time_constant: float = 0.05  # [s] lag of the motor's current loop; 0 = none
+    drive_time_constant: float = 0.05  # [s] lag of the torque (or speed) behind its demand
+    sprocket_inertia: float = 10.0  # [kg m^2] J, of one drive and track, seen at the sprocket
 
 
 class SoilParameters(NamedTuple):
@@ -52,7 +56,8 @@ class PlantParameters(NamedTuple):
     sprocket_radius: float
     torque_limit: float
     sprocket_speed_limit: float
-    torque_time_constant: float
+    drive_time_constant: float
+    sprocket_inertia: float
     cohesion: float
     friction_angle: float
     shear_deformation_modulus: float
@@ -82,6 +87,27 @@ GROUPS = {
 
 STRAWA_VEHICLE = VehicleParameters()
 HEAVY_CLAY = SoilParameters()
+FOCCHI_VEHICLE = VehicleParameters(  # Table 2 of [2]; the drive is this project's choice
+    mass=62.0,
+    inertia=4.5,
+    track_gauge=0.606,
+    track_width=0.1,
+    contact_length=0.7,
+    sprocket_radius=0.0856,
+    torque_limit=40.0,
+    sprocket_speed_limit=10.0,
+    drive_time_constant=0.0,
+    sprocket_inertia=0.05,
+)
+# Table 2 says 0.7 m; with 0.5 m the chicane of [2] section 7.1 comes out as it is printed.
+FOCCHI_SHORT_VEHICLE = FOCCHI_VEHICLE._replace(contact_length=0.5)
+FIRM_FLOOR = SoilParameters(  # rubber on a firm floor, [2]: no cohesion, mu = tan(phi) = 0.4
+    cohesion=0.0,
+    friction_angle=math.atan(0.4),
+    shear_deformation_modulus=0.001,
+    longitudinal_resistance=0.025,
+    lateral_resistance=0.4,
+)
 
 RANGES = {
     "mass": Range(10.0, 1e5, "kg", "Did you pass tonnes?"),
@@ -92,7 +118,8 @@ RANGES = {
     "sprocket_radius": Range(0.01, 2.0, "m", "Did you pass the diameter or millimetres?"),
     "torque_limit": Range(0.1, 1e6, "N m", "It is the torque at the sprocket, after the gear."),
     "sprocket_speed_limit": Range(0.1, 1e3, "rad/s", "Did you pass rpm or the motor's speed?"),
-    "torque_time_constant": Range(0.0, 10.0, "s", "Did you pass milliseconds?"),
+    "drive_time_constant": Range(0.0, 10.0, "s", "Did you pass milliseconds?"),
+    "sprocket_inertia": Range(1e-4, 1e4, "kg m^2", "Did you forget the gear ratio squared?"),
     "cohesion": Range(0.0, 1e6, "Pa", "Did you pass kPa, or change the sign?"),
     "friction_angle": Range(0.0, math.radians(60.0), "rad", "Did you pass degrees?"),
     "shear_deformation_modulus": Range(1e-4, 1.0, "m", "Did you pass centimetres, or G in Pa?"),
@@ -112,3 +139,21 @@ def plant_parameters(
     closure = ClosureParameters() if closure is None else closure
     values = (*vehicle, *soil, *closure)
     return PlantParameters(*(float(value) for value in values))
+
+
+@formula
+def row_parameters(table, i, first):
+    """PlantParameters of row i of a table that holds them from column `first` on."""
+    t, p = table, first
+    return PlantParameters(
+        t[i, p], t[i, p + 1], t[i, p + 2], t[i, p + 3], t[i, p + 4], t[i, p + 5],
+        t[i, p + 6], t[i, p + 7], t[i, p + 8], t[i, p + 9], t[i, p + 10], t[i, p + 11],
+        t[i, p + 12], t[i, p + 13], t[i, p + 14], t[i, p + 15], t[i, p + 16],
+    )  # fmt: skip
+
+
+VEHICLES: dict[str, PlantParameters] = {  # a vehicle on the soil that its controllers expect
+    "strawa": plant_parameters(),
+    "focchi": plant_parameters(FOCCHI_VEHICLE, FIRM_FLOOR),
+    "focchi-short": plant_parameters(FOCCHI_SHORT_VEHICLE, FIRM_FLOOR),
+}

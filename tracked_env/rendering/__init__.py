@@ -1,6 +1,7 @@
 """Pictures of a running simulation, with pygame: import this package only to draw.
 
     canvas      colours, text, surfaces          snapshot  what one picture shows, from the arrays
+    sizes       scales, by the vehicle           drives    numbers and bars of the drives
     quantities  labels, units, displayed ranges  memory    what a picture needs of those before it
     soil_map    the ground, coloured             scene     the world around the vehicle
     panel       numbers, bars and the overview   renderer  puts them together

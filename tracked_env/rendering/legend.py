@@ -6,15 +6,14 @@ import pygame
 
 from tracked_env.rendering import canvas
 from tracked_env.rendering.canvas import Colour, Text
-from tracked_env.rendering.scene import FORCE_SCALE
+from tracked_env.rendering.sizes import Sizes, grid_of, scale_bar
 from tracked_env.rendering.snapshot import Snapshot
-from tracked_env.rendering.soil_map import TILE, SoilMap
+from tracked_env.rendering.soil_map import SoilMap
 
 WIDTH, HEIGHT = 680, 640  # [px] of the scene
 TOP, BOTTOM = 26, 44  # [px] height of the strips
 _VEIL = (252, 252, 251, 242)
 _NOTICE = (33, 37, 41, 225)
-_FORCE = 5e3  # [N] of the sample arrow
 _BAR = 120  # [px] width of a colour bar
 
 
@@ -28,15 +27,16 @@ def _veil(picture: pygame.Surface, box: pygame.Rect, colour: tuple[int, int, int
 def coordinates(ground: pygame.Surface, text: Text, left: float, top: float, zoom: int) -> None:
     """Label the thick grid lines with x below the upper strip and with y at the left."""
     x0, y0 = round(left * zoom), round(-top * zoom)
-    side = TILE * zoom
+    metres = grid_of(zoom).side
+    side = metres * zoom
     for column in range(x0 // side + 1, (x0 + WIDTH - 1) // side + 1):
         x = column * side - x0
         if x < WIDTH - 40:
-            text.put(ground, f"x {TILE * column}", x + 4, TOP + 3, 10, canvas.MUTED)
+            text.put(ground, f"x {metres * column}", x + 4, TOP + 3, 10, canvas.MUTED)
     for row in range(y0 // side + 1, (y0 + HEIGHT - 1) // side + 1):
         y = row * side - y0
         if TOP + 20 < y < HEIGHT - BOTTOM - 16:
-            text.put(ground, f"y {-TILE * row}", 4, y + 3, 10, canvas.MUTED)
+            text.put(ground, f"y {-metres * row}", 4, y + 3, 10, canvas.MUTED)
 
 
 def draw(
@@ -52,7 +52,7 @@ def draw(
     _key(picture, text)
     _veil(picture, pygame.Rect(0, HEIGHT - BOTTOM, WIDTH, BOTTOM), _VEIL)
     y = HEIGHT - BOTTOM
-    _lengths(picture, text, y, zoom)
+    _lengths(picture, text, y, zoom, shot.sizes)
     _soil_bar(picture, text, soil, shot, y)
     _slip_bar(picture, text, y)
     lines = [*notices, shot.ending] if shot.ending else notices
@@ -83,15 +83,16 @@ def _key(picture: pygame.Surface, text: Text) -> None:
         x += text.put(picture, label, x, middle - 7, 11) + 11
 
 
-def _lengths(picture: pygame.Surface, text: Text, y: int, zoom: int) -> None:
+def _lengths(picture: pygame.Surface, text: Text, y: int, zoom: int, sizes: Sizes) -> None:
     """Scale of lengths and of forces."""
-    metres = 2 if zoom <= 50 else 1
-    x, length = 14, metres * zoom
-    text.put(picture, f"{metres} m", x, y + 6, 11)
+    metres, force = scale_bar(zoom), sizes.force_sample
+    x, length = 14, round(metres * zoom)
+    text.put(picture, f"{metres:g} m", x, y + 6, 11)
     pygame.draw.rect(picture, canvas.INK, (x, y + 28, length, 4))
     pygame.draw.rect(picture, canvas.WHITE, (x + length // 2, y + 29, length // 2 - 1, 2))
-    x, length = 134, round(_FORCE * FORCE_SCALE * zoom)
-    text.put(picture, f"{_FORCE / 1e3:g} kN", x, y + 6, 11)
+    x, length = 134, round(force * sizes.force_scale * zoom)
+    label = f"{force / 1e3:g} kN" if force >= 1e3 else f"{force:g} N"
+    text.put(picture, label, x, y + 6, 11)
     pygame.draw.line(picture, canvas.INK, (x, y + 30), (x + length - 6, y + 30), 3)
     tip = [(x + length, y + 30), (x + length - 9, y + 25), (x + length - 9, y + 35)]
     pygame.draw.polygon(picture, canvas.INK, tip)

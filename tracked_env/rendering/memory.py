@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from tracked_env.physics import schedule
 from tracked_env.physics.parameters import PARAMETER_NAMES
-from tracked_env.rendering.quantities import QUANTITIES
+from tracked_env.rendering.quantities import LUMPED_ONLY, QUANTITIES
 from tracked_env.rendering.snapshot import Snapshot
 from tracked_env.rendering.soil_map import value_at
 
-TRAIL_STEP = 0.03  # [m] between points of the trail
+TRAIL_STEP = 0.015  # [contact lengths] between points of the trail
 TRAIL_LIMIT = 8192  # [-] points kept; beyond it every second one goes
 NOTICE_DURATION = 3.0  # [s] a change stays on the screen after it has ended
 NOTICE_WEIGHT = 0.01  # [-] smaller changes of an event's weight are not noticed
@@ -43,7 +43,7 @@ class Memory:
         for side, speed in enumerate(speeds):
             self.travel[side] += elapsed * speed * shot.parameters.sprocket_radius
         here = np.array([shot.state.x, shot.state.y])
-        if np.abs(here - self._points[self._count - 1]).sum() >= TRAIL_STEP:
+        if np.abs(here - self._points[self._count - 1]).sum() >= TRAIL_STEP * shot.sizes.length:
             if self._count == TRAIL_LIMIT:
                 self._count //= 2
                 self._points[: self._count] = self._points[::2]
@@ -74,11 +74,14 @@ class Memory:
         if shot.events[0, e, 0] == schedule.WAVE:
             return
         name, before, weight = self._change(shot, e)
+        if shot.distributed and name in LUMPED_ONLY:
+            return
         change = weight - self._weights[e]
         if abs(change) < NOTICE_WEIGHT:
             return
         self._weights[e] = weight
         quantity = QUANTITIES[name]
-        numbers = [quantity.number(before), quantity.number(float(shot.events[0, e, 2]))]
+        usual = getattr(shot.nominal, name)
+        numbers = [quantity.number(x, usual) for x in (before, float(shot.events[0, e, 2]))]
         first, last = numbers if change > 0.0 else numbers[::-1]
         self._notices[e] = shot.time, f"{quantity.label}: {first} → {last} {quantity.unit}".rstrip()

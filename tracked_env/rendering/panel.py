@@ -6,10 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pygame
 
-from tracked_env.rendering import canvas
+from tracked_env.rendering import canvas, drives
 from tracked_env.rendering.canvas import Text
 from tracked_env.rendering.memory import Memory
-from tracked_env.rendering.quantities import QUANTITIES
+from tracked_env.rendering.quantities import FRICTION, QUANTITIES, Quantity
 from tracked_env.rendering.scene import Points
 from tracked_env.rendering.snapshot import Snapshot
 from tracked_env.rendering.soil_map import SoilMap
@@ -27,11 +27,11 @@ _CHANGED = 1e-6  # [-] relative change that is marked
 class Panel:
     """The panel of one episode."""
 
-    def __init__(self, text: Text, reference: Points, soil: SoilMap) -> None:
-        """reference: the whole path (P, 2) [m]."""
+    def __init__(self, text: Text, reference: Points, soil: SoilMap, margin: float) -> None:
+        """reference: the whole path (P, 2) [m]; margin [m] around it in the overview."""
         self.surface = canvas.surface(WIDTH, HEIGHT)
         self._text, self._soil = text, soil
-        low, high = reference.min(axis=0) - 3.0, reference.max(axis=0) + 3.0
+        low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
         self._scale = float(min(np.array(_OVERVIEW.size) / (high - low)))  # [px/m]
         self._middle = 0.5 * (low + high)
         self._path = self._pixels(reference[:: max(len(reference) // 500, 1)])
@@ -44,7 +44,8 @@ class Panel:
         self.surface.fill(canvas.PAPER)
         self._clock(shot)
         self._tracking(shot)
-        self._drives(shot)
+        self._heading("DRIVES", 150)
+        drives.draw(self.surface, self._text, shot)
         self._parameters(shot)
         self._overview(shot, memory, refresh, view)
         pygame.draw.line(self.surface, canvas.RULE, (0, 0), (0, HEIGHT))
@@ -87,64 +88,22 @@ class Panel:
             self._put(_tidy(value), 190, y, bold=True, align=1.0)
             self._put(_tidy(wanted), _RIGHT, y, colour=canvas.BLUE, align=1.0)
 
-    def _drives(self, shot: Snapshot) -> None:
-        state, limit = shot.state, shot.parameters.torque_limit
-        self._heading("DRIVES", 150)
-        unit = f"torque, of ±{limit / 1e3:g} kN m"
-        self._put(unit, _LEFT, 163, size=10, colour=canvas.MUTED)
-        self._put("demand", _RIGHT, 163, size=10, colour=canvas.MUTED, align=1.0)
-        pygame.draw.polygon(self.surface, canvas.INK, [(210, 167), (218, 167), (214, 172)])
-        sides = (
-            ("left", state.torque_left, shot.action[0], state.slip_left, state.sprocket_speed_left),
-            ("right", state.torque_right, shot.action[1], state.slip_right,
-             state.sprocket_speed_right),
-        )  # fmt: skip
-        for row, (side, torque, action, slip, speed) in enumerate(sides):
-            y = 180 + 20 * row
-            self._put(side, _LEFT, y)
-            self._put(f"{torque / 1e3:+.2f}", _RIGHT, y, bold=True, align=1.0)
-            self._bar(pygame.Rect(50, y + 1, 170, 12), torque / limit, action)
-            y = 236 + 16 * row
-            self._put(side, _LEFT, y)
-            pygame.draw.rect(self.surface, canvas.slip_colour(slip), (50, y + 2, 18, 10))
-            self._put(f"{100.0 * slip:.2f}", 150, y, bold=True, align=1.0)
-            self._put(f"{speed:.2f}", _RIGHT, y, bold=True, align=1.0)
-        self._put("slip [%]", 150, 222, size=10, colour=canvas.MUTED, align=1.0)
-        self._put("sprocket [rad/s]", _RIGHT, 222, size=10, colour=canvas.MUTED, align=1.0)
-
-    def _bar(self, box: pygame.Rect, share: float, demand: float) -> None:
-        """A bar to the right of the middle for positive shares, to its left for negative ones."""
-        pygame.draw.rect(self.surface, (238, 240, 242), box)
-        half = box.width // 2
-        end = box.centerx + round(max(min(share, 1.0), -1.0) * half)
-        colour = canvas.GREEN if share >= 0.0 else canvas.VERMILLION
-        pygame.draw.rect(
-            self.surface, colour, (min(box.centerx, end), box.y, abs(end - box.centerx), box.height)
-        )
-        for tick in range(-4, 5):
-            x = box.centerx + tick * half // 4
-            inner = canvas.MUTED if tick == 0 else canvas.RULE
-            pygame.draw.line(self.surface, inner, (x, box.y), (x, box.bottom - 1))
-        x = box.centerx + round(demand * half)
-        pygame.draw.polygon(
-            self.surface, canvas.INK, [(x - 4, box.y - 3), (x + 4, box.y - 3), (x, box.y + 2)]
-        )
-
     def _parameters(self, shot: Snapshot) -> None:
         self._heading("VEHICLE AND SOIL UNDER IT", 278)
         self._put("at start", 196, 291, size=10, colour=canvas.MUTED, align=1.0)
         self._put("now", _RIGHT, 291, size=10, colour=canvas.MUTED, align=1.0)
-        for row, name in enumerate(_SHOWN):
-            quantity, y = QUANTITIES[name], 305 + 16 * row
-            start, now = getattr(shot.parameters_at_start, name), getattr(shot.parameters, name)
+        for row, (quantity, usual, start, now) in enumerate(_rows(shot)):
+            y = 305 + 16 * row
             changed = abs(now - start) > _CHANGED * abs(start)
             colour = canvas.VERMILLION if changed else canvas.INK
             unit = f" [{quantity.unit}]" if quantity.unit else ""
             self._put(quantity.label + unit, _LEFT, y)
-            self._put(quantity.number(start), 196, y, align=1.0)
+            self._put(quantity.number(start, usual), 196, y, align=1.0)
             if changed:
                 self._put("→", 210, y, colour=colour)
-            self._put(quantity.number(now), _RIGHT, y, colour=colour, bold=changed, align=1.0)
+            self._put(
+                quantity.number(now, usual), _RIGHT, y, colour=colour, bold=changed, align=1.0
+            )
 
     def _pixels(self, points: Points) -> Points:
         return (points - self._middle) * (self._scale, -self._scale) + _OVERVIEW.center
@@ -178,6 +137,20 @@ class Panel:
         for start, end in pairwise((self._path - np.array(_OVERVIEW.topleft)).tolist()):
             pygame.draw.aaline(ground, canvas.BLUE, start, end, 2)
         return ground
+
+
+def _rows(shot: Snapshot) -> list[tuple[Quantity, float, float, float]]:
+    """Parameters of the plant: each with its nominal value, the one at the start, and now."""
+    values = shot.nominal, shot.parameters_at_start, shot.parameters
+    rows = []
+    for name in _SHOWN:
+        if shot.distributed and name == "lateral_resistance":
+            usual, start, now = (math.tan(p.friction_angle) for p in values)
+            rows.append((FRICTION, usual, start, now))
+        else:
+            usual, start, now = (getattr(p, name) for p in values)
+            rows.append((QUANTITIES[name], usual, start, now))
+    return rows
 
 
 def _tidy(number: str) -> str:

@@ -4,6 +4,8 @@ from typing import Any, NamedTuple
 
 from tracked_env.physics.parameters import PARAMETER_NAMES
 
+ROUNDING = 0.05  # [-] of the usual value of a parameter
+
 
 class Quantity(NamedTuple):
     """One parameter in a picture; the displayed value is the SI value times `factor`."""
@@ -15,9 +17,15 @@ class Quantity(NamedTuple):
     low: float = 0.0  # display unit, lower end of the colour scale
     high: float = 1.0  # display unit, upper end of the colour scale
 
-    def number(self, value: float) -> str:
-        """The value in its display unit, without the unit."""
-        return f"{value * self.factor:.{self.decimals}f}"
+    def number(self, value: float, usual: float = 0.0) -> str:
+        """The value in its display unit, without the unit.
+
+        usual: a value that the decimals have to show to within ROUNDING; 0: as many as usual.
+        """
+        shown, decimals = usual * self.factor, self.decimals
+        while abs(round(shown, decimals) - shown) > ROUNDING * abs(shown):
+            decimals += 1
+        return f"{value * self.factor:.{decimals}f}"
 
     def share(self, value: Any) -> Any:
         """Position of a number or an array on the colour scale; beyond its ends outside [0, 1]."""
@@ -34,7 +42,8 @@ QUANTITIES = {
     "sprocket_radius": Quantity("sprocket radius r", "m", 1.0, 3),
     "torque_limit": Quantity("torque limit", "kN m", 1e-3, 2),
     "sprocket_speed_limit": Quantity("sprocket speed limit", "rad/s", 1.0, 1),
-    "torque_time_constant": Quantity("torque time constant", "ms", 1e3, 0),
+    "drive_time_constant": Quantity("drive time constant", "ms", 1e3, 0),
+    "sprocket_inertia": Quantity("sprocket inertia J", "kg m²", 1.0, 2),
     "cohesion": Quantity("cohesion c", "kPa", 1e-3, 1, 0.0, 80.0),
     "friction_angle": Quantity("friction angle φ", "°", _DEG, 1, 0.0, 45.0),
     "shear_deformation_modulus": Quantity("shear deformation K", "mm", 1e3, 1, 0.0, 40.0),
@@ -44,3 +53,6 @@ QUANTITIES = {
     "icr_forward": Quantity("ICR forward d", "m", 1.0, 2),
 }
 assert tuple(QUANTITIES) == PARAMETER_NAMES
+FRICTION = Quantity("friction μ = tan φ", "", 1.0, 2)
+# What means nothing to the distributed plant: there the soil's shear turns and holds the tracks.
+LUMPED_ONLY = ("lateral_resistance", "turning_resistance_factor", "icr_forward")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tracked_env.physics.parameters import SoilParameters
 from tracked_env.references import sample
-from tracked_env.rendering import canvas, legend, scene
+from tracked_env.rendering import canvas, legend, scene, sizes
 from tracked_env.rendering.memory import Memory
 from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
 from tracked_env.rendering.panel import Panel
@@ -22,22 +22,26 @@ SCENE_WIDTH, SCENE_HEIGHT = 680, 640  # [px]
 WIDTH, HEIGHT = SCENE_WIDTH + PANEL_WIDTH, SCENE_HEIGHT  # [px] of a picture
 PATH_STEP, PATH_POINTS = 0.05, 4000  # [s] between points of the path, and at most that many
 MODES = ("human", "rgb_array")
-ZOOM = (20, 100)  # [px/m] allowed
 
 
 class _Stage:
     """What belongs to one episode."""
 
     def __init__(
-        self, shot: Snapshot, text: canvas.Text, pixels_per_metre: int, soil: str | None
+        self, shot: Snapshot, text: canvas.Text, pixels_per_metre: int | None, soil: str | None
     ) -> None:
         self.episode = shot.episode
         count = min(math.ceil(shot.duration / PATH_STEP), PATH_POINTS) + 1
         self.times: NDArray[np.float64] = np.linspace(0.0, shot.duration, count)
         path = sample(shot.episode.profile, self.times)
         self.path: Points = np.stack([path.x, path.y], axis=1)
-        self.soil = SoilMap(shot, pixels_per_metre, soil)
-        self.panel = Panel(text, self.path, self.soil)
+        length = shot.sizes.length
+        if pixels_per_metre is None:
+            self.zoom = sizes.default_zoom(length)
+        else:
+            self.zoom = sizes.checked_zoom(pixels_per_metre, length)
+        self.soil = SoilMap(shot, self.zoom, soil)
+        self.panel = Panel(text, self.path, self.soil, 1.5 * length)
         self.memory = Memory(shot)
 
 
@@ -53,25 +57,25 @@ class Renderer:
         self,
         render_mode: str,
         fps: int,
-        pixels_per_metre: int = 40,
+        pixels_per_metre: int | None = None,
         soil_parameter: str | None = None,
     ) -> None:
         """Open nothing yet.
 
         render_mode: "human" or "rgb_array"; fps: [1/s] at most, in a window;
-        pixels_per_metre: zoom, 20 to 100; soil_parameter: the one that colours the ground, by
-        default the first that varies in the plane, else `lateral_resistance`.
-        Raises ValueError for anything else.
+        pixels_per_metre: zoom, by default 80 px for the contact length of the environment's
+        vehicle, else 40 to 200 px for it; soil_parameter: the one that colours the ground, by
+        default the first that varies in the plane, else `lateral_resistance`, or
+        `friction_angle` of the distributed plant.
+        Raises ValueError for anything else; `draw` for a zoom that does not suit the vehicle.
         """
         self.render_mode = checked_choice("render_mode", render_mode, MODES)
-        if pixels_per_metre not in range(ZOOM[0], ZOOM[1] + 1):
-            raise ValueError(
-                f"pixels_per_metre = {pixels_per_metre}; must be an int in [{ZOOM[0]}, {ZOOM[1]}]"
-            )
+        if pixels_per_metre is not None:
+            pixels_per_metre = sizes.checked_zoom(pixels_per_metre)
         if soil_parameter is not None:
             checked_choice("soil_parameter", soil_parameter, SoilParameters._fields)
         self.fps = fps
-        self._zoom = int(pixels_per_metre)
+        self._zoom = pixels_per_metre
         self._soil_parameter = soil_parameter
         self._window: pygame.Window | None = None
         self._clock = pygame.time.Clock()
@@ -80,7 +84,8 @@ class Renderer:
     def draw(self, simulation: Simulation, row: int) -> NDArray[np.uint8] | None:
         """The picture of vehicle `row` (HEIGHT, WIDTH, 3); None in `human` mode.
 
-        Raises gymnasium.error.ResetNeeded before the first episode.
+        Raises gymnasium.error.ResetNeeded before the first episode, and ValueError for a zoom
+        that does not suit the vehicle.
         """
         shot = take(simulation, row)
         picture = self._compose(shot)
@@ -110,12 +115,12 @@ class Renderer:
         stage.memory.update(shot)
         refresh = stage.soil.advance(shot)
         ground = picture.subsurface((0, 0, SCENE_WIDTH, SCENE_HEIGHT))
-        half_width, half_height = 0.5 * SCENE_WIDTH / self._zoom, 0.5 * SCENE_HEIGHT / self._zoom
+        half_width, half_height = 0.5 * SCENE_WIDTH / stage.zoom, 0.5 * SCENE_HEIGHT / stage.zoom
         left, top = shot.state.x - half_width, shot.state.y + half_height
         stage.soil.draw(ground, shot, left, top)
-        legend.coordinates(ground, self._text, left, top, self._zoom)
+        legend.coordinates(ground, self._text, left, top, stage.zoom)
         self._things(ground, stage, shot)
-        legend.draw(ground, self._text, stage.soil, shot, stage.memory.notices(), self._zoom)
+        legend.draw(ground, self._text, stage.soil, shot, stage.memory.notices(), stage.zoom)
         view = half_width, half_height
         picture.blit(stage.panel.draw(shot, stage.memory, refresh, view), (SCENE_WIDTH, 0))
         return picture
@@ -123,7 +128,7 @@ class Renderer:
     def _things(self, ground: pygame.Surface, stage: _Stage, shot: Snapshot) -> None:
         """What stands and lies on the ground, from below to above."""
         width, height = ground.get_size()
-        camera = Camera(shot.state.x, shot.state.y, self._zoom, 0.5 * width, 0.5 * height)
+        camera = Camera(shot.state.x, shot.state.y, stage.zoom, 0.5 * width, 0.5 * height)
         now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])
         done = int(np.searchsorted(stage.times, shot.time, side="right"))
         past = np.concatenate([stage.path[:done], now])

@@ -21,11 +21,17 @@ from tracked_env.rendering.snapshot import Pose, Snapshot
 Points = NDArray[np.float64]
 Outline = Sequence[tuple[float, float]]  # [m]
 
-FORCE_SCALE = 0.15e-3  # [m/N] length of an arrow
-FORCE_SHOWN = 100.0  # [N] smaller forces get no arrow
-PAD_PITCH = 0.16  # [m] between two pads of a track
-BESIDE = 0.18  # [m] from a track to the arrows of its forces
-GHOST_REACH = 100.0  # [m] a reference farther away is not drawn
+# In contact lengths:
+PAD_PITCH = 0.08  # between two pads of a track
+BESIDE = 0.09  # from a track to the arrows of its forces
+GHOST_REACH = 50.0  # a reference farther away is not drawn
+MARGIN = 0.15  # of a sprite, around what it holds
+CHAMFER, ROUNDED = 0.035, 0.05  # at most, of a track's corners, and of the footprint's
+PEN, WIDE_PEN, BROAD_PEN = 0.015, 0.0225, 0.025  # widths of lines
+HEAD, SHAFT, HALO = 0.14, 0.0225, 0.0175  # of an arrow: head, half its width, white rim
+GAP, AXLE, CHEVRON = 0.025, 0.03, 0.11  # track to hull; half widths of axle and chevron
+DOT = (0.04, 0.0225)  # radii of the centre of mass, black and white
+
 SUPERSAMPLING = 4  # [-] of sprites
 POINT_DISTANCE = 12.0  # [px] between the points of a path that are drawn
 HULL: Colour = (82, 94, 103)
@@ -50,11 +56,11 @@ class Camera(NamedTuple):
 
 
 class Brush:
-    """Draws shapes given in the frame of a pose."""
+    """Draws shapes given in the frame of a pose, with lines as wide as suits the vehicle."""
 
-    def __init__(self, target: pygame.Surface, camera: Camera, pose: Pose) -> None:
-        """pose: of the frame in which points are given."""
-        self._target, self._camera = target, camera
+    def __init__(self, target: pygame.Surface, camera: Camera, pose: Pose, length: float) -> None:
+        """pose: of the frame in which points are given; length: contact length [m]."""
+        self._target, self._camera, self.length = target, camera, length
         cosine, sine = math.cos(pose.yaw), math.sin(pose.yaw)
         self._rotation = np.array([[cosine, sine], [-sine, cosine]])
         self._origin = (pose.x, pose.y)
@@ -68,24 +74,24 @@ class Brush:
         pygame.draw.polygon(self._target, colour, self.place(points).tolist())
 
     def stroke(self, points: Outline, colour: Colour, width: float, closed: bool = False) -> None:
-        """A line of that width [m] with round joints."""
-        thick = max(round(width * self._camera.scale), 1)
+        """A line of that width [contact lengths] with round joints."""
+        thick = max(round(width * self.length * self._camera.scale), 1)
         pixels = self.place(points).tolist()
         pygame.draw.lines(self._target, colour, closed, pixels, thick)
         for pixel in pixels:
             pygame.draw.circle(self._target, colour, pixel, 0.5 * thick)
 
     def dot(self, x: float, y: float, radius: float, colour: Colour) -> None:
-        """A disc [m]."""
+        """A disc; radius [contact lengths]."""
         middle = self.place([(x, y)])[0].tolist()
-        pygame.draw.circle(self._target, colour, middle, radius * self._camera.scale)
+        pygame.draw.circle(self._target, colour, middle, radius * self.length * self._camera.scale)
 
     def arrow(self, x: float, y: float, length: float, across: bool, colour: Colour) -> None:
         """From (x, y) along the frame's x axis, or its y axis when `across`; length [m] signed."""
         size, sign = abs(length), math.copysign(1.0, length)
-        head = min(0.28, 0.75 * size)
-        for halo, fill in ((0.035, canvas.WHITE), (0.0, colour)):
-            shaft, half = 0.045 + halo, 0.55 * head + 1.5 * halo
+        head = min(HEAD * self.length, 0.75 * size)
+        for halo, fill in ((HALO * self.length, canvas.WHITE), (0.0, colour)):
+            shaft, half = SHAFT * self.length + halo, 0.55 * head + 1.5 * halo
             neck, tip = size - head - halo, size + 2.0 * halo
             outline = [
                 (-halo, shaft), (neck, shaft), (neck, half), (tip, 0.0),
@@ -145,17 +151,17 @@ def vehicle(
     picture: pygame.Surface, camera: Camera, shot: Snapshot, travel: Sequence[float]
 ) -> None:
     """Hull and tracks to scale, with the forces on them; travel [m] of both belts."""
-    p = shot.parameters
+    p, length = shot.parameters, shot.sizes.length
     size = math.hypot(0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width))
     drawn = (
         shot.state.effort_left, shot.state.effort_right, *shot.resistance, shot.lateral_force
     )  # fmt: skip
-    longest = FORCE_SCALE * max(abs(force) for force in drawn)
-    side = 0.5 * (p.track_gauge + p.track_width) + BESIDE
-    reach = max(size, math.hypot(longest, side)) + 0.3
+    longest = shot.sizes.force_scale * max(abs(force) for force in drawn)
+    side = 0.5 * (p.track_gauge + p.track_width) + BESIDE * length
+    reach = max(size, math.hypot(longest, side)) + MARGIN * length
 
     def paint(fine: pygame.Surface, close: Camera) -> None:
-        brush = Brush(fine, close, shot.pose)
+        brush = Brush(fine, close, shot.pose, length)
         _body(brush, shot, travel)
         _forces(brush, shot)
 
@@ -165,14 +171,15 @@ def vehicle(
 def _body(brush: Brush, shot: Snapshot, travel: Sequence[float]) -> None:
     p, state = shot.parameters, shot.state
     middle, half = 0.5 * p.track_gauge, 0.5 * p.contact_length
-    inner = max(middle - 0.5 * p.track_width - 0.05, 0.05)
+    gap, axle = GAP * brush.length, AXLE * brush.length
+    inner = max(middle - 0.5 * p.track_width - gap, gap)
     for x in (-0.6 * half, 0.6 * half):  # suspension
-        brush.area(chamfered(x - 0.06, x + 0.06, middle, 0.0), canvas.INK)
+        brush.area(chamfered(x - axle, x + axle, middle, 0.0), canvas.INK)
     _track(brush, middle, p, state.slip_left, travel[0])
     _track(brush, -middle, p, state.slip_right, travel[1])
     hull = chamfered(-0.95 * half, 1.02 * half, inner, 0.35 * inner)
     brush.area(hull, HULL)
-    brush.stroke(hull, canvas.INK, 0.03, True)
+    brush.stroke(hull, canvas.INK, PEN, True)
     brush.area(chamfered(-0.8 * half, 0.35 * half, 0.7 * inner, 0.15 * inner), DECK)
     brush.area([(0.88 * half, 0.0), (0.5 * half, 0.45 * inner), (0.5 * half, -0.45 * inner)], NOSE)
 
@@ -182,42 +189,46 @@ def _track(brush: Brush, middle: float, p: PlantParameters, slip: float, travel:
     half, side = 0.5 * p.contact_length, 0.5 * p.track_width
     colour = canvas.slip_colour(slip)
     pad_colour = canvas.shaded(colour)
-    outline = chamfered(-half, half, side, min(0.07, 0.3 * side, 0.3 * half), middle)
+    cut = min(CHAMFER * brush.length, 0.3 * side, 0.3 * half)
+    outline = chamfered(-half, half, side, cut, middle)
     brush.area(outline, colour)
-    count = int(p.contact_length / PAD_PITCH) + 1
+    pitch = PAD_PITCH * brush.length
+    count = int(p.contact_length / pitch) + 1
     for pad in range(count):
-        rear = -half + (travel + pad * PAD_PITCH) % (count * PAD_PITCH)
-        front = min(rear + 0.4 * PAD_PITCH, half)
+        rear = -half + (travel + pad * pitch) % (count * pitch)
+        front = min(rear + 0.4 * pitch, half)
         if rear < front:
             brush.area(chamfered(rear, front, side, 0.0, middle), pad_colour)
-    brush.stroke(outline, canvas.INK, 0.03, True)
+    brush.stroke(outline, canvas.INK, PEN, True)
 
 
 def _forces(brush: Brush, shot: Snapshot) -> None:
     """Tractive efforts and motion resistances beside the tracks, lateral force at the middle."""
-    p, state = shot.parameters, shot.state
-    beside = 0.5 * (p.track_gauge + p.track_width) + BESIDE
+    p, state, sizes = shot.parameters, shot.state, shot.sizes
+    beside = 0.5 * (p.track_gauge + p.track_width) + BESIDE * sizes.length
     efforts = state.effort_left, state.effort_right
     for y, effort, resistance in zip((beside, -beside), efforts, shot.resistance, strict=True):
         for force, colour in ((effort, canvas.GREEN), (-resistance, canvas.VERMILLION)):
-            if abs(force) > FORCE_SHOWN:
-                brush.arrow(0.0, y, FORCE_SCALE * force, False, colour)
-    if abs(shot.lateral_force) > FORCE_SHOWN:
-        brush.arrow(0.0, 0.0, FORCE_SCALE * shot.lateral_force, True, canvas.PURPLE)
-    brush.dot(0.0, 0.0, 0.08, canvas.INK)
-    brush.dot(0.0, 0.0, 0.045, canvas.WHITE)
+            if abs(force) > sizes.force_shown:
+                brush.arrow(0.0, y, sizes.force_scale * force, False, colour)
+    if abs(shot.lateral_force) > sizes.force_shown:
+        brush.arrow(0.0, 0.0, sizes.force_scale * shot.lateral_force, True, canvas.PURPLE)
+    brush.dot(0.0, 0.0, DOT[0], canvas.INK)
+    brush.dot(0.0, 0.0, DOT[1], canvas.WHITE)
 
 
-def _footprint(p: PlantParameters) -> Outline:
+def _footprint(p: PlantParameters, length: float) -> Outline:
     half, side = 0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width)
-    return chamfered(-half, half, side, min(0.1, 0.3 * half, 0.3 * side))
+    return chamfered(-half, half, side, min(ROUNDED * length, 0.3 * half, 0.3 * side))
 
 
 def ghost_shade(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None:
     """The area that the vehicle should cover, to be drawn below the vehicle."""
-    if shot.distance > GHOST_REACH:
+    if shot.distance > GHOST_REACH * shot.sizes.length:
         return
-    corners = Brush(picture, camera, shot.reference).place(_footprint(shot.parameters))
+    length = shot.sizes.length
+    brush = Brush(picture, camera, shot.reference, length)
+    corners = brush.place(_footprint(shot.parameters, length))
     low = np.floor(corners.min(axis=0)).astype(int)
     size = np.ceil(corners.max(axis=0)).astype(int) - low + 1
     patch = canvas.surface(int(size[0]), int(size[1]), transparent=True)
@@ -227,18 +238,19 @@ def ghost_shade(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None
 
 def ghost(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None:
     """The outline where the vehicle should be, and a line from there to where it is."""
-    if shot.distance > GHOST_REACH:
+    if shot.distance > GHOST_REACH * shot.sizes.length:
         return
-    p = shot.parameters
+    p, length = shot.parameters, shot.sizes.length
     half, side = 0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width)
 
     def paint(fine: pygame.Surface, close: Camera) -> None:
-        brush = Brush(fine, close, shot.reference)
-        brush.stroke(_footprint(p), canvas.BLUE, 0.045, True)
-        chevron = [(0.6 * half, 0.22), (0.85 * half, 0.0), (0.6 * half, -0.22)]
-        brush.stroke(chevron, canvas.BLUE, 0.05)
+        brush = Brush(fine, close, shot.reference, length)
+        brush.stroke(_footprint(p, length), canvas.BLUE, WIDE_PEN, True)
+        wing = CHEVRON * length
+        chevron = [(0.6 * half, wing), (0.85 * half, 0.0), (0.6 * half, -wing)]
+        brush.stroke(chevron, canvas.BLUE, BROAD_PEN)
 
-    _sprite(picture, camera, shot.reference, math.hypot(half, side) + 0.1, paint)
+    _sprite(picture, camera, shot.reference, math.hypot(half, side) + 0.05 * length, paint)
     start, end = camera.pixels(np.array([shot.pose[:2], shot.reference[:2]])).tolist()
     pygame.draw.aaline(picture, canvas.WHITE, start, end, 5)
     pygame.draw.aaline(picture, canvas.BLUE, start, end, 3)

@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 from tracked_env import batch as b
 from tracked_env.episode import Episode
 from tracked_env.physics import state as s
+from tracked_env.physics import terramechanics as soil
 from tracked_env.physics import torque_plant
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_ROWS, PlantParameters
 from tracked_env.physics.state import STATE_ROWS, VehicleState
+from tracked_env.rendering.sizes import Sizes, sizes_of
 from tracked_env.simulation import Simulation
+
+HALF_GAUGE = torque_plant.Coefficients._fields.index("half_gauge")
+RESISTANCE = torque_plant.Coefficients._fields.index("resistance")
 
 
 class Pose(NamedTuple):
@@ -44,16 +49,24 @@ class Snapshot(NamedTuple):
     resistance: tuple[float, float]  # [N] motion resistance of the left and the right track
     lateral_force: float  # [N] of the soil on the vehicle, to its left
     ending: str  # why the episode is over, or empty
+    nominal: PlantParameters  # of the environment's vehicle and soil
+    distributed: bool  # the plant has patches under the tracks
+    by_torque: bool  # what the action is: torques, or else sprocket speeds
 
     @property
     def pose(self) -> Pose:
         """Of the vehicle."""
         return Pose(self.state.x, self.state.y, self.state.yaw)
 
+    @property
+    def sizes(self) -> Sizes:
+        """Of what is drawn."""
+        return sizes_of(self.nominal)
+
 
 @loop
 def motion_resistances(floats, i):
-    """Motion resistance [N] of the left and the right track of vehicle i, by the plant."""
+    """Motion resistance [N] of the left and the right track of vehicle i, by the lumped plant."""
     motion = torque_plant.Motion(
         floats[i, b.STATE + s.V_X], floats[i, b.STATE + s.V_Y], floats[i, b.STATE + s.YAW_RATE]
     )
@@ -70,6 +83,22 @@ def motion_resistances(floats, i):
         motion, floats[i, b.STATE + s.TORQUE_LEFT], floats[i, b.STATE + s.TORQUE_RIGHT], k, limits
     )
     return loads.resistance_left, loads.resistance_right
+
+
+@loop
+def motion_resistances_on_patches(floats, i):
+    """The same by the distributed plant, from its tractive efforts."""
+    motion = torque_plant.Motion(
+        floats[i, b.STATE + s.V_X], floats[i, b.STATE + s.V_Y], floats[i, b.STATE + s.YAW_RATE]
+    )
+    half_gauge = floats[i, b.COEFFICIENTS + HALF_GAUGE]
+    resistance = floats[i, b.COEFFICIENTS + RESISTANCE]
+    left, right = torque_plant.track_speeds(motion, half_gauge)
+    inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
+    return (
+        soil.resisting(left, floats[i, b.STATE + s.EFFORT_LEFT], resistance, inverse_width),
+        soil.resisting(right, floats[i, b.STATE + s.EFFORT_RIGHT], resistance, inverse_width),
+    )
 
 
 def _ending(simulation: Simulation, row: int, finite: bool) -> str:
@@ -95,6 +124,8 @@ def take(simulation: Simulation, row: int) -> Snapshot:
     state = VehicleState(*values[b.STATE : b.STATE + STATE_ROWS])
     parameters = PlantParameters(*values[b.PARAMETERS : b.PARAMETERS + PARAMETER_ROWS])
     count = int(counters[row, b.EVENT_COUNT])
+    distributed = simulation.solver.distributed
+    resistances = motion_resistances_on_patches if distributed else motion_resistances
     return Snapshot(
         episode,
         simulation.batch.events[row : row + 1, :count],
@@ -110,7 +141,10 @@ def take(simulation: Simulation, row: int) -> Snapshot:
         values[b.ERROR_YAW],
         values[b.REWARD],
         (values[b.PREVIOUS_ACTION], values[b.PREVIOUS_ACTION + 1]),
-        motion_resistances(floats, row) if finite else (0.0, 0.0),
+        resistances(floats, row) if finite else (0.0, 0.0),
         parameters.mass * state.acceleration_y,
         _ending(simulation, row, finite),
+        simulation.solver.nominal,
+        simulation.solver.distributed,
+        simulation.solver.by_torque,
     )

@@ -16,11 +16,11 @@ from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, SoilParameters
 from tracked_env.rendering.canvas import SOIL_SCALE, Bytes, paint, surface
 from tracked_env.rendering.quantities import QUANTITIES
+from tracked_env.rendering.sizes import grid_of
 from tracked_env.rendering.snapshot import Snapshot
 
 FloatArray = NDArray[np.float64]
 
-TILE = 5  # [m] side of a tile, and distance of the thick grid lines
 CELL_PIXELS = 2  # [px] side of a cell with one colour
 REFRESH = 0.2  # [s] a running ramp shows in steps of this length
 _TILES = 64  # [-] tiles kept
@@ -31,6 +31,10 @@ PREFERENCE = (
     "shear_deformation_modulus",
 )  # fmt: skip
 assert set(PREFERENCE) == set(SoilParameters._fields)
+# The same for the distributed plant, to which the lateral resistance means nothing.
+PREFERENCE_DISTRIBUTED = (
+    "friction_angle", "cohesion", "longitudinal_resistance", "shear_deformation_modulus",
+)  # fmt: skip
 
 
 @loop
@@ -78,14 +82,17 @@ class SoilMap:
         """parameter: a name of SoilParameters; None takes the first that varies in the plane."""
         events = shot.events[0]
         spatial = {int(row[1]) for row in events if row[0] != schedule.RAMP}
-        varying = [name for name in PREFERENCE if PARAMETER_INDEX[name] in spatial]
-        self.name = parameter or (varying or PREFERENCE)[0]
+        preference = PREFERENCE_DISTRIBUTED if shot.distributed else PREFERENCE
+        varying = [name for name in preference if PARAMETER_INDEX[name] in spatial]
+        self.name = parameter or (varying or preference)[0]
         self.quantity = QUANTITIES[self.name]
         self.uniform = self.name not in varying
         self._row = PARAMETER_INDEX[self.name]
         self._own_events = events[events[:, 1] == self._row]
         self._start = float(getattr(shot.parameters_at_start, self.name))
-        self._pixels = TILE * pixels_per_metre
+        self._grid = grid_of(pixels_per_metre)
+        self._metre = pixels_per_metre
+        self._pixels = self._grid.side * pixels_per_metre  # side of a tile
         self._tiles: dict[tuple[int, int], pygame.Surface] = {}
         self._time = -1.0
 
@@ -108,9 +115,8 @@ class SoilMap:
 
     def draw(self, target: pygame.Surface, shot: Snapshot, left: float, top: float) -> None:
         """Cover the target, whose upper left corner lies at world (left, top) [m]."""
-        metre = self._pixels / TILE
         width, height = target.get_size()
-        x0, y0 = round(left * metre), round(-top * metre)  # [px] of the corner, y down
+        x0, y0 = round(left * self._metre), round(-top * self._metre)  # [px] of the corner, y down
         side = self._pixels
         for row in range(y0 // side, (y0 + height - 1) // side + 1):
             for column in range(x0 // side, (x0 + width - 1) // side + 1):
@@ -127,14 +133,14 @@ class SoilMap:
         return self._tiles[key]
 
     def _new_tile(self, shot: Snapshot, column: int, row: int) -> pygame.Surface:
-        side = self._pixels
+        side, (metres, parts) = self._pixels, self._grid
         cells = -(-side // CELL_PIXELS)
-        middles = TILE * (np.arange(cells) + 0.5) * CELL_PIXELS / side
-        coarse = self.image(shot, TILE * column + middles, -(TILE * row + middles))
+        middles = metres * (np.arange(cells) + 0.5) * CELL_PIXELS / side
+        coarse = self.image(shot, metres * column + middles, -(metres * row + middles))
         plain = coarse.repeat(CELL_PIXELS, 0).repeat(CELL_PIXELS, 1)[:side, :side]
         lined = plain.copy()
-        for metre in range(TILE - 1, -1, -1):
-            line, factor = metre * side // TILE, _THIN if metre else _THICK
+        for part in range(parts - 1, -1, -1):
+            line, factor = part * side // parts, _THIN if part else _THICK
             lined[line] = factor * plain[line]
             lined[:, line] = factor * plain[:, line]
         tile = surface(side, side)

@@ -4,11 +4,12 @@ Every number is computed from the runs; so is every verdict.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.benchmark.papers import Claim, percent, verdict
+from tracked_env.benchmark.papers import claims_table as table
 from tracked_env.benchmark.strawa2021 import identification as ident
 from tracked_env.benchmark.strawa2021 import slip as slips
 from tracked_env.benchmark.strawa2021 import soil as soils
@@ -17,30 +18,9 @@ from tracked_env.benchmark.strawa2021.drive import PERIOD, rms
 from tracked_env.benchmark.strawa2021.identification import Condition
 from tracked_env.benchmark.strawa2021.results import REGRESSIONS, Results
 
+__all__ = ["claims", "standstill", "table", "verdict"]
+
 STANDS = 0.05  # [m/s] slower than this a vehicle stands
-
-
-class Claim(NamedTuple):
-    """One line of the table."""
-
-    place: str  # in the paper
-    claim: str
-    ours: str
-    agrees: str
-    why: str
-
-
-def percent(value: float) -> str:
-    """A share as a percentage: two digits, integers from 10 % on, tiny ones as a bound."""
-    share = 100.0 * value
-    if 0.0 < abs(share) < 0.001:
-        return "below 0.001 %"
-    return f"{share:.0f} %" if abs(share) >= 10.0 else f"{share:.2g} %"
-
-
-def verdict(*agreed: bool) -> str:
-    """yes when all agree, no when none does, else partly."""
-    return "yes" if all(agreed) else "partly" if any(agreed) else "no"
 
 
 def controller_claims(results: Results) -> list[Claim]:
@@ -267,9 +247,3 @@ def claims(results: Results) -> list[Claim]:
         *slip_claims(results),
         *soil_claims(results),
     ]
-
-
-def table(found: list[Claim]) -> list[list[str]]:
-    """Rows, header first."""
-    return [["place", "claim of the paper", "our number", "agrees?", "why / conditions"],
-            *(list(claim) for claim in found)]  # fmt: skip

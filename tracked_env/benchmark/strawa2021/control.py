@@ -100,7 +100,7 @@ def run(
     )
     options = {
         **scenario.options,
-        "vehicle": {"torque_time_constant": 0.0},
+        "vehicle": {"drive_time_constant": 0.0},
         "closure": {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD},
         "start": START,
     }

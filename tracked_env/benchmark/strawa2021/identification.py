@@ -83,7 +83,7 @@ def options(condition: Condition, reference: Event) -> dict[str, Any]:
     return {
         "reference": reference,
         "schedule": GROUNDS[condition.ground],
-        "vehicle": {"torque_time_constant": 0.0},
+        "vehicle": {"drive_time_constant": 0.0},
         "closure": {
             "turning_resistance_factor": condition.factor,
             "icr_forward": ICR_FORWARD,

@@ -1,13 +1,14 @@
 """The page: claims, figures and tables as Markdown, and as HTML where markdown-it is installed."""
 
-import math
 from pathlib import Path
 
-from tracked_env.benchmark.report import aligned, markdown_rows
+from tracked_env.benchmark import papers
+from tracked_env.benchmark.papers import terminal
 from tracked_env.benchmark.strawa2021 import claims, tables
 from tracked_env.benchmark.strawa2021 import slip as slips
-from tracked_env.benchmark.strawa2021.claims import Claim
 from tracked_env.benchmark.strawa2021.results import Results
+
+__all__ = ["CHOICES", "HEAD", "markdown", "terminal", "write"]
 
 HEAD = """# Strawa et al. (2021) run again: section 8
 
@@ -50,60 +51,11 @@ CHOICES = {
                                  "on true slips."),
 }  # fmt: skip
 
-STYLE = """<meta charset="utf-8"><style>
-body { font: 15px/1.45 sans-serif; max-width: 72em; margin: 2em auto; padding: 0 1em; }
-table { border-collapse: collapse; display: block; overflow-x: auto; font-size: 13px; }
-td, th { border: 1px solid #ccc; padding: 0.25em 0.5em; text-align: left; vertical-align: top; }
-img { max-width: 100%; }
-</style>
-"""
 
-
-def markdown(results: Results, figures: dict[str, tuple[Path, str]]) -> str:
+def markdown(results: Results, figures: papers.Figures) -> str:
     """The page; figures: {name: (file, caption)}, linked by their names alone."""
-    rows = claims.table(claims.claims(results))
-    parts = [HEAD, "## Claims\n", markdown_rows(rows, names=len(rows[0])) + "\n"]
-    if figures:
-        parts.append("## Figures\n")
-        parts += [f"![{name}]({file.name})\n\n{caption}\n" for name, (file, caption)
-                  in figures.items()]  # fmt: skip
-    parts.append("## Tables\n")
-    for title, (table, text) in CHOICES.items():
-        parts.append(f"### {title}\n\n{text}\n\n{markdown_rows(table(results))}\n")
-    return "\n".join(parts)
-
-
-def html(text: str) -> str | None:
-    """The page as HTML; None when markdown-it is not installed."""
-    try:
-        from markdown_it import MarkdownIt
-    except ImportError:
-        return None
-    return STYLE + str(MarkdownIt("commonmark").enable("table").render(text))
-
-
-def terminal(found: list[Claim], width: int = 118) -> str:
-    """The claims as a table that fits a terminal: reasons are on the page."""
-    rows = [[claim.place, claim.claim, claim.ours, claim.agrees] for claim in found]
-    head = ["place", "claim of the paper", "here", "agrees?"]
-    return aligned(_wrapped([head, *rows], width), names=len(head))
-
-
-def _wrapped(rows: list[list[str]], width: int) -> list[list[str]]:
-    """Cells broken into lines of their own, so that no line is longer than `width`."""
-    import textwrap
-
-    free = width - 8 - max(len(row[0]) for row in rows) - 12
-    limits = [math.inf, int(0.42 * free), free - int(0.42 * free), 12]
-    broken = []
-    for row in rows:
-        cells = [
-            [cell] if limit == math.inf else textwrap.wrap(cell, int(limit)) or [""]
-            for cell, limit in zip(row, limits, strict=True)
-        ]
-        height = max(len(cell) for cell in cells)
-        broken += [[cell[k] if k < len(cell) else "" for cell in cells] for k in range(height)]
-    return broken
+    shown = [papers.Table(title, text, table(results)) for title, (table, text) in CHOICES.items()]
+    return papers.markdown(HEAD, claims.claims(results), figures, shown)
 
 
 def write(results: Results, folder: Path, draw: bool = True) -> list[Path]:
@@ -112,7 +64,7 @@ def write(results: Results, folder: Path, draw: bool = True) -> list[Path]:
     draw: without figures when False. Raises ImportError when matplotlib is missing.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    found: dict[str, tuple[Path, str]] = {}
+    found: papers.Figures = {}
     if draw:
         from tracked_env.benchmark.strawa2021 import control_figures, figures
 
@@ -120,11 +72,4 @@ def write(results: Results, folder: Path, draw: bool = True) -> list[Path]:
         order = ("exact", "mass-inertia", "sweep", "maps", "resistance-maps", "sandy-loam",
                  "estimates", "estimates-uniform", "trajectory", "slip", "soil")  # fmt: skip
         found = {name: drawn[name] for name in order}
-    text = markdown(results, found)
-    files = [folder / "page.md"]
-    files[0].write_text(text, encoding="utf-8")
-    page = html(text)
-    if page is not None:
-        files.append(folder / "page.html")
-        files[1].write_text(page, encoding="utf-8")
-    return [*files, *(file for file, _ in found.values())]
+    return papers.write(markdown(results, found), folder, found)

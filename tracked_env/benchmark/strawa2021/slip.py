@@ -72,7 +72,7 @@ def run_all(
         {
             "reference": manoeuvre(**SPEEDS[case.speed]),
             "soil": SOILS[case.soil],
-            "vehicle": {"torque_time_constant": 0.0},
+            "vehicle": {"drive_time_constant": 0.0},
             "closure": closure._asdict(),
             "sensors": {"pose_rate": case.rate},
             "start": {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": SPEED},

@@ -77,7 +77,7 @@ def _drive(tools: Tools, sensors: str, cases: Sequence[Case], duration: float) -
             "reference": WAYS[case.way],
             "soil": GROUNDS[case.ground][0],
             "schedule": GROUNDS[case.ground][1],
-            "vehicle": {"torque_time_constant": 0.0},
+            "vehicle": {"drive_time_constant": 0.0},
             "closure": closure._asdict(),
             "start": {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": SPEED},
         }

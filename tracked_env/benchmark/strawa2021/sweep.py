@@ -51,7 +51,7 @@ def surface(
     policy = tools.controller(believed._replace(**arrays), PERIOD, "constrained")
     row = {
         "reference": WAYS[way],
-        "vehicle": {"torque_time_constant": 0.0},
+        "vehicle": {"drive_time_constant": 0.0},
         "closure": {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD},
         "start": START,
     }

@@ -2,15 +2,13 @@
 
 import math
 
+from tracked_env.benchmark.papers import Rows, percent
 from tracked_env.benchmark.strawa2021 import control
 from tracked_env.benchmark.strawa2021 import identification as ident
 from tracked_env.benchmark.strawa2021 import slip as slips
 from tracked_env.benchmark.strawa2021 import soil as soils
-from tracked_env.benchmark.strawa2021.claims import percent
 from tracked_env.benchmark.strawa2021.drive import rms
 from tracked_env.benchmark.strawa2021.results import Results
-
-Rows = list[list[str]]
 
 
 def seconds(value: float) -> str:

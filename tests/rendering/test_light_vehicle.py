@@ -1,0 +1,191 @@
+"""A light vehicle on patches of a firm floor is drawn as well as a heavy one in clay."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.rendering.picture_cases import CENTRED, Picture, driven, started
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.speed_plant import hold_speeds
+from tracked_env.rendering import Renderer, canvas, scene, sizes, snapshot
+from tracked_env.rendering.memory import Memory
+
+FLOOR = {"plant": "distributed", "drive": "speed"}
+GENTLE = {"start": {**CENTRED, "speed": 0.3}}
+
+
+def light(vehicle: str = "focchi", **arguments: Any) -> TrackedVehicleEnv:
+    """A light vehicle at the origin, heading east at 0.3 m/s."""
+    return started(GENTLE, vehicle=vehicle, **{**FLOOR, **arguments})
+
+
+@pytest.fixture
+def written(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What pictures say, as it is written."""
+    strings: list[str] = []
+    put = canvas.Text.put
+
+    def recorded(self: canvas.Text, target: Any, string: str, *more: Any, **style: Any) -> int:
+        strings.append(string)
+        return put(self, target, string, *more, **style)
+
+    monkeypatch.setattr(canvas.Text, "put", recorded)
+    return strings
+
+
+def columns_of(picture: Picture, colour: canvas.Colour) -> NDArray[np.int64]:
+    """Columns [px] of the scene, strips apart, in which that colour occurs."""
+    scene = picture[60:580, :680]
+    return np.flatnonzero((scene == colour).all(axis=2).any(axis=0))
+
+
+@pytest.mark.parametrize("vehicle", ["strawa", "focchi", "focchi-short"])
+def test_every_vehicle_is_as_long_in_its_picture(vehicle: str) -> None:
+    hull = columns_of(driven(light(vehicle), 1, 0.0, 0.0), scene.HULL)
+    assert 74 <= hull[-1] - hull[0] <= 79
+
+
+def test_a_zoom_that_does_not_suit_the_vehicle_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match=r"= 401; must be an int in \[20, 400\]"):
+        Renderer("rgb_array", 50, pixels_per_metre=401)
+    wide, close = (Renderer("rgb_array", 50, pixels_per_metre=z) for z in (40, 290))
+    focchi = light().simulation
+    for drawing in (wide, close):
+        with pytest.raises(ValueError, match=r"must be an int in \[58, 285\] for a vehicle"):
+            drawing.draw(focchi, 0)
+    assert close.draw(light("focchi-short").simulation, 0) is not None
+    assert wide.draw(started().simulation, 0) is not None
+
+
+@pytest.mark.parametrize("zoom", [20, 50, 51, 100, 101, 114, 200, 201, 400])
+def test_scale_bar_and_grid_suit_every_zoom(zoom: int) -> None:
+    assert 40 <= sizes.scale_bar(zoom) * zoom <= 100
+    grid = sizes.grid_of(zoom)
+    assert 100 <= grid.side * zoom <= 500
+    assert 20 <= grid.side * zoom / grid.parts <= 101
+
+
+def test_the_grid_of_a_light_vehicle_has_lines_every_half_metre_and_labels_every_two(
+    written: list[str],
+) -> None:
+    picture = driven(light(), 1, 0.0, 0.0).astype(int)
+    assert {"0.5 m", "x 0", "x 2", "y 0", "y 2"} <= set(written)
+    assert "x 1" not in written and "x 5" not in written
+    row = picture[147].sum(axis=1)  # between two lines
+    origin = next(c for c in range(320, 345) if row[c] < row[c - 2] * 0.95)
+    shade = [row[origin + offset] / row[origin + 20] for offset in (57, 114, 171, 228)]
+    assert shade == pytest.approx([0.955, 0.955, 0.955, 0.86], abs=0.01)
+
+
+def test_arrows_scale_with_what_the_usual_soil_resists(written: list[str]) -> None:
+    assert sizes.sizes_of(VEHICLES["strawa"]) == (2.0, 0.15e-3, 100.0, 5e3)
+    sample = sizes.sizes_of(VEHICLES["focchi"])
+    assert (sample.length, sample.force_sample) == (0.7, 50.0)
+    assert sample.force_shown == pytest.approx(100.0 * 62.0 * 0.425 / (1450.0 * 1.4))
+    env = light()
+    picture = driven(env, 1, 1.0, 1.0)
+    effort = snapshot.take(env.simulation, 0).state.effort_left
+    assert 60.0 < effort < 130.0
+    green = columns_of(picture, canvas.GREEN)
+    drawn = (green[-1] - green[0]) / (sample.force_scale * 114)
+    assert drawn == pytest.approx(effort, rel=0.08)
+    assert "50 N" in written and "5 kN" not in written
+
+
+@pytest.mark.parametrize("drive", ["speed", "torque"])
+@pytest.mark.parametrize(("steps", "action"), [(1, 0.01), (1, 0.4), (25, 0.4)])
+def test_drawn_forces_are_those_of_the_patches(drive: str, steps: int, action: float) -> None:
+    still = {"start": {**CENTRED, "speed": 0.0}}
+    env = started(still, vehicle="focchi", plant="distributed", drive=drive)
+    for _ in range(steps):
+        env.step(np.array([0.5 * action, action], dtype=np.float32))
+    simulation = env.simulation
+    shot = snapshot.take(simulation, 0)
+    state = shot.state
+    loads = np.zeros((1, 6))
+    speeds = np.array([[state.sprocket_speed_left, state.sprocket_speed_right]])
+    hold_speeds(
+        np.array([state[:6]]), speeds, np.array([shot.parameters]), simulation.solver.patches,
+        0, simulation.solver.substep, False, loads,
+    )  # fmt: skip
+    assert (state.effort_left, state.effort_right) == pytest.approx(loads[0, :2], rel=1e-6)
+    assert shot.resistance == pytest.approx(loads[0, 2:4], rel=1e-6)
+    assert shot.lateral_force == pytest.approx(loads[0, 4], rel=1e-6)
+    drawbar = state.effort_left + state.effort_right - sum(shot.resistance)
+    assert drawbar == pytest.approx(shot.parameters.mass * state.acceleration_x, rel=1e-9)
+
+
+def test_bars_and_markers_show_what_the_action_commands(written: list[str]) -> None:
+    env = light()
+    by_speed = driven(env, 20, 0.5, -0.5)
+    assert {"sprocket speed, of ±10 rad/s", "torque [N m]", "+5.00", "-5.00"} <= set(written)
+    assert "sprocket [rad/s]" not in written
+    torque = snapshot.take(env.simulation, 0).state.torque_left
+    assert torque > 1.0 and f"{torque:+.1f}" in written
+    assert by_speed[190, 680 + 135 + 35].tolist() == list(canvas.GREEN)
+    assert by_speed[190, 680 + 135 + 50].tolist() != list(canvas.GREEN)
+    assert by_speed[210, 680 + 135 - 35].tolist() == list(canvas.VERMILLION)
+    assert by_speed[179, 680 + 135 + 42].tolist() == list(canvas.INK)
+    written.clear()
+    driven(light(drive="torque"), 20, 0.25, -0.25)
+    assert {"torque, of ±40 N m", "sprocket [rad/s]", "+10.0", "-10.0"} <= set(written)
+    written.clear()
+    driven(started(plant="distributed"), 20, 0.25, 0.25)
+    assert {"torque, of ±8 kN m", "+2.00"} <= set(written)
+
+
+def after(strings: list[str], label: str) -> str:
+    """What is written right after the last such label."""
+    return strings[len(strings) - strings[::-1].index(label)]
+
+
+def test_the_panel_lists_what_the_plant_knows_with_enough_digits(written: list[str]) -> None:
+    driven(light(), 1)
+    assert after(written, "yaw inertia I [kg m²]") == "4.5"
+    assert after(written, "motion resistance") == "0.025"
+    assert after(written, "friction μ = tan φ") == "0.40"
+    assert after(written, "friction angle φ [°]") == "21.8"
+    assert "lateral resistance" not in written
+    written.clear()
+    driven(light(plant="lumped", drive="torque"), 1)
+    assert after(written, "lateral resistance") == "0.40"
+    assert "friction μ = tan φ" not in written
+
+
+def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistance_out(
+    written: list[str],
+) -> None:
+    step = {"kind": "ramp", "start": 0.1}
+    schedule = [
+        {"parameter": "lateral_resistance", "target": 0.2, **step},
+        {"parameter": "longitudinal_resistance", "target": 0.018, **step},
+        {"parameter": "lateral_resistance", "kind": "region", "target": 0.1, "x": 5.0, "y": 0.0,
+         "radius": 1.0, "edge": 0.1},
+    ]  # fmt: skip
+    for plant, drive in (("distributed", "speed"), ("lumped", "torque")):
+        written.clear()
+        env = started({**GENTLE, "schedule": schedule}, vehicle="focchi", plant=plant, drive=drive)
+        driven(env, 8, 0.1, 0.1)
+        assert "motion resistance: 0.025 → 0.018" in written
+        lumped = plant == "lumped"
+        assert ("lateral resistance: 0.40 → 0.20" in written) == lumped
+        assert ("soil: lateral resistance [-]" in written) == lumped
+        assert ("soil: friction angle φ [°]" in written) != lumped
+
+
+def test_trail_and_overview_follow_the_size_of_the_vehicle() -> None:
+    env = light(reference={"kind": "straight", "speed": 0.3, "x": 0.0, "y": 0.0, "yaw": 1.5707963})
+    memory = Memory(snapshot.take(env.simulation, 0))
+    for _ in range(60):
+        env.step(np.array([0.4, 0.4], dtype=np.float32))
+        memory.update(snapshot.take(env.simulation, 0))
+    steps = np.hypot(*np.diff(memory.trail, axis=0).T)
+    assert len(steps) > 20 and steps.max() < 0.02
+    picture = env.render()
+    assert picture is not None
+    box = picture[453:627, 695:945]
+    path = np.flatnonzero((box == canvas.BLUE).all(axis=2).any(axis=1))
+    assert 135 <= path[-1] - path[0] <= 150  # 9 m of path, 1.05 m of room at each end: 176 px

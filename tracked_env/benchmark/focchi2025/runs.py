@@ -1,0 +1,89 @@
+"""The vehicle, and what one run of it gave: F (36) and the numbers of figures 13 and 15."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
+
+Floats = NDArray[np.float64]
+
+LENGTHS = (0.5, 0.7)  # [m] contact length: the one that fits the paper best, and its Table 2
+FRICTION = 0.1  # [-] mu of figures 6, 7, 9, 12 to 14
+RESISTANCE = 0.025  # [-] c_r of Table 2
+BEGUN = 3.0  # [s] from here on errors count: the start is 5.8 cm off
+
+
+def vehicle(
+    length: float = LENGTHS[-1], friction: float = FRICTION, resistance: float = RESISTANCE
+) -> PlantParameters:
+    """Table 2 of F with a contact length [m], mu [-] and c_r [-]."""
+    return VEHICLES["focchi"]._replace(
+        contact_length=length,
+        friction_angle=math.atan(friction),
+        longitudinal_resistance=resistance,
+    )
+
+
+class Numbers(NamedTuple):
+    """Errors after BEGUN, mean and standard deviation over the vehicles of a run."""
+
+    largest: float  # [m] max Cartesian error
+    largest_spread: float  # [m]
+    rmse: float  # [m]
+    heading: float  # [rad] max heading error
+
+    @property
+    def text(self) -> str:
+        """The largest error in cm."""
+        return f"{100.0 * self.largest:.2f} ± {100.0 * self.largest_spread:.2f}"
+
+
+class Run(NamedTuple):
+    """Time histories of N vehicles over T control steps, at the beginning of each step."""
+
+    time: Floats  # (T,) [s]
+    state: Floats  # (T, 6, N) x, y [m], yaw [rad], v_x, v_y [m/s], yaw rate [rad/s]
+    sprockets: Floats  # (T, 2, N) [rad/s] in force before that time, left and right
+    reference: Floats  # (T, 3, N) x, y [m], yaw [rad]
+    belief: dict[str, Floats]  # (T, N) by name, empty when the policy says nothing
+
+    @property
+    def distance(self) -> Floats:
+        """e_xy of F (37), (T, N) [m]."""
+        apart = self.state[:, :2] - self.reference[:, :2]
+        return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
+
+    @property
+    def heading(self) -> Floats:
+        """e_phi of F (36), (T, N) [rad] in [-pi, pi)."""
+        turned = self.state[:, 2] - self.reference[:, 2]
+        return np.asarray((turned + math.pi) % (2.0 * math.pi) - math.pi)
+
+    def numbers(self) -> Numbers:
+        """Errors after BEGUN."""
+        late = self.time >= BEGUN
+        distance = self.distance[late]
+        largest = distance.max(axis=0)
+        return Numbers(
+            float(largest.mean()), float(largest.std()),
+            float(np.sqrt(np.mean(distance**2))), float(np.abs(self.heading[late]).max()),
+        )  # fmt: skip
+
+    def only(self, rows: Any) -> "Run":
+        """Some of the vehicles, by slice."""
+        return Run(
+            self.time, self.state[:, :, rows], self.sprockets[:, :, rows],
+            self.reference[:, :, rows],
+            {name: values[:, rows] for name, values in self.belief.items()},
+        )  # fmt: skip
+
+    def slip(self, parameters: PlantParameters) -> tuple[Floats, Floats, Floats]:
+        """What the vehicles do, (T, N): beta_left, beta_right [m/s] of F (31), alpha of (28)."""
+        half, radius = 0.5 * parameters.track_gauge, parameters.sprocket_radius
+        v_x, v_y, turn = self.state[:, 3], self.state[:, 4], self.state[:, 5]
+        alpha = np.arctan(v_y / np.where(np.abs(v_x) > 1e-3, v_x, np.nan))
+        left, right = radius * self.sprockets[:, 0], radius * self.sprockets[:, 1]
+        return left - (v_x - half * turn), right - (v_x + half * turn), alpha

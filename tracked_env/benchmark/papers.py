@@ -1,0 +1,119 @@
+"""What the packages that run a paper again share: claims, their table, and the page.
+
+A page is Markdown, and HTML where markdown-it is installed: a head, the claims of the paper beside
+what comes out, figures and tables.
+"""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from tracked_env.benchmark.report import aligned, markdown_rows
+
+Rows = list[list[str]]
+Figures = dict[str, tuple[Path, str]]  # {name: (file, caption)}
+
+STYLE = """<meta charset="utf-8"><style>
+body { font: 15px/1.45 sans-serif; max-width: 72em; margin: 2em auto; padding: 0 1em; }
+table { border-collapse: collapse; display: block; overflow-x: auto; font-size: 13px; }
+td, th { border: 1px solid #ccc; padding: 0.25em 0.5em; text-align: left; vertical-align: top; }
+img { max-width: 100%; }
+</style>
+"""
+
+
+class Claim(NamedTuple):
+    """One line of the table."""
+
+    place: str  # in the paper
+    claim: str
+    ours: str
+    agrees: str
+    why: str
+
+
+class Table(NamedTuple):
+    """One table of the page."""
+
+    title: str
+    text: str  # what stands above it
+    rows: Rows  # header first
+
+
+def percent(value: float) -> str:
+    """A share as a percentage: two digits, integers from 10 % on, tiny ones as a bound."""
+    share = 100.0 * value
+    if 0.0 < abs(share) < 0.001:
+        return "below 0.001 %"
+    return f"{share:.0f} %" if abs(share) >= 10.0 else f"{share:.2g} %"
+
+
+def verdict(*agreed: bool) -> str:
+    """yes when all agree, no when none does, else partly."""
+    return "yes" if all(agreed) else "partly" if any(agreed) else "no"
+
+
+def claims_table(found: Sequence[Claim]) -> Rows:
+    """Rows, header first."""
+    return [["place", "claim of the paper", "our number", "agrees?", "why / conditions"],
+            *(list(claim) for claim in found)]  # fmt: skip
+
+
+def markdown(head: str, found: Sequence[Claim], figures: Figures, tables: Sequence[Table]) -> str:
+    """The page; figures are linked by their names alone."""
+    rows = claims_table(found)
+    parts = [head, "## Claims\n", markdown_rows(rows, names=len(rows[0])) + "\n"]
+    if figures:
+        parts.append("## Figures\n")
+        parts += [f"![{name}]({file.name})\n\n{caption}\n" for name, (file, caption)
+                  in figures.items()]  # fmt: skip
+    parts.append("## Tables\n")
+    for title, text, table in tables:
+        parts.append(f"### {title}\n\n{text}\n\n{markdown_rows(table)}\n")
+    return "\n".join(parts)
+
+
+def html(text: str) -> str | None:
+    """The page as HTML; None when markdown-it is not installed."""
+    try:
+        from markdown_it import MarkdownIt
+    except ImportError:
+        return None
+    return STYLE + str(MarkdownIt("commonmark").enable("table").render(text))
+
+
+def write(text: str, folder: Path, figures: Figures) -> list[Path]:
+    """Write page.md, and page.html if possible, to `folder`. Returns all files, figures last."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [folder / "page.md"]
+    files[0].write_text(text, encoding="utf-8")
+    page = html(text)
+    if page is not None:
+        files.append(folder / "page.html")
+        files[1].write_text(page, encoding="utf-8")
+    return [*files, *(file for file, _ in figures.values())]
+
+
+def terminal(found: Sequence[Claim], width: int = 118) -> str:
+    """The claims as a table that fits a terminal: reasons are on the page."""
+    rows = [[claim.place, claim.claim, claim.ours, claim.agrees] for claim in found]
+    head = ["place", "claim of the paper", "here", "agrees?"]
+    return aligned(_wrapped([head, *rows], width), names=len(head))
+
+
+def _wrapped(rows: Rows, width: int) -> Rows:
+    """Cells broken into lines of their own, so that no line is longer than `width`."""
+    import textwrap
+
+    free = width - 8 - max(len(row[0]) for row in rows) - 12
+    limits = [math.inf, int(0.42 * free), free - int(0.42 * free), 12]
+    broken = []
+    for row in rows:
+        cells = [
+            [cell] if limit == math.inf else textwrap.wrap(cell, int(limit)) or [""]
+            for cell, limit in zip(row, limits, strict=True)
+        ]
+        height = max(len(cell) for cell in cells)
+        broken += [[cell[k] if k < len(cell) else "" for cell in cells] for k in range(height)]
+    return broken

@@ -1,0 +1,21 @@
+"""What a law of uncertainty is: it draws the truth of one episode around nominal parameters."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from tracked_env.physics.parameters import PlantParameters
+from tracked_env.references import ReferenceProfile
+from tracked_env.schedule import Event
+
+
+class Draw(NamedTuple):
+    """The truth of one episode."""
+
+    parameters: PlantParameters
+    events: list[Event]
+
+
+# (random stream, nominal parameters, reference, duration [s]) -> truth
+Law = Callable[[np.random.Generator, PlantParameters, ReferenceProfile, float], Draw]

@@ -24,9 +24,13 @@ import numpy as np
 import tracked_env
 from baselines.adaptive import AdaptivePolicy
 from tracked_env.batch import bytes_per_vehicle
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.speed_plant import hold_speeds
+from tracked_env.physics.track_patches import make_patches
 
 TORQUE = tracked_env.TORQUE_ID
 REPETITIONS = 7
+PLANT_STEPS = 1000  # of one call of the distributed plant: its overhead is below a percent
 
 
 class Row(NamedTuple):
@@ -116,6 +120,23 @@ def identification_step(count: int, slip: str, policy: bool = False) -> Callable
     return call
 
 
+def plant_steps(count: int, euler: bool) -> Callable[[], object]:
+    """PLANT_STEPS steps of the distributed plant alone: 2 x 40 patches, belts that turn it.
+
+    No environment around it. Euler steps of 1 ms, as published simulators take them, cost one
+    evaluation of all patches each; Rosenbrock steps of 2.5 ms, the default, cost two.
+    """
+    states, loads = np.zeros((count, 6)), np.zeros((count, 6))
+    speeds = np.linspace((3.0, 4.0), (4.0, 8.0), count)
+    parameters = np.tile(np.array(VEHICLES["focchi"], dtype=float), (count, 1))
+    patches, h = make_patches(10, 4), 1e-3 if euler else 2.5e-3
+
+    def call() -> None:
+        hold_speeds(states, speeds, parameters, patches, PLANT_STEPS, h, euler, loads)
+
+    return call
+
+
 def episode_seconds(call: Callable[[], object], calls: int) -> float:
     """Mean duration [s] of one call over a whole episode, its autoresets included."""
     start = time.perf_counter()
@@ -187,6 +208,12 @@ def measure(seconds: float) -> list[Row]:
     ):
         call = identification_step(count, *arguments)
         rows.append(Row(name, 1e6 * best_time(call, seconds) / count, count, rows[0].name))
+    for euler, name in ((True, "Euler step of 1 ms"), (False, "Rosenbrock step of 2.5 ms")):
+        for count in (1, 64):
+            steps = PLANT_STEPS * count
+            time_ = 1e6 * best_time(plant_steps(count, euler), seconds) / steps
+            vehicles = f"{count} vehicle{'s' if count > 1 else ''}"
+            rows.append(Row(f"Distributed plant, {name}, {vehicles}", time_, steps, rows[0].name))
     return rows
 
 

@@ -78,7 +78,7 @@ def drive_vehicle(
     trajectory = np.zeros((steps + 1, 8))
     k, drive = coefficients(p, constrained), drive_limits(p)
     h = period / substeps
-    decay = torque_decay(0.5 * h, p.torque_time_constant)
+    decay = torque_decay(0.5 * h, p.drive_time_constant)
     motion, x, y, yaw, cosine, sine = start, 0.0, 0.0, 0.0, 1.0, 0.0
     motor = (0.0, 0.0)
     for n in range(steps + 1):

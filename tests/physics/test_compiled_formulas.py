@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from numba.core.registry import CPUDispatcher
 
-from tracked_env.physics import elementary, integration, terramechanics, torque_plant
+from tests.physics.patch_cases import FOCCHI, PATCHES, parts
+from tracked_env.physics import (
+    elementary,
+    implicit_step,
+    integration,
+    parameters,
+    speed_plant,
+    terramechanics,
+    torque_plant,
+    track_patches,
+)
 from tracked_env.physics.parameters import plant_parameters
 from tracked_env.physics.torque_plant import Motion
 
@@ -22,6 +32,24 @@ TORQUES = ((300.0, 2300.0), (-900.0, 7e3))
 LOADS = [(m, *t, k, LIMITS) for m in (TURN, BACK) for t in TORQUES for k in (K, K_FIXED)]
 NUMBERS = (-650.3, -1.0, -1e-9, 0.0, 0.03, 0.7, 33.3)
 RK4_TORQUES = ((300.0, 2300.0), (310.0, 2290.0), (320.0, 2280.0))
+
+FLOOR, FLOOR_DRIVE, CONTACT = parts(FOCCHI)
+SCRATCH = np.zeros((track_patches.SCRATCH_ROWS, track_patches.LANES))
+BELTS = implicit_step.Belts(1.7, 2.3)
+RATES = implicit_step.Rates(1.0, -2.0, 0.5, 0.3, -4.0)
+OTHER_RATES = implicit_step.Rates(0.3, 0.1, -0.7, -2.0, 9.0)
+SHEAR = [(SCRATCH, m, *b, CONTACT, PATCHES) for m in (TURN, BACK) for b in (BELTS, (0.0, -1.0))]
+DRAGS = [track_patches.resistance(*arguments) for arguments in SHEAR]
+COMPLIANCES = (0.0, 0.147)
+MOVES = [
+    (
+        SCRATCH, (speed_plant.Pose(1.0, 2.0, 0.7, math.cos(0.7), math.sin(0.7)), m, BELTS),
+        implicit_step.Belts(20.0, -3.0), implicit_step.Belts(9.0, 0.5), decay, 3, 0.0025,
+        (FLOOR, FLOOR_DRIVE, CONTACT, compliance), PATCHES, euler,
+    )
+    for m in (TURN, BACK) for decay in (0.0, 0.7) for compliance in COMPLIANCES
+    for euler in (False, True)
+]  # fmt: skip
 
 ARGUMENTS = {
     elementary: {
@@ -68,7 +96,26 @@ ARGUMENTS = {
             (torque_plant.constrained_accelerations, TURN, *RK4_TORQUES, K_FIXED, LIMITS, 0.0025),
         ],
     },
-}
+    parameters: {"row_parameters": [(np.arange(40.0).reshape(2, 20), 1, 3)]},
+    track_patches: {"patch_count": [(PATCHES,)], "resistance": SHEAR},
+    implicit_step: {
+        "damped": [(r, RATES, FLOOR, c, 0.001) for r in DRAGS for c in COMPLIANCES],
+        "pushed": [(TURN, RATES, 0.01)],
+        "combined": [(RATES, OTHER_RATES, 1.5, -0.5)],
+        "departure": [(r, RATES, OTHER_RATES, FLOOR, c, 0.001) for r in DRAGS for c in COMPLIANCES],
+    },
+    speed_plant: {
+        "contact_of": [(FOCCHI, FLOOR, FLOOR_DRIVE, PATCHES)],
+        "loads_of": [(r, m, BELTS, FLOOR) for r in DRAGS for m in (TURN, BACK)],
+        "driving_torque": [(t, v, 0.25) for t in (-3.0, 7.0) for v in NUMBERS],
+        "rates_of": [
+            (torque_plant.Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR,
+             FLOOR_DRIVE, c) for c in COMPLIANCES
+        ],
+        "advance": MOVES,
+    },
+}  # fmt: skip
+LOOPS = {"hold_speeds"}  # they write into arrays: compared below
 
 
 def _flat(value):
@@ -83,7 +130,7 @@ def test_every_public_formula_of_the_module_is_sampled(module):
         if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.__name__
         if not name.startswith("_")
     }
-    assert formulas == set(ARGUMENTS[module])
+    assert formulas - LOOPS == set(ARGUMENTS[module])
 
 
 @pytest.mark.parametrize(
@@ -96,3 +143,25 @@ def test_compiled_equals_pure_python_bit_for_bit(module, name):
     for arguments in ARGUMENTS[module][name]:
         compiled, pure = _flat(formula(*arguments)), _flat(formula.py_func(*arguments))
         assert np.array_equal(compiled, pure), arguments
+
+
+@pytest.mark.parametrize("euler", [False, True], ids=["rosenbrock", "euler"])
+def test_the_loop_over_vehicles_equals_pure_python_bit_for_bit(euler):
+    speeds, table = np.array([[3.0, 4.0], [0.0, -5.0]]), np.array([FOCCHI, CLAY])
+    start = np.array([[1.0, 2.0, 0.7, 0.3, 0.0, 0.1], [0.0, 0.0, -3.0, -0.4, 0.2, 1.0]])
+    results = []
+    for loop in (speed_plant.hold_speeds, speed_plant.hold_speeds.py_func):
+        states, loads = start.copy(), np.zeros((2, 6))
+        loop(states, speeds, table, PATCHES, 4, 0.0025, euler, loads)
+        results.append(np.concatenate([states, loads], axis=1))
+    assert np.array_equal(*results)
+    assert not np.array_equal(results[0][:, :6], start)
+
+
+def test_the_resistance_of_the_soil_equals_pure_python_all_the_way_down(monkeypatch):
+    inner = ("_place", "_columns", "_row", "_pair", "patch_count", "exponential", "rotation")
+    compiled = [track_patches.resistance(*arguments) for arguments in SHEAR]
+    for name in inner:
+        monkeypatch.setattr(track_patches, name, getattr(track_patches, name).py_func)
+    for arguments, expected in zip(SHEAR, compiled, strict=True):
+        assert track_patches.resistance.py_func(*arguments) == expected

@@ -1,0 +1,99 @@
+"""How the trajectory of the distributed plant depends on the step: the table of distributed.md.
+
+    python docs/step_halving_patches.py        prints the Markdown table
+
+Each manoeuvre is repeated with ever shorter steps of both integrators. Its error is the largest
+distance, and the largest heading difference, to the same manoeuvre with steps of 0.01 ms of the
+Rosenbrock method, over all instants 20 ms apart. Belts are driven by speeds that change every
+20 ms only, so that all steps see the same commands.
+"""
+
+import math
+
+import numpy as np
+
+from tracked_env.physics.parameters import FIRM_FLOOR, FOCCHI_VEHICLE, plant_parameters
+from tracked_env.physics.speed_plant import hold_speeds
+from tracked_env.physics.track_patches import make_patches
+
+PERIOD = 0.02  # [s] one command
+LENGTHS = (5e-3, 2.5e-3, 1e-3, 0.5e-3)  # [s] of a step
+REFERENCE = 1e-5  # [s]
+FRICTIONS = (0.1, 0.4, 0.8)  # [-]
+PATCHES = make_patches()
+
+
+def commanded(forward, yaw_rate, vehicle=FOCCHI_VEHICLE):
+    """Sprocket speeds (n, 2) [rad/s] of forward speeds [m/s] and yaw rates [rad/s]."""
+    turn = 0.5 * vehicle.track_gauge * np.asarray(yaw_rate)
+    belts = np.stack([forward - turn, forward + turn], axis=1)
+    return belts / vehicle.sprocket_radius
+
+
+def chicane():
+    """F (53): v = 0.2 t for 2 s, then 0.2 m/s in turns of +-0.3 rad/s; 20 s."""
+    t = PERIOD * np.arange(int(20.0 / PERIOD))
+    return commanded(
+        np.minimum(0.2 * t, 0.2), np.where(t < 2.0, 0.0, np.where(t < 12.0, 0.3, -0.3))
+    )
+
+
+def constant(left, right, duration=5.0):
+    """The same sprocket speeds [rad/s] all the time, from rest."""
+    return np.tile((left, right), (int(duration / PERIOD), 1))
+
+
+def random_commands(duration=10.0):
+    """A new pair of sprocket speeds within 10 rad/s every half second, from a fixed seed."""
+    hold = int(0.5 / PERIOD)
+    drawn = np.random.default_rng(0).uniform(-10.0, 10.0, (int(duration / PERIOD) // hold, 2))
+    return np.repeat(drawn, hold, axis=0)
+
+
+MANOEUVRES = {
+    "turn, 4 and 6 rad/s": constant(4.0, 6.0),
+    "turn about one belt, 0 and 5 rad/s": constant(0.0, 5.0),
+    "pivot, ±8 rad/s": constant(-8.0, 8.0),
+    "chicane, 20 s": chicane(),
+    "random commands, 10 s": random_commands(),
+}
+
+
+def run(speeds, h, euler, p, patches=PATCHES):
+    """Poses (n + 1, 3) every PERIOD, from rest, with steps of h [s]."""
+    state, loads = np.zeros((1, 6)), np.zeros((1, 6))
+    table = np.array([p], dtype=float)
+    poses = np.zeros((len(speeds) + 1, 3))
+    for n, row in enumerate(speeds):
+        hold_speeds(state, row[None].copy(), table, patches, round(PERIOD / h), h, euler, loads)
+        poses[n + 1] = state[0, :3]
+    return poses
+
+
+def error(found, truth):
+    """(largest distance [m], largest heading difference [rad])."""
+    gap = found - truth
+    return np.hypot(gap[:, 0], gap[:, 1]).max(), np.abs(gap[:, 2]).max()
+
+
+def main():
+    """Print the table: position error in mm / heading error in mrad."""
+    lengths = " | ".join(f"{1e3 * h:g} ms" for h in LENGTHS)
+    print(f"| manoeuvre | friction | integrator | {lengths} |")
+    print("|---|---|---" + "|---:" * len(LENGTHS) + "|")
+    for name, speeds in MANOEUVRES.items():
+        for mu in FRICTIONS:
+            floor = FIRM_FLOOR._replace(friction_angle=math.atan(mu))
+            p = plant_parameters(FOCCHI_VEHICLE, floor)
+            truth = run(speeds, REFERENCE, False, p)
+            for euler in (True, False):
+                cells = []
+                for h in LENGTHS:
+                    distance, turn = error(run(speeds, h, euler, p), truth)
+                    cells.append(f"{1e3 * distance:.2g} / {1e3 * turn:.2g}")
+                integrator = "Euler" if euler else "Rosenbrock"
+                print(f"| {name} | {mu} | {integrator} | " + " | ".join(cells) + " |")
+
+
+if __name__ == "__main__":
+    main()

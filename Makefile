@@ -33,7 +33,7 @@ paper: $(STAMP) ## run section 8 of the paper again: its claims, figures, one pa
 leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the table in the README
 	rm -rf results/leaderboard
 	$(BIN)/python evaluate.py --no-figures --output results/leaderboard
-	$(BIN)/python benchmarks/leaderboard.py results/leaderboard/v1-*
+	$(BIN)/python benchmarks/leaderboard.py results/leaderboard/v2-seed0-*
 
 train: $(STAMP) ## train a PPO agent into runs/ppo
 	$(BIN)/python train.py $(TRAIN_ARGS)

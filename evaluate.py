@@ -9,11 +9,9 @@ figures.
 An interrupted run loses at most the chunk of episodes in progress; run it again to continue.
 """
 
-import json
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,25 +22,29 @@ try:
 except ImportError:
     sys.exit("evaluate.py needs tyro: run `make install`, or pip install 'tracked-env[cli]'")
 
-from baselines.policies import POLICIES
+from baselines.policies import BY_DRIVE, POLICIES
+from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import (
-    DEFAULT_SETS,
     BenchmarkConfig,
     Store,
     Summary,
     check,
+    default_sets,
     leaderboard,
     page,
     report,
 )
 from tracked_env.benchmark.loading import archives, load_policies, shipped_agents
 from tracked_env.benchmark.policies import PolicyEntry
-from tracked_env.benchmark.runner import Progress, pending, run
+from tracked_env.benchmark.runner import pending, progress_bar, run
 from tracked_env.benchmark.sets import VERSION
 from tracked_env.benchmark.store import identity_hash
 from tracked_env.benchmark.summary import Row, rows_of
+from tracked_env.validation import name_or_json
 
-SHIPPED = shipped_agents(Path(__file__).parent / "agents" / "pretrained")
+PRETRAINED = Path(__file__).parent / "agents" / "pretrained"
+DRIVES = {TORQUE_ID: "torque", SPEED_ID: "speed"}
+SHIPPED = {env: shipped_agents(PRETRAINED / env.partition("/")[2]) for env in DRIVES}
 INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
 
 
@@ -51,11 +53,18 @@ class Config:
     """What to compare, on what, and where the results go."""
 
     # Each line of these texts is a line of --help.
-    policies: tuple[str, ...] = (*POLICIES, *(SHIPPED if find_spec("torch") else ()))
+    env: Literal["tracked_env/Torque-v0", "tracked_env/Speed-v0"] = TORQUE_ID
+    """Environment id: sprocket torques as actions, or speeds."""
+
+    policies: tuple[str, ...] | None = None
     """Policies to compare; the first one is the baseline.
-    nominal: feedback linearization with nominal parameters.
-    adaptive: the same controller, parameters identified on line.
-    oracle: adaptive with the true parameters, nothing to identify.
+    Default: all controllers, and the shipped agents.
+    Torque-v0: nominal, feedback linearization with nominal
+    parameters; adaptive, with parameters identified on line;
+    oracle, with the true ones.
+    Speed-v0: uc, for a unicycle without slip; slc, slippage-aware,
+    slip identified beforehand; slc-adaptive, slip identified on
+    line; slc-oracle, with the slip of the true soil.
     ppo ...: an agent in agents/pretrained, with all its seeds.
     path/to/agent.zip: an agent trained by train.py or any other
     archive of Stable-Baselines3. NAME=runs/ppo-*/agent.zip: the
@@ -63,9 +72,9 @@ class Config:
     module:attribute: any object with a `predict` as in
     Stable-Baselines3, or a class or function that makes one."""
 
-    sets: tuple[str, ...] = DEFAULT_SETS
+    sets: tuple[str, ...] | None = None
     """Evaluation sets: the laws of vehicle, soil and changes, and
-    the sensors. Also `nominal`: nothing is unknown, no change."""
+    the sensors. Default: all of ENV in which something is unknown."""
 
     episodes: int = 32
     """Episodes per set; the frozen ones are the first 100 of each."""
@@ -98,28 +107,23 @@ class Config:
     video: bool = False
     """Record the first episode of the first set, every policy."""
 
-    paper: Literal["none", "strawa2021"] = "none"
-    """Instead of the benchmark, run section 8 of the paper again:
-    its claims beside what comes out, figures 9 to 36, one page."""
+    paper: Literal["none", "strawa2021", "focchi2025"] = "none"
+    """Instead of the benchmark, run a paper's experiments again:
+    its claims beside what comes out, its figures, one page."""
 
     chunk: int = 64
     """Episodes run and stored together; numbers do not change."""
 
-
-def name_or_json(text: str | None, what: str) -> str | Mapping[str, Any] | None:
-    """`text` itself, or the JSON object that it holds. Raises ValueError."""
-    if text is None or not text.lstrip().startswith("{"):
-        return text
-    try:
-        return dict(json.loads(text))
-    except ValueError as error:
-        raise ValueError(f"--{what} {text}: not a JSON object ({error})") from error
+    def named_policies(self) -> tuple[str, ...]:
+        """The policies asked for, or all there are for the environment."""
+        agents = SHIPPED[self.env] if find_spec("torch") else ()
+        return self.policies or (*BY_DRIVE[DRIVES[self.env]], *agents)
 
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
     """The part of the command line that the benchmark knows. Raises ValueError."""
     return BenchmarkConfig(
-        sets=config.sets,
+        sets=config.sets or default_sets(config.env),
         episodes=config.episodes,
         seed=config.seed,
         reference=name_or_json(config.reference, "reference"),
@@ -139,28 +143,9 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
     ]
     if benchmark.duration is not None:
         labels.append(f"{benchmark.duration:g}s")
-    name = "-".join([*(labels or [VERSION]), f"seed{benchmark.seed}"])
+    track = [benchmark.env.partition("/")[2].lower()] if benchmark.env == SPEED_ID else []
+    name = "-".join([*track, *(labels or [VERSION]), f"seed{benchmark.seed}"])
     return output / f"{name}-{identity_hash(benchmark.identity())[:8]}"
-
-
-@contextmanager
-def progress_bar(total: int) -> Iterator[Progress]:
-    """A function that reports control steps of vehicles; shows a bar when tqdm is installed."""
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        yield lambda steps, label: None
-        return
-    form = "{desc:<28} {percentage:3.0f}% |{bar}| [{elapsed}<{remaining}, {rate_fmt}]"
-    with tqdm(
-        total=total, unit=" steps", unit_scale=True, bar_format=form, dynamic_ncols=True
-    ) as bar:
-
-        def progress(steps: int, label: str) -> None:
-            bar.set_description_str(label, refresh=False)
-            bar.update(steps)
-
-        yield progress
 
 
 def draw(
@@ -242,7 +227,8 @@ def write_leaderboard(
     """Write the leaderboard as JSON, Markdown and HTML; returns it as text."""
     board = leaderboard.leaderboard(summary, rows, conditions)
     leaderboard.write(store.folder, board)
-    paths = [path for spec in config.policies for path in archives(spec, SHIPPED)]
+    shipped = SHIPPED[config.env]
+    paths = [path for spec in config.named_policies() for path in archives(spec, shipped)]
     folders: dict[str, list[Path]] = {}
     for name, path in paths:
         folders.setdefault(name, []).append(path.parent)
@@ -258,7 +244,9 @@ def main(config: Config) -> int:
         return reproduce(config)
     try:
         benchmark = benchmark_config(config)
-        entries = load_policies(config.policies, POLICIES, SHIPPED, open_archive)
+        entries = load_policies(
+            config.named_policies(), POLICIES, SHIPPED[config.env], open_archive
+        )
         store = Store(result_folder(config.output, benchmark), benchmark.identity())
     except ValueError as error:
         print(f"evaluate.py: {error}", file=sys.stderr)

@@ -4,8 +4,13 @@
     adaptive  the same controller with the parameters that it identifies under way
     oracle    the adaptive policy, handed the true parameters at every step: what perfect
               identification would reach. It measures, and filters, like the adaptive one.
-A factory takes a context with `control_period` [s], `lateral` (closure) and `sensors` (data
-sheet: the noise of the sensors, which everybody may know).
+For vehicles driven by their sprocket speeds:
+    uc            the Lyapunov controller of a unicycle: slip is not known
+    slc           the slippage-aware one, slip identified beforehand on the nominal soil
+    slc-adaptive  the same controller with the slip of the friction that it identifies under way
+    slc-oracle    the same controller with the slip of the true soil
+A factory takes a context with `control_period` [s], `lateral` (closure), `sensors` (data sheet:
+the noise of the sensors, which everybody may know), `drive` and `vehicle`.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,9 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.adaptive import AdaptivePolicy, AdaptiveState
+from baselines.adaptive_slip import AdaptiveSlipPolicy, OracleSlipPolicy
 from baselines.controllers.feedback_linearization import FeedbackLinearizingController
 from baselines.estimators.measurement import DataSheet
-from tracked_env.physics.parameters import PARAMETER_NAMES, plant_parameters
+from baselines.slip_identification import identified_slip
+from baselines.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 
 
 class Context(Protocol):
@@ -34,6 +42,14 @@ class Context(Protocol):
     @property
     def sensors(self) -> Any:
         """Data sheet: an object with the attributes of estimators.measurement.DataSheet."""
+
+    @property
+    def drive(self) -> str:
+        """What the actions are: "torque" or "speed"."""
+
+    @property
+    def vehicle(self) -> str:
+        """Nominal vehicle and soil, a key of VEHICLES."""
 
 
 class OraclePolicy:
@@ -70,16 +86,26 @@ class OraclePolicy:
         return self._policy.predict(observation, state, episode_start, deterministic)
 
 
+def _vehicle(context: Context, drive: str) -> PlantParameters:
+    """Nominal parameters for a policy that commands `drive`. Raises ValueError for another."""
+    if context.drive != drive:
+        raise ValueError(
+            f"this policy commands each sprocket's {drive}, the environment takes its "
+            f"{context.drive}; policies for that are {', '.join(BY_DRIVE[context.drive])}"
+        )
+    return VEHICLES[context.vehicle]
+
+
 def nominal(context: Context) -> FeedbackLinearizingController:
     """The controller that trusts the nominal parameters."""
     return FeedbackLinearizingController(
-        plant_parameters(), control_period=context.control_period, lateral=context.lateral
+        _vehicle(context, "torque"), control_period=context.control_period, lateral=context.lateral
     )
 
 
 def _arguments(context: Context) -> dict[str, Any]:
     return {
-        "parameters": plant_parameters(),
+        "parameters": _vehicle(context, "torque"),
         "control_period": context.control_period,
         "data_sheet": DataSheet.of(context.sensors),
         "lateral": context.lateral,
@@ -96,8 +122,46 @@ def oracle(context: Context) -> OraclePolicy:
     return OraclePolicy(**_arguments(context))
 
 
+def _speed_arguments(context: Context) -> dict[str, Any]:
+    return {
+        "parameters": _vehicle(context, "speed"),
+        "control_period": context.control_period,
+        "data_sheet": DataSheet.of(context.sensors),
+    }
+
+
+def uc(context: Context) -> UnicyclePolicy:
+    """The controller of a unicycle without slip."""
+    return UnicyclePolicy(**_speed_arguments(context))
+
+
+def slc(context: Context) -> SlippageAwarePolicy:
+    """The slippage-aware controller that trusts the slip of the nominal soil."""
+    arguments = _speed_arguments(context)
+    return SlippageAwarePolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
+
+
+def slc_adaptive(context: Context) -> AdaptiveSlipPolicy:
+    """The slippage-aware controller that identifies the friction under way."""
+    return AdaptiveSlipPolicy(**_speed_arguments(context))
+
+
+def slc_oracle(context: Context) -> OracleSlipPolicy:
+    """The slippage-aware controller that knows the true soil."""
+    return OracleSlipPolicy(**_speed_arguments(context))
+
+
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
     "adaptive": adaptive,
     "oracle": oracle,
+    "uc": uc,
+    "slc": slc,
+    "slc-adaptive": slc_adaptive,
+    "slc-oracle": slc_oracle,
+}
+# Those for each kind of drive, from the least to the most that is known.
+BY_DRIVE = {
+    "torque": ("nominal", "adaptive", "oracle"),
+    "speed": ("uc", "slc", "slc-adaptive", "slc-oracle"),
 }

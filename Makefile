@@ -27,13 +27,16 @@ install: $(STAMP) ## create the virtual environment and install everything but t
 evaluate: $(STAMP) ## compare the policies on the uncertainty sets (the main job)
 	$(BIN)/python evaluate.py $(EVALUATE_ARGS)
 
-paper: $(STAMP) ## run section 8 of the paper again: its claims, figures, one page (minutes)
+paper: $(STAMP) ## run both papers again: their claims, figures, one page each (minutes)
 	$(BIN)/python evaluate.py --paper strawa2021 $(EVALUATE_ARGS)
+	$(BIN)/python evaluate.py --paper focchi2025 $(EVALUATE_ARGS)
 
 leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the table in the README
 	rm -rf results/leaderboard
 	$(BIN)/python evaluate.py --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/leaderboard.py results/leaderboard/v2-seed0-*
+	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --no-figures --output results/leaderboard
+	$(BIN)/python benchmarks/leaderboard.py results/leaderboard/speed-v0-v2-seed0-*
 
 train: $(STAMP) ## train a PPO agent into runs/ppo
 	$(BIN)/python train.py $(TRAIN_ARGS)

@@ -1,10 +1,11 @@
 """Publish a leaderboard: from the results of evaluate.py into the README and agents/pretrained.
 
     python evaluate.py                                    # all controllers and shipped agents
-    python benchmarks/leaderboard.py results/v1-seed0-*   # README.md and scores.json
+    python benchmarks/leaderboard.py results/v2-seed0-*   # README.md and scores.json
 
-The README gets the table between its two markers, with what each agent cost to train, read from
-the curve.csv beside it. `agents/pretrained/scores.json` gets the interquartile mean of the RMSE
+Likewise with `--env tracked_env/Speed-v0` and results/speed-v0-v2-*. The README gets the table
+between the two markers of that environment, with what each agent cost to train, read from the
+curve.csv beside it. `agents/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE
 per seed and set with a 95 % bootstrap interval over the episodes; a test runs some of them again.
 """
 
@@ -18,18 +19,24 @@ from typing import Any
 
 import numpy as np
 
+from tracked_env.benchmark import SETS
 from tracked_env.benchmark import statistics as stats
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "agents" / "pretrained"
-MARKERS = ("<!-- leaderboard: begin -->", "<!-- leaderboard: end -->")
+MARKERS = ("<!-- leaderboard of {}: begin -->", "<!-- leaderboard of {}: end -->")
 
 
-def training_cost(agent: str) -> str:
+def track_of(board: dict[str, Any]) -> str:
+    """Environment of a leaderboard, as the folder of its agents is called."""
+    return SETS[next(name for name in board["sets"] if name in SETS)].env.partition("/")[2]
+
+
+def training_cost(agent: str, track: str) -> str:
     """Steps and mean wall time of the trainings of a shipped agent, '-' for a controller."""
     curves = [
         np.genfromtxt(path, delimiter=",", names=True)
-        for path in sorted(PRETRAINED.glob(f"{agent}-seed*/curve.csv"))
+        for path in sorted((PRETRAINED / track).glob(f"{agent}-seed*/curve.csv"))
     ]
     if not curves:
         return "-"
@@ -44,7 +51,7 @@ def estimate_text(estimate: dict[str, float], digits: int) -> str:
 
 def table(board: dict[str, Any]) -> str:
     """The leaderboard as Markdown: overall, then the IQM of the RMSE per set."""
-    agents = board["agents"]
+    agents, track = board["agents"], track_of(board)
     lines = [
         "| | policy | seeds | RMSE, all sets [m] | score | worst tenth [m] | success "
         "| chatter [kN m/s] | training of a seed |",
@@ -58,7 +65,7 @@ def table(board: dict[str, Any]) -> str:
             f"| {rank} | {entry['agent']} | {seeds}{star} | {estimate_text(o['rmse_iqm'], 3)} "
             f"| {estimate_text(o['score'], 3)} | {o['rmse_worst']['value']:.2f} "
             f"| {100 * o['means']['success']:.1f} % | {o['means']['torque_chatter'] / 1e3:.1f} "
-            f"| {training_cost(entry['agent'])} |"
+            f"| {training_cost(entry['agent'], track)} |"
         )
     names = [entry["agent"] for entry in agents]
     lines += ["", "| set | " + " | ".join(names) + " |", "|--|" + "--:|" * len(names)]
@@ -100,14 +107,21 @@ def main() -> int:
     board = json.loads((folder / "leaderboard.json").read_text(encoding="utf-8"))
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     readme = ROOT / "README.md"
-    block = f"{MARKERS[0]}\n{table(board)}\n{MARKERS[1]}"
-    text = re.sub(
-        f"{MARKERS[0]}.*?{MARKERS[1]}", lambda _: block, readme.read_text("utf-8"), flags=re.DOTALL
+    track = track_of(board)
+    begin, end = (mark.format(track) for mark in MARKERS)
+    block = f"{begin}\n{table(board)}\n{end}"
+    text, found = re.subn(
+        f"{begin}.*?{end}", lambda _: block, readme.read_text("utf-8"), flags=re.DOTALL
     )
+    if not found:
+        print(f"README.md has no {begin}", file=sys.stderr)
+        return 2
     readme.write_text(text, encoding="utf-8")
+    target = PRETRAINED / track / "scores.json"
+    target.parent.mkdir(exist_ok=True)
     scores = json.dumps(seed_scores(results), indent=1)
-    (PRETRAINED / "scores.json").write_text(scores + "\n", encoding="utf-8")
-    print(f"README.md and {PRETRAINED / 'scores.json'} written")
+    target.write_text(scores + "\n", encoding="utf-8")
+    print(f"README.md and {target} written")
     return 0
 
 

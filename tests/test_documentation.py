@@ -16,7 +16,7 @@ PAGES = [
     "README.md",
     *(
         f"docs/{name}.md"
-        for name in ("quickstart", "index", "register", "train", "compare", "datasets", "rllib")
+        for name in ("quickstart", "index", "register", "train", "compare", "datasets", "rllib", "slip")
     ),
 ]
 ABSENT = ("ray",)  # never installed beside this package; such blocks are only parsed

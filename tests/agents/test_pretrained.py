@@ -14,16 +14,21 @@ from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.statistics import interquartile_mean
 
 FOLDER = Path(__file__).resolve().parents[2] / "agents" / "pretrained"
-AGENTS = sorted(path.parent for path in FOLDER.glob("*/agent.zip"))
-PUBLISHED = json.loads((FOLDER / "scores.json").read_text(encoding="utf-8"))
+AGENTS = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
+AGAIN = [
+    ("Torque-v0", "ppo-residual-seed0", "soil-and-mass"),
+    ("Torque-v0", "ppo-blind-seed0", "soil-and-mass"),
+    ("Speed-v0", "ppo-residual-seed0", "friction"),
+]
 
 
-def test_there_are_agents_of_five_seeds() -> None:
-    names = [folder.name.rpartition("-seed")[0] for folder in AGENTS]
+@pytest.mark.parametrize("track", ["Torque-v0", "Speed-v0"])
+def test_there_are_agents_of_five_seeds(track: str) -> None:
+    names = [folder.name.rpartition("-seed")[0] for folder in AGENTS if folder.parent.name == track]
     assert {"ppo-blind", "ppo-residual"} <= {name for name in names if names.count(name) >= 5}
 
 
-@pytest.mark.parametrize("folder", AGENTS, ids=[folder.name for folder in AGENTS])
+@pytest.mark.parametrize("folder", AGENTS, ids=["-".join(folder.parts[-2:]) for folder in AGENTS])
 def test_an_agent_comes_with_the_command_that_made_it_and_its_learning_curve(folder: Path) -> None:
     config = json.loads((folder / "config.json").read_text(encoding="utf-8"))
     assert config["command"].startswith("python train.py")
@@ -35,14 +40,16 @@ def test_an_agent_comes_with_the_command_that_made_it_and_its_learning_curve(fol
     assert (folder / "agent.zip").stat().st_size < 1.2e6
 
 
-@pytest.mark.parametrize("name", ["ppo-residual-seed0", "ppo-blind-seed0"])
-def test_a_score_that_was_published_comes_out_again(name: str, tmp_path: Path) -> None:
-    episodes = PUBLISHED["episodes"]
-    entry = agent_entry(FOLDER / name / "agent.zip")._replace(name=name)
-    config = BenchmarkConfig(sets=("soil-and-mass",), episodes=episodes)
+@pytest.mark.parametrize("track, name, of_set", AGAIN)
+def test_a_score_that_was_published_comes_out_again(
+    track: str, name: str, of_set: str, tmp_path: Path
+) -> None:
+    scores = json.loads((FOLDER / track / "scores.json").read_text(encoding="utf-8"))
+    entry = agent_entry(FOLDER / track / name / "agent.zip")._replace(name=name)
+    config = BenchmarkConfig(sets=(of_set,), episodes=scores["episodes"])
     records = run(config, [entry], Store(tmp_path, config.identity()))
     found = interquartile_mean(np.array([record["tracking_rmse"] for record in records]))
     agent, _, seed = name.rpartition("-seed")
-    published = PUBLISHED["seeds"][agent][seed]["soil-and-mass"]
+    published = scores["seeds"][agent][seed][of_set]
     assert published["low"] <= found <= published["high"]
     assert found == pytest.approx(published["iqm"], rel=0.02)

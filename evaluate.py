@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -176,24 +177,20 @@ def draw(
 
 
 def reproduce(config: Config) -> int:
-    """Section 8 of the paper: run it, print what it claims beside what comes out, write the page.
+    """A paper's experiments: run them, print what it claims beside what comes out, write the page.
 
     Without matplotlib the page has no figures.
     """
-    from baselines import strawa2021 as baseline
-    from tracked_env.benchmark import strawa2021
-    from tracked_env.benchmark.strawa2021 import claims, page
-
     began = time.perf_counter()
+    paper = import_module(f"tracked_env.benchmark.{config.paper}")
+    page, claims = (import_module(f"{paper.__name__}.{part}") for part in ("page", "claims"))
+    baseline = import_module(f"baselines.{config.paper}")
 
     def say(text: str) -> None:
         print(f"{time.perf_counter() - began:5.0f} s  {text}", flush=True)
 
-    tools = strawa2021.Tools(
-        baseline.controller, baseline.policy, baseline.SlipTool, baseline.SoilTool
-    )
-    results = strawa2021.run_everything(tools, say)
-    folder = config.output / "strawa2021"
+    results = paper.run_everything(paper.Tools(**baseline.TOOLS), say)
+    folder = config.output / config.paper
     say("page")
     try:
         files = page.write(results, folder, config.figures)

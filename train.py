@@ -8,6 +8,7 @@ from the last checkpoint. Compare the agent with the controllers afterwards:
 """
 
 import json
+import shlex
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -31,10 +32,15 @@ try:
         TD3Config,
         TQCConfig,
     )  # fmt: skip
-    from agents.environment import environment_arguments, make_environment, make_held_out
+    from agents.environment import (
+        CONTROL_PERIOD,
+        environment_arguments,
+        make_environment,
+        make_held_out,
+    )  # fmt: skip
     from agents.inference import STUDENT
     from agents.memory import LAGS, RESIDUAL_SCALE
-    from agents.precision import SCALE
+    from agents.reward import PRECISION, SMOOTHNESS
     from agents.student import make_student
     from agents.training import Schedule, Trainer, checkpoint_interval
 except ImportError as error:
@@ -77,15 +83,16 @@ class Config:
     env: str = TORQUE_ID
     """Id of the environment."""
 
-    uncertainty: tuple[str, ...] = ("soil-and-mass",)
-    """Uncertainty sets to train on, or `mixture` for all but ood;
+    uncertainty: tuple[str, ...] | None = None
+    """Uncertainty sets to train on (default: that of ENV), or `mixture` for all but ood;
     of several, every episode draws one."""
 
-    sensors: str = "rtk"
-    """Sensor preset ideal, rtk or strawa, or JSON overrides:
-    '{"preset": "rtk", "pose_delay": 0.1}'"""
+    sensors: tuple[str, ...] | None = None
+    """Sensor presets ideal, rtk, strawa or mocap, or JSON overrides:
+    '{"preset": "rtk", "pose_delay": 0.1}'; of several, each gets its part of
+    the vehicles. `mixture`: rtk; rtk 0.2 s late; strawa; rtk without velocity."""
 
-    reference: str = "random"
+    reference: str | None = None
     """Kind of reference to follow, or JSON."""
 
     duration: float = 30.0
@@ -114,9 +121,13 @@ class Config:
     """Normalise what the network sees by its running mean and
     deviation. It is of order one already."""
 
-    precision: float = SCALE
-    """Distance [m] of a sharper reward term that only the training
-    sees; 0 leaves it out."""
+    precision: float = PRECISION
+    """Distance of a sharper reward term that only the training sees,
+    over the contact length; 0 leaves it out."""
+
+    smoothness: float = SMOOTHNESS
+    """Price of a change of the action, only in training: times its mean
+    square per control step. More drives calmer, less accurately; 0 leaves it out."""
 
     lags: tuple[int, ...] = LAGS
     """Of memory history and student: ages of the samples [control steps]."""
@@ -182,18 +193,18 @@ def exact(config: Config) -> dict[str, Any]:
     return dict(json.loads(json.dumps(kept, default=str)))
 
 
-def recipe_of(config: Config, arguments: Mapping[str, Any], period: float) -> dict[str, Any]:
+def recipe_of(config: Config, arguments: Mapping[str, Any]) -> dict[str, Any]:
     """What every archive of this training says of itself."""
     return {
         "algorithm": config.agent,
         "memory": config.memory,
         "memory_options": config.memory_options,
-        "control_period": period,
+        "control_period": CONTROL_PERIOD,
         "environment": {"id": config.env, **arguments},
         "config": exact(config),
         "versions": versions(),
         "machine": machine(),
-        "command": " ".join(["python", *sys.argv]),
+        "command": shlex.join(["python", *sys.argv]),
     }
 
 
@@ -213,7 +224,7 @@ def teach(config: Config, arguments: Mapping[str, Any]) -> int:
     """Train a student of `config.teacher`; returns the exit status. Raises ValueError."""
     folder = config.folder
     student, taught = make_student(config, arguments)
-    recipe = {**recipe_of(config, arguments, student.context.control_period), **taught}
+    recipe = {**recipe_of(config, arguments), **taught}
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / "config.json", json.dumps(recipe, indent=2).encode())
     with tqdm(
@@ -240,7 +251,7 @@ def main(config: Config) -> int:
         arguments = environment_arguments(config)
         if config.memory == STUDENT:
             return teach(config, arguments)
-        env, context = make_environment(config, arguments)
+        env = make_environment(config, arguments)
         log = str(folder) if config.tensorboard else None
         model = make_model(config.agent, config.settings, env, config.seed, log)
         held_out = make_held_out(config, arguments)
@@ -248,7 +259,7 @@ def main(config: Config) -> int:
         print(f"train.py: {error}", file=sys.stderr)
         return 2
     folder.mkdir(parents=True, exist_ok=True)
-    recipe = recipe_of(config, arguments, context.control_period)
+    recipe = recipe_of(config, arguments)
     write_atomically(folder / "config.json", json.dumps(recipe, indent=2).encode())
     if captured is not None:
         checkpoints.resume(model, captured)
@@ -260,7 +271,7 @@ def main(config: Config) -> int:
     ) as bar:  # fmt: skip
         trainer = Trainer(
             folder, Schedule(config.steps, config.evaluate_every, every), recipe,
-            (config.memory, config.memory_options, context), held_out, captured,
+            (config.memory, config.memory_options), held_out, captured,
             bar.update, lambda text: bar.set_postfix_str(text, refresh=False),
         )  # fmt: skip
         finished = learn(config, model, trainer)
@@ -268,7 +279,7 @@ def main(config: Config) -> int:
         print(f"\ninterrupted; go on with --resume --output {folder}", file=sys.stderr)
         return INTERRUPTED
     checkpoints.remove(folder)
-    best = f"best {trainer.best:.4f} m held out, " if held_out is not None else ""
+    best = f"best {trainer.best:.4f} m held out, " if held_out else ""
     print(
         f"done: {model.num_timesteps:,} steps in {trainer.seconds:.0f} s, {best}"
         f"{trainer.throughput:,.0f} steps/s with the learner; {folder / 'agent.zip'}"

@@ -23,6 +23,7 @@ from agents.configs import (
     TD3Config,
     TQCConfig,
 )
+from agents.recurrent import BypassedLstmPolicy
 
 ALGORITHMS: dict[str, tuple[type[BaseAlgorithm], type[AgentConfig]]] = {
     "ppo": (PPO, PPOConfig),
@@ -50,13 +51,12 @@ def make_model(
         network["activation_fn"] = nn.Tanh
     if "lstm_hidden" in settings:
         network["lstm_hidden_size"] = settings.pop("lstm_hidden")
-        network["shared_lstm"], network["enable_critic_lstm"] = True, False
     noise = settings.pop("action_noise", None)
     if noise is not None:
         settings["action_noise"] = NormalActionNoise(np.zeros(2), np.full(2, noise))
     rate = settings.pop("learning_rate")
     return made(
-        "MlpLstmPolicy" if algorithm == "recurrent-ppo" else "MlpPolicy",
+        BypassedLstmPolicy if algorithm == "recurrent-ppo" else "MlpPolicy",
         env,
         learning_rate=LinearSchedule(rate, 0.0, 1.0),
         policy_kwargs=network,

@@ -24,6 +24,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
+from agents.joined import JoinedVecEnv
 from agents.memory import AgentVectorEnv
 from tracked_env.sb3 import TrackedVehicleVecEnv
 
@@ -41,7 +42,7 @@ _MONITOR = ("episode_returns", "episode_lengths", "episode_count")
 
 
 def layers(env: VecEnv | None) -> list[Any]:
-    """The environment's wrappers from the outside in, the vector environment itself last."""
+    """The environment's wrappers from the outside in, the vector or joined environment last."""
     found: list[Any] = []
     layer: Any = env
     while layer is not None:
@@ -58,6 +59,8 @@ def _environment(env: VecEnv | None) -> list[Any]:
             states.append({name: getattr(layer, name, None) for name in _NORMALISE})
         elif isinstance(layer, VecMonitor):
             states.append({name: getattr(layer, name) for name in _MONITOR})
+        elif isinstance(layer, JoinedVecEnv):
+            states.append([_environment(part) for part in layer.parts])
         elif isinstance(layer, AgentVectorEnv):
             states.append(layer.snapshot())
         elif isinstance(layer, TrackedVehicleVecEnv):
@@ -72,6 +75,9 @@ def _resume_environment(env: VecEnv | None, states: list[Any]) -> None:
         if isinstance(layer, (VecNormalize, VecMonitor)):
             for name, value in state.items():
                 setattr(layer, name, value)
+        elif isinstance(layer, JoinedVecEnv):
+            for part, its in zip(layer.parts, state, strict=True):
+                _resume_environment(part, its)
         elif isinstance(layer, AgentVectorEnv):
             layer.resume(state)
         elif isinstance(layer, TrackedVehicleVecEnv):
@@ -144,7 +150,7 @@ def read(folder: Path) -> tuple[dict[str, Any] | None, list[str]]:
 
     Raises ValueError when there are checkpoints, but all are damaged.
     """
-    notices = []
+    notices: list[str] = []
     for path in (folder / FILE, folder / PREVIOUS):
         if path.exists():
             try:

@@ -1,97 +1,214 @@
 """The vehicles of a training, as its agent sees them, and those of the held-out episodes.
 
-config: of train.py. arguments: of the environment.
+config: of train.py. arguments: of the environment, with one entry of `sensors` or a list. Of
+several, each gets its part of the vehicles (`agents.joined`) and of the held-out episodes.
 """
 
-import json
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
+from typing import Any, NamedTuple
 
 import gymnasium
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
-from agents.memory import AgentVectorEnv, Memory, make_memory
-from agents.precision import PreciseReward
+from agents.joined import JoinedVecEnv, shares
+from agents.memory import AgentVectorEnv, History, Memory, make_memory
 from agents.privileged import TEACHER, Privileged, TruthfulVectorEnv
+from agents.reward import ScaledReward, TrainingReward
+from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import PolicyContext
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sb3 import make_vec_env
 from tracked_env.sensors import make_sensors
+from tracked_env.validation import name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-# `mixture`: everything that the benchmark calls in distribution; `ood` stays out of every training.
-MIXTURE = (
-    "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
-    "mixed",
-)  # fmt: skip
+Vehicles = gymnasium.vector.VectorEnv[Any, Any, Any]
+
+CONTROL_PERIOD = 0.02  # [s] of the environments; no option of train.py changes it
+# `mixture` of uncertainty: everything that the benchmark calls in distribution; `ood` stays out.
+MIXTURE = {
+    TORQUE_ID: (
+        "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
+        "mixed",
+    ),
+    SPEED_ID: ("friction", "friction-step", "friction-drift", "floor-mixed"),
+}  # fmt: skip
+# `mixture` of sensors: good ones, and what asks for memory.
+SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
+    TORQUE_ID: (
+        "rtk",
+        {"preset": "rtk", "pose_delay": 0.2},
+        "strawa",
+        {"preset": "rtk", "velocity_measured": 0.0},
+    ),
+    SPEED_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}),
+}
+# What an environment draws from where its registration does not say so.
+_DEFAULTS = {"uncertainty": "soil-and-mass", "sensors": "rtk", "reference": "random"}
 
 
-def name_or_json(text: str, what: str) -> str | Mapping[str, Any]:
-    """`text` itself, or the JSON object that it holds. Raises ValueError."""
-    if not text.lstrip().startswith("{"):
-        return text
-    try:
-        return dict(json.loads(text))
-    except ValueError as error:
-        raise ValueError(f"--{what} {text}: not a JSON object ({error})") from error
+def _named(known: Mapping[str, Any], env: str) -> Any:
+    """What is known of an environment id. Raises ValueError."""
+    if env not in known:
+        raise ValueError(f"no mixture for {env}; name the entries one by one")
+    return known[env]
+
+
+def _entries(given: Sequence[str] | None, what: str, env: str, mixtures: Mapping[str, Any]) -> Any:
+    """One entry, or a list; None where nothing is given. Raises ValueError."""
+    if given is None:
+        return None
+    if not given:
+        raise ValueError(f"--{what} needs at least one entry")
+    parts = [
+        part
+        for text in given
+        for part in (_named(mixtures, env) if text == "mixture" else (name_or_json(text, what),))
+    ]
+    return parts[0] if len(parts) == 1 else parts
+
+
+def defaults_of(env: str) -> dict[str, Any]:
+    """Arguments that an environment id is registered with, and the class's own where it is not."""
+    return {**_DEFAULTS, **gymnasium.spec(env).kwargs}
+
+
+def driven(env: str) -> dict[str, Any]:
+    """What a policy must know of an environment id: its drive and its vehicle."""
+    return {k: v for k, v in defaults_of(env).items() if k in ("drive", "vehicle")}
+
+
+def contact_length(env: str) -> float:
+    """Of the nominal vehicle of an environment id [m]."""
+    return VEHICLES[defaults_of(env).get("vehicle", "strawa")].contact_length
 
 
 def environment_arguments(config: Any) -> dict[str, Any]:
-    """Arguments of the environment. Raises ValueError."""
-    sets = [
-        part for name in config.uncertainty for part in (MIXTURE if name == "mixture" else (name,))
-    ]
-    return {
-        "uncertainty": sets[0] if len(sets) == 1 else sets,
-        "sensors": name_or_json(config.sensors, "sensors"),
+    """Arguments of the environment; `sensors` is a list where there are several.
+
+    What the command line leaves open is as the environment id is registered. Raises ValueError.
+    """
+    defaults = defaults_of(config.env)
+    given = {
+        "uncertainty": _entries(config.uncertainty, "uncertainty", config.env, MIXTURE),
+        "sensors": _entries(config.sensors, "sensors", config.env, SENSOR_MIXTURE),
         "reference": name_or_json(config.reference, "reference"),
-        "duration": config.duration,
-        "lateral": config.lateral,
     }
+    chosen = {key: defaults[key] if value is None else value for key, value in given.items()}
+    return {**chosen, "duration": config.duration, "lateral": config.lateral}
 
 
-def context_of(config: Any, arguments: Mapping[str, Any]) -> PolicyContext:
-    """What a policy may know of the environment. Raises ValueError."""
-    return PolicyContext(0.02, config.lateral, make_sensors(arguments["sensors"]))
+class Part(NamedTuple):
+    """The rows of one kind of sensors."""
+
+    arguments: dict[str, Any]  # of their environment
+    context: PolicyContext  # what a policy may know of it
+    rows: int
+    first: int  # rows before them
 
 
-def make_environment(config: Any, arguments: Mapping[str, Any]) -> tuple[VecEnv, PolicyContext]:
-    """The vehicles as the agent sees them, and their context. Raises ValueError."""
-    context = context_of(config, arguments)
+def parts_of(config: Any, arguments: Mapping[str, Any], count: int) -> list[Part]:
+    """`count` rows, shared among the kinds of sensors. Raises ValueError."""
+    given = arguments["sensors"]
+    known = driven(config.env)
+    kinds = given if isinstance(given, list) else [given]
+    counts = shares(count, len(kinds))
+    firsts = accumulate(counts, initial=0)
+    return [
+        Part(
+            {**arguments, "sensors": sensors},
+            PolicyContext(CONTROL_PERIOD, config.lateral, make_sensors(sensors), **known),
+            *where,
+        )
+        for sensors, *where in zip(kinds, counts, firsts, strict=False)  # one more of `firsts`
+    ]
+
+
+def joined(parts: Sequence[VecEnv], seed: int) -> VecEnv:
+    """All parts as one; row i is seeded seed + i."""
+    env = parts[0] if len(parts) == 1 else JoinedVecEnv(parts)
+    env.seed(seed)
+    return env
+
+
+def make_part(config: Any, part: Part) -> VecEnv:
+    """The vehicles of one kind of sensors as the agent sees them. Raises ValueError."""
     memory: Memory
+    arguments = part.arguments
     if config.memory == TEACHER:
-        memory = Privileged(config.vehicles, context.control_period)
+        memory = Privileged(part.rows, CONTROL_PERIOD)
         arguments = {**arguments, "expose_truth": True}
     else:
-        memory = make_memory(config.memory, config.memory_options, context, config.vehicles)
+        memory = make_memory(config.memory, config.memory_options, part.context, part.rows)
 
-    def wrapper(env: gymnasium.vector.VectorEnv[Any, Any, Any]) -> AgentVectorEnv:
+    def wrapper(env: Vehicles) -> AgentVectorEnv:
         if isinstance(memory, Privileged):
             env = TruthfulVectorEnv(env, memory)
-        return AgentVectorEnv(
-            PreciseReward(env, config.precision) if config.precision else env, memory
-        )
+        precision = config.precision * contact_length(config.env)
+        return AgentVectorEnv(TrainingReward(env, precision, config.smoothness), memory)
 
-    env = make_vec_env(config.env, config.vehicles, config.seed, arguments, wrapper=wrapper)
-    return (VecNormalize(env, norm_reward=False) if config.normalise else env), context
+    return make_vec_env(config.env, part.rows, None, arguments, False, wrapper)
 
 
-def make_vehicles(
-    config: Any, arguments: Mapping[str, Any], count: int, **more: Any
-) -> TrackedVehicleVectorEnv:
-    """A plain batch of `count` vehicles. Raises ValueError."""
-    env: Any = gymnasium.make_vec(config.env, count, "vector_entry_point", **arguments, **more)
+def make_environment(config: Any, arguments: Mapping[str, Any]) -> VecEnv:
+    """All vehicles as the agent sees them. Raises ValueError."""
+    parts = [make_part(config, part) for part in parts_of(config, arguments, config.vehicles)]
+    monitored = VecMonitor(joined(parts, config.seed), info_keywords=("is_success",))
+    env = ScaledReward(monitored, config.settings.gamma)
+    return VecNormalize(env, norm_reward=False) if config.normalise else env
+
+
+def make_taught(config: Any, arguments: Mapping[str, Any]) -> tuple[VecEnv, list[Privileged]]:
+    """All vehicles as a student sees them, and each part's truth, which they fill in.
+
+    Raises ValueError.
+    """
+    made, truths = [], []
+    for part in parts_of(config, {**arguments, "expose_truth": True}, config.vehicles):
+        truth = Privileged(part.rows, CONTROL_PERIOD)
+        history = History(part.rows, CONTROL_PERIOD, tuple(config.lags))
+
+        def wrapper(
+            env: Vehicles, truth: Privileged = truth, history: History = history
+        ) -> AgentVectorEnv:
+            return AgentVectorEnv(TruthfulVectorEnv(env, truth), history)
+
+        made.append(make_vec_env(config.env, part.rows, None, part.arguments, False, wrapper))
+        truths.append(truth)
+    return joined(made, config.seed), truths
+
+
+def make_vehicles(config: Any, part: Part, **more: Any) -> TrackedVehicleVectorEnv:
+    """A plain batch of a part's vehicles. Raises ValueError."""
+    env: Any = gymnasium.make_vec(
+        config.env, part.rows, "vector_entry_point", **part.arguments, **more
+    )
     vehicles: TrackedVehicleVectorEnv = env.unwrapped
     return vehicles
 
 
-def make_held_out(config: Any, arguments: Mapping[str, Any]) -> TrackedVehicleVectorEnv | None:
-    """The vehicles of the held-out episodes, None where there are to be none.
+class HeldOut(NamedTuple):
+    """Held-out episodes of one kind of sensors."""
+
+    env: TrackedVehicleVectorEnv  # in DISABLED mode, one row per episode
+    context: PolicyContext
+    first: int  # episodes before them, which their seeds go on from
+
+
+def make_held_out(config: Any, arguments: Mapping[str, Any]) -> list[HeldOut]:
+    """The vehicles of the held-out episodes, none where there are to be none.
 
     Only a teacher's show the truth. Raises ValueError.
     """
     if config.held_out <= 0:
-        return None
+        return []
     told = config.memory == TEACHER
-    return make_vehicles(
-        config, arguments, config.held_out, expose_truth=told, autoreset_mode="Disabled"
-    )
+    return [
+        HeldOut(
+            make_vehicles(config, part, expose_truth=told, autoreset_mode="Disabled"),
+            part.context,
+            part.first,
+        )
+        for part in parts_of(config, arguments, config.held_out)
+    ]

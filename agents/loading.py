@@ -17,19 +17,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents import memory
 from agents.algorithms import ALGORITHMS
+from agents.environment import driven
 from agents.inference import STUDENT, load_student
 from agents.policy import AgentPolicy, Normalisation, Predictor
 from agents.privileged import PRIVILEGED, TEACHER, TeacherPolicy, policy_of
+from tracked_env import TORQUE_ID
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext, PolicyEntry
 from tracked_env.benchmark.policies import source_fingerprint
 from tracked_env.benchmark.store import write_atomically
 
 RECIPE = "recipe.json"
+OPTIMISER = "optimizer.pth"  # how the entries of optimisers end
 FORMAT = 1  # of the recipe
 _NEEDED = ("format", "algorithm", "memory", "memory_options", "normalisation", "control_period")
 # Order in which an archive without a recipe is tried: who is the pickiest comes first.
@@ -42,14 +46,36 @@ def save_agent(
     recipe: Mapping[str, Any],
     files: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Write model, recipe and further files as one archive, whole or not at all."""
+    """Write model, recipe and further files as one archive without moments, whole or not at all."""
     buffer = io.BytesIO()
     model.save(buffer)
-    with zipfile.ZipFile(buffer, "a", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(buffer, "a") as archive:
         archive.writestr(RECIPE, json.dumps({"format": FORMAT, **recipe}, indent=1))
         for name, content in (files or {}).items():
             archive.writestr(name, content)
-    write_atomically(path, buffer.getvalue())
+    write_atomically(path, without_moments(buffer.getvalue()))
+
+
+def without_moments(archive: bytes) -> bytes:
+    """An archive of Stable-Baselines3, compressed, its optimisers as fresh ones.
+
+    Their moments of gradients are two thirds of it, and only the next gradient step needs them:
+    `load` and `learn` work without. A training that goes on has them in its checkpoint.
+    """
+    buffer = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(archive)) as given,
+        zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as kept,
+    ):
+        for name in given.namelist():
+            content = given.read(name)
+            if name.endswith(OPTIMISER):
+                state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
+                fresh = io.BytesIO()
+                torch.save({**state, "state": {}}, fresh)
+                content = fresh.getvalue()
+            kept.writestr(name, content)
+    return buffer.getvalue()
 
 
 def read_recipe(path: Path) -> dict[str, Any] | None:
@@ -152,7 +178,8 @@ def agent_entry(path: Path) -> PolicyEntry:
     kind, options = recipe["memory"], recipe["memory_options"]
     normalisation = normalisation_of(recipe)
     shown = getattr(model.observation_space, "shape", None)
-    context = PolicyContext(recipe.get("control_period", 0.02), "sliding")
+    known = driven(recipe.get("environment", {}).get("id", TORQUE_ID))
+    context = PolicyContext(recipe.get("control_period", 0.02), "sliding", **known)
     names = PRIVILEGED  # which a student hands to its teacher's network
     if kind not in (TEACHER, STUDENT):
         names = memory.make_memory(kind, options, context, 1).feature_names
@@ -175,6 +202,11 @@ def agent_entry(path: Path) -> PolicyEntry:
             raise ValueError(
                 f"agent {path} was trained with a control period of {period:g} s; this "
                 f"environment has {context.control_period:g} s"
+            )
+        if not plain and context.drive != known.get("drive", "torque"):
+            raise ValueError(
+                f"agent {path} was trained to command each sprocket's "
+                f"{known.get('drive', 'torque')}; this environment takes its {context.drive}"
             )
         return policy_of(driver, kind, options, context, normalisation)
 

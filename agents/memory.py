@@ -15,12 +15,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.slip_memory import SlipEstimates, SlipResidual
 from baselines.adaptive import AdaptivePolicy, AdaptiveState
+from baselines.adaptive_slip import AdaptiveSlipPolicy
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import FEATURES, Identification, IdentificationStack, features
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.wrappers import FEATURE_BOUND, IdentifiedVectorObservation, Observer, joined
 
 Floats = NDArray[np.float32]
@@ -227,6 +229,11 @@ def make_memory(
     if kind == "history":
         return History(count, context.control_period, tuple(options.get("lags", LAGS)))
     sheet = DataSheet.of(context.sensors)
+    if context.drive == "speed":
+        driver = AdaptiveSlipPolicy(VEHICLES[context.vehicle], context.control_period, sheet)
+        if kind == "estimates":
+            return SlipEstimates(driver, count)
+        return SlipResidual(driver, count, options.get("scale", RESIDUAL_SCALE))
     if kind == "estimates":
         return Estimates(None, context.control_period, sheet, count, context.lateral)
     policy = AdaptivePolicy(None, context.control_period, sheet, context.lateral)

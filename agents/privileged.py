@@ -27,7 +27,7 @@ TEACHER = "teacher"  # the kind of memory in a recipe
 # Logarithm of the ratio to nominal that is shown as 1, and the differences that are.
 RATIOS = {"mass": 0.3, "inertia": 0.3, "shear_deformation_modulus": 0.5, "traction_limit": 1.0}
 DIFFERENCES = {
-    "longitudinal_resistance": 0.3, "lateral_resistance": 0.3, "torque_time_constant": 0.1,
+    "longitudinal_resistance": 0.3, "lateral_resistance": 0.3, "drive_time_constant": 0.1,
     "slip_left": 0.5, "slip_right": 0.5,
 }  # fmt: skip
 PRIVILEGED = (*RATIOS, *DIFFERENCES)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.adaptive_slip import AdaptiveSlipPolicy, AdaptiveSlipState
+from baselines.slippage_aware import LyapunovState
 from tracked_env import observation as layout
 
 Floats = NDArray[np.float32]
@@ -32,9 +33,7 @@ def known_features(observation: Floats, policy: AdaptiveSlipPolicy, error: Any) 
     left, right = (observation[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]).T
     nominal = policy.nominal_friction
     slip = policy.estimator.slip(np.nan_to_num(left), np.nan_to_num(right))
-    values = np.stack(
-        [*np.asarray(error).T, np.log(mu / nominal), sigma / mu, *slip], axis=1
-    )
+    values = np.stack([*np.asarray(error).T, np.log(mu / nominal), sigma / mu, *slip], axis=1)
     return (values / _SCALE).astype(np.float32)
 
 
@@ -72,9 +71,8 @@ class SlipEstimates:
         def chosen(old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
             return np.where(rows.reshape(-1, *[1] * (old.ndim - 1)), old, new)
 
-        driving = self._state.driving._make(
-            chosen(old, new) for old, new in zip(memories.driving, self._state.driving, strict=True)
-        )
+        pairs = zip(memories.driving, self._state.driving, strict=True)
+        driving = LyapunovState(*[chosen(old, new) for old, new in pairs])
         self._state = AdaptiveSlipState(driving, chosen(memories.memory, self._state.memory))
 
     def command(self, action: Floats, features: Floats) -> Floats:

@@ -9,26 +9,25 @@ References: [1] Ross et al., arXiv:1011.0686. [2] Kumar et al., arXiv:2107.04034
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from agents.configs import StudentConfig
-from agents.environment import context_of, make_held_out, make_vehicles
+from agents.environment import HeldOut, make_held_out, make_taught
 from agents.inference import WEIGHTS, StudentModel, make_inference, weights
 from agents.loading import load_teacher, normalisation_of, save_agent
-from agents.memory import AgentVectorEnv, History
 from agents.policy import AgentPolicy, Normalisation
-from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv
+from agents.privileged import PRIVILEGED, Privileged
 from agents.training import held_out_rmse, write_curve
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.store import write_atomically
-from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CURVE = ("steps", "seconds", "loss", "held_out_rmse")
 
@@ -36,44 +35,48 @@ CURVE = ("steps", "seconds", "loss", "held_out_rmse")
 class Student:
     """The training of a student.
 
-    env: exposes the truth, in SAME_STEP mode. teacher: its model and normalisation.
-    held_out: see `held_out_rmse`; None evaluates never. After `learn`: `best` [m], `curve`.
+    env, truths: of `make_taught`. teacher: its model and normalisation. held_out: of each kind
+    of sensors; without, it evaluates never. After `learn`: `best` [m], `curve`.
     """
 
     def __init__(
         self,
-        env: TrackedVehicleVectorEnv,
+        env: VecEnv,
+        truths: Sequence[Privileged],
         teacher: tuple[BaseAlgorithm, Normalisation | None],
         lags: tuple[int, ...],
         config: StudentConfig,
-        context: PolicyContext,
         seed: int,
-        held_out: TrackedVehicleVectorEnv | None = None,
+        held_out: Sequence[HeldOut] = (),
     ) -> None:
         torch.manual_seed(seed)
         self.teacher = teacher[0]
-        self.config, self.context, self.lags = config, context, lags
-        self.truth = Privileged(env.num_envs, context.control_period)
-        history = History(env.num_envs, context.control_period, lags)
-        self.env = AgentVectorEnv(TruthfulVectorEnv(env, self.truth), history)
+        self.config, self.lags = config, lags
+        self.env, self.truths = env, truths
         self.model = StudentModel(make_inference(lags, config.hidden), *teacher)
         self.optimiser = torch.optim.Adam(self.model.inference.parameters())
         size = max(config.buffer_size // env.num_envs, config.n_steps)
-        shown = self.env.single_observation_space.shape[0]  # type: ignore[index]
-        self._seen = torch.zeros(size, env.num_envs, shown)
+        shown = env.observation_space.shape
+        assert shown is not None
+        self._seen = torch.zeros(size, env.num_envs, *shown)
         self._true = torch.zeros(size, env.num_envs, len(PRIVILEGED))
         self._filled = 0  # rows of the buffer ever written
         self._random = np.random.default_rng(seed)
-        self._observation, _ = self.env.reset(seed=seed)
+        self._observation: Any = env.reset()
         self._state: Any = None
         self._start = np.ones(env.num_envs, dtype=bool)
         self.held_out = held_out
         self.curve: list[tuple[float, ...]] = []
         self.best, self.steps = float("inf"), 0
 
-    def policy(self) -> AgentPolicy:
+    @property
+    def truth(self) -> Any:
+        """The privileged inputs (N, F) of all rows, beside their present observation."""
+        return np.concatenate([memory.present for memory in self.truths])
+
+    def policy(self, context: PolicyContext) -> AgentPolicy:
         """The student as the benchmark has it."""
-        return AgentPolicy(self.model, "history", {"lags": self.lags}, self.context)
+        return AgentPolicy(self.model, "history", {"lags": self.lags}, context)
 
     def collect(self) -> float:
         """Drive `n_steps`; returns the mean square of how wrong the inference was meanwhile."""
@@ -81,14 +84,14 @@ class Student:
         for _ in range(self.config.n_steps):
             row = self._filled % len(self._seen)
             self._seen[row] = torch.from_numpy(self._observation)
-            self._true[row] = torch.from_numpy(self.truth.present)
+            truth = self.truth
+            self._true[row] = torch.from_numpy(truth)
             found = self.model.infer(self._observation)
-            errors += float(np.mean((found - self.truth.present) ** 2))
+            errors += float(np.mean((found - truth) ** 2))
             action, self._state = self.model.predict(
                 self._observation, self._state, self._start, deterministic=True
             )
-            self._observation, _, terminated, truncated, _ = self.env.step(action)
-            self._start = terminated | truncated
+            self._observation, _, self._start, _ = self.env.step(action)
             self._filled += 1
         self.steps += self.config.n_steps * self.env.num_envs
         return errors / self.config.n_steps
@@ -122,10 +125,8 @@ class Student:
             loss = self.collect()
             self.regress(self.config.learning_rate * (1.0 - before / total))
             on_steps(self.steps - before)
-            rmse = float("nan")
             due = self.steps - evaluated >= evaluate_every or self.steps >= total
-            if due and self.held_out is not None:
-                rmse = held_out_rmse(self.policy(), self.held_out)
+            rmse = held_out_rmse(self.policy, self.held_out) if due else float("nan")
             seconds = round(time.perf_counter() - began, 2)
             self.curve.append((self.steps, seconds, round(loss, 5), rmse))
             on_text(f"loss {loss:.3f}, held out {self.best:.3f} m")
@@ -150,12 +151,10 @@ def make_student(config: Any, arguments: Mapping[str, Any]) -> tuple[Student, di
     if config.resume:
         raise ValueError("a student's training takes minutes and has no checkpoint: omit --resume")
     teacher, recipe = load_teacher(config.teacher)
-    env = make_vehicles(
-        config, arguments, config.vehicles, expose_truth=True, autoreset_mode="SameStep"
-    )
+    env, truths = make_taught(config, arguments)
     student = Student(
-        env, (teacher, normalisation_of(recipe)), tuple(config.lags), config.student,
-        context_of(config, arguments), config.seed, make_held_out(config, arguments),
+        env, truths, (teacher, normalisation_of(recipe)), tuple(config.lags), config.student,
+        config.seed, make_held_out(config, arguments),
     )  # fmt: skip
     names = ("algorithm", "normalisation")
     return student, {**{name: recipe[name] for name in names}, "teacher": recipe}

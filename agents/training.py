@@ -12,18 +12,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from agents import checkpoints
+from agents.environment import HeldOut
 from agents.loading import save_agent
 from agents.policy import Normalisation
 from agents.privileged import policy_of
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.policies import Policy, needs_truth
+from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+Floats = NDArray[np.float64]
 
 HELD_OUT_SEED = 1_000_000
 CURVE = ("steps", "seconds", "mean_return", "held_out_rmse")
@@ -59,15 +64,15 @@ def write_curve(folder: Path, names: Sequence[str], curve: Sequence[Sequence[flo
     write_atomically(folder / "curve.csv", "\n".join([",".join(names), *rows]).encode())
 
 
-def held_out_rmse(policy: Policy, env: TrackedVehicleVectorEnv) -> float:
-    """Interquartile mean, over held-out episodes, of the RMSE of the distance [m].
+def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> Floats:
+    """RMSE of the distance [m] of each held-out episode, (N,); row i is seeded seed + i.
 
     env: a batch in DISABLED mode, one row per episode. Steps after a vehicle has left its path
     count as the error at which it left, so leaving early is never the better score.
     """
     simulation = env.simulation
     steps, limit = simulation.settings.max_steps, simulation.solver.error_limit
-    observation, info = env.reset(seed=HELD_OUT_SEED)
+    observation, info = env.reset(seed=seed)
     state, start = None, np.ones(env.num_envs, dtype=bool)
     squares = np.zeros(env.num_envs)
     gone = np.zeros(env.num_envs, dtype=bool)
@@ -84,16 +89,32 @@ def held_out_rmse(policy: Policy, env: TrackedVehicleVectorEnv) -> float:
         if (terminated | truncated).all() and not truncated.any():
             squares += (steps - simulation.batch.counters[:, 0].max()) * limit**2
             break
-    errors = np.sort(np.sqrt(squares / steps))
-    quarter = len(errors) // 4
-    return float(errors[quarter : len(errors) - quarter].mean())
+    errors: Floats = np.sqrt(squares / steps)
+    return errors
+
+
+def held_out_rmse(
+    policy_in: Callable[[PolicyContext], Policy], held_out: Sequence[HeldOut]
+) -> float:
+    """Interquartile mean of the RMSE of held-out episodes [m]; mean over the kinds of sensors.
+
+    policy_in: makes the policy of a context. Of all episodes together the interquartile mean
+    would leave out whole kinds of sensors, the best and the worst. NaN without episodes.
+    """
+    means = [
+        interquartile_mean(
+            held_out_errors(policy_in(part.context), part.env, HELD_OUT_SEED + part.first)
+        )
+        for part in held_out
+    ]
+    return float(np.mean(means)) if means else float("nan")
 
 
 class Trainer(BaseCallback):
     """Evaluates, saves and writes checkpoints between rollouts; counts steps in between.
 
-    output: folder. schedule: when. recipe: what stands in every archive. policy: arguments
-    kind, options, context of `policy_of`. held_out: see `held_out_rmse`; None evaluates never.
+    output: folder. schedule: when. recipe: what stands in every archive. policy: kind
+    and options of `policy_of`. held_out: of each kind of sensors; without, it evaluates never.
     captured: of a checkpoint, to go on from. on_steps(n) after each step of the batch.
     """
 
@@ -102,8 +123,8 @@ class Trainer(BaseCallback):
         output: Path,
         schedule: Schedule,
         recipe: Mapping[str, Any],
-        policy: tuple[str, Mapping[str, Any], PolicyContext],
-        held_out: TrackedVehicleVectorEnv | None,
+        policy: tuple[str, Mapping[str, Any]],
+        held_out: Sequence[HeldOut],
         captured: Mapping[str, Any] | None = None,
         on_steps: Callable[[int], None] = lambda steps: None,
         on_text: Callable[[str], None] = lambda text: None,
@@ -153,7 +174,7 @@ class Trainer(BaseCallback):
 
     def _note(self, rmse: float) -> None:
         """Add a row to the learning curve."""
-        ended = self.model.ep_info_buffer or []
+        ended: Any = self.model.ep_info_buffer or []
         returns = [float(info["r"]) for info in ended]
         mean = sum(returns) / len(returns) if returns else float("nan")
         self.drawn = self.model.num_timesteps
@@ -166,12 +187,13 @@ class Trainer(BaseCallback):
         """Drive the held-out episodes, keep the agent, and apart from it the best one."""
         self.evaluated = self.model.num_timesteps
         statistics = normalisation(self.model)
-        rmse = float("nan")
-        if self.held_out is not None:
-            began = time.perf_counter()
-            policy = policy_of(self.model, *self.policy_arguments, statistics)
-            rmse = held_out_rmse(policy, self.held_out)
-            self.evaluating += time.perf_counter() - began
+        began = time.perf_counter()
+        rmse = held_out_rmse(
+            lambda context: policy_of(self.model, *self.policy_arguments, context, statistics),
+            self.held_out,
+        )
+        self.evaluating += time.perf_counter() - began
+        if self.held_out:
             self.logger.record("held_out/rmse", rmse)
         better = not rmse >= self.best  # also where nothing is held out
         self.best = rmse if rmse < self.best else self.best

@@ -64,7 +64,7 @@ class AdaptiveSlipPolicy:
         )
 
     def estimates(self) -> dict[str, tuple[Array, Array]]:
-        """(value, standard deviation), (N,) each, of the angle phi of the friction, mu = tan(phi)."""
+        """(value, standard deviation), (N,), of the angle phi of the friction mu = tan(phi)."""
         mu, sigma = self.estimator.estimates()["friction"]
         return {"friction_angle": (np.arctan(mu), sigma / (1.0 + mu * mu))}
 

@@ -107,3 +107,11 @@ class SoilTool:
             "converged": soil.converged.astype(np.float64),
             "ratio_only": soil.ratio_only.astype(np.float64),
         }
+
+
+TOOLS: dict[str, Any] = {
+    "controller": controller,
+    "policy": policy,
+    "slip": SlipTool,
+    "soil": SoilTool,
+}

@@ -16,7 +16,16 @@ PAGES = [
     "README.md",
     *(
         f"docs/{name}.md"
-        for name in ("quickstart", "index", "register", "train", "compare", "datasets", "rllib", "slip")
+        for name in (
+            "quickstart",
+            "index",
+            "register",
+            "train",
+            "compare",
+            "datasets",
+            "rllib",
+            "slip",
+        )
     ),
 ]
 ABSENT = ("ray",)  # never installed beside this package; such blocks are only parsed

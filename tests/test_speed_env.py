@@ -94,6 +94,27 @@ def test_torque_on_patches_spins_up_the_sprocket_before_the_vehicle():
     assert belt < truth["sprocket_speed_limit"] * truth["sprocket_radius"]
 
 
+def test_a_sprocket_that_spins_is_held_back_by_its_inertia():
+    slippery = {"friction_angle": 0.05, "cohesion": 0.0, "longitudinal_resistance": 0.0}
+    env = make(TORQUE_ID, plant="distributed", **{**CALM, "reference": "straight"})
+    options = {"soil": slippery, "start": {**ON_PATH, "speed": 0.0}}
+    _, _, info = run(env, 3, np.full((3, 2), 0.5), options=options)
+    truth, t, lag = info["truth"], 0.06, 0.05
+    strength = 0.5 * truth["mass"] * 9.81 * np.tan(0.05)
+    pushed = 0.5 * 8000.0 / 0.3 * (t - lag * (1.0 - np.exp(-t / lag)))
+    belt = 0.3**2 / truth["sprocket_inertia"] * (pushed - strength * t)
+    assert truth["sprocket_speed_left"] * 0.3 == pytest.approx(belt, rel=0.02)
+
+
+def test_an_episode_starts_with_belts_that_roll():
+    env = make(**CALM)
+    start = {**ON_PATH, "speed": 0.4, "yaw_rate": 0.5}
+    _, info = env.reset(seed=0, options={"start": start})
+    truth = info["truth"]
+    assert truth["sprocket_speed_left"] * 0.0856 == pytest.approx(0.4 - 0.303 * 0.5)
+    assert truth["sprocket_speed_right"] * 0.0856 == pytest.approx(0.4 + 0.303 * 0.5)
+
+
 @pytest.mark.parametrize(
     "env_id, arguments", [(SPEED_ID, CALM), (TORQUE_ID, {**CALM, **BY_TORQUE})]
 )

@@ -92,7 +92,9 @@ def test_the_help_lists_what_there_is(repository):
     ("arguments", "message"),
     [
         (("--uncertainty", "nope"), "soil-and-mass"),
-        (("--sensors", '{"preset": "rtk",'), "not a JSON object"),
+        (("--sensors", "rtk", '{"preset": "rtk",'), "not a JSON object"),
+        (("--sensors", "rtk", "nope"), "ideal"),
+        (("--sensors", "mixture"), "2 vehicles or held-out episodes for 4 kinds of sensors"),
         (("--sensors", '{"pose_delay": -1}'), "pose_delay"),
         (("--memory", "residual", "--residual-scale", "0"), "must be in"),
         (("--steps", "0"), "at least 1"),

@@ -1,6 +1,7 @@
 """Every algorithm with every kind of memory: trains, is saved, and acts as it was trained."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -121,12 +122,15 @@ def test_an_agent_drives_one_vehicle_or_many(tmp_path):
         entry.make(CONTEXT).predict(np.zeros((4, obs.SIZE + 1), np.float32))
 
 
-def test_the_archive_says_how_the_agent_came_about(tmp_path):
+def test_the_archive_says_how_the_agent_came_about(tmp_path, monkeypatch):
+    typed = ["train.py", "--sensors", '{"preset": "rtk", "pose_delay": 0.2}']
+    monkeypatch.setattr("sys.argv", typed)
     assert main(small(tmp_path, agent="td3", memory="residual", residual_scale=0.2)) == 0
     recipe = read_recipe(tmp_path / "agent.zip")
     assert recipe["algorithm"] == "td3" and recipe["memory_options"] == {"scale": 0.2}
     assert recipe["config"]["seed"] == 3 and recipe["config"]["td3"]["batch_size"] == 32
     assert "ppo" not in recipe["config"]
+    assert shlex.split(recipe["command"]) == ["python", *typed]
     assert recipe["versions"]["torch"] and recipe["seconds"] > 0 and recipe["steps"] <= 512
     assert recipe["environment"]["uncertainty"][0] == "soil-and-mass"
     assert "ood" not in recipe["environment"]["uncertainty"]

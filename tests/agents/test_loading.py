@@ -6,9 +6,11 @@ import zipfile
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 
+from agents.algorithms import ALGORITHMS
 from agents.loading import agent_entry
 from tests.agents.agent_cases import small
 from tracked_env import TORQUE_ID
@@ -37,6 +39,24 @@ def test_an_archive_of_sb3_alone_is_loaded_as_a_blind_agent(algorithm, tmp_path)
     action, _ = entry.make(CONTEXT).predict(batch)
     expected, _ = model.predict(batch, episode_start=np.ones(3, bool), deterministic=True)
     np.testing.assert_array_equal(action, expected)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_an_archive_has_no_moments_of_gradients_and_goes_on_learning(algorithm, tmp_path):
+    assert main(small(tmp_path, agent=algorithm, steps=256)) == 0
+    path = tmp_path / "agent.zip"
+    made = ALGORITHMS[algorithm][0]
+    with zipfile.ZipFile(path) as archive:
+        optimisers = [name for name in archive.namelist() if name.endswith("optimizer.pth")]
+        assert len(optimisers) >= 1
+        for name in optimisers:
+            state = torch.load(archive.open(name), weights_only=True)
+            assert state["state"] == {} and state["param_groups"]
+    model = made.load(path, env=gymnasium.make(TORQUE_ID), device="cpu")
+    bias = "actor.mu.bias" if algorithm == "sac" else "action_net.bias"
+    before = model.policy.state_dict()[bias].clone()
+    model.learn(64 if algorithm == "ppo" else 400)
+    assert not torch.equal(before, model.policy.state_dict()[bias])
 
 
 def test_an_agent_of_another_environment_is_refused(tmp_path):

@@ -149,7 +149,7 @@ def test_a_student_drives_with_its_teachers_network_and_says_whose(student, teac
 def test_the_inference_is_regressed_on_the_truth_of_the_moment(teacher, tmp_path):
     config = student_config(tmp_path, teacher)
     student, _ = make_student(config, environment_arguments(config))
-    truth = privileged(student.env.unwrapped.simulation.truth())
+    truth = privileged(student.env.env.unwrapped.simulation.truth())
     shown = student._observation.copy()
     student.collect()
     np.testing.assert_array_equal(student._true[0].numpy(), truth)

@@ -15,7 +15,7 @@ from tracked_env.benchmark.strawa2021.printed_gnr import printed_gnr
 from tracked_env.benchmark.strawa2021.sweep import surface
 from tracked_env.physics import terramechanics
 
-TOOLS = Tools(baseline.controller, baseline.policy, baseline.SlipTool, baseline.SoilTool)
+TOOLS = Tools(**baseline.TOOLS)
 PAPER = Condition("paper", 2.0, "strawa")
 
 

@@ -22,7 +22,7 @@ from tracked_env.benchmark.strawa2021 import identification as ident
 from tracked_env.benchmark.strawa2021 import slip as slips
 from tracked_env.benchmark.strawa2021 import soil as soils
 
-TOOLS = Tools(baseline.controller, baseline.policy, baseline.SlipTool, baseline.SoilTool)
+TOOLS = Tools(**baseline.TOOLS)
 LENGTH = 9.0  # [s] of the drives; numbers of so short ones mean little, the page is what counts
 
 

@@ -143,7 +143,8 @@ def explanation(board: Leaderboard) -> str:
         "Mean of the sets: of their scores, each set\ncounts the same. Intervals: 95 %, seeds and "
         "episodes redrawn. Worst: RMSE of the worst tenth of the episodes [m].\nRecovery: time "
         f"after an abrupt change until the distance stays below {RECOVERED:g} contact lengths. "
-        f"P(better): probability that\nthe agent has the smaller RMSE than {than} in an episode; than {than}: "
+        f"P(better): probability that\nthe agent has the smaller RMSE than {than} in an episode; "
+        f"than {than}: "
         "whether the interval of the paired\ndifference says so."
         + (f"\n* fewer than {FEW_SEEDS + 1} training seeds" if few else "")
     )

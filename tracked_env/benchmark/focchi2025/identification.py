@@ -55,7 +55,9 @@ class Identifications(NamedTuple):
     by_friction: dict[float, Any]  # runs by mu
     measured: Identified | None
     against_measured: dict[float, Agreement]  # simulation by contact length [m]
+    behind: dict[float, tuple[float, Agreement]]  # [m] `offset`, and the agreement with it
     brief: Agreement  # steady slip against 2 s from rest
+    brief_slow: Agreement  # the same within MEASURED_LIMIT
     missing: str  # why there are no trees; "" when there are
 
 
@@ -78,6 +80,12 @@ def agreement(predicted: tuple[Floats, Floats, Floats], runs: Any) -> Agreement:
     return Agreement(*np.array(found).T)
 
 
+def within(runs: Any, limit: float) -> Any:
+    """Runs with both sprockets within +-limit [rad/s]."""
+    fastest = np.maximum(np.abs(runs.sprocket_left), np.abs(runs.sprocket_right))
+    return runs._make(column[fastest <= limit] for column in runs)
+
+
 def identify(tools: Tools, parameters: PlantParameters, runs: Any) -> tuple[Identified, str]:
     """Regressions of the runs of a vehicle, and why there are no trees ("": there are)."""
     dense = tools.upsample(runs, parameters)
@@ -91,7 +99,7 @@ def identify(tools: Tools, parameters: PlantParameters, runs: Any) -> tuple[Iden
 
 
 def after_two_seconds(parameters: PlantParameters, runs: Any) -> tuple[Floats, Floats, Floats]:
-    """beta_left, beta_right [m/s], alpha [rad] as F 4.2 takes them: held from rest, then averaged."""
+    """beta_left, beta_right [m/s], alpha [rad] as in F 4.2: held from rest, then averaged."""
     speeds = np.stack([runs.sprocket_left, runs.sprocket_right], axis=1)
     state, loads = np.zeros((len(speeds), 6)), np.empty((len(speeds), 6))
     rows, patches = np.tile(np.array(parameters, dtype=float), (len(speeds), 1)), make_patches()
@@ -119,25 +127,38 @@ def run_all(tools: Tools, file: Path | None = None, step: float = STEP) -> Ident
     true = soils[FRICTION]
     simulated, missing = identify(tools, true, by_friction[FRICTION])
     runs = by_friction[FRICTION]
-    steady = (runs.beta_left, runs.beta_right, runs.alpha)
-    brief_runs = runs._replace(
-        **dict(
-            zip(("beta_left", "beta_right", "alpha"), after_two_seconds(true, runs), strict=True)
-        )
-    )
-    brief = agreement(steady, brief_runs)
+    left, right, alpha = after_two_seconds(true, runs)
+    brief_runs = runs._replace(beta_left=left, beta_right=right, alpha=alpha)
+    brief = agreement((runs.beta_left, runs.beta_right, runs.alpha), brief_runs)
+    slow, brief_slow = within(runs, MEASURED_LIMIT), within(brief_runs, MEASURED_LIMIT)
+    slowly = agreement((slow.beta_left, slow.beta_right, slow.alpha), brief_slow)
     file = MEASURED if file is None else file
     if not file.exists():
-        return Identifications(simulated, by_friction, None, {}, brief, missing)
+        return Identifications(simulated, by_friction, None, {}, {}, brief, slowly, missing)
     real = tools.measured(file, true)
     measured, missing = identify(tools, true, real)
-    against = {
-        length: agreement(
-            tools.slip(vehicle(length), "table").slip(real.sprocket_left, real.sprocket_right), real
-        )
-        for length in LENGTHS
-    }
-    return Identifications(simulated, by_friction, measured, against, brief, missing)
+    against, behind = {}, {}
+    for length in LENGTHS:
+        predicted = tools.slip(vehicle(length)).slip(real.sprocket_left, real.sprocket_right)
+        against[length] = agreement(predicted, real)
+        behind[length] = offset(predicted, real)
+    return Identifications(
+        simulated, by_friction, measured, against, behind, brief, slowly, missing
+    )
+
+
+def offset(predicted: tuple[Floats, Floats, Floats], runs: Any) -> tuple[float, Agreement]:
+    """How far [m] behind the turning centre the runs were measured, and the agreement with that.
+
+    A point d behind it has v_y - w d: alpha in a turn changes by -w d / v_x, with the same sign
+    forward and in reverse, while that of the slip changes sign. d is the least squares fit.
+    """
+    moving = np.abs(runs.v_x) > SLOW
+    across = runs.v_x * np.tan(predicted[2])
+    turn = runs.yaw_rate
+    behind = -float(turn[moving] @ (runs.v_y - across)[moving] / (turn[moving] @ turn[moving]))
+    moved = np.arctan((across - behind * turn) / np.where(runs.v_x == 0.0, np.inf, runs.v_x))
+    return behind, agreement((predicted[0], predicted[1], moved), runs)
 
 
 def share_above(runs: Any, other: Any) -> float:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from tracked_env.benchmark.focchi2025 import chicane, identification, spiral
 from tracked_env.benchmark.focchi2025.chicane import Case
 from tracked_env.benchmark.focchi2025.identification import Identifications
-from tracked_env.benchmark.focchi2025.runs import Floats, Numbers, Run, vehicle
+from tracked_env.benchmark.focchi2025.runs import LENGTHS, Floats, Numbers, Run, vehicle
 from tracked_env.benchmark.focchi2025.spiral import Spiral
 from tracked_env.benchmark.focchi2025.tools import Tools
 
@@ -24,8 +24,8 @@ class Results(NamedTuple):
 
 
 def predicted_slip(tools: Tools, case: Case, run: Run) -> tuple[Floats, Floats, Floats]:
-    """What the controller of a case predicts for its first vehicle: beta_left, beta_right, alpha."""
-    model = tools.slip(vehicle(case.length, case.believed, case.believed_resistance), case.kind)
+    """beta_left, beta_right, alpha that the controller of a case expects of its first vehicle."""
+    model = tools.slip(vehicle(case.length, case.believed, case.believed_resistance))
     left, right = (run.sprockets[:, side, 0].copy() for side in range(2))
     beta_left, beta_right, alpha = model.slip(left, right)
     return beta_left, beta_right, alpha
@@ -51,6 +51,6 @@ def run_all(
     driven = chicane.drive(tools, list(dict.fromkeys(cases)))
     say("readings of (53), integrators")
     read, integrated = chicane.readings(tools), chicane.integrators(tools)
-    shown = [case for case in chicane.PAPER if case.kind == "table" and case.rate == 1000]
+    shown = [Case("table", length, chicane.RATES[0]) for length in LENGTHS]
     predicted = {case: predicted_slip(tools, case, driven[case]) for case in shown}
     return Results(identified, spirals, driven, read, integrated, predicted)

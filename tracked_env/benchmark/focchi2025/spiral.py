@@ -45,7 +45,7 @@ def profile() -> ReferenceProfile:
 
 
 def impossible_after(parameters: PlantParameters, slope: float = PRINTED) -> float:
-    """Time [s] at which w_d = slope t asks the outer sprocket for more than it has, without slip."""
+    """Time [s] at which w_d = slope t asks, without slip, for more than the outer sprocket has."""
     fastest = parameters.sprocket_radius * parameters.sprocket_speed_limit
     return (fastest - SPEED) / (0.5 * parameters.track_gauge * slope)
 
@@ -55,7 +55,7 @@ def run_all(tools: Tools, length: float = LENGTHS[-1], duration: float = DURATIO
 ]:  # fmt: skip
     """Both controllers, {"uc", "slc"}; the slippage-aware one knows the slip of the model."""
     parameters = vehicle(length)
-    model = tools.slip(parameters, "table")
+    model = tools.slip(parameters)
     found = {}
     for kind, known in (("uc", None), ("slc", model)):
         policy = tools.controller(parameters, 1.0 / RATE, PRESETS["ideal"], 1, known)

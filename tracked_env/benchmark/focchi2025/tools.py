@@ -2,7 +2,7 @@
 
 A slip model has `slip(left, right)` -> beta_left, beta_right [m/s], alpha [rad] at sprocket speeds
 (N,) [rad/s]. Runs are the columns sprocket_left, sprocket_right [rad/s], beta_left, beta_right
-[m/s], alpha [rad], v_x, v_y [m/s] and yaw_rate [rad/s], (N,) each.
+[m/s], alpha [rad], v_x, v_y [m/s] and yaw_rate [rad/s], (N,) each, as a named tuple.
 """
 
 from collections.abc import Callable
@@ -27,8 +27,8 @@ class Tools(NamedTuple):
     regression: Callable[[Any, PlantParameters, str], tuple[Any, Any]]
     # (runs, parameters) -> R^2 of trees on runs that neither they nor the upsampling have seen
     validate: Callable[[Any, PlantParameters], Any]
-    # (parameters, kind) -> slip model of a vehicle on its soil; kind "table", "trees", "exponential"
-    slip: Callable[[PlantParameters, str], Any]
+    # (parameters) -> slip model of a vehicle on its soil, to be looked up in the loop
+    slip: Callable[[PlantParameters], Any]
     # (parameters, slip model) -> motion(sprockets (N, 2)) = ((N, 2) v_x, w, alpha (N,)),
     # step(pose (N, 3), sprockets, duration) = pose
     kinematic: Callable[[PlantParameters, Any], Any]

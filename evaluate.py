@@ -36,7 +36,7 @@ from tracked_env.benchmark import (
     report,
 )
 from tracked_env.benchmark.loading import archives, load_policies, shipped_agents
-from tracked_env.benchmark.policies import PolicyEntry
+from tracked_env.benchmark.policies import PolicyEntry, checked_policy
 from tracked_env.benchmark.runner import pending, progress_bar, run
 from tracked_env.benchmark.sets import VERSION
 from tracked_env.benchmark.store import identity_hash
@@ -59,23 +59,28 @@ class Config:
 
     policies: tuple[str, ...] | None = None
     """Policies to compare; the first one is the baseline.
-    Default: all controllers, and the shipped agents.
-    Torque-v0: nominal, feedback linearization with nominal
-    parameters; adaptive, with parameters identified on line;
-    oracle, with the true ones.
-    Speed-v0: uc, for a unicycle without slip; slc, slippage-aware,
-    slip identified beforehand; slc-adaptive, slip identified on
-    line; slc-oracle, with the slip of the true soil.
-    ppo ...: an agent in agents/pretrained, with all its seeds.
-    path/to/agent.zip: an agent trained by train.py or any other
-    archive of Stable-Baselines3. NAME=runs/ppo-*/agent.zip: the
-    seeds of one agent, summarised together.
+    Default: all controllers and the shipped agents.
+    Of Torque-v0:
+    nominal: feedback linearization, nominal parameters.
+    adaptive: the same, parameters identified on line.
+    oracle: the same, true parameters.
+    Of Speed-v0:
+    uc: Lyapunov control of a unicycle, slip unknown.
+    slc: slippage-aware, slip identified beforehand.
+    slc-adaptive: the same, slip identified on line.
+    slc-oracle: the same, slip of the true soil.
+    Of both:
+    ppo-blind ...: agents/pretrained, with all seeds.
+    path/to/agent.zip: an agent of train.py, or any
+    other archive of Stable-Baselines3.
+    NAME=runs/ppo-*/agent.zip: the seeds of one agent,
+    summarised together.
     module:attribute: any object with a `predict` as in
-    Stable-Baselines3, or a class or function that makes one."""
+    Stable-Baselines3, or what makes one."""
 
     sets: tuple[str, ...] | None = None
-    """Evaluation sets: the laws of vehicle, soil and changes, and
-    the sensors. Default: all of ENV in which something is unknown."""
+    """Evaluation sets: laws of vehicle, soil and changes,
+    and sensors. Default: all of ENV but the known ones."""
 
     episodes: int = 32
     """Episodes per set; the frozen ones are the first 100 of each."""
@@ -84,13 +89,15 @@ class Config:
     """Seed of the first episode; of the frozen ones it is 0."""
 
     sensors: str | None = None
-    """Instead of the sensors of each set: preset ideal, rtk or
-    strawa, or JSON: '{"preset": "rtk", "pose_delay": 0.1}'"""
+    """Instead of the sensors of each set: ideal, rtk,
+    strawa, mocap, or JSON:
+    '{"preset": "rtk", "pose_delay": 0.1}'"""
 
     reference: str | None = None
-    """Instead of the reference of each set: random, mixed, circle,
-    figure_eight, straight, spiral, identification, chicane, or
-    JSON: '{"kind": "circle", "radius": 10, "speed": 2}'"""
+    """Instead of the reference of each set: random, mixed,
+    circle, figure_eight, straight, spiral, chicane,
+    identification, or JSON:
+    '{"kind": "circle", "radius": 10, "speed": 2}'"""
 
     duration: float | None = None
     """Instead of the length of the episodes of each set [s]."""
@@ -244,6 +251,8 @@ def main(config: Config) -> int:
         entries = load_policies(
             config.named_policies(), POLICIES, SHIPPED[config.env], open_archive
         )
+        for entry in entries:  # whoever cannot drive here is refused before anybody drives
+            checked_policy(entry, benchmark.context(benchmark.sets[0]))
         store = Store(result_folder(config.output, benchmark), benchmark.identity())
     except ValueError as error:
         print(f"evaluate.py: {error}", file=sys.stderr)

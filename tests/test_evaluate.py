@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from baselines.policies import POLICIES
+from tracked_env import SPEED_ID
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.report import SEPARATION_RATIO
-from tracked_env.benchmark.sets import EPISODES, SETS, VERSION
+from tracked_env.benchmark.sets import EPISODES, SETS, VERSION, default_sets
 from tracked_env.observation import SIZE
 
 pytest.importorskip("tyro", reason="the command line needs the extra `cli`")
@@ -113,9 +114,32 @@ def test_a_policy_of_another_package_is_compared_from_its_folder(
     assert {r["policy"] for r in result(tmp_path)["episodes"]} == {"mine:Coast", "oracle"}
 
 
+def test_the_other_environment_has_its_own_policies_sets_and_score(
+    evaluate: Any, tmp_path: Path
+) -> None:
+    policies = ("uc", "slc", "slc-adaptive", "slc-oracle")
+    done = evaluate(
+        "--env", "tracked_env/Speed-v0", "--policies", *policies, "--episodes", "2",
+        "--duration", "3", "--no-figures",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    document = result(tmp_path)
+    assert {r["set"] for r in document["episodes"]} == set(default_sets(SPEED_ID))
+    assert {r["policy"] for r in document["episodes"]} == set(policies)
+    (folder,) = (tmp_path / "results").iterdir()
+    assert folder.name.startswith("speed-v0-3s-seed0-")
+    agents = json.loads((folder / "leaderboard.json").read_text())["agents"]
+    scores = {agent["agent"]: agent["overall"]["score"]["value"] for agent in agents}
+    assert scores["uc"] == 0.0
+    assert scores["slc-oracle"] == 1.0
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        ({"policies": ("uc",)}, "the environment takes its torque"),
+        ({"policies": ("oracle",), "env": SPEED_ID}, "the environment takes its speed"),
+        ({"sets": ("friction", "payload")}, "must be of one environment"),
         ({"sensors": "gps"}, "unknown sensor preset 'gps'"),
         ({"sets": ("mud",)}, "unknown evaluation set 'mud'"),
         ({"policies": ("agent.zip",)}, "no such file"),

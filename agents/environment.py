@@ -155,7 +155,8 @@ def make_environment(config: Any, arguments: Mapping[str, Any]) -> VecEnv:
     """All vehicles as the agent sees them. Raises ValueError."""
     parts = [make_part(config, part) for part in parts_of(config, arguments, config.vehicles)]
     monitored = VecMonitor(joined(parts, config.seed), info_keywords=("is_success",))
-    env = ScaledReward(monitored, config.settings.gamma)
+    scaled = config.settings.scaled
+    env: VecEnv = ScaledReward(monitored, config.settings.gamma) if scaled else monitored
     return VecNormalize(env, norm_reward=False) if config.normalise else env
 
 

@@ -17,17 +17,11 @@ PAGES = [
     *(
         f"docs/{name}.md"
         for name in (
-            "quickstart",
-            "index",
-            "register",
-            "train",
-            "compare",
-            "datasets",
-            "rllib",
-            "slip",
+            "quickstart", "index", "register", "train", "compare", "datasets", "rllib", "slip",
+            "distributed",
         )
     ),
-]
+]  # fmt: skip
 ABSENT = ("ray",)  # never installed beside this package; such blocks are only parsed
 # Budgets are for readers; here a small part of them shows that it runs.
 BUDGETS = {

@@ -52,9 +52,11 @@ def estimate_text(estimate: dict[str, float], digits: int) -> str:
 def table(board: dict[str, Any]) -> str:
     """The leaderboard as Markdown: overall, then the IQM of the RMSE per set."""
     agents, track = board["agents"], track_of(board)
+    most = max(entry["overall"]["means"]["torque_chatter"] for entry in agents)
+    unit, factor = ("kN m/s", 1e-3) if most > 1e3 else ("N m/s", 1.0)
     lines = [
         "| | policy | seeds | RMSE, all sets [m] | score | worst tenth [m] | success "
-        "| chatter [kN m/s] | training of a seed |",
+        f"| chatter [{unit}] | training of a seed |",
         "|--:|--|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for rank, entry in enumerate(agents, start=1):
@@ -64,7 +66,7 @@ def table(board: dict[str, Any]) -> str:
         lines.append(
             f"| {rank} | {entry['agent']} | {seeds}{star} | {estimate_text(o['rmse_iqm'], 3)} "
             f"| {estimate_text(o['score'], 3)} | {o['rmse_worst']['value']:.2f} "
-            f"| {100 * o['means']['success']:.1f} % | {o['means']['torque_chatter'] / 1e3:.1f} "
+            f"| {100 * o['means']['success']:.1f} % | {factor * o['means']['torque_chatter']:.1f} "
             f"| {training_cost(entry['agent'], track)} |"
         )
     names = [entry["agent"] for entry in agents]

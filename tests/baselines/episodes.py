@@ -1,10 +1,10 @@
 """Closed loops of whole episodes in the vector environment, for the tests of adaptive policies."""
 
-from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 
+from tracked_env.benchmark import PolicyContext
 from tracked_env.sensors import RTK
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -15,7 +15,7 @@ LOST = 5.0  # [m] error after a termination
 
 def context(sensors=RTK, lateral="sliding"):
     """What a factory of baselines.policies is told."""
-    return SimpleNamespace(control_period=PERIOD, lateral=lateral, sensors=sensors)
+    return PolicyContext(PERIOD, lateral, sensors)
 
 
 class Episodes(NamedTuple):

@@ -153,7 +153,7 @@ def agent_name(path: Path) -> str:
 def _fingerprint(path: Path, kind: str) -> str:
     """Digest of the archive and of the code around its network."""
     digest = hashlib.sha256(path.read_bytes())
-    for file in ("memory.py", "policy.py", "slip_memory.py"):
+    for file in ("memory.py", "policy.py", "slip_memory.py", "held.py"):
         digest.update(Path(memory.__file__).with_name(file).read_bytes())
     if kind in (TEACHER, STUDENT):
         for file in ("privileged.py", "inference.py"):

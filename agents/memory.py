@@ -15,8 +15,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.held import HeldState
 from agents.slip_memory import SlipEstimates, SlipResidual
-from baselines.adaptive import AdaptivePolicy, AdaptiveState
+from baselines.adaptive import AdaptivePolicy
 from baselines.adaptive_slip import AdaptiveSlipPolicy
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import FEATURES, Identification, IdentificationStack, features
@@ -161,7 +162,7 @@ class Estimates(IdentificationStack):
         return action
 
 
-class Residual:
+class Residual(HeldState):
     """The adaptive policy, whose action the agent corrects; its estimates are features too.
 
     scale [-]: how far the agent may move an action, over the torque limit.
@@ -176,7 +177,6 @@ class Residual:
         self.count, self.scale = count, scale
         self.policy = policy
         self.control_period = policy.controller.control_period
-        self._state: AdaptiveState | None = None
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """Action of the adaptive policy, then the features of its estimates, (N, F)."""
@@ -184,24 +184,6 @@ class Residual:
         assert self.policy.known is not None
         known = known_features(observation, self.policy.known, self.policy.parameters)
         return np.concatenate([action, known], axis=1)
-
-    def memories(self) -> Any:
-        """The policy's state; it is never changed in place."""
-        return self._state
-
-    def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
-        if rows is not None and not rows.any():
-            return
-        if rows is None or self._state is None or memories is None:
-            self._state = memories
-            return
-        xi = np.where(rows, memories.xi, self._state.xi)
-        kept = tuple(
-            np.where(rows.reshape(-1, *[1] * (old.ndim - 1)), old, new)
-            for old, new in zip(memories.memories, self._state.memories, strict=True)
-        )
-        self._state = AdaptiveState(xi, kept)
 
     def command(self, action: Floats, features: Floats) -> Floats:
         """The adaptive policy's action plus the agent's, scaled, within [-1, 1]."""

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.adaptive_slip import AdaptiveSlipPolicy, AdaptiveSlipState
-from baselines.slippage_aware import LyapunovState
+from agents.held import HeldState
+from baselines.adaptive_slip import AdaptiveSlipPolicy
 from tracked_env import observation as layout
 
 Floats = NDArray[np.float32]
@@ -37,7 +37,7 @@ def known_features(observation: Floats, policy: AdaptiveSlipPolicy, error: Any) 
     return (values / _SCALE).astype(np.float32)
 
 
-class SlipEstimates:
+class SlipEstimates(HeldState):
     """What the slippage-aware controller knows, as features; the agent drives."""
 
     feature_names: tuple[str, ...] = tuple(KNOWN)
@@ -45,7 +45,6 @@ class SlipEstimates:
     def __init__(self, policy: AdaptiveSlipPolicy, count: int) -> None:
         self.policy, self.count = policy, count
         self.control_period = policy.control_period
-        self._state: AdaptiveSlipState | None = None
 
     def _looked(self, observation: Floats, start: Bools) -> tuple[Floats, Floats]:
         """The controller's action and KNOWN."""
@@ -55,25 +54,6 @@ class SlipEstimates:
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """KNOWN, (N, F); rows with `start` forget."""
         return self._looked(observation, start)[1]
-
-    def memories(self) -> Any:
-        """The policy's state; it is never changed in place."""
-        return self._state
-
-    def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
-        if rows is not None and not rows.any():
-            return
-        if rows is None or self._state is None or memories is None:
-            self._state = memories
-            return
-
-        def chosen(old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
-            return np.where(rows.reshape(-1, *[1] * (old.ndim - 1)), old, new)
-
-        pairs = zip(memories.driving, self._state.driving, strict=True)
-        driving = LyapunovState(*[chosen(old, new) for old, new in pairs])
-        self._state = AdaptiveSlipState(driving, chosen(memories.memory, self._state.memory))
 
     def command(self, action: Floats, features: Floats) -> Floats:
         """The agent's action as it is."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import mannwhitneyu, norm
+from scipy.stats import mannwhitneyu, norm, t
 
 from tracked_env.benchmark import reliability as rel
 from tracked_env.benchmark import statistics as stats
@@ -22,7 +22,8 @@ def test_with_one_seed_it_is_the_stratified_bootstrap_redraw_by_redraw() -> None
         (found.iqm, stats.interquartile_mean),
         (found.worst, stats.worst_tenth),
     ):
-        assert ours == pytest.approx(stats.bootstrap(parts, statistic), rel=1e-12)
+        assert ours[0] == pytest.approx(stats.bootstrap(parts, statistic), rel=1e-12)
+        assert ours[1] == pytest.approx(np.full(5000, statistic(found.values.ravel())), rel=1e-12)
 
 
 def test_counts_give_the_statistics_of_what_was_drawn_seeds_and_episodes_crossed() -> None:
@@ -32,24 +33,56 @@ def test_counts_give_the_statistics_of_what_was_drawn_seeds_and_episodes_crossed
     found = rel.redraw(values, draws, agent=2)
     assert draws.episodes[:, :4].sum(axis=1).tolist() == [4] * 50
     for b in range(50):
-        drawn = np.repeat(np.repeat(values, found.seeds[b], 0), draws.episodes[b], 1).ravel()
-        assert drawn.size == 27
-        assert found.iqm[b] == pytest.approx(stats.interquartile_mean(drawn))
-        assert found.worst[b] == pytest.approx(stats.worst_tenth(drawn))
-        assert found.mean[b] == pytest.approx(drawn.mean())
+        alone = np.repeat(values, found.seeds[b], 0)
+        for kind, rows in enumerate((np.repeat(alone, draws.episodes[b], 1), alone)):
+            drawn = rows.ravel()
+            assert drawn.size == 27
+            assert found.iqm[kind, b] == pytest.approx(stats.interquartile_mean(drawn))
+            assert found.worst[kind, b] == pytest.approx(stats.worst_tenth(drawn))
+            assert found.mean[kind, b] == pytest.approx(drawn.mean())
 
 
 def test_the_variance_of_the_mean_is_that_of_two_crossed_random_effects() -> None:
     seeds, episodes = RNG.normal(size=8), RNG.normal(size=40)
     found = redrawn(seeds[:, None] + episodes[None, :])
-    assert found.mean.var() == pytest.approx(seeds.var() / 8 + episodes.var() / 40, rel=0.06)
+    both, alone = found.mean.var(axis=1)
+    assert both == pytest.approx(seeds.var() / 8 + episodes.var() / 40, rel=0.06)
+    assert alone == pytest.approx(seeds.var() / 8, rel=0.06)
 
 
-def test_what_differs_between_seeds_is_in_the_interval_even_with_countless_episodes() -> None:
-    values = np.repeat([[0.1], [0.2], [0.3], [0.4], [0.5]], 400, axis=1)
-    low, high = stats.interval(redrawn(values).mean)
-    half = norm.ppf(0.975) * np.std([0.1, 0.2, 0.3, 0.4, 0.5]) / np.sqrt(5)
-    assert (low, high) == pytest.approx((0.3 - half, 0.3 + half), abs=0.02)
+def test_where_seeds_decide_the_interval_is_students_with_their_degrees_of_freedom() -> None:
+    values = np.linspace(0.1, 0.5, 40)[:, None] + np.zeros((40, 25))
+    low, high = rel.interval(redrawn(values).mean, 40)
+    half = t.ppf(0.975, 39) * np.std(values[:, 0], ddof=1) / np.sqrt(40)
+    assert (low, high) == pytest.approx((0.3 - half, 0.3 + half), abs=0.05 * half)
+
+
+def test_where_episodes_decide_the_interval_is_the_percentile_interval() -> None:
+    values = np.tile(RNG.exponential(size=60), (5, 1))
+    found = redrawn(values)
+    assert tuple(rel.interval(found.mean, 5)) == stats.interval(found.mean[0])
+    assert tuple(rel.interval(found.mean, 1)) == stats.interval(found.mean[0])
+
+
+@pytest.mark.parametrize(
+    ("seed_part", "episode_part", "least"), [(1.0, 0.0, 0.88), (0.4, 6.0, 0.92), (0.0, 6.0, 0.92)]
+)
+def test_intervals_over_five_seeds_cover_what_they_say(
+    seed_part: float, episode_part: float, least: float
+) -> None:
+    rng = np.random.default_rng(3)
+    draws = rel.Redraws([40], resamples=400)
+    covered = []
+    for trial in range(400):
+        values = seed_part * rng.normal(size=(5, 1)) + episode_part * rng.normal(size=40)
+        low, high = rel.interval(rel.redraw(values, draws, trial).mean, 5)
+        covered.append(low <= 0.0 <= high)
+    assert least <= np.mean(covered) <= 0.985
+
+
+def test_the_degrees_of_freedom_of_two_agents_are_those_of_the_one_with_fewer_seeds() -> None:
+    one, three, five = (redrawn(RNG.normal(size=(n, 8))) for n in (1, 3, 5))
+    assert [rel.fewest(one), rel.fewest(one, five), rel.fewest(five, three)] == [1, 5, 3]
 
 
 def test_the_hardness_of_an_episode_cancels_between_agents_and_seeds_do_not() -> None:
@@ -58,7 +91,9 @@ def test_the_hardness_of_an_episode_cancels_between_agents_and_seeds_do_not() ->
     assert (one.mean - two.mean) == pytest.approx(1.0)
     seeds = RNG.normal(size=(5, 1)) + np.zeros((5, 50))
     first, second = (rel.redraw(seeds, rel.Redraws([50]), agent) for agent in (0, 1))
-    assert np.var(first.mean - second.mean) == pytest.approx(2.0 * first.mean.var(), rel=0.1)
+    assert np.var(first.mean[0] - second.mean[0]) == pytest.approx(
+        2.0 * first.mean[0].var(), rel=0.1
+    )
 
 
 def test_the_mean_of_the_worst_tenth_is_that_of_the_ten_largest_of_a_hundred() -> None:

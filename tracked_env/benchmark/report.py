@@ -172,7 +172,7 @@ def legend(summary: Summary) -> str:
     return (
         f"{first[summary.baseline].episodes} episodes per set, the same for every policy. RMSE: "
         "distance to the reference. IQM: mean of the middle half\nof the episodes, with a "
-        "percentile bootstrap interval; worst: mean of the largest tenth. Max: largest\n"
+        "bootstrap interval; worst: mean of the largest tenth. Max: largest\n"
         "distance. Early: ended before its time. All but the IQM are means over the episodes."
         + (f"\n* fewer than {FEW_SEEDS + 1} training seeds" if few else "")
     )

@@ -2,8 +2,8 @@
 
 A policy `name@seed` is one training of the agent `name`; its seeds are summarised together. Per set
 and agent: interquartile mean (IQM), mean, and mean of the worst tenth of the tracking RMSE over
-seeds and episodes, each with a 95 % bootstrap interval (see `reliability`), and means of the other
-metrics over the episodes that have them.
+seeds and episodes, and the IQM of that after the start, each with a 95 % bootstrap interval (see
+`reliability`), and means of the other metrics over the episodes that have them.
     score        (IQM of nominal - IQM of agent) / (IQM of nominal - IQM of oracle), if both are
                  among the policies: 0 is as good as nominal, 1 as the oracle; for Speed-v0 they
                  are called `uc` and `slc-oracle`
@@ -47,6 +47,7 @@ class PolicySummary(NamedTuple):
     rmse_iqm: Estimate  # [m]
     rmse_mean: Estimate  # [m]
     rmse_worst: Estimate  # [m] mean of the worst tenth
+    settled_iqm: Estimate  # [m] IQM of the RMSE after the start
     means: dict[str, float]  # of every metric, over the episodes that have it; NaN if none has
     predict_time: float  # [s] per vehicle and step
     changed: int = 0  # episodes with an abrupt change of the parameters, of all seeds
@@ -115,10 +116,13 @@ class Row:
         self.seeds = {name: list(sets[0][name]) for name in self.names}
         sizes = [self._checked(of) for of in sets]
         self.redraws = rel.Redraws(sizes)
-        self.redrawn = {
-            name: rel.redraw(self.matrix(name, "tracking_rmse"), self.redraws, number)
-            for number, name in enumerate(self.names)
-        }
+        self.redrawn, self.settled = (
+            {
+                name: rel.redraw(self.matrix(name, metric), self.redraws, number)
+                for number, name in enumerate(self.names)
+            }
+            for metric in ("tracking_rmse", "settled_rmse")
+        )
 
     def _checked(self, agents: Mapping[str, BySeed]) -> int:
         """Number of episodes of a set, seen to be the same for every policy."""
@@ -156,7 +160,7 @@ class Row:
         return rel.score((low, high, own), *three)
 
     def scores(self, name: str) -> NDArray[np.float64]:
-        """Redraws (B,) of the score; needs the anchors. All rows draw the same seeds."""
+        """Redraws (2, B) of the score; needs the anchors. All rows draw the same seeds."""
         anchors = self.anchors()
         assert anchors is not None
         three = [self.redrawn[key].iqm for key in (*anchors, name)]
@@ -164,14 +168,16 @@ class Row:
 
     def summary(self, name: str) -> PolicySummary:
         """What one agent is worth on these sets."""
-        redrawn, records = self.redrawn[name], self.pooled(name)
-        flat = redrawn.values.ravel()
+        redrawn, settled, records = self.redrawn[name], self.settled[name], self.pooled(name)
+        flat, after = redrawn.values.ravel(), settled.values.ravel()
+        seeds = rel.fewest(redrawn)
         trained = any(SEED_MARK in policy for policy in self.seeds[name])
         return PolicySummary(
             redrawn.values.shape[1],
-            rel.estimate(float(stats.interquartile_mean(flat)), redrawn.iqm),
-            rel.estimate(float(flat.mean()), redrawn.mean),
-            rel.estimate(float(stats.worst_tenth(flat)), redrawn.worst),
+            rel.estimate(float(stats.interquartile_mean(flat)), redrawn.iqm, seeds),
+            rel.estimate(float(flat.mean()), redrawn.mean, seeds),
+            rel.estimate(float(stats.worst_tenth(flat)), redrawn.worst, seeds),
+            rel.estimate(float(stats.interquartile_mean(after)), settled.iqm, seeds),
             {metric: _mean(records, metric) for metric in METRICS},
             _mean(records, "predict_time"),
             sum(record["recovery_time"] is not None for record in records),
@@ -182,11 +188,12 @@ class Row:
     def compare(self, base: str, name: str) -> Comparison:
         """An agent against another."""
         a, b = self.redrawn[base], self.redrawn[name]
+        seeds = rel.fewest(a, b)
         own = [float(stats.interquartile_mean(r.values.ravel())) for r in (a, b)]
         ratio = rel.estimate(
-            float(rel.ratio(np.array(own[0]), np.array(own[1]))), rel.ratio(a.iqm, b.iqm)
+            float(rel.ratio(np.array(own[0]), np.array(own[1]))), rel.ratio(a.iqm, b.iqm), seeds
         )
-        difference = rel.estimate(float(a.values.mean() - b.values.mean()), a.mean - b.mean)
+        difference = rel.estimate(float(a.values.mean() - b.values.mean()), a.mean - b.mean, seeds)
         fails = [
             np.array([failed(r) for r in self.pooled(of)]).reshape(len(self.seeds[of]), -1)
             for of in (base, name)

@@ -8,10 +8,9 @@ from the last checkpoint. Compare the agent with the controllers afterwards:
 """
 
 import json
-import shlex
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +22,7 @@ try:
     from tqdm import tqdm
 
     from agents import checkpoints
-    from agents.algorithms import ALGORITHMS, make_model
+    from agents.algorithms import make_model
     from agents.configs import (
         PPOConfig,
         RecurrentPPOConfig,
@@ -32,22 +31,18 @@ try:
         TD3Config,
         TQCConfig,
     )  # fmt: skip
-    from agents.environment import (
-        CONTROL_PERIOD,
-        environment_arguments,
-        make_environment,
-        make_held_out,
-    )  # fmt: skip
+    from agents.environment import environment_arguments, make_environment, make_held_out
     from agents.inference import STUDENT
+    from agents.loading import exact, recipe_of
     from agents.memory import LAGS, RESIDUAL_SCALE
-    from agents.reward import PRECISION, SMOOTHNESS
+    from agents.reward import PRECISION
     from agents.student import make_student
-    from agents.training import Schedule, Trainer, checkpoint_interval
+    from agents.training import CHECKPOINT_EVERY, Schedule, Trainer, checkpoint_interval
 except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl,cli]'")
 
 from tracked_env import TORQUE_ID
-from tracked_env.benchmark.store import machine, versions, write_atomically
+from tracked_env.benchmark.store import write_atomically
 
 INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
 FREE = ("resume", "output", "tensorboard", "quiet")  # may differ when a training is resumed
@@ -115,7 +110,7 @@ class Config:
 
     checkpoint_every: int | None = None
     """Steps between checkpoints; default is every rollout,
-    or 50 000 for agents with a replay buffer."""
+    or 50 000 for students and agents with a replay buffer."""
 
     normalise: bool = False
     """Normalise what the network sees by its running mean and
@@ -125,9 +120,10 @@ class Config:
     """Distance of a sharper reward term that only the training sees,
     over the contact length; 0 leaves it out."""
 
-    smoothness: float = SMOOTHNESS
+    smoothness: float | None = None
     """Price of a change of the action, only in training: times its mean
-    square per control step. More drives calmer, less accurately; 0 leaves it out."""
+    square per control step. More drives calmer, less accurately; 0 leaves it out.
+    Default: 1 for PPO, 0 for agents with a replay buffer, which it keeps from learning."""
 
     lags: tuple[int, ...] = LAGS
     """Of memory history and student: ages of the samples [control steps]."""
@@ -168,6 +164,11 @@ class Config:
         return getattr(self, self.agent.replace("-", "_"))
 
     @property
+    def change_price(self) -> float:
+        """`smoothness`, or what the chosen algorithm has."""
+        return float(self.settings.smoothness if self.smoothness is None else self.smoothness)
+
+    @property
     def folder(self) -> Path:
         """Where everything goes."""
         return self.output or Path("runs") / f"{self.agent}-{self.memory}-seed{self.seed}"
@@ -184,30 +185,6 @@ class Config:
         return options.get(self.memory, {})
 
 
-def exact(config: Config) -> dict[str, Any]:
-    """The configuration as JSON knows it, settings of the other algorithms left out."""
-    student = config.memory == STUDENT
-    others = {name.replace("-", "_") for name in ALGORITHMS} | {"student"}
-    others -= {"student" if student else config.agent.replace("-", "_")}
-    kept = {name: value for name, value in asdict(config).items() if name not in others}
-    return dict(json.loads(json.dumps(kept, default=str)))
-
-
-def recipe_of(config: Config, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """What every archive of this training says of itself."""
-    return {
-        "algorithm": config.agent,
-        "memory": config.memory,
-        "memory_options": config.memory_options,
-        "control_period": CONTROL_PERIOD,
-        "environment": {"id": config.env, **arguments},
-        "config": exact(config),
-        "versions": versions(),
-        "machine": machine(),
-        "command": shlex.join(["python", *sys.argv]),
-    }
-
-
 def learn(config: Config, model: BaseAlgorithm, trainer: Trainer) -> bool:
     """Train to the end; False when interrupted."""
     left = config.steps - model.num_timesteps
@@ -220,19 +197,43 @@ def learn(config: Config, model: BaseAlgorithm, trainer: Trainer) -> bool:
     return True
 
 
-def teach(config: Config, arguments: Mapping[str, Any]) -> int:
-    """Train a student of `config.teacher`; returns the exit status. Raises ValueError."""
-    folder = config.folder
-    student, taught = make_student(config, arguments)
-    recipe = {**recipe_of(config, arguments), **taught}
+def bar_of(config: Config, done: int) -> "tqdm[Any]":
+    """The progress bar of a training of which so many steps are done."""
+    return tqdm(
+        total=config.steps, initial=done, unit=" steps", unit_scale=True, disable=config.quiet,
+        dynamic_ncols=True,
+    )  # fmt: skip
+
+
+def interrupted(folder: Path) -> int:
+    """Say how to go on; returns the exit status."""
+    print(f"\ninterrupted; go on with --resume --output {folder}", file=sys.stderr)
+    return INTERRUPTED
+
+
+def begin(folder: Path, recipe: Mapping[str, Any], done: int) -> None:
+    """Write the configuration; say so where a training goes on."""
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / "config.json", json.dumps(recipe, indent=2).encode())
-    with tqdm(
-        total=config.steps, unit=" steps", unit_scale=True, disable=config.quiet,
-        dynamic_ncols=True,
-    ) as bar:  # fmt: skip
+    if done:
+        print(f"going on after {done:,} steps")
+
+
+def teach(config: Config, arguments: Mapping[str, Any], captured: Any) -> int:
+    """Train a student of `config.teacher`; returns the exit status. Raises ValueError."""
+    folder = config.folder
+    student, taught = make_student(config, arguments, captured)
+    recipe = {**recipe_of(config, arguments), **taught}
+    begin(folder, recipe, student.steps)
+    every = CHECKPOINT_EVERY if config.checkpoint_every is None else config.checkpoint_every
+    schedule = Schedule(config.steps, config.evaluate_every, every)
+    with bar_of(config, student.steps) as bar:
         show = lambda text: bar.set_postfix_str(text, refresh=False)  # noqa: E731
-        student.learn(config.steps, config.evaluate_every, folder, recipe, bar.update, show)
+        try:
+            student.learn(schedule, folder, recipe, bar.update, show)
+        except KeyboardInterrupt:
+            return interrupted(folder)
+    checkpoints.remove(folder)
     print(
         f"done: {student.steps:,} steps in {student.curve[-1][1]:.0f} s, best "
         f"{student.best:.4f} m held out; {folder / 'agent.zip'}"
@@ -250,7 +251,7 @@ def main(config: Config) -> int:
         captured = checkpoints.going_on(folder, config.resume, exact(config), FREE)
         arguments = environment_arguments(config)
         if config.memory == STUDENT:
-            return teach(config, arguments)
+            return teach(config, arguments, captured)
         env = make_environment(config, arguments)
         log = str(folder) if config.tensorboard else None
         model = make_model(config.agent, config.settings, env, config.seed, log)
@@ -258,17 +259,12 @@ def main(config: Config) -> int:
     except (ValueError, gymnasium.error.Error) as error:
         print(f"train.py: {error}", file=sys.stderr)
         return 2
-    folder.mkdir(parents=True, exist_ok=True)
     recipe = recipe_of(config, arguments)
-    write_atomically(folder / "config.json", json.dumps(recipe, indent=2).encode())
     if captured is not None:
         checkpoints.resume(model, captured)
-        print(f"going on after {model.num_timesteps:,} steps")
+    begin(folder, recipe, model.num_timesteps)
     every = checkpoint_interval(model, config.checkpoint_every)
-    with tqdm(
-        total=config.steps, initial=model.num_timesteps, unit=" steps", unit_scale=True,
-        disable=config.quiet, dynamic_ncols=True,
-    ) as bar:  # fmt: skip
+    with bar_of(config, model.num_timesteps) as bar:
         trainer = Trainer(
             folder, Schedule(config.steps, config.evaluate_every, every), recipe,
             (config.memory, config.memory_options), held_out, captured,
@@ -276,8 +272,7 @@ def main(config: Config) -> int:
         )  # fmt: skip
         finished = learn(config, model, trainer)
     if not finished:
-        print(f"\ninterrupted; go on with --resume --output {folder}", file=sys.stderr)
-        return INTERRUPTED
+        return interrupted(folder)
     checkpoints.remove(folder)
     best = f"best {trainer.best:.4f} m held out, " if held_out else ""
     print(

@@ -26,6 +26,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
 from agents.joined import JoinedVecEnv
 from agents.memory import AgentVectorEnv
+from agents.privileged import TruthfulVectorEnv
 from tracked_env.sb3 import TrackedVehicleVecEnv
 
 FILE = "checkpoint.zip"
@@ -51,7 +52,7 @@ def layers(env: VecEnv | None) -> list[Any]:
     return found
 
 
-def _environment(env: VecEnv | None) -> list[Any]:
+def environment(env: VecEnv | None) -> list[Any]:
     """What each layer remembers; the simulation's comes last."""
     states: list[Any] = []
     for layer in layers(env):
@@ -60,9 +61,11 @@ def _environment(env: VecEnv | None) -> list[Any]:
         elif isinstance(layer, VecMonitor):
             states.append({name: getattr(layer, name) for name in _MONITOR})
         elif isinstance(layer, JoinedVecEnv):
-            states.append([_environment(part) for part in layer.parts])
+            states.append([environment(part) for part in layer.parts])
         elif isinstance(layer, AgentVectorEnv):
             states.append(layer.snapshot())
+        elif isinstance(layer, TruthfulVectorEnv):
+            states.append((layer.memory.present, layer.memory.last))
         elif isinstance(layer, TrackedVehicleVecEnv):
             states.append(layer.env.unwrapped.simulation.snapshot())
         else:
@@ -70,16 +73,19 @@ def _environment(env: VecEnv | None) -> list[Any]:
     return states
 
 
-def _resume_environment(env: VecEnv | None, states: list[Any]) -> None:
+def resume_environment(env: VecEnv | None, states: list[Any]) -> None:
+    """Put back what `environment` took."""
     for layer, state in zip(layers(env), states, strict=True):
         if isinstance(layer, (VecNormalize, VecMonitor)):
             for name, value in state.items():
                 setattr(layer, name, value)
         elif isinstance(layer, JoinedVecEnv):
             for part, its in zip(layer.parts, state, strict=True):
-                _resume_environment(part, its)
+                resume_environment(part, its)
         elif isinstance(layer, AgentVectorEnv):
             layer.resume(state)
+        elif isinstance(layer, TruthfulVectorEnv):
+            layer.memory.present, layer.memory.last = state
         elif isinstance(layer, TrackedVehicleVecEnv):
             layer.env.unwrapped.simulation.resume(state)
 
@@ -91,7 +97,7 @@ def capture(model: BaseAlgorithm) -> dict[str, Any]:
         "parameters": model.get_parameters(),
         "variables": {name: recursive_getattr(model, name) for name in variables},
         "attributes": {name: getattr(model, name) for name in _MODEL if hasattr(model, name)},
-        "environment": _environment(model.get_env()),
+        "environment": environment(model.get_env()),
         "random": {
             "python": random.getstate(),
             "numpy": np.random.get_state(),  # noqa: NPY002, what SB3 draws from
@@ -109,7 +115,7 @@ def resume(model: BaseAlgorithm, captured: dict[str, Any]) -> None:
             recursive_setattr(model, f"{name}.data", value.data)
     for name, value in captured["attributes"].items():
         setattr(model, name, value)
-    _resume_environment(model.get_env(), captured["environment"])
+    resume_environment(model.get_env(), captured["environment"])
     states = captured["random"]
     random.setstate(states["python"])
     np.random.set_state(states["numpy"])  # noqa: NPY002

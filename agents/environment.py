@@ -146,7 +146,7 @@ def make_part(config: Any, part: Part) -> VecEnv:
         if isinstance(memory, Privileged):
             env = TruthfulVectorEnv(env, memory)
         precision = config.precision * contact_length(config.env)
-        return AgentVectorEnv(TrainingReward(env, precision, config.smoothness), memory)
+        return AgentVectorEnv(TrainingReward(env, precision, config.change_price), memory)
 
     return make_vec_env(config.env, part.rows, None, arguments, False, wrapper)
 

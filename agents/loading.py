@@ -11,8 +11,11 @@ Loading unpickles what SB3 has pickled: open only archives that you trust.
 import hashlib
 import io
 import json
+import shlex
+import sys
 import zipfile
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +25,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents import memory
 from agents.algorithms import ALGORITHMS
-from agents.environment import driven
+from agents.environment import CONTROL_PERIOD, driven
 from agents.inference import STUDENT, load_student
 from agents.policy import AgentPolicy, Normalisation, Predictor
 from agents.privileged import PRIVILEGED, TEACHER, TeacherPolicy, policy_of
@@ -30,7 +33,7 @@ from tracked_env import TORQUE_ID
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext, PolicyEntry
 from tracked_env.benchmark.policies import source_fingerprint
-from tracked_env.benchmark.store import write_atomically
+from tracked_env.benchmark.store import machine, versions, write_atomically
 
 RECIPE = "recipe.json"
 OPTIMISER = "optimizer.pth"  # how the entries of optimisers end
@@ -38,6 +41,31 @@ FORMAT = 1  # of the recipe
 _NEEDED = ("format", "algorithm", "memory", "memory_options", "normalisation", "control_period")
 # Order in which an archive without a recipe is tried: who is the pickiest comes first.
 _TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
+
+
+def exact(config: Any) -> dict[str, Any]:
+    """A configuration of train.py as JSON knows it, settings of the other algorithms left out."""
+    student = config.memory == STUDENT
+    others = {name.replace("-", "_") for name in ALGORITHMS} | {STUDENT}
+    others -= {STUDENT if student else config.agent.replace("-", "_")}
+    kept = {name: value for name, value in asdict(config).items() if name not in others}
+    kept["smoothness"] = config.change_price
+    return dict(json.loads(json.dumps(kept, default=str)))
+
+
+def recipe_of(config: Any, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """What every archive of a training of train.py says of itself."""
+    return {
+        "algorithm": config.agent,
+        "memory": config.memory,
+        "memory_options": config.memory_options,
+        "control_period": CONTROL_PERIOD,
+        "environment": {"id": config.env, **arguments},
+        "config": exact(config),
+        "versions": versions(),
+        "machine": machine(),
+        "command": shlex.join(["python", *sys.argv]),
+    }
 
 
 def save_agent(

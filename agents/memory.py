@@ -42,7 +42,10 @@ FILTERED = {
     "filtered_error_x": 0.2, "filtered_error_y": 0.2, "filtered_heading_error": 0.1,
     "filtered_speed_error": 0.2, "filtered_v_y": 0.2, "filtered_yaw_rate_error": 0.1,
 }  # fmt: skip
-KNOWN = (*FILTERED, *FEATURES)
+# Standard deviations of the filtered pose and what is shown as 0 [SI]: how far to trust it, by
+# which sensors differ. Logarithms, as they reach from millimetres to metres.
+TRUSTED = {"filtered_position_log_deviation": 0.05, "filtered_yaw_log_deviation": 0.01}
+KNOWN = (*FILTERED, *TRUSTED, *FEATURES)
 _WANTED = [layout.INDEX["reference_speed"], layout.INDEX["reference_yaw_rate"]]
 RESIDUAL_SCALE = 0.3  # [-] of the torque limit, how far the agent may correct the controller
 
@@ -123,7 +126,7 @@ class History(Blind):
 
 
 def known_features(observation: Floats, known: Identification, nominal: PlantParameters) -> Floats:
-    """FILTERED errors in their scales, then the estimates as `stack.features` shows them, (N, F).
+    """FILTERED errors, TRUSTED deviations, the estimates as `stack.features` shows them, (N, F).
 
     The filtered pose is several times less noisy than the measured one, and centimetres, which
     the observation shows as hundredths, are of order one here.
@@ -142,7 +145,10 @@ def known_features(observation: Floats, known: Identification, nominal: PlantPar
         wanted[:, 1] - motion.yaw_rate,
     )
     scaled = np.stack(errors, axis=-1) / np.array(list(FILTERED.values()))
-    return np.concatenate([scaled, features(known, nominal)], axis=1, dtype=np.float32)
+    position = np.hypot(known.slip.deviation("x"), known.slip.deviation("y"))
+    deviations = np.stack([position, known.slip.deviation("yaw")], axis=-1)
+    trusted = np.log(deviations / np.array(list(TRUSTED.values())))
+    return np.concatenate([scaled, trusted, features(known, nominal)], axis=1, dtype=np.float32)
 
 
 class Estimates(IdentificationStack):

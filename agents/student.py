@@ -19,17 +19,22 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
+from agents import checkpoints
 from agents.configs import StudentConfig
 from agents.environment import HeldOut, make_held_out, make_taught
 from agents.inference import WEIGHTS, StudentModel, make_inference, weights
 from agents.loading import load_teacher, normalisation_of, save_agent
 from agents.policy import AgentPolicy, Normalisation
 from agents.privileged import PRIVILEGED, Privileged
-from agents.training import held_out_rmse, write_curve
+from agents.training import Schedule, held_out_rmse, write_curve
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.store import write_atomically
 
 CURVE = ("steps", "seconds", "loss", "held_out_rmse")
+_CHANGING = (  # attributes that change while it learns
+    "_filled", "_observation", "_state", "_start", "curve", "best", "steps", "evaluated", "saved",
+    "spent",
+)  # fmt: skip
 
 
 class Student:
@@ -67,7 +72,8 @@ class Student:
         self._start = np.ones(env.num_envs, dtype=bool)
         self.held_out = held_out
         self.curve: list[tuple[float, ...]] = []
-        self.best, self.steps = float("inf"), 0
+        self.best, self.steps, self.evaluated, self.saved = float("inf"), 0, 0, 0
+        self.spent = 0.0  # [s] on this training, in all processes
 
     @property
     def truth(self) -> Any:
@@ -109,52 +115,88 @@ class Student:
             loss.backward()
             self.optimiser.step()
 
+    def capture(self) -> dict[str, Any]:
+        """Everything that the next samples and regressions depend on."""
+        filled = min(self._filled, len(self._seen))
+        return {
+            **{name: getattr(self, name) for name in _CHANGING},
+            "inference": self.model.inference.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "buffer": (self._seen[:filled].numpy(), self._true[:filled].numpy()),
+            "random": self._random.bit_generator.state,
+            "environment": checkpoints.environment(self.env),
+        }
+
+    def resume(self, captured: Mapping[str, Any]) -> None:
+        """Put everything that `capture` took into a fresh student of the same configuration."""
+        for name in _CHANGING:
+            setattr(self, name, captured[name])
+        self.model.inference.load_state_dict(captured["inference"])
+        self.optimiser.load_state_dict(captured["optimiser"])
+        for buffer, stored in zip((self._seen, self._true), captured["buffer"], strict=True):
+            buffer[: len(stored)] = torch.from_numpy(stored)
+        self._random.bit_generator.state = captured["random"]
+        checkpoints.resume_environment(self.env, captured["environment"])
+
     def learn(
         self,
-        total: int,
-        evaluate_every: int,
+        schedule: Schedule,
         folder: Path,
         recipe: Mapping[str, Any],
         on_steps: Callable[[int], None] = lambda steps: None,
         on_text: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Train for `total` steps over all vehicles. recipe: what stands in every archive."""
-        began, evaluated = time.perf_counter(), 0
+        """Train to the end of the schedule. recipe: what stands in every archive.
+
+        Between a regression and the next samples a checkpoint is written, when one is due.
+        """
+        began, total = time.perf_counter() - self.spent, schedule.total
         while self.steps < total:
             before = self.steps
             loss = self.collect()
             self.regress(self.config.learning_rate * (1.0 - before / total))
             on_steps(self.steps - before)
-            due = self.steps - evaluated >= evaluate_every or self.steps >= total
+            due = self.steps - self.evaluated >= schedule.evaluate_every or self.steps >= total
             rmse = held_out_rmse(self.policy, self.held_out) if due else float("nan")
-            seconds = round(time.perf_counter() - began, 2)
+            self.spent = time.perf_counter() - began
+            seconds = round(self.spent, 2)
             self.curve.append((self.steps, seconds, round(loss, 5), rmse))
             on_text(f"loss {loss:.3f}, held out {self.best:.3f} m")
-            if not due:
-                continue
-            evaluated = self.steps
-            reached: dict[str, Any] = {"steps": self.steps, "seconds": seconds}
-            reached["held_out_rmse"] = rmse if rmse == rmse else None
-            files = {WEIGHTS: weights(self.model.inference)}
-            save_agent(folder / "last.zip", self.teacher, {**recipe, **reached}, files)
-            if not rmse >= self.best:
-                self.best = rmse if rmse == rmse else self.best
-                write_atomically(folder / "agent.zip", (folder / "last.zip").read_bytes())
-            write_curve(folder, CURVE, self.curve)
+            if due:
+                self.evaluated = self.steps
+                self._save(folder, recipe, rmse)
+            if self.steps - self.saved >= schedule.checkpoint_every:
+                self.saved = self.steps
+                checkpoints.write(folder, {"recipe": dict(recipe), "student": self.capture()})
+
+    def _save(self, folder: Path, recipe: Mapping[str, Any], rmse: float) -> None:
+        """Keep the student, and apart from it the best one."""
+        reached = {
+            "steps": self.steps, "seconds": round(self.spent, 2),
+            "held_out_rmse": rmse if rmse == rmse else None,
+        }  # fmt: skip
+        files = {WEIGHTS: weights(self.model.inference)}
+        save_agent(folder / "last.zip", self.teacher, {**recipe, **reached}, files)
+        if not rmse >= self.best:
+            self.best = rmse if rmse == rmse else self.best
+            write_atomically(folder / "agent.zip", (folder / "last.zip").read_bytes())
+        write_curve(folder, CURVE, self.curve)
 
 
-def make_student(config: Any, arguments: Mapping[str, Any]) -> tuple[Student, dict[str, Any]]:
-    """An untrained student, and what its recipe has from its teacher.
+def make_student(
+    config: Any, arguments: Mapping[str, Any], captured: Mapping[str, Any] | None = None
+) -> tuple[Student, dict[str, Any]]:
+    """A student that is untrained or goes on, and what its recipe has from its teacher.
 
-    config: of train.py. arguments: of the environment. Raises ValueError.
+    config: of train.py. arguments: of the environment. captured: a checkpoint. Raises ValueError.
     """
-    if config.resume:
-        raise ValueError("a student's training takes minutes and has no checkpoint: omit --resume")
     teacher, recipe = load_teacher(config.teacher)
     env, truths = make_taught(config, arguments)
     student = Student(
         env, truths, (teacher, normalisation_of(recipe)), tuple(config.lags), config.student,
         config.seed, make_held_out(config, arguments),
     )  # fmt: skip
+    if captured is not None:
+        student.resume(captured["student"])
     names = ("algorithm", "normalisation")
     return student, {**{name: recipe[name] for name in names}, "teacher": recipe}

@@ -33,6 +33,7 @@ Floats = NDArray[np.float64]
 HELD_OUT_SEED = 1_000_000
 CURVE = ("steps", "seconds", "mean_return", "held_out_rmse")
 CURVE_ROWS = 200  # of a whole training, about
+CHECKPOINT_EVERY = 50_000  # [steps] where a buffer of samples is written too
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,7 @@ class Trainer(BaseCallback):
 
 
 def checkpoint_interval(model: BaseAlgorithm, asked: int | None) -> int:
-    """Steps between checkpoints: every rollout, or 50 000 where a replay buffer is written too."""
+    """Steps between checkpoints: every rollout, or fewer where a replay buffer is written too."""
     if asked is not None:
         return asked
-    return 0 if isinstance(model, OnPolicyAlgorithm) else 50_000
+    return 0 if isinstance(model, OnPolicyAlgorithm) else CHECKPOINT_EVERY

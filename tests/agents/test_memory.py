@@ -154,3 +154,26 @@ def test_the_filtered_errors_are_the_true_ones_with_ideal_sensors():
             np.testing.assert_allclose(shown, values, atol=0.005, err_msg=name)
         command = memory.command(np.zeros((2, 2), np.float32), features)
         observation = env.step(command)[0]
+
+
+def test_the_network_sees_how_far_the_filtered_pose_can_be_trusted():
+    """Error of the filtered distance over the claimed deviation: its square is about 1."""
+    shown = []
+    for name in ("rtk", "strawa"):
+        sensors = make_sensors(name)
+        env = TrackedVehicleVectorEnv(32, sensors=sensors, expose_truth=True)
+        memory = make_memory("residual", {}, CONTEXT._replace(sensors=sensors), 32)
+        observation, info = env.reset(seed=0)
+        ratios = []
+        for step in range(150):
+            features = memory.observe(observation, np.full(32, step == 0))
+            named = dict(zip(memory.feature_names, features.T, strict=True))
+            deviation = 0.05 * np.exp(named["filtered_position_log_deviation"])
+            true = info["tracking_error"][:, 0]
+            filtered = 0.2 * np.hypot(named["filtered_error_x"], named["filtered_error_y"])
+            ratios.append((filtered - true) ** 2 / deviation**2)
+            command = memory.command(np.zeros((32, 2), np.float32), features)
+            observation, *_, info = env.step(command)
+        shown.append(np.median(deviation))
+        assert 0.1 < np.mean(ratios[50:]) < 1.5, name
+    assert shown[1] > 5.0 * shown[0]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from agents.environment import environment_arguments, make_environment
+from agents.loading import exact
 from agents.reward import ScaledReward, TrainingReward
 from tests.agents.agent_cases import small
 from tracked_env.sb3 import make_vec_env
@@ -83,3 +84,23 @@ def test_the_learner_gets_rewards_whose_discounted_sum_is_a_mean_and_the_curve_p
 def test_a_horizon_without_end_is_a_clear_error(gamma):
     with pytest.raises(ValueError, match=r"must be in \[0, 1\)"):
         ScaledReward(make_vec_env(n_envs=1), gamma)
+
+
+@pytest.mark.parametrize(
+    ("agent", "given", "price"),
+    [("ppo", None, 1.0), ("sac", None, 0.0), ("td3", None, 0.0), ("td3", 2.0, 2.0)],
+)
+def test_agents_with_a_replay_buffer_pay_for_changes_only_when_told_to(
+    agent, given, price, tmp_path
+):
+    config = small(tmp_path, agent=agent, precision=0.0, smoothness=given)
+    arguments = environment_arguments(config)
+    env = make_environment(config, arguments)
+    plain = make_vec_env(n_envs=config.vehicles, seed=config.seed, env_kwargs=arguments)
+    env.reset()
+    plain.reset()
+    action = np.random.default_rng(1).uniform(-1.0, 1.0, (config.vehicles, 2)).astype(np.float32)
+    expected = plain.step(action)[1] - price * np.mean(action**2, axis=1)
+    scale = 1.0 - config.settings.gamma if config.settings.scaled else 1.0
+    np.testing.assert_allclose(env.step(action)[1], scale * expected, rtol=1e-5)
+    assert exact(config)["smoothness"] == price

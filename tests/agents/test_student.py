@@ -11,7 +11,8 @@ from agents.inference import WEIGHTS, StudentModel, make_inference
 from agents.loading import agent_entry, load_model, read_recipe
 from agents.memory import AgentVectorEnv, History
 from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, privileged
-from agents.student import make_student
+from agents.student import Student, make_student
+from agents.training import Schedule
 from tests.agents.agent_cases import same_parameters, small
 from tests.agents.test_agents import STEPS, Recorded, as_evaluated
 from tracked_env import observation as obs
@@ -161,7 +162,7 @@ def test_a_saved_student_acts_as_in_training(teacher, tmp_path):
     config = student_config(tmp_path, teacher, steps=1024)
     student, taught = make_student(config, environment_arguments(config))
     recipe = {"memory": "student", "memory_options": config.memory_options, "control_period": 0.02}
-    student.learn(1024, 1024, tmp_path, {**recipe, **taught})
+    student.learn(Schedule(1024, 1024, 1024), tmp_path, {**recipe, **taught})
     inner = Recorded(vehicles())
     env = AgentVectorEnv(inner, History(3, 0.02))
     observation, _ = env.reset(seed=5)
@@ -187,15 +188,49 @@ def test_a_student_drives_without_truth_and_remembers_all_in_its_state(student):
     )
 
 
-def test_the_same_seed_gives_the_same_student(student, teacher, tmp_path):
-    def stored(path):
-        with zipfile.ZipFile(path) as archive, np.load(archive.open(WEIGHTS)) as file:
-            return {name: file[name] for name in file}
+def stored(path):
+    """The parameters of the inference in an archive."""
+    with zipfile.ZipFile(path) as archive, np.load(archive.open(WEIGHTS)) as file:
+        return {name: file[name] for name in file}
 
+
+def same(one, other):
+    first, second = stored(one), stored(other)
+    return all(np.array_equal(first[name], second[name]) for name in first)
+
+
+def test_the_same_seed_gives_the_same_student(student, teacher, tmp_path):
     for name in ("one", "two"):
         assert main(student_config(tmp_path / name, teacher, steps=256)) == 0
-    one, two = (stored(tmp_path / name / "last.zip") for name in ("one", "two"))
-    assert all(np.array_equal(one[name], two[name]) for name in one)
+    assert same(tmp_path / "one" / "last.zip", tmp_path / "two" / "last.zip")
+
+
+@pytest.mark.parametrize("sensors", [None, ("rtk", "strawa")], ids=["one", "several"])
+def test_a_student_goes_on_after_an_interruption_as_if_nothing_had_been(
+    sensors, teacher, tmp_path, monkeypatch
+):
+    given = {"steps": 1024, "checkpoint_every": 256, "sensors": sensors}
+    assert main(student_config(tmp_path / "whole", teacher, **given)) == 0
+    collect = Student.collect
+
+    def interrupted(self):
+        if self.steps >= 640:  # between two checkpoints, after 512 and 768
+            raise KeyboardInterrupt
+        return collect(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Student, "collect", interrupted)
+        assert main(student_config(tmp_path / "parts", teacher, **given)) == 130
+    assert main(student_config(tmp_path / "parts", teacher, **given)) == 2  # would overwrite it
+    assert main(student_config(tmp_path / "parts", teacher, **given, resume=True)) == 0
+    assert same(tmp_path / "whole" / "last.zip", tmp_path / "parts" / "last.zip")
+    curves = [
+        np.genfromtxt(tmp_path / name / "curve.csv", delimiter=",", names=True)
+        for name in ("whole", "parts")
+    ]
+    for column in ("steps", "loss", "held_out_rmse"):
+        np.testing.assert_array_equal(curves[0][column], curves[1][column])
+    assert not list((tmp_path / "parts").glob("*checkpoint*"))
 
 
 def test_another_seed_gives_another_student_of_the_same_teacher(teacher, tmp_path):
@@ -226,7 +261,6 @@ def test_what_makes_no_student_is_a_clear_error(teacher, student, tmp_path, caps
         ({"teacher": None}, "needs --teacher"),
         ({"teacher": tmp_path / "none.zip"}, "no such file"),
         ({"teacher": student / "agent.zip"}, "memory 'student'; a student needs a teacher"),
-        ({"teacher": teacher, "resume": True}, "omit --resume"),
     ):
         given = {"memory": "student", **changes}
         assert main(small(tmp_path / "out", **given)) == 2

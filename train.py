@@ -93,6 +93,10 @@ class Config:
     duration: float = 30.0
     """Length of an episode [s]."""
 
+    staggered: bool = True
+    """First episodes end at different times: else all vehicles are beside their
+    path at once, and settled at once, for the whole training."""
+
     lateral: Literal["sliding", "constrained"] = "sliding"
     """Lateral closure of the plant."""
 

@@ -148,7 +148,7 @@ def make_part(config: Any, part: Part) -> VecEnv:
         precision = config.precision * contact_length(config.env)
         return AgentVectorEnv(TrainingReward(env, precision, config.change_price), memory)
 
-    return make_vec_env(config.env, part.rows, None, arguments, False, wrapper)
+    return make_vec_env(config.env, part.rows, None, arguments, False, wrapper, config.staggered)
 
 
 def make_environment(config: Any, arguments: Mapping[str, Any]) -> VecEnv:

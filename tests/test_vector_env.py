@@ -123,6 +123,32 @@ def test_a_masked_reset_with_a_seed_restarts_only_those_streams():
     assert not np.array_equal(first[1], again[1])
 
 
+def test_staggered_episodes_are_cut_short_once_and_rows_are_out_of_step_from_then_on():
+    env, plain = (
+        TrackedVehicleVectorEnv(5, duration=0.2, autoreset_mode=AutoresetMode.SAME_STEP)
+        for _ in range(2)
+    )
+    first, _ = env.reset(seed=0, options={"staggered": True})
+    assert np.array_equal(first, plain.reset(seed=0)[0])  # the episodes are the same
+    actions, ended, success = np.zeros((5, 2), np.float32), np.zeros((30, 5), bool), []
+    for step in range(30):
+        _, _, terminated, ended[step], info = env.step(actions)
+        assert not terminated.any()
+        success += [info["final_info"]["is_success"][ended[step]]] if ended[step].any() else []
+    ends = [(1 + np.flatnonzero(column)).tolist() for column in ended.T]
+    assert ends == [[2, 12, 22], [4, 14, 24], [6, 16, 26], [8, 18, 28], [10, 20, 30]]
+    assert [one.tolist() for one in success[:5]] == [[False]] * 4 + [[True]]  # the last is whole
+    assert np.concatenate(success[5:]).all()
+
+
+def test_a_masked_staggered_reset_leaves_the_clocks_of_other_rows():
+    env = TrackedVehicleVectorEnv(3, duration=0.2, autoreset_mode=AutoresetMode.DISABLED)
+    env.reset(seed=0)
+    env.reset(options={"staggered": True, "reset_mask": np.array([True, False, True])})
+    limits = env.simulation.batch.counters[:, b.MAX_STEP]
+    assert limits.tolist() == [5, 10, 10]
+
+
 def test_options_reach_every_row_and_rows_win_over_the_common_ones():
     env = TrackedVehicleVectorEnv(3, expose_truth=True)
     rows = [None, {"vehicle": {"mass": 1700.0}}, {"soil": {"cohesion": 9650.0}}]

@@ -24,9 +24,10 @@ class TrackedVehicleVecEnv(VecEnv):
 
     `infos` are empty dicts except for rows that ended: `terminal_observation`,
     `TimeLimit.truncated`, `is_success`, `tracking_error` (2,) [m, rad], `reward_terms`.
+    staggered: the first episodes end at different times, see `TrackedVehicleVectorEnv`.
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
+    def __init__(self, env: VectorEnv[Any, Any, Any], staggered: bool = False) -> None:
         core = env.unwrapped
         if not isinstance(core, TrackedVehicleVectorEnv):
             raise ValueError(f"{core} is no TrackedVehicleVectorEnv")
@@ -35,6 +36,7 @@ class TrackedVehicleVecEnv(VecEnv):
                 f"autoreset_mode = {core.autoreset_mode}; must be SAME_STEP, which is what SB3 does"
             )
         self.env: Any = env
+        self.staggered = staggered
         self.render_mode = core.render_mode
         self._actions: NDArray[np.float32] | None = None
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
@@ -42,7 +44,9 @@ class TrackedVehicleVecEnv(VecEnv):
     def reset(self) -> NDArray[np.float32]:
         """Start all rows; uses and forgets what `seed` and `set_options` have left."""
         seeds = None if all(s is None for s in self._seeds) else self._seeds
-        options = {"rows": list(self._options)} if any(self._options) else None
+        options: dict[str, Any] = {"staggered": True} if self.staggered else {}
+        if any(self._options):
+            options["rows"] = list(self._options)
         observations, _ = self.env.reset(seed=seeds, options=options)
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._reset_seeds()
@@ -119,12 +123,15 @@ def make_vec_env(
     env_kwargs: Mapping[str, Any] | None = None,
     monitor: bool = True,
     wrapper: Callable[[VectorEnv[Any, Any, Any]], VectorEnv[Any, Any, Any]] | None = None,
+    staggered: bool = False,
 ) -> VecEnv:
     """N vehicles for SB3, e.g. `PPO("MlpPolicy", make_vec_env(n_envs=64))`.
 
     env_kwargs: arguments of the environment. seed: row i is seeded seed + i at the first
     reset. monitor: wrap in `VecMonitor`, so that SB3 logs episode returns and success.
     wrapper: applied to the vector env, such as IdentifiedVectorObservation with its observer.
+    staggered: the first episodes end at different times, so that rows are not in step: better
+    for training, and the first episodes are no measure of success.
     """
     env = gymnasium.make_vec(
         env_id,
@@ -133,7 +140,7 @@ def make_vec_env(
         **{**(env_kwargs or {}), "autoreset_mode": AutoresetMode.SAME_STEP},
     )
     env = env if wrapper is None else wrapper(env)
-    vec_env: VecEnv = TrackedVehicleVecEnv(env)
+    vec_env: VecEnv = TrackedVehicleVecEnv(env, staggered)
     if seed is not None:
         vec_env.seed(seed)
     return VecMonitor(vec_env, info_keywords=("is_success",)) if monitor else vec_env

@@ -27,7 +27,9 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
     `reset(options=...)` takes the keys of the single environment for every row, and
 
     * `reset_mask` (N,) bool: which rows to reset, the others go on;
-    * `rows`: a list of N dicts (or None), options per row; they win over the common ones.
+    * `rows`: a list of N dicts (or None), options per row; they win over the common ones;
+    * `staggered` bool: these episodes are cut short, the k-th of K after k/K of its length, so
+      that rows are not in step from then on. Else all begin anew in the same step for long.
 
     Autoreset modes as Gymnasium defines them: NEXT_STEP (default; the step after the end
     resets, ignores the action, reward 0), SAME_STEP (the last observation and info are in
@@ -106,13 +108,17 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         """
         common = dict(options or {})
         mask = self._mask(common.pop("reset_mask", None))
-        rows = common.pop("rows", None)
+        rows, staggered = common.pop("rows", None), bool(common.pop("staggered", False))
         if rows is not None and (isinstance(rows, Mapping) or len(rows) != self.num_envs):
             raise ValueError(f"options['rows'] must be a list of {self.num_envs} dicts or None")
         chosen = np.flatnonzero(mask)
         self._seed(chosen, seed)
         given = [{**common, **((rows[i] if rows else None) or {})} for i in chosen]
         self._start(chosen, given)
+        if staggered:
+            share = np.arange(1, len(chosen) + 1) / len(chosen)
+            limits = self.simulation.batch.counters[:, b.MAX_STEP]
+            limits[chosen] = np.ceil(share * limits[chosen])
         self._ended[chosen] = False
         return self.simulation.observations.copy(), self._info(
             mask, self.simulation.report(), self._success()

@@ -21,6 +21,8 @@ import numpy as np
 
 from tracked_env.benchmark import SETS
 from tracked_env.benchmark import statistics as stats
+from tracked_env.benchmark.leaderboard import between
+from tracked_env.benchmark.statistics import Estimate
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "agents" / "pretrained"
@@ -33,20 +35,20 @@ def track_of(board: dict[str, Any]) -> str:
 
 
 def training_cost(agent: str, track: str) -> str:
-    """Steps and mean wall time of the trainings of a shipped agent, '-' for a controller."""
+    """Steps and mean processor time of trainings of a shipped agent, '-' for a controller."""
     curves = [
         np.genfromtxt(path, delimiter=",", names=True)
         for path in sorted((PRETRAINED / track).glob(f"{agent}-seed*/curve.csv"))
     ]
     if not curves:
         return "-"
-    seconds = np.mean([curve["seconds"][-1] for curve in curves])
+    seconds = np.mean([curve["cpu_seconds"][-1] for curve in curves])
     return f"{curves[0]['steps'][-1] / 1e6:.1f} M steps, {seconds:.0f} s"
 
 
-def estimate_text(estimate: dict[str, float], digits: int) -> str:
-    """Value and interval."""
-    return "{value:.{d}f} [{low:.{d}f}, {high:.{d}f}]".format(**estimate, d=digits)
+def estimate_text(estimate: dict[str, float], digits: int, seeds: int) -> str:
+    """Value and interval, as the leaderboard writes them."""
+    return between(Estimate(**estimate), digits, seeds)
 
 
 def table(board: dict[str, Any]) -> str:
@@ -56,20 +58,24 @@ def table(board: dict[str, Any]) -> str:
     unit, factor = ("kN m/s", 1e-3) if most > 1e3 else ("N m/s", 1.0)
     lines = [
         "| | policy | seeds | RMSE, all sets [m] | after 5 s [m] | score | worst tenth [m] "
-        f"| success | chatter [{unit}] | training of a seed |",
-        "|--:|--|--:|--:|--:|--:|--:|--:|--:|--:|",
+        f"| success | chatter [{unit}] | P(better) | than {board['reference']} "
+        "| training of a seed, CPU |",
+        "|--:|--|--:|--:|--:|--:|--:|--:|--:|--:|--|--:|",
     ]
     for rank, entry in enumerate(agents, start=1):
         o = entry["overall"]
         seeds = entry["seeds"] or "-"
         star = "" if seeds == "-" or seeds >= 5 else "*"
-        lines.append(
-            f"| {rank} | {entry['agent']} | {seeds}{star} | {estimate_text(o['rmse_iqm'], 3)} "
-            f"| {o['settled_iqm']['value']:.3f} | {estimate_text(o['score'], 3)} "
-            f"| {o['rmse_worst']['value']:.2f} "
-            f"| {100 * o['means']['success']:.1f} % | {factor * o['means']['torque_chatter']:.1f} "
-            f"| {training_cost(entry['agent'], track)} |"
-        )
+        against = entry["against"]
+        chance = "-" if against is None else f"{against['improvement']['value']:.0%}"
+        cells = [
+            f"{rank}", entry["agent"], f"{seeds}{star}",
+            estimate_text(o["rmse_iqm"], 3, entry["seeds"]), f"{o['settled_iqm']['value']:.3f}",
+            estimate_text(o["score"], 3, entry["seeds"]), f"{o['rmse_worst']['value']:.2f}",
+            f"{100 * o['means']['success']:.1f} %", f"{factor * o['means']['torque_chatter']:.1f}",
+            chance, entry["verdict"], training_cost(entry["agent"], track),
+        ]  # fmt: skip
+        lines.append("| " + " | ".join(cells) + " |")
     names = [entry["agent"] for entry in agents]
     lines += ["", "| set | " + " | ".join(names) + " |", "|--|" + "--:|" * len(names)]
     for name in board["sets"]:

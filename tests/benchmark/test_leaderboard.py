@@ -13,6 +13,7 @@ from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import page
 from tracked_env.benchmark.report import policy_table, terminal
+from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import rows_of, summarise
 
 SEEDS = {f"ppo@{i}": (0.7 + 0.1 * i) * EASY for i in range(5)}
@@ -86,7 +87,7 @@ def test_without_scores_the_smaller_error_comes_first() -> None:
 
 def test_agents_are_compared_with_the_adaptive_baseline() -> None:
     found, _ = board(**ALL)
-    said = {p.agent: lb.verdict(p.against) for p in found.places}
+    said = {p.agent: lb.verdict(p) for p in found.places}
     assert said == {
         "ppo": "better", "oracle": "better", "adaptive": "reference", "few": "worse",
         "nominal": "worse",
@@ -94,7 +95,34 @@ def test_agents_are_compared_with_the_adaptive_baseline() -> None:
     close, _ = board(
         nominal=3 * EASY, adaptive=EASY, x=np.where(np.arange(16) % 2, 0.8, 1.2) * EASY
     )
-    assert {p.agent: lb.verdict(p.against) for p in close.places}["x"] == "not certain"
+    assert {p.agent: lb.verdict(p) for p in close.places}["x"] == "not certain"
+
+
+def test_the_verdict_is_of_the_iqm_and_says_where_the_mean_is_the_opposite() -> None:
+    lost = np.where(np.arange(16) < 3, 40.0, 0.5) * EASY  # better but for three lost vehicles
+    found, _ = board("a", nominal=3 * EASY, adaptive=EASY, x=lost)
+    (place,) = (p for p in found.places if p.agent == "x")
+    assert place.against
+    assert place.against.gain.value > 0.0 > place.against.difference.value
+    said = place._replace(
+        against=place.against._replace(
+            gain=Estimate(1.0, 0.5, 1.5), difference=Estimate(-1.0, -1.5, -0.5)
+        )
+    )
+    assert lb.verdict(said) == "better, mean worse"
+    assert lb.verdict(said._replace(seeds=1)) == "one seed"
+
+
+def test_an_agent_with_one_seed_has_no_interval() -> None:
+    found, _ = board(nominal=3 * EASY, adaptive=EASY, **{"one@0": 0.5 * EASY}, oracle=EASY)
+    cells = {row[1]: row for row in lb.table(found)[1:]}
+    assert "[" in cells["adaptive"][3] + cells["adaptive"][5]
+    assert "[" not in "".join(cells["one *"])
+
+
+def test_the_reference_is_the_adaptive_policy_of_the_drive() -> None:
+    found, _ = board(uc=3 * EASY, **{"slc-adaptive": EASY, "slc-oracle": EASY})
+    assert found.reference == "slc-adaptive"
 
 
 def test_fewer_than_five_seeds_are_marked_and_five_are_not() -> None:

@@ -160,6 +160,17 @@ def test_the_ratio_to_a_policy_without_any_error_is_infinite() -> None:
     assert rel.ratio(np.array([1.0, 2.0]), np.array([0.0, 4.0])).tolist() == [np.inf, 0.5]
 
 
+def test_sets_of_one_size_are_redrawn_together() -> None:
+    """Copies of a set say nothing that the set does not say already."""
+    values = RNG.exponential(size=(2, 20))
+    one, three = redrawn(values), redrawn(np.tile(values, 3), [20, 20, 20])
+    assert three.mean == pytest.approx(one.mean)
+    assert three.worst[1] == pytest.approx(one.worst[1])
+    draws = rel.Redraws([20, 30, 20])
+    assert np.array_equal(draws.episodes[:, :20], draws.episodes[:, 50:])
+    assert not np.array_equal(draws.episodes[:, :20], draws.episodes[:, 20:40])
+
+
 def test_a_set_without_episodes_is_refused() -> None:
     with pytest.raises(ValueError, match="no episodes"):
         rel.Redraws([3, 0])

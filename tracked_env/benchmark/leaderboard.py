@@ -3,7 +3,9 @@
 The score over all sets comes from the pooled episodes; agents without one (nominal or oracle are
 missing, or not told apart) are ordered by the IQM of their RMSE. Every agent is also compared with
 the adaptive baseline on the same episodes: the probability that it is better in an episode, and
-the paired difference. `better` and `worse` mean that the interval of that difference excludes 0.
+the difference of the IQMs. `better` and `worse` mean that the interval of that difference excludes
+0; where the mean, which lost vehicles decide, says the opposite, that is said too. Of an agent
+with one seed no interval and no verdict is given: there is nothing to tell luck by.
 
 Written as terminal table, Markdown, JSON and one HTML page (see `page`).
 """
@@ -22,7 +24,15 @@ from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary
 
-REFERENCE = "adaptive"  # what agents have to beat; the baseline of the summary where it is missing
+# What agents have to beat, by torque and by speed; the summary's baseline where both are missing.
+REFERENCES = ("adaptive", "slc-adaptive")
+
+
+COSTS = (
+    "Means over all sets, seeds and episodes. Peak: largest distance after an abrupt change. "
+    "Effort: mean square of the\ndemand over its limit. Saturated: part of the time at the limit. "
+    "Predict: per vehicle and step, in the batch that was run."
+)
 
 
 class Place(NamedTuple):
@@ -52,7 +62,7 @@ def leaderboard(summary: Summary, rows: Mapping[str, Row], conditions: str = "")
     last = names[-1]  # all sets, or the only one
     sets = names[:-1] if len(names) > 1 else names
     agents = summary.policies[last]
-    reference = REFERENCE if REFERENCE in agents else summary.baseline
+    reference = next((name for name in REFERENCES if name in agents), summary.baseline)
     places = [
         Place(
             agent,
@@ -87,17 +97,24 @@ def _balanced(
     return estimate(value, drawn, fewest(*own))
 
 
-def _between(e: Estimate, digits: int) -> str:
-    return f"{e.value:.{digits}f} [{e.low:.{digits}f}, {e.high:.{digits}f}]"
+def between(e: Estimate, digits: int, seeds: int) -> str:
+    """Value and interval; the value alone of an agent with one seed."""
+    value = f"{e.value:.{digits}f}"
+    return value if seeds == 1 else f"{value} [{e.low:.{digits}f}, {e.high:.{digits}f}]"
 
 
-def verdict(against: Comparison | None) -> str:
-    """What the paired difference to the reference says, in a word."""
-    if against is None:
+def _said(e: Estimate) -> str:
+    return "better" if e.low > 0.0 else "worse" if e.high < 0.0 else "not certain"
+
+
+def verdict(place: Place) -> str:
+    """What the differences to the reference say, in a word."""
+    if place.against is None:
         return "reference"
-    if against.difference.low > 0.0:
-        return "better"
-    return "worse" if against.difference.high < 0.0 else "not certain"
+    if place.seeds == 1:
+        return "one seed"
+    said, mean = _said(place.against.gain), _said(place.against.difference)
+    return f"{said}, mean {mean}" if {said, mean} == {"better", "worse"} else said
 
 
 def table(board: Leaderboard) -> list[list[str]]:
@@ -111,12 +128,12 @@ def table(board: Leaderboard) -> list[list[str]]:
         means = o.means
         cells.append(
             [f"{rank}", marked(place.agent, place.seeds), f"{place.seeds or '-'}",
-             "-" if o.score is None else _between(o.score, 3),
+             "-" if o.score is None else between(o.score, 3, place.seeds),
              "-" if place.balanced is None else f"{place.balanced.value:.2f}",
-             _between(o.rmse_iqm, 3), f"{o.settled_iqm.value:.3f}",
+             between(o.rmse_iqm, 3, place.seeds), f"{o.settled_iqm.value:.3f}",
              f"{o.rmse_worst.value:.2f}", f"{means['success']:.1%}",
              f"{means['recovery_time']:.1f}" if o.changed else "-",
-             "-" if against is None else f"{against.improvement.value:.0%}", verdict(against)]
+             "-" if against is None else f"{against.improvement.value:.0%}", verdict(place)]
         )  # fmt: skip
     return cells
 
@@ -135,6 +152,24 @@ def set_table(board: Leaderboard) -> list[list[str]]:
     return cells
 
 
+def cost_table(board: Leaderboard) -> list[list[str]]:
+    """Rows of cells, the header first: what driving costs, and what changes do, over all sets."""
+    cells = [
+        ["agent", "success", "ended early", "recovery [s]", "peak [m]", "energy [kJ]", "effort",
+         "saturated", "chatter [N m/s]", "predict [us]"],
+    ]  # fmt: skip
+    for place in board.places:
+        o, m = place.overall, place.overall.means
+        change = [f"{m['recovery_time']:.1f}", f"{m['peak_after_change']:.2f}"]
+        cells.append(
+            [place.agent, f"{m['success']:.1%}", f"{m['terminated']:.1%}",
+             *(change if o.changed else ["-", "-"]), f"{m['energy'] / 1e3:.4g}",
+             f"{m['effort']:.4f}", f"{m['saturation_share']:.1%}", f"{m['torque_chatter']:.4g}",
+             f"{o.predict_time * 1e6:.1f}"]
+        )  # fmt: skip
+    return cells
+
+
 def explanation(board: Leaderboard) -> str:
     """What the columns mean."""
     few = any(0 < place.seeds <= FEW_SEEDS for place in board.places)
@@ -147,7 +182,7 @@ def explanation(board: Leaderboard) -> str:
         "path. Worst: RMSE [m] of the worst tenth of the episodes. Recovery: time [s] after an\n"
         f"abrupt change until the distance stays below {RECOVERED:g} contact lengths. P(better): "
         f"probability that the agent has\nthe smaller RMSE than {than} in an episode; than {than}: "
-        "whether the interval of the paired difference says so."
+        "whether the interval of the difference of the IQMs says so."
         + (f"\n* fewer than {FEW_SEEDS + 1} training seeds" if few else "")
     )
 
@@ -158,6 +193,7 @@ def terminal(board: Leaderboard) -> str:
     parts.append(
         f"{aligned(set_table(board), 1)}\n\nScore, and in brackets the IQM of the RMSE [m]"
     )
+    parts.append(f"{aligned(cost_table(board), 1)}\n\n{COSTS}")
     return "\n\n".join([*parts, board.conditions]).rstrip()
 
 
@@ -168,6 +204,8 @@ def markdown(board: Leaderboard) -> str:
         explanation(board).replace("\n*", "\n\n\\*"),
         markdown_rows(set_table(board), 1),
         "Score, and in brackets the IQM of the RMSE [m].",
+        markdown_rows(cost_table(board), 1),
+        COSTS,
         board.conditions,
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -179,7 +217,7 @@ def document(board: Leaderboard) -> dict[str, Any]:
         "conditions": board.conditions,
         "reference": board.reference,
         "sets": board.sets,
-        "agents": [plain(place) for place in board.places],
+        "agents": [{**plain(place), "verdict": verdict(place)} for place in board.places],
     }
 
 

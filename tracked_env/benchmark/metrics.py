@@ -3,12 +3,13 @@
 With e_k the distance to the reference after control step k, h the control period, T the length
 of the episode, E the error limit, tau and omega of the two sprockets:
     tracking RMSE      sqrt(mean e_k^2)
+    effort             mean demand^2 over its limit^2                   over both sides
     energy             sum h (|tau_L omega_L| + |tau_R omega_R|)        no recuperation
     saturation share   part of the steps and sides with |demand| at the torque limit
     torque chatter     mean |demand_k - demand_(k-1)| / h               over both sides
 An episode that ends early counts e_k = E for the time it lacks, and e_k never counts more than
-E: leaving the path is never better than staying on it. Heading, speed, energy, saturation and
-chatter are taken over the time driven; read them beside the share of terminations. Recovery
+E: leaving the path is never better than staying on it. Heading, speed, effort, energy, saturation
+and chatter are taken over the time driven; read them beside the share of terminations. Recovery
 and peak after an abrupt change of the true parameters are defined in `changes`; they are NaN where
 there is none.
 """
@@ -84,6 +85,7 @@ METRICS = {
     "final_error": Metric("m", "distance to the reference at the end"),
     "heading_rmse": Metric("rad", "RMSE of the heading error"),
     "speed_rmse": Metric("m/s", "RMSE of the speed error"),
+    "effort": Metric("-", "mean square of the demand over its limit"),
     "energy": Metric("J", "work of the sprockets, braking counts as well"),
     "saturation_share": Metric("-", "part of the time with a demand at the torque limit"),
     "torque_chatter": Metric("N m/s", "mean rate of change of the torque demand"),
@@ -161,6 +163,7 @@ def evaluate(trace: Trace) -> dict[str, FloatArray]:
         "final_error": error[-1],
         "heading_rmse": np.sqrt(_driven_mean(trace, trace.channel("heading_error") ** 2)),
         "speed_rmse": np.sqrt(_driven_mean(trace, trace.channel("speed_error") ** 2)),
+        "effort": _driven_mean(trace, (action**2).mean(axis=0)),
         "energy": _driven_mean(trace, power) * trace.steps * period,
         "saturation_share": _driven_mean(trace, saturated),
         "torque_chatter": _driven_mean(trace, demand_rate),

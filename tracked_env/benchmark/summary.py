@@ -10,12 +10,13 @@ seeds and episodes, and the IQM of that after the start, each with a 95 % bootst
 Every agent is then compared with the first one, the baseline, on the same episodes:
     ratio        IQM of the baseline's RMSE over the agent's
     difference   mean over seeds and episodes of (baseline's - agent's RMSE) [m]
+    gain         IQM of the baseline's RMSE minus the agent's [m], redrawn together
     improvement  probability that the agent has the smaller RMSE in an episode
     worse        the baseline is clearly worse: the interval of the difference lies above 0 and
                  the ratio is at least SEPARATION_RATIO. With nominal as the baseline, a set
                  separates when this holds for the oracle.
     fails alone  episodes in which the agent ends early or without success, the baseline not
-`all sets` pools the episodes of all sets, redrawn set by set (stratified).
+`all sets` pools the episodes of all sets; the k-th ones of all are redrawn together.
 """
 
 from collections.abc import Mapping, Sequence
@@ -60,6 +61,7 @@ class Comparison(NamedTuple):
 
     ratio: Estimate  # [-]
     difference: Estimate  # [m]
+    gain: Estimate  # [m] IQM of the baseline - IQM of the agent, paired
     improvement: Estimate  # [-]
     worse: bool  # clearly, see above
     fails_alone: float = 0  # episodes in which the agent fails and the baseline does not, per seed
@@ -201,6 +203,7 @@ class Row:
         return Comparison(
             ratio,
             difference,
+            rel.estimate(own[0] - own[1], a.iqm - b.iqm, seeds),
             rel.improvement(b, a, self.redraws),
             bool(difference.low > 0.0 and ratio.value >= SEPARATION_RATIO),
             float((fails[1].mean(axis=0) * (1.0 - fails[0].mean(axis=0))).sum()),

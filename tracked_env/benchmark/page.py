@@ -15,7 +15,7 @@ import numpy as np
 
 from tracked_env.benchmark import reliability as rel
 from tracked_env.benchmark.drawing import STYLE, Look, looks, new_figure
-from tracked_env.benchmark.leaderboard import Leaderboard, explanation, table
+from tracked_env.benchmark.leaderboard import COSTS, Leaderboard, cost_table, explanation, table
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.summary import Row
@@ -212,6 +212,9 @@ def render(board: Leaderboard, drawn: "Mapping[str, Figure]") -> str:
         heat_map(board),
         '<p class="note">0 (red): as good as nominal; 1 (blue): as good as the oracle; below '
         "it the IQM of the RMSE. Intervals appear under the pointer.</p>",
+        "<h2>What driving costs</h2>",
+        _table(cost_table(board), 1),
+        f'<p class="note">{html.escape(COSTS).replace(chr(10), " ")}</p>',
     ]
     for title, figure in drawn.items():
         parts.append(f"<h2>{html.escape(title)}</h2>\n{_inline(figure, title)}")

@@ -38,7 +38,7 @@ leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the 
 	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/leaderboard.py results/leaderboard/speed-v0-v2-seed0-*
 
-train: $(STAMP) ## train a PPO agent into runs/ppo
+train: $(STAMP) ## train a PPO agent into runs/ppo-blind-seed0
 	$(BIN)/python train.py $(TRAIN_ARGS)
 
 test: $(STAMP) ## run the whole test suite

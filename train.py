@@ -4,10 +4,9 @@ All vehicles of a batch are stepped in one process. OUTPUT gets agent.zip (the b
 episodes), last.zip, config.json and curve.csv. Killed? The same command with --resume goes on
 from the last checkpoint. Compare the agent with the controllers afterwards:
 
-    python evaluate.py --policies nominal adaptive oracle runs/ppo/agent.zip
+    python evaluate.py --policies nominal adaptive oracle runs/ppo-blind-seed0/agent.zip
 """
 
-import json
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,34 +17,29 @@ try:
     import gymnasium
     import torch
     import tyro
-    from stable_baselines3.common.base_class import BaseAlgorithm
     from tqdm import tqdm
 
-    from agents import checkpoints
+    from agents import checkpoints, configs, training
     from agents.algorithms import make_model
-    from agents.configs import (
-        PPOConfig,
-        RecurrentPPOConfig,
-        SACConfig,
-        StudentConfig,
-        TD3Config,
-        TQCConfig,
+    from agents.environment import (
+        environment_arguments,
+        make_environment,
+        make_held_out,
+        random_seed,
     )  # fmt: skip
-    from agents.environment import environment_arguments, make_environment, make_held_out
+    from agents.folder import AlreadyFinished, begin, finish, going_on
     from agents.inference import STUDENT
     from agents.loading import exact, recipe_of
     from agents.memory import LAGS, RESIDUAL_SCALE
     from agents.reward import PRECISION
     from agents.student import make_student
-    from agents.training import CHECKPOINT_EVERY, Schedule, Trainer, checkpoint_interval
 except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl,cli]'")
 
 from tracked_env import TORQUE_ID
-from tracked_env.benchmark.store import write_atomically
 
 INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
-FREE = ("resume", "output", "tensorboard", "quiet")  # may differ when a training is resumed
+FREE = ("resume", "overwrite", "output", "tensorboard", "quiet")  # may differ when resumed
 
 
 @dataclass(frozen=True)
@@ -66,11 +60,15 @@ class Config:
     teacher: Path | None = None
     """Of memory student: agent.zip of the teacher."""
 
-    steps: int = 2_000_000
-    """Environment steps, over all vehicles."""
+    steps: int | None = None
+    """Environment steps, over all vehicles. Default:
+    2 000 000 for PPO, 1 000 000 for recurrent PPO,
+    300 000 for agents with a replay buffer,
+    500 000 for a student."""
 
     seed: int = 0
-    """Of the networks and of the vehicles: same seed, same machine, same agent."""
+    """Of the networks and of the vehicles: same seed, same machine, same agent.
+    Trainings with different seeds share no episode."""
 
     vehicles: int = 64
     """Vehicles stepped together."""
@@ -100,21 +98,32 @@ class Config:
     lateral: Literal["sliding", "constrained"] = "sliding"
     """Lateral closure of the plant."""
 
+    env_args: str | None = None
+    """Further arguments of the environment, as JSON:
+    '{"plant": "distributed"}'."""
+
     output: Path | None = None
-    """Folder of the training; default is runs/AGENT-MEMORY-seedSEED."""
+    """Folder of the training. Default:
+    runs/AGENT-MEMORY-seedSEED, and of Speed-v0
+    runs/Speed-v0/AGENT-MEMORY-seedSEED."""
 
     resume: bool = False
-    """Go on from the last checkpoint in OUTPUT; starts where there is none."""
+    """Go on from the last checkpoint in OUTPUT; starts
+    where there is none, does nothing where it is finished."""
 
-    evaluate_every: int = 200_000
-    """Steps between evaluations on held-out episodes."""
+    overwrite: bool = False
+    """Train anew, though OUTPUT holds a training: its files are deleted."""
+
+    evaluate_every: int | None = None
+    """Steps between evaluations on held-out episodes;
+    default is a tenth of all."""
 
     held_out: int = 64
     """Held-out episodes; 0 evaluates never and keeps the last agent."""
 
     checkpoint_every: int | None = None
     """Steps between checkpoints; default is every rollout,
-    or 50 000 for students and agents with a replay buffer."""
+    or 20 000 for students and agents with a replay buffer."""
 
     normalise: bool = False
     """Normalise what the network sees by its running mean and
@@ -144,28 +153,43 @@ class Config:
     quiet: bool = False
     """Show no progress bar."""
 
-    ppo: PPOConfig = field(default_factory=PPOConfig)
+    ppo: configs.PPOConfig = field(default_factory=configs.PPOConfig)
     """Settings of PPO."""
 
-    sac: SACConfig = field(default_factory=SACConfig)
+    sac: configs.SACConfig = field(default_factory=configs.SACConfig)
     """Settings of SAC."""
 
-    td3: TD3Config = field(default_factory=TD3Config)
+    td3: configs.TD3Config = field(default_factory=configs.TD3Config)
     """Settings of TD3."""
 
-    tqc: TQCConfig = field(default_factory=TQCConfig)
+    tqc: configs.TQCConfig = field(default_factory=configs.TQCConfig)
     """Settings of TQC."""
 
-    recurrent_ppo: RecurrentPPOConfig = field(default_factory=RecurrentPPOConfig)
+    recurrent_ppo: configs.RecurrentPPOConfig = field(default_factory=configs.RecurrentPPOConfig)
     """Settings of RecurrentPPO."""
 
-    student: StudentConfig = field(default_factory=StudentConfig)
+    student: configs.StudentConfig = field(default_factory=configs.StudentConfig)
     """Settings of memory student."""
+
+    def __post_init__(self) -> None:
+        configs.check(self)
 
     @property
     def settings(self) -> Any:
         """Settings of the chosen algorithm."""
         return getattr(self, self.agent.replace("-", "_"))
+
+    @property
+    def total_steps(self) -> int:
+        """`steps`, or what the chosen algorithm has."""
+        learner = self.student if self.memory == STUDENT else self.settings
+        return int(learner.steps if self.steps is None else self.steps)
+
+    @property
+    def evaluation_interval(self) -> int:
+        """`evaluate_every`, or a tenth of all steps."""
+        every = self.evaluate_every
+        return max(self.total_steps // 10, 1) if every is None else every
 
     @property
     def change_price(self) -> float:
@@ -175,7 +199,8 @@ class Config:
     @property
     def folder(self) -> Path:
         """Where everything goes."""
-        return self.output or Path("runs") / f"{self.agent}-{self.memory}-seed{self.seed}"
+        track = "" if self.env == TORQUE_ID else self.env.rpartition("/")[2]
+        return self.output or Path("runs", track, f"{self.agent}-{self.memory}-seed{self.seed}")
 
     @property
     def memory_options(self) -> dict[str, Any]:
@@ -189,23 +214,11 @@ class Config:
         return options.get(self.memory, {})
 
 
-def learn(config: Config, model: BaseAlgorithm, trainer: Trainer) -> bool:
-    """Train to the end; False when interrupted."""
-    left = config.steps - model.num_timesteps
-    if left <= 0:
-        return True
-    try:
-        model.learn(left, callback=trainer, reset_num_timesteps=model.num_timesteps == 0)
-    except KeyboardInterrupt:
-        return False
-    return True
-
-
 def bar_of(config: Config, done: int) -> "tqdm[Any]":
     """The progress bar of a training of which so many steps are done."""
     return tqdm(
-        total=config.steps, initial=done, unit=" steps", unit_scale=True, disable=config.quiet,
-        dynamic_ncols=True,
+        total=config.total_steps, initial=done, unit=" steps", unit_scale=True,
+        disable=config.quiet, dynamic_ncols=True,
     )  # fmt: skip
 
 
@@ -215,29 +228,22 @@ def interrupted(folder: Path) -> int:
     return INTERRUPTED
 
 
-def begin(folder: Path, recipe: Mapping[str, Any], done: int) -> None:
-    """Write the configuration; say so where a training goes on."""
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / "config.json", json.dumps(recipe, indent=2).encode())
-    if done:
-        print(f"going on after {done:,} steps")
-
-
 def teach(config: Config, arguments: Mapping[str, Any], captured: Any) -> int:
     """Train a student of `config.teacher`; returns the exit status. Raises ValueError."""
     folder = config.folder
     student, taught = make_student(config, arguments, captured)
     recipe = {**recipe_of(config, arguments), **taught}
     begin(folder, recipe, student.steps)
-    every = CHECKPOINT_EVERY if config.checkpoint_every is None else config.checkpoint_every
-    schedule = Schedule(config.steps, config.evaluate_every, every)
+    asked = config.checkpoint_every
+    every = training.CHECKPOINT_EVERY if asked is None else asked
+    schedule = training.Schedule(config.total_steps, config.evaluation_interval, every)
     with bar_of(config, student.steps) as bar:
         show = lambda text: bar.set_postfix_str(text, refresh=False)  # noqa: E731
         try:
             student.learn(schedule, folder, recipe, bar.update, show)
         except KeyboardInterrupt:
             return interrupted(folder)
-    checkpoints.remove(folder)
+    finish(folder, recipe)
     print(
         f"done: {student.steps:,} steps in {student.curve[-1][1]:.0f} s, best "
         f"{student.best:.4f} m held out; {folder / 'agent.zip'}"
@@ -250,16 +256,17 @@ def main(config: Config) -> int:
     torch.set_num_threads(config.threads)
     folder = config.folder
     try:
-        if config.steps < 1:
-            raise ValueError(f"steps = {config.steps}; must be at least 1")
-        captured = checkpoints.going_on(folder, config.resume, exact(config), FREE)
+        captured = going_on(folder, exact(config), FREE, config.resume, config.overwrite)
         arguments = environment_arguments(config)
         if config.memory == STUDENT:
             return teach(config, arguments, captured)
         env = make_environment(config, arguments)
         log = str(folder) if config.tensorboard else None
-        model = make_model(config.agent, config.settings, env, config.seed, log)
+        model = make_model(config.agent, config.settings, env, random_seed(config.seed), log)
         held_out = make_held_out(config, arguments)
+    except AlreadyFinished as notice:
+        print(notice)
+        return 0
     except (ValueError, gymnasium.error.Error) as error:
         print(f"train.py: {error}", file=sys.stderr)
         return 2
@@ -267,17 +274,17 @@ def main(config: Config) -> int:
     if captured is not None:
         checkpoints.resume(model, captured)
     begin(folder, recipe, model.num_timesteps)
-    every = checkpoint_interval(model, config.checkpoint_every)
+    every = training.checkpoint_interval(model, config.checkpoint_every)
     with bar_of(config, model.num_timesteps) as bar:
-        trainer = Trainer(
-            folder, Schedule(config.steps, config.evaluate_every, every), recipe,
-            (config.memory, config.memory_options), held_out, captured,
+        trainer = training.Trainer(
+            folder, training.Schedule(config.total_steps, config.evaluation_interval, every),
+            recipe, (config.memory, config.memory_options), held_out, captured,
             bar.update, lambda text: bar.set_postfix_str(text, refresh=False),
         )  # fmt: skip
-        finished = learn(config, model, trainer)
+        finished = training.learn(model, trainer)
     if not finished:
         return interrupted(folder)
-    checkpoints.remove(folder)
+    finish(folder, recipe)
     best = f"best {trainer.best:.4f} m held out, " if held_out else ""
     print(
         f"done: {model.num_timesteps:,} steps in {trainer.seconds:.0f} s, {best}"

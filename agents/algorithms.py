@@ -22,6 +22,7 @@ from agents.configs import (
     SACConfig,
     TD3Config,
     TQCConfig,
+    check_buffer,
 )
 from agents.recurrent import BypassedLstmPolicy
 
@@ -44,6 +45,8 @@ def make_model(
     made, expected = ALGORITHMS[algorithm]
     if not isinstance(config, expected):
         raise ValueError(f"{algorithm} needs a {expected.__name__}, not {type(config).__name__}")
+    if hasattr(config, "buffer_size"):
+        check_buffer(config, env.num_envs)
     settings: dict[str, Any] = asdict(config)
     network: dict[str, Any] = {"net_arch": list(settings.pop("hidden"))}
     if "log_std_init" in settings:  # on-policy
@@ -55,13 +58,16 @@ def make_model(
     if noise is not None:
         settings["action_noise"] = NormalActionNoise(np.zeros(2), np.full(2, noise))
     rate = settings.pop("learning_rate")
-    return made(
-        BypassedLstmPolicy if algorithm == "recurrent-ppo" else "MlpPolicy",
-        env,
-        learning_rate=LinearSchedule(rate, 0.0, 1.0),
-        policy_kwargs=network,
-        seed=seed,
-        device="cpu",
-        tensorboard_log=tensorboard,
-        **settings,
-    )
+    try:
+        return made(
+            BypassedLstmPolicy if algorithm == "recurrent-ppo" else "MlpPolicy",
+            env,
+            learning_rate=LinearSchedule(rate, 0.0, 1.0),
+            policy_kwargs=network,
+            seed=seed,
+            device="cpu",
+            tensorboard_log=tensorboard,
+            **settings,
+        )
+    except AssertionError as error:  # how SB3 refuses settings
+        raise ValueError(f"{algorithm}: {error}") from error

@@ -12,9 +12,7 @@ The file is written beside the one before, which is kept until the new one is wh
 import os
 import pickle
 import random
-import sys
 import zipfile
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -170,36 +168,12 @@ def read(folder: Path) -> tuple[dict[str, Any] | None, list[str]]:
     return None, []
 
 
-def going_on(
-    folder: Path, wanted: bool, config: Mapping[str, Any], free: Sequence[str]
-) -> dict[str, Any] | None:
-    """The checkpoint that a training with `config` goes on from, None where it starts.
-
-    wanted: whether to go on at all. free: entries of the configuration that may have changed.
-    Raises ValueError when that is another training, or would overwrite an unfinished one.
-    """
-    if not wanted:
-        if (folder / FILE).exists():
-            raise ValueError(
-                f"{folder} holds an unfinished training: add --resume to go on with it, "
-                "delete it, or choose another --output"
-            )
-        return None
-    captured, notices = read(folder)
-    for notice in notices:
-        print(f"{notice}; going on from the one before", file=sys.stderr)
-    if captured is not None:
-        then = captured["recipe"]["config"]
-        changed = [name for name in config if name not in free and then.get(name) != config[name]]
-        if changed:
-            raise ValueError(
-                "--resume goes on with the same configuration, but different are "
-                + ", ".join(f"{n} (then {then.get(n)}, now {config[n]})" for n in changed)
-            )
-    return captured
+def exist(folder: Path) -> bool:
+    """Whether a folder holds checkpoints."""
+    return any((folder / name).exists() for name in (FILE, PREVIOUS))
 
 
 def remove(folder: Path) -> None:
-    """Delete the checkpoints of a training that has ended."""
+    """Delete the checkpoints of a folder."""
     for name in (FILE, PREVIOUS, f".{FILE}.tmp"):
         (folder / name).unlink(missing_ok=True)

@@ -5,18 +5,63 @@ The names are those of Stable-Baselines3, so that its documentation holds for th
 
 Common to all: observations are of order one, and where `scaled` says so rewards come times
 1 - gamma (`agents.reward`), so nothing is normalised; `smoothness` is the price of a change of the
-action there; a horizon of 1 to 1.3 s is long against the
+action there, `steps` how long to train; a horizon of 1 to 1.3 s is long against the
 slowest pole of driving, and with two learning is slower; the learning rate falls linearly to zero,
-so that the last agent is a settled one.
+so that the last agent is a settled one. A value outside LIMITS is a ValueError.
 
 References: [1] Schulman et al., arXiv:1707.06347 (PPO). [2] Haarnoja et al., arXiv:1812.05905
 (SAC). [3] Fujimoto et al., arXiv:1802.09477 (TD3). [4] Kuznetsov et al., arXiv:2005.04269 (TQC).
 """
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
 from agents.reward import SMOOTHNESS
+
+# Of the settings here and in train.py; a parenthesis leaves the bound out. Advantages are
+# normalised over a batch, so one has two samples.
+LIMITS = {
+    "steps": "[1, inf)", "vehicles": "[1, 65536]", "held_out": "[0, 65536]",
+    "evaluate_every": "[1, inf)", "checkpoint_every": "[0, inf)", "threads": "[1, 1024]",
+    "n_steps": "[1, inf)", "batch_size": "[2, inf)", "n_epochs": "[1, inf)",
+    "learning_rate": "(0, inf)", "gamma": "[0, 1)", "gae_lambda": "[0, 1]",
+    "clip_range": "(0, inf)", "ent_coef": "[0, inf)", "log_std_init": "(-inf, inf)",
+    "hidden": "[1, inf)", "lstm_hidden": "[1, inf)", "buffer_size": "[1, inf)",
+    "learning_starts": "[0, inf)", "train_freq": "[1, inf)", "gradient_steps": "[1, inf)",
+    "tau": "(0, 1]", "action_noise": "[0, inf)", "top_quantiles_to_drop_per_net": "[0, 24]",
+}  # fmt: skip
+
+
+def _inside(value: Any, interval: str) -> bool:
+    """Whether a number is in an interval; of `auto_0.1`, the number behind `auto_`."""
+    low, high = (float(bound) for bound in interval[1:-1].split(","))
+    if isinstance(value, str):
+        try:
+            value = float("1" if value == "auto" else value.removeprefix("auto_"))
+        except ValueError:
+            return False
+    above = value > low if interval[0] == "(" else value >= low
+    return above and (value < high if interval[-1] == ")" else value <= high)
+
+
+def check(settings: Any) -> None:
+    """Raises ValueError for a field of a dataclass that is outside LIMITS; None is inside."""
+    for name in (field.name for field in fields(settings) if field.name in LIMITS):
+        value, interval = getattr(settings, name), LIMITS[name]
+        entries = value if isinstance(value, tuple) else (value,)
+        if not all(entry is None or _inside(entry, interval) for entry in entries):
+            word = ", auto or auto_ and a number" if isinstance(value, str) else ""
+            raise ValueError(f"{name} = {value!r}; must be in {interval}{word}")
+
+
+def check_buffer(settings: Any, vehicles: int) -> None:
+    """Raises ValueError for a buffer of samples that cannot hold `n_steps` of all vehicles."""
+    least = settings.n_steps * vehicles
+    if settings.buffer_size < least:
+        raise ValueError(
+            f"buffer_size = {settings.buffer_size}; must be at least {least}: n_steps = "
+            f"{settings.n_steps} of {vehicles} vehicles"
+        )
 
 
 @dataclass(frozen=True)
@@ -25,6 +70,7 @@ class OnPolicyConfig:
 
     scaled: ClassVar[bool] = True
     smoothness: ClassVar[float] = SMOOTHNESS
+    steps: ClassVar[int] = 2_000_000
 
     n_steps: int = 128
     """Control steps per vehicle between two updates: 2.5 s, longer than the horizon."""
@@ -57,6 +103,9 @@ class OnPolicyConfig:
     hidden: tuple[int, ...] = (64, 64)
     """Units of the hidden layers, for the policy and for the value."""
 
+    def __post_init__(self) -> None:
+        check(self)
+
 
 @dataclass(frozen=True)
 class PPOConfig(OnPolicyConfig):
@@ -66,6 +115,8 @@ class PPOConfig(OnPolicyConfig):
 @dataclass(frozen=True)
 class RecurrentPPOConfig(OnPolicyConfig):
     """PPO [1] with an LSTM: remembers what it has seen, at several times the cost of PPO."""
+
+    steps: ClassVar[int] = 1_000_000
 
     n_epochs: int = 4
     """Passes over the samples of an update; each one costs a run of the LSTM."""
@@ -77,7 +128,7 @@ class RecurrentPPOConfig(OnPolicyConfig):
     """Units of the layers after the LSTM."""
 
     lstm_hidden: int = 64
-    """Units of the LSTM, which the value shares; a dozen hidden parameters need no more."""
+    """Units of the action's LSTM; the value has none. A dozen hidden parameters need no more."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +137,7 @@ class OffPolicyConfig:
 
     scaled: ClassVar[bool] = False  # scaled, SAC and TD3 had learned nothing after 150 000 steps
     smoothness: ClassVar[float] = 0.0  # with a price of changes TD3 learns nothing, SAC less
+    steps: ClassVar[int] = 300_000
 
     buffer_size: int = 300_000
     """Transitions kept, the latest 94 s of 64 vehicles; 75 MB with a blind agent."""
@@ -117,6 +169,9 @@ class OffPolicyConfig:
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers, for the policy and for the values."""
+
+    def __post_init__(self) -> None:
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -158,6 +213,8 @@ AgentConfig = PPOConfig | RecurrentPPOConfig | SACConfig | TD3Config | TQCConfig
 class StudentConfig:
     """A student of a teacher: how the inference of the hidden parameters is regressed."""
 
+    steps: ClassVar[int] = 500_000
+
     n_steps: int = 64
     """Control steps per vehicle between two regressions."""
 
@@ -175,3 +232,6 @@ class StudentConfig:
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers."""
+
+    def __post_init__(self) -> None:
+        check(self)

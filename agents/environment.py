@@ -17,15 +17,16 @@ from agents.privileged import TEACHER, Privileged, TruthfulVectorEnv
 from agents.reward import ScaledReward, TrainingReward
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import PolicyContext
+from tracked_env.configuration import EnvConfig, make_solver
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sb3 import make_vec_env
 from tracked_env.sensors import make_sensors
-from tracked_env.validation import name_or_json
+from tracked_env.validation import checked_keys, name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 Vehicles = gymnasium.vector.VectorEnv[Any, Any, Any]
 
-CONTROL_PERIOD = 0.02  # [s] of the environments; no option of train.py changes it
+FIRST_SEED, ROWS, TRAININGS = 2**24, 2**16, 2**15  # of trainings, and how far apart they are
 # `mixture` of uncertainty: everything that the benchmark calls in distribution; `ood` stays out.
 MIXTURE = {
     TORQUE_ID: (
@@ -46,6 +47,7 @@ SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
 }
 # What an environment draws from where its registration does not say so.
 _DEFAULTS = {"uncertainty": "soil-and-mass", "sensors": "rtk", "reference": "random"}
+_OPTIONS = ("uncertainty", "sensors", "reference", "duration", "lateral")  # of train.py
 
 
 def _named(known: Mapping[str, Any], env: str) -> Any:
@@ -74,14 +76,31 @@ def defaults_of(env: str) -> dict[str, Any]:
     return {**_DEFAULTS, **gymnasium.spec(env).kwargs}
 
 
-def driven(env: str) -> dict[str, Any]:
-    """What a policy must know of an environment id: its drive and its vehicle."""
-    return {k: v for k, v in defaults_of(env).items() if k in ("drive", "vehicle")}
+def driven(env: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """What a policy must know of an environment id and its arguments: drive and vehicle."""
+    made = {**defaults_of(env), **arguments}
+    return {name: made[name] for name in ("drive", "vehicle") if name in made}
 
 
-def contact_length(env: str) -> float:
-    """Of the nominal vehicle of an environment id [m]."""
-    return VEHICLES[defaults_of(env).get("vehicle", "strawa")].contact_length
+def control_period(env: str, arguments: Mapping[str, Any]) -> float:
+    """Of an environment id with arguments [s]. Raises ValueError for arguments that are wrong."""
+    made = {**defaults_of(env), **arguments}
+    known = {name: made[name] for name in EnvConfig._fields if name in made}
+    return make_solver(EnvConfig(**known)).control_period
+
+
+def _further(text: str | None, env: str) -> Mapping[str, Any]:
+    """Arguments without an option of their own, from JSON. Raises ValueError."""
+    given = name_or_json(text, "env-args")
+    for name in _OPTIONS:
+        if isinstance(given, Mapping) and name in given:
+            raise ValueError(f"--env-args: {name} has an option of its own, --{name}")
+    further = checked_keys("--env-args", given, sorted({*EnvConfig._fields} - {*_OPTIONS}))
+    try:
+        control_period(env, further)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"--env-args {text}: {error}") from error
+    return further
 
 
 def environment_arguments(config: Any) -> dict[str, Any]:
@@ -96,7 +115,8 @@ def environment_arguments(config: Any) -> dict[str, Any]:
         "reference": name_or_json(config.reference, "reference"),
     }
     chosen = {key: defaults[key] if value is None else value for key, value in given.items()}
-    return {**chosen, "duration": config.duration, "lateral": config.lateral}
+    further = _further(config.env_args, config.env)
+    return {**chosen, "duration": config.duration, "lateral": config.lateral, **further}
 
 
 class Part(NamedTuple):
@@ -111,24 +131,35 @@ class Part(NamedTuple):
 def parts_of(config: Any, arguments: Mapping[str, Any], count: int) -> list[Part]:
     """`count` rows, shared among the kinds of sensors. Raises ValueError."""
     given = arguments["sensors"]
-    known = driven(config.env)
+    period, known = control_period(config.env, arguments), driven(config.env, arguments)
     kinds = given if isinstance(given, list) else [given]
     counts = shares(count, len(kinds))
     firsts = accumulate(counts, initial=0)
     return [
         Part(
             {**arguments, "sensors": sensors},
-            PolicyContext(CONTROL_PERIOD, config.lateral, make_sensors(sensors), **known),
+            PolicyContext(period, config.lateral, make_sensors(sensors), **known),
             *where,
         )
         for sensors, *where in zip(kinds, counts, firsts, strict=False)  # one more of `firsts`
     ]
 
 
+def random_seed(seed: int) -> int:
+    """Of everything random in the training number `seed`; its row i is seeded that + i.
+
+    Trainings share no episode with one another, with the held-out ones or with the benchmark's,
+    whose seeds are below FIRST_SEED. Raises ValueError for a number out of range.
+    """
+    if not 0 <= seed < TRAININGS:
+        raise ValueError(f"seed = {seed}; must be in [0, {TRAININGS})")
+    return FIRST_SEED + ROWS * seed
+
+
 def joined(parts: Sequence[VecEnv], seed: int) -> VecEnv:
-    """All parts as one; row i is seeded seed + i."""
+    """All parts as one, of the training number `seed`."""
     env = parts[0] if len(parts) == 1 else JoinedVecEnv(parts)
-    env.seed(seed)
+    env.seed(random_seed(seed))
     return env
 
 
@@ -137,7 +168,7 @@ def make_part(config: Any, part: Part) -> VecEnv:
     memory: Memory
     arguments = part.arguments
     if config.memory == TEACHER:
-        memory = Privileged(part.rows, CONTROL_PERIOD)
+        memory = Privileged(part.rows, part.context.control_period)
         arguments = {**arguments, "expose_truth": True}
     else:
         memory = make_memory(config.memory, config.memory_options, part.context, part.rows)
@@ -145,7 +176,7 @@ def make_part(config: Any, part: Part) -> VecEnv:
     def wrapper(env: Vehicles) -> AgentVectorEnv:
         if isinstance(memory, Privileged):
             env = TruthfulVectorEnv(env, memory)
-        precision = config.precision * contact_length(config.env)
+        precision = config.precision * VEHICLES[part.context.vehicle].contact_length
         return AgentVectorEnv(TrainingReward(env, precision, config.change_price), memory)
 
     return make_vec_env(config.env, part.rows, None, arguments, False, wrapper, config.staggered)
@@ -167,8 +198,9 @@ def make_taught(config: Any, arguments: Mapping[str, Any]) -> tuple[VecEnv, list
     """
     made, truths = [], []
     for part in parts_of(config, {**arguments, "expose_truth": True}, config.vehicles):
-        truth = Privileged(part.rows, CONTROL_PERIOD)
-        history = History(part.rows, CONTROL_PERIOD, tuple(config.lags))
+        period = part.context.control_period
+        truth = Privileged(part.rows, period)
+        history = History(part.rows, period, tuple(config.lags))
 
         def wrapper(
             env: Vehicles, truth: Privileged = truth, history: History = history

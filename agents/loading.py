@@ -3,7 +3,7 @@
 `recipe.json` inside the archive says what surrounds the network: algorithm, kind of memory and
 its options, normalisation, control period; and how the agent came about: configuration, steps,
 seconds, versions, machine, command. An archive without it, from `model.save` of any of the
-algorithms on the plain environment, is loaded as a blind agent.
+algorithms on the plain environment, is loaded as a blind agent, with a notice.
 
 Loading unpickles what SB3 has pickled: open only archives that you trust.
 """
@@ -13,6 +13,7 @@ import io
 import json
 import shlex
 import sys
+import warnings
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -25,7 +26,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents import memory
 from agents.algorithms import ALGORITHMS
-from agents.environment import CONTROL_PERIOD, driven
+from agents.environment import control_period, driven
 from agents.inference import STUDENT, load_student
 from agents.policy import AgentPolicy, Normalisation, Predictor
 from agents.privileged import PRIVILEGED, TEACHER, TeacherPolicy, policy_of
@@ -39,6 +40,8 @@ RECIPE = "recipe.json"
 OPTIMISER = "optimizer.pth"  # how the entries of optimisers end
 FORMAT = 1  # of the recipe
 _NEEDED = ("format", "algorithm", "memory", "memory_options", "normalisation", "control_period")
+# Files whose code is around every network; a change of one may change what an agent does.
+_AROUND = ("memory.py", "policy.py", "slip_memory.py", "held.py", "recurrent.py", "loading.py")
 # Order in which an archive without a recipe is tried: who is the pickiest comes first.
 _TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
 
@@ -50,6 +53,7 @@ def exact(config: Any) -> dict[str, Any]:
     others -= {STUDENT if student else config.agent.replace("-", "_")}
     kept = {name: value for name, value in asdict(config).items() if name not in others}
     kept["smoothness"] = config.change_price
+    kept["steps"], kept["evaluate_every"] = config.total_steps, config.evaluation_interval
     return dict(json.loads(json.dumps(kept, default=str)))
 
 
@@ -59,7 +63,7 @@ def recipe_of(config: Any, arguments: Mapping[str, Any]) -> dict[str, Any]:
         "algorithm": config.agent,
         "memory": config.memory,
         "memory_options": config.memory_options,
-        "control_period": CONTROL_PERIOD,
+        "control_period": control_period(config.env, arguments),
         "environment": {"id": config.env, **arguments},
         "config": exact(config),
         "versions": versions(),
@@ -144,10 +148,14 @@ def load_model(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
     """The model in an archive, of the first of `algorithms` that can load it. ValueError if none"""
     errors = []
     for name in algorithms:
-        try:
-            return ALGORITHMS[name][0].load(path, device="cpu")
-        except Exception as error:  # SB3 raises what happens to go wrong
-            errors.append(f"{name}: {type(error).__name__}: {str(error)[:200]}")
+        with warnings.catch_warnings():
+            # SB3 restores the class of the buffer that it has chosen itself, then warns of it.
+            ignored = r"`n_steps=\d+` is ignored because a custom `replay_buffer_class`"
+            warnings.filterwarnings("ignore", ignored, UserWarning)
+            try:
+                return ALGORITHMS[name][0].load(path, device="cpu")
+            except Exception as error:  # SB3 raises what happens to go wrong
+                errors.append(f"{name}: {type(error).__name__}: {str(error)[:200]}")
     raise ValueError(f"agent {path} cannot be loaded as {'; '.join(errors)}")
 
 
@@ -181,7 +189,7 @@ def agent_name(path: Path) -> str:
 def _fingerprint(path: Path, kind: str) -> str:
     """Digest of the archive and of the code around its network."""
     digest = hashlib.sha256(path.read_bytes())
-    for file in ("memory.py", "policy.py", "slip_memory.py", "held.py"):
+    for file in _AROUND:
         digest.update(Path(memory.__file__).with_name(file).read_bytes())
     if kind in (TEACHER, STUDENT):
         for file in ("privileged.py", "inference.py"):
@@ -189,6 +197,27 @@ def _fingerprint(path: Path, kind: str) -> str:
     if kind in ("estimates", "residual"):
         digest.update(source_fingerprint("baselines").encode())
     return digest.hexdigest()[:12]
+
+
+def _plain_recipe(path: Path) -> dict[str, Any]:
+    """What is taken for the recipe of an archive without one; says so on stderr.
+
+    Raises ValueError where the statistics of a normalisation lie beside it.
+    """
+    for beside in sorted(path.parent.glob("*.pkl")):
+        if "normal" in beside.name.lower():
+            raise ValueError(
+                f"agent {path} has no recipe, and {beside.name} beside it looks like a "
+                "normalisation (VecNormalize), which would not be applied. Train with train.py "
+                "--normalise, which puts it into the archive, or pass a policy that normalises "
+                "as module:attribute"
+            )
+    print(
+        f"agent {path} has no recipe of train.py: taken as a blind agent, observations not "
+        "normalised",
+        file=sys.stderr,
+    )
+    return {"memory": "blind", "memory_options": {}, "normalisation": None}
 
 
 def agent_entry(path: Path) -> PolicyEntry:
@@ -201,12 +230,13 @@ def agent_entry(path: Path) -> PolicyEntry:
     recipe = read_recipe(path)
     plain = recipe is None
     if recipe is None:
-        recipe = {"memory": "blind", "memory_options": {}, "normalisation": None}
+        recipe = _plain_recipe(path)
     model = load_model(path, _TRIED if plain else (recipe["algorithm"],))
     kind, options = recipe["memory"], recipe["memory_options"]
     normalisation = normalisation_of(recipe)
     shown = getattr(model.observation_space, "shape", None)
-    known = driven(recipe.get("environment", {}).get("id", TORQUE_ID))
+    arguments = recipe.get("environment", {})
+    known = driven(arguments.get("id", TORQUE_ID), arguments)
     context = PolicyContext(recipe.get("control_period", 0.02), "sliding", **known)
     names = PRIVILEGED  # which a student hands to its teacher's network
     if kind not in (TEACHER, STUDENT):

@@ -216,15 +216,15 @@ def make_memory(
         return Blind(count, context.control_period)
     if kind == "history":
         return History(count, context.control_period, tuple(options.get("lags", LAGS)))
-    sheet = DataSheet.of(context.sensors)
+    sheet, vehicle = DataSheet.of(context.sensors), VEHICLES[context.vehicle]
     if context.drive == "speed":
-        driver = AdaptiveSlipPolicy(VEHICLES[context.vehicle], context.control_period, sheet)
+        driver = AdaptiveSlipPolicy(vehicle, context.control_period, sheet)
         if kind == "estimates":
             return SlipEstimates(driver, count)
         return SlipResidual(driver, count, options.get("scale", RESIDUAL_SCALE))
     if kind == "estimates":
-        return Estimates(None, context.control_period, sheet, count, context.lateral)
-    policy = AdaptivePolicy(None, context.control_period, sheet, context.lateral)
+        return Estimates(vehicle, context.control_period, sheet, count, context.lateral)
+    policy = AdaptivePolicy(vehicle, context.control_period, sheet, context.lateral)
     return Residual(policy, count, **options)
 
 

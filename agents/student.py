@@ -20,8 +20,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from agents import checkpoints
-from agents.configs import StudentConfig
-from agents.environment import HeldOut, make_held_out, make_taught
+from agents.configs import StudentConfig, check_buffer
+from agents.environment import HeldOut, make_held_out, make_taught, random_seed
 from agents.inference import WEIGHTS, StudentModel, make_inference, weights
 from agents.loading import load_teacher, normalisation_of, save_agent
 from agents.policy import AgentPolicy, Normalisation
@@ -30,10 +30,10 @@ from agents.training import Schedule, held_out_rmse, write_curve
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.store import write_atomically
 
-CURVE = ("steps", "seconds", "loss", "held_out_rmse")
+CURVE = ("steps", "seconds", "cpu_seconds", "loss", "held_out_rmse")
 _CHANGING = (  # attributes that change while it learns
     "_filled", "_observation", "_state", "_start", "curve", "best", "steps", "evaluated", "saved",
-    "spent",
+    "spent", "worked",
 )  # fmt: skip
 
 
@@ -73,7 +73,7 @@ class Student:
         self.held_out = held_out
         self.curve: list[tuple[float, ...]] = []
         self.best, self.steps, self.evaluated, self.saved = float("inf"), 0, 0, 0
-        self.spent = 0.0  # [s] on this training, in all processes
+        self.spent, self.worked = 0.0, 0.0  # [s] wall and processor time, in all processes
 
     @property
     def truth(self) -> Any:
@@ -151,6 +151,7 @@ class Student:
         Between a regression and the next samples a checkpoint is written, when one is due.
         """
         began, total = time.perf_counter() - self.spent, schedule.total
+        started = time.process_time() - self.worked
         while self.steps < total:
             before = self.steps
             loss = self.collect()
@@ -159,8 +160,9 @@ class Student:
             due = self.steps - self.evaluated >= schedule.evaluate_every or self.steps >= total
             rmse = held_out_rmse(self.policy, self.held_out) if due else float("nan")
             self.spent = time.perf_counter() - began
-            seconds = round(self.spent, 2)
-            self.curve.append((self.steps, seconds, round(loss, 5), rmse))
+            self.worked = time.process_time() - started
+            times = round(self.spent, 2), round(self.worked, 2)
+            self.curve.append((self.steps, *times, round(loss, 5), rmse))
             on_text(f"loss {loss:.3f}, held out {self.best:.3f} m")
             if due:
                 self.evaluated = self.steps
@@ -191,10 +193,11 @@ def make_student(
     config: of train.py. arguments: of the environment. captured: a checkpoint. Raises ValueError.
     """
     teacher, recipe = load_teacher(config.teacher)
+    check_buffer(config.student, config.vehicles)
     env, truths = make_taught(config, arguments)
     student = Student(
         env, truths, (teacher, normalisation_of(recipe)), tuple(config.lags), config.student,
-        config.seed, make_held_out(config, arguments),
+        random_seed(config.seed), make_held_out(config, arguments),
     )  # fmt: skip
     if captured is not None:
         student.resume(captured["student"])

@@ -1,8 +1,9 @@
 """One training: learn, look at held-out episodes now and then, keep the best, write checkpoints.
 
-Held-out episodes are seeded from HELD_OUT_SEED on; training and the benchmark's episodes have
-other seeds. They are driven in one batch, with the policy in its benchmark form, and draw
-nothing from the training's random streams: evaluating more often does not change the agent.
+Held-out episodes are seeded from HELD_OUT_SEED on; trainings (`environment.random_seed`) and the
+benchmark's episodes have other seeds. They are driven in one batch, with the policy in its
+benchmark form, and draw nothing from the training's random streams: evaluating more often does not
+change the agent.
 """
 
 import time
@@ -31,9 +32,9 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 Floats = NDArray[np.float64]
 
 HELD_OUT_SEED = 1_000_000
-CURVE = ("steps", "seconds", "mean_return", "held_out_rmse")
+CURVE = ("steps", "seconds", "cpu_seconds", "mean_return", "held_out_rmse")
 CURVE_ROWS = 200  # of a whole training, about
-CHECKPOINT_EVERY = 50_000  # [steps] where a buffer of samples is written too
+CHECKPOINT_EVERY = 20_000  # [steps] where a buffer of samples is written too
 
 
 @dataclass(frozen=True)
@@ -137,15 +138,21 @@ class Trainer(BaseCallback):
         self.curve: list[tuple[float, ...]] = []
         self.best, self.evaluated, self.saved, self.drawn = float("inf"), 0, 0, 0
         self.spent, self.evaluating = 0.0, 0.0  # [s] before this process, and in evaluations
+        self.worked = 0.0  # [s] of processor time before this process
         if captured is not None:
             for name, value in captured["trainer"].items():
                 setattr(self, name, value)
-        self._began = time.perf_counter()
+        self._began, self._started = time.perf_counter(), time.process_time()
 
     @property
     def seconds(self) -> float:
         """Time spent on this training so far, in all processes [s]."""
         return self.spent + time.perf_counter() - self._began
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Processor time of this training so far [s]: of one thread, its time on a free machine."""
+        return self.worked + time.process_time() - self._started
 
     @property
     def throughput(self) -> float:
@@ -169,7 +176,8 @@ class Trainer(BaseCallback):
 
     def _write_checkpoint(self) -> None:
         names = ("curve", "best", "evaluated", "saved", "drawn", "evaluating")
-        trainer = {**{name: getattr(self, name) for name in names}, "spent": self.seconds}
+        trainer = {name: getattr(self, name) for name in names}
+        trainer.update(spent=self.seconds, worked=self.cpu_seconds)
         state = {"recipe": self.recipe, "trainer": trainer}
         checkpoints.write(self.output, {**state, **checkpoints.capture(self.model)})
 
@@ -179,7 +187,8 @@ class Trainer(BaseCallback):
         returns = [float(info["r"]) for info in ended]
         mean = sum(returns) / len(returns) if returns else float("nan")
         self.drawn = self.model.num_timesteps
-        self.curve.append((self.drawn, round(self.seconds, 2), round(mean, 3), rmse))
+        times = round(self.seconds, 2), round(self.cpu_seconds, 2)
+        self.curve.append((self.drawn, *times, round(mean, 3), rmse))
         self.on_text(
             f"return {mean:.0f}" + (f", held out {self.best:.3f} m" if self.best < 1e9 else "")
         )
@@ -216,6 +225,18 @@ class Trainer(BaseCallback):
 
     def _on_training_end(self) -> None:
         self.evaluate()
+
+
+def learn(model: BaseAlgorithm, trainer: Trainer) -> bool:
+    """Train to the end of the trainer's schedule; False when interrupted."""
+    left = trainer.schedule.total - model.num_timesteps
+    if left <= 0:
+        return True
+    try:
+        model.learn(left, callback=trainer, reset_num_timesteps=model.num_timesteps == 0)
+    except KeyboardInterrupt:
+        return False
+    return True
 
 
 def checkpoint_interval(model: BaseAlgorithm, asked: int | None) -> int:

@@ -6,7 +6,8 @@
 Likewise with `--env tracked_env/Speed-v0` and results/speed-v0-v2-*. The README gets the table
 between the two markers of that environment, with what each agent cost to train, read from the
 curve.csv beside it. `agents/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE
-per seed and set with a 95 % bootstrap interval over the episodes; a test runs some of them again.
+per seed or controller and set with a 95 % bootstrap interval over the episodes; tests run some of
+them again, and ask whether each set separates the policies that it should.
 """
 
 import argparse
@@ -86,23 +87,31 @@ def table(board: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def seed_scores(results: dict[str, Any]) -> dict[str, Any]:
-    """{agent: {seed: {set: {iqm, low, high}}}} of everything with seeds, and the episodes."""
+def scores(results: dict[str, Any]) -> dict[str, Any]:
+    """IQM of the RMSE on each set, of every seed of every agent and of every controller.
+
+    {"episodes": count, "seeds": {agent: {seed: {set: {iqm, low, high}}}},
+    "controllers": {name: {set: {iqm, low, high}}}}.
+    """
     rmse: dict[tuple[str, str], list[float]] = defaultdict(list)
     for record in results["episodes"]:
-        if "@" in record["policy"]:
-            rmse[record["policy"], record["set"]].append(record["tracking_rmse"])
-    found: dict[str, Any] = {}
+        rmse[record["policy"], record["set"]].append(record["tracking_rmse"])
+    seeds: dict[str, Any] = {}
+    controllers: dict[str, Any] = {}
     for (policy, name), values in rmse.items():
         agent, _, seed = policy.partition("@")
         estimate = stats.estimate([np.array(values)])
-        found.setdefault(agent, {}).setdefault(seed, {})[name] = {
+        if seed:
+            place = seeds.setdefault(agent, {}).setdefault(seed, {})
+        else:
+            place = controllers.setdefault(agent, {})
+        place[name] = {
             "iqm": round(estimate.value, 5),
             "low": round(estimate.low, 5),
             "high": round(estimate.high, 5),
         }
     count = min((len(values) for values in rmse.values()), default=0)
-    return {"episodes": count, "seeds": found}
+    return {"episodes": count, "seeds": seeds, "controllers": controllers}
 
 
 def main() -> int:
@@ -128,8 +137,7 @@ def main() -> int:
     readme.write_text(text, encoding="utf-8")
     target = PRETRAINED / track / "scores.json"
     target.parent.mkdir(exist_ok=True)
-    scores = json.dumps(seed_scores(results), indent=1)
-    target.write_text(scores + "\n", encoding="utf-8")
+    target.write_text(json.dumps(scores(results), indent=1) + "\n", encoding="utf-8")
     print(f"README.md and {target} written")
     return 0
 

@@ -1,13 +1,18 @@
 """How fast the environment is, beside its peers measured in the same run.
 
-    python benchmarks/speed.py [--seconds 2.0] [--output FILE.md]
+    python benchmarks/speed.py [--seconds 2.0] [--training-steps 100000] [--output FILE.md]
 
 Every figure is the best of several repetitions (the machine's other work only ever slows a
 repetition down), rows are interleaved, and each comes with its ratio to a peer. Nothing is
 asserted: timings are for reading. `--output` also writes the table as Markdown.
+
+The row of a training runs train.py as it stands, with its default settings. It needs the extras
+`rl` and `cli`; without them it is left out, and that is said. `--training-steps 0` leaves it out.
 """
 
 import argparse
+import csv
+import io
 import os
 import platform
 import subprocess
@@ -15,6 +20,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import redirect_stdout
+from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,6 +37,10 @@ from tracked_env.physics.track_patches import make_patches
 
 TORQUE = tracked_env.TORQUE_ID
 REPETITIONS = 7
+TRAININGS = 3  # of which the fastest counts
+FREE_SHARE = 0.9  # of a core that a training uses on a free machine
+TRAINING = "PPO, 64 vehicles, with learner"
+ROOT = Path(__file__).resolve().parent.parent
 PLANT_STEPS = 1000  # of one call of the distributed plant: its overhead is below a percent
 
 
@@ -168,8 +179,54 @@ def start_up() -> tuple[float, float]:
     return times[0], min(times[1:])
 
 
+def training_seconds(steps: int) -> float:
+    """Seconds per environment step of train.py, learner and checkpoints included.
+
+    The best of TRAININGS of about `steps` steps (whole rollouts), without held-out episodes, after
+    a short one that loads what the first step needs. The clock of a training starts when its
+    environment and networks are there. Says so where other work held it up. Raises ImportError
+    where the extras are missing.
+    """
+    sys.path.insert(0, str(ROOT))
+    try:
+        import train
+    except SystemExit as reason:  # train.py says what is missing and how to get it
+        raise ImportError(str(reason)) from None
+    finally:
+        sys.path.remove(str(ROOT))
+    best, share = np.inf, 0.0
+    for turn in range(TRAININGS + 1):
+        began, worked = time.perf_counter(), time.process_time()
+        with tempfile.TemporaryDirectory() as output, redirect_stdout(io.StringIO()):
+            asked = steps if turn else 1
+            config = train.Config(steps=asked, held_out=0, quiet=True, output=Path(output, "ppo"))
+            if train.main(config) != 0:
+                raise RuntimeError("train.py failed; its message stands above")
+            with open(config.folder / "curve.csv", newline="") as file:
+                last = list(csv.DictReader(file))[-1]
+        if turn:
+            best = min(best, float(last["seconds"]) / float(last["steps"]))
+            core = (time.process_time() - worked) / (time.perf_counter() - began)
+            share = max(share, core)
+    if share < FREE_SHARE:
+        print(f"trainings had {share:.0%} of a core; repeat on a free machine", file=sys.stderr)
+    return float(best)
+
+
+def training_rows(steps: int) -> list[Row]:
+    """The row of a training; none, with a note, where the extras are missing or `steps` is 0."""
+    if steps <= 0:
+        return []
+    try:
+        seconds = training_seconds(steps)
+    except ImportError as error:
+        print(f"no row of a training: {error}", file=sys.stderr)
+        return []
+    return [Row(TRAINING, 1e6 * seconds, steps, "Torque-v0 vector, 64")]
+
+
 def measure(seconds: float) -> list[Row]:
-    """All rows, peers first."""
+    """All rows without PyTorch, peers first."""
     free = {"error_limit": 1e6}  # episodes end by time only
     singles = {
         "Pendulum-v1 step": (single_step("Pendulum-v1"), "Pendulum-v1 step"),
@@ -232,6 +289,12 @@ def markdown(rows: list[Row], cold: float, warm: float) -> str:
         )
     env = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
     memory = bytes_per_vehicle(env.simulation.batch) / 1024
+    learner = ""
+    if TRAINING in times:
+        learner = (
+            f" PPO: the default settings of train.py, fastest of {TRAININGS}, "
+            f"PyTorch {version('torch')}, Stable-Baselines3 {version('stable-baselines3')}."
+        )
     lines += [
         "",
         f"Memory of one vehicle: {memory:.1f} KiB (30 s episode). First step of a fresh process: "
@@ -239,7 +302,7 @@ def markdown(rows: list[Row], cold: float, warm: float) -> str:
         "",
         f"Python {platform.python_version()}, NumPy {np.__version__}, Gymnasium "
         f"{gymnasium.__version__}, {os.cpu_count()} cores ({platform.machine()}), one process, "
-        "50 Hz control, 8 RK4 sub-steps per step, two threads from 512 vehicles on.",
+        "50 Hz control, 8 RK4 sub-steps per step, two threads from 512 vehicles on." + learner,
     ]
     return "\n".join(lines)
 
@@ -248,10 +311,14 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--seconds", type=float, default=2.0, help="time spent per figure [s]")
+    parser.add_argument(
+        "--training-steps", type=int, default=100_000, help="of each training; 0 leaves its row out"
+    )
     parser.add_argument("--output", type=Path, help="also write the Markdown table to this file")
     arguments = parser.parse_args()
     cold, warm = start_up()
-    table = markdown(measure(arguments.seconds), cold, warm)
+    rows = measure(arguments.seconds) + training_rows(arguments.training_steps)
+    table = markdown(rows, cold, warm)
     print(table)
     if arguments.output:
         arguments.output.write_text(table + "\n")

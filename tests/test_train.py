@@ -67,6 +67,18 @@ def test_a_killed_training_goes_on_to_the_same_agent(trained, repository, tmp_pa
     assert same_parameters(trained / "last.zip", tmp_path / "last.zip")
 
 
+def test_a_loop_over_seeds_can_be_started_again(trained, repository):
+    arguments = ("--steps", "4096", "--output", str(trained), "--seed", "3")
+    written = (trained / "agent.zip").stat().st_mtime_ns
+    again = train(repository, *arguments, "--resume")
+    assert again.returncode == 0, again.stderr
+    assert again.stdout == f"already finished: {trained / 'agent.zip'}\n"
+    unasked = train(repository, *arguments)
+    assert unasked.returncode == 2
+    assert str(trained) in unasked.stderr and "--overwrite" in unasked.stderr
+    assert (trained / "agent.zip").stat().st_mtime_ns == written
+
+
 def test_evaluate_accepts_the_archive(trained, repository, tmp_path):
     call = [
         sys.executable, str(repository / "evaluate.py"), "--no-figures", "--episodes", "2",
@@ -84,6 +96,7 @@ def test_the_help_lists_what_there_is(repository):
     for name in (
         "recurrent-ppo", "residual", "--uncertainty", "--sensors", "--resume", "--tensorboard",
         "--normalise", "--sac.gradient-steps", "--tqc.tau", "horizon of one second",
+        "--overwrite", "--env-args", "1 000 000 for recurrent PPO", "a tenth of all",
     ):  # fmt: skip
         assert name in result.stdout
 
@@ -97,8 +110,9 @@ def test_the_help_lists_what_there_is(repository):
         (("--sensors", "mixture"), "2 vehicles or held-out episodes for 4 kinds of sensors"),
         (("--sensors", '{"pose_delay": -1}'), "pose_delay"),
         (("--memory", "residual", "--residual-scale", "0"), "must be in"),
-        (("--steps", "0"), "at least 1"),
         (("--env", "tracked_env/Nothing-v0"), "Nothing"),
+        (("--env-args", '{"plant": "lumpy"}'), "lumped"),
+        (("--agent", "sac", "--sac.buffer-size", "10"), "must be at least 32"),
     ],
 )
 def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, tmp_path, capsys):
@@ -111,3 +125,25 @@ def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, t
     assert main(config) == 2
     assert message in capsys.readouterr().err
     assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--steps", "0"), "steps = 0; must be in [1, inf)"),
+        (("--vehicles", "0"), "vehicles = 0; must be in [1, 65536]"),
+        (("--held-out", "-3"), "held_out = -3; must be in [0, 65536]"),
+        (("--ppo.batch-size", "0"), "ppo: batch_size = 0; must be in [2, inf)"),
+        (("--sac.n-steps", "0"), "sac: n_steps = 0; must be in [1, inf)"),
+    ],
+)
+def test_a_number_outside_its_limits_is_a_clear_error(arguments, message, tmp_path, capsys):
+    import tyro
+
+    from train import Config
+
+    with pytest.raises(SystemExit) as ended:
+        tyro.cli(Config, args=[*BUDGET, "--output", str(tmp_path / "none"), *arguments])
+    assert ended.value.code == 2
+    shown = capsys.readouterr()
+    assert message in shown.err and "Traceback" not in shown.err

@@ -10,6 +10,7 @@ from gymnasium.vector import VectorWrapper
 from agents.algorithms import ALGORITHMS
 from agents.loading import agent_entry, load_model, normalisation_of, read_recipe
 from agents.memory import KINDS, AgentVectorEnv, make_memory
+from agents.training import HELD_OUT_SEED
 from tests.agents.agent_cases import small
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
@@ -135,3 +136,28 @@ def test_the_archive_says_how_the_agent_came_about(tmp_path, monkeypatch):
     assert recipe["environment"]["uncertainty"][0] == "soil-and-mass"
     assert "ood" not in recipe["environment"]["uncertainty"]
     assert json.loads((tmp_path / "config.json").read_text())["config"] == recipe["config"]
+
+
+def test_trainings_share_no_episode_with_each_other_the_held_out_ones_or_the_benchmark(
+    tmp_path, monkeypatch
+):
+    seeded = []
+    original = TrackedVehicleVectorEnv._seed
+
+    def watched(self, chosen, seed):
+        seeds = [seed + i for i in chosen] if isinstance(seed, int) else list(seed or [])
+        seeded.extend(s for s in seeds if s is not None)
+        original(self, chosen, seed)
+
+    monkeypatch.setattr(TrackedVehicleVectorEnv, "_seed", watched)
+    used = {}
+    for seed, sensors in ((0, None), (1, ("rtk", "strawa"))):
+        seeded.clear()
+        config = small(tmp_path / str(seed), seed=seed, sensors=sensors, held_out=4, steps=64)
+        assert main(config) == 0
+        used[seed] = set(seeded)
+    benchmark, held_out = set(range(10_000)), set(range(HELD_OUT_SEED, HELD_OUT_SEED + 4))
+    assert used[0] & used[1] == held_out
+    trained = (used[0] | used[1]) - held_out
+    assert len(trained) == 8 and not trained & benchmark
+    assert main(small(tmp_path / "none", seed=-1)) == 2

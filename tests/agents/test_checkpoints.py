@@ -8,6 +8,7 @@ import pytest
 import train
 from agents import checkpoints
 from agents.algorithms import ALGORITHMS
+from agents.training import Trainer
 from tests.agents.agent_cases import parameters, same_parameters, small
 
 
@@ -18,7 +19,7 @@ class Killed(Exception):
 def killed_after(steps, config, monkeypatch):
     """Run a training until `steps`, then stop it in the middle of a rollout."""
     done = 0
-    original = train.Trainer._on_step
+    original = Trainer._on_step
 
     def step(trainer):
         nonlocal done
@@ -28,7 +29,7 @@ def killed_after(steps, config, monkeypatch):
         return original(trainer)
 
     with monkeypatch.context() as patch:
-        patch.setattr(train.Trainer, "_on_step", step)
+        patch.setattr(Trainer, "_on_step", step)
         with pytest.raises(Killed):
             train.main(config)
 

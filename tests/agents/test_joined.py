@@ -17,6 +17,7 @@ from agents.environment import (
     make_held_out,
     make_part,
     parts_of,
+    random_seed,
 )
 from agents.joined import JoinedVecEnv, shares
 from agents.loading import agent_entry, read_recipe
@@ -49,7 +50,7 @@ def test_a_joined_row_is_that_of_its_own_environment_bit_for_bit(kind, tmp_path)
     alone = []
     for part in parts_of(config, arguments, VEHICLES):
         alone.append((make_part(config, part), slice(part.first, part.first + part.rows)))
-        alone[-1][0].seed(config.seed + part.first)
+        alone[-1][0].seed(random_seed(config.seed) + part.first)
     shown = together.reset()
     for env, rows in alone:
         np.testing.assert_array_equal(env.reset(), shown[rows])
@@ -107,7 +108,7 @@ def test_the_rows_of_a_joined_environment_can_be_asked_and_seeded():
         return DummyVecEnv([lambda: gymnasium.make("Pendulum-v1")] * count)
 
     env, whole = joined([part(2), part(1)], 7), part(3)
-    whole.seed(7)
+    whole.seed(random_seed(7))
     np.testing.assert_array_equal(env.reset(), whole.reset())
     assert env.get_attr("g", [2]) == [10.0]
     env.set_attr("g", 1.0, [0, 2])

@@ -1,7 +1,9 @@
 """Archives of agents: plain ones of SB3 load, damaged and foreign ones are clear errors."""
 
 import json
+import warnings
 import zipfile
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -10,8 +12,9 @@ import torch
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 
+from agents import memory
 from agents.algorithms import ALGORITHMS
-from agents.loading import agent_entry
+from agents.loading import agent_entry, load_model
 from tests.agents.agent_cases import small
 from tracked_env import TORQUE_ID
 from tracked_env import observation as obs
@@ -29,16 +32,52 @@ def trained(tmp_path_factory):
 
 
 @pytest.mark.parametrize("algorithm", [PPO, SAC, TD3, TQC, RecurrentPPO])
-def test_an_archive_of_sb3_alone_is_loaded_as_a_blind_agent(algorithm, tmp_path):
+def test_an_archive_of_sb3_alone_is_loaded_as_a_blind_agent(algorithm, tmp_path, capsys):
     policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
     model = algorithm(policy, gymnasium.make(TORQUE_ID), device="cpu", seed=0)
     model.save(tmp_path / "mine.zip")
     entry = agent_entry(tmp_path / "mine.zip")
     assert entry.name == "mine"
+    (notice,) = capsys.readouterr().err.splitlines()
+    assert "mine.zip has no recipe" in notice
+    assert "blind agent, observations not normalised" in notice
     batch = np.random.default_rng(0).normal(size=(3, obs.SIZE)).astype(np.float32)
     action, _ = entry.make(CONTEXT).predict(batch)
     expected, _ = model.predict(batch, episode_start=np.ones(3, bool), deterministic=True)
     np.testing.assert_array_equal(action, expected)
+
+
+def test_an_archive_of_train_py_is_loaded_without_a_notice(trained, capsys):
+    (trained.parent / "vec_normalize.pkl").write_bytes(b"of something else")
+    agent_entry(trained)
+    assert capsys.readouterr().err == ""
+
+
+def test_an_archive_of_sb3_beside_a_normalisation_is_refused(tmp_path):
+    PPO("MlpPolicy", gymnasium.make(TORQUE_ID), device="cpu").save(tmp_path / "mine.zip")
+    (tmp_path / "policy.pkl").write_bytes(b"")
+    agent_entry(tmp_path / "mine.zip")
+    (tmp_path / "VecNormalize_final.pkl").write_bytes(b"")
+    with pytest.raises(ValueError, match=r"VecNormalize_final\.pkl.*--normalise.*module:attribute"):
+        agent_entry(tmp_path / "mine.zip")
+
+
+def test_loading_with_targets_of_several_rewards_is_quiet_of_that_alone(tmp_path, monkeypatch):
+    made = ALGORITHMS["sac"][0]
+    made("MlpPolicy", gymnasium.make(TORQUE_ID), n_steps=4, device="cpu").save(tmp_path / "a.zip")
+    load = made.load
+
+    def loud(*arguments, **options):
+        warnings.warn("`n_steps=4` is ignored because of the weather", UserWarning, stacklevel=1)
+        return load(*arguments, **options)
+
+    monkeypatch.setattr(made, "load", loud)
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("always")
+        assert load_model(tmp_path / "a.zip", ("sac",)).n_steps == 4
+    assert [str(warning.message) for warning in shown] == [
+        "`n_steps=4` is ignored because of the weather"
+    ]
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
@@ -122,3 +161,21 @@ def test_agents_are_called_after_their_folder_and_told_apart(trained, tmp_path):
     assert agent_entry(copy).fingerprint == entry.fingerprint
     assert main(small(tmp_path / "other", steps=128, seed=8)) == 0
     assert agent_entry(tmp_path / "other" / "agent.zip").fingerprint != entry.fingerprint
+
+
+def test_results_are_stored_apart_when_the_code_around_the_network_changes(
+    trained, tmp_path, monkeypatch
+):
+    source = Path(memory.__file__).parent
+    for path in source.glob("*.py"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    monkeypatch.setattr(memory, "__file__", str(tmp_path / "memory.py"))
+    found = {agent_entry(trained).fingerprint}
+    changed = ("memory", "policy", "slip_memory", "held", "recurrent", "loading")
+    for name in changed:
+        with (tmp_path / f"{name}.py").open("a") as file:
+            file.write("# changed")
+        found.add(agent_entry(trained).fingerprint)
+    assert len(found) == 1 + len(changed)
+    (tmp_path / "training.py").write_text("# of no influence on a trained agent")
+    assert agent_entry(trained).fingerprint in found

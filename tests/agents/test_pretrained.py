@@ -1,6 +1,7 @@
 """The shipped agents are what their table says: files, recipes, a score that comes out again."""
 
 import json
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,14 @@ import pytest
 
 pytest.importorskip("torch", reason="agents need the extra `rl`")
 
-from agents.loading import agent_entry, read_recipe
+import tyro
+
+from agents.loading import agent_entry, exact, read_recipe
 from tracked_env.benchmark import BenchmarkConfig, Store
 from tracked_env.benchmark.runner import run
+from tracked_env.benchmark.sets import default_sets
 from tracked_env.benchmark.statistics import interquartile_mean
+from train import Config
 
 FOLDER = Path(__file__).resolve().parents[2] / "agents" / "pretrained"
 AGENTS = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
@@ -36,8 +41,27 @@ def test_an_agent_comes_with_the_command_that_made_it_and_its_learning_curve(fol
     recipe = read_recipe(folder / "agent.zip")
     assert recipe is not None
     curve = np.genfromtxt(folder / "curve.csv", delimiter=",", names=True)
-    assert curve["steps"][-1] >= 250_000
+    assert curve["steps"][-1] >= config["config"]["steps"]  # trained to the end
     assert (folder / "agent.zip").stat().st_size < 1.2e6
+
+
+@pytest.mark.parametrize("folder", AGENTS, ids=["-".join(folder.parts[-2:]) for folder in AGENTS])
+def test_the_command_of_an_agent_says_its_whole_configuration(folder: Path) -> None:
+    """Defaults may have changed since; then the command makes another agent today."""
+    recipe = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+    today = exact(tyro.cli(Config, args=shlex.split(recipe["command"])[2:]))
+    for name in set(recipe["config"]) - {"output"}:
+        assert today[name] == recipe["config"][name], name
+
+
+@pytest.mark.parametrize("track", ["Torque-v0", "Speed-v0"])
+def test_every_set_separates_ignorance_from_knowledge(track: str) -> None:
+    scores = json.loads((FOLDER / track / "scores.json").read_text(encoding="utf-8"))
+    low, high = ("nominal", "oracle") if track == "Torque-v0" else ("uc", "slc-oracle")
+    ignorant, knowing = (scores["controllers"][name] for name in (low, high))
+    assert set(ignorant) == set(default_sets(f"tracked_env/{track}"))
+    for of_set in ignorant:
+        assert ignorant[of_set]["low"] > 1.2 * knowing[of_set]["high"], of_set
 
 
 @pytest.mark.parametrize("track, name, of_set", AGAIN)

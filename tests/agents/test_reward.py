@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.environment import environment_arguments, make_environment
+from agents.environment import environment_arguments, make_environment, random_seed
 from agents.loading import exact
 from agents.reward import ScaledReward, TrainingReward
 from tests.agents.agent_cases import small
@@ -63,10 +63,11 @@ def test_a_term_without_sense_is_a_clear_error(term, value):
 
 
 def test_the_learner_gets_rewards_whose_discounted_sum_is_a_mean_and_the_curve_plain_ones(tmp_path):
-    config = small(tmp_path, precision=0.0, smoothness=0.0)
+    config = small(tmp_path, precision=0.0, smoothness=0.0, staggered=False)
     arguments = environment_arguments(config)
     scaled = make_environment(config, arguments)
-    plain = make_vec_env(n_envs=config.vehicles, seed=config.seed, env_kwargs=arguments)
+    seed = random_seed(config.seed)
+    plain = make_vec_env(n_envs=config.vehicles, seed=seed, env_kwargs=arguments)
     scaled.reset()
     plain.reset()
     total = np.zeros(config.vehicles)
@@ -93,10 +94,11 @@ def test_a_horizon_without_end_is_a_clear_error(gamma):
 def test_agents_with_a_replay_buffer_pay_for_changes_only_when_told_to(
     agent, given, price, tmp_path
 ):
-    config = small(tmp_path, agent=agent, precision=0.0, smoothness=given)
+    config = small(tmp_path, agent=agent, precision=0.0, smoothness=given, staggered=False)
     arguments = environment_arguments(config)
     env = make_environment(config, arguments)
-    plain = make_vec_env(n_envs=config.vehicles, seed=config.seed, env_kwargs=arguments)
+    seed = random_seed(config.seed)
+    plain = make_vec_env(n_envs=config.vehicles, seed=seed, env_kwargs=arguments)
     env.reset()
     plain.reset()
     action = np.random.default_rng(1).uniform(-1.0, 1.0, (config.vehicles, 2)).astype(np.float32)

@@ -1,0 +1,124 @@
+"""Settings: defaults that suit the algorithm, and values that are refused at once."""
+
+import dataclasses
+
+import pytest
+
+from agents import configs
+from agents.algorithms import ALGORITHMS, make_model
+from agents.environment import environment_arguments, make_environment
+from agents.loading import exact
+from agents.student import make_student
+from tests.agents.agent_cases import ON_POLICY, small
+from train import Config, main
+
+ALL = [*(made[1] for made in ALGORITHMS.values()), configs.StudentConfig, Config]
+
+
+@pytest.mark.parametrize(
+    ("changes", "steps"),
+    [
+        ({}, 2_000_000),
+        ({"memory": "teacher"}, 2_000_000),
+        ({"agent": "recurrent-ppo"}, 1_000_000),
+        ({"agent": "sac"}, 300_000),
+        ({"agent": "td3"}, 300_000),
+        ({"agent": "tqc"}, 300_000),
+        ({"memory": "student"}, 500_000),
+    ],
+)
+def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, steps):
+    config = Config(**changes)
+    assert (config.total_steps, config.evaluation_interval) == (steps, steps // 10)
+    kept = exact(config)
+    assert (kept["steps"], kept["evaluate_every"]) == (steps, steps // 10)
+    given = Config(**changes, steps=5, evaluate_every=3)
+    assert (given.total_steps, given.evaluation_interval) == (5, 3)
+    assert Config(**changes, steps=5).evaluation_interval == 1
+
+
+@pytest.mark.parametrize("made", ALL)
+def test_defaults_are_within_the_limits_and_every_number_has_some(made):
+    made()
+    free = {"seed", "duration", "precision", "smoothness", "lags", "residual_scale"}  # elsewhere
+    numbers = {
+        field.name
+        for field in dataclasses.fields(made)
+        if isinstance(field.default, (int, float, tuple)) and not isinstance(field.default, bool)
+    }
+    assert numbers - free <= configs.LIMITS.keys()
+
+
+@pytest.mark.parametrize(
+    ("made", "changes", "message"),
+    [
+        (configs.PPOConfig, {"batch_size": 0}, r"batch_size = 0; must be in \[2, inf\)"),
+        (configs.PPOConfig, {"learning_rate": 0.0}, r"learning_rate = 0\.0; must be in \(0, inf\)"),
+        (configs.PPOConfig, {"learning_rate": float("nan")}, "learning_rate = nan"),
+        (configs.PPOConfig, {"hidden": (64, 0)}, r"hidden = \(64, 0\); must be in \[1, inf\)"),
+        (configs.RecurrentPPOConfig, {"lstm_hidden": 0}, "lstm_hidden = 0"),
+        (configs.SACConfig, {"n_steps": 0}, r"n_steps = 0; must be in \[1, inf\)"),
+        (configs.SACConfig, {"gamma": 1.0}, r"gamma = 1\.0; must be in \[0, 1\)"),
+        (configs.SACConfig, {"gamma": -0.1}, r"gamma = -0\.1"),
+        (configs.SACConfig, {"ent_coef": "many"}, "ent_coef = 'many'.* auto_ and a number"),
+        (configs.TD3Config, {"tau": 0.0}, r"tau = 0\.0; must be in \(0, 1\]"),
+        (configs.StudentConfig, {"gradient_steps": 0}, "gradient_steps = 0"),
+        (Config, {"vehicles": 0}, r"vehicles = 0; must be in \[1, 65536\]"),
+        (Config, {"held_out": -3}, r"held_out = -3; must be in \[0, 65536\]"),
+        (Config, {"steps": 0}, r"steps = 0; must be in \[1, inf\)"),
+        (Config, {"evaluate_every": 0}, "evaluate_every = 0"),
+        (Config, {"checkpoint_every": -1}, "checkpoint_every = -1"),
+        (Config, {"threads": 0}, "threads = 0"),
+    ],
+)
+def test_a_value_outside_its_limits_is_refused_with_name_value_and_range(made, changes, message):
+    with pytest.raises(ValueError, match=message):
+        made(**changes)
+
+
+def test_what_stable_baselines_allows_is_allowed():
+    for entropy in ("auto", "auto_0.1", "0.2", "0"):
+        configs.SACConfig(ent_coef=entropy)
+    configs.PPOConfig(ent_coef=0.0, gae_lambda=1.0, gamma=0.0, hidden=())
+    configs.OffPolicyConfig(learning_starts=0, tau=1.0)
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3", "tqc"])
+def test_a_buffer_holds_what_a_target_sums_of_all_vehicles(algorithm, tmp_path, capsys):
+    settings = ALGORITHMS[algorithm][1]
+    config = small(tmp_path / "none", agent=algorithm, **{algorithm: settings(buffer_size=15)})
+    assert main(config) == 2
+    message = "buffer_size = 15; must be at least 16: n_steps = 4 of 4 vehicles"
+    assert message in capsys.readouterr().err
+    assert not config.folder.exists()
+    env = make_environment(config, environment_arguments(config))
+    make_model(algorithm, settings(buffer_size=16), env, 0)
+
+
+def test_the_buffer_of_a_student_holds_what_it_drives_at_once(tmp_path):
+    assert main(small(tmp_path, memory="teacher", steps=128)) == 0
+    settings = configs.StudentConfig(buffer_size=255)
+    config = small(tmp_path / "student", memory="student", teacher=tmp_path / "agent.zip")
+    config = dataclasses.replace(config, student=settings)
+    with pytest.raises(ValueError, match="buffer_size = 255; must be at least 256"):
+        make_student(config, environment_arguments(config))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"vehicles": 1, "ppo": configs.PPOConfig(**{**ON_POLICY, "n_steps": 1})},
+            "ppo: `n_steps * n_envs` must be greater than 1",
+        ),
+        (
+            {"agent": "tqc", "tqc": configs.TQCConfig(ent_coef="auto_0")},
+            "tqc: The initial value of ent_coef must be greater than 0",
+        ),
+    ],
+)
+def test_what_stable_baselines_refuses_is_a_clear_error(changes, message, tmp_path, capsys):
+    config = small(tmp_path / "none", **changes)
+    assert main(config) == 2
+    assert message in capsys.readouterr().err
+    assert not config.folder.exists()

@@ -64,6 +64,15 @@ def test_every_set_separates_ignorance_from_knowledge(track: str) -> None:
         assert ignorant[of_set]["low"] > 1.2 * knowing[of_set]["high"], of_set
 
 
+def test_position_noise_separates_agents_that_filter_from_blind_ones() -> None:
+    scores = json.loads((FOLDER / "Torque-v0" / "scores.json").read_text(encoding="utf-8"))
+    blind, filtering = (
+        [of["noisy"] for of in scores["seeds"][name].values()]
+        for name in ("ppo-blind", "ppo-estimates")
+    )
+    assert min(of["low"] for of in blind) > 2.0 * max(of["high"] for of in filtering)
+
+
 @pytest.mark.parametrize("track, name, of_set", AGAIN)
 def test_a_score_that_was_published_comes_out_again(
     track: str, name: str, of_set: str, tmp_path: Path

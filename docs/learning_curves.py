@@ -43,7 +43,10 @@ def main() -> None:
         axes.plot(seeds[0][0][:count] / 1e6, median, color=colour, linewidth=1.8, label=agent)
     axes.set(xscale="log", yscale="log", xlabel="steps [million]")
     axes.set_ylabel("RMSE of the distance, held-out episodes [m]")
-    for axis, ticks in ((axes.xaxis, (0.2, 0.5, 1, 2)), (axes.yaxis, (0.03, 0.1, 0.3, 1, 3))):
+    for axis, ticks in (
+        (axes.xaxis, (0.05, 0.1, 0.2, 0.5, 1, 2)),
+        (axes.yaxis, (0.03, 0.1, 0.3, 1, 3)),
+    ):
         axis.set_major_locator(FixedLocator(ticks))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("")

@@ -44,7 +44,7 @@ def training_cost(agent: str, track: str) -> str:
     if not curves:
         return "-"
     seconds = np.mean([curve["cpu_seconds"][-1] for curve in curves])
-    return f"{curves[0]['steps'][-1] / 1e6:.1f} M steps, {seconds:.0f} s"
+    return f"{curves[0]['steps'][-1] / 1e6:.2g} M steps, {seconds:.0f} s"
 
 
 def estimate_text(estimate: dict[str, float], digits: int, seeds: int) -> str:

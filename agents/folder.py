@@ -79,7 +79,9 @@ def going_on(
     captured, notices = checkpoints.read(folder)
     for notice in notices:
         print(f"{notice}; going on from the one before", file=sys.stderr)
-    if captured is not None:
+    if captured is None:
+        _check_free(folder, finished)  # an agent without a checkpoint, of an older version
+    else:
         recorded = captured["recipe"]
     if "config" in recorded:
         _compare(recorded["config"], config, free)

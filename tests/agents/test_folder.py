@@ -71,9 +71,10 @@ def test_one_checkpoint_of_two_is_an_unfinished_training_too(finished, tmp_path,
     assert "holds an unfinished training: add --resume" in capsys.readouterr().err
 
 
-def test_an_agent_of_unknown_origin_is_not_overwritten(finished, tmp_path, capsys):
+@pytest.mark.parametrize("resume", [False, True])
+def test_an_agent_of_unknown_origin_is_not_overwritten(resume, finished, tmp_path, capsys):
     (tmp_path / "agent.zip").write_bytes(b"mine")
-    assert train.main(replace(finished, output=tmp_path)) == 2
+    assert train.main(replace(finished, output=tmp_path, resume=resume)) == 2
     assert "holds an agent" in capsys.readouterr().err
     assert (tmp_path / "agent.zip").read_bytes() == b"mine"
 

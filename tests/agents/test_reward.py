@@ -62,14 +62,20 @@ def test_a_term_without_sense_is_a_clear_error(term, value):
         TrainingReward(vehicles(), **{"precision": 0.15, term: value})
 
 
-def test_the_learner_gets_rewards_whose_discounted_sum_is_a_mean_and_the_curve_plain_ones(tmp_path):
-    config = small(tmp_path, precision=0.0, smoothness=0.0, staggered=False)
+def trained_and_plain(config):
+    """The environment of a training and a plain one, at the start of the same episodes."""
     arguments = environment_arguments(config)
-    scaled = make_environment(config, arguments)
     seed = random_seed(config.seed)
     plain = make_vec_env(n_envs=config.vehicles, seed=seed, env_kwargs=arguments)
-    scaled.reset()
+    trained = make_environment(config, arguments)
     plain.reset()
+    trained.reset()
+    return trained, plain
+
+
+def test_the_learner_gets_rewards_whose_discounted_sum_is_a_mean_and_the_curve_plain_ones(tmp_path):
+    config = small(tmp_path, precision=0.0, smoothness=0.0, staggered=False)
+    scaled, plain = trained_and_plain(config)
     total = np.zeros(config.vehicles)
     for _ in range(50):  # an episode of 1 s
         action = np.full((config.vehicles, 2), 0.2, np.float32)
@@ -95,12 +101,7 @@ def test_agents_with_a_replay_buffer_pay_for_changes_only_when_told_to(
     agent, given, price, tmp_path
 ):
     config = small(tmp_path, agent=agent, precision=0.0, smoothness=given, staggered=False)
-    arguments = environment_arguments(config)
-    env = make_environment(config, arguments)
-    seed = random_seed(config.seed)
-    plain = make_vec_env(n_envs=config.vehicles, seed=seed, env_kwargs=arguments)
-    env.reset()
-    plain.reset()
+    env, plain = trained_and_plain(config)
     action = np.random.default_rng(1).uniform(-1.0, 1.0, (config.vehicles, 2)).astype(np.float32)
     expected = plain.step(action)[1] - price * np.mean(action**2, axis=1)
     scale = 1.0 - config.settings.gamma if config.settings.scaled else 1.0

@@ -64,9 +64,9 @@ clean: clean-cache ## remove what tools and builds left (keeps results and the v
 	rm -rf *.egg-info
 
 clean-cache: ## remove compiled code; needed after editing an inlined formula
-	find tracked_env baselines agents benchmarks tests \
+	find tracked_env baselines agents reproduce benchmarks tests \
 	  \( -name '*.nbi' -o -name '*.nbc' \) -type f -delete 2>/dev/null || true
-	find tracked_env baselines agents benchmarks tests \
+	find tracked_env baselines agents reproduce benchmarks tests \
 	  -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 	rm -rf __pycache__
 

@@ -23,7 +23,7 @@ try:
 except ImportError:
     sys.exit("evaluate.py needs tyro: run `make install`, or pip install 'tracked-env[cli]'")
 
-from baselines.policies import BY_DRIVE, POLICIES
+from baselines.registry import BY_DRIVE, POLICIES
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import (
     BenchmarkConfig,
@@ -35,8 +35,8 @@ from tracked_env.benchmark import (
     page,
     report,
 )
-from tracked_env.benchmark.loading import archives, load_policies, shipped_agents
-from tracked_env.benchmark.policies import PolicyEntry, checked_policy
+from tracked_env.benchmark.policy_interface import PolicyEntry, checked_policy
+from tracked_env.benchmark.policy_lookup import archives, load_policies, shipped_agents
 from tracked_env.benchmark.runner import pending, progress_bar, run
 from tracked_env.benchmark.sets import VERSION
 from tracked_env.benchmark.store import identity_hash
@@ -167,9 +167,9 @@ def draw(
     folder = store.folder
     try:
         if config.figures:
-            from tracked_env.benchmark import figures
+            from tracked_env.benchmark import episode_figures
 
-            files = figures.save_all(
+            files = episode_figures.save_all(
                 folder / "figures", store, records, benchmark.sets, benchmark.seed
             )
             print(f"{len(files)} figures in {folder / 'figures'}")
@@ -189,9 +189,9 @@ def reproduce(config: Config) -> int:
     Without matplotlib the page has no figures.
     """
     began = time.perf_counter()
-    paper = import_module(f"tracked_env.benchmark.{config.paper}")
+    paper = import_module(f"reproduce.{config.paper}")
     page, claims = (import_module(f"{paper.__name__}.{part}") for part in ("page", "claims"))
-    baseline = import_module(f"baselines.{config.paper}")
+    baseline = import_module(f"reproduce.{config.paper}.baseline_tools")
 
     def say(text: str) -> None:
         print(f"{time.perf_counter() - began:5.0f} s  {text}", flush=True)

@@ -17,7 +17,7 @@ from agents.privileged import TEACHER, Privileged, TruthfulVectorEnv
 from agents.reward import ScaledReward, TrainingReward
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import PolicyContext
-from tracked_env.configuration import EnvConfig, make_solver
+from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sb3 import make_vec_env
 from tracked_env.sensors import make_sensors

@@ -33,7 +33,7 @@ from agents.privileged import PRIVILEGED, TEACHER, TeacherPolicy, policy_of
 from tracked_env import TORQUE_ID
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext, PolicyEntry
-from tracked_env.benchmark.policies import source_fingerprint
+from tracked_env.benchmark.policy_interface import source_fingerprint
 from tracked_env.benchmark.store import machine, versions, write_atomically
 
 RECIPE = "recipe.json"

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from agents.held import HeldState
 from agents.slip_memory import SlipEstimates, SlipResidual
-from baselines.adaptive import AdaptivePolicy
-from baselines.adaptive_slip import AdaptiveSlipPolicy
-from baselines.estimators.measurement import DataSheet
+from baselines.estimators.sensor_samples import DataSheet
 from baselines.estimators.stack import FEATURES, Identification, IdentificationStack, features
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
 from tracked_env.physics.parameters import VEHICLES, PlantParameters

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.held import HeldState
-from baselines.adaptive_slip import AdaptiveSlipPolicy
+from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from tracked_env import observation as layout
 
 Floats = NDArray[np.float32]

@@ -24,7 +24,7 @@ from agents.loading import save_agent
 from agents.policy import Normalisation
 from agents.privileged import policy_of
 from tracked_env.benchmark import PolicyContext
-from tracked_env.benchmark.policies import Policy, needs_truth
+from tracked_env.benchmark.policy_interface import Policy, needs_truth
 from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.vector_env import TrackedVehicleVectorEnv

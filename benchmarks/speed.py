@@ -29,11 +29,11 @@ import gymnasium
 import numpy as np
 
 import tracked_env
-from baselines.adaptive import AdaptivePolicy
-from tracked_env.batch import bytes_per_vehicle
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from tracked_env.engine.columns import bytes_per_vehicle
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.speed_plant import hold_speeds
-from tracked_env.physics.track_patches import make_patches
+from tracked_env.physics.patch_dynamics import hold_speeds
+from tracked_env.physics.patch_forces import make_patches
 
 TORQUE = tracked_env.TORQUE_ID
 REPETITIONS = 7

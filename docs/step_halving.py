@@ -15,9 +15,7 @@ import numpy as np
 from numba import njit
 
 from tracked_env.physics.elementary import small_rotation
-from tracked_env.physics.integration import rk4_step
-from tracked_env.physics.parameters import PlantParameters, SoilParameters, plant_parameters
-from tracked_env.physics.torque_plant import (
+from tracked_env.physics.lumped_forces import (
     Motion,
     coefficients,
     constrained_accelerations,
@@ -26,6 +24,8 @@ from tracked_env.physics.torque_plant import (
     torque_decay,
     traction_limits,
 )
+from tracked_env.physics.parameters import PlantParameters, SoilParameters, plant_parameters
+from tracked_env.physics.rk4 import rk4_step
 
 CONTROL_PERIOD = 0.02  # [s] one torque demand
 DURATION = 5.0  # [s] of one manoeuvre

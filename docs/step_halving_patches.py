@@ -13,8 +13,8 @@ import math
 import numpy as np
 
 from tracked_env.physics.parameters import FIRM_FLOOR, FOCCHI_VEHICLE, plant_parameters
-from tracked_env.physics.speed_plant import hold_speeds
-from tracked_env.physics.track_patches import make_patches
+from tracked_env.physics.patch_dynamics import hold_speeds
+from tracked_env.physics.patch_forces import make_patches
 
 PERIOD = 0.02  # [s] one command
 LENGTHS = (5e-3, 2.5e-3, 1e-3, 0.5e-3)  # [s] of a step

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from baselines.adaptive import AdaptivePolicy
-from baselines.policies import POLICIES
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.registry import POLICIES
 from tracked_env.benchmark import PolicyContext
 from tracked_env.env import TrackedVehicleEnv
 

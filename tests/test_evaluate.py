@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.policies import POLICIES
+from baselines.registry import POLICIES
 from tracked_env import SPEED_ID
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.report import SEPARATION_RATIO

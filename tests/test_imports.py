@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-OURS = ("tracked_env", "baselines", "agents", "train", "evaluate", "tests", "benchmarks")
+OURS = (
+    "tracked_env", "baselines", "agents", "reproduce", "train", "evaluate", "tests", "benchmarks",
+)  # fmt: skip
 
 # Importer -> what it may import of OURS, and foreign packages that it may not import.
 # A module belongs to the longest prefix that fits.
@@ -16,8 +18,9 @@ ALLOWED = {
     "tracked_env": ("tracked_env",),
     "baselines": ("tracked_env.physics", "tracked_env.observation", "baselines"),
     "agents": ("tracked_env", "baselines", "agents"),
+    "reproduce": ("tracked_env", "baselines", "reproduce"),
     "train": ("tracked_env", "baselines", "agents"),
-    "evaluate": ("tracked_env", "baselines", "agents"),
+    "evaluate": ("tracked_env", "baselines", "agents", "reproduce"),
 }
 FORBIDDEN = {"baselines": ("gymnasium", "stable_baselines3")}  # a baseline never sees an env
 
@@ -87,13 +90,13 @@ def test_imports_follow_the_rules_of_the_layout(repository: Path) -> None:
         ("tracked_env/physics/state.py", "from tracked_env import observation"),
         ("tracked_env/physics/state.py", "from .. import observation"),
         ("tracked_env/physics/state.py", "import agents"),
-        ("tracked_env/env.py", "from baselines.controllers import lqr"),
+        ("tracked_env/env.py", "from baselines.linearizing import lqr"),
         ("tracked_env/env.py", "import importlib; importlib.import_module('baselines')"),
         ("tracked_env/benchmark/runner.py", "def f():\n    import agents.networks"),
-        ("baselines/controllers/lqr.py", "from tracked_env.env import TrackedVehicleEnv"),
-        ("baselines/controllers/lqr.py", "import tracked_env"),
-        ("baselines/controllers/lqr.py", "import gymnasium as gym"),
-        ("baselines/slip_model.py", "from agents import networks"),
+        ("baselines/linearizing/lqr.py", "from tracked_env.env import TrackedVehicleEnv"),
+        ("baselines/linearizing/lqr.py", "import tracked_env"),
+        ("baselines/linearizing/lqr.py", "import gymnasium as gym"),
+        ("baselines/slip/slip_models.py", "from agents import networks"),
         ("agents/networks.py", "import evaluate"),
         ("train.py", "from evaluate import main"),
         ("evaluate.py", "from tests.conftest import ROOT"),
@@ -110,9 +113,9 @@ def test_a_forbidden_import_is_found(file: str, line: str, tmp_path: Path) -> No
     [
         ("tracked_env/physics/state.py", "from . import parameters"),
         ("tracked_env/benchmark/runner.py", "from ..physics import state"),
-        ("baselines/controllers/lqr.py", "from tracked_env import observation"),
-        ("baselines/controllers/lqr.py", "from tracked_env.physics.state import VehicleState"),
-        ("baselines/controllers/lqr.py", "from baselines.slip_model import SlipModel"),
+        ("baselines/linearizing/lqr.py", "from tracked_env import observation"),
+        ("baselines/linearizing/lqr.py", "from tracked_env.physics.state import VehicleState"),
+        ("baselines/linearizing/lqr.py", "from baselines.slip.slip_models import SlipModel"),
         ("evaluate.py", "import tracked_env, baselines, agents"),
     ],
 )

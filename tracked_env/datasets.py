@@ -19,7 +19,7 @@ except ImportError as error:
     raise ImportError(f"{error}. Data sets need pip install 'tracked-env[data]'") from error
 
 from tracked_env import TORQUE_ID
-from tracked_env.benchmark.policies import Policy, needs_truth
+from tracked_env.benchmark.policy_interface import Policy, needs_truth
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 BATCH = 64  # [vehicles] driven together; no influence on the data

@@ -7,10 +7,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env import batch as b
 from tracked_env import observation as obs
-from tracked_env.configuration import EnvConfig
-from tracked_env.simulation import Simulation
+from tracked_env.engine import columns as b
+from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.simulation import Simulation
 from tracked_env.validation import checked_choice
 
 RENDER_MODES = ("human", "rgb_array")
@@ -80,7 +80,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
 
         `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
         `closure` ({parameter: value}), `reference`, `sensors`, `schedule` (a list of changes, see
-        `tracked_env.schedule`) and `start` ({offset_x, offset_y, offset_yaw, speed, yaw_rate}).
+        `tracked_env.events`) and `start` ({offset_x, offset_y, offset_yaw, speed, yaw_rate}).
         An unknown key is a ValueError.
 
         ## Info

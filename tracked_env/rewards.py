@@ -11,7 +11,7 @@ The sum lies in [-0.1, 1]: always better to stay on the path than to end the epi
 
 import math
 
-from tracked_env import batch as b
+from tracked_env.engine import columns as b
 from tracked_env.physics import state as s
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import PARAMETER_INDEX

@@ -2,7 +2,7 @@
 
 Three groups share a sampling clock each: `pose` (INS/GNSS), `inertial` (IMU), `drive`
 (sprocket encoders and torque sensors); the channels and error model are in
-`tracked_env.physics.measurement`. Presets:
+`tracked_env.physics.channels`. Presets:
     ideal   no error at all
     rtk     RTK-GNSS and a tactical IMU, the default
     strawa  the low-cost set of Strawa et al. (2021), section 5.2
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from tracked_env.physics.measurement import CHANNEL_COUNT, CHANNELS, GROUPS
+from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUPS
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_choice, checked_keys, checked_number
 

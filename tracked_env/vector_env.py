@@ -10,11 +10,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from tracked_env import batch as b
 from tracked_env import observation as obs
-from tracked_env.configuration import EnvConfig
+from tracked_env.engine import columns as b
+from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
-from tracked_env.simulation import Simulation
 from tracked_env.validation import checked_choice
 
 Bools = NDArray[np.bool_]

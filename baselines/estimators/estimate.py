@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.estimators.measurement import Measurement
+from baselines.estimators.sensor_samples import Measurement
 
 
 class Status(IntEnum):

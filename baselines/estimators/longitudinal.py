@@ -16,7 +16,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, DataSheet
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
 from baselines.estimators.two_parameters import (
     HOLDING,
     REJECTED,

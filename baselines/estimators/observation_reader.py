@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, POSE, Measurement
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, POSE, Measurement
 from tracked_env import observation as layout
+from tracked_env.physics.channels import CHANNEL_COUNT
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.measurement import CHANNEL_COUNT
 
 LONGEST_AGE = 1.0  # [s] older samples are not paired
 DELAY_RISE = 0.2  # [-] slope at which the delay of a group follows ages that stay up

@@ -15,11 +15,11 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
-from baselines.estimators import slip_model
+from baselines.estimators import slip_kinematics
 from baselines.estimators import slip_step as step
 from baselines.estimators.dead_reckoning import Way
-from baselines.estimators.measurement import Measurement
-from baselines.estimators.slip_model import ROWS, STATES, Constants, Inputs
+from baselines.estimators.sensor_samples import Measurement
+from baselines.estimators.slip_kinematics import ROWS, STATES, Constants, Inputs
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.slip_unscented import BETA, SPREAD
 from tracked_env.physics.jit import formula, loop
@@ -58,7 +58,7 @@ def process_point(point, _period, link, constants):
     """f of one sigma point (STATES,)."""
     k = _constants(constants)
     moved = point.copy()
-    moved[0], moved[1], moved[2] = slip_model.process(
+    moved[0], moved[1], moved[2] = slip_kinematics.process(
         point[0], point[1], point[2], point[3], point[4], point[5], _inputs(link), k
     )
     return moved
@@ -69,7 +69,7 @@ def measured_point(point, link, constants):
     """h of one sigma point: z (3,) or (ROWS,)."""
     k = _constants(constants)
     z = np.empty(ROWS)
-    z[0], z[1], z[2], z[3], z[4], z[5] = slip_model.measured(
+    z[0], z[1], z[2], z[3], z[4], z[5] = slip_kinematics.measured(
         point[0], point[1], point[2], point[3], point[4], point[5],
         _inputs(link), _way(link, _WAY), _way(link, _GYRO), k,
     )  # fmt: skip
@@ -88,7 +88,7 @@ def begin(memory, i, values, fresh, constants, link, x, p):
 @loop
 def process_noise(yaw, constants, link, noise):
     """Q of this step into noise (STATES, STATES)."""
-    slip_model.fill_process_noise(noise, yaw, _inputs(link), _constants(constants))
+    slip_kinematics.fill_process_noise(noise, yaw, _inputs(link), _constants(constants))
 
 
 @loop

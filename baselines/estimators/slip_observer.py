@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
-from baselines.estimators import dead_reckoning, slip_model, slip_unscented
+from baselines.estimators import dead_reckoning, slip_kinematics, slip_unscented
 from baselines.estimators import slip_step as step
 from baselines.estimators.estimate import Estimate
-from baselines.estimators.measurement import DataSheet, Measurement
-from baselines.estimators.slip_model import ROWS, STATES
+from baselines.estimators.sensor_samples import DataSheet, Measurement
+from baselines.estimators.slip_kinematics import ROWS, STATES
+from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS
 from tracked_env.physics.jit import loop
-from tracked_env.physics.measurement import CHANNEL_COUNT, GROUPS
 from tracked_env.physics.parameters import RANGES, PlantParameters
 
 FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
@@ -31,7 +31,7 @@ def forget(memory, rows):
         memory[i, :] = 0.0
         memory[i, step.HELD_L] = memory[i, step.HELD_R] = step.LARGEST_READING
         for a in range(STATES):
-            memory[i, step.COVARIANCE + (STATES + 1) * a] = slip_model.largest_variance(a)
+            memory[i, step.COVARIANCE + (STATES + 1) * a] = slip_kinematics.largest_variance(a)
 
 
 @loop
@@ -40,15 +40,15 @@ def motion_all(memory, k, motion):
     for i in range(memory.shape[0]):
         belt_left, belt_right = memory[i, step.BELT_L], memory[i, step.BELT_R]
         slip_left, slip_right = (
-            memory[i, step.STATE + slip_model.SLIP_LEFT],
-            memory[i, step.STATE + slip_model.SLIP_RIGHT],
+            memory[i, step.STATE + slip_kinematics.SLIP_LEFT],
+            memory[i, step.STATE + slip_kinematics.SLIP_RIGHT],
         )
-        alpha = memory[i, step.STATE + slip_model.SIDE_SLIP]
-        u = slip_model.make_inputs(
+        alpha = memory[i, step.STATE + slip_kinematics.SIDE_SLIP]
+        u = slip_kinematics.make_inputs(
             belt_left, belt_right, belt_left, belt_right, slip_left, slip_right, alpha, k
         )
-        left, right, tangent = slip_model.gains(slip_left, slip_right, alpha, u)
-        velocity = slip_model.body_velocity(left, right, belt_left, belt_right, tangent, k)
+        left, right, tangent = slip_kinematics.gains(slip_left, slip_right, alpha, u)
+        velocity = slip_kinematics.body_velocity(left, right, belt_left, belt_right, tangent, k)
         for a in range(3):
             motion[i, a] = memory[i, step.STATE + a]
             motion[i, 3 + a] = velocity[a]
@@ -88,7 +88,7 @@ class SlipObserver:
     Raises ValueError for arguments outside their range.
     """
 
-    names = slip_model.NAMES
+    names = slip_kinematics.NAMES
 
     def __init__(
         self,
@@ -119,7 +119,7 @@ class SlipObserver:
         self.velocity = bool(velocity)
         rows = ROWS if velocity else 3
         gate = float(chi2.isf(FALSE_ALARM, rows))
-        self._constants = slip_model.make_constants(
+        self._constants = slip_kinematics.make_constants(
             parameters, self.control_period, data_sheet, drifts, gate, rows
         )
         self._slots = dead_reckoning.slots_for(longest_delay, self.control_period)
@@ -176,11 +176,11 @@ class SlipObserver:
     @property
     def slips(self) -> NDArray[np.float64]:
         """(N, 2) i_L, i_R [-]."""
-        return self.memory[:, step.STATE + slip_model.SLIP_LEFT :][:, :2].copy()
+        return self.memory[:, step.STATE + slip_kinematics.SLIP_LEFT :][:, :2].copy()
 
     @property
     def slip_variances(self) -> NDArray[np.float64]:
         """(N, 2) variances of i_L, i_R [-]."""
-        left = step.COVARIANCE + (STATES + 1) * slip_model.SLIP_LEFT
-        right = step.COVARIANCE + (STATES + 1) * slip_model.SLIP_RIGHT
+        left = step.COVARIANCE + (STATES + 1) * slip_kinematics.SLIP_LEFT
+        right = step.COVARIANCE + (STATES + 1) * slip_kinematics.SLIP_RIGHT
         return self.memory[:, [left, right]]

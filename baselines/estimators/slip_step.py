@@ -18,10 +18,10 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2. [2] O. K.
 
 import math
 
-from baselines.estimators import dead_reckoning, slip_model
+from baselines.estimators import dead_reckoning, slip_kinematics
 from baselines.estimators.dead_reckoning import Way
-from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, POSE
-from baselines.estimators.slip_model import (
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, POSE
+from baselines.estimators.slip_kinematics import (
     BELT_SIGMAS,
     PRIOR_SIDE_SLIP,
     PRIOR_SLIP,
@@ -118,7 +118,7 @@ def take_drive(memory, i, values, fresh, x, p, k):
         memory[i, HELD_R] = 0.0 if fresh[i, DRIVE] else memory[i, HELD_R]
     if not (seen_left and seen_right):
         memory[i, SKIPPED] += 1.0
-    return slip_model.make_inputs(
+    return slip_kinematics.make_inputs(
         last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
         x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP], k,
     )  # fmt: skip
@@ -127,7 +127,7 @@ def take_drive(memory, i, values, fresh, x, p, k):
 @formula
 def reckon(memory, i, slots, yaw, u, k):
     """Add the step's way, with heading `yaw` [rad] in its middle."""
-    way = slip_model.step_way(yaw, memory[i, BELT_L], memory[i, BELT_R], u, k)
+    way = slip_kinematics.step_way(yaw, memory[i, BELT_L], memory[i, BELT_R], u, k)
     dead_reckoning.push(memory, i, RING, slots, way)
 
 
@@ -144,8 +144,8 @@ def _moment(memory, i, slots, steps, k):
     return (
         way.belt_left,
         way.belt_right,
-        slip_model.instrument(way.instrument_left, way.belt_left, k),
-        slip_model.instrument(way.instrument_right, way.belt_right, k),
+        slip_kinematics.instrument(way.instrument_left, way.belt_left, k),
+        slip_kinematics.instrument(way.instrument_right, way.belt_right, k),
     )
 
 
@@ -167,10 +167,10 @@ def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
         0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         *_moment(memory, i, slots, _steps(age[i, INERTIAL], k) - drive, k),
     )  # fmt: skip
-    slip_model.fill_measurement_noise(noise, u, way, gyro, pose, k)
-    expected = slip_model.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, way, gyro, k)
+    slip_kinematics.fill_measurement_noise(noise, u, way, gyro, pose, k)
+    expected = slip_kinematics.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, way, gyro, k)
     z[0], z[1] = values[i, 0], values[i, 1]
-    z[2] = expected[2] + slip_model.wrapped(values[i, 2] - expected[2])
+    z[2] = expected[2] + slip_kinematics.wrapped(values[i, 2] - expected[2])
     z[3], z[4], z[5] = values[i, 3], values[i, 4], values[i, _YAW_RATE]
     missing = False
     for row in range(3, int(k.rows)):
@@ -180,7 +180,7 @@ def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
             z[row] = expected[row]
             noise[row, :] = 0.0
             noise[:, row] = 0.0
-            noise[row, row] = slip_model.IGNORED
+            noise[row, row] = slip_kinematics.IGNORED
     if missing:
         memory[i, SKIPPED] += 1.0
     return way, gyro
@@ -223,7 +223,7 @@ def bound(p):
     """Covariance symmetric, its variances within their bounds: P <- D P D."""
     for a in range(STATES):
         p[a, a] += JITTER
-        largest = slip_model.largest_variance(a)
+        largest = slip_kinematics.largest_variance(a)
         if p[a, a] > largest:
             shrink = math.sqrt(largest / p[a, a])
             for b in range(a):
@@ -283,10 +283,10 @@ def finish(memory, i, x, p, root, u, used, outcome):
     x[SLIP_RIGHT] = min(max(x[SLIP_RIGHT], -SLIP_LIMIT), SLIP_LIMIT)
     x[SIDE_SLIP] = min(max(x[SIDE_SLIP], -SIDE_SLIP_LIMIT), SIDE_SLIP_LIMIT)
     bound(p)
-    if not slip_model.factorise(p, root, STATES, 1.0):
+    if not slip_kinematics.factorise(p, root, STATES, 1.0):
         # Rounding has used up the digits, after nonsense: keep the variances, drop the rest.
         for a in range(STATES):
-            variance = min(max(p[a, a], LOST_DIGITS), slip_model.largest_variance(a))
+            variance = min(max(p[a, a], LOST_DIGITS), slip_kinematics.largest_variance(a))
             p[a, :] = 0.0
             p[:, a] = 0.0
             p[a, a] = variance

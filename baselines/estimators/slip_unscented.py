@@ -20,9 +20,9 @@ import math
 
 import numpy as np
 
-from baselines.estimators import slip_model
+from baselines.estimators import slip_kinematics
 from baselines.estimators import slip_step as step
-from baselines.estimators.slip_model import ROWS, STATES
+from baselines.estimators.slip_kinematics import ROWS, STATES
 from tracked_env.physics.jit import formula, loop
 
 SPREAD = 0.6  # [-] alpha of the unscented transform
@@ -37,7 +37,7 @@ _C0 = 1.0 - STATES / _SCALE + (1.0 - SPREAD * SPREAD + BETA)  # first weight of 
 @loop
 def draw(x, p, root, points):
     """Sigma points (STATES, POINTS) of (x, P)."""
-    slip_model.factorise(p, root, STATES, _SCALE)
+    slip_kinematics.factorise(p, root, STATES, _SCALE)
     for a in range(STATES):
         for j in range(POINTS):
             points[a, j] = x[a]
@@ -51,7 +51,7 @@ def predict(x, p, u, k, root, points, images):
     """(x, P) one step later, without Q. images (>= 3, POINTS) is scratch."""
     draw(x, p, root, points)
     for j in range(POINTS):
-        images[0, j], images[1, j], images[2, j] = slip_model.process(
+        images[0, j], images[1, j], images[2, j] = slip_kinematics.process(
             points[0, j], points[1, j], points[2, j],
             points[3, j], points[4, j], points[5, j], u, k,
         )  # fmt: skip
@@ -86,7 +86,7 @@ def compare(x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e):
     for j in range(POINTS):
         (
             images[0, j], images[1, j], images[2, j], images[3, j], images[4, j], images[5, j],
-        ) = slip_model.measured(
+        ) = slip_kinematics.measured(
             points[0, j], points[1, j], points[2, j],
             points[3, j], points[4, j], points[5, j], u, way, gyro, k,
         )  # fmt: skip
@@ -109,7 +109,7 @@ def compare(x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e):
             for j in range(1, POINTS):
                 total += images[a, j] * images[b, j]
             s[a, b] = noise[a, b] + _C * total + _C0 * images[a, 0] * images[b, 0]
-    slip_model.factorise(s, root, rows, 1.0)
+    slip_kinematics.factorise(s, root, rows, 1.0)
     pose_nis = nis = 0.0
     for a in range(rows):
         for m in range(a):
@@ -148,7 +148,7 @@ def update_all(values, fresh, age, k, slots, memory, value, covariance, summary,
         started = memory[i, step.STARTED] > 0.0
         yaw = x[2]
         if started:
-            slip_model.fill_process_noise(noise, yaw, u, k)
+            slip_kinematics.fill_process_noise(noise, yaw, u, k)
             predict(x, p, u, k, root, points, images)
             yaw = 0.5 * (yaw + x[2])
             for a in range(STATES):

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import soil_regression as sr
 from baselines.estimators.estimate import Estimate
-from baselines.estimators.measurement import DataSheet, Measurement
+from baselines.estimators.sensor_samples import DataSheet, Measurement
 from baselines.estimators.soil_window import DETERMINED, Sensing, update_all
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import loop

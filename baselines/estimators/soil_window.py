@@ -20,7 +20,7 @@ import math
 from typing import NamedTuple
 
 from baselines.estimators import soil_regression as sr
-from baselines.estimators.measurement import COLUMN, DRIVE, POSE
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, POSE
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
 

@@ -19,13 +19,13 @@ from baselines.estimators import least_squares as ls
 from baselines.estimators import stack_links as links
 from baselines.estimators.estimate import Estimate, Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.measurement import COLUMN, DataSheet
 from baselines.estimators.observation_reader import ObservationReader, Reading
+from baselines.estimators.sensor_samples import COLUMN, DataSheet
 from baselines.estimators.slip_observer import Motion, SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
 from tracked_env import observation as layout
-from tracked_env.physics import torque_plant as plant
+from tracked_env.physics import lumped_forces as plant
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
 
 # The UKF's slip errors hang together over some samples: variance counts that much more.

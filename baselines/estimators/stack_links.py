@@ -8,7 +8,7 @@ than the drive, the filter has already been pulled there.
 import math
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.measurement import COLUMN, POSE
+from baselines.estimators.sensor_samples import COLUMN, POSE
 from tracked_env.observation import INDEX
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import loop

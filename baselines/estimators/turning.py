@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Estimate
-from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, DataSheet
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
 from baselines.estimators.two_parameters import (
     HOLDING,
     P_12,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Estimate
-from baselines.estimators.measurement import DataSheet, Measurement
+from baselines.estimators.sensor_samples import DataSheet, Measurement
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
 

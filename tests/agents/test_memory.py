@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.memory import KINDS, LAGS, REMEMBERED, AgentVectorEnv, make_memory, seen
-from baselines.adaptive import AdaptivePolicy
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
 from tracked_env.sensors import make_sensors

@@ -17,7 +17,7 @@ from tests.agents.agent_cases import same_parameters, small
 from tests.agents.test_agents import STEPS, Recorded, as_evaluated
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
-from tracked_env.benchmark.policies import checked_policy, needs_truth
+from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
 from tracked_env.physics.parameters import plant_parameters
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from train import main

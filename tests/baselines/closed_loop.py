@@ -7,9 +7,9 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 
 from tracked_env import observation as layout
-from tracked_env.physics import torque_plant as plant
-from tracked_env.physics.integration import rk4_step
+from tracked_env.physics import lumped_forces as plant
 from tracked_env.physics.jit import loop
+from tracked_env.physics.rk4 import rk4_step
 
 SUB_STEP = 0.0025  # [s]
 RTK_NOISE = (0.02, math.radians(0.3), 0.03, 0.003)  # [m], [rad], [m/s], [rad/s]

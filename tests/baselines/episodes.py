@@ -14,7 +14,7 @@ LOST = 5.0  # [m] error after a termination
 
 
 def context(sensors=RTK, lateral="sliding"):
-    """What a factory of baselines.policies is told."""
+    """What a factory of baselines.registry is told."""
     return PolicyContext(PERIOD, lateral, sensors)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.controllers.feedback_linearization import FeedbackLinearizingController
+from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tests.baselines.closed_loop import RTK_NOISE, Path, drive, starts, steady
 from tracked_env.physics.parameters import plant_parameters
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from tracked_env.benchmark.policies import PolicyContext, PolicyEntry, PolicyFactory
+from tracked_env.benchmark.policy_interface import PolicyContext, PolicyEntry, PolicyFactory
 
 
 class Constant:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.benchmark.stub_policies import Constant
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.changes import (
     ABRUPT_TIME,
     CHANGING,
@@ -11,7 +12,6 @@ from tracked_env.benchmark.changes import (
     abrupt_changes,
     recovery,
 )
-from tracked_env.benchmark.configuration import BenchmarkConfig
 from tracked_env.benchmark.runner import drive
 
 PERIOD = 0.02  # [s]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tracked_env.benchmark import report
-from tracked_env.benchmark.identification import ESTIMATION_METRICS
+from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS
 
 EASY = np.linspace(0.04, 0.06, 16)

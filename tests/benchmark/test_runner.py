@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.policies import POLICIES
+from baselines.registry import POLICIES
 from tests.benchmark.stub_policies import Constant, Curious, Diverging, Truthful, entry
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import (
@@ -20,7 +20,7 @@ from tracked_env.benchmark import (
     run,
 )
 from tracked_env.benchmark.metrics import METRICS
-from tracked_env.benchmark.policies import PolicyContext, PolicyEntry
+from tracked_env.benchmark.policy_interface import PolicyContext, PolicyEntry
 from tracked_env.benchmark.runner import drive, pending
 from tracked_env.benchmark.shown import shown
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES

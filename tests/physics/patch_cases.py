@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracked_env.physics import track_patches
+from tracked_env.physics import patch_forces
+from tracked_env.physics.lumped_forces import Motion, coefficients, drive_limits
 from tracked_env.physics.parameters import FIRM_FLOOR, FOCCHI_VEHICLE, plant_parameters
-from tracked_env.physics.speed_plant import Belts, advance, contact_of, hold_speeds
-from tracked_env.physics.torque_plant import Motion, coefficients, drive_limits
-from tracked_env.physics.track_patches import make_patches, resistance
+from tracked_env.physics.patch_dynamics import Belts, advance, contact_of, hold_speeds
+from tracked_env.physics.patch_forces import make_patches, resistance
 
 PATCHES = make_patches()
 FOCCHI = plant_parameters(FOCCHI_VEHICLE, FIRM_FLOOR)
@@ -35,7 +35,7 @@ def parts(p, patches=PATCHES):
 
 def soil_resistance(motion, left, right, contact, patches=PATCHES):
     """`resistance` with a scratch array of its own."""
-    scratch = np.full((track_patches.SCRATCH_ROWS, track_patches.LANES), np.nan)
+    scratch = np.full((patch_forces.SCRATCH_ROWS, patch_forces.LANES), np.nan)
     return resistance(scratch, motion, left, right, contact, patches)
 
 
@@ -112,7 +112,7 @@ def drive_by_torque(moved, torques, p, steps, h, euler=False, patches=PATCHES, d
     """`Moved` after `steps` steps of the torque-driven plant from (pose, motion, belts)."""
     k, drive, contact = parts(p, patches)
     compliance = p.sprocket_radius**2 / p.sprocket_inertia
-    scratch = np.zeros((track_patches.SCRATCH_ROWS, track_patches.LANES))
+    scratch = np.zeros((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
     return advance(
         scratch, moved, Belts(*torques), Belts(*torques), decay, steps, h,
         (k, drive, contact, compliance), patches, euler,

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from tracked_env.physics.parameters import SoilParameters, plant_parameters
-from tracked_env.physics.torque_plant import (
+from tracked_env.physics.lumped_forces import (
     Motion,
     coefficients,
     constrained_accelerations,
@@ -15,6 +14,7 @@ from tracked_env.physics.torque_plant import (
     sliding_loads,
     traction_limits,
 )
+from tracked_env.physics.parameters import SoilParameters, plant_parameters
 
 CLAY = plant_parameters()
 SANDY_LOAM = SoilParameters(cohesion=9.65e3, friction_angle=math.radians(35.0))

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import fsolve
 
 from tests.physics.plant_cases import CLAY, SANDY_LOAM, model, random_cases
+from tracked_env.physics.lumped_forces import Motion, drive_limits, track_slip, track_speeds
 from tracked_env.physics.parameters import ClosureParameters, plant_parameters
-from tracked_env.physics.torque_plant import Motion, drive_limits, track_slip, track_speeds
 
 # --- sliding closure ------------------------------------------------------------------------
 

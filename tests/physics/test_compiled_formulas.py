@@ -9,24 +9,24 @@ from numba.core.registry import CPUDispatcher
 from tests.physics.patch_cases import FOCCHI, PATCHES, parts
 from tracked_env.physics import (
     elementary,
-    implicit_step,
-    integration,
+    lumped_forces,
     parameters,
-    speed_plant,
+    patch_dynamics,
+    patch_forces,
+    rk4,
+    rosenbrock,
     terramechanics,
-    torque_plant,
-    track_patches,
 )
+from tracked_env.physics.lumped_forces import Motion
 from tracked_env.physics.parameters import plant_parameters
-from tracked_env.physics.torque_plant import Motion
 
 CLAY = plant_parameters()
-DRIVE = torque_plant.drive_limits(CLAY)
-K = torque_plant.coefficients(CLAY, False)
-K_FIXED = torque_plant.coefficients(CLAY, True)
+DRIVE = lumped_forces.drive_limits(CLAY)
+K = lumped_forces.coefficients(CLAY, False)
+K_FIXED = lumped_forces.coefficients(CLAY, True)
 TURN = Motion(2.0, -0.013, 0.23)
 BACK = Motion(-0.03, 0.4, -1.7)
-LIMITS = torque_plant.traction_limits(TURN, K.half_gauge, DRIVE)
+LIMITS = lumped_forces.traction_limits(TURN, K.half_gauge, DRIVE)
 SOIL = (DRIVE.effort_maximum, DRIVE.shear_length)
 TORQUES = ((300.0, 2300.0), (-900.0, 7e3))
 LOADS = [(m, *t, k, LIMITS) for m in (TURN, BACK) for t in TORQUES for k in (K, K_FIXED)]
@@ -34,17 +34,17 @@ NUMBERS = (-650.3, -1.0, -1e-9, 0.0, 0.03, 0.7, 33.3)
 RK4_TORQUES = ((300.0, 2300.0), (310.0, 2290.0), (320.0, 2280.0))
 
 FLOOR, FLOOR_DRIVE, CONTACT = parts(FOCCHI)
-SCRATCH = np.zeros((track_patches.SCRATCH_ROWS, track_patches.LANES))
-BELTS = implicit_step.Belts(1.7, 2.3)
-RATES = implicit_step.Rates(1.0, -2.0, 0.5, 0.3, -4.0)
-OTHER_RATES = implicit_step.Rates(0.3, 0.1, -0.7, -2.0, 9.0)
+SCRATCH = np.zeros((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
+BELTS = rosenbrock.Belts(1.7, 2.3)
+RATES = rosenbrock.Rates(1.0, -2.0, 0.5, 0.3, -4.0)
+OTHER_RATES = rosenbrock.Rates(0.3, 0.1, -0.7, -2.0, 9.0)
 SHEAR = [(SCRATCH, m, *b, CONTACT, PATCHES) for m in (TURN, BACK) for b in (BELTS, (0.0, -1.0))]
-DRAGS = [track_patches.resistance(*arguments) for arguments in SHEAR]
+DRAGS = [patch_forces.resistance(*arguments) for arguments in SHEAR]
 COMPLIANCES = (0.0, 0.147)
 MOVES = [
     (
-        SCRATCH, (speed_plant.Pose(1.0, 2.0, 0.7, math.cos(0.7), math.sin(0.7)), m, BELTS),
-        implicit_step.Belts(20.0, -3.0), implicit_step.Belts(9.0, 0.5), decay, 3, 0.0025,
+        SCRATCH, (patch_dynamics.Pose(1.0, 2.0, 0.7, math.cos(0.7), math.sin(0.7)), m, BELTS),
+        rosenbrock.Belts(20.0, -3.0), rosenbrock.Belts(9.0, 0.5), decay, 3, 0.0025,
         (FLOOR, FLOOR_DRIVE, CONTACT, compliance), PATCHES, euler,
     )
     for m in (TURN, BACK) for decay in (0.0, 0.7) for compliance in COMPLIANCES
@@ -74,7 +74,7 @@ ARGUMENTS = {
         "resisting": [(v, f, 4267.0, 10.0) for f in (-9e3, 1e3) for v in NUMBERS],
         "lateral_friction": [(v, w, 5690.0, 2.0) for v in NUMBERS for w in NUMBERS],
     },
-    torque_plant: {
+    lumped_forces: {
         "drive_limits": [(CLAY,)],
         "track_speeds": [(TURN, 0.85)],
         "coefficients": [(CLAY, False), (CLAY, True)],
@@ -90,26 +90,26 @@ ARGUMENTS = {
         "track_slip": [(f, v, DRIVE) for f in (-5e4, 4e3) for v in NUMBERS],
         "kinetic_energy": [(TURN, CLAY)],
     },
-    integration: {
+    rk4: {
         "rk4_step": [
-            (torque_plant.sliding_accelerations, TURN, *RK4_TORQUES, K, LIMITS, 0.0025),
-            (torque_plant.constrained_accelerations, TURN, *RK4_TORQUES, K_FIXED, LIMITS, 0.0025),
+            (lumped_forces.sliding_accelerations, TURN, *RK4_TORQUES, K, LIMITS, 0.0025),
+            (lumped_forces.constrained_accelerations, TURN, *RK4_TORQUES, K_FIXED, LIMITS, 0.0025),
         ],
     },
     parameters: {"row_parameters": [(np.arange(40.0).reshape(2, 20), 1, 3)]},
-    track_patches: {"patch_count": [(PATCHES,)], "resistance": SHEAR},
-    implicit_step: {
+    patch_forces: {"patch_count": [(PATCHES,)], "resistance": SHEAR},
+    rosenbrock: {
         "damped": [(r, RATES, FLOOR, c, 0.001) for r in DRAGS for c in COMPLIANCES],
         "pushed": [(TURN, RATES, 0.01)],
         "combined": [(RATES, OTHER_RATES, 1.5, -0.5)],
         "departure": [(r, RATES, OTHER_RATES, FLOOR, c, 0.001) for r in DRAGS for c in COMPLIANCES],
     },
-    speed_plant: {
+    patch_dynamics: {
         "contact_of": [(FOCCHI, FLOOR, FLOOR_DRIVE, PATCHES)],
         "loads_of": [(r, m, BELTS, FLOOR) for r in DRAGS for m in (TURN, BACK)],
         "driving_torque": [(t, v, 0.25) for t in (-3.0, 7.0) for v in NUMBERS],
         "rates_of": [
-            (torque_plant.Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR,
+            (lumped_forces.Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR,
              FLOOR_DRIVE, c) for c in COMPLIANCES
         ],
         "advance": MOVES,
@@ -150,7 +150,7 @@ def test_the_loop_over_vehicles_equals_pure_python_bit_for_bit(euler):
     speeds, table = np.array([[3.0, 4.0], [0.0, -5.0]]), np.array([FOCCHI, CLAY])
     start = np.array([[1.0, 2.0, 0.7, 0.3, 0.0, 0.1], [0.0, 0.0, -3.0, -0.4, 0.2, 1.0]])
     results = []
-    for loop in (speed_plant.hold_speeds, speed_plant.hold_speeds.py_func):
+    for loop in (patch_dynamics.hold_speeds, patch_dynamics.hold_speeds.py_func):
         states, loads = start.copy(), np.zeros((2, 6))
         loop(states, speeds, table, PATCHES, 4, 0.0025, euler, loads)
         results.append(np.concatenate([states, loads], axis=1))
@@ -160,8 +160,8 @@ def test_the_loop_over_vehicles_equals_pure_python_bit_for_bit(euler):
 
 def test_the_resistance_of_the_soil_equals_pure_python_all_the_way_down(monkeypatch):
     inner = ("_place", "_columns", "_row", "_pair", "patch_count", "exponential", "rotation")
-    compiled = [track_patches.resistance(*arguments) for arguments in SHEAR]
+    compiled = [patch_forces.resistance(*arguments) for arguments in SHEAR]
     for name in inner:
-        monkeypatch.setattr(track_patches, name, getattr(track_patches, name).py_func)
+        monkeypatch.setattr(patch_forces, name, getattr(patch_forces, name).py_func)
     for arguments, expected in zip(SHEAR, compiled, strict=True):
-        assert track_patches.resistance.py_func(*arguments) == expected
+        assert patch_forces.resistance.py_func(*arguments) == expected

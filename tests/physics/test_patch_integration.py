@@ -18,11 +18,11 @@ from tests.physics.patch_cases import (
     soil_resistance,
     trajectory,
 )
-from tracked_env.physics.implicit_step import Belts
+from tracked_env.physics.lumped_forces import Motion
 from tracked_env.physics.parameters import HEAVY_CLAY, STRAWA_VEHICLE, VEHICLES, plant_parameters
-from tracked_env.physics.speed_plant import SPEED_DRIVEN, Pose, loads_of, rates_of
-from tracked_env.physics.torque_plant import Motion
-from tracked_env.physics.track_patches import make_patches
+from tracked_env.physics.patch_dynamics import SPEED_DRIVEN, Pose, loads_of, rates_of
+from tracked_env.physics.patch_forces import make_patches
+from tracked_env.physics.rosenbrock import Belts
 
 STRAWA = VEHICLES["strawa"]
 # Soft and easy to roll on: smooth at every step tried, and nothing that has a kink.

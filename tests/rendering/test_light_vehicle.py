@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from tests.rendering.picture_cases import CENTRED, Picture, driven, started
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.speed_plant import hold_speeds
+from tracked_env.physics.patch_dynamics import hold_speeds
 from tracked_env.rendering import Renderer, canvas, scene, sizes, snapshot
-from tracked_env.rendering.memory import Memory
+from tracked_env.rendering.afterglow import Memory
 
 FLOOR = {"plant": "distributed", "drive": "speed"}
 GENTLE = {"start": {**CENTRED, "speed": 0.3}}

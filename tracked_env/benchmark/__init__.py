@@ -1,8 +1,8 @@
 """Paired comparison of policies on named uncertainty sets; docs/evaluation.md shows its use."""
 
-from tracked_env.benchmark.configuration import BenchmarkConfig
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.frozen import check
-from tracked_env.benchmark.policies import (
+from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyContext,
     PolicyEntry,

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env import batch as b
-from tracked_env.benchmark.configuration import BenchmarkConfig
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.sets import EPISODES, SEED, SETS, VERSION
+from tracked_env.engine import columns as b
 from tracked_env.physics import state as s
 
 FILE = f"sets_{VERSION}.json"

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tracked_env.benchmark.changes import RECOVERED
-from tracked_env.benchmark.identification import ESTIMATION_METRICS
+from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.reliability import FEW_SEEDS
 from tracked_env.benchmark.statistics import Estimate

@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env import batch as b
-from tracked_env.benchmark import identification, metrics
+from tracked_env.benchmark import identification_metrics, metrics
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.changes import CHANGING
-from tracked_env.benchmark.configuration import BenchmarkConfig
-from tracked_env.benchmark.policies import (
+from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
     checked_policy,
@@ -28,7 +27,8 @@ from tracked_env.benchmark.policies import (
 )
 from tracked_env.benchmark.shown import shown
 from tracked_env.benchmark.store import Record, Store
-from tracked_env.episode import Episode
+from tracked_env.engine import columns as b
+from tracked_env.engine.episode import Episode
 from tracked_env.physics import state as s
 from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -103,7 +103,7 @@ def drive(
     env: TrackedVehicleVectorEnv,
     seeds: Sequence[int],
     on_step: Callable[[], None],
-    recorder: identification.Recorder | None = None,
+    recorder: identification_metrics.Recorder | None = None,
 ) -> tuple[metrics.Trace, float]:
     """Run one episode per seed to its end. Returns their trace and the time in `predict` [s].
 
@@ -158,7 +158,7 @@ def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progre
     env = config.environment(task.uncertainty_set, count, needs_truth(policy))
     recorder = None
     if identifies(policy):
-        recorder = identification.Recorder(count, env.simulation.settings.max_steps)
+        recorder = identification_metrics.Recorder(count, env.simulation.settings.max_steps)
     label = f"{task.uncertainty_set}: {task.policy.name}"
     reported, steps = 0, 0
 
@@ -182,13 +182,15 @@ def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progre
     beliefs = recorder.beliefs() if recorder is not None else None
     believed: list[dict[str, Any]] = [{}] * count
     if beliefs is not None:
-        believed = identification.evaluate(beliefs, trace)
+        believed = identification_metrics.evaluate(beliefs, trace)
     episodes: list[Record] = []
     for row, (episode, seed) in enumerate(zip(task.episodes, seeds, strict=True)):
         drawn = env.simulation.episodes[row]
         assert drawn is not None
         known = {"episode": episode, "seed": seed, "digest": episode_digest(drawn)}
-        values = {name: identification.optional(column[row]) for name, column in columns.items()}
+        values = {
+            name: identification_metrics.optional(column[row]) for name, column in columns.items()
+        }
         episodes.append({**known, "ended": endings[row], **values, **believed[row]})
     if task.episodes[0] == 0:
         store.save_trace(task.policy.name, task.uncertainty_set, shown(trace, beliefs))

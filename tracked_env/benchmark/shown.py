@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.benchmark.identification import Beliefs
+from tracked_env.benchmark.identification_metrics import Beliefs
 from tracked_env.benchmark.metrics import Trace, counted_error
 
 SHOWN_EPISODES = 4  # whose motion is kept in full

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark import reliability as rel
 from tracked_env.benchmark import statistics as stats
-from tracked_env.benchmark.identification import IdentificationSummary, mean_nis
-from tracked_env.benchmark.identification import summarise as summarise_beliefs
+from tracked_env.benchmark.identification_metrics import IdentificationSummary, mean_nis
+from tracked_env.benchmark.identification_metrics import summarise as summarise_beliefs
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record

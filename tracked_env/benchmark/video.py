@@ -7,8 +7,8 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from tracked_env.benchmark.configuration import BenchmarkConfig
-from tracked_env.benchmark.policies import (
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
     checked_policy,

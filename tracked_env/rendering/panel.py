@@ -7,8 +7,8 @@ import numpy as np
 import pygame
 
 from tracked_env.rendering import canvas, drives
+from tracked_env.rendering.afterglow import Memory
 from tracked_env.rendering.canvas import Text
-from tracked_env.rendering.memory import Memory
 from tracked_env.rendering.quantities import FRICTION, QUANTITIES, Quantity
 from tracked_env.rendering.scene import Points
 from tracked_env.rendering.snapshot import Snapshot

@@ -6,16 +6,16 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
+from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import SoilParameters
 from tracked_env.references import sample
 from tracked_env.rendering import canvas, legend, scene, sizes
-from tracked_env.rendering.memory import Memory
+from tracked_env.rendering.afterglow import Memory
 from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
 from tracked_env.rendering.panel import Panel
 from tracked_env.rendering.scene import Camera, Points
 from tracked_env.rendering.snapshot import Snapshot, take
 from tracked_env.rendering.soil_map import SoilMap
-from tracked_env.simulation import Simulation
 from tracked_env.validation import checked_choice
 
 SCENE_WIDTH, SCENE_HEIGHT = 680, 640  # [px]

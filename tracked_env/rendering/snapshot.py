@@ -6,19 +6,19 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env import batch as b
-from tracked_env.episode import Episode
+from tracked_env.engine import columns as b
+from tracked_env.engine.episode import Episode
+from tracked_env.engine.simulation import Simulation
+from tracked_env.physics import lumped_forces
 from tracked_env.physics import state as s
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics import torque_plant
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_ROWS, PlantParameters
 from tracked_env.physics.state import STATE_ROWS, VehicleState
 from tracked_env.rendering.sizes import Sizes, sizes_of
-from tracked_env.simulation import Simulation
 
-HALF_GAUGE = torque_plant.Coefficients._fields.index("half_gauge")
-RESISTANCE = torque_plant.Coefficients._fields.index("resistance")
+HALF_GAUGE = lumped_forces.Coefficients._fields.index("half_gauge")
+RESISTANCE = lumped_forces.Coefficients._fields.index("resistance")
 
 
 class Pose(NamedTuple):
@@ -67,19 +67,19 @@ class Snapshot(NamedTuple):
 @loop
 def motion_resistances(floats, i):
     """Motion resistance [N] of the left and the right track of vehicle i, by the lumped plant."""
-    motion = torque_plant.Motion(
+    motion = lumped_forces.Motion(
         floats[i, b.STATE + s.V_X], floats[i, b.STATE + s.V_Y], floats[i, b.STATE + s.YAW_RATE]
     )
     c, d = b.COEFFICIENTS, b.DRIVE
-    k = torque_plant.Coefficients(
+    k = lumped_forces.Coefficients(
         floats[i, c], floats[i, c + 1], floats[i, c + 2], floats[i, c + 3], floats[i, c + 4],
         floats[i, c + 5], floats[i, c + 6], floats[i, c + 7], floats[i, c + 8],
     )  # fmt: skip
-    drive = torque_plant.DriveLimits(
+    drive = lumped_forces.DriveLimits(
         floats[i, d], floats[i, d + 1], floats[i, d + 2], floats[i, d + 3]
     )
-    limits = torque_plant.traction_limits(motion, k.half_gauge, drive)
-    loads = torque_plant.sliding_loads(
+    limits = lumped_forces.traction_limits(motion, k.half_gauge, drive)
+    loads = lumped_forces.sliding_loads(
         motion, floats[i, b.STATE + s.TORQUE_LEFT], floats[i, b.STATE + s.TORQUE_RIGHT], k, limits
     )
     return loads.resistance_left, loads.resistance_right
@@ -88,12 +88,12 @@ def motion_resistances(floats, i):
 @loop
 def motion_resistances_on_patches(floats, i):
     """The same by the distributed plant, from its tractive efforts."""
-    motion = torque_plant.Motion(
+    motion = lumped_forces.Motion(
         floats[i, b.STATE + s.V_X], floats[i, b.STATE + s.V_Y], floats[i, b.STATE + s.YAW_RATE]
     )
     half_gauge = floats[i, b.COEFFICIENTS + HALF_GAUGE]
     resistance = floats[i, b.COEFFICIENTS + RESISTANCE]
-    left, right = torque_plant.track_speeds(motion, half_gauge)
+    left, right = lumped_forces.track_speeds(motion, half_gauge)
     inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
     return (
         soil.resisting(left, floats[i, b.STATE + s.EFFORT_LEFT], resistance, inverse_width),

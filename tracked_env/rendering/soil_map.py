@@ -11,7 +11,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from tracked_env.physics import schedule
+from tracked_env.physics import parameter_events
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, SoilParameters
 from tracked_env.rendering.canvas import SOIL_SCALE, Bytes, paint, surface
@@ -49,7 +49,9 @@ def values_on_grid(start, events, count, parameter, time, xs, ys, out):
             value = start
             for e in range(count):
                 if int(events[0, e, 1]) == parameter:
-                    value = schedule.changed_value(value, events, 0, e, time, xs[column], ys[row])
+                    value = parameter_events.changed_value(
+                        value, events, 0, e, time, xs[column], ys[row]
+                    )
             out[row, column] = value
 
 
@@ -66,7 +68,7 @@ def value_at(shot: Snapshot, count: int, name: str, time: float, x: float, y: fl
 def map_time(events: FloatArray, time: float) -> float:
     """The instant [s] whose map is shown at `time`: exact at steps, every REFRESH in ramps."""
     shown = 0.0
-    for start, duration in events[events[:, 0] == schedule.RAMP, 3:5]:
+    for start, duration in events[events[:, 0] == parameter_events.RAMP, 3:5]:
         if time >= start:
             elapsed = min(time - start, duration)
             shown = max(shown, start + REFRESH * math.floor(elapsed / REFRESH + 1e-9))
@@ -81,7 +83,7 @@ class SoilMap:
     def __init__(self, shot: Snapshot, pixels_per_metre: int, parameter: str | None) -> None:
         """parameter: a name of SoilParameters; None takes the first that varies in the plane."""
         events = shot.events[0]
-        spatial = {int(row[1]) for row in events if row[0] != schedule.RAMP}
+        spatial = {int(row[1]) for row in events if row[0] != parameter_events.RAMP}
         preference = PREFERENCE_DISTRIBUTED if shot.distributed else PREFERENCE
         varying = [name for name in preference if PARAMETER_INDEX[name] in spatial]
         self.name = parameter or (varying or preference)[0]

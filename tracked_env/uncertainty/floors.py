@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
+from tracked_env.events import line_events, ramp_events
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.references import ReferenceProfile
-from tracked_env.schedule import line_events, ramp_events
 from tracked_env.uncertainty.law import Draw, Law
 
 

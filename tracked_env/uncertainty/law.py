@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracked_env.events import Event
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.references import ReferenceProfile
-from tracked_env.schedule import Event
 
 
 class Draw(NamedTuple):

@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
+from tracked_env.events import Event, line_events, ramp_events, wave
 from tracked_env.physics.parameters import HEAVY_CLAY, PlantParameters, SoilParameters
 from tracked_env.references import ReferenceProfile
-from tracked_env.schedule import Event, line_events, ramp_events, wave
 from tracked_env.uncertainty.law import Draw, Law
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
-from tracked_env.physics import torque_plant as plant
+from baselines.estimators.sensor_samples import COLUMN, DataSheet, Measurement, make_measurement
+from tracked_env.physics import lumped_forces as plant
 from tracked_env.physics.parameters import plant_parameters
 
 CLAY = plant_parameters()

@@ -6,7 +6,7 @@ import pytest
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, Measurement
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, Measurement
 from tests.baselines.estimators.motion_cases import CLAY, EXACT, KINDS, RTK, measurements, mirrored
 
 TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)

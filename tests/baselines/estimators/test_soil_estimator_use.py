@@ -5,7 +5,7 @@ import pytest
 
 from baselines.estimators import soil_regression as sr
 from baselines.estimators.estimate import Status
-from baselines.estimators.measurement import Measurement, make_measurement
+from baselines.estimators.sensor_samples import Measurement, make_measurement
 from baselines.estimators.soil_estimator import EFFORT_RANGE, SoilEstimator
 from tests.baselines.estimators.soil_drives import (
     CLAY,

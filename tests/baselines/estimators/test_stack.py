@@ -5,9 +5,9 @@ import pytest
 
 from baselines.estimators import least_squares as ls
 from baselines.estimators import stack_links as links
-from baselines.estimators.measurement import DataSheet
+from baselines.estimators.sensor_samples import DataSheet
 from baselines.estimators.stack import ESTIMATORS, FEATURES, QUANTITIES, IdentificationStack
-from baselines.policies import oracle
+from baselines.registry import oracle
 from tests.baselines.episodes import context
 from tracked_env import observation as layout
 from tracked_env.vector_env import TrackedVehicleVectorEnv

@@ -6,7 +6,7 @@ import pytest
 from baselines.estimators import least_squares as ls
 from baselines.estimators import turning
 from baselines.estimators.estimate import Status
-from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, Measurement
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, Measurement
 from baselines.estimators.turning import TurningEstimator
 from tests.baselines.estimators.motion_cases import CLAY, EXACT, KINDS, RTK, measurements, mirrored
 from tracked_env.physics import terramechanics as soil

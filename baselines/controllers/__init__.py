@@ -1,1 +1,0 @@
-"""Controllers: from an observation to sprocket torques, one idea a file."""

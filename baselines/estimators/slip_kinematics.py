@@ -1,0 +1,299 @@
+"""Kinematics of a slipping tracked vehicle as an observer needs it: process, sensors, noise.
+
+State x = [X, Y, psi, i_L, i_R, alpha]; input: belt speeds V_t = omega r. With the gain of a track
+g = V / V_t (terramechanics.track_speed_from_belt at V_t = 1), t = tan(alpha):
+    V_L = g_L V_tL, V_R = g_R V_tR,  v_x = (V_L + V_R) / 2,  w = (V_R - V_L) / B,  v_y = t v_x
+    X+   = X + dt v_x (cos(psi_m) - t sin(psi_m)),   psi_m = psi + w dt / 2
+    Y+   = Y + dt v_x (sin(psi_m) + t cos(psi_m)),   psi+ = psi + w dt      S 7.2.2, ISO sign
+    i_L, i_R, alpha: random walks
+    z    = [X, Y, psi, v_x, v_y, w], taken `age` ago (see dead_reckoning)
+Belt speeds act as the mean over the step. Their noise s = r sigma_omega enters z and X, Y, psi:
+    R += s^2 J J^T,  J = d(v_x, v_y, w)/d(V_tL, V_tR);     Q += s^2 dt^2 G G^T likewise
+Errors in variables: the same noise is in z - h and in dh/di = -V_t, whose product would not average
+to zero (0.003 of slip with 0.1 rad/s). So the belt speed one step earlier multiplies what depends
+on the sigma point, as an instrumental variable: V = g_mean V_t + (g - g_mean) V_t,earlier.
+
+A track that stands tells nothing about its slip: noise of its sprocket would pass for full slip.
+So deviations of the sigma points from the mean fade out with the belt speed (the sample then
+does not change what is held), and so does the process noise. The same holds for alpha and v_x.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, sections 3 and 7.2.
+"""
+
+import math
+from typing import NamedTuple
+
+from baselines.estimators.dead_reckoning import Way
+from baselines.estimators.sensor_samples import DataSheet
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula
+from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.terramechanics import track_speed_from_belt
+
+NAMES = ("x", "y", "yaw", "slip_left", "slip_right", "side_slip")
+STATES = len(NAMES)
+X, Y, YAW, SLIP_LEFT, SLIP_RIGHT, SIDE_SLIP = range(STATES)
+ROWS = 6  # of z: X, Y, psi, v_x, v_y, w
+
+SLIP_LIMIT = 0.98  # [-] bound of the estimated slips, inside the physical +-1
+SIDE_SLIP_LIMIT = 1.0  # [rad] bound of the estimated alpha
+SIDE_SLIP_MODELLED = 1.2  # [rad] sigma points beyond it count as this: tan must stay moderate
+PRIOR_SLIP = 0.3  # [-] sigma of a slip nothing is known about: most soils stay below it
+PRIOR_SIDE_SLIP = 0.3  # [rad] the same for alpha
+LARGEST_POSITION = 100.0  # [m] sigma of X and Y grows no further
+LARGEST_YAW = 1.0  # [rad] sigma of psi grows no further: beyond it the circle is closed
+STANDING_BELT = 0.03  # [m/s] a belt slower than this plus 3 sigma of its noise stands
+STANDING_VEHICLE = 0.1  # [m/s] v_x below which alpha = atan(v_y / v_x) is not observed
+STANDING_SHARE = 0.01  # [-] process noise variance of the pose at standstill, of that in motion
+ICR_OFFSET = 0.2  # [m] x_icr of a turn on the spot, whose v_y = -x_icr w alpha cannot describe
+BELT_SIGMAS = 5.0  # [-] of its noise: a belt that changes by more within a step really moves
+BIAS_WINDOW = 0.5  # [s] over it the gyro's bias does not average out, the noise does
+IGNORED = 1e4  # [SI] variance of a row of z that is missing
+LEAST_PIVOT = 1e-13  # [-] share of a variance that rounding leaves: below it P has lost digits
+LEAST_SIGMA = 1e-4  # [m, rad, m/s, rad/s] of ideal sensors: keeps the covariance well conditioned
+
+
+class Constants(NamedTuple):
+    """All numbers of the model, as the kernels take them."""
+
+    period: float  # [s] dt
+    radius: float  # [m] r
+    inverse_gauge: float  # [1/m] 1 / B
+    belt_variance: float  # [m^2/s^2] s^2
+    standing_belt: float  # [m/s]
+    position_variance: float  # [m^2]
+    yaw_variance: float  # [rad^2]
+    velocity_variance: float  # [m^2/s^2]
+    yaw_rate_variance: float  # [rad^2/s^2]
+    position_drift: float  # [m^2] variance per step
+    yaw_drift: float  # [rad^2] per step
+    slip_drift: float  # [-] per step
+    side_slip_drift: float  # [rad^2] per step
+    gate: float  # [-] NIS of an outlier
+    rows: float  # [-] of z that are used: 3 or 6
+
+
+class Inputs(NamedTuple):
+    """What drives one step of one vehicle: belts [m/s], their directions, and the fading."""
+
+    belt_left: float  # mean over the step
+    belt_right: float
+    direction_left: float  # [-] -1 or 1
+    direction_right: float
+    slip_left: float  # [-] mean of the state, from which sigma points deviate
+    slip_right: float
+    side_slip: float  # [rad]
+    fade_left: float  # [-] 0 = the track stands, 1 = it moves
+    fade_right: float
+    fade_side: float
+    gain_left: float  # [-] g at the mean
+    gain_right: float
+
+
+def make_constants(
+    parameters: PlantParameters,
+    period: float,
+    sheet: DataSheet,
+    drifts: tuple[float, float, float, float],
+    gate: float,
+    rows: int,
+) -> Constants:
+    """Constants from the nominal parameters, the data sheet and drifts per sqrt(second)."""
+    radius = parameters.sprocket_radius
+    belt_sigma = radius * sheet.sprocket_speed_noise
+    bias = sheet.gyro_bias**2 * max(BIAS_WINDOW / period, 1.0)
+    numbers = (
+        period,
+        radius,
+        1.0 / parameters.track_gauge,
+        belt_sigma**2,
+        STANDING_BELT + 3.0 * belt_sigma,
+        max(sheet.position_noise, LEAST_SIGMA) ** 2,
+        max(sheet.yaw_noise, LEAST_SIGMA) ** 2,
+        max(sheet.velocity_noise, LEAST_SIGMA) ** 2,
+        max(sheet.gyro_noise, LEAST_SIGMA) ** 2 + bias,
+        *(drift * drift * period for drift in drifts),
+        gate,
+        rows,
+    )
+    return Constants(*(float(number) for number in numbers))
+
+
+@formula
+def ramp(speed, standing):
+    """0 [-] below the speed `standing`, 1 from twice that speed on, linear between."""
+    return min(max(abs(speed) / standing - 1.0, 0.0), 1.0)
+
+
+@formula
+def make_inputs(last_left, last_right, left, right, slip_left, slip_right, side_slip, k):
+    """Inputs of a step in which the belts went from `last` to the present speeds [m/s]."""
+    mean_left, mean_right = 0.5 * (last_left + left), 0.5 * (last_right + right)
+    forward = 0.5 * (mean_left + mean_right)
+    direction_left = 1.0 if mean_left >= 0.0 else -1.0
+    direction_right = 1.0 if mean_right >= 0.0 else -1.0
+    return Inputs(
+        mean_left,
+        mean_right,
+        direction_left,
+        direction_right,
+        slip_left,
+        slip_right,
+        side_slip,
+        ramp(mean_left, k.standing_belt),
+        ramp(mean_right, k.standing_belt),
+        ramp(forward, max(STANDING_VEHICLE, k.standing_belt)),
+        track_speed_from_belt(1.0, direction_left * slip_left),
+        track_speed_from_belt(1.0, direction_right * slip_right),
+    )
+
+
+@formula
+def gains(slip_left, slip_right, side_slip, u):
+    """(g_L, g_R, tan alpha) [-] of a sigma point, its deviations faded."""
+    left = u.slip_left + u.fade_left * (slip_left - u.slip_left)
+    right = u.slip_right + u.fade_right * (slip_right - u.slip_right)
+    angle = u.side_slip + u.fade_side * (side_slip - u.side_slip)
+    c, s = rotation(min(max(angle, -SIDE_SLIP_MODELLED), SIDE_SLIP_MODELLED))
+    return (
+        track_speed_from_belt(1.0, u.direction_left * left),
+        track_speed_from_belt(1.0, u.direction_right * right),
+        s / c,
+    )
+
+
+@formula
+def body_velocity(left, right, belt_left, belt_right, tangent, k):
+    """(v_x, v_y [m/s], w [rad/s]) from the gains and belt speeds of both tracks."""
+    v_left, v_right = left * belt_left, right * belt_right
+    forward = 0.5 * (v_left + v_right)
+    return forward, tangent * forward, (v_right - v_left) * k.inverse_gauge
+
+
+@formula
+def process(x, y, yaw, slip_left, slip_right, side_slip, u, k):
+    """(X, Y, psi) one step later; the other states stay."""
+    left, right, tangent = gains(slip_left, slip_right, side_slip, u)
+    v_x, v_y, w = body_velocity(left, right, u.belt_left, u.belt_right, tangent, k)
+    c, s = rotation(yaw + 0.5 * w * k.period)
+    return (
+        x + k.period * (v_x * c - v_y * s),
+        y + k.period * (v_x * s + v_y * c),
+        yaw + k.period * w,
+    )
+
+
+@formula
+def measured(x, y, yaw, slip_left, slip_right, side_slip, u, way, gyro, k):
+    """z = (X, Y, psi, v_x, v_y, w): the pose group when `way` began, w when `gyro` began."""
+    left, right, tangent = gains(slip_left, slip_right, side_slip, u)
+    east = 0.5 * (left * way.c_left + right * way.c_right)
+    north = 0.5 * (left * way.s_left + right * way.s_right)
+    more_left, more_right = left - u.gain_left, right - u.gain_right
+    v_left = u.gain_left * way.belt_left + more_left * way.instrument_left
+    v_right = u.gain_right * way.belt_right + more_right * way.instrument_right
+    w_left = u.gain_left * gyro.belt_left + more_left * gyro.instrument_left
+    w_right = u.gain_right * gyro.belt_right + more_right * gyro.instrument_right
+    forward = 0.5 * (v_left + v_right)
+    return (
+        x - east + tangent * north,
+        y - north - tangent * east,
+        yaw - (right * way.d_right - left * way.d_left) * k.inverse_gauge,
+        forward,
+        tangent * forward,
+        (w_right - w_left) * k.inverse_gauge,
+    )
+
+
+@formula
+def instrument(earlier, belt, k):
+    """`earlier`, unless the belt [m/s] has really changed since: then its noise matters less."""
+    return earlier if abs(belt - earlier) < BELT_SIGMAS * math.sqrt(k.belt_variance) else belt
+
+
+@formula
+def step_way(yaw, left, right, u, k):
+    """Way of one step with heading `yaw` in its middle and belts `left`, `right` at its end."""
+    c, s = rotation(yaw)
+    d_left, d_right = k.period * u.belt_left, k.period * u.belt_right
+    return Way(
+        d_left, d_right, c * d_left, s * d_left, c * d_right, s * d_right, left, right, left, right
+    )  # fmt: skip
+
+
+@formula
+def fill_process_noise(noise, yaw, u, k):
+    """Q of one step into noise (STATES, STATES)."""
+    left, right, tangent = gains(u.slip_left, u.slip_right, u.side_slip, u)
+    c, s = rotation(yaw)
+    east, north = c - tangent * s, s + tangent * c
+    sum_ = 0.25 * k.belt_variance * k.period * k.period * (left * left + right * right)
+    turn = 0.5 * k.belt_variance * k.period * k.period * (right * right - left * left)
+    turn *= k.inverse_gauge
+    share = max(max(u.fade_left, u.fade_right), STANDING_SHARE)
+    noise[:, :] = 0.0
+    noise[X, X] = sum_ * east * east + share * k.position_drift
+    noise[Y, Y] = sum_ * north * north + share * k.position_drift
+    noise[X, Y] = noise[Y, X] = sum_ * east * north
+    noise[X, YAW] = noise[YAW, X] = turn * east
+    noise[Y, YAW] = noise[YAW, Y] = turn * north
+    noise[YAW, YAW] = 4.0 * sum_ * k.inverse_gauge * k.inverse_gauge + share * k.yaw_drift
+    noise[SLIP_LEFT, SLIP_LEFT] = u.fade_left * k.slip_drift
+    noise[SLIP_RIGHT, SLIP_RIGHT] = u.fade_right * k.slip_drift
+    noise[SIDE_SLIP, SIDE_SLIP] = u.fade_side * k.side_slip_drift
+
+
+@formula
+def fill_measurement_noise(noise, u, way, gyro, steps, k):
+    """R of a sample that is `steps` steps old into noise (ROWS, ROWS)."""
+    left, right, tangent = gains(u.slip_left, u.slip_right, u.side_slip, u)
+    _v, _l, w = body_velocity(left, right, gyro.belt_left, gyro.belt_right, tangent, k)
+    forward = 0.25 * k.belt_variance * (left * left + right * right)
+    turn = 0.5 * k.belt_variance * k.inverse_gauge * (right * right - left * left)
+    spin = ICR_OFFSET * w * (1.0 - u.fade_side)
+    noise[:, :] = 0.0
+    noise[0, 0] = noise[1, 1] = k.position_variance + steps * k.position_drift
+    noise[2, 2] = k.yaw_variance + steps * k.yaw_drift
+    noise[3, 3] = k.velocity_variance + forward
+    noise[4, 4] = k.velocity_variance + forward * tangent * tangent + spin * spin
+    noise[3, 4] = noise[4, 3] = forward * tangent
+    noise[5, 5] = k.yaw_rate_variance + 4.0 * forward * k.inverse_gauge * k.inverse_gauge
+    noise[3, 5] = noise[5, 3] = turn
+    noise[4, 5] = noise[5, 4] = turn * tangent
+
+
+@formula
+def largest_variance(state):
+    """Bound of the variance of one state."""
+    if state < YAW:
+        return LARGEST_POSITION * LARGEST_POSITION
+    if state == YAW:
+        return LARGEST_YAW * LARGEST_YAW
+    return PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP if state == SIDE_SLIP else PRIOR_SLIP * PRIOR_SLIP
+
+
+@formula
+def factorise(a, root, size, scale):
+    """Lower Cholesky factor of scale A into root; A's upper triangle is read.
+
+    Returns False when A is not positive definite to rounding: root is then that of a matrix near.
+    """
+    definite = True
+    for r in range(size):
+        for c in range(r + 1):
+            rest = scale * a[c, r]
+            for m in range(c):
+                rest -= root[r, m] * root[c, m]
+            if r == c:
+                least = LEAST_PIVOT * scale * abs(a[r, r])
+                definite = definite and rest > least
+                root[r, r] = math.sqrt(max(rest, least + 1e-300))
+            else:
+                root[r, c] = rest / root[c, c]
+    return definite
+
+
+@formula
+def wrapped(angle):
+    """Angle [rad] in [-pi, pi]."""
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)

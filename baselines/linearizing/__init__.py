@@ -1,0 +1,1 @@
+"""Feedback linearization of the torque-driven vehicle: law, policy, adaptive policy."""

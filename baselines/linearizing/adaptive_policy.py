@@ -1,0 +1,231 @@
+"""The adaptive policy: the feedback-linearizing controller fed by the identification stack.
+
+Certainty equivalence: at every control step the controller takes the estimates for the truth,
+    mass, mu_l, inertia, mu_t     always: where the data say nothing they stay where they were
+    F_max, K                      where the data determine what the soil carries, else nominal
+and sees the filtered pose and velocity instead of the measured ones. It starts from its nominal
+parameters in every episode, uses observations only, and never sees a true parameter.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimators.estimate import Status
+from baselines.estimators.sensor_samples import COLUMN, INERTIAL, DataSheet
+from baselines.estimators.stack import Identification, IdentificationStack, Memories
+from baselines.linearizing.linearizing_law import Gains
+from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from tracked_env import observation as layout
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
+
+_ROW = PARAMETER_INDEX
+_I, _SCALE, _BOUND = layout.INDEX, layout.SCALE, layout.BOUND
+_X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
+_V_X, _V_Y, _W = _I["v_x"], _I["v_y"], _I["yaw_rate"]
+_GYRO, _REJECTED = COLUMN["yaw_rate"], int(Status.REJECTED)
+WILD_GYRO = 1.0  # [rad/s] from what the belts say: a refused gyro beyond that is not shown
+# Sensor fields that the controller does not use, but whose NaN would stop it.
+_UNUSED = np.array(
+    [_I[name] for name in layout.NAMES if name.startswith(("acc", "yaw_acc", "sprocket", "torque"))]
+)
+_MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
+_INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
+_COHESION, _ANGLE = _ROW["cohesion"], _ROW["friction_angle"]
+_MODULUS = _ROW["shear_deformation_modulus"]
+
+
+class AdaptiveState(NamedTuple):
+    """What the policy remembers between two calls."""
+
+    xi: NDArray[np.float64]  # (N,) [m/s^2] compensator of the controller
+    memories: Memories  # of the estimators
+
+
+@formula
+def _show(observation, i, column, value, always):
+    """Write an SI value in place of what was measured: always, or where that is missing."""
+    if always or not np.isfinite(observation[i, column]):
+        layout.store(observation, i, column, value)
+
+
+@loop
+def show(observation, reference, x, y, yaw, v_x, v_y, yaw_rate, gyro, filtered):
+    """Put the filtered motion, (N,) each, into observation (N, SIZE), in one frame with
+    reference (N, 3); not filtered: only where NaN. gyro (N,) [rad/s] goes before yaw_rate where
+    it is finite."""
+    for i in range(observation.shape[0]):
+        c, s = rotation(yaw[i])
+        e_x, e_y = reference[i, 0] - x[i], reference[i, 1] - y[i]
+        turn = reference[i, 2] - yaw[i]
+        turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
+        _show(observation, i, _X, c * e_x + s * e_y, filtered)
+        _show(observation, i, _Y, c * e_y - s * e_x, filtered)
+        _show(observation, i, _YAW, turn, filtered)
+        _show(observation, i, _V_X, v_x[i], filtered)
+        _show(observation, i, _V_Y, v_y[i], filtered)
+        _show(observation, i, _W, gyro[i] if np.isfinite(gyro[i]) else yaw_rate[i], filtered)
+        for k in range(_UNUSED.shape[0]):
+            _show(observation, i, _UNUSED[k], 0.0, False)
+
+
+@loop
+def hand_over(parameters, longitudinal, turning, soil, known, nominal, base):
+    """Estimates into the controller's parameters (PARAMETER_ROWS, N).
+
+    longitudinal (N, 2) 1/m, mu_l; turning (N, 2) I, mu_t; soil (N, 2) F_max, K, where known
+    (N,) and else nominal (PARAMETER_ROWS,). base [m^2] of a track.
+    """
+    for i in range(parameters.shape[1]):
+        parameters[_MASS, i] = 1.0 / longitudinal[i, 0]
+        parameters[_RESISTANCE, i] = longitudinal[i, 1]
+        parameters[_INERTIA, i], parameters[_FRICTION, i] = turning[i, 0], turning[i, 1]
+        # F_max as cohesion alone: the controller needs no more than the product.
+        parameters[_COHESION, i] = soil[i, 0] / base if known[i] else nominal[_COHESION]
+        parameters[_ANGLE, i] = 0.0 if known[i] else nominal[_ANGLE]
+        parameters[_MODULUS, i] = soil[i, 1] if known[i] else nominal[_MODULUS]
+
+
+class AdaptivePolicy:
+    """Controller and estimators as one policy, for one vehicle or a batch.
+
+    parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
+    sensors (default `rtk`). lateral: closure of the nominal model. gains: of the controller.
+    stack: "batched" or "filterpy" slip observer, "coupled" or "paper" regressions.
+    filtered: True shows the controller the filtered motion, False the measured one; None =
+    True unless the data sheet knows no noise at all.
+    uses_soil: whether the estimated traction limits are used. S does not.
+    Raises ValueError for arguments that make no sense.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters | None = None,
+        control_period: float = 0.02,
+        data_sheet: DataSheet | None = None,
+        lateral: str = "sliding",
+        gains: Gains | None = None,
+        regression: str = "coupled",
+        slip: str = "batched",
+        filtered: bool | None = None,
+        uses_soil: bool = True,
+    ) -> None:
+        self.parameters = plant_parameters() if parameters is None else parameters
+        self.data_sheet = DataSheet() if data_sheet is None else data_sheet
+        self.controller = FeedbackLinearizingController(
+            self.parameters, control_period, gains, lateral
+        )
+        noisy = max(self.data_sheet[:3]) > 0.0
+        self.filtered = noisy if filtered is None else bool(filtered)
+        self.uses_soil = bool(uses_soil)
+        self._options: dict[str, Any] = {"regression": regression, "slip": slip}
+        # (PARAMETER_ROWS, N) or None: what to control with instead of the estimates.
+        self.given_parameters: NDArray[np.float64] | None = None
+        self._given: AdaptiveState | None = None
+        self.known: Identification | None = None
+        self._build(1)
+
+    def _build(self, count: int) -> None:
+        """Estimators and parameters of `count` vehicles, all at their nominal values."""
+        self.stack = IdentificationStack(
+            self.parameters, self.controller.control_period, self.data_sheet, count,
+            self.controller.lateral, **self._options,
+        )  # fmt: skip
+        self._nominal = np.array(self.parameters, dtype=np.float64)
+        self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
+        self._nothing_known = np.zeros(count, dtype=bool)
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveState | None = None,
+        episode_start: NDArray[np.bool_] | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AdaptiveState]:
+        """Sprocket torques over their limit, and the state to pass to the next call.
+
+        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None starts
+        from the nominal parameters. episode_start: (N,) or a bool; those rows start anew.
+        deterministic: without effect. One call per control step.
+        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
+        A NaN in a sensor field is skipped. Raises ValueError for a wrong shape, a state of
+        another number of vehicles, or a reference that is not finite; then the state given
+        is still good.
+        """
+        single = np.ndim(observation) == 1
+        batch = np.array(observation, dtype=np.float32, ndmin=2)
+        count = len(batch)
+        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
+            raise ValueError(
+                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
+                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
+            )
+        start = np.full(count, state is None)
+        if episode_start is not None:
+            given = np.asarray(episode_start, dtype=bool)
+            if given.shape not in ((), (1,), (count,)):
+                raise ValueError(f"episode_start has shape {given.shape}; must be ({count},)")
+            start |= given
+        if count != self.stack.count:
+            self._build(count)
+            self._given = None
+        if state is not None and state is not self._given:
+            self.stack.restore(state.memories)
+        self._given = None  # until this call has ended well, `stack` is in no known state
+        known = self.stack.update(batch, start)
+        self._adapt(known)
+        show(
+            batch, known.reading.reference, *known.motion, self._gyro(known), self.filtered,
+        )  # fmt: skip
+        action, xi = self.controller.predict(batch, None if state is None else state.xi, start)
+        self.known = known
+        self._given = AdaptiveState(xi, self.stack.memories())
+        return (action[0] if single else action), self._given
+
+    def _gyro(self, known: Identification) -> NDArray[np.float64]:
+        """The gyro where its sample is new and the filter has not refused it, else NaN, (N,)."""
+        latest, slip = known.reading.latest, known.slip
+        stale = latest.age[:, INERTIAL] > 0.5 * self.controller.control_period
+        gyro = latest.values[:, _GYRO]
+        wild = np.abs(gyro - known.motion.yaw_rate) > WILD_GYRO
+        outlier = (slip.status == _REJECTED) & np.isfinite(slip.nis) & wild
+        return np.where(stale | outlier, np.nan, gyro)
+
+    def _adapt(self, known: Identification) -> None:
+        """Hand the estimates to the controller, or what was given in their place."""
+        if self.given_parameters is not None:
+            self.controller.parameters = self.given_parameters
+            return
+        p = self.parameters
+        hand_over(
+            self.controller.parameters, known.longitudinal.value, known.turning.value,
+            known.soil.value, known.traction_known if self.uses_soil else self._nothing_known,
+            self._nominal, float(p.track_width * p.contact_length),
+        )  # fmt: skip
+
+    def estimates(self) -> Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """(value, standard deviation) by name after the last call, each (N,), SI."""
+        return {} if self.known is None else self.known.estimates()
+
+    def excited(self) -> Mapping[str, NDArray[np.bool_]]:
+        """Whether the data determine the parameter, by name, (N,)."""
+        if self.known is None:
+            return {}
+        status = self.known.status()
+        by_parameter = {
+            "mass": "longitudinal", "longitudinal_resistance": "longitudinal",
+            "inertia": "turning", "lateral_resistance": "turning",
+            "slip_left": "slip", "slip_right": "slip", "effort_maximum": "soil",
+            "shear_deformation_modulus": "soil",
+        }  # fmt: skip
+        return {name: status[e] == Status.CONVERGING for name, e in by_parameter.items()}
+
+    def nis(self) -> Mapping[str, NDArray[np.float64]]:
+        """Normalised innovation squared of each estimator in the last call, (N,)."""
+        return {} if self.known is None else self.known.nis()

@@ -1,0 +1,214 @@
+"""Feedback linearization with dynamic extension for the torque-driven tracked vehicle.
+
+Output: point D on the vehicle's axis, d ahead of the centre of mass, S (30). With h the heading,
+e = (cos h, sin h), n its left normal, w the yaw rate, v_1 the forward speed, xi the compensator
+and sigma = v_y + d w the lateral speed of D (body axes):
+    z'   = v_1 e + sigma n                                               (32a, any v_y)
+    z''  = (xi - w sigma) e + v_1 w n                                    (32b)
+    z''' = (eta_1 - v_1 w^2 - sigma u_2) e + (v_1 u_2 + 2 xi w - w^2 sigma) n      (32c)
+    r    = z_d''' + k_a (z_d'' - z'') + k_v (z_d' - z') + k_p (z_d - z)  (35)
+    xi'  = eta_1 = r_e + v_1 w^2 + sigma u_2,   u_1 = xi                 (34)
+    u_2  = (r_n - 2 xi w + w^2 sigma) / v_1                              (34)
+The demand is the path point plus the arm along the heading that the vehicle must have there,
+    z_d = p + d e(psi + delta),   sin(delta) = -v_y / v,
+so that the centre of mass, not D, runs on the path. Torques from u_1, u_2: S (29), corrected.
+Derivations, choices and limits: docs/controller.md. S is written with sigma = 0.
+
+Assumptions: parameters of the nominal model are right; v_y and sigma are those of a steady turn
+along the reference (the measured v_y is noisier than it is informative); motor lag ignored.
+Validity: |v_1| > MINIMUM_SPEED; slower, the steering demand fades out.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.physics import lumped_forces as plant
+from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.elementary import saturated_sign, signed
+from tracked_env.physics.jit import formula
+
+MINIMUM_SPEED = 0.1  # [m/s] below it 1 / v_1 fades to 0; three sigma of a 0.03 m/s sensor
+PROBE_SPEED = 1e-3  # [m/s] lateral speed at which the slope of the friction is taken
+HELD_YAW_RATE = 1e-5  # [rad/s] below both, the soil is left to hold the heading: the demand is
+HELD_YAW_ACCELERATION = 2e-5  # [rad/s^2] rounding (1 um off the path), and its sign means nothing
+MAXIMUM_SIDE_SLIP = 0.5  # [-] |sin(delta)| is bounded here: 30 deg, the vehicle drifts
+
+
+class Gains(NamedTuple):
+    """Gains of (35) and Table 3 of S; the error obeys s^3 + k_a s^2 + k_v s + k_p = 0."""
+
+    k_p: float = 50.0  # [1/s^3]
+    k_v: float = 70.0  # [1/s^2]
+    k_a: float = 15.0  # [1/s]
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles [1/s] of the error dynamics, shape (3,), slowest first."""
+        roots = np.roots([1.0, self.k_a, self.k_v, self.k_p]).astype(np.complex128)
+        return roots[np.argsort(-roots.real)]
+
+
+class Reference(NamedTuple):
+    """Motion of the path point: signed speed along the heading, and the heading's rates."""
+
+    speed: float  # [m/s] v
+    acceleration: float  # [m/s^2] dv/dt
+    jerk: float  # [m/s^3] d2v/dt2
+    yaw_rate: float  # [rad/s] w
+    yaw_acceleration: float  # [rad/s^2] dw/dt
+
+
+class Demand(NamedTuple):
+    """Demanded motion of D relative to the vehicle, in measured body axes."""
+
+    error_x: float  # [m] z_d - z
+    error_y: float  # [m]
+    velocity_x: float  # [m/s] z_d'
+    velocity_y: float  # [m/s]
+    acceleration_x: float  # [m/s^2] z_d''
+    acceleration_y: float  # [m/s^2]
+    jerk_x: float  # [m/s^3] z_d'''
+    jerk_y: float  # [m/s^3]
+
+
+@formula
+def inverse_speed(speed):
+    """1 / v [s/m], exact for |v| >= MINIMUM_SPEED, below it x (2 - x^2) / MINIMUM_SPEED with
+    x = v / MINIMUM_SPEED: odd, continuously differentiable, 0 at standstill."""
+    x = speed / MINIMUM_SPEED
+    slow = x * (2.0 - x * x) / MINIMUM_SPEED
+    return 1.0 / speed if abs(x) >= 1.0 else slow
+
+
+@formula
+def steady_lateral_velocity(speed, yaw_rate, k):
+    """v_y [m/s] at which the soil carries a steady turn: F_y(v_y, w) = m w v, `sliding`.
+
+    By the slope F_y / v_y at PROBE_SPEED: the friction is linear in v_y as long as the ICR stays
+    within the contact (relative error 1e-3 up to 0.9 mu_t g, for mu_t >= 0.4). Odd in w and in
+    v, 0 without turn, bounded by MAXIMUM_SIDE_SLIP |v| where friction cannot carry the turn.
+    """
+    force, _moment = soil.lateral_friction(
+        PROBE_SPEED, yaw_rate, k.friction_intensity, k.contact_length
+    )
+    bound = MAXIMUM_SIDE_SLIP * abs(speed)
+    v_y = speed * yaw_rate / k.inverse_mass * PROBE_SPEED / min(force, -1e-9)
+    return min(max(v_y, -bound), bound)
+
+
+@formula
+def demanded_motion(error_x, error_y, heading_error, ref, v_y, d, constrained):
+    """Demand on D from the path point, its derivatives and the steady v_y [m/s].
+
+    error_* [m] and heading_error [rad] as observed; d [m]. The heading to come is
+    psi + delta; its rates are w + delta', w' and 0 (what is dropped: docs/controller.md).
+    """
+    v, a, w = ref.speed, ref.acceleration, ref.yaw_rate
+    inverse = inverse_speed(v)
+    sine = min(max(-v_y * inverse, -MAXIMUM_SIDE_SLIP), MAXIMUM_SIDE_SLIP)
+    cosine = math.sqrt(1.0 - sine * sine)
+    slip_rate = (d * ref.yaw_acceleration - sine * a) * inverse / cosine
+    rate = w + (slip_rate if constrained else 0.0)
+    c, s = math.cos(heading_error), math.sin(heading_error)
+    arm_c, arm_s = d * (c * cosine - s * sine), d * (s * cosine + c * sine)
+    along = ref.jerk - v * w * w
+    across = 2.0 * a * w + v * ref.yaw_acceleration
+    square, bend = rate * rate, ref.yaw_acceleration
+    twist = 3.0 * rate * bend
+    return Demand(
+        error_x + arm_c - d,
+        error_y + arm_s,
+        v * c - rate * arm_s,
+        v * s + rate * arm_c,
+        a * c - v * w * s - bend * arm_s - square * arm_c,
+        a * s + v * w * c + bend * arm_c - square * arm_s,
+        along * c - across * s + rate * square * arm_s - twist * arm_c,
+        along * s + across * c - rate * square * arm_c - twist * arm_s,
+    )
+
+
+@formula
+def linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains):
+    """(eta_1 [m/s^3], u_2 [rad/s^2]) from (34) and (35), sigma [m/s], xi [m/s^2]."""
+    r_x = (
+        demand.jerk_x
+        + gains.k_a * (demand.acceleration_x - (xi - yaw_rate * sigma))
+        + gains.k_v * (demand.velocity_x - v_x)
+        + gains.k_p * demand.error_x
+    )
+    r_y = (
+        demand.jerk_y
+        + gains.k_a * (demand.acceleration_y - v_x * yaw_rate)
+        + gains.k_v * (demand.velocity_y - sigma)
+        + gains.k_p * demand.error_y
+    )
+    turn = yaw_rate * (yaw_rate * sigma - 2.0 * xi)
+    u_2 = (r_y + turn) * inverse_speed(v_x)
+    return r_x + v_x * yaw_rate * yaw_rate + sigma * u_2, u_2
+
+
+@formula
+def against_resistance(net, speed, magnitude, inverse_width):
+    """Load F with F - terramechanics.resisting(speed, F, ...) = net: its exact inverse.
+
+    net, magnitude [N or N m], speed [m/s or rad/s]. Odd in (net, speed). At standstill the
+    load jumps by 2 magnitude at net = 0, where it is 0: held friction is overcome at once.
+    """
+    s = saturated_sign(speed, inverse_width)
+    side = s if s != 0.0 else net
+    share = abs(s)
+    n = signed(net, side)
+    slow = max(n / max(share, 1e-300), n - 2.0 * magnitude * (1.0 - share))
+    load = magnitude + (n if n >= 0.0 else slow)
+    return signed(load, side) if side != 0.0 else 0.0
+
+
+@formula
+def turning_moment(motion, u_2, p, k, constrained):
+    """Moment [N m] the tracks must give for the yaw acceleration u_2 [rad/s^2]."""
+    if not constrained:
+        _force, moment = soil.lateral_friction(
+            motion.v_y, motion.yaw_rate, k.friction_intensity, k.contact_length
+        )
+        return p.inertia * u_2 - k.turning_resistance_factor * moment
+    d = k.icr_forward
+    none = plant.TractionLimits(0.0, 0.0, 0.0, 0.0)
+    loads = plant.constrained_loads(motion, 0.0, 0.0, k, none)
+    turning = plant.Motion(0.0, 0.0, 2.0 * soil.YAW_FRICTION_REGULARISATION)
+    magnitude = -plant.constrained_loads(turning, 0.0, 0.0, k, none).turning_moment
+    inertial = u_2 / k.inverse_inertia - d * motion.yaw_rate * motion.v_x / k.inverse_mass
+    inverse_width = 1.0 / soil.YAW_FRICTION_REGULARISATION
+    held = abs(motion.yaw_rate) < HELD_YAW_RATE and abs(u_2) < HELD_YAW_ACCELERATION
+    moment = against_resistance(
+        inertial + d * loads.lateral_force, motion.yaw_rate, magnitude, inverse_width
+    )
+    return 0.0 if held else moment
+
+
+@formula
+def track_efforts(motion, u_1, u_2, p, k, constrained):
+    """Tractive efforts (left, right) [N] for u_1 [m/s^2] and u_2: S (29), corrected."""
+    force = (u_1 - motion.yaw_rate * motion.v_y) / k.inverse_mass
+    turn = 0.5 * turning_moment(motion, u_2, p, k, constrained) / k.half_gauge
+    left, right = plant.track_speeds(motion, k.half_gauge)
+    inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
+    return (
+        against_resistance(0.5 * force - turn, left, k.resistance, inverse_width),
+        against_resistance(0.5 * force + turn, right, k.resistance, inverse_width),
+    )
+
+
+@formula
+def within_limit(left, right, limit):
+    """Efforts (left, right) within +-limit [N]: the sum is kept first, then the difference.
+
+    In this order a large steering demand cannot take the speed away on which steering rests.
+    """
+    mean = min(max(0.5 * (left + right), -limit), limit)
+    room = limit - abs(mean)
+    turn = min(max(0.5 * (right - left), -room), room)
+    return mean - turn, mean + turn

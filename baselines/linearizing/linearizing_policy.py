@@ -1,0 +1,233 @@
+"""Feedback-linearizing controller: a policy over the law of linearizing_law.
+
+It reads the observation by name, applies the law with the nominal parameters of each vehicle,
+keeps the efforts within what drive and soil give, and holds the compensator xi as the state
+of the policy.
+    F_limit = min(torque limit / r, F(i = 1))            nominal, S (7)
+    xi+     = xi + dt eta_1 + (F_given - F_demanded) / m        anti-windup, F over both tracks
+A batch is one loop over vehicles; a single vehicle is a batch of one.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.linearizing import linearizing_law as law
+from baselines.linearizing.linearizing_law import Gains
+from tracked_env import observation as layout
+from tracked_env.physics import lumped_forces as plant
+from tracked_env.physics.elementary import signed
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import (
+    PARAMETER_INDEX,
+    PARAMETER_NAMES,
+    RANGES,
+    PlantParameters,
+    row_parameters,
+)
+
+CLOSURES = ("sliding", "constrained")
+
+_I = layout.INDEX
+_ERROR_X, _ERROR_Y = _I["position_error_x"], _I["position_error_y"]
+_HEADING_ERROR, _V_X, _YAW_RATE = _I["heading_error"], _I["v_x"], _I["yaw_rate"]
+_SPEED, _ACCELERATION = _I["reference_speed"], _I["reference_acceleration"]
+_JERK, _TURN = _I["reference_jerk"], _I["reference_yaw_rate"]
+_TURN_ACCELERATION = _I["reference_yaw_acceleration"]
+_SCALE = layout.SCALE
+
+
+@formula
+def _parameters_of(parameters, i):
+    """PlantParameters of vehicle i from (PARAMETER_ROWS, N)."""
+    return row_parameters(parameters.T, i, 0)
+
+
+@formula
+def _si(observation, i, column):
+    """SI value of one entry of the observation."""
+    return observation[i, column] * _SCALE[column]
+
+
+@formula
+def control(observation, i, p, xi, gains, period, constrained):
+    """(action left, action right [-], next xi [m/s^2]) of vehicle i with parameters p."""
+    k = plant.coefficients(p, constrained)
+    heading_error = _si(observation, i, _HEADING_ERROR)
+    # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
+    faces_back = abs(heading_error) > 0.5 * math.pi
+    facing = -1.0 if faces_back else 1.0
+    ref = law.Reference(
+        facing * _si(observation, i, _SPEED),
+        facing * _si(observation, i, _ACCELERATION),
+        facing * _si(observation, i, _JERK),
+        _si(observation, i, _TURN),
+        _si(observation, i, _TURN_ACCELERATION),
+    )
+    d, v_x, yaw_rate = p.icr_forward, _si(observation, i, _V_X), _si(observation, i, _YAW_RATE)
+    lateral = -d * ref.yaw_rate
+    if not constrained:
+        lateral = law.steady_lateral_velocity(ref.speed, ref.yaw_rate, k)
+    sigma = lateral + d * ref.yaw_rate
+    demand = law.demanded_motion(
+        _si(observation, i, _ERROR_X),
+        _si(observation, i, _ERROR_Y),
+        heading_error - (signed(math.pi, heading_error) if faces_back else 0.0),
+        ref, lateral, d, constrained,
+    )  # fmt: skip
+    eta_1, u_2 = law.linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains)
+    xi += period * eta_1
+    motion = plant.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
+    left, right = law.track_efforts(motion, xi, u_2, p, k, constrained)
+    limit = min(p.torque_limit * k.inverse_radius, plant.drive_limits(p).effort_limit)
+    given_left, given_right = law.within_limit(left, right, limit)
+    # Anti-windup: xi is the acceleration that the limited efforts give.
+    xi += ((given_left - left) + (given_right - right)) * k.inverse_mass
+    unit = p.sprocket_radius / p.torque_limit
+    return given_left * unit, given_right * unit, xi
+
+
+@loop
+def control_all(observation, parameters, xi, gains, period, constrained, action):
+    """Control of all vehicles: observation (N, D), parameters (rows, N or 1), xi (N,) in and
+    out, action (N, 2) out. Returns the first row that is not finite, or -1."""
+    shared = parameters.shape[1] == 1
+    for i in range(observation.shape[0]):
+        check = 0.0
+        for column in range(observation.shape[1]):
+            check += observation[i, column] * 0.0
+        if check != 0.0:
+            return i
+        p = _parameters_of(parameters, 0 if shared else i)
+        left, right, xi[i] = control(observation, i, p, xi[i], gains, period, constrained)
+        action[i, 0] = min(max(left, -1.0), 1.0)
+        action[i, 1] = min(max(right, -1.0), 1.0)
+    return -1
+
+
+def _checked(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """A parameter as float64, shape () or (N,), inside its physical range."""
+    array = np.asarray(value, dtype=np.float64)
+    if name not in RANGES:
+        raise ValueError(f"unknown parameter {name!r}; known are {PARAMETER_NAMES}")
+    if array.ndim > 1:
+        raise ValueError(f"{name} has shape {array.shape}; must be a number or shape (N,)")
+    low, high, unit, hint = RANGES[name]
+    inside = (array >= low) & (array <= high)  # NaN is outside
+    if not inside.all():
+        worst = float(array[~inside][0]) if array.ndim else float(array)
+        raise ValueError(
+            f"nominal {name} = {worst:g} {unit}; must be in [{low:g}, {high:g}] {unit}. {hint}"
+        )
+    return array
+
+
+class FeedbackLinearizingController:
+    """Policy that tracks the reference with the corrected law of S section 6.
+
+    parameters: nominal PlantParameters, each a number (all vehicles alike) or shape (N,).
+    control_period: time [s] between two calls of `predict`.
+    gains: of (35); must be positive with k_a k_v > k_p (Hurwitz).
+    lateral: closure of the nominal model, "sliding" or "constrained".
+
+    The attribute `parameters`, float64 (PARAMETER_ROWS, 1 or N), rows as PARAMETER_NAMES, is
+    what the law uses at the next call: write to it, or use `set_parameters` which checks.
+    Raises ValueError for gains, parameters, period or closure that make no sense.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float = 0.02,
+        gains: Gains | None = None,
+        lateral: str = "sliding",
+    ) -> None:
+        gains = Gains() if gains is None else gains
+        self.gains = Gains(*(float(gain) for gain in gains))
+        if not all(0.0 < gain < math.inf for gain in self.gains):
+            raise ValueError(f"{self.gains}: all gains must be positive and finite")
+        k_p, k_v, k_a = self.gains
+        if k_a * k_v <= k_p:
+            raise ValueError(
+                f"{self.gains}: k_a k_v = {k_a * k_v:g} must exceed k_p = {k_p:g}, or the "
+                "tracking error grows (not Hurwitz). Did you change the order of the gains?"
+            )
+        if not 0.0 < control_period <= 1.0:
+            raise ValueError(
+                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
+            )
+        if lateral not in CLOSURES:
+            raise ValueError(f"lateral = {lateral!r}; must be one of {CLOSURES}")
+        self.control_period = float(control_period)
+        self.lateral = lateral
+        self._constrained = lateral == "constrained"
+        self.parameters = np.empty((len(PARAMETER_NAMES), 1))
+        self.set_parameters(**parameters._asdict())
+
+    def set_parameters(self, **values: ArrayLike) -> None:
+        """Change nominal parameters by name; each a number or shape (N,).
+
+        The first array of shape (N,) fixes the number of vehicles. Raises ValueError for an
+        unknown name, a value outside its physical range, or lengths that disagree.
+        """
+        checked = {name: _checked(name, value) for name, value in values.items()}
+        lengths = {array.shape[0] for array in checked.values() if array.ndim}
+        columns = self.parameters.shape[1]
+        count = (lengths | {columns}) - {1}
+        if len(count) > 1:
+            raise ValueError(
+                f"parameters for {sorted(count)} vehicles; all must have one and the same length"
+            )
+        if count and columns == 1:
+            self.parameters = np.repeat(self.parameters, count.pop(), axis=1)
+        for name, array in checked.items():
+            self.parameters[PARAMETER_INDEX[name]] = array
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: NDArray[np.float64] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """Sprocket torques over their limit, and the state to pass to the next call.
+
+        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: xi [m/s^2],
+        (N,), N = 1 for one vehicle; None starts at 0. episode_start: (N,) or a bool; those
+        rows start at 0. deterministic: without effect, the law has no randomness.
+        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right; and the new xi.
+        Raises ValueError for a wrong shape or an observation that is not finite.
+        """
+        single = np.ndim(observation) == 1
+        batch = np.ascontiguousarray(observation, dtype=np.float32)
+        if single:
+            batch = batch.reshape(1, -1)
+        count = batch.shape[0]
+        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
+            raise ValueError(
+                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
+                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
+            )
+        if self.parameters.shape[1] not in (1, count):
+            raise ValueError(
+                f"{count} observations but parameters of {self.parameters.shape[1]} vehicles"
+            )
+        xi = np.zeros(count) if state is None else np.array(state, dtype=np.float64).reshape(-1)
+        if xi.shape[0] != count:
+            raise ValueError(f"state of {xi.shape[0]} vehicles for {count} observations")
+        if episode_start is not None:
+            xi[np.broadcast_to(np.asarray(episode_start, dtype=bool), (count,))] = 0.0
+        action = np.empty((count, 2), dtype=np.float32)
+        bad = control_all(
+            batch, self.parameters, xi, self.gains, self.control_period, self._constrained, action
+        )
+        if bad >= 0:
+            column = int(np.argmin(np.isfinite(batch[bad])))
+            raise ValueError(
+                f"observation[{bad}]: {layout.NAMES[column]} = {batch[bad, column]}; must be "
+                "finite. Did the state diverge, or a wrapper divide by zero?"
+            )
+        return (action[0] if single else action), xi

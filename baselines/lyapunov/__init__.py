@@ -1,0 +1,1 @@
+"""Lyapunov tracking control of the speed-driven vehicle: laws, model, policies."""

@@ -1,0 +1,151 @@
+"""The slippage-aware controller with slip that it identifies under way, or is told.
+
+    AdaptiveSlipPolicy   slip of the friction that is estimated on line (slip_recursive)
+    OracleSlipPolicy     slip of the true friction and shear modulus, as handed to `observe_truth`
+Both drive as SlippageAwarePolicy does; what they know of the slip is all that differs.
+
+References: [F] Focchi et al. (2025), section 5.2.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov.lyapunov_laws import LyapunovGains
+from baselines.lyapunov.slippage_aware import LyapunovState, SlippageAwarePolicy
+from baselines.slip.friction_estimator import RecursiveSlipEstimator
+from baselines.slip.slip_models import Array, SlipFamily
+from baselines.slip.slip_sweep import slip_family, strength_over_weight
+from tracked_env import observation as layout
+from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
+
+LATE = 0.05  # [s] an older velocity says nothing about the slip of now
+MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that the oracle knows
+_SEEN = [layout.INDEX[n] for n in ("v_x", "v_y", "yaw_rate", "pose_age")]
+_SPROCKETS = [layout.INDEX[n] for n in ("sprocket_speed_left", "sprocket_speed_right")]
+
+
+class AdaptiveSlipState(NamedTuple):
+    """What is carried from one call to the next."""
+
+    driving: LyapunovState
+    memory: NDArray[np.float64]  # of the estimator, (N, columns)
+
+
+class AdaptiveSlipPolicy:
+    """slc on friction that it is not told; arguments as SlippageAwarePolicy, without the model.
+
+    parameters: nominal; the friction in them is where the estimate starts.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        data_sheet: DataSheet,
+        gains: LyapunovGains | None = None,
+    ) -> None:
+        self.parameters = parameters
+        self.control_period = control_period
+        self.nominal_friction = strength_over_weight(parameters)
+        self._sheet, self._gains = data_sheet, gains
+        self._made(1)
+
+    def _made(self, count: int) -> None:
+        """Estimator and controller for `count` vehicles."""
+        self.estimator = RecursiveSlipEstimator(
+            self.parameters, self.control_period, self._sheet, count
+        )
+        self._policy = SlippageAwarePolicy(
+            self.parameters, self.control_period, self.estimator, self._gains, self._sheet
+        )
+
+    def estimates(self) -> dict[str, tuple[Array, Array]]:
+        """(value, standard deviation), (N,), of the angle phi of the friction mu = tan(phi)."""
+        mu, sigma = self.estimator.estimates()["friction"]
+        return {"friction_angle": (np.arctan(mu), sigma / (1.0 + mu * mu))}
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveSlipState | None = None,
+        episode_start: NDArray[np.bool_] | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AdaptiveSlipState]:
+        """As SlippageAwarePolicy.predict, after a look at what slipped since the last call."""
+        batch = np.array(observation, dtype=np.float64, ndmin=2)
+        count = len(batch)
+        if len(self.estimator.memory) != count:
+            self._made(count)
+        if state is None:
+            self.estimator.reset()
+        else:
+            self.estimator.memory[:] = state.memory
+        start = np.broadcast_to(np.asarray(bool(state is None)), (count,))
+        if episode_start is not None:
+            start = start | np.asarray(episode_start, dtype=bool)
+        self.estimator.reset(np.flatnonzero(start))
+        v_x, v_y, yaw_rate, age = (batch[:, _SEEN] * layout.SCALE[_SEEN]).T
+        known = age <= LATE
+        left, right = (batch[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]).T
+        self.estimator.update(
+            left, right, np.where(known, v_x, np.nan), np.where(known, v_y, np.nan), yaw_rate
+        )
+        driving = None if state is None else state.driving
+        action, driving = self._policy.predict(observation, driving, episode_start, deterministic)
+        return action, AdaptiveSlipState(driving, self.estimator.memory.copy())
+
+
+class KnownSlip:
+    """Slip of each vehicle on soil of known friction and shear modulus; a SlipModel.
+
+    parameters: nominal. Between the moduli of the families it is linear in K.
+    """
+
+    def __init__(self, parameters: PlantParameters) -> None:
+        nominal = parameters.shear_deformation_modulus
+        self.moduli = nominal * np.array(MODULI)
+        self.families: list[SlipFamily] = [
+            slip_family(parameters._replace(shear_deformation_modulus=float(k)))
+            for k in self.moduli
+        ]
+        self.friction: Array = np.array([strength_over_weight(parameters)])
+        self.modulus: Array = np.array([nominal])
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
+        """(beta_left, beta_right [m/s], alpha [rad]), (N,), or a multiple of N."""
+        times = len(sprocket_left) // len(self.friction)
+        friction = np.tile(self.friction, times)
+        place = np.interp(np.tile(self.modulus, times), self.moduli, np.arange(len(self.moduli)))
+        total = np.zeros((3, len(sprocket_left)))
+        for number, family in enumerate(self.families):
+            share = np.maximum(1.0 - np.abs(place - number), 0.0)
+            if share.any():
+                total += share * np.array(family.slip(sprocket_left, sprocket_right, friction))
+        return total[0], total[1], total[2]
+
+
+class OracleSlipPolicy(SlippageAwarePolicy):
+    """slc with the slip of the soil that is there; arguments as AdaptiveSlipPolicy."""
+
+    needs_truth = True
+    slip_model: KnownSlip
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        data_sheet: DataSheet,
+        gains: LyapunovGains | None = None,
+    ) -> None:
+        super().__init__(parameters, control_period, KnownSlip(parameters), gains, data_sheet)
+
+    def observe_truth(self, truth: Mapping[str, Any]) -> None:
+        """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
+        table = np.stack([np.atleast_1d(truth[name]) for name in PARAMETER_NAMES], axis=1)
+        each = [PlantParameters(*row) for row in table]
+        self.slip_model.friction = np.array([strength_over_weight(p) for p in each])
+        self.slip_model.modulus = np.array([p.shear_deformation_modulus for p in each])

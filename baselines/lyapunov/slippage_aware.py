@@ -1,0 +1,300 @@
+"""Policies over the Lyapunov laws: the unicycle controller and the slippage-aware one.
+
+Action: sprocket speed demands over sprocket_speed_limit, left then right. One step:
+    error      the measured pose error e, or a filter: dead reckoning with velocity and gyro,
+               pulled towards the pose samples by the steady Kalman gain K of a data sheet
+    alpha      f(sprocket speeds), measured ones, or the last demanded where these are missing
+    alpha_d    f(sprocket speeds that drive v_d cos(alpha_d), w_d - alpha_d'): F maps v_d, w_d,
+               which the vehicle does not drive even on its path, and then alpha != alpha_d
+    alpha_d'   central difference along the reference by its accelerations. A difference from
+               step to step would turn a jump of the reference into a blow of the tracks.
+    law        lyapunov.slippage_aware_law or unicycle_law: v_x and w
+    sprockets  r omega = v_x -+ w B/2 + beta, beta at those sprocket speeds (fixed point)
+A pose sample that comes late is first carried forward by the mean motion over its age. (By the
+motion now, k_p age >= 1 would make the vehicle rattle: the demand enters its own measurement.)
+A missing sample (NaN) is made up from the belts. Without any pose or reference: standstill.
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), sections 5 and 7.1.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov import lyapunov_laws as law
+from baselines.lyapunov import pseudo_kinematic as kinematics
+from baselines.lyapunov.lyapunov_laws import LyapunovGains
+from baselines.lyapunov.pseudo_kinematic import Array, Geometry, NoSlip, SlipModel
+from tracked_env import observation as layout
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import PlantParameters
+
+PASSES = 3  # evaluations of the slip in the feed-forward; the next step starts where it ended
+PATH_PASSES = 6  # the same for alpha_d, which starts from nothing: 0.4^6 = 0.4 % is left of beta
+LOOK_ASIDE = 0.05  # [s] to both sides, for alpha_d': short against a turn, long against the grid
+VELOCITY_NOISE_LIMIT = 1.0  # [m/s] a data sheet above it has no velocity: the belts give it
+BELT_DRIFT = 0.05  # [m/s] slow error of the belts' velocity: slip that the model does not know
+
+_I, _SCALE = layout.INDEX, layout.SCALE
+_X, _Y, _HEADING = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
+_V_X, _V_Y, _YAW_RATE, _AGE = _I["v_x"], _I["v_y"], _I["yaw_rate"], _I["pose_age"]
+_SPROCKETS = [_I["sprocket_speed_left"], _I["sprocket_speed_right"]]
+_REFERENCE = np.array(
+    [_I[f"reference_{name}"] for name in ("speed", "yaw_rate", "acceleration", "yaw_acceleration")]
+)
+
+
+class LyapunovState(NamedTuple):
+    """What a policy remembers between two calls; never changed in place."""
+
+    error: Array  # (N, 3) vehicle minus reference, body axes [m, m, rad]
+    age: Array  # (N,) [s] age of the pose sample last seen
+    sprockets: Array  # (N, 2) [rad/s] last demanded
+    mean: Array  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], averaged over the age of the pose
+    located: NDArray[np.bool_]  # (N,) whether a pose has been seen
+
+
+@formula
+def _si(observation, i, column):
+    return observation[i, column] * _SCALE[column]
+
+
+@formula
+def _blend(predicted, sample, gain):
+    return sample if gain >= 1.0 else predicted + gain * (sample - predicted)
+
+
+@loop
+def locate(
+    observation, motion, alpha, measured, gains, period, error, age, mean, located, reference
+):  # fmt: skip
+    """Bring error, mean (N, 3), age and located (N,) up to date; reference (N, 4) out.
+
+    motion (N, 2), alpha (N,): what the belts say. measured: whether velocity is, with the pose.
+    gains (2,): of position and heading. reference: v_d, w_d, v_d', w_d', all NaN where one is.
+    """
+    for i in range(observation.shape[0]):
+        check = 0.0
+        for k in range(4):
+            reference[i, k] = _si(observation, i, _REFERENCE[k])
+            check += reference[i, k] * 0.0
+        for k in range(4):
+            reference[i, k] += check
+        old = _si(observation, i, _AGE)
+        fresh = not located[i] or old < age[i] + 0.5 * period
+        v_x, v_y = _si(observation, i, _V_X), _si(observation, i, _V_Y)
+        if not (measured and fresh and old < 1.5 * period and np.isfinite(v_x + v_y)):
+            v_x, v_y = kinematics.pose_rate(0.0, motion[i, 0], alpha[i])
+        w = _si(observation, i, _YAW_RATE)
+        w = w if np.isfinite(w) else motion[i, 1]
+        e = law.PoseError(error[i, 0], error[i, 1], error[i, 2])
+        if check == 0.0:
+            e = kinematics.carried(e, v_x, v_y, w, reference[i, 0], reference[i, 1], period)
+        seen = law.PoseError(
+            -_si(observation, i, _X), -_si(observation, i, _Y), -_si(observation, i, _HEADING)
+        )
+        if fresh and np.isfinite(seen.x + seen.y + seen.heading + old):
+            share = period / (0.5 * old + period)  # exponential, of the same mean delay
+            mean[i, 0] += share * (v_x - mean[i, 0])
+            mean[i, 1] += share * (v_y - mean[i, 1])
+            mean[i, 2] += share * (w - mean[i, 2])
+            if old > 0.0:
+                seen = kinematics.carried(
+                    seen, mean[i, 0], mean[i, 1], mean[i, 2], 0.0, 0.0, old
+                )  # fmt: skip
+            share, share_yaw = (gains[0], gains[1]) if located[i] else (1.0, 1.0)
+            turned = e.heading + law.wrapped(seen.heading - e.heading)
+            e = law.PoseError(
+                _blend(e.x, seen.x, share),
+                _blend(e.y, seen.y, share),
+                seen.heading if share_yaw >= 1.0 else _blend(e.heading, turned, share_yaw),
+            )
+            located[i] = True
+        age[i] = old if np.isfinite(old) else age[i] + period
+        error[i, 0], error[i, 1], error[i, 2] = e.x, e.y, law.wrapped(e.heading)
+
+
+class SlippageAwarePolicy:
+    """The slippage-aware controller of F 5.2 (slc) as a policy, for one vehicle or a batch.
+
+    parameters: track_gauge, sprocket_radius and sprocket_speed_limit are used, each a number
+    or (N,). control_period [s]: between two calls. slip_model: beta and alpha from sprocket
+    speeds. gains: of the law. data_sheet: noise of the sensors; it sets the filter of the pose.
+    None: no noise, hence no filter. Raises ValueError for arguments that make no sense.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        slip_model: SlipModel,
+        gains: LyapunovGains | None = None,
+        data_sheet: DataSheet | None = None,
+    ) -> None:
+        gains = LyapunovGains() if gains is None else gains
+        self.gains = LyapunovGains(*(float(gain) for gain in gains))
+        if not all(0.0 < gain < math.inf for gain in self.gains):
+            raise ValueError(f"{self.gains}: both gains must be positive and finite")
+        if not 0.0 < control_period <= 1.0:
+            raise ValueError(
+                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
+            )
+        if self.gains.k_p * control_period >= 1.0:
+            raise ValueError(
+                f"k_p control_period = {self.gains.k_p * control_period:g}; must be below 1, or "
+                "every step overshoots. Is the controller called too rarely?"
+            )
+        self.control_period = float(control_period)
+        self.slip_model = slip_model
+        self.geometry = Geometry.of(parameters)
+        none = DataSheet(*(0.0 for _ in DataSheet._fields))
+        sheet = none if data_sheet is None else data_sheet
+        self.velocity_measured = sheet.velocity_noise <= VELOCITY_NOISE_LIMIT
+        rate = (sheet.velocity_noise, 0.0) if self.velocity_measured else (0.0, BELT_DRIFT)
+        self.filter_gains = (
+            kinematics.steady_gain(sheet.position_noise, *rate, control_period),
+            kinematics.steady_gain(
+                sheet.yaw_noise, sheet.gyro_noise, sheet.gyro_bias, control_period
+            ),
+        )
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: LyapunovState | None = None,
+        episode_start: NDArray[np.bool_] | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], LyapunovState]:
+        """Sprocket speeds over their limit, and the state to pass to the next call.
+
+        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None starts
+        anew. episode_start: (N,) or a bool; those rows start anew. deterministic: unused.
+        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
+        Raises ValueError for a wrong shape or a state of another number of vehicles.
+        """
+        batch = np.array(observation, dtype=np.float32, ndmin=2)
+        count, single = len(batch), np.ndim(observation) == 1
+        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
+            raise ValueError(
+                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
+                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
+            )
+        geometry = self.geometry.rows(count)
+        error, age, last, mean, located = self._start(state, episode_start, count)
+        measured = batch[:, _SPROCKETS] * _SCALE[_SPROCKETS]
+        actual = np.where(np.isfinite(measured), measured, last)
+        beta, alpha, driven = self._slip(actual, geometry)
+        reference = np.empty((count, 4))
+        locate(
+            batch, driven, alpha, self.velocity_measured, self.filter_gains,
+            self.control_period, error, age, mean, located, reference,
+        )  # fmt: skip
+        moving = located & np.isfinite(reference[:, 0])
+        reference[~moving] = 0.0
+        wanted = self._law(error, reference, alpha, geometry)
+        sprockets = self._feed_forward(wanted, beta, geometry)
+        sprockets[~moving] = 0.0
+        action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
+        return (action[0] if single else action), LyapunovState(
+            error, age, sprockets, mean, located
+        )
+
+    def _start(
+        self,
+        state: LyapunovState | None,
+        episode_start: NDArray[np.bool_] | bool | None,
+        count: int,
+    ) -> LyapunovState:
+        """A copy of the state, its rows new where an episode starts."""
+        if state is None:
+            rows, nowhere = np.zeros((count, 3)), np.zeros(count, dtype=bool)
+            state = LyapunovState(rows, rows[:, 0], rows[:, :2], rows, nowhere)
+        if len(state.age) != count:
+            raise ValueError(f"state of {len(state.age)} vehicles for {count} observations")
+        start = np.asarray(False if episode_start is None else episode_start, dtype=bool)
+        if start.shape not in ((), (1,), (count,)):
+            raise ValueError(f"episode_start has shape {start.shape}; must be ({count},)")
+        copies = LyapunovState._make(values.copy() for values in state)
+        for values in copies:
+            values[np.broadcast_to(start, (count,))] = 0
+        return copies
+
+    def _slip(self, sprockets: Array, geometry: Geometry) -> tuple[Array, Array, Array]:
+        """beta (N, 2) [m/s], alpha (N,) [rad] and motion (N, 2) at sprockets (N, 2)."""
+        left, right, alpha = self.slip_model.slip(sprockets[:, 0].copy(), sprockets[:, 1].copy())
+        beta = np.stack([left, right], axis=1).astype(np.float64)
+        beta[~np.isfinite(beta)] = 0.0
+        motion, angle = np.empty_like(beta), np.empty(len(beta))
+        law.motions_of(sprockets, beta, geometry.half_gauge, geometry.radius, motion)
+        kinematics.fade(np.asarray(alpha, dtype=np.float64), motion[:, 0], angle)
+        return beta, angle, motion
+
+    def _sprockets(self, motion: Array, beta: Array, geometry: Geometry) -> Array:
+        """Sprocket speeds (N, 2) within their limit for motion and beta, (N, 2) each."""
+        sprockets = np.empty_like(motion)
+        law.sprockets_for(motion, beta, *geometry, sprockets)
+        return sprockets
+
+    def _feed_forward(self, motion: Array, beta: Array, geometry: Geometry) -> Array:
+        """Sprocket speeds whose slip leaves `motion` over; beta: first guess of that slip."""
+        sprockets = self._sprockets(motion, beta, geometry)
+        for _ in range(PASSES):
+            beta, _alpha, _motion = self._slip(sprockets, geometry)
+            sprockets = self._sprockets(motion, beta, geometry)
+        return sprockets
+
+    def _on_the_path(
+        self, reference: Array, rate: Array, geometry: Geometry, beta: Array, alpha: Array
+    ) -> tuple[Array, Array]:
+        """beta (N, 2) and alpha_d (N,) on the path; rate: alpha_d'; beta, alpha: first guess."""
+        motion = np.empty_like(beta)
+        for _ in range(PATH_PASSES):
+            kinematics.along_slip(reference, alpha, rate, motion)
+            beta, alpha, _motion = self._slip(self._sprockets(motion, beta, geometry), geometry)
+        return beta, alpha
+
+    def reference_slip(self, reference: Array) -> tuple[Array, Array]:
+        """alpha_d [rad] and its rate [rad/s], (N,), of reference (N, 4) v_d, w_d, v_d', w_d'."""
+        count, geometry = len(reference), self.geometry.rows(len(reference))
+        change = LOOK_ASIDE * reference[:, 2:]
+        rows = np.concatenate([reference[:, :2] + sign * change for sign in (0.0, -1.0, 1.0)])
+        thrice = Geometry(*(np.tile(value, 3) for value in geometry))
+        none = np.zeros(3 * count)
+        beta, alpha = self._on_the_path(rows, none, thrice, np.zeros((3 * count, 2)), none)
+        rate = (alpha[2 * count :] - alpha[count : 2 * count]) / (2.0 * LOOK_ASIDE)
+        _beta, alpha = self._on_the_path(
+            reference[:, :2], rate, geometry, beta[:count], alpha[:count]
+        )
+        return alpha, rate
+
+    def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
+        """Motion demanded (N, 2)."""
+        slip = np.stack([alpha, *self.reference_slip(reference)], axis=1)
+        motion = np.empty((len(error), 2))
+        law.laws(error, reference, slip, True, self.gains, motion)
+        return motion
+
+
+class UnicyclePolicy(SlippageAwarePolicy):
+    """The unicycle controller of F 5.1 (uc) as a policy: no slip is known, none is fed forward.
+
+    Arguments as SlippageAwarePolicy, without the slip model.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        gains: LyapunovGains | None = None,
+        data_sheet: DataSheet | None = None,
+    ) -> None:
+        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet)
+
+    def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
+        slip, motion = np.empty((0, 3)), np.empty((len(error), 2))
+        law.laws(error, reference, slip, False, self.gains, motion)
+        return motion

@@ -1,0 +1,167 @@
+"""Named policies for the benchmark: what each knows of the vehicle and its soil.
+
+    nominal   the feedback-linearizing controller with the nominal parameters, right or wrong
+    adaptive  the same controller with the parameters that it identifies under way
+    oracle    the adaptive policy, handed the true parameters at every step: what perfect
+              identification would reach. It measures, and filters, like the adaptive one.
+For vehicles driven by their sprocket speeds:
+    uc            the Lyapunov controller of a unicycle: slip is not known
+    slc           the slippage-aware one, slip identified beforehand on the nominal soil
+    slc-adaptive  the same controller with the slip of the friction that it identifies under way
+    slc-oracle    the same controller with the slip of the true soil
+A factory takes a context with `control_period` [s], `lateral` (closure), `sensors` (data sheet:
+the noise of the sensors, which everybody may know), `drive` and `vehicle`.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
+from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.slip.slip_sweep import identified_slip
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
+
+
+class Context(Protocol):
+    """What a factory needs to know of the environment."""
+
+    @property
+    def control_period(self) -> float:
+        """Time between two actions [s]."""
+
+    @property
+    def lateral(self) -> str:
+        """Lateral closure of the plant."""
+
+    @property
+    def sensors(self) -> Any:
+        """Data sheet: an object with the attributes of estimators.measurement.DataSheet."""
+
+    @property
+    def drive(self) -> str:
+        """What the actions are: "torque" or "speed"."""
+
+    @property
+    def vehicle(self) -> str:
+        """Nominal vehicle and soil, a key of VEHICLES."""
+
+
+class OraclePolicy:
+    """The adaptive policy with the parameters in force, as handed to `observe_truth`.
+
+    It filters what the sensors give as the adaptive policy does, and estimates no parameter.
+    Arguments as AdaptivePolicy.
+    """
+
+    needs_truth = True
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self._policy = AdaptivePolicy(*arguments, **options)
+
+    @property
+    def controller(self) -> FeedbackLinearizingController:
+        """The controller that drives."""
+        return self._policy.controller
+
+    def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
+        """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
+        self._policy.given_parameters = np.stack(
+            [np.atleast_1d(truth[name]) for name in PARAMETER_NAMES]
+        )
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveState | None = None,
+        episode_start: NDArray[np.bool_] | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AdaptiveState]:
+        """As AdaptivePolicy.predict."""
+        return self._policy.predict(observation, state, episode_start, deterministic)
+
+
+def _vehicle(context: Context, drive: str) -> PlantParameters:
+    """Nominal parameters for a policy that commands `drive`. Raises ValueError for another."""
+    if context.drive != drive:
+        raise ValueError(
+            f"this policy commands each sprocket's {drive}, the environment takes its "
+            f"{context.drive}; policies for that are {', '.join(BY_DRIVE[context.drive])}"
+        )
+    return VEHICLES[context.vehicle]
+
+
+def nominal(context: Context) -> FeedbackLinearizingController:
+    """The controller that trusts the nominal parameters."""
+    return FeedbackLinearizingController(
+        _vehicle(context, "torque"), control_period=context.control_period, lateral=context.lateral
+    )
+
+
+def _arguments(context: Context) -> dict[str, Any]:
+    return {
+        "parameters": _vehicle(context, "torque"),
+        "control_period": context.control_period,
+        "data_sheet": DataSheet.of(context.sensors),
+        "lateral": context.lateral,
+    }
+
+
+def adaptive(context: Context) -> AdaptivePolicy:
+    """The controller that identifies vehicle and soil under way."""
+    return AdaptivePolicy(**_arguments(context))
+
+
+def oracle(context: Context) -> OraclePolicy:
+    """The controller that knows the true parameters."""
+    return OraclePolicy(**_arguments(context))
+
+
+def _speed_arguments(context: Context) -> dict[str, Any]:
+    return {
+        "parameters": _vehicle(context, "speed"),
+        "control_period": context.control_period,
+        "data_sheet": DataSheet.of(context.sensors),
+    }
+
+
+def uc(context: Context) -> UnicyclePolicy:
+    """The controller of a unicycle without slip."""
+    return UnicyclePolicy(**_speed_arguments(context))
+
+
+def slc(context: Context) -> SlippageAwarePolicy:
+    """The slippage-aware controller that trusts the slip of the nominal soil."""
+    arguments = _speed_arguments(context)
+    return SlippageAwarePolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
+
+
+def slc_adaptive(context: Context) -> AdaptiveSlipPolicy:
+    """The slippage-aware controller that identifies the friction under way."""
+    return AdaptiveSlipPolicy(**_speed_arguments(context))
+
+
+def slc_oracle(context: Context) -> OracleSlipPolicy:
+    """The slippage-aware controller that knows the true soil."""
+    return OracleSlipPolicy(**_speed_arguments(context))
+
+
+POLICIES: dict[str, Callable[[Any], Any]] = {
+    "nominal": nominal,
+    "adaptive": adaptive,
+    "oracle": oracle,
+    "uc": uc,
+    "slc": slc,
+    "slc-adaptive": slc_adaptive,
+    "slc-oracle": slc_oracle,
+}
+# Those for each kind of drive, from the least to the most that is known.
+BY_DRIVE = {
+    "torque": ("nominal", "adaptive", "oracle"),
+    "speed": ("uc", "slc", "slc-adaptive", "slc-oracle"),
+}

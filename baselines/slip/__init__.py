@@ -1,0 +1,1 @@
+"""Slip of tracks identified beforehand or on line, and the models that hold it."""

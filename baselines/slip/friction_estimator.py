@@ -1,0 +1,172 @@
+"""Slip on unknown friction, estimated while driving: a bank of models over friction.
+
+What slip depends on beside the sprocket speeds is the soil's strength over the weight, mu: with
+it the steady slip is a member of a family (slip_model.SlipFamily). So mu is estimated, not the
+slip itself: a measured slip belongs to the speeds of the moment, a friction to all. A gain
+on the slip that turns was tried beside it and does harm: it also learns what is no steady slip, the
+lag of a yawing vehicle, and the controller acts on that.
+
+The plants of a bank (friction_bank) are driven by the measured sprocket speeds. Plants and not the
+tables predict, because on slippery ground the vehicle takes seconds to become steady.
+
+References: [F] Focchi et al. (2025), section 4, where slip is identified once, for one soil.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.slip.friction_bank import (
+    CHANNELS,
+    CURVE,
+    PLACE,
+    SPREAD,
+    VELOCITIES,
+    columns_for,
+    compare,
+)
+from baselines.slip.slip_models import Array
+from baselines.slip.slip_sweep import (
+    FRICTIONS,
+    slip_family,
+    strength_over_weight,
+    with_friction,
+)
+from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.patch_dynamics import hold_speeds
+from tracked_env.physics.patch_forces import Patches, make_patches
+
+PULL = 1.0  # [s] over which the plants are drawn to the measured velocities
+MEMORY_TIME = 5.0  # [s] of turns, over which evidence is forgotten
+TURNING = 0.05  # [rad/s] yaw rate of the belts below which a vehicle drives straight
+MODEL_SPEED = 0.01  # [m/s] what the plants leave unexplained in v_x and v_y
+MODEL_YAW_RATE = 0.01  # [rad/s] the same in w
+IMPOSSIBLE = 3.0  # [-] times what the sprockets can drive: such a sample counts as missing
+LARGEST_STEP = 0.01  # [s] of the plants
+
+
+class RecursiveSlipEstimator:
+    """Slip of N vehicles on friction that is not known and may change; a SlipModel.
+
+    parameters: nominal; the vehicle is taken from them, and the friction to begin with.
+    control_period [s]: between two updates. data_sheet: noise of velocity, gyro and sprocket
+    speeds is used. count: N. memory_time [s]: of turns, after which evidence has faded.
+    All that is remembered is in `memory`: a copy of it resumes. Raises ValueError for arguments
+    outside their range.
+    """
+
+    names = ("friction",)
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        data_sheet: DataSheet,
+        count: int = 1,
+        memory_time: float = MEMORY_TIME,
+        patches: Patches | None = None,
+    ) -> None:
+        if not 1e-4 <= control_period <= 1.0:
+            raise ValueError(
+                f"control_period = {control_period} s; must be in [0.0001, 1] s. "
+                "Did you pass a rate?"
+            )
+        if not control_period <= memory_time < math.inf:
+            raise ValueError(
+                f"memory_time = {memory_time} s; must be one control period or more, finite. "
+                "Did you pass steps?"
+            )
+        if count != int(count) or count < 1:
+            raise ValueError(f"count = {count}; must be a whole number, 1 or more")
+        for name, sigma in data_sheet._asdict().items():
+            if not 0.0 <= sigma < math.inf:
+                raise ValueError(f"{name} = {sigma}; must be in [0, inf). Sigmas are not negative.")
+        self.control_period = float(control_period)
+        self.family = slip_family(parameters)
+        self._patches = make_patches() if patches is None else patches
+        bank = [with_friction(parameters, mu) for mu in FRICTIONS]
+        self._plants = np.tile(np.array(bank, dtype=np.float64), (int(count), 1))
+        velocity = math.hypot(data_sheet.velocity_noise, MODEL_SPEED)
+        yaw_rate = math.hypot(data_sheet.gyro_noise, data_sheet.gyro_bias, MODEL_YAW_RATE)
+        self._sigma = np.array([velocity, velocity, yaw_rate])
+        limit = IMPOSSIBLE * parameters.sprocket_speed_limit
+        belt = limit * parameters.sprocket_radius
+        self._fastest = np.array([limit, belt, belt, 2.0 * belt / parameters.track_gauge])
+        self._gain = min(self.control_period / PULL, 1.0)
+        belts = parameters.sprocket_radius / parameters.track_gauge
+        self._turning = TURNING / belts + 5.0 * math.sqrt(2.0) * data_sheet.sprocket_speed_noise
+        self._forgetting = self.control_period / float(memory_time)
+        nominal = np.clip(strength_over_weight(parameters), FRICTIONS[0], FRICTIONS[-1])
+        places = np.arange(len(FRICTIONS), dtype=np.float64)
+        self._prior = float(np.interp(math.log(nominal), np.log(FRICTIONS), places))
+        self._inverse = 1.0 / np.array(FRICTIONS)
+        self._steps = math.ceil(self.control_period / LARGEST_STEP - 1e-9)
+        self.memory = np.zeros((int(count), columns_for(len(FRICTIONS))))
+        self.reset()
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Forget all, of the vehicles named (indices or a mask), or of all."""
+        chosen = slice(None) if rows is None else np.asarray(rows)
+        self.memory[chosen] = 0.0
+        self.memory[chosen, PLACE] = self._prior
+        self.memory[chosen, CURVE] = SPREAD**-2
+
+    def update(
+        self,
+        sprocket_left: ArrayLike,
+        sprocket_right: ArrayLike,
+        v_x: ArrayLike,
+        v_y: ArrayLike,
+        yaw_rate: ArrayLike,
+    ) -> NDArray[np.bool_]:
+        """Take one sample of every vehicle: sprocket speeds [rad/s] held since the last one,
+        body velocities [m/s] and yaw rate [rad/s] now, each a number or (N,); NaN is missing.
+
+        Returns (N,): whether the sample counted. Raises ValueError for another shape.
+        """
+        n, bank = len(self.memory), len(FRICTIONS)
+        measured = np.empty((n, 5))
+        for column, value in enumerate((sprocket_left, sprocket_right, v_x, v_y, yaw_rate)):
+            array = np.asarray(value, dtype=np.float64)
+            if array.shape not in ((), (n,)):
+                raise ValueError(
+                    f"a measurement has shape {array.shape}; must be ({n},). "
+                    f"Is the estimator made for count = {n} vehicles?"
+                )
+            measured[:, column] = array
+        possible = np.abs(measured[:, :2]) < self._fastest[0]  # NaN is not
+        held = np.where(possible, measured[:, :2], self.memory[:, :2])
+        self.memory[:, :2] = held
+        states, loads = np.zeros((n * bank, 6)), np.empty((n * bank, 6))
+        velocities = self.memory[:, VELOCITIES : VELOCITIES + CHANNELS * bank]
+        states[:, 3:] = velocities.reshape(n * bank, CHANNELS)
+        hold_speeds(
+            states, np.repeat(held, bank, axis=0), self._plants, self._patches,
+            self._steps, self.control_period / self._steps, False, loads,
+        )  # fmt: skip
+        used = np.empty(n, dtype=np.bool_)
+        compare(
+            self.memory, states, measured, self._sigma, self._fastest[1:], self._gain,
+            self._turning, self._forgetting, self._prior, used,
+        )  # fmt: skip
+        return used
+
+    def estimates(self) -> dict[str, tuple[Array, Array]]:
+        """By name (value, standard deviation), (N,) each: friction mu [-]."""
+        place, curve = self.memory[:, PLACE], self.memory[:, CURVE]
+        k = np.minimum(place.astype(np.int64), len(FRICTIONS) - 2)
+        apart = self._inverse[k] - self._inverse[k + 1]
+        mu = 1.0 / (self._inverse[k] - (place - k) * apart)
+        return {"friction": (mu, mu * mu * apart / np.sqrt(curve))}
+
+    @property
+    def friction(self) -> Array:
+        """(N,) mu [-]."""
+        return self.estimates()["friction"][0]
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], each vehicle on
+        its own friction. (N,), or a multiple of N where each vehicle is asked several times."""
+        return self.family.at(self.friction).slip(sprocket_left, sprocket_right)

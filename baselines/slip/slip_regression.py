@@ -1,0 +1,207 @@
+"""Regression of identified slip: decision trees as in F 4.2, and the exponential form F (54).
+
+Four trees: beta_left, beta_right, and alpha for v_x > 0 and for v_x < 0, each of both sprocket
+speeds. scikit-learn (the extra `slip`) grows them; what is looked up later are plain arrays.
+
+Scores are coefficients of determination R^2 on data that the regression has not seen. F does
+not say whether its test set was split off before the upsampling or after it. After it, each
+test point has neighbours 0.1 rad/s away in the training set, and R^2 says little; `validate`
+splits off whole runs before it.
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), sections 4, 7.2.3.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import curve_fit
+
+from baselines.slip.slip_models import (
+    Array,
+    ExponentialSlipModel,
+    SlipModel,
+    TreeSlipModel,
+)
+from baselines.slip.slip_sweep import SlipData, upsample
+from tracked_env.physics.parameters import PlantParameters
+
+TEST_SHARE = 0.2  # [-] of the data that is held out
+SLOWEST = 0.05  # [m/s] |v_x| below which alpha is not scored: it tends to pi/2 or to 0 there
+LEAF = 2  # samples in a leaf at least: a single noisy one is not followed
+STRAIGHT = 1e-9  # [rad/s] a smaller yaw rate has no turning radius
+LARGEST_RADIUS = 1e3  # [m] runs beyond it are straight: they do not enter the exponential form
+
+
+class Scores(NamedTuple):
+    """Coefficients of determination R^2 [-] on held-out data; NaN without data."""
+
+    beta_left: float
+    beta_right: float
+    alpha_forward: float
+    alpha_reverse: float
+
+
+def determination(truth: Array, predicted: Array) -> float:
+    """R^2 = 1 - sum (y - f)^2 / sum (y - mean y)^2 [-]; NaN for fewer than two samples."""
+    if len(truth) < 2:
+        return float("nan")
+    spread = np.sum((truth - truth.mean()) ** 2)
+    return float(1.0 - np.sum((truth - predicted) ** 2) / spread) if spread > 0.0 else float("nan")
+
+
+def scores(predicted: Array, data: SlipData) -> Scores:
+    """R^2 of predictions (3, N): beta_left, beta_right, alpha, this one where |v_x| > SLOWEST."""
+    forward, reverse = data.v_x > SLOWEST, data.v_x < -SLOWEST
+    left, right, alpha = predicted
+    return Scores(
+        determination(data.beta_left, left),
+        determination(data.beta_right, right),
+        determination(data.alpha[forward], alpha[forward]),
+        determination(data.alpha[reverse], alpha[reverse]),
+    )
+
+
+def score(model: SlipModel, data: SlipData) -> Scores:
+    """R^2 of a model on data; alpha where |v_x| > SLOWEST."""
+    return scores(np.array(model.slip(data.sprocket_left, data.sprocket_right)), data)
+
+
+def split(data: SlipData, share: float = TEST_SHARE, seed: int = 0) -> tuple[SlipData, SlipData]:
+    """(training, test) data drawn at random; `share` [-] goes to the test set.
+
+    Raises ValueError for a share outside (0, 1).
+    """
+    if not 0.0 < share < 1.0:
+        raise ValueError(f"share = {share}; must be in (0, 1). Did you pass a percentage?")
+    order = np.random.default_rng(seed).permutation(len(data.alpha))
+    count = max(1, round(share * len(order)))
+    return data.rows(np.sort(order[count:])), data.rows(np.sort(order[:count]))
+
+
+def regressor() -> Any:
+    """A decision tree to be trained. Raises ImportError without scikit-learn."""
+    try:
+        from sklearn.tree import DecisionTreeRegressor  # type: ignore[import-untyped]
+    except ImportError as error:
+        raise ImportError(
+            "decision trees need scikit-learn: pip install 'tracked-env[slip]'. A trained model "
+            "is loaded and looked up without it (baselines.slip.slip_models)."
+        ) from error
+    return DecisionTreeRegressor(min_samples_leaf=LEAF, random_state=0)
+
+
+def grow(data: SlipData) -> list[Any]:
+    """scikit-learn trees of beta_left, beta_right, alpha forward and alpha in reverse.
+
+    Raises ValueError where the data hold no forward or no reverse driving, ImportError without
+    scikit-learn.
+    """
+    every = np.ones(len(data.v_x), dtype=bool)
+    targets = [
+        (data.beta_left, every),
+        (data.beta_right, every),
+        (data.alpha, data.v_x > 0.0),
+        (data.alpha, data.v_x < 0.0),
+    ]
+    inputs = np.stack([data.sprocket_left, data.sprocket_right], axis=1)
+    grown = []
+    for target, rows in targets:
+        if rows.sum() < 2 * LEAF:
+            raise ValueError(
+                f"{rows.sum()} runs with one sign of v_x; must be {2 * LEAF} or more. "
+                "Do the data cover both directions?"
+            )
+        grown.append(regressor().fit(inputs[rows], target[rows]))
+    return grown
+
+
+def as_arrays(grown: list[Any]) -> tuple[NDArray, ...]:
+    """(roots, feature, threshold, below, above, value) of scikit-learn trees, one after another.
+
+    Children count from the root of their tree; a leaf has feature -1.
+    """
+    trees = [one.tree_ for one in grown]
+    roots = np.cumsum([0, *(tree.node_count for tree in trees[:-1])])
+    features = [np.where(tree.children_left < 0, -1, tree.feature) for tree in trees]
+    columns = (
+        features,
+        [tree.threshold for tree in trees],
+        [tree.children_left for tree in trees],
+        [tree.children_right for tree in trees],
+        [tree.value[:, 0, 0] for tree in trees],
+    )
+    return (roots, *(np.concatenate(column) for column in columns))
+
+
+def train_trees(
+    data: SlipData, parameters: PlantParameters, share: float = TEST_SHARE, seed: int = 0
+) -> tuple[TreeSlipModel, Scores]:
+    """Trees of the data but for a test set drawn at random from them, and R^2 on that.
+
+    parameters: sprocket_radius is used. data: upsampled as in F, or runs. Raises as `grow` and
+    `split` do.
+    """
+    training, test = split(data, share, seed)
+    model = TreeSlipModel(as_arrays(grow(training)), parameters.sprocket_radius)
+    return model, score(model, test)
+
+
+def validate(data: SlipData, parameters: PlantParameters, folds: int = 5, seed: int = 0) -> Scores:
+    """R^2 on runs that neither the upsampling nor the trees have seen: cross-validation, every
+    run is predicted once. Raises ValueError for fewer than two folds, and as `grow` does.
+    """
+    if not 2 <= folds <= len(data.alpha):
+        raise ValueError(
+            f"folds = {folds}; must be in [2, {len(data.alpha)}]. Did you pass a share?"
+        )
+    fold = np.random.default_rng(seed).permutation(len(data.alpha)) % folds
+    held_out = np.empty((3, len(fold)))
+    for k in range(folds):
+        dense, _grid = upsample(data.rows(fold != k), parameters)
+        model = TreeSlipModel(as_arrays(grow(dense)), parameters.sprocket_radius)
+        test = data.rows(fold == k)
+        held_out[:, fold == k] = model.slip(test.sprocket_left, test.sprocket_right)
+    return scores(held_out, data)
+
+
+def decay(radius: Array, first: float, second: float) -> Array:
+    """F (54) at radius R [m]: -first exp(-second R), or first exp(second R) for R < 0."""
+    return np.where(radius >= 0.0, -1.0, 1.0) * first * np.exp(-second * np.abs(radius))
+
+
+def fit_exponential(
+    data: SlipData, parameters: PlantParameters, belts: bool = True
+) -> tuple[ExponentialSlipModel, Scores]:
+    """F (54) fitted to the runs that drive forward, and R^2 on those runs (F names no other).
+
+    belts: R is that of the belts, F (26), which is known when the model is looked up; False:
+    R = v_x / w of the vehicle. parameters: track_gauge is used. Raises ValueError without
+    forward runs in turns.
+    """
+    turn = data.sprocket_right - data.sprocket_left if belts else data.yaw_rate
+    drive = data.sprocket_left + data.sprocket_right if belts else data.v_x
+    arm = 0.5 * parameters.track_gauge if belts else 1.0
+    turning = np.abs(turn) > STRAIGHT
+    radius = arm * drive / np.where(turning, turn, 1.0)
+    chosen = turning & (data.v_x > SLOWEST) & (drive > 0.0) & (np.abs(radius) < LARGEST_RADIUS)
+    if chosen.sum() < 4:
+        raise ValueError(
+            f"{chosen.sum()} runs forward in turns; must be 4 or more. Do the data hold "
+            "straight driving only?"
+        )
+    runs, constants, found_scores = data.rows(chosen), [], []
+    for target in (runs.beta_left, runs.beta_right, runs.alpha):
+        sign = 1.0 if np.sum(target * np.sign(radius[chosen])) <= 0.0 else -1.0
+        bounds = (sorted((0.0, sign * 10.0)), [0.0, 100.0])
+        found, _covariance = curve_fit(
+            decay, radius[chosen], target, p0=(0.1 * sign, 1.0),
+            bounds=(
+                [bounds[0][0], bounds[1][0]], [bounds[0][1], bounds[1][1]],
+            ),
+        )  # fmt: skip
+        constants.append(found)
+        found_scores.append(determination(target, decay(radius[chosen], *found)))
+    model = ExponentialSlipModel(np.array(constants), parameters.track_gauge)
+    return model, Scores(found_scores[0], found_scores[1], found_scores[2], float("nan"))

@@ -1,0 +1,237 @@
+"""Section 7.1: the chicane F (53) on the distributed model, figures 12 to 14.
+
+As printed v starts at -2 v_max; read as a ramp v = v_max t it reaches 2 v_max at t_1 and jumps
+back. Chosen: that ramp, mu = 0.1, actuation noise as sigma of the sprocket speeds, new at every
+control step, ideal sensors. The paper controls at 1 kHz in simulation, its vehicle at 200 Hz.
+"""
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reproduce.focchi2025.identification import MEASURED_LIMIT, STEP, within
+from reproduce.focchi2025.loop import Patches, follow
+from reproduce.focchi2025.runs import (
+    FRICTION,
+    LENGTHS,
+    RESISTANCE,
+    Floats,
+    Numbers,
+    Run,
+    vehicle,
+)
+from reproduce.focchi2025.tools import Tools
+from tracked_env.engine import columns as b
+from tracked_env.physics import state as s
+from tracked_env.physics.parameters import PlantParameters
+from tracked_env.references import ReferenceProfile, make_reference
+from tracked_env.sensors import PRESETS
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+SPEED, TURN = 0.2, 0.3  # [m/s] v_max, [rad/s] w_max
+TURN_TIME, SWITCH_TIME, DURATION = 2.0, 12.0, 20.0  # [s] t_1, t_2, t_end
+START = (0.05, 0.03, 0.01)  # [m, m, rad]
+NOISE = 0.02  # [rad/s] sigma on the sprocket speeds
+SEEDS = 4  # vehicles per case
+RATES = (1000, 200, 50)  # [Hz]
+REFERENCE: dict[str, Any] = {
+    "kind": "chicane", "speed": SPEED, "yaw_rate": TURN, "turn_time": TURN_TIME,
+    "switch_time": SWITCH_TIME,
+}  # fmt: skip
+_STATES = [b.STATE + row for row in (s.X, s.Y, s.YAW, s.V_X, s.V_Y, s.YAW_RATE)]
+_SPROCKETS = [b.STATE + s.SPROCKET_SPEED_LEFT, b.STATE + s.SPROCKET_SPEED_RIGHT]
+
+
+class Case(NamedTuple):
+    """One vehicle and what its controller believes."""
+
+    kind: str  # uc; slc with the slip of a table or of REGRESSED; online
+    length: float = LENGTHS[-1]  # [m]
+    rate: int = 200  # [Hz] of control
+    friction: float = FRICTION  # [-] true mu
+    believed: float = FRICTION  # [-] mu that the controller is told
+    resistance: float = RESISTANCE  # [-] c_r, true
+    believed_resistance: float = RESISTANCE
+    noise: float = NOISE  # [rad/s]
+    sensors: str = "ideal"
+
+
+KINDS = ("uc", "table")  # of the paper's comparison; the table stands for its regressor
+PAPER = [Case(kind, length, rate) for rate in RATES for length in LENGTHS for kind in KINDS]
+REGRESSED = ("trees", "exponential", "exponential, slow")
+MODELS = [Case(kind, length) for length in LENGTHS for kind in REGRESSED]
+SOILS = ((0.1, 0.4), (0.4, 0.1))  # (true, told)
+ONLINE = [
+    Case(kind, length, friction=true, believed=believed)
+    for length in LENGTHS
+    for true, told in SOILS
+    for kind, believed in (("table", true), ("table", told), ("online", told))
+]
+RESISTANCES = [
+    Case(kind, length, resistance=true, believed_resistance=told)
+    for length in LENGTHS
+    for kind in KINDS
+    for true, told in ((0.0, 0.0), (0.0, RESISTANCE), (RESISTANCE, 0.0))
+    if kind != "uc" or true == told
+]
+LOUD = [Case(kind, length, noise=0.02**0.5) for length in LENGTHS for kind in KINDS]
+
+
+def slip_model(tools: Tools, parameters: PlantParameters, kind: str) -> Any:
+    """Slip of a vehicle as F has it, by `kind`; "exponential, slow": of slow runs."""
+    if kind == "table":
+        return tools.slip(parameters)
+    runs = tools.sweep(parameters, STEP)
+    if kind == "trees":
+        return tools.regression(tools.upsample(runs, parameters), parameters, kind)[0]
+    if kind == "exponential, slow":
+        runs = within(runs, MEASURED_LIMIT)
+    return tools.regression(runs, parameters, "exponential")[0]
+
+
+def policy(tools: Tools, case: Case, count: int) -> Any:
+    """What drives `count` vehicles of a case."""
+    believed = vehicle(case.length, case.believed, case.believed_resistance)
+    sensors, period = PRESETS[case.sensors], 1.0 / case.rate
+    if case.kind == "online":
+        return tools.online(believed, period, sensors, count)
+    model = None if case.kind == "uc" else slip_model(tools, believed, case.kind)
+    return tools.controller(believed, period, sensors, count, model)
+
+
+def knowledge(case: Case) -> tuple[Any, ...]:
+    """What the controller is made of: cases that agree in it share one."""
+    if case.kind == "uc":
+        return ("uc", case.sensors)
+    return (case.kind, case.length, case.believed, case.believed_resistance, case.sensors)
+
+
+def options(case: Case) -> dict[str, Any]:
+    """Options of reset for a vehicle of a case."""
+    true = vehicle(case.length, case.friction, case.resistance)
+    return {
+        "vehicle": {"contact_length": true.contact_length},
+        "soil": {
+            "friction_angle": true.friction_angle,
+            "longitudinal_resistance": true.longitudinal_resistance,
+        },
+        "sensors": case.sensors,
+        "start": {
+            "offset_x": START[0], "offset_y": START[1], "offset_yaw": START[2],
+            "speed": 0.0, "yaw_rate": 0.0,
+        },
+    }  # fmt: skip
+
+
+def drive(
+    tools: Tools, cases: Sequence[Case], seeds: int = SEEDS, duration: float = DURATION
+) -> dict[Case, Run]:
+    """Drive `seeds` vehicles of every case; the noise of seed k is the same for all cases."""
+    found: dict[Case, Run] = {}
+    for rate in dict.fromkeys(case.rate for case in cases):
+        alike = sorted((c for c in cases if c.rate == rate), key=knowledge)
+        found |= _drive(alike, tools, rate, seeds, duration)
+    return {case: found[case] for case in cases}
+
+
+def _drive(
+    cases: Sequence[Case], tools: Tools, rate: int, seeds: int, duration: float
+) -> dict[Case, Run]:
+    """All of one control rate, as one batch; cases that share a controller are neighbours."""
+    count, steps = seeds * len(cases), round(duration * rate)
+    env = TrackedVehicleVectorEnv(
+        count, reference=REFERENCE, uncertainty="nominal", sensors="ideal",
+        duration=DURATION + 1.0, control_rate=rate, vehicle="focchi", plant="distributed",
+        drive="speed", error_limit=1e3,
+    )  # fmt: skip
+    rows = [options(case) for case in cases for _ in range(seeds)]
+    observation, _ = env.reset(seed=0, options={"rows": rows})
+    parts = [slice(i * seeds, (i + 1) * seeds) for i in range(len(cases))]
+    policies, shares = [], []
+    for _, group in groupby(range(len(cases)), lambda i: knowledge(cases[i])):
+        members = list(group)
+        shares.append(slice(parts[members[0]].start, parts[members[-1]].stop))
+        policies.append(policy(tools, cases[members[0]], seeds * len(members)))
+    memories: list[Any] = [None] * len(policies)
+    sigma = np.repeat([case.noise for case in cases], seeds)[:, None]
+    scale = sigma / vehicle().sprocket_speed_limit
+    rng = np.random.default_rng(0)
+    state, sprockets = np.empty((steps, 6, count)), np.empty((steps, 2, count))
+    goal = np.empty((steps, 3, count))
+    belief: dict[str, Floats] = {}
+    action = np.empty((count, 2), dtype=np.float32)
+    for k in range(steps):
+        floats = env.simulation.batch.floats
+        state[k], sprockets[k] = floats[:, _STATES].T, floats[:, _SPROCKETS].T
+        goal[k] = floats[:, b.REFERENCE_X : b.REFERENCE_X + 3].T
+        for i, (one, share) in enumerate(zip(policies, shares, strict=True)):
+            action[share], memories[i] = one.predict(observation[share], memories[i])
+            if hasattr(one, "estimates"):
+                told = one.estimates()["friction_angle"][0]
+                belief.setdefault("friction", np.full((steps, count), np.nan))
+                belief["friction"][k, share] = np.tan(told)
+        noise = np.tile(rng.standard_normal((seeds, 2)), (len(cases), 1))
+        noisy = np.clip(action + scale * noise, -1.0, 1.0).astype(np.float32)
+        observation = env.step(noisy)[0]
+    env.close()
+    time: Floats = np.arange(steps, dtype=np.float64) / rate
+    whole = Run(time, state, sprockets, goal, belief)
+    return {case: whole.only(part) for case, part in zip(cases, parts, strict=True)}
+
+
+READINGS = {
+    "v_max t": "ramp to 2 v_max, jump back",
+    "v_max t / t_1": "ramp to v_max",
+    "v_max (t - t_1)": "as printed: backwards from -2 v_max",
+}
+
+
+def reading(name: str) -> ReferenceProfile:
+    """The chicane under one reading of the ramp in (53)."""
+    profile = make_reference(REFERENCE, DURATION, np.random.default_rng(0))
+    ramp = profile.speed[:, 1] != 0.0
+    speed = profile.speed.copy()
+    if name == "v_max t / t_1":
+        speed[ramp] /= TURN_TIME
+    elif name == "v_max (t - t_1)":
+        speed[ramp, 0] -= SPEED * TURN_TIME
+    return profile._replace(speed=speed)
+
+
+def readings(
+    tools: Tools, rate: int = 50, resistances: Sequence[float] = (RESISTANCE, 0.0)
+) -> dict[tuple[str, float, float, str], Numbers]:
+    """{(reading, length, c_r, kind): errors}, without noise."""
+    found = {}
+    profiles = [reading(name) for name in READINGS]
+    for length in LENGTHS:
+        for resistance in resistances:
+            for kind in KINDS:
+                case = Case(kind, length, rate, believed_resistance=resistance)
+                true = vehicle(length, FRICTION, resistance)
+                made, plant = policy(tools, case, len(profiles)), Patches(true, False, 2.5e-3)
+                run = follow(made, plant, profiles, START, true, rate, DURATION)
+                for i, name in enumerate(READINGS):
+                    found[name, length, resistance, kind] = run.only(slice(i, i + 1)).numbers()
+    return found
+
+
+INTEGRATORS = {
+    "explicit Euler, 1 ms": (True, 1e-3),
+    "Rosenbrock, 1 ms": (False, 1e-3),
+    "Rosenbrock, 2.5 ms": (False, 2.5e-3),
+}
+
+
+def integrators(tools: Tools, length: float = LENGTHS[-1]) -> dict[tuple[str, str], Run]:
+    """{(integrator, kind): run} without noise, 200 Hz."""
+    found = {}
+    true, profile = vehicle(length), reading("v_max t")
+    for name, (euler, step) in INTEGRATORS.items():
+        for kind in KINDS:
+            case = Case(kind, length)
+            made, plant = policy(tools, case, 1), Patches(true, euler, step)
+            found[name, kind] = follow(made, plant, [profile], START, true, case.rate, DURATION)
+    return found

@@ -1,0 +1,168 @@
+"""Section 4: slip as a function of the sprocket speeds, figures 6 to 9, and its exponential form.
+
+The sweep of F has 31 x 31 pairs of sprocket speeds within +-10 rad/s, each held for 2 s from rest.
+Here a pair is held until the motion is steady, and `after_two_seconds` says what that changes.
+The runs of the real vehicle are no part of this project: without their file they are left out.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reproduce.focchi2025.runs import FRICTION, LENGTHS, Floats, vehicle
+from reproduce.focchi2025.tools import Tools
+from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.patch_dynamics import hold_speeds
+from tracked_env.physics.patch_forces import make_patches
+
+# Beside the folder of the project, where there is one.
+MEASURED = Path(__file__).parents[4] / "shared" / "data" / "slip_real_indoor.csv"
+
+FRICTIONS = (0.1, 0.4, 0.6)  # [-] mu of figure 8
+STEP = 0.65  # [rad/s] F 4.2
+MEASURED_LIMIT = 4.6  # [rad/s] reach of the real sprockets, figure 9
+HELD, AVERAGED = 2.0, 1.0  # [s] a pair of speeds is held, and the mean is over the end
+BRIEF_STEP = 0.005  # [s] integration step of the runs from rest
+SLOW = 0.05  # [m/s] |v_x| from which on alpha is compared
+CHANNELS = ("beta_left", "beta_right", "alpha, forward", "alpha, reverse")
+
+
+class Identified(NamedTuple):
+    """Slip of one vehicle on one soil."""
+
+    runs: Any  # columns as `Tools` says
+    dense: Any  # upsampled; None where not asked for
+    trees: Any  # slip model; None without scikit-learn
+    held_out: Any  # R^2 (4,) on points of the dense grid that the trees have not seen
+    unseen: Any  # R^2 (4,) on runs that the upsampling has not seen either
+    exponential: Any  # slip model F (54)
+    exponential_fit: Any  # R^2 (4,) on the runs it was fitted to
+
+
+class Agreement(NamedTuple):
+    """A prediction p against runs q, per entry of CHANNELS."""
+
+    determination: Floats  # (4,) R^2 [-]
+    correlation: Floats  # (4,) [-]
+    slope: Floats  # (4,) sum p q / sum p^2 [-]: 1 is the same size
+
+
+class Identifications(NamedTuple):
+    """Everything of section 4."""
+
+    simulated: Identified  # Table 2, mu = 0.1
+    by_friction: dict[float, Any]  # runs by mu
+    measured: Identified | None
+    against_measured: dict[float, Agreement]  # simulation by contact length [m]
+    behind: dict[float, tuple[float, Agreement]]  # [m] `offset`, and the agreement with it
+    brief: Agreement  # steady slip against 2 s from rest
+    brief_slow: Agreement  # the same within MEASURED_LIMIT
+    missing: str  # why there are no trees; "" when there are
+
+
+def agreement(predicted: tuple[Floats, Floats, Floats], runs: Any) -> Agreement:
+    """Predicted beta_left, beta_right, alpha against runs; alpha where |v_x| > SLOW."""
+    every, forward = np.ones(len(runs.v_x), dtype=bool), runs.v_x > SLOW
+    pairs = [
+        (predicted[0], runs.beta_left, every),
+        (predicted[1], runs.beta_right, every),
+        (predicted[2], runs.alpha, forward),
+        (predicted[2], runs.alpha, runs.v_x < -SLOW),
+    ]
+    found = []
+    for p, q, chosen in pairs:
+        p, q = p[chosen], q[chosen]
+        spread = np.sum((q - q.mean()) ** 2)
+        found.append(
+            (1.0 - np.sum((q - p) ** 2) / spread, np.corrcoef(p, q)[0, 1], (p @ q) / (p @ p))
+        )
+    return Agreement(*np.array(found).T)
+
+
+def within(runs: Any, limit: float) -> Any:
+    """Runs with both sprockets within +-limit [rad/s]."""
+    fastest = np.maximum(np.abs(runs.sprocket_left), np.abs(runs.sprocket_right))
+    return runs._make(column[fastest <= limit] for column in runs)
+
+
+def identify(tools: Tools, parameters: PlantParameters, runs: Any) -> tuple[Identified, str]:
+    """Regressions of the runs of a vehicle, and why there are no trees ("": there are)."""
+    dense = tools.upsample(runs, parameters)
+    exponential, fit = tools.regression(runs, parameters, "exponential")
+    try:
+        trees, held_out = tools.regression(dense, parameters, "trees")
+        unseen, missing = tools.validate(runs, parameters), ""
+    except ImportError as error:
+        trees, held_out, unseen, missing = None, None, None, str(error)
+    return Identified(runs, dense, trees, held_out, unseen, exponential, fit), missing
+
+
+def after_two_seconds(parameters: PlantParameters, runs: Any) -> tuple[Floats, Floats, Floats]:
+    """beta_left, beta_right [m/s], alpha [rad] as in F 4.2: held from rest, then averaged."""
+    speeds = np.stack([runs.sprocket_left, runs.sprocket_right], axis=1)
+    state, loads = np.zeros((len(speeds), 6)), np.empty((len(speeds), 6))
+    rows, patches = np.tile(np.array(parameters, dtype=float), (len(speeds), 1)), make_patches()
+    taken = round(AVERAGED / BRIEF_STEP / 10)
+
+    def hold(steps: int) -> None:
+        hold_speeds(state, speeds, rows, patches, steps, BRIEF_STEP, False, loads)
+
+    hold(round((HELD - AVERAGED) / BRIEF_STEP))
+    total = np.zeros((len(speeds), 3))
+    for _ in range(10):
+        hold(taken)
+        total += 0.1 * state[:, 3:]
+    v_x, v_y, turn = total.T
+    half, radius = 0.5 * parameters.track_gauge, parameters.sprocket_radius
+    left, right = radius * speeds.T
+    alpha = np.arctan(v_y / np.where(v_x == 0.0, np.inf, v_x))
+    return left - (v_x - half * turn), right - (v_x + half * turn), alpha
+
+
+def run_all(tools: Tools, file: Path | None = None, step: float = STEP) -> Identifications:
+    """Sweeps and regressions; file: runs of the real vehicle, None is MEASURED."""
+    soils = {mu: vehicle(friction=mu) for mu in FRICTIONS}
+    by_friction = {mu: tools.sweep(parameters, step) for mu, parameters in soils.items()}
+    true = soils[FRICTION]
+    simulated, missing = identify(tools, true, by_friction[FRICTION])
+    runs = by_friction[FRICTION]
+    left, right, alpha = after_two_seconds(true, runs)
+    brief_runs = runs._replace(beta_left=left, beta_right=right, alpha=alpha)
+    brief = agreement((runs.beta_left, runs.beta_right, runs.alpha), brief_runs)
+    slow, brief_slow = within(runs, MEASURED_LIMIT), within(brief_runs, MEASURED_LIMIT)
+    slowly = agreement((slow.beta_left, slow.beta_right, slow.alpha), brief_slow)
+    file = MEASURED if file is None else file
+    if not file.exists():
+        return Identifications(simulated, by_friction, None, {}, {}, brief, slowly, missing)
+    real = tools.measured(file, true)
+    measured, missing = identify(tools, true, real)
+    against, behind = {}, {}
+    for length in LENGTHS:
+        predicted = tools.slip(vehicle(length)).slip(real.sprocket_left, real.sprocket_right)
+        against[length] = agreement(predicted, real)
+        behind[length] = offset(predicted, real)
+    return Identifications(
+        simulated, by_friction, measured, against, behind, brief, slowly, missing
+    )
+
+
+def offset(predicted: tuple[Floats, Floats, Floats], runs: Any) -> tuple[float, Agreement]:
+    """How far [m] behind the turning centre the runs were measured, and the agreement with that.
+
+    A point d behind it has v_y - w d: alpha in a turn changes by -w d / v_x, with the same sign
+    forward and in reverse, while that of the slip changes sign. d is the least squares fit.
+    """
+    moving = np.abs(runs.v_x) > SLOW
+    across = runs.v_x * np.tan(predicted[2])
+    turn = runs.yaw_rate
+    behind = -float(turn[moving] @ (runs.v_y - across)[moving] / (turn[moving] @ turn[moving]))
+    moved = np.arctan((across - behind * turn) / np.where(runs.v_x == 0.0, np.inf, runs.v_x))
+    return behind, agreement((predicted[0], predicted[1], moved), runs)
+
+
+def share_above(runs: Any, other: Any) -> float:
+    """How much larger |alpha| is in `runs` than in `other`, rms where both drive forward [-]."""
+    both = (runs.v_x > SLOW) & (other.v_x > SLOW)
+    sizes = [np.sqrt(np.mean(one.alpha[both] ** 2)) for one in (runs, other)]
+    return float(sizes[0] / sizes[1])

@@ -1,0 +1,73 @@
+"""Figure 10: unicycle and slippage-aware controller on the pseudo-kinematic model, on a spiral.
+
+F prints v_d = 0.3 m/s and w_d = 4 t. In rad/s that asks the outer sprocket for more than its
+10 rad/s within half a second (`impossible_after`). Here w_d = 0.05 t: a radius of 0.3 m after 20 s.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from reproduce.focchi2025.loop import Kinematic, follow
+from reproduce.focchi2025.runs import LENGTHS, Floats, Run, vehicle
+from reproduce.focchi2025.tools import Tools
+from tracked_env.physics.parameters import PlantParameters
+from tracked_env.references import ReferenceProfile
+from tracked_env.references.profile import constant, knot_times
+from tracked_env.sensors import PRESETS
+
+SPEED = 0.3  # [m/s] v_d
+YAW_ACCELERATION = 0.05  # [rad/s^2] w_d / t
+PRINTED = 4.0  # [rad/s^2]
+START = (0.3, 0.3, 0.2)  # [m, m, rad]
+DURATION = 20.0  # [s]
+RATE = 200.0  # [Hz]
+
+
+class Spiral(NamedTuple):
+    """One controller on the spiral."""
+
+    run: Run
+    value: Floats  # (T,) Lyapunov function (38), or (45) for the slippage-aware controller
+
+    @property
+    def rises(self) -> float:
+        """Largest rise of the value above its least one so far [-]."""
+        return float(np.max(self.value - np.minimum.accumulate(self.value)))
+
+
+def profile() -> ReferenceProfile:
+    """The reference of figure 10."""
+    starts = knot_times(DURATION)[:-1]
+    turn = constant(0.0, len(starts))
+    turn[:, 0], turn[:, 1] = YAW_ACCELERATION * starts, YAW_ACCELERATION
+    return ReferenceProfile(constant(SPEED, len(starts)), turn)
+
+
+def impossible_after(parameters: PlantParameters, slope: float = PRINTED) -> float:
+    """Time [s] at which w_d = slope t asks, without slip, for more than the outer sprocket has."""
+    fastest = parameters.sprocket_radius * parameters.sprocket_speed_limit
+    return (fastest - SPEED) / (0.5 * parameters.track_gauge * slope)
+
+
+def run_all(tools: Tools, length: float = LENGTHS[-1], duration: float = DURATION) -> dict[
+    str, Spiral
+]:  # fmt: skip
+    """Both controllers, {"uc", "slc"}; the slippage-aware one knows the slip of the model."""
+    parameters = vehicle(length)
+    model = tools.slip(parameters)
+    found = {}
+    for kind, known in (("uc", None), ("slc", model)):
+        policy = tools.controller(parameters, 1.0 / RATE, PRESETS["ideal"], 1, known)
+        plant = Kinematic(tools.kinematic(parameters, model))
+        run = follow(policy, plant, [profile()], START, parameters, RATE, duration)
+        alpha: Floats = np.zeros(len(run.time))
+        if known is not None:
+            rows = np.zeros((len(run.time), 4))
+            rows[:, 0], rows[:, 1] = SPEED, YAW_ACCELERATION * run.time
+            rows[:, 3] = YAW_ACCELERATION
+            alpha = policy.reference_slip(rows)[0]
+        heading = run.heading[:, 0] + alpha
+        value = 0.5 * run.distance[:, 0] ** 2 + 1.0 - np.cos(heading)
+        found[kind] = Spiral(run, value)
+    return found

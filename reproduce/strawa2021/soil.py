@@ -1,0 +1,204 @@
+"""Section 8.3.3: F_max and K of the soil, and what can be known of them on firm ground.
+
+The paper names neither soil nor path. Chosen: circle (R = 10 m, 2 m/s, steady) and manoeuvre
+(8.3.1), turning factor 1, over three grounds that follow each other in time: sandy loam of 8.2.3,
+at 10 s a stiffer and stronger one, at 20 s a softer one; and over heavy clay (Table 2). Slips and
+torques are the true ones, as the accuracy of the paper suggests, or measured: torque with the
+noise of the sensors and slip from the UKF.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from reproduce.strawa2021.control import ICR_FORWARD, PATHS, SCENARIOS
+from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
+from reproduce.strawa2021.identification import SPEED, manoeuvre
+from reproduce.strawa2021.printed_gnr import printed_gnr
+from reproduce.strawa2021.tools import Tools
+from tracked_env.events import Event, ramp_events
+from tracked_env.physics import terramechanics
+from tracked_env.physics.parameters import ClosureParameters, plant_parameters
+from tracked_env.sensors import PRESETS
+
+DURATION = 30.0  # [s]
+CHANGES = (10.0, 20.0)  # [s]
+RECOVERY = 1.0  # [s] after a change; the window of fifty samples takes 0.5 s
+LOAM: dict[str, float] = SCENARIOS["sandy-loam"].options["soil"]
+GROUNDS: dict[str, tuple[dict[str, float], list[Event]]] = {
+    "changing": (
+        LOAM,
+        [
+            *ramp_events({"cohesion": 15e3, "shear_deformation_modulus": 0.01}, CHANGES[0], 0.0),
+            *ramp_events({"cohesion": 12e3, "shear_deformation_modulus": 0.03}, CHANGES[1], 0.0),
+        ],
+    ),
+    "heavy clay": ({}, []),
+}
+WAYS = {"circle": PATHS["circle"], "manoeuvre": manoeuvre()}
+SENSORS = ("ideal", "rtk", "strawa")
+FIRST_GUESS = (20e3, 0.015)  # F_max [N], K [m] of every method: right nowhere
+NOISES = (0.0, 1e-5, 1e-4, 1e-3)  # [-] sigma of white noise on the slips
+
+
+class Case(NamedTuple):
+    """One vehicle."""
+
+    way: str
+    ground: str
+
+
+CASES = [Case(way, ground) for ground in GROUNDS for way in WAYS]
+
+
+class Soil(NamedTuple):
+    """What one method says of every case."""
+
+    method: str
+    time: Floats  # (T,)
+    true_effort: Floats  # (T, N) [N]
+    true_modulus: Floats  # (T, N) [m]
+    effort: Floats  # (T, N) estimated
+    modulus: Floats
+    iterations: Floats  # (T, N)
+    converged: NDArray[np.bool_]
+    ratio_only: NDArray[np.bool_]  # (T, N) the estimator says that F_max is not determined
+    slip: Floats  # (T, N, 2) true
+    force: Floats  # (T, N, 2) [N] true efforts
+
+
+def _drive(tools: Tools, sensors: str, cases: Sequence[Case], duration: float) -> Drive:
+    closure = ClosureParameters(turning_resistance_factor=1.0, icr_forward=ICR_FORWARD)
+    rows: list[dict[str, Any]] = [
+        {
+            "reference": WAYS[case.way],
+            "soil": GROUNDS[case.ground][0],
+            "schedule": GROUNDS[case.ground][1],
+            "vehicle": {"drive_time_constant": 0.0},
+            "closure": closure._asdict(),
+            "start": {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": SPEED},
+        }
+        for case in cases
+    ]
+    parameters = plant_parameters(closure=closure)
+    policy = tools.policy(parameters, PERIOD, PRESETS[sensors], "constrained", "fixed")
+    return drive(policy, rows, duration, sensors, keep=True)
+
+
+def true_maximum(result: Drive) -> Floats:
+    """F_max of one track, (T, N) [N]."""
+    truth = result.truth
+    nominal = plant_parameters()
+    area = nominal.track_width * nominal.contact_length
+    load = 0.5 * truth["mass"] * terramechanics.GRAVITY
+    return np.asarray(truth["cohesion"] * area + load * np.tan(truth["friction_angle"]))
+
+
+def run_all(
+    tools: Tools, cases: Sequence[Case] = tuple(CASES), duration: float = DURATION
+) -> dict[str, Soil]:
+    """Every method on every case; by name of the method."""
+    found = {}
+    nominal = plant_parameters()
+    load = 0.5 * nominal.mass * terramechanics.GRAVITY * math.tan(nominal.friction_angle)
+    parameters = nominal._replace(
+        cohesion=(FIRST_GUESS[0] - load) / (nominal.track_width * nominal.contact_length),
+        shear_deformation_modulus=FIRST_GUESS[1],
+    )
+    for sensors in SENSORS:
+        result = _drive(tools, sensors, cases, duration)
+        count = len(cases)
+        slip = np.stack([result.truth["slip_left"], result.truth["slip_right"]], axis=-1)
+        force = np.stack([result.truth["effort_left"], result.truth["effort_right"]], axis=-1)
+        common = (
+            result.time, true_maximum(result), result.truth["shear_deformation_modulus"]
+        )  # fmt: skip
+        if sensors == "ideal":
+            observed: Any = [(slip[k], np.zeros((count, 2))) for k in range(len(slip))]
+        else:
+            observer = tools.slip(parameters, PERIOD, PRESETS[sensors], count, True)
+            observed = [observer.observe(seen) for seen in result.observations]
+        tool = tools.soil(parameters, PERIOD, PRESETS[sensors], count, "total", sensors != "ideal")
+        says = [
+            tool.observe(seen, *slips)
+            for seen, slips in zip(result.observations, observed, strict=True)
+        ]
+        rows = {name: np.array([row[name] for row in says]) for name in says[0]}
+        found[sensors] = Soil(
+            sensors, *common, rows["effort_maximum"], rows["shear_deformation_modulus"],
+            rows["iterations"], rows["converged"] > 0.5, rows["ratio_only"] > 0.5, slip, force,
+        )  # fmt: skip
+    found["printed"] = _printed(found["ideal"], range(len(cases)), found["ideal"].slip)
+    return found
+
+
+def _printed(exact: Soil, cases: Sequence[int], slip: Floats) -> Soil:
+    """The method as printed on the true efforts of some cases and the slips given."""
+    length, cases = plant_parameters().contact_length, list(cases)
+    fits = [
+        printed_gnr(slip[:, k], exact.force[:, i], length, FIRST_GUESS) for k, i in enumerate(cases)
+    ]
+    maximum, modulus, iterations = (
+        np.stack([np.asarray(fit[k], dtype=np.float64) for fit in fits], axis=-1) for k in range(3)
+    )
+    converged = np.stack([fit.converged for fit in fits], axis=-1)
+    return exact._replace(
+        method="printed", true_effort=exact.true_effort[:, cases],
+        true_modulus=exact.true_modulus[:, cases], effort=maximum, modulus=modulus,
+        iterations=iterations, converged=converged,
+        ratio_only=np.zeros(maximum.shape, dtype=bool), slip=slip, force=exact.force[:, cases],
+    )  # fmt: skip
+
+
+def with_noise(exact: Soil, case: int) -> dict[float, Soil]:
+    """The printed method on one case of `exact`, slips with white noise, by its sigma [-]."""
+    noise = np.random.default_rng(0).standard_normal(exact.slip[:, [case]].shape)
+    return {
+        sigma: _printed(exact, [case], exact.slip[:, [case]] + sigma * noise) for sigma in NOISES
+    }
+
+
+class Quality(NamedTuple):
+    """Relative errors [-] of one case."""
+
+    effort: float  # F_max: rms more than RECOVERY after a change
+    modulus: float
+    stiffness: float  # of F_max l / (2 K)
+    adapted: float  # [s] longest time after a change until F_max and K are within 10 % for good
+    iterations: float  # mean
+    most_iterations: float
+    failed: float  # part of the steps without convergence
+    error_converged: float  # rms of the error of F_max over converged steps
+    error_failed: float  # and over the others, nan when there are none
+    ratio_only: float  # part of the time after RECOVERY
+
+
+def quality(soil: Soil, case: int) -> Quality:
+    """Numbers of one case."""
+    effort = soil.effort[:, case] / soil.true_effort[:, case] - 1.0
+    modulus = soil.modulus[:, case] / soil.true_modulus[:, case] - 1.0
+    true_stiffness = soil.true_effort[:, case] / soil.true_modulus[:, case]
+    stiffness = soil.effort[:, case] / soil.modulus[:, case] / true_stiffness - 1.0
+    starts = [0.0, *(time for time in CHANGES if np.ptp(soil.true_modulus[:, case]) > 0.0)]
+    calm, longest = np.ones(len(effort), dtype=bool), 0.0
+    for start, end in zip(starts, [*starts[1:], math.inf], strict=True):
+        rows = (soil.time >= start - 1e-9) & (soil.time < end - 1e-9)
+        calm &= ~(rows & (soil.time < start + RECOVERY))
+        outside = (np.maximum(np.abs(effort), np.abs(modulus)) > 0.1)[rows]
+        last = outside.nonzero()[0]
+        if last.size == 0:
+            continue
+        never = last[-1] == len(outside) - 1
+        longest = math.inf if never else max(longest, (last[-1] + 1) * PERIOD)
+    used = soil.iterations[:, case] > 0
+    done = soil.converged[:, case]
+
+    return Quality(
+        rms(effort[calm]), rms(modulus[calm]), rms(stiffness[calm]), longest,
+        float(soil.iterations[used, case].mean()), float(soil.iterations[:, case].max()),
+        float(1.0 - done.mean()), rms(effort[done]), rms(effort[~done]),
+        float(soil.ratio_only[calm, case].mean()),
+    )  # fmt: skip

@@ -1,0 +1,67 @@
+"""Figure 17: what wrong mass and wrong inertia each cost, on a grid of both.
+
+RMSE is the distance between the vehicle and the one whose controller knows both, over the run, as
+the paper has it. All grid points are one batch: one plant, a controller with its own parameters per
+vehicle. Run on the circle and the straight line of 8.2.1 and on the manoeuvre of 8.3.1.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from reproduce.strawa2021.control import (
+    ICR_FORWARD,
+    PATHS,
+    SCENARIOS,
+    START,
+    believed_parameters,
+)
+from reproduce.strawa2021.drive import PERIOD, Floats, drive
+from reproduce.strawa2021.identification import manoeuvre
+from reproduce.strawa2021.tools import Tools
+
+FACTORS = np.linspace(0.5, 1.5, 11)  # [-] of the true value; the middle one is right
+DURATION = 30.0  # [s]
+WAYS: dict[str, Any] = {**PATHS, "manoeuvre": manoeuvre()}
+
+
+class Surface(NamedTuple):
+    """RMSE [m] over mass (rows) and inertia (columns) that the controller believes, / true."""
+
+    factors: Floats
+    rmse: Floats  # (F, F)
+
+    def along(self) -> tuple[float, float]:
+        """Largest RMSE with only the mass wrong, and with only the inertia wrong [m]."""
+        middle = len(self.factors) // 2
+        return float(self.rmse[:, middle].max()), float(self.rmse[middle].max())
+
+
+def surface(
+    tools: Tools,
+    way: str,
+    turning_factor: float,
+    factors: Floats = FACTORS,
+    duration: float = DURATION,
+) -> Surface:
+    """The grid for one path. factors: odd in number, the middle one 1."""
+    believed = believed_parameters(SCENARIOS["exact"], turning_factor)
+    mass, inertia = (grid.ravel() for grid in np.meshgrid(factors, factors, indexing="ij"))
+    arrays: Any = {"mass": believed.mass * mass, "inertia": believed.inertia * inertia}
+    policy = tools.controller(believed._replace(**arrays), PERIOD, "constrained")
+    row = {
+        "reference": WAYS[way],
+        "vehicle": {"drive_time_constant": 0.0},
+        "closure": {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD},
+        "start": START,
+    }
+    truth = drive(policy, [row] * mass.size, duration).truth
+    right = mass.size // 2
+    square = sum((truth[name] - truth[name][:, [right]]) ** 2 for name in ("x", "y"))
+    rmse = np.sqrt(np.mean(square, axis=0))
+    return Surface(factors, rmse.reshape(len(factors), len(factors)))
+
+
+def run_all(tools: Tools) -> dict[tuple[str, float], Surface]:
+    """Every path with both turning factors."""
+    return {(way, factor): surface(tools, way, factor) for way in WAYS for factor in (2.0, 1.0)}

@@ -1,0 +1,251 @@
+"""The Lyapunov laws: the decrease that F proves, symmetries, limits, and the belts' kinematics."""
+
+import math
+
+import numpy as np
+import pytest
+
+from baselines.lyapunov import lyapunov_laws as law
+from baselines.lyapunov.lyapunov_laws import BodyMotion, LyapunovGains, PoseError, Slip
+from baselines.lyapunov.pseudo_kinematic import pose_error, pose_rate
+
+GAINS = LyapunovGains()
+NO_SLIP = Slip(0.0, 0.0, 0.0)
+HALF_GAUGE = 0.303
+SAFE_ANGLE = 2.0 * math.acos(law.HALF_COSINE_FLOOR)  # beyond it the guard is at work
+
+
+def situations(count, seed=1, angle=SAFE_ANGLE):
+    """Random (PoseError, v_d, w_d, Slip) with |e_h|, |e_h + alpha|, |e_h + alpha_d| < angle."""
+    rng = np.random.default_rng(seed)
+    while count > 0:
+        error = PoseError(*rng.normal(0.0, 0.5, 2), rng.uniform(-math.pi, math.pi))
+        slip = Slip(*rng.uniform(-0.5, 0.5, 2), rng.normal(0.0, 0.3))
+        if max(abs(error.heading + shift) for shift in (0.0, *slip[:2])) < angle:
+            count -= 1
+            yield error, rng.uniform(-0.5, 0.5), rng.normal(0.0, 0.5), slip
+
+
+def printed_law(pose, reference, speed, yaw_rate, slip):
+    """(44), (47) as F prints them: world frame, polar angle psi."""
+    x, y, yaw = pose
+    x_d, y_d, yaw_d = reference
+    distance, psi = math.hypot(x - x_d, y - y_d), math.atan2(y - y_d, x - x_d)
+    e_h, beta = yaw - yaw_d, yaw + yaw_d
+    delta_v = -GAINS.k_p * distance * math.cos(psi - (yaw + slip.alpha))
+    delta_w = (
+        -speed * distance / math.cos((slip.alpha + e_h) / 2)
+        * math.sin(psi - (slip.alpha + beta) / 2)
+        - GAINS.k_phi * math.sin(e_h + slip.reference) - slip.reference_rate
+    )  # fmt: skip
+    return (speed + delta_v) * math.cos(slip.alpha), yaw_rate + delta_w
+
+
+def rate_along_the_model(error, speed, yaw_rate, slip, motion):
+    """V' by a central difference along the model (27) and the reference (35)."""
+    yaw_d, h = 0.7, 1e-5
+    yaw = yaw_d + error.heading
+    x = math.cos(yaw) * error.x - math.sin(yaw) * error.y
+    y = math.sin(yaw) * error.x + math.cos(yaw) * error.y
+    v_x, v_y = pose_rate(yaw, motion.speed, slip.alpha)
+    values = []
+    for t in (-h, h):
+        error_then = pose_error(
+            x + v_x * t, y + v_y * t, yaw + motion.yaw_rate * t,
+            speed * math.cos(yaw_d) * t, speed * math.sin(yaw_d) * t, yaw_d + yaw_rate * t,
+        )  # fmt: skip
+        values.append(law.lyapunov_value(error_then, slip.reference + slip.reference_rate * t))
+    return (values[1] - values[0]) / (2.0 * h)
+
+
+# --- the decrease of V ----------------------------------------------------------------------
+
+
+def test_the_unicycle_law_decreases_v_as_in_43():
+    for error, speed, yaw_rate, _slip in situations(3000):
+        motion = law.unicycle_law(error, speed, yaw_rate, GAINS)
+        rate = rate_along_the_model(error, speed, yaw_rate, NO_SLIP, motion)
+        expected = -GAINS.k_p * error.x**2 - GAINS.k_phi * math.sin(error.heading) ** 2
+        assert rate == pytest.approx(expected, abs=1e-6)
+        assert expected <= 0.0
+        assert law.lyapunov_rate(error, speed, NO_SLIP, GAINS) == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_slippage_aware_law_decreases_v_as_in_48_when_the_slip_is_that_of_the_reference():
+    for error, speed, yaw_rate, slip in situations(3000):
+        steady = slip._replace(reference=slip.alpha)
+        motion = law.slippage_aware_law(error, speed, yaw_rate, steady, GAINS)
+        rate = rate_along_the_model(error, speed, yaw_rate, steady, motion)
+        along = error.x * math.cos(slip.alpha) + error.y * math.sin(slip.alpha)
+        expected = (
+            -GAINS.k_p * along**2 - GAINS.k_phi * math.sin(error.heading + steady.reference) ** 2
+        )
+        assert rate == pytest.approx(expected, abs=1e-6)
+        assert expected <= 0.0
+
+
+def test_another_slip_than_the_reference_has_leaves_a_term_that_48_lacks():
+    printed_misses = []
+    for error, speed, yaw_rate, slip in situations(3000):
+        motion = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
+        rate = rate_along_the_model(error, speed, yaw_rate, slip, motion)
+        assert rate == pytest.approx(law.lyapunov_rate(error, speed, slip, GAINS), abs=1e-6)
+        along = error.x * math.cos(slip.alpha) + error.y * math.sin(slip.alpha)
+        across = error.y * math.cos(slip.alpha) - error.x * math.sin(slip.alpha)
+        half = 0.5 * (error.heading + slip.alpha)
+        aim = error.heading + slip.reference
+        printed = -GAINS.k_p * along**2 - GAINS.k_phi * math.sin(aim) ** 2
+        missing = (
+            speed * (across * math.cos(half) + along * math.sin(half))
+            * (math.sin(2.0 * half) - math.sin(aim)) / math.cos(half)
+        )  # fmt: skip
+        assert rate == pytest.approx(printed + missing, abs=1e-6)
+        printed_misses.append(rate - printed)
+    assert max(printed_misses) > 0.05  # V can even grow where (48) has it fall
+
+
+def test_in_body_axes_the_law_is_the_printed_one():
+    for error, speed, yaw_rate, slip in situations(500, seed=2):
+        yaw_d = 2.5
+        yaw = yaw_d + error.heading
+        x = 3.0 + math.cos(yaw) * error.x - math.sin(yaw) * error.y
+        y = -1.0 + math.sin(yaw) * error.x + math.cos(yaw) * error.y
+        for s in (slip, NO_SLIP):
+            expected = printed_law((x, y, yaw), (3.0, -1.0, yaw_d), speed, yaw_rate, s)
+            motion = law.slippage_aware_law(error, speed, yaw_rate, s, GAINS)
+            assert tuple(motion) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+# --- rest, symmetry, limits -----------------------------------------------------------------
+
+
+def test_without_error_the_reference_itself_is_demanded():
+    none = PoseError(0.0, 0.0, 0.0)
+    assert law.unicycle_law(none, 0.3, -0.4, GAINS) == (0.3, -0.4)
+    slip = Slip(-0.2, -0.2, 0.1)
+    rest = PoseError(0.0, 0.0, 0.2)
+    motion = law.slippage_aware_law(rest, 0.3, 0.5, slip, GAINS)
+    assert tuple(motion) == pytest.approx((0.3 * math.cos(0.2), 0.5 - 0.1), abs=1e-15)
+    v_x, v_y = pose_rate(rest.heading, motion.speed, slip.alpha)
+    assert (v_x, v_y) == pytest.approx((0.3, 0.0), abs=1e-15)  # it moves as the reference does
+
+
+def test_without_slip_both_laws_are_the_same_bit_for_bit():
+    for error, speed, yaw_rate, _slip in situations(2000, angle=4.0):
+        expected = law.unicycle_law(error, speed, yaw_rate, GAINS)
+        assert law.slippage_aware_law(error, speed, yaw_rate, NO_SLIP, GAINS) == expected
+
+
+def test_left_and_right_mirror_exactly():
+    for error, speed, yaw_rate, slip in situations(1000, angle=4.0):
+        mirrored = PoseError(error.x, -error.y, -error.heading)
+        opposite = Slip(*(-value for value in slip))
+        motion = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
+        other = law.slippage_aware_law(mirrored, speed, -yaw_rate, opposite, GAINS)
+        assert other == (motion.speed, -motion.yaw_rate)
+        left, right = law.belt_speeds(motion, 0.03, -0.01, HALF_GAUGE)
+        assert law.belt_speeds(other, -0.01, 0.03, HALF_GAUGE) == (right, left)
+        assert (
+            law.within_speed_limit(right, left, 0.2)
+            == law.within_speed_limit(left, right, 0.2)[::-1]
+        )
+
+
+def test_reversing_is_driving_forward_seen_from_behind():
+    """Turn the body axes by half a turn: speeds, position error change sign, yaw does not."""
+    for error, speed, yaw_rate, slip in situations(500):
+        behind = PoseError(-error.x, -error.y, error.heading)
+        motion = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
+        other = law.slippage_aware_law(behind, -speed, yaw_rate, slip, GAINS)
+        assert other == (-motion.speed, motion.yaw_rate)
+
+
+def test_a_vehicle_to_the_left_of_its_path_steers_right_forwards_and_left_backwards():
+    left = PoseError(0.0, 0.1, 0.0)
+    assert law.unicycle_law(left, 0.3, 0.0, GAINS).yaw_rate == pytest.approx(-0.03)
+    assert law.unicycle_law(left, -0.3, 0.0, GAINS).yaw_rate == pytest.approx(0.03)
+    assert law.unicycle_law(PoseError(0.0, 0.0, 0.2), 0.3, 0.0, GAINS).yaw_rate < 0.0
+    assert law.unicycle_law(PoseError(0.1, 0.0, 0.0), 0.3, 0.0, GAINS).speed == pytest.approx(-0.7)
+
+
+def test_the_inverse_cosine_is_exact_above_its_floor_and_fades_smoothly_to_zero():
+    floor = law.HALF_COSINE_FLOOR
+    for cosine in (floor, 0.5, 1.0, -0.7):
+        assert law.inverse_half_cosine(cosine) == 1.0 / cosine
+    assert law.inverse_half_cosine(0.0) == 0.0
+    grid = np.linspace(-1.0, 1.0, 20001)
+    values = np.array([law.inverse_half_cosine(c) for c in grid])
+    assert np.abs(values).max() < 1.1 / floor
+    assert np.array_equal(values, -np.array([law.inverse_half_cosine(-c) for c in grid]))
+    slope = np.gradient(values, grid)
+    assert np.abs(np.diff(slope)).max() < 20.0 / floor**3 * (grid[1] - grid[0])  # no kink
+
+
+def test_facing_backwards_the_steering_is_bounded_and_without_a_jump():
+    angles = np.linspace(math.pi - 0.6, math.pi + 0.6, 4001)
+    values = np.array([law.turn_towards(0.3, 0.2, angle) for angle in angles])
+    assert np.abs(values).max() < 1.1 / law.HALF_COSINE_FLOOR * math.hypot(0.3, 0.2)
+    assert np.abs(np.diff(values)).max() < 0.02
+    assert law.turn_towards(0.3, 0.2, math.pi) == pytest.approx(0.0, abs=1e-12)
+    for angle in (0.3, -2.0, 3.1):
+        turned = law.turn_towards(0.3, 0.2, angle + 2.0 * math.pi)
+        assert turned == pytest.approx(law.turn_towards(0.3, 0.2, angle), abs=1e-9)
+
+
+def test_angles_are_wrapped_to_half_a_turn_and_not_touched_within_it():
+    for angle in (0.0, 1.0, -3.0, 3.14):
+        assert law.wrapped(angle) == angle
+    assert law.wrapped(4.0) == pytest.approx(4.0 - 2.0 * math.pi)
+    assert law.wrapped(-40.0) == pytest.approx(math.remainder(-40.0, 2.0 * math.pi))
+
+
+# --- belts ----------------------------------------------------------------------------------
+
+
+def test_a_faster_right_belt_turns_left_and_slip_is_fed_forward_with_its_sign():
+    motion = law.body_motion(0.2, 0.4, 0.0, 0.0, HALF_GAUGE)
+    assert tuple(motion) == pytest.approx((0.3, 0.2 / 0.606))
+    # A track that slips when driving is slower than its belt.
+    assert law.body_motion(0.3, 0.3, 0.0, 0.1, HALF_GAUGE).yaw_rate < 0.0
+    for left, right, beta_left, beta_right in np.random.default_rng(0).normal(size=(200, 4)):
+        motion = law.body_motion(left, right, beta_left, beta_right, HALF_GAUGE)
+        back = law.belt_speeds(motion, beta_left, beta_right, HALF_GAUGE)
+        assert back == pytest.approx((left, right), abs=1e-14)
+
+
+def test_the_limit_keeps_the_turn_and_the_speed_gives_way():
+    assert law.within_speed_limit(1.0, -2.0, 5.0) == (1.0, -2.0)
+    left, right = law.within_speed_limit(9.0, 11.0, 5.0)
+    assert (left, right) == pytest.approx((3.0, 5.0))
+    assert law.within_speed_limit(-20.0, 20.0, 5.0) == (-5.0, 5.0)
+    assert law.within_speed_limit(-4.0, 20.0, 5.0) == (-5.0, 5.0)
+    for left, right in np.random.default_rng(1).normal(0.0, 9.0, (500, 2)):
+        assert max(map(abs, law.within_speed_limit(left, right, 5.0))) <= 5.0
+
+
+def test_v_still_falls_under_the_limit_while_it_leaves_room_for_the_reference_speed():
+    limit, checked = 0.8, 0
+    for error, speed, yaw_rate, slip in situations(3000, seed=5):
+        steady = slip._replace(reference=slip.alpha)
+        motion = law.slippage_aware_law(error, speed, yaw_rate, steady, GAINS)
+        belts = law.belt_speeds(motion, 0.0, 0.0, HALF_GAUGE)
+        given = law.body_motion(*law.within_speed_limit(*belts, limit), 0.0, 0.0, HALF_GAUGE)
+        room = limit - HALF_GAUGE * abs(motion.yaw_rate)
+        if max(map(abs, belts)) > limit and abs(speed) < room:
+            checked += 1
+            assert rate_along_the_model(error, speed, yaw_rate, steady, given) <= 1e-7
+    assert checked > 500
+
+
+@pytest.mark.parametrize("aware", [True, False])
+def test_the_loop_over_vehicles_is_the_single_law(aware):
+    rows = list(situations(50))
+    motion = np.empty((50, 2))
+    law.laws(
+        np.array([r[0] for r in rows]), np.array([r[1:3] for r in rows]),
+        np.array([r[3] for r in rows]), aware, GAINS, motion,
+    )  # fmt: skip
+    for got, (error, speed, yaw_rate, slip) in zip(motion, rows, strict=True):
+        one = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
+        expected = one if aware else law.unicycle_law(error, speed, yaw_rate, GAINS)
+        assert BodyMotion(*got) == expected

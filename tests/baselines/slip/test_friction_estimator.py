@@ -1,0 +1,270 @@
+"""Slip on unknown friction: it is found, followed and held; robust, resumable, in the loop."""
+
+import math
+
+import numpy as np
+import pytest
+
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
+from baselines.slip.friction_estimator import RecursiveSlipEstimator
+from baselines.slip.slip_sweep import FRICTIONS, slip_family, with_friction
+from tracked_env import observation as layout
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.patch_dynamics import hold_speeds
+from tracked_env.physics.patch_forces import make_patches
+
+FOCCHI = VEHICLES["focchi"]
+PERIOD = 0.02
+QUIET = DataSheet(*(0.0 for _ in DataSheet._fields))
+NOISY = DataSheet()
+PATCHES = make_patches()
+
+
+def turns(time, speed=0.5, rate=0.7, period=6.0):
+    """Sprocket speeds (2,) of a vehicle that swings left and right."""
+    v, w = min(speed, speed * time), rate * math.sin(2.0 * math.pi * time / period)
+    half = 0.5 * w * FOCCHI.track_gauge
+    return np.array([v - half, v + half]) / FOCCHI.sprocket_radius
+
+
+def circle(time):
+    return turns(0.0) + np.array([3.0, 7.0])
+
+
+def straight(time):
+    return np.array([5.0, 5.0])
+
+
+class Drive:
+    """Vehicles on given frictions, what their sensors see, and an estimator."""
+
+    def __init__(self, frictions, sheet=QUIET, seed=0, **arguments):
+        self.count, self.sheet = len(frictions), sheet
+        self.estimator = RecursiveSlipEstimator(FOCCHI, PERIOD, sheet, self.count, **arguments)
+        self.draws = np.random.default_rng(seed)
+        self.states, self.time = np.zeros((self.count, 6)), 0.0
+        self.put_on(frictions)
+
+    def put_on(self, frictions):
+        self.rows = np.array([with_friction(FOCCHI, mu) for mu in frictions])
+
+    def sample(self, speeds):
+        """Five measurements (5, N) after one control period."""
+        held = np.tile(speeds(self.time), (self.count, 1))
+        hold_speeds(
+            self.states, held, self.rows, PATCHES, 4, PERIOD / 4, False, np.empty((self.count, 6))
+        )
+        self.time += PERIOD
+        s = self.sheet
+        sigma = [s.sprocket_speed_noise] * 2 + [s.velocity_noise] * 2 + [s.gyro_noise]
+        noise = self.draws.standard_normal((self.count, 5)) * sigma
+        return (np.hstack([held, self.states[:, 3:]]) + noise).T
+
+    def on(self, speeds, duration):
+        """(steps, N) estimates of mu."""
+        history = []
+        for _ in range(round(duration / PERIOD)):
+            self.estimator.update(*self.sample(speeds))
+            history.append(self.estimator.friction)
+        return np.array(history)
+
+
+FLOORS = [0.07, 0.1, 0.15, 0.25, 0.4, 0.6, 0.8]
+
+
+@pytest.mark.parametrize(("sheet", "tolerance"), [(QUIET, 0.06), (NOISY, 0.3)])
+def test_a_friction_it_was_not_told_is_found_within_seconds(sheet, tolerance):
+    drive = Drive(FLOORS, sheet)
+    drive.on(turns, 4.0)
+    late = drive.on(turns, 4.0)
+    np.testing.assert_allclose(np.median(late, axis=0), FLOORS, rtol=tolerance)
+
+
+@pytest.mark.parametrize("sheet", [QUIET, NOISY])
+def test_slip_is_that_of_the_true_friction_with_sensor_noise_too(sheet):
+    drive = Drive(FLOORS, sheet)
+    drive.on(turns, 6.0)
+    left, right = np.full(len(FLOORS), 3.0), np.full(len(FLOORS), 7.0)
+    found = np.array(drive.estimator.slip(left, right))
+    true = np.array(slip_family(FOCCHI).slip(left, right, np.array(FLOORS)))
+    np.testing.assert_allclose(found[:2], true[:2], atol=0.006)  # m/s, of 0.06
+    np.testing.assert_allclose(found[2], true[2], atol=0.03)
+
+
+@pytest.mark.parametrize(("before", "after"), [(0.4, 0.1), (0.1, 0.4), (0.8, 0.15)])
+@pytest.mark.parametrize("sheet", [QUIET, NOISY])
+def test_a_step_of_friction_is_followed_within_a_second_of_turning(before, after, sheet):
+    drive = Drive([before] * 4, sheet)
+    drive.on(circle, 5.0)
+    drive.put_on([after] * 4)
+    drive.on(circle, 1.0)
+    np.testing.assert_allclose(np.median(drive.on(circle, 0.5)), after, rtol=0.25)
+
+
+def test_nothing_is_forgotten_or_learned_when_driving_straight():
+    drive = Drive([0.15, 0.6], NOISY)
+    drive.on(turns, 5.0)
+    known = drive.estimator.friction
+    held = drive.on(straight, 10.0)
+    np.testing.assert_array_equal(held, np.tile(known, (len(held), 1)))
+
+
+def test_before_any_turn_it_knows_what_it_was_told_and_how_little_that_is():
+    drive = Drive([0.1], NOISY)
+    drive.on(straight, 2.0)
+    mu, sigma = drive.estimator.estimates()["friction"]
+    assert mu[0] == pytest.approx(0.4, rel=0.02)
+    assert sigma[0] > 0.2
+    drive.on(turns, 4.0)
+    mu, sigma = drive.estimator.estimates()["friction"]
+    assert abs(mu[0] - 0.1) < 3.0 * sigma[0] < 0.05
+
+
+def test_errors_agree_with_the_standard_deviation():
+    drive = Drive([0.15] * 20, NOISY)
+    drive.on(turns, 8.0)
+    mu, sigma = drive.estimator.estimates()["friction"]
+    z = (mu - 0.15) / sigma
+    assert np.abs(z).max() < 4.0
+    assert 0.1 < np.sqrt(np.mean(z**2)) < 1.5
+
+
+def test_missing_samples_are_skipped_and_wild_ones_have_little_weight():
+    clean, spoiled = Drive([0.15] * 3, NOISY), Drive([0.15] * 3, NOISY)
+    for step in range(300):
+        sample = spoiled.sample(turns)
+        if step % 7 == 0:
+            sample[step % 5] = np.nan
+        if step % 31 == 0:
+            sample[2:, 0] = 1e300
+            sample[0, 1] = np.inf
+            sample[4, 2] = -40.0
+        spoiled.estimator.update(*sample)
+        clean.estimator.update(*clean.sample(turns))
+    assert np.isfinite(spoiled.estimator.memory).all()
+    np.testing.assert_allclose(spoiled.estimator.friction, 0.15, rtol=0.25)
+    before = spoiled.estimator.friction
+    used = spoiled.estimator.update(*np.full((5, 3), np.nan))
+    assert not used.any()
+    np.testing.assert_array_equal(spoiled.estimator.friction, before)
+
+
+def test_a_row_of_a_batch_is_the_single_vehicle():
+    batch = Drive([0.1, 0.4, 0.7], NOISY)
+    alone = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY)
+    for _ in range(100):
+        sample = batch.sample(turns)
+        batch.estimator.update(*sample)
+        alone.update(*sample[:, 1:2])
+    np.testing.assert_array_equal(batch.estimator.memory[1], alone.memory[0])
+
+
+def test_a_copy_of_the_memory_resumes_bit_for_bit():
+    drive = Drive([0.1, 0.4], NOISY)
+    drive.on(turns, 3.0)
+    saved = drive.estimator.memory.copy()
+    samples = [drive.sample(turns) for _ in range(80)]
+    for sample in samples:
+        drive.estimator.update(*sample)
+    other = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 2)
+    other.memory[:] = saved
+    for sample in samples:
+        other.update(*sample)
+    np.testing.assert_array_equal(other.memory, drive.estimator.memory)
+
+
+def test_rows_that_are_reset_start_anew_and_the_others_go_on():
+    drive = Drive([0.1, 0.1], NOISY)
+    drive.on(turns, 3.0)
+    kept = drive.estimator.memory[1].copy()
+    drive.estimator.reset([0])
+    fresh = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY)
+    np.testing.assert_array_equal(drive.estimator.memory[0], fresh.memory[0])
+    np.testing.assert_array_equal(drive.estimator.memory[1], kept)
+
+
+def test_a_hundred_thousand_steps_of_anything_stay_bounded():
+    estimator = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 100, patches=make_patches(2, 1))
+    draws = np.random.default_rng(0)
+    for step in range(1000):
+        sample = draws.standard_normal((5, 100)) * [[8.0], [8.0], [1.0], [1.0], [2.0]]
+        sample[:, step % 100] = 0.0
+        estimator.update(*sample)
+    assert np.isfinite(estimator.memory).all()
+    mu, sigma = estimator.estimates()["friction"]
+    assert (mu >= FRICTIONS[0] - 1e-12).all() and (mu <= FRICTIONS[-1] + 1e-12).all()
+    assert (sigma > 0.0).all() and np.isfinite(sigma).all()
+
+
+def test_a_long_steady_drive_drifts_nowhere():
+    drive = Drive([0.15, 0.4], NOISY)
+    late = drive.on(turns, 60.0)[-1500:]
+    np.testing.assert_allclose(np.median(late, axis=0), [0.15, 0.4], rtol=0.1)
+    assert np.abs(np.log(late[:, 0] / 0.15)).max() < math.log(1.5)
+
+
+def tracking_error(slip_model, estimator, mu, yaw_rate):
+    """RMS distance [m] to a path that swings or circles, from 4 s on, of the slippage-aware law."""
+    policy = SlippageAwarePolicy(FOCCHI, PERIOD, slip_model, data_sheet=NOISY)
+    draws, count = np.random.default_rng(1), len(mu)
+    rows = np.array([with_friction(FOCCHI, m) for m in mu])
+    noise = np.array([NOISY.position_noise] * 2 + [NOISY.yaw_noise])
+    noise = np.append(noise, [NOISY.velocity_noise] * 2 + [NOISY.gyro_noise])
+    states, pose, memory, errors = np.zeros((count, 6)), np.zeros(3), None, []
+    sprockets, steps = np.zeros((count, 2)), round(16.0 / PERIOD)
+    speed = np.minimum(0.4, 0.2 * PERIOD * np.arange(steps + 1))
+    turn = yaw_rate(PERIOD * np.arange(steps + 1))
+    for k in range(steps):
+        seen = states + noise * draws.standard_normal((count, 6))
+        if estimator is not None:
+            estimator.update(*sprockets.T, *seen[:, 3:].T)
+        c, s = np.cos(seen[:, 2]), np.sin(seen[:, 2])
+        d_x, d_y = pose[0] - seen[:, 0], pose[1] - seen[:, 1]
+        values = {
+            "position_error_x": c * d_x + s * d_y, "position_error_y": c * d_y - s * d_x,
+            "heading_error": pose[2] - seen[:, 2], "v_x": seen[:, 3], "v_y": seen[:, 4],
+            "yaw_rate": seen[:, 5], "sprocket_speed_left": sprockets[:, 0],
+            "sprocket_speed_right": sprockets[:, 1], "reference_speed": speed[k],
+            "reference_yaw_rate": turn[k],
+            "reference_acceleration": (speed[k + 1] - speed[k]) / PERIOD,
+            "reference_yaw_acceleration": (turn[k + 1] - turn[k]) / PERIOD,
+        }  # fmt: skip
+        observation = np.zeros((count, layout.SIZE), dtype=np.float32)
+        for name, value in values.items():
+            observation[:, layout.INDEX[name]] = value / layout.SCALE[layout.INDEX[name]]
+        action, memory = policy.predict(observation, memory)
+        sprockets = action.astype(np.float64) * FOCCHI.sprocket_speed_limit
+        hold_speeds(states, sprockets, rows, PATCHES, 8, PERIOD / 8, False, np.empty((count, 6)))
+        yaw = pose[2] + 0.5 * PERIOD * turn[k]
+        pose = pose + PERIOD * np.array([speed[k] * np.cos(yaw), speed[k] * np.sin(yaw), turn[k]])
+        errors.append(np.hypot(states[:, 0] - pose[0], states[:, 1] - pose[1]))
+    return np.sqrt(np.mean(np.array(errors)[round(4.0 / PERIOD) :] ** 2, axis=0))
+
+
+@pytest.mark.parametrize(
+    "yaw_rate", [lambda t: 0.4 * np.sin(0.25 * np.pi * t), lambda t: 0.5 * np.minimum(1.0, t / 2)]
+)
+def test_tracking_on_unknown_friction_is_within_a_fifth_of_that_with_the_right_model(yaw_rate):
+    """And 3 mm, where that is but 7 mm: position noise is 20 mm."""
+    mu = np.array([0.1, 0.15, 0.25, 0.7])
+    right = tracking_error(slip_family(FOCCHI).at(mu), None, mu, yaw_rate)
+    estimator = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, len(mu))
+    adaptive = tracking_error(estimator, estimator, mu, yaw_rate)
+    told_wrong = tracking_error(slip_family(FOCCHI).at(0.4), None, mu, yaw_rate)
+    assert (adaptive < 1.2 * right + 0.003).all()
+    assert np.sqrt(np.mean(adaptive**2)) < 1.2 * np.sqrt(np.mean(right**2))
+    assert adaptive[0] < 0.8 * told_wrong[0]
+
+
+def test_bad_input_is_refused_with_quantity_and_cause():
+    with pytest.raises(ValueError, match=r"control_period = 50"):
+        RecursiveSlipEstimator(FOCCHI, 50.0, NOISY)
+    with pytest.raises(ValueError, match="count = 0"):
+        RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 0)
+    with pytest.raises(ValueError, match="memory_time = inf"):
+        RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, memory_time=math.inf)
+    with pytest.raises(ValueError, match="gyro_noise = -1"):
+        RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY._replace(gyro_noise=-1.0))
+    with pytest.raises(ValueError, match="count = 2"):
+        RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 2).update(*np.zeros((5, 3)))

@@ -1,0 +1,162 @@
+"""Figures of a tiny benchmark: they are drawn, and what they show is legible."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.benchmark.stub_policies import Believing, Constant, entry
+from tracked_env.benchmark import BenchmarkConfig, Store, episode_figures, run
+
+pytest.importorskip("matplotlib", reason="figures need the extra `render`")
+
+CONFIG = BenchmarkConfig(sets=("payload",), episodes=3, duration=6.0)
+POLICIES = [
+    entry("coast", lambda context: Constant(0.0, 0.0)),  # stays near for a while
+    entry("spin", lambda context: Constant(-1.0, 1.0)),  # leaves the path
+]
+
+
+@pytest.fixture(scope="module")
+def finished(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Store, list[episode_figures.Record]]:
+    """A store and its records."""
+    store = Store(tmp_path_factory.mktemp("run"), CONFIG.identity())
+    return store, run(CONFIG, POLICIES, store)
+
+
+def drawn(
+    finished: tuple[Store, list[episode_figures.Record]],
+) -> dict[str, episode_figures.Traces]:
+    """The traces of every set."""
+    store, _ = finished
+    found: dict[str, episode_figures.Traces] = {}
+    for name in CONFIG.sets:
+        loaded = {policy.name: store.load_trace(policy.name, name) for policy in POLICIES}
+        found[name] = {policy: trace for policy, trace in loaded.items() if trace is not None}
+    return found
+
+
+def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(
+    finished: tuple[Store, list[episode_figures.Record]], tmp_path: Path
+) -> None:
+    store, records = finished
+    files = episode_figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
+    assert sorted(path.name for path in files) == [
+        "drive-payload.png", "errors.png", "overview.png", "paths-payload.png"
+    ]  # fmt: skip
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in files)
+
+
+def test_every_axis_has_a_label_with_its_unit(
+    finished: tuple[Store, list[episode_figures.Record]],
+) -> None:
+    traces, style = drawn(finished), episode_figures.looks(["coast", "spin"])
+    for figure in (
+        episode_figures.drive("payload", traces["payload"], style),
+        episode_figures.paths("payload", traces["payload"], style, seed=0),
+        episode_figures.errors(traces, style),
+    ):
+        labels = [axes.get_ylabel() for axes in figure.axes] + [
+            axes.get_xlabel() for axes in figure.axes
+        ]
+        named = [label for label in labels if label]
+        assert named
+        assert all("[" in label for label in named)
+
+
+def test_title_and_legend_do_not_overlap_and_lie_inside(
+    finished: tuple[Store, list[episode_figures.Record]],
+) -> None:
+    _, records = finished
+    style = episode_figures.looks(["coast", "spin"])
+    traces = drawn(finished)
+    for figure in (
+        episode_figures.overview(records, CONFIG.sets, style),
+        episode_figures.errors(traces, style),
+        episode_figures.paths("payload", traces["payload"], style, seed=0),
+        episode_figures.drive("payload", traces["payload"], style),
+    ):
+        figure.canvas.draw()
+        title = figure._suptitle.get_window_extent()  # type: ignore[attr-defined]
+        legend = figure.legends[0].get_window_extent()
+        assert not title.overlaps(legend)
+        assert title.x0 >= 0
+        assert max(title.y1, legend.y1) <= figure.bbox.y1
+        assert legend.x1 <= figure.bbox.x1
+
+
+def test_the_end_of_a_policy_that_left_the_path_is_marked(
+    finished: tuple[Store, list[episode_figures.Record]],
+) -> None:
+    style = episode_figures.looks(["coast", "spin"])
+    figure = episode_figures.paths("payload", drawn(finished)["payload"], style, seed=0)
+    crosses = [line for line in figure.axes[0].lines if line.get_marker() == "X"]
+    assert style["spin"].colour in {line.get_color() for line in crosses}
+
+
+@pytest.fixture(scope="module")
+def believed(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Store, list[episode_figures.Record]]:
+    """A store with a policy that estimates parameters, one of them with a wide band."""
+    store = Store(tmp_path_factory.mktemp("believed"), CONFIG.identity())
+    guess = {"mass": (1450.0, 100.0), "lateral_resistance": (0.8, 1e3), "slip_left": (0.0, 0.1)}
+    policies = [
+        entry("coast", lambda context: Constant(0.0, 0.0)),
+        entry("guess", lambda context: Believing(guess, 0.0)),
+    ]
+    return store, run(CONFIG, policies, store)
+
+
+def test_policies_that_estimate_get_a_picture_of_their_beliefs(
+    believed: tuple[Store, list[episode_figures.Record]], tmp_path: Path
+) -> None:
+    store, records = believed
+    files = episode_figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
+    assert "beliefs-payload.png" in [path.name for path in files]
+
+
+def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(
+    believed: tuple[Store, list[episode_figures.Record]],
+) -> None:
+    store, _ = believed
+    traces = {name: store.load_trace(name, "payload") or {} for name in ("coast", "guess")}
+    figure = episode_figures.beliefs(
+        "payload", traces, episode_figures.looks(["coast", "guess"]), seed=0
+    )
+    assert figure is not None
+    assert len(figure.axes) == 2 * 3  # mass and lateral resistance of three episodes
+    assert "[kg]" in figure.axes[0].get_ylabel()
+    low, high = figure.axes[0].get_ylim()
+    masses = traces["guess"]["believed_truth"][:, 0]
+    assert low < min(np.nanmin(masses), 1450.0)
+    assert max(np.nanmax(masses), 1450.0) < high
+    assert figure.axes[3].get_ylim()[1] < 2.0  # not the 2000 of the claimed band
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["true", "guess"]
+
+
+def test_without_estimates_there_is_no_picture_of_beliefs(
+    finished: tuple[Store, list[episode_figures.Record]],
+) -> None:
+    traces, style = drawn(finished), episode_figures.looks(["coast", "spin"])
+    assert episode_figures.beliefs("payload", traces["payload"], style, seed=0) is None
+
+
+def test_policies_differ_in_more_than_colour() -> None:
+    style = episode_figures.looks([f"policy {i}" for i in range(6)])
+    for part in zip(*style.values(), strict=True):
+        assert len(set(part)) == 6
+
+
+def test_without_matplotlib_the_error_names_the_extra(
+    finished: tuple[Store, list[episode_figures.Record]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    store, records = finished
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ImportError, match=r"tracked-env\[render\]"):
+        episode_figures.save_all(tmp_path, store, records, CONFIG.sets, 0)

@@ -1,0 +1,279 @@
+"""Metrics of estimates whose error and claimed deviation are known."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.benchmark.stub_policies import Believing, Constant, Tracking, entry
+from tracked_env.benchmark import BenchmarkConfig, Store, run, summarise
+from tracked_env.benchmark import identification_metrics as ident
+from tracked_env.benchmark.identification_metrics import Beliefs, Recorder
+from tracked_env.benchmark.metrics import CHANNELS, Trace
+from tracked_env.benchmark.runner import drive
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
+
+PERIOD = 0.02  # [s]
+STEPS = 1000
+CONFIG = BenchmarkConfig(sets=("soil-and-mass",), episodes=3, duration=2.0)
+
+
+def trace(steps: int = STEPS, change: int | None = None) -> Trace:
+    """One episode at rest; its mass doubles in step `change`."""
+    values = np.ones((steps, 1, len(CHANNELS)))
+    if change is not None:
+        values[change:, 0, CHANNELS.index("mass")] = 2.0
+    ended = np.array([steps < STEPS])
+    return Trace(
+        values,
+        np.array([steps]),
+        STEPS,
+        ended,
+        ~ended,
+        np.array([8e3]),
+        np.array([2.0]),
+        5.0,
+        PERIOD,
+    )
+
+
+def measured(
+    value: Any,
+    truth: Any = 1000.0,
+    deviation: Any = 50.0,
+    name: str = "mass",
+    of: Trace | None = None,
+) -> dict[str, float | None]:
+    """Metrics of one episode; value, truth, deviation: numbers or (STEPS,)."""
+    value, truth, deviation = (
+        np.broadcast_to(np.asarray(part, dtype=np.float32), STEPS)[:, None, None]
+        for part in (value, truth, deviation)
+    )
+    excited = np.zeros((STEPS, 1, 1), dtype=bool)
+    beliefs = Beliefs((name,), value, deviation, truth, excited, (False,), {})
+    (found,) = ident.evaluate(beliefs, trace() if of is None else of)
+    return dict(found["identification"][name])
+
+
+def test_every_metric_is_computed_and_documented(repository: Path) -> None:
+    assert set(measured(1000.0)) == set(ident.ESTIMATION_METRICS)
+    text = (repository / "docs" / "evaluation.md").read_text(encoding="utf-8")
+    for name, metric in ident.ESTIMATION_METRICS.items():
+        assert f"| `{name}` | {metric.unit} | {metric.meaning} |" in text
+
+
+def test_a_constant_error_is_every_error() -> None:
+    found = measured(900.0)
+    assert found["relative_rmse"] == found["settled_relative_rmse"] == pytest.approx(0.1)
+    assert found["final_relative_error"] == pytest.approx(-0.1)
+
+
+def test_the_error_is_relative_to_the_true_value_of_that_moment() -> None:
+    truth = np.where(np.arange(STEPS) < 500, 1000.0, 2000.0)
+    assert measured(1.2 * truth, truth)["relative_rmse"] == pytest.approx(0.2)
+    assert measured(1200.0, truth)["final_relative_error"] == pytest.approx(-0.4)
+
+
+def test_the_settled_error_leaves_out_the_first_five_seconds() -> None:
+    value = np.where(np.arange(STEPS) * PERIOD < 5.0, 500.0, 1100.0)
+    assert measured(value)["settled_relative_rmse"] == pytest.approx(0.1)
+    assert measured(value)["relative_rmse"] == pytest.approx(np.sqrt(0.25 * 0.25 + 0.75 * 0.01))
+
+
+def test_the_nees_of_an_error_of_two_claimed_sigma_is_four() -> None:
+    assert measured(1100.0, deviation=50.0)["nees"] == pytest.approx(4.0)
+    assert measured(1100.0, deviation=50.0)["in_three_sigma"] == 1.0
+    assert measured(1160.0, deviation=50.0)["in_three_sigma"] == 0.0
+
+
+def test_errors_that_follow_their_claim_have_a_nees_of_one_and_lie_in_three_sigma() -> None:
+    noise = np.random.default_rng(0).normal(0.0, 50.0, STEPS)
+    found = measured(1000.0 + noise)
+    assert found["nees"] == pytest.approx(1.0, abs=0.15)
+    assert found["in_three_sigma"] == pytest.approx(0.997, abs=0.005)
+
+
+def test_an_estimate_that_converges_settles_when_it_enters_ten_percent_for_good() -> None:
+    time = np.arange(STEPS) * PERIOD
+    found = measured(1000.0 * (1.0 - np.exp(-time / 2.0)))
+    assert found["settling_time"] == pytest.approx(2.0 * np.log(10.0), abs=PERIOD)
+    assert found["settled"] == 1.0
+    swinging = np.where(np.abs(time - 7.0) < 0.5, 1500.0, 1000.0)
+    assert measured(swinging)["settling_time"] == pytest.approx(7.5, abs=PERIOD)
+    assert measured(1000.0)["settling_time"] == 0.0
+
+
+def test_the_settling_time_counts_from_the_last_abrupt_change() -> None:
+    truth = np.where(np.arange(STEPS) <= 400, 1000.0, 2000.0)  # row 401 is the first to see it
+    late = np.where(np.arange(STEPS) < 401 + 150, 1000.0, 2000.0)
+    assert measured(late, truth, of=trace(change=400))["settling_time"] == pytest.approx(3.0)
+    assert measured(late, truth)["settling_time"] == pytest.approx((401 + 150) * PERIOD)
+
+
+def test_who_never_settles_has_no_settling_time() -> None:
+    found = measured(1200.0)
+    assert found["settling_time"] is None
+    assert found["settled"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("value", "truth", "diverged"),
+    [
+        (VEHICLES["strawa"].mass, 500.0, 0.0),  # 190 % off, but no worse than knowing nothing
+        (2000.0, 500.0, 1.0),
+        (1400.0, 1000.0, 0.0),  # 40 %
+        (2000.0, 1450.0, 0.0),  # worse than nominal, but not by half
+        (np.nan, 1450.0, 1.0),
+        (np.inf, 1450.0, 1.0),
+    ],
+)
+def test_diverged_is_who_ends_far_away_and_worse_than_the_nominal_value(
+    value: float, truth: float, diverged: float
+) -> None:
+    assert measured(value, truth)["diverged"] == diverged
+
+
+def test_an_estimate_that_is_not_finite_lies_outside_and_leaves_the_rest_as_it_is() -> None:
+    gap = np.full(STEPS, 1100.0)
+    gap[:250] = np.nan
+    found = measured(gap)
+    assert found["relative_rmse"] == pytest.approx(0.1)
+    assert found["in_three_sigma"] == 0.75
+    assert measured(gap, truth=1100.0)["settling_time"] == pytest.approx(5.0)
+    nothing = measured(np.nan)
+    assert nothing["relative_rmse"] is None
+    assert nothing["nees"] is None
+
+
+def test_a_claim_of_no_uncertainty_has_no_nees_but_is_found_out() -> None:
+    found = measured(1001.0, deviation=0.0)
+    assert found["nees"] is None
+    assert found["in_three_sigma"] == 0.0
+
+
+def test_an_early_end_counts_only_the_time_driven() -> None:
+    value = np.where(np.arange(STEPS) < 400, 1100.0, np.nan)
+    found = measured(value, of=trace(400))
+    assert found["relative_rmse"] == pytest.approx(0.1)
+    assert found["in_three_sigma"] == 1.0
+    assert found["diverged"] == 0.0
+    assert measured(value, of=trace(100))["settled_relative_rmse"] is None
+
+
+def test_the_slip_is_compared_as_it_is_and_a_parameter_near_zero_with_its_nominal_value() -> None:
+    assert measured(0.05, 0.0, 0.01, "slip_left")["relative_rmse"] == pytest.approx(0.05)
+    small = measured(0.001, 0.0, 1.0, "longitudinal_resistance")["relative_rmse"]
+    assert small == pytest.approx(0.001 / (0.01 * 0.6))
+
+
+def test_what_may_be_estimated_has_a_true_and_a_nominal_value() -> None:
+    assert set(ident.nominal_values()) == set(ident.KNOWN)
+    effort = 0.3 * 2.0 * 70e3 + 0.5 * 1450.0 * 9.81 * np.tan(np.radians(38.4))
+    assert ident.nominal_values()["effort_maximum"] == pytest.approx(effort)
+
+
+def test_the_truth_beside_an_estimate_is_the_one_in_force_when_it_was_made() -> None:
+    names = ("mass", "effort_maximum", "slip_left", "lateral_resistance")
+    config = BenchmarkConfig(sets=("payload",), duration=2.0)
+    env = config.environment("payload", 3, truth=True)
+    policy = Tracking(("mass", "lateral_resistance", "slip_left"), 1.0, 0.1)
+    recorder = Recorder(3, 100)
+    drive(policy, env, range(3), lambda: None, recorder)
+    beliefs = recorder.beliefs()
+    assert len(beliefs.value) == 100
+    assert np.array_equal(beliefs.value, beliefs.truth)
+    assert (np.ptp(beliefs.truth[:, 0], axis=0) > 500.0).all()  # the payload is in it
+    believing = Believing(dict.fromkeys(names, (1.0, 1.0)))
+    recorder = Recorder(3, 100)
+    drive(believing, env, range(3), lambda: None, recorder)
+    beliefs = recorder.beliefs()
+    weight = 9.81 * beliefs.truth[:, 0]
+    effort = 0.6 * VEHICLES["strawa"].cohesion + 0.5 * weight * np.tan(
+        VEHICLES["strawa"].friction_angle
+    )
+    assert beliefs.truth[:, 1] == pytest.approx(effort, rel=1e-5)
+
+
+def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_path: Path) -> None:
+    names = ("mass", "lateral_resistance")
+    policies = [
+        entry("silent", lambda context: Constant()),
+        entry("tracking", lambda context: Tracking(names, 1.05, 0.02)),
+    ]
+    store = Store(tmp_path, CONFIG.identity())
+    records = run(CONFIG, policies, store)
+    assert not [r for r in records[:3] if "identification" in r or "nis" in r]
+    for record in records[3:]:
+        assert list(record["identification"]) == list(names)
+        mass = record["identification"]["mass"]
+        assert mass["relative_rmse"] == pytest.approx(0.05, rel=1e-4)
+        assert mass["nees"] == pytest.approx(6.25, rel=1e-4)
+        assert (mass["settling_time"], mass["settled"], mass["diverged"]) == (0.0, 1.0, 0.0)
+        assert mass["excited"] == 0.5
+        assert record["identification"]["lateral_resistance"]["excited"] is None
+        assert record["nis"] == {"filter": 1.0}
+    again = Store(tmp_path, CONFIG.identity())
+    assert run(CONFIG, policies, again) == records  # as they come back from the file
+    kept = store.load_trace("tracking", "soil-and-mass")
+    assert kept is not None
+    assert kept["believed_names"].tolist() == list(names)
+    assert kept["believed_value"].shape == (100, 2, 3)
+    assert kept["believed_value"] == pytest.approx(1.05 * kept["believed_truth"], rel=1e-5)
+    assert list(summarise(records).identification["soil-and-mass"]) == ["tracking"]
+
+
+def test_asking_a_policy_changes_none_of_the_numbers_of_its_drive(tmp_path: Path) -> None:
+    policies = [
+        entry("silent", lambda context: Constant(0.3, 0.3)),
+        entry("believing", lambda context: Believing({"mass": (1450.0, 100.0)})),
+    ]
+    records = run(CONFIG, policies, Store(tmp_path, CONFIG.identity()))
+    drop = ("policy", "predict_time", "identification", "nis")
+    plain = [{k: v for k, v in r.items() if k not in drop} for r in records]
+    assert plain[:3] == plain[3:]
+
+
+def test_the_size_of_a_chunk_does_not_change_a_number_of_the_estimates(tmp_path: Path) -> None:
+    policy = entry("tracking", lambda context: Tracking(("mass", "slip_left"), 1.05, 0.02))
+    found = []
+    for chunk in (3, 2):
+        config = BenchmarkConfig(sets=("soil-and-mass",), episodes=3, duration=2.0, chunk=chunk)
+        records = run(config, [policy], Store(tmp_path / f"{chunk}", config.identity()))
+        found.append([r["identification"] for r in records])
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    ("believed", "message"),
+    [
+        ({"mas": (1.0, 1.0)}, "estimates of .'mas'.; none of them"),
+        ({"mass": (1.0,)}, "estimate of mass has shapes"),
+        ({"mass": (np.ones(2), np.ones(2))}, "each \\(3,\\): one number per vehicle"),
+    ],
+)
+def test_estimates_that_are_not_understood_are_refused(
+    tmp_path: Path, believed: dict[str, Any], message: str
+) -> None:
+    policy = Constant()
+    policy.estimates = lambda: {  # type: ignore[attr-defined]
+        name: tuple(np.full(3, p) if np.ndim(p) == 0 else p for p in parts)
+        for name, parts in believed.items()
+    }
+    with pytest.raises(ValueError, match=message):
+        run(CONFIG, [entry("odd", lambda context: policy)], Store(tmp_path, CONFIG.identity()))
+
+
+def test_what_the_benchmark_has_no_truth_for_is_not_judged(tmp_path: Path) -> None:
+    beliefs = {"gyro_bias": (0.0, 1.0), "mass": (1450.0, 1.0)}
+    policy = entry("more", lambda context: Believing(beliefs))
+    records = run(CONFIG, [policy], Store(tmp_path, CONFIG.identity()))
+    assert list(records[0]["identification"]) == ["mass"]
+
+
+def test_every_parameter_of_the_plant_may_be_estimated(tmp_path: Path) -> None:
+    policy = entry("all", lambda context: Believing(dict.fromkeys(ident.KNOWN, (1.0, 1.0))))
+    records = run(CONFIG, [policy], Store(tmp_path, CONFIG.identity()))
+    assert set(records[0]["identification"]) == {
+        *PARAMETER_NAMES, "effort_maximum", "slip_left", "slip_right"
+    }  # fmt: skip

@@ -1,0 +1,129 @@
+"""How a policy is found from the name on a command line, and the named policies themselves."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.registry import BY_DRIVE, POLICIES
+from tracked_env.benchmark.policy_interface import (
+    PolicyContext,
+    PolicyEntry,
+    checked_policy,
+    load_policy,
+    needs_truth,
+    source_fingerprint,
+)
+from tracked_env.observation import SIZE
+from tracked_env.physics.parameters import PARAMETER_INDEX, plant_parameters
+
+CONTEXT = PolicyContext(control_period=0.05, lateral="constrained")
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Name of an importable module with the stub policies in it."""
+    source = Path(__file__).with_name("stub_policies.py").read_text(encoding="utf-8")
+    (tmp_path / "their_policies.py").write_text(source, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "their_policies", raising=False)
+    return "their_policies"
+
+
+def made(spec: str) -> Any:
+    return checked_policy(load_policy(spec, POLICIES), CONTEXT)
+
+
+def test_a_registered_name_makes_a_fresh_policy_each_time() -> None:
+    entry = load_policy("nominal", POLICIES)
+    assert entry.name == "nominal"
+    assert checked_policy(entry, CONTEXT) is not checked_policy(entry, CONTEXT)
+
+
+@pytest.mark.parametrize("name", BY_DRIVE["torque"])
+def test_named_policies_get_clock_and_closure_of_the_environment(name: str) -> None:
+    policy = made(name)
+    controller = getattr(policy, "controller", policy)
+    assert (controller.control_period, controller.lateral) == (0.05, "constrained")
+
+
+def test_only_the_oracle_asks_for_the_truth() -> None:
+    assert [name for name in BY_DRIVE["torque"] if needs_truth(made(name))] == ["oracle"]
+
+
+def test_the_oracle_controls_with_the_parameters_it_is_told_and_nominal_with_its_own() -> None:
+    truth = {name: np.full(3, value) for name, value in plant_parameters()._asdict().items()}
+    truth["mass"] = np.array([1000.0, 1450.0, 2000.0])
+    truth["x"] = np.zeros(3)  # the state is there too, and ignored
+    nominal, oracle = made("nominal"), made("oracle")
+    oracle.observe_truth(truth)
+    observation = np.zeros((3, SIZE), dtype=np.float32)
+    observation[:, 0] = 1.0
+    told, own = oracle.predict(observation)[0], nominal.predict(observation)[0]
+    used = oracle.controller.parameters[PARAMETER_INDEX["mass"]]
+    assert used.tolist() == [1000.0, 1450.0, 2000.0]
+    assert told[1] == pytest.approx(own[1], abs=1e-6)  # the filter starts where the sensors are
+    assert told[0, 0] < own[0, 0] < told[2, 0]
+
+
+def test_an_instance_in_a_module_is_used_as_it_is(module: str) -> None:
+    assert made(f"{module}:INSTANCE") is made(f"{module}:INSTANCE")
+
+
+def test_a_class_in_a_module_is_instantiated(module: str) -> None:
+    policy = made(f"{module}:Constant")
+    assert policy.action == (0.3, 0.3)
+    assert policy is not made(f"{module}:Constant")
+
+
+def test_a_factory_with_an_argument_named_context_gets_it(module: str) -> None:
+    assert made(f"{module}:WithContext").context == CONTEXT
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("nominl", "Did you mean 'nominal'"),
+        ("agents/ppo.zip", "not loaded by the harness.*module:function"),
+        ("no_such_module:policy", "No module named 'no_such_module'.*current folder"),
+        ("{module}:Missing", "no attribute 'Missing'"),
+        ("{module}:NOTHING", "no `predict` and is no factory"),
+    ],
+)
+def test_what_is_no_policy_is_refused_with_what_would_be_one(
+    module: str, spec: str, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_policy(spec.format(module=module), POLICIES)
+
+
+def test_a_factory_that_makes_something_else_is_refused() -> None:
+    with pytest.raises(ValueError, match="no method `predict`"):
+        checked_policy(PolicyEntry("wrong", lambda context: 3, "1"), CONTEXT)  # type: ignore[arg-type,return-value]
+
+
+def test_a_policy_that_needs_the_truth_but_cannot_hear_it_is_refused() -> None:
+    deaf = type("Deaf", (), {"needs_truth": True, "predict": lambda self: None})
+    with pytest.raises(ValueError, match="no `observe_truth`"):
+        checked_policy(PolicyEntry("deaf", lambda context: deaf(), "1"), CONTEXT)
+
+
+def test_the_fingerprint_changes_with_the_source_and_only_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "their_package"
+    (package / "deep").mkdir(parents=True)
+    for name in ("__init__.py", "deep/law.py", "plots.py"):
+        (package / name).write_text("A = 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def fingerprint() -> str:
+        return source_fingerprint("their_package.deep", ignore=("plots.py",))
+
+    first = fingerprint()
+    (package / "plots.py").write_text("A = 2\n")
+    assert fingerprint() == first
+    (package / "deep" / "law.py").write_text("A = 2\n")
+    assert fingerprint() != first

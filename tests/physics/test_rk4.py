@@ -1,0 +1,200 @@
+"""The integrator inside the loop a simulation runs: order, symmetry, stability, rest."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from docs.step_halving import (
+    CONTROL_PERIOD,
+    MANOEUVRES,
+    SANDY_LOAM,
+    Command,
+    circle_entry,
+    constant,
+    run,
+)
+from tracked_env.physics.lumped_forces import (
+    Motion,
+    coefficients,
+    constrained_accelerations,
+    drive_limits,
+    sliding_accelerations,
+    traction_limits,
+)
+from tracked_env.physics.parameters import ClosureParameters, SoilParameters, plant_parameters
+
+CLAY = plant_parameters()
+SUBSTEPS = 8  # of 2.5 ms in one control period of 20 ms
+X, Y, YAW, V_X, V_Y, YAW_RATE, TORQUE_LEFT, TORQUE_RIGHT = range(8)
+
+
+def _smooth_turn(constrained, steps=50):
+    """A turn that stays clear of standstill and of the traction limits, and its start."""
+    command = constant(300.0, 2300.0, 2.0, 0.6, (1000.0, 2000.0), steps)
+    command.torque[steps // 2 :] = (500.0, 2400.0)
+    return command, Motion(2.0, -0.05 * 0.6 if constrained else -0.02, 0.6)
+
+
+@pytest.mark.parametrize("constrained", [False, True])
+@pytest.mark.parametrize("rows", [slice(X, V_X), slice(V_X, TORQUE_LEFT)], ids=["pose", "velocity"])
+def test_halving_the_step_divides_the_error_by_sixteen_down_to_rounding(constrained, rows):
+    command, start = _smooth_turn(constrained)
+    counts = (1, 2, 4, 8, 16, 32, 64, 128)
+    truth = run(command, 512, CLAY, constrained, start)[:, rows]
+    errors = np.array(
+        [np.abs(run(command, n, CLAY, constrained, start)[:, rows] - truth).max() for n in counts]
+    )
+    ratios = (errors[:-1] / errors[1:])[errors[1:] > 1e-12]
+    assert len(ratios) >= 3
+    assert np.all((ratios > 14.0) & (ratios < 19.0)), errors
+    assert errors[-1] < 1e-13
+
+
+@pytest.mark.parametrize("constrained", [False, True])
+def test_the_loop_solves_the_equations_of_motion_that_an_independent_solver_solves(constrained):
+    _, start = _smooth_turn(constrained)
+    command = constant(300.0, 2300.0, steps=30)
+    demand = np.array([500.0, 2400.0])
+    k, drive = coefficients(CLAY, constrained), drive_limits(CLAY)
+    formula = constrained_accelerations if constrained else sliding_accelerations
+
+    def rate(t, z):
+        motion = Motion(*(float(v) for v in z[V_X:]))
+        torque = demand + (command.torque[0] - demand) * math.exp(-t / CLAY.drive_time_constant)
+        limits = traction_limits(motion, k.half_gauge, drive)
+        accelerations = formula(motion, float(torque[0]), float(torque[1]), k, limits)
+        c, s = math.cos(z[YAW]), math.sin(z[YAW])
+        return [
+            c * motion.v_x - s * motion.v_y,
+            s * motion.v_x + c * motion.v_y,
+            motion.yaw_rate,
+            *accelerations,
+        ]
+
+    # The motors start at the first demand; from then on the demand is another one.
+    command.torque[1:] = demand
+    first = run(Command(command.torque[:1], command.speed[:1]), 64, CLAY, constrained, start)[-1]
+    solution = solve_ivp(
+        rate, (0.0, 29 * CONTROL_PERIOD), first[:TORQUE_LEFT], method="DOP853",
+        rtol=1e-11, atol=1e-12,
+    )  # fmt: skip
+    found = run(command, 64, CLAY, constrained, start)[-1]
+    assert found[:TORQUE_LEFT] == pytest.approx(solution.y[:, -1], abs=1e-8)
+    decay = math.exp(-29 * CONTROL_PERIOD / CLAY.drive_time_constant)
+    assert found[TORQUE_LEFT] == pytest.approx(500.0 - 200.0 * decay, rel=1e-12)
+
+
+@pytest.mark.parametrize("constrained", [False, True])
+def test_mirrored_demands_give_the_mirrored_trajectory_bit_for_bit(constrained):
+    command = circle_entry()
+    mirrored = command._replace(
+        torque=command.torque[:, ::-1].copy(), speed=command.speed * (1.0, -1.0)
+    )
+    there = run(command, SUBSTEPS, CLAY, constrained)
+    back = run(mirrored, SUBSTEPS, CLAY, constrained)
+    assert np.array_equal(back[:, [X, V_X]], there[:, [X, V_X]])
+    assert np.array_equal(back[:, [Y, YAW, V_Y, YAW_RATE]], -there[:, [Y, YAW, V_Y, YAW_RATE]])
+    assert np.array_equal(back[:, [TORQUE_RIGHT, TORQUE_LEFT]], there[:, 6:])
+    assert abs(there[-1, YAW]) > 0.4
+
+
+@pytest.mark.parametrize("constrained", [False, True])
+def test_a_vehicle_at_rest_does_not_creep(constrained):
+    for left, right in [(0.0, 0.0), (1200.0, 1200.0), (-1270.0, 1270.0)]:
+        trajectory = run(constant(left, right, steps=100), SUBSTEPS, CLAY, constrained)
+        assert not trajectory[:, :TORQUE_LEFT].any()
+
+
+@pytest.mark.parametrize("constrained", [False, True])
+def test_a_coasting_vehicle_comes_to_rest_after_the_distance_of_its_kinetic_energy(constrained):
+    start = Motion(3.0, 0.0, 0.0)
+    end = run(constant(0.0, 0.0), SUBSTEPS, CLAY, constrained, start)[-1]
+    # v^2 / (2 mu_l g) = 0.76 m, and below 0.1 m/s the resistance fades: a few mm more.
+    assert end[X] == pytest.approx(9.0 / (2.0 * 0.6 * 9.81), abs=0.003)
+    assert np.abs(end[V_X:TORQUE_LEFT]).max() < 1e-12
+
+
+def test_a_turning_vehicle_without_drive_comes_to_rest():
+    end = run(constant(0.0, 0.0), SUBSTEPS, CLAY, False, Motion(1.0, 0.3, 2.0))[-1]
+    assert np.abs(end[V_X:TORQUE_LEFT]).max() < 1e-12
+
+
+def test_the_icr_of_a_driven_circle_emerges_at_five_centimetres():
+    # m w v_x = 2 q x_icr at R = 10 m and 2 m/s.
+    end = run(circle_entry(), SUBSTEPS)[-1]
+    assert end[V_X] == pytest.approx(2.0, rel=0.02)
+    assert end[V_X] / end[YAW_RATE] == pytest.approx(10.0, rel=0.05)
+    expected = end[YAW_RATE] * end[V_X] * 2.0 / (2.0 * 0.8 * 9.81)
+    assert -end[V_Y] / end[YAW_RATE] == pytest.approx(expected, rel=0.03)
+    assert expected == pytest.approx(0.05, rel=0.06)
+
+
+def test_the_constrained_closure_keeps_its_icr_through_a_manoeuvre():
+    trajectory = run(circle_entry(), SUBSTEPS, CLAY, True)
+    assert trajectory[:, V_Y] == pytest.approx(-0.05 * trajectory[:, YAW_RATE], abs=1e-14)
+
+
+def _jerkiness(values):
+    """Largest change of sign-alternating size between neighbours: what a ripple shows."""
+    return np.abs(np.diff(values, 2)).max()
+
+
+@pytest.mark.parametrize(("factor", "torque"), [(1.0, 3500.0), (2.0, 4800.0)])
+def test_a_pivot_turn_from_rest_is_stable_at_the_default_step_on_rough_ground(factor, torque):
+    p = plant_parameters(
+        soil=SoilParameters(lateral_resistance=1.0),
+        closure=ClosureParameters(turning_resistance_factor=factor),
+    )
+    # One control period per sub-step shows every sub-step.
+    command = constant(-torque, torque, steps=400)
+    coarse = run(command, 1, p, period=0.0025)
+    fine = run(command, 8, p, period=0.0025)
+    assert coarse[-1, YAW] > 0.1
+    assert coarse[:, YAW_RATE] == pytest.approx(fine[:, YAW_RATE], abs=1e-3)
+    assert np.abs(coarse[:, [X, Y]]).max() < 1e-6
+    assert _jerkiness(coarse[50:, YAW_RATE]) < 1e-4
+
+
+def test_sideways_sliding_is_unstable_beyond_the_limit_step_and_stable_below():
+    # Decay rate 1.5 mu_t g / eps = 490 / s at mu_t = 1; RK4 needs h < 2.785 / 490 = 5.68 ms.
+    p = plant_parameters(soil=SoilParameters(lateral_resistance=1.0))
+    command, start = constant(0.0, 0.0, steps=300), Motion(0.0, 1e-6, 0.0)
+    stable = run(command, 1, p, start=start, period=0.0055)
+    unstable = run(command, 1, p, start=start, period=0.0060)
+    assert abs(stable[-1, V_Y]) < 1e-9
+    assert abs(unstable[-1, V_Y]) > 1e-3
+
+
+@pytest.mark.parametrize("soil", [SoilParameters(), SANDY_LOAM], ids=["clay", "loam"])
+def test_full_torque_ends_at_the_speed_where_slip_carries_the_resistance(soil):
+    p = plant_parameters(soil=soil)
+    end = run(constant(8000.0, 8000.0), SUBSTEPS, p)
+    drive = drive_limits(p)
+    top = p.sprocket_radius * p.sprocket_speed_limit
+    assert end[:, V_X].max() < top
+    # F(i) = R = 4.27 kN at the end: i from S (7) and v = V_t (1 - i).
+    assert traction_limits(Motion(*end[-1, V_X:TORQUE_LEFT]), 0.85, drive)[1] == pytest.approx(
+        0.3 * 1450.0 * 9.81, rel=1e-3
+    )
+    assert np.abs(np.diff(end[-20:, V_X])).max() < 1e-6
+
+
+def test_the_pose_follows_a_circle_of_the_radius_that_the_velocities_say():
+    p = plant_parameters(soil=SoilParameters(longitudinal_resistance=0.0, lateral_resistance=0.0))
+    start = Motion(2.0, 0.0, 0.0)
+    straight = run(constant(0.0, 0.0), SUBSTEPS, p, start=start)
+    assert straight[-1, X] == pytest.approx(10.0, rel=1e-13)
+    # Without friction the vehicle turns while its centre flies straight on.
+    spinning = run(constant(0.0, 0.0), SUBSTEPS, p, start=Motion(2.0, 0.0, 3.0))
+    assert spinning[-1, X] == pytest.approx(10.0, abs=1e-8)
+    assert spinning[-1, Y] == pytest.approx(0.0, abs=1e-8)
+    assert spinning[-1, YAW] == pytest.approx(15.0, rel=1e-13)
+
+
+def test_the_tabulated_manoeuvres_agree_with_a_fine_step_to_the_tenth_of_a_millimetre():
+    for command, p, start in list(MANOEUVRES.values())[:3]:
+        gap = run(command, SUBSTEPS, p, start=start) - run(command, 128, p, start=start)
+        assert np.hypot(gap[:, X], gap[:, Y]).max() < 1e-4
+        assert np.abs(gap[:, YAW]).max() < 1e-4

@@ -1,0 +1,141 @@
+"""The page of the paper: it is written, its links resolve, its verdicts follow the numbers."""
+
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from reproduce.focchi2025 import (
+    Results,
+    Tools,
+    chicane,
+    claims,
+    identification,
+    page,
+    results,
+    spiral,
+    vehicle,
+)
+from reproduce.focchi2025 import baseline_tools as baseline
+
+TOOLS = Tools(**baseline.TOOLS)
+LENGTH = 5.0  # [s] of the drives; numbers of so short ones mean little, the page is what counts
+COARSE = 1.3  # [rad/s]
+
+
+@pytest.fixture(scope="module")
+def module_patch():
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
+
+
+def short_drive(tools, cases, seeds=chicane.SEEDS, duration=LENGTH):
+    """All cases at 50 Hz, whatever they ask for, but for decision trees, which take long."""
+    asked = {
+        case: case._replace(rate=50, kind="table" if case.kind == "trees" else case.kind)
+        for case in cases
+    }
+    driven = drive(tools, list(dict.fromkeys(asked.values())), 2, duration)
+    return {case: driven[stands] for case, stands in asked.items()}
+
+
+drive = chicane.drive
+
+
+@pytest.fixture(scope="module")
+def found(module_patch, tmp_path_factory):
+    """All runs, short and few; the real vehicle is a simulated one."""
+    runs = TOOLS.sweep(vehicle(0.5, 0.2), COARSE)
+    alpha = np.arctan2(runs.v_y - 0.04 * runs.yaw_rate, runs.v_x)
+    file = tmp_path_factory.mktemp("real") / "real.csv"
+    table = (34.45 * runs.sprocket_left, 34.45 * runs.sprocket_right, runs.beta_left,
+             runs.beta_right, alpha)  # fmt: skip
+    np.savetxt(file, np.stack(table, axis=1), delimiter=",")
+    module_patch.setattr(identification, "STEP", COARSE)
+    module_patch.setattr(chicane, "DURATION", LENGTH)
+    module_patch.setattr(chicane, "drive", short_drive)
+    module_patch.setattr(spiral, "DURATION", LENGTH)
+    said = []
+    made = results.run_all(TOOLS._replace(sweep=coarse_sweep), said.append, file)
+    assert len(said) >= 4
+    return made
+
+
+def coarse_sweep(parameters, _step):
+    return TOOLS.sweep(parameters, COARSE)
+
+
+def test_the_page_is_written_and_all_its_links_resolve(found, tmp_path):
+    pytest.importorskip("matplotlib", reason="figures need the extra `render`")
+    files = page.write(found, tmp_path)
+    text = (tmp_path / "page.md").read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)]+)\)", text)
+    assert len(links) == 8 and all("/" not in link for link in links)
+    for link in links:
+        assert 5_000 < (tmp_path / link).stat().st_size < 500_000
+    assert {file.name for file in files} == {file.name for file in tmp_path.iterdir()}
+    numbers = set()
+    for first, last in re.findall(r"[Ff]igures? (\d+)(?: (?:to|and) (\d+))?", text):
+        numbers |= set(range(int(first), int(last or first) + 1))
+    assert {6, 7, 8, 9, 10, 12, 13, 14} <= numbers
+
+
+def test_without_figures_the_page_links_to_nothing(found, tmp_path):
+    page.write(found, tmp_path, draw=False)
+    assert not list(tmp_path.glob("*.png"))
+    assert "](" not in (tmp_path / "page.md").read_text(encoding="utf-8")
+
+
+def test_without_matplotlib_the_missing_package_is_named(found, tmp_path, monkeypatch):
+    for name in ("figures", "surfaces"):
+        monkeypatch.delitem(sys.modules, f"reproduce.focchi2025.{name}", raising=False)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ImportError, match="matplotlib"):
+        page.write(found, tmp_path)
+
+
+def test_every_table_is_rectangular_and_free_of_bars(found):
+    tables = [claims.claims_table(claims.claims(found))]
+    tables += [table(found) for table, _ in page.CHOICES.values()]
+    for rows in tables:
+        assert len(rows) > 1 and {len(row) for row in rows} == {len(rows[0])}
+        assert not any("|" in cell or "\n" in cell for row in rows for cell in row)
+
+
+def test_the_claims_cover_every_experiment_and_their_verdicts_are_known(found):
+    made = claims.claims(found)
+    places = " ".join(claim.place for claim in made)
+    assert all(place in places for place in ("fig. 8", "fig. 9", "fig. 10", "fig. 13", "fig. 14",
+               "(54)", "figs 6, 7", "2.3"))  # fmt: skip
+    verdicts = {claim.agrees for claim in made}
+    assert verdicts <= {"yes", "yes, another reason", "partly", "no", "-"}
+    assert not any("nan" in claim.ours for claim in made)
+
+
+def test_without_scikit_learn_or_a_real_vehicle_the_claims_say_so(found):
+    bare = found.identification.simulated._replace(trees=None, held_out=None, unseen=None)
+    reduced = found.identification._replace(
+        simulated=bare, measured=None, against_measured={}, behind={}, missing="needs a package"
+    )
+    cut = found._replace(
+        identification=reduced,
+        chicane={case: run for case, run in found.chicane.items() if case.kind != "trees"},
+    )
+    made = claims.claims(cut)
+    assert any(c.ours == "not computed" and c.why == "needs a package" for c in made)
+    assert not any("fig. 9" in claim.place for claim in made)
+    assert len(page.markdown(cut, {})) > 5_000
+
+
+def test_the_terminal_s_table_fits(found):
+    text = page.terminal(claims.claims(found), width=118)
+    assert max(map(len, text.splitlines())) <= 118
+    assert "agrees?" in text and "fig. 13" in text
+
+
+def test_the_results_are_complete(found):
+    assert isinstance(found, Results)
+    assert {case.kind for case in found.chicane} == {"uc", "table", *chicane.REGRESSED, "online"}
+    assert all(len(slip[0]) == round(50 * LENGTH) for slip in found.predicted.values())

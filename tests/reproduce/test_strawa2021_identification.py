@@ -1,0 +1,128 @@
+"""Strawa et al. (2021), figure 17 and section 8.3, run again: what must come out."""
+
+import math
+
+import numpy as np
+import pytest
+
+from reproduce.strawa2021 import Tools
+from reproduce.strawa2021 import baseline_tools as baseline
+from reproduce.strawa2021 import identification as ident
+from reproduce.strawa2021 import slip as slips
+from reproduce.strawa2021 import soil as soils
+from reproduce.strawa2021.identification import Condition
+from reproduce.strawa2021.printed_gnr import printed_gnr
+from reproduce.strawa2021.sweep import surface
+from tracked_env.physics import terramechanics
+
+TOOLS = Tools(**baseline.TOOLS)
+PAPER = Condition("paper", 2.0, "strawa")
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """The manoeuvre under the paper's noise on the maps, by kind of policy; 16 s, 3 vehicles."""
+    return {
+        kind: ident.identify(TOOLS, PAPER._replace(kind=kind), seeds=3, duration=16.0)
+        for kind in ident.KINDS
+    }
+
+
+@pytest.mark.parametrize("kind", ["paper", "coupled"])
+def test_on_the_straight_line_the_mass_is_right_to_one_percent(noisy, kind):
+    assert ident.quality(noisy[kind]).mass_straight_worst < 0.01
+
+
+def test_the_resistance_begins_to_change_when_the_spiral_begins(noisy):
+    truth, time = noisy["paper"].truth, noisy["paper"].time
+    for name in ("longitudinal_resistance", "lateral_resistance"):
+        assert np.ptp(truth[name][time < ident.STRAIGHT]) < 0.01
+        assert np.ptp(truth[name][time >= ident.STRAIGHT]) > 0.05
+
+
+def test_in_the_spiral_a_single_forgetting_factor_takes_resistance_for_mass(noisy):
+    paper, coupled = (ident.quality(noisy[kind]) for kind in ("paper", "coupled"))
+    assert ident.STRAIGHT + 3.0 < paper.exceeds < 16.0
+    assert coupled.mass_spiral_worst < 0.05 and math.isnan(coupled.exceeds)
+    assert abs(coupled.longitudinal_bias) < 0.02
+
+
+def test_on_uniform_ground_the_spiral_costs_less_than_5_percent_and_inertia_is_better_than_mass():
+    result = ident.identify(TOOLS, PAPER._replace(ground="uniform"), seeds=3)
+    quality = ident.quality(result)
+    assert quality.mass_spiral_worst < 0.05
+    assert quality.inertia < 0.01 and quality.inertia < quality.mass_spiral
+
+
+@pytest.mark.parametrize("kind", ["paper", "coupled"])
+def test_identified_parameters_keep_the_vehicle_closer_to_the_path_than_wrong_ones(noisy, kind):
+    assert noisy[kind].rmse().max() < 0.2 * noisy["fixed"].rmse().min()
+
+
+@pytest.mark.parametrize("way", ["circle", "manoeuvre"])
+def test_a_wrong_mass_costs_more_than_a_wrong_inertia(way):
+    found = surface(TOOLS, way, 2.0, np.array([0.5, 0.75, 1.0, 1.25, 1.5]), duration=15.0)
+    assert found.rmse[2, 2] == 0.0
+    mass, inertia = found.along()
+    assert mass > 1.0 and mass > 50.0 * inertia
+    assert found.rmse[0, 2] > found.rmse[1, 2] > 0.1
+
+
+@pytest.fixture(scope="module")
+def filtered():
+    cases = [slips.Case(speed, "sandy loam", 100.0) for speed in slips.SPEEDS]
+    return slips.run_all(TOOLS, cases, seeds=6, duration=25.0)
+
+
+@pytest.mark.parametrize("measured", slips.MEASURED)
+@pytest.mark.parametrize("side", slips.SIDES)
+def test_the_slip_is_unbiased_in_gentle_motion_and_not_on_rapid_changes_of_speed(
+    filtered, measured, side
+):
+    gentle = slips.quality(filtered, 0, measured, side, rapid=False)
+    assert abs(gentle.bias) < 4.0 * gentle.uncertainty and abs(gentle.bias) < 0.006
+    assert gentle.rms < 0.02
+    rapid = slips.quality(filtered, 1, measured, side, rapid=True)
+    assert rapid.rms > (1.5 if side == "right" else 1.0) * gentle.rms
+    assert math.isnan(slips.quality(filtered, 0, measured, side, rapid=True).rms)
+
+
+@pytest.fixture(scope="module")
+def ground():
+    cases = [soils.Case("circle", "changing"), soils.Case("circle", "heavy clay")]
+    return soils.run_all(TOOLS, cases, duration=24.0)
+
+
+def test_the_printed_method_finds_the_soil_from_true_slips_within_its_window(ground):
+    quality = soils.quality(ground["printed"], 0)
+    assert quality.effort < 1e-6 and quality.modulus < 1e-6
+    assert quality.adapted <= 0.5 + 1e-9
+    assert quality.most_iterations == 20 and quality.error_failed > 3.0 * quality.error_converged
+
+
+def test_on_firm_clay_a_little_noise_of_the_slip_leaves_only_the_ratio(ground):
+    exact = soils.quality(ground["printed"], 1)
+    noisy = soils.quality(soils.with_noise(ground["ideal"], 1)[1e-4], 0)
+    assert exact.effort < 1e-6
+    assert noisy.effort > 0.3 and noisy.stiffness < 0.5 * noisy.effort
+    weighted = soils.quality(ground["ideal"], 1)
+    assert weighted.ratio_only > 0.9
+    assert weighted.stiffness < 0.05 < 0.1 < weighted.effort
+
+
+def test_with_the_noise_of_the_paper_the_soil_is_not_known_very_accurately(ground):
+    assert soils.quality(ground["strawa"], 0).effort > 0.05
+
+
+def test_the_printed_method_inverts_the_effort_of_a_track():
+    slip = np.column_stack([np.linspace(0.01, 0.05, 60), np.linspace(0.02, 0.2, 60)])
+    maximum, modulus, length = 12e3, 0.015, 2.0
+    effort = maximum * np.array(
+        [[terramechanics.mobilised_shear(i * length / modulus) for i in row] for row in slip]
+    )
+    fit = printed_gnr(slip, effort, length, (20e3, 0.02))
+    assert fit.converged[1:].all()
+    assert fit.effort_maximum[-1] == pytest.approx(maximum, rel=1e-9)
+    assert fit.modulus[-1] == pytest.approx(modulus, rel=1e-9)
+    lost = printed_gnr(slip, effort, length, (1e3, 0.9))
+    assert lost.effort_maximum[0] == 1e3  # not converged: the last converged value

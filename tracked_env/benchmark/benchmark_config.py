@@ -1,0 +1,112 @@
+"""What a benchmark runs: sets, episodes, and what is said differently from the sets."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
+from tracked_env.benchmark.sets import DEFAULT_SETS, SETS, BenchmarkSet
+from tracked_env.sensors import make_sensors
+from tracked_env.validation import checked_choice
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+CHUNK = 64  # [episodes] run as one batch; has no influence on results
+# Files and folders of the package that do not change the numbers of an episode.
+_HERE = {path.name for path in Path(__file__).parent.iterdir()}
+_NUMBERS = {
+    "metrics.py",
+    "runner.py",
+    "changes.py",
+    "identification.py",
+    "sets.py",
+    "configuration.py",
+}
+_HARMLESS = ("rendering", "sb3.py", *(_HERE - _NUMBERS))
+
+
+@dataclass(frozen=True)
+class BenchmarkConfig:
+    """What is run. All but `sets`, `episodes` and `chunk` is part of a result's identity.
+
+    None for reference, sensors, duration or error_limit: what each set, or its environment, says.
+    All sets are of one environment id.
+    """
+
+    sets: tuple[str, ...] = DEFAULT_SETS
+    episodes: int = 32  # per set
+    seed: int = 0
+    reference: str | Mapping[str, Any] | None = None
+    sensors: str | Mapping[str, Any] | None = None
+    duration: float | None = None  # [s]
+    control_rate: float = 50.0  # [Hz]
+    lateral: str = "sliding"
+    error_limit: float | None = None  # [m]
+    chunk: int = CHUNK
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for everything that the environment or the runner would refuse."""
+        for name in self.sets:
+            checked_choice("evaluation set", name, SETS)
+        ids = {SETS[name].env for name in self.sets}
+        if len(ids) > 1:
+            raise ValueError(f"sets = {self.sets} are of {sorted(ids)}; must be of one environment")
+        if len(set(self.sets)) != len(self.sets) or not self.sets:
+            raise ValueError(f"sets = {self.sets}; must be one or more, each named once")
+        for name in ("episodes", "chunk"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}; must be at least 1")
+        if self.seed < 0:
+            raise ValueError(f"seed = {self.seed}; must be at least 0")
+        for name in self.sets:
+            self.environment(name, 1, truth=False).close()
+
+    def identity(self) -> dict[str, Any]:
+        """Everything that changes the numbers of an episode, the policy apart."""
+        fields = asdict(self)
+        for name in ("sets", "episodes", "chunk"):
+            del fields[name]
+        return {**fields, "source": source_fingerprint("tracked_env", _HARMLESS)}
+
+    @property
+    def env(self) -> str:
+        """Environment id of the sets."""
+        return SETS[self.sets[0]].env
+
+    def evaluation_set(self, name: str) -> BenchmarkSet:
+        """A set, with what this configuration says differently."""
+        given = {key: getattr(self, key) for key in ("reference", "sensors", "duration")}
+        return SETS[name]._replace(**{k: v for k, v in given.items() if v is not None})
+
+    def context(self, name: str) -> PolicyContext:
+        """What a policy may know of the environment of a set."""
+        chosen = self.evaluation_set(name)
+        known = {k: v for k, v in chosen.arguments.items() if k in ("drive", "vehicle")}
+        sensors = make_sensors(chosen.sensors)
+        return PolicyContext(1.0 / self.control_rate, self.lateral, sensors, **known)
+
+    def arguments(self, name: str, truth: bool) -> dict[str, Any]:
+        """Arguments of an environment for a set; truth: whether it exposes it."""
+        chosen = self.evaluation_set(name)
+        limit = {} if self.error_limit is None else {"error_limit": self.error_limit}
+        return {
+            **chosen.arguments,
+            **limit,
+            "reference": chosen.reference,
+            "uncertainty": chosen.uncertainty,
+            "sensors": chosen.sensors,
+            "duration": chosen.duration,
+            "control_rate": self.control_rate,
+            "lateral": self.lateral,
+            "expose_truth": truth,
+        }
+
+    def environment(self, name: str, count: int, truth: bool) -> TrackedVehicleVectorEnv:
+        """A batch in which an ended episode rests."""
+        return TrackedVehicleVectorEnv(
+            count, **self.arguments(name, truth), autoreset_mode="Disabled"
+        )
+
+    def max_steps(self, name: str) -> int:
+        """Control steps of a whole episode of a set."""
+        return round(self.evaluation_set(name).duration * self.control_rate)

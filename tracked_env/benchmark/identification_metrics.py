@@ -1,0 +1,267 @@
+"""How good the estimates of a policy are: its beliefs beside the truth, and numbers from them.
+
+A policy with the hook `estimates` is asked after each `predict`. Row k holds its estimate x_k and
+standard deviation sigma_k at time k h, when it has seen k + 1 observations, and the true value
+p_k that was in force when the last of them was taken. With the scale P_k = max(|p_k|, 1 % of the
+nominal value), 1 for the slips, and the K rows of the time driven:
+    relative error       r_k = (x_k - p_k) / P_k
+    relative RMSE        sqrt(mean r_k^2), over all rows and over those after SETTLING_TIME
+    settling time        smallest tau >= 0 with |r_k| <= SETTLED for all rows from t_0 + tau on,
+                         t_0 the time of the first row after the last abrupt change of the episode
+                         (0 when there is none); none = never
+    NEES                 mean ((x_k - p_k) / sigma_k)^2 over the rows with sigma_k > 0; 1 expected
+    in three sigma       part of the rows with |x_k - p_k| <= 3 sigma_k; 0.997 expected
+    diverged             the last estimate is not finite, or |r| > DIVERGED and |r| is larger than
+                         that of the nominal value
+What is not in KNOWN is not judged. Rows whose estimate is not finite count as outside every band,
+and not in the RMSE.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.benchmark.changes import last_outside
+from tracked_env.benchmark.metrics import Metric, Trace, settled_step
+from tracked_env.engine import columns as b
+from tracked_env.physics import state as s
+from tracked_env.physics.lumped_forces import DriveLimits, drive_limits
+from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, VEHICLES
+
+SETTLED = 0.1  # [-] relative error within which an estimate is settled
+DIVERGED = 0.5  # [-] relative error from which on an estimate may count as diverged
+LEAST_SCALE = 0.01  # [-] of the nominal value; keeps x/0 out of the relative error
+
+_SLIPS = {"slip_left": s.SLIP_LEFT, "slip_right": s.SLIP_RIGHT}
+_COLUMNS = {
+    **{name: b.PARAMETERS + row for name, row in PARAMETER_INDEX.items()},
+    "effort_maximum": b.DRIVE + DriveLimits._fields.index("effort_maximum"),
+    **{name: b.STATE + row for name, row in _SLIPS.items()},
+}
+KNOWN = (*PARAMETER_NAMES, "effort_maximum", *_SLIPS)  # what may be estimated
+
+ESTIMATION_METRICS = {
+    "relative_rmse": Metric("-", "RMS of the relative error, whole episode"),
+    "settled_relative_rmse": Metric("-", "the same after 5 s"),
+    "final_relative_error": Metric("-", "relative error at the end, with its sign"),
+    "settling_time": Metric("s", "time after the last abrupt change until within 10 % for good"),
+    "settled": Metric("-", "1 when there is such a time, 0 when it never settles"),
+    "nees": Metric("-", "mean of the squared error over the claimed variance"),
+    "in_three_sigma": Metric("-", "part of the time with an error below three claimed sigma"),
+    "excited": Metric("-", "part of the time in which the policy calls the parameter excited"),
+    "diverged": Metric("-", "ends not finite, or beyond 50 % and worse than the nominal value"),
+}
+
+
+class Beliefs(NamedTuple):
+    """What a policy believed of n vehicles over T control steps, and what was true."""
+
+    names: tuple[str, ...]  # (P,)
+    value: NDArray[np.float32]  # (T, P, n) SI
+    deviation: NDArray[np.float32]  # (T, P, n)
+    truth: NDArray[np.float32]  # (T, P, n)
+    excited: NDArray[np.bool_]  # (T, P, n)
+    judged: tuple[bool, ...]  # (P,) whether `excited` is known
+    nis: dict[str, NDArray[np.float32]]  # (T, n) by filter
+
+
+class Recorder:
+    """Takes down the beliefs of one batch, step by step."""
+
+    def __init__(self, count: int, max_steps: int) -> None:
+        self.count, self.max_steps = count, max_steps
+        self.rows = 0
+        self.names: tuple[str, ...] = ()
+        self.judged: tuple[bool, ...] = ()
+        self._columns: list[int] = []
+
+    def _allocate(self, estimates: Mapping[str, Any], excited: Mapping[str, Any]) -> None:
+        """Fix the names by the first answer. Raises ValueError if none of them is known."""
+        self.names = tuple(name for name in estimates if name in KNOWN)
+        if not self.names:
+            raise ValueError(f"estimates of {sorted(estimates)}; none of them is in {KNOWN}")
+        for name in self.names:
+            answer = estimates[name]
+            if len(answer) != 2 or any(np.shape(part) != (self.count,) for part in answer):
+                raise ValueError(
+                    f"estimate of {name} has shapes {[np.shape(part) for part in answer]}; must be "
+                    f"(value, standard deviation), each ({self.count},): one number per vehicle"
+                )
+        self.judged = tuple(name in excited for name in self.names)
+        self._columns = [_COLUMNS[name] for name in self.names]
+        shape = (self.max_steps, len(self.names), self.count)
+        self.value, self.deviation, self.truth = (np.empty(shape, np.float32) for _ in range(3))
+        self.excited = np.zeros(shape, dtype=bool)
+        self.nis: dict[str, NDArray[np.float32]] = {}
+
+    def take(self, policy: Any, floats: NDArray[np.float64]) -> None:
+        """One row. floats: those of the batch, before the step that follows.
+
+        Raises ValueError for names or shapes that are not understood.
+        """
+        k = self.rows
+        estimates = policy.estimates()
+        excited = policy.excited() if hasattr(policy, "excited") else {}
+        if k == 0:
+            self._allocate(estimates, excited)
+        for j, name in enumerate(self.names):
+            self.value[k, j], self.deviation[k, j] = estimates[name]
+            if self.judged[j]:
+                self.excited[k, j] = excited[name]
+        self.truth[k] = floats[:, self._columns].T
+        for name, nis in (policy.nis() if hasattr(policy, "nis") else {}).items():
+            if name not in self.nis:
+                self.nis[name] = np.full((self.max_steps, self.count), np.nan, dtype=np.float32)
+            self.nis[name][k] = nis
+        self.rows += 1
+
+    def beliefs(self) -> Beliefs:
+        """All that was taken down."""
+        n = self.rows
+        parts = (self.value[:n], self.deviation[:n], self.truth[:n], self.excited[:n])
+        return Beliefs(
+            self.names, *parts, self.judged, {name: nis[:n] for name, nis in self.nis.items()}
+        )
+
+
+@lru_cache(maxsize=1)
+def nominal_values() -> dict[str, float]:
+    """What a policy that identifies nothing believes of each of KNOWN."""
+    effort = float(drive_limits(VEHICLES["strawa"]).effort_maximum)
+    return {**VEHICLES["strawa"]._asdict(), "effort_maximum": effort, **dict.fromkeys(_SLIPS, 0.0)}
+
+
+def scales(names: Sequence[str], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What an error is measured in, (P, K): the true value, not too close to 0; 1 for slips."""
+    floor = [[LEAST_SCALE * abs(nominal_values()[name])] for name in names]
+    slips = [[name in _SLIPS] for name in names]
+    return np.where(slips, 1.0, np.maximum(np.abs(truth), floor))
+
+
+def _mean(values: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Mean over the valid entries of the last axis; NaN where there is none."""
+    if valid.size and valid.all():
+        return np.asarray(values.mean(axis=-1))
+    count = valid.sum(axis=-1)
+    total = np.where(valid, values, 0.0).sum(axis=-1)
+    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+
+
+def optional(value: float) -> float | None:
+    """A number as JSON has it; what is not finite (nothing to measure, never) is None."""
+    return float(value) if np.isfinite(value) else None
+
+
+def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
+    """Per episode {"identification": {parameter: {metric: number}}, "nis": {filter: mean}}.
+
+    The metrics are those of ESTIMATION_METRICS, None where there is nothing to measure.
+    """
+    changes = trace.changes()
+    # Vehicle first and time last: neighbours in memory, and the same sums for every batch.
+    parts = (beliefs.value, beliefs.deviation, beliefs.truth, beliefs.excited)
+    by_vehicle = [np.ascontiguousarray(part.T) for part in parts]
+    results: list[dict[str, Any]] = []
+    for i, steps in enumerate(trace.steps):
+        origin = changes[i][-1].last + 1 if changes[i] else 0
+        rows = [part[i, :, :steps].astype(np.float64) for part in by_vehicle]
+        columns = _episode(beliefs, rows, origin, settled_step(trace))
+        columns["settling_time"] = columns["settling_time"] * trace.control_period
+        parameters = {
+            name: {metric: optional(column[j]) for metric, column in columns.items()}
+            for j, name in enumerate(beliefs.names)
+        }
+        nis = {}
+        for name, values in beliefs.nis.items():
+            driven = np.ascontiguousarray(values[:steps, i], dtype=np.float64)
+            nis[name] = optional(float(_mean(driven, np.isfinite(driven))))
+        results.append({"identification": parameters, "nis": nis})
+    return results
+
+
+def _episode(
+    beliefs: Beliefs, rows: Sequence[NDArray[np.float64]], origin: int, settled: int
+) -> dict[str, NDArray[np.float64]]:
+    """Every metric of one episode, (P,) each; the settling time in rows.
+
+    rows: value, deviation, truth and excited, each (P, K); origin: first row after the last change.
+    """
+    value, deviation, truth, excited = rows
+    finite = np.isfinite(value) & np.isfinite(truth)
+    error = np.where(finite, value - np.where(finite, truth, 0.0), np.nan)
+    scale = scales(beliefs.names, truth)
+    relative = error / scale
+    squared = relative * relative
+    outside = ~(np.abs(relative) <= SETTLED)[:, origin:]
+    settling = np.array([last_outside(row) for row in outside], dtype=np.float64)
+    never = settling >= outside.shape[1]
+    claimed = finite & (deviation > 0.0) & np.isfinite(deviation)
+    nominal = np.array([nominal_values()[name] for name in beliefs.names])
+    last = np.abs(relative[:, -1])
+    others = np.abs(nominal - truth[:, -1]) / scale[:, -1]
+    seen = outside.shape[1] > 0
+    return {
+        "relative_rmse": np.sqrt(_mean(squared, finite)),
+        "settled_relative_rmse": np.sqrt(_mean(squared[:, settled:], finite[:, settled:])),
+        "final_relative_error": relative[:, -1],
+        "settling_time": np.where(never, np.inf, settling),
+        "settled": np.where(seen, (~never).astype(np.float64), np.nan),
+        "nees": _mean((error / np.where(claimed, deviation, 1.0)) ** 2, claimed),
+        "in_three_sigma": (np.abs(error) <= 3.0 * deviation).mean(axis=-1),
+        "excited": np.where(beliefs.judged, excited.mean(axis=-1), np.nan),
+        "diverged": (~np.isfinite(value[:, -1]) | ((last > DIVERGED) & (last > others))).astype(
+            np.float64
+        ),
+    }
+
+
+class IdentificationSummary(NamedTuple):
+    """One parameter as one policy estimates it on one set."""
+
+    episodes: int
+    relative_rmse: float  # [-] median over the episodes
+    settled_relative_rmse: float  # [-] median
+    final_relative_error: float  # [-] median of the magnitude
+    settling_time: float  # [s] median, inf when most episodes never settle
+    settled: float  # [-] share of the episodes
+    nees: float  # [-] mean
+    in_three_sigma: float  # [-] mean
+    excited: float  # [-] mean, NaN when the policy does not say
+    diverged: float  # [-] share of the episodes
+
+
+def summarise(records: Sequence[Mapping[str, Any]]) -> dict[str, IdentificationSummary]:
+    """Summary of one policy on one set, by parameter; empty when it estimates nothing."""
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for record in records:
+        for name, values in record.get("identification", {}).items():
+            found.setdefault(name, []).append(values)
+    return {name: _summary(rows) for name, rows in found.items()}
+
+
+def _summary(rows: Sequence[Mapping[str, Any]]) -> IdentificationSummary:
+    columns = {
+        metric: np.array([row[metric] for row in rows], dtype=np.float64)
+        for metric in ESTIMATION_METRICS
+    }
+    columns["final_relative_error"] = np.abs(columns["final_relative_error"])
+    columns["settling_time"][columns["settled"] == 0.0] = np.inf
+    median = ("relative_rmse", "settled_relative_rmse", "final_relative_error", "settling_time")
+    values = {}
+    for metric, column in columns.items():
+        known = column[~np.isnan(column)]
+        centre = np.median if metric in median else np.mean
+        values[metric] = float(centre(known)) if known.size else np.nan
+    return IdentificationSummary(len(rows), **values)
+
+
+def mean_nis(records: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Mean normalised innovation squared of one policy on one set, by filter."""
+    found: dict[str, list[float]] = {}
+    for record in records:
+        for name, value in record.get("nis", {}).items():
+            found.setdefault(name, []).extend([] if value is None else [value])
+    return {name: float(np.mean(values)) if values else np.nan for name, values in found.items()}

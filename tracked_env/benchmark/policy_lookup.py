@@ -1,0 +1,129 @@
+"""Policies from what a command line says: names, modules, archives of agents, several seeds.
+
+    name                  of the registry, or of a shipped agent
+    module:attribute      an object with `predict`, or a class or function that makes one
+    path/to/agent.zip     a trained agent; opened by a function that the caller passes in
+    NAME=any of these     under another name; the path may be a pattern: every file that matches
+                          is one training of the agent NAME
+
+Trainings of one agent are policies `name@seed` and are summarised together: those of one NAME, and
+archives whose names differ only in the seed (ppo-seed0, ppo-seed1). The seed is the number at the
+end of the name of the archive, or of its folder if train.py has named it, else the files are
+counted.
+"""
+
+import glob
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from tracked_env.benchmark.policy_interface import (
+    Policy,
+    PolicyContext,
+    PolicyEntry,
+    PolicyFactory,
+    load_policy,
+)
+from tracked_env.benchmark.summary import SEED_MARK
+
+ARCHIVE = ".zip"
+GENERIC = ("agent", "last")  # names that say nothing: the folder has a better one
+Opener = Callable[[Path], PolicyEntry]
+
+_SEEDED = re.compile(rf"(.+?)[-_ ]?(?:seed|{SEED_MARK})[-_ ]?(\d+)")
+
+
+def shipped_agents(folder: Path) -> dict[str, list[Path]]:
+    """Agents in folder/NAME/agent.zip, and seeds in folder/NAME@SEED or NAME-seedN: by name."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.glob("*/agent.zip")):
+        found.setdefault(_parts(path.parent.name)[0], []).append(path)
+    return found
+
+
+def _parts(name: str) -> tuple[str, str | None]:
+    """Name of the agent and of the seed, if a name says both."""
+    match = _SEEDED.fullmatch(name)
+    return (match[1], match[2]) if match else (name, None)
+
+
+def _label(path: Path) -> str | None:
+    """The number at the end of the name of an archive."""
+    match = re.search(r"(\d+)$", _own_name(path))
+    return str(int(match[1])) if match else None
+
+
+def archives(spec: str, shipped: Mapping[str, Sequence[Path]]) -> list[tuple[str, Path]]:
+    """Name of the agent and file of every archive that an item of the command line names."""
+    given, _, source = spec.rpartition("=")
+    if source in shipped:
+        return [(given or source, path) for path in shipped[source]]
+    if not source.endswith(ARCHIVE):
+        return []
+    paths = [Path(found) for found in sorted(glob.glob(source))] or [Path(source)]
+    return [(given or _parts(_own_name(path))[0], path) for path in paths]
+
+
+def _own_name(path: Path) -> str:
+    """What an archive is called: its file, or the folder of one that train.py has named."""
+    return path.resolve().parent.name if path.stem in GENERIC else path.stem
+
+
+def _seeds(paths: Sequence[Path]) -> list[str]:
+    """Names of the seeds of one agent."""
+    labels = [_label(path) for path in paths]
+    if None in labels or len(set(labels)) < len(labels):
+        return [str(number) for number in range(len(paths))]
+    return [str(label) for label in labels]
+
+
+def load_policies(
+    specs: Sequence[str],
+    registry: Mapping[str, PolicyFactory],
+    shipped: Mapping[str, Sequence[Path]] | None = None,
+    opener: Opener | None = None,
+) -> list[PolicyEntry]:
+    """Everything that a command line names, in its order, see the head of this file.
+
+    shipped: archives of agents by name. opener: loads an archive; it is called for nothing else.
+    Raises ValueError for what is not known or not there, and for two policies of one name.
+    """
+    shipped = {} if shipped is None or opener is None else shipped
+    entries: list[PolicyEntry] = []
+    trained: dict[str, list[Path]] = {}
+    for spec in dict.fromkeys(specs):
+        given, _, source = spec.rpartition("=")
+        found = [] if source in registry or opener is None else archives(spec, shipped)
+        if not found:
+            entry = load_policy(source, {**dict.fromkeys(shipped, _nothing), **registry})
+            entries.append(entry._replace(name=given or entry.name))
+        for name, path in found:
+            if name not in trained:  # its place in the order; filled in below
+                entries.append(PolicyEntry(name, _nothing, ""))
+            trained.setdefault(name, []).append(path)
+    names = [entry.name for entry in entries]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two policies are called {name!r}; give one a name: NAME=PATH")
+    return [
+        one
+        for entry in entries
+        for one in ([entry] if entry.name not in trained else _opened(entry.name, trained, opener))
+    ]
+
+
+def _nothing(context: PolicyContext) -> Policy:
+    """Stands for archives that are opened later."""
+    raise NotImplementedError
+
+
+def _opened(
+    name: str, trained: Mapping[str, Sequence[Path]], opener: Opener | None
+) -> list[PolicyEntry]:
+    """The trainings of one agent."""
+    assert opener is not None
+    paths = trained[name]
+    return [
+        opener(path)._replace(name=f"{name}{SEED_MARK}{seed}")
+        for seed, path in zip(_seeds(paths), paths, strict=True)
+    ]

@@ -1,0 +1,1 @@
+"""The simulation core: arrays of a batch, kernels of a control step, episodes."""

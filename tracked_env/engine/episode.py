@@ -1,0 +1,151 @@
+"""What one vehicle meets in one episode, and how it is drawn or overridden.
+
+The draws of an episode, always in this order, from the vehicle's own generator:
+    noise seed      = integer in [0, 2^63)
+    start           offset_x, offset_y = U(-0.15, 0.15) contact lengths (0.3 m for 2 m),
+                    offset_yaw = U(-0.1, 0.1) rad, speed = reference speed *U(0.8, 1.2),
+                    yaw rate = that of the reference
+    reference       as `tracked_env.references` says for its kind
+    uncertainty     as `tracked_env.uncertainty` says for its set
+    sensors         signs of the biases
+`options` override any value for one episode; the draws are made all the same, so that
+overriding one thing leaves the others as they were.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.events import encode_schedule
+from tracked_env.physics.parameters import GROUPS, PlantParameters, Range
+from tracked_env.physics.state import VehicleState
+from tracked_env.references import ReferenceProfile, make_reference
+from tracked_env.sensors import SensorDraw, Sensors, draw_sensors, make_sensors
+from tracked_env.uncertainty import Law, make_uncertainty
+from tracked_env.validation import checked_keys, checked_number, checked_parameter
+
+OPTION_KEYS = (*GROUPS, "reference", "sensors", "schedule", "start")
+START_OFFSET = 0.15  # [-] of the nominal contact length, to either side
+DURATION_RANGE = Range(0.1, 3600.0, "s", "Did you pass control steps?")
+_START_RANGES = {
+    "offset_x": Range(-100.0, 100.0, "m", "It is an offset, not a position."),
+    "offset_y": Range(-100.0, 100.0, "m", "It is an offset, not a position."),
+    "offset_yaw": Range(-3.15, 3.15, "rad", "Did you pass degrees?"),
+    "speed": Range(-20.0, 20.0, "m/s", "Did you pass km/h?"),
+    "yaw_rate": Range(-10.0, 10.0, "rad/s", "Did you pass degrees per second?"),
+}
+
+
+class EpisodeSettings(NamedTuple):
+    """What the episodes of an environment are drawn from."""
+
+    reference: str | Mapping[str, Any]
+    law: Law
+    nominal: PlantParameters  # around which the law draws
+    sensors: Sensors
+    duration: float  # [s]
+    control_period: float  # [s]
+
+    @property
+    def max_steps(self) -> int:
+        """Control steps of an episode."""
+        return max(round(self.duration / self.control_period), 1)
+
+
+class Episode(NamedTuple):
+    """The truth of one episode."""
+
+    parameters: PlantParameters  # at its start
+    events: NDArray[np.float64]  # (E, 8) what changes, as the kernels take it
+    profile: ReferenceProfile
+    sensors: SensorDraw
+    state: VehicleState  # at its start
+    noise_seed: int
+
+
+def make_settings(
+    reference: str | Mapping[str, Any],
+    uncertainty: str | Mapping[str, Any],
+    sensors: str | Mapping[str, Any] | Sensors,
+    duration: float,
+    control_period: float,
+    nominal: PlantParameters,
+) -> EpisodeSettings:
+    """Check everything that an environment is built from. Raises ValueError."""
+    length = checked_number("duration", duration, DURATION_RANGE)
+    make_reference(reference, length, np.random.default_rng(0))
+    return EpisodeSettings(
+        reference, make_uncertainty(uncertainty), nominal, make_sensors(sensors), length,
+        control_period,
+    )  # fmt: skip
+
+
+def _overridden(parameters: PlantParameters, options: Mapping[str, Any]) -> PlantParameters:
+    values = {}
+    for group, names in GROUPS.items():
+        for name, value in checked_keys(f"options['{group}']", options.get(group), names).items():
+            values[name] = checked_parameter(name, value)
+    return parameters._replace(**values) if values else parameters
+
+
+def _start(
+    profile: ReferenceProfile, draws: NDArray[np.float64], options: Mapping[str, Any], length: float
+) -> VehicleState:
+    """Vehicle of that contact length at the start: beside the reference, moving nearly as it
+    does."""
+    given = checked_keys("options['start']", options.get("start"), _START_RANGES)
+    values = {
+        "offset_x": START_OFFSET * length * draws[0],
+        "offset_y": START_OFFSET * length * draws[1],
+        "offset_yaw": 0.1 * draws[2],
+        "speed": profile.speed[0, 0] * (1.0 + 0.2 * draws[3]),
+        "yaw_rate": profile.yaw_rate[0, 0],
+    }
+    for name, value in given.items():
+        values[name] = checked_number(f"start {name}", value, _START_RANGES[name])
+    cosine, sine = np.cos(profile.yaw), np.sin(profile.yaw)
+    return VehicleState(
+        x=profile.x + cosine * values["offset_x"] - sine * values["offset_y"],
+        y=profile.y + sine * values["offset_x"] + cosine * values["offset_y"],
+        yaw=profile.yaw + values["offset_yaw"],
+        v_x=values["speed"],
+        yaw_rate=values["yaw_rate"],
+    )
+
+
+def _schedule(
+    options: Mapping[str, Any], drawn: Sequence[Mapping[str, Any]]
+) -> NDArray[np.float64]:
+    given = options.get("schedule")
+    return encode_schedule(drawn if given is None else given)
+
+
+def draw_episode(
+    rng: np.random.Generator, settings: EpisodeSettings, options: Mapping[str, Any] | None
+) -> Episode:
+    """Draw one episode from `rng`; `options` (see OPTION_KEYS) override what they name.
+
+    Raises ValueError for an unknown key and for a value outside its range.
+    """
+    options = checked_keys("options", options, OPTION_KEYS)
+    noise_seed = int(rng.integers(2**63))
+    start_draws = rng.uniform(-1.0, 1.0, 4)
+    profile = make_reference(settings.reference, settings.duration, rng)
+    truth = settings.law(rng, settings.nominal, profile, settings.duration)
+    if options.get("reference") is not None:
+        profile = make_reference(
+            options["reference"], settings.duration, np.random.default_rng(noise_seed)
+        )
+    sensors = settings.sensors
+    if options.get("sensors") is not None:
+        sensors = make_sensors(options["sensors"], base=sensors)
+    return Episode(
+        _overridden(truth.parameters, options),
+        _schedule(options, truth.events),
+        profile,
+        draw_sensors(sensors, settings.control_period, rng),
+        _start(profile, start_draws, options, settings.nominal.contact_length),
+        noise_seed,
+    )

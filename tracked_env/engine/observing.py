@@ -1,0 +1,144 @@
+"""The loops behind the observation: sampling, delay, tracking error, packing.
+
+For one vehicle of a batch, at the end of a control step (or at reset): advance the
+reference's rates, sample the sensors, deliver what has arrived, compute the true tracking
+error, and write the observation by the names of `tracked_env.observation`.
+"""
+
+import math
+
+import numpy as np
+
+from tracked_env import observation as obs
+from tracked_env.engine import columns as b
+from tracked_env.physics import channels, reference_profile
+from tracked_env.physics import state as s
+from tracked_env.physics.channels import GROUP_START
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula
+from tracked_env.physics.parameters import PARAMETER_INDEX
+
+_RADIUS = b.PARAMETERS + PARAMETER_INDEX["sprocket_radius"]
+_AHEAD_TIMES = np.array(obs.LOOK_AHEAD)
+TWO_PI = 2.0 * math.pi
+
+# Columns of the observation that are delivered channels, in the order of the channels.
+_CHANNEL_COLUMN = np.array([obs.INDEX.get(name, -1) for name in channels.CHANNELS], dtype=np.int64)
+_POSITION_ERROR_X = obs.INDEX["position_error_x"]
+_HEADING_ERROR = obs.INDEX["heading_error"]
+_REFERENCE = obs.INDEX["reference_speed"]
+_AHEAD_SPEED = obs.INDEX[f"reference_speed_ahead_{obs.LOOK_AHEAD[0]:g}"]
+_AHEAD_YAW_RATE = obs.INDEX[f"reference_yaw_rate_ahead_{obs.LOOK_AHEAD[0]:g}"]
+_PREVIOUS_ACTION = obs.INDEX["previous_action_left"]
+_AGE = obs.INDEX["pose_age"]
+_FIRST_VELOCITY = channels.CHANNELS.index("v_x")
+
+
+@formula
+def wrapped(angle):
+    """The angle [rad] in [-pi, pi]. Exactly odd: symmetric situations stay symmetric."""
+    return angle - TWO_PI * np.rint(angle / TWO_PI)
+
+
+@formula
+def reference_rates(floats, profile, i, time):
+    """Reference rates at `time` [s] and ahead, into their rows."""
+    speed, yaw_rate = profile[:, i, :6], profile[:, i, 6:]
+    rates = reference_profile.evaluate(speed, yaw_rate, time)
+    for row in range(5):
+        floats[i, b.REFERENCE_MOTION + row] = rates[row]
+    for j in range(b.AHEAD):
+        v, w = reference_profile.speed_and_yaw_rate(speed, yaw_rate, time + _AHEAD_TIMES[j])
+        floats[i, b.AHEAD_SPEED + j] = v
+        floats[i, b.AHEAD_YAW_RATE + j] = w
+
+
+@formula
+def sample_sensors(floats, counters, noise, i, step):
+    """Take this step's samples of vehicle i; `step` counts control steps since reset."""
+    cursor = counters[i, b.NOISE_CURSOR]
+    run, place = cursor // b.NOISE_RUN, cursor % b.NOISE_RUN
+    truth = channels.signals(
+        floats, i, floats[i, _RADIUS], floats[i, b.CROSS_COUPLING], floats[i, b.VELOCITY]
+    )
+    for g in range(b.GROUP_COUNT):
+        period = counters[i, b.PERIOD + g]
+        due = period == 1 or step % period == 0
+        lost = noise[run, i, place, channels.CHANNEL_COUNT + g] < floats[i, b.DROPOUT + g]
+        if due and (not lost or step == 0):
+            for c in range(GROUP_START[g], GROUP_START[g + 1]):
+                error = floats[i, b.BIAS + c] + floats[i, b.SIGMA + c] * noise[run, i, place, c]
+                floats[i, b.SAMPLE + c] = truth[c] + error
+            floats[i, b.SAMPLE + channels.CHANNEL_COUNT + g] = step
+
+
+@formula
+def deliver(floats, counters, history, i, step):
+    """Pass on the samples that have arrived after each group's delay: returns the column
+    where they start."""
+    slots = history.shape[1]
+    if slots == 1:  # nobody in this batch has a delayed sensor
+        return b.SAMPLE
+    slot = step % slots
+    for row in range(b.DELIVERED_COUNT):
+        history[i, slot, row] = floats[i, b.SAMPLE + row]
+    for g in range(b.GROUP_COUNT):
+        past = max(step - counters[i, b.DELAY + g], 0) % slots
+        for c in range(GROUP_START[g], GROUP_START[g + 1]):
+            floats[i, b.DELIVERED + c] = history[i, past, c]
+        row = channels.CHANNEL_COUNT + g
+        floats[i, b.DELIVERED + row] = history[i, past, row]
+    return b.DELIVERED
+
+
+@formula
+def tracking_error(floats, i):
+    """True error of vehicle i: reference minus vehicle in the body frame, and heading."""
+    yaw = floats[i, b.STATE + s.YAW]
+    cosine, sine = rotation(yaw)
+    dx = floats[i, b.REFERENCE_X] - floats[i, b.STATE + s.X]
+    dy = floats[i, b.REFERENCE_Y] - floats[i, b.STATE + s.Y]
+    floats[i, b.ERROR_X] = cosine * dx + sine * dy
+    floats[i, b.ERROR_Y] = cosine * dy - sine * dx
+    floats[i, b.ERROR_YAW] = wrapped(floats[i, b.REFERENCE_YAW] - yaw)
+    floats[i, b.ERROR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
+
+
+@formula
+def write_observation(floats, i, step, control_period, arrived, out):
+    """Pack what vehicle i sees into out[i] by the layout of `tracked_env.observation`.
+
+    arrived: column of `floats` where the delivered samples start.
+    """
+    yaw = floats[i, arrived + 2]
+    cosine, sine = rotation(yaw)
+    dx = floats[i, b.REFERENCE_X] - floats[i, arrived]
+    dy = floats[i, b.REFERENCE_Y] - floats[i, arrived + 1]
+    obs.store(out, i, _POSITION_ERROR_X, cosine * dx + sine * dy)
+    obs.store(out, i, _POSITION_ERROR_X + 1, cosine * dy - sine * dx)
+    obs.store(out, i, _HEADING_ERROR, wrapped(floats[i, b.REFERENCE_YAW] - yaw))
+    for c in range(_FIRST_VELOCITY, channels.CHANNEL_COUNT):
+        obs.store(out, i, _CHANNEL_COLUMN[c], floats[i, arrived + c])
+    for row in range(5):
+        obs.store(out, i, _REFERENCE + row, floats[i, b.REFERENCE_MOTION + row])
+    for j in range(b.AHEAD):
+        obs.store(out, i, _AHEAD_SPEED + j, floats[i, b.AHEAD_SPEED + j])
+        obs.store(out, i, _AHEAD_YAW_RATE + j, floats[i, b.AHEAD_YAW_RATE + j])
+    obs.store(out, i, _PREVIOUS_ACTION, floats[i, b.PREVIOUS_ACTION])
+    obs.store(out, i, _PREVIOUS_ACTION + 1, floats[i, b.PREVIOUS_ACTION + 1])
+    for g in range(b.GROUP_COUNT):
+        taken = floats[i, arrived + channels.CHANNEL_COUNT + g]
+        obs.store(out, i, _AGE + g, (step - taken) * control_period)
+
+
+@formula
+def observe(
+    floats, counters, profile, noise, history,
+    i, step, period, observations,
+):  # fmt: skip
+    """All of the above for vehicle i at control step `step` of length `period` [s]."""
+    reference_rates(floats, profile, i, step * period)
+    tracking_error(floats, i)
+    sample_sensors(floats, counters, noise, i, step)
+    arrived = deliver(floats, counters, history, i, step)
+    write_observation(floats, i, step, period, arrived, observations)

@@ -1,0 +1,309 @@
+"""The simulation core: N vehicles, each with its own random stream, stepped together.
+
+`Simulation` owns the arrays and knows how an episode starts (draw reference, uncertainty,
+sensors, start; or take them from options) and how a control step runs. `env.py` is this core
+with N = 1, `vector_env.py` with N; neither holds an equation.
+
+Streams: vehicle i draws from its own generator. Its episode draws come in a fixed order and
+its sensor noise from a generator of its own, seeded by the episode: what a policy does never
+changes what the vehicle, the soil, the reference and the noise are.
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env import observation as obs
+from tracked_env.engine import columns as b
+from tracked_env.engine import kernels
+from tracked_env.engine.env_config import EnvConfig, make_solver
+from tracked_env.engine.episode import Episode, draw_episode, make_settings
+from tracked_env.physics import state as s
+from tracked_env.physics.channels import NOISE_COUNT
+from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PARAMETER_ROWS, Range
+from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
+from tracked_env.plants.lumped import LANES
+from tracked_env.references import number_of_segments
+from tracked_env.sensors import longest_delay_steps
+from tracked_env.validation import checked_number
+
+# [vehicles] of the lumped and of the distributed plant, from which two threads beat one
+THREADED_COUNT, THREADED_COUNT_DISTRIBUTED = 512, 16
+SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
+_LENGTH = b.PARAMETERS + PARAMETER_INDEX["contact_length"]
+
+
+_RUNNING = (  # attributes that change while episodes run
+    "batch", "observations", "rngs", "_noise_rngs", "episodes", "_noisy", "_until_refill",
+    "some_ended",
+)  # fmt: skip
+
+
+class Simulation:
+    """N vehicles. All arrays have one row per vehicle; all values are SI, angles in rad."""
+
+    def __init__(self, count: int, config: EnvConfig) -> None:
+        """Allocate `count` vehicles. Raises ValueError for a wrong argument."""
+        self.count = int(checked_number("num_envs", count, Range(1, 10**6, "-", "A count.")))
+        self.config = config
+        self.solver = make_solver(config)
+        self.settings = make_settings(
+            config.reference,
+            config.uncertainty,
+            config.sensors,
+            config.duration,
+            self.solver.control_period,
+            self.solver.nominal,
+        )
+        self.batch = b.allocate(count, number_of_segments(self.settings.duration))
+        self.observations: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
+        self.rngs: list[np.random.Generator | None] = [None] * count
+        self._noise_rngs: list[np.random.Generator | None] = [None] * count
+        self.episodes: list[Episode | None] = [None] * count
+        self.all = np.arange(count)
+        self._action_shape = (count, 2)
+        self._idle: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
+        solver = self.solver
+        self._clock: tuple[Any, ...] = (solver.substeps, solver.substep, solver.error_limit)
+        self._kernel = (
+            kernels.advance_constrained if solver.constrained else kernels.advance_sliding
+        )
+        if solver.distributed:
+            self._kernel = kernels.advance_distributed
+            self._clock = (*self._clock, solver.patches, solver.by_torque)
+        self._threaded_count, self._share = THREADED_COUNT, LANES
+        if solver.distributed:
+            self._threaded_count, self._share = THREADED_COUNT_DISTRIBUTED, 1
+        self._noisy = np.zeros(count, dtype=bool)
+        self._pool: ThreadPoolExecutor | None = None
+        self._until_refill = 0
+        self.some_ended = False  # by the last step
+
+    # --- an episode starts ----------------------------------------------------------------
+    def reset(
+        self, chosen: NDArray[np.int64], options: Sequence[Mapping[str, Any] | None]
+    ) -> NDArray[np.float32]:
+        """Start an episode on the chosen vehicles; options: one entry per chosen vehicle.
+
+        Returns all observations (N, SIZE). Everything is drawn and checked before any vehicle
+        is touched, so a wrong option loses nothing. Raises ValueError as `draw_episode` does.
+        """
+        drawn = []
+        for i, given in zip(chosen, options, strict=True):
+            rng = self.rngs[i]
+            if rng is None:
+                raise ValueError(f"vehicle {i} has no random stream: call reset(seed=...) first")
+            try:
+                drawn.append(draw_episode(rng, self.settings, given))
+            except ValueError as error:
+                where = f"vehicle {i}: " if self.count > 1 else ""
+                raise ValueError(f"{where}{error}") from error
+        for i, episode in zip(chosen, drawn, strict=True):
+            self._load(int(i), episode)
+        self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
+        self._advance(self._idle, np.asarray(chosen, dtype=np.int64), 0, len(drawn), False)
+        return self.observations
+
+    def _load(self, i: int, episode: Episode) -> None:
+        """Write an episode into the arrays of vehicle i."""
+        self._fit(len(episode.events), episode)
+        self.episodes[i] = episode
+        data = self.batch
+        f, c = data.floats[i], data.counters[i]
+        f[:] = 0.0
+        c[:] = 0
+        f[b.BASE : b.BASE + PARAMETER_ROWS] = episode.parameters
+        f[b.PARAMETERS : b.PARAMETERS + PARAMETER_ROWS] = episode.parameters
+        data.profile[:, i, :6] = episode.profile.speed
+        data.profile[:, i, 6:] = episode.profile.yaw_rate
+        f[b.REFERENCE_X : b.REFERENCE_X + 3] = episode.profile[2:]
+        yaw = episode.profile.yaw
+        f[b.REFERENCE_COSINE : b.REFERENCE_COSINE + 2] = np.cos(yaw), np.sin(yaw)
+        f[b.STATE : b.STATE + STATE_ROWS] = episode.state
+        if self.solver.distributed:  # the belts roll
+            turn = 0.5 * episode.parameters.track_gauge * episode.state.yaw_rate
+            rolling = np.array([episode.state.v_x - turn, episode.state.v_x + turn])
+            first = b.STATE + s.SPROCKET_SPEED_LEFT
+            f[first : first + 2] = rolling / episode.parameters.sprocket_radius
+        elif self.solver.constrained:
+            f[b.STATE + s.V_Y] = -episode.parameters.icr_forward * episode.state.yaw_rate
+        sensors = episode.sensors
+        f[b.SIGMA : b.SIGMA + len(sensors.sigma)] = sensors.sigma
+        f[b.BIAS : b.BIAS + len(sensors.bias)] = sensors.bias
+        f[b.CROSS_COUPLING] = sensors.cross_coupling
+        f[b.VELOCITY] = sensors.velocity
+        f[b.DROPOUT : b.DROPOUT + b.GROUP_COUNT] = sensors.dropout
+        c[b.PERIOD : b.PERIOD + b.GROUP_COUNT] = sensors.period
+        c[b.DELAY : b.DELAY + b.GROUP_COUNT] = sensors.delay
+        c[b.EVENT_COUNT] = len(episode.events)
+        c[b.MAX_STEP] = self.settings.max_steps
+        data.events[i, : len(episode.events)] = episode.events
+        self._noisy[i] = sensors.noisy
+        self._noise_rngs[i] = np.random.Generator(np.random.SFC64(episode.noise_seed))
+        if sensors.noisy:
+            self._draw_noise(i)
+
+    def _fit(self, events: int, episode: Episode) -> None:
+        """Widen the event and history arrays when an episode needs more room."""
+        data = self.batch
+        if events > data.events.shape[1]:
+            wider = np.zeros((self.count, events, b.EVENT_FIELDS))
+            wider[:, : data.events.shape[1]] = data.events
+            self.batch = data._replace(events=wider)
+        if episode.sensors.delay.max() >= self.batch.history.shape[1]:
+            # The ring is indexed by step modulo its length: refill it from the latest samples.
+            slots = longest_delay_steps(self.solver.control_period) + 1
+            history = np.empty((self.count, slots, b.DELIVERED_COUNT))
+            delivered = slice(b.SAMPLE, b.SAMPLE + b.DELIVERED_COUNT)
+            history[:] = self.batch.floats[:, None, delivered]
+            self.batch = self.batch._replace(history=history)
+
+    # --- an episode runs ------------------------------------------------------------------
+    def step(
+        self, actions: NDArray[np.float32], chosen: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float32]:
+        """Advance the chosen vehicles (default: all) by one control step.
+
+        actions: (N, 2) float32, left and right sprocket torque over the torque limit, or speed
+        over the speed limit, clipped to [-1, 1]. Raises ValueError for a wrong shape or a
+        non-finite value, before moving.
+        Returns all observations (N, SIZE).
+        """
+        actions = np.asarray(actions, dtype=np.float32)
+        if actions.shape != self._action_shape:
+            raise ValueError(
+                f"action has shape {actions.shape}; must be {self._action_shape}: sprocket torque "
+                "(or speed) left, right over its limit, in [-1, 1]"
+            )
+        chosen = self.all if chosen is None else chosen
+        size = chosen.size
+        refill = self._until_refill <= 0
+        if self.solver.threads > 1 and size >= self._threaded_count:
+            result = self._step_threaded(actions, chosen, refill)
+        else:
+            if refill:
+                self._refill(chosen)
+            result = self._advance(actions, chosen, 0, size, True)
+        self._until_refill -= 1
+        if refill and size:
+            last = self.batch.counters[chosen, b.NOISE_CURSOR].max()
+            self._until_refill = b.NOISE_BLOCK - 1 - int(last)
+        self.some_ended = result == kernels.SOME_ENDED
+        if result >= 0:
+            raise ValueError(
+                f"action[{result}] = {actions[result].tolist()}; must be finite, in [-1, 1]. "
+                "Did the policy diverge, or divide by zero? No vehicle was moved."
+            )
+        return self.observations
+
+    def _advance(
+        self,
+        actions: NDArray[np.float32],
+        chosen: NDArray[np.int64],
+        start: int,
+        stop: int,
+        moving: bool,
+    ) -> int:
+        return self._kernel(
+            *self.batch, chosen, actions, self.observations, start, stop, moving, *self._clock
+        )
+
+    def _step_threaded(
+        self, actions: NDArray[np.float32], chosen: NDArray[np.int64], refill: bool
+    ) -> int:
+        """The same on several threads; refuses a non-finite action before any of them moves."""
+        finite = np.isfinite(actions[chosen]).all(axis=1)
+        if not finite.all():
+            return int(chosen[np.argmin(finite)])
+        threads, size = self.solver.threads, chosen.size
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(threads - 1, "tracked_env")
+        blocks = -(-size // self._share)
+        share = -(-blocks // threads) * self._share
+
+        def run(first: int) -> int:
+            last = min(first + share, size)
+            if refill:
+                self._refill(chosen[first:last])
+            return self._advance(actions, chosen, first, last, True)
+
+        parts = [self._pool.submit(run, first) for first in range(share, size, share)]
+        return min(run(0), *(part.result() for part in parts))
+
+    def _refill(self, chosen: NDArray[np.int64]) -> None:
+        """Draw the next noise block of those chosen vehicles that are about to use up theirs."""
+        cursor = self.batch.counters[:, b.NOISE_CURSOR]
+        used_up = chosen[cursor[chosen] >= b.NOISE_BLOCK - 1]
+        for i in used_up[self._noisy[used_up]]:
+            self._draw_noise(int(i))
+        cursor[used_up] = -1  # the step moves it to the first row
+
+    def _draw_noise(self, i: int) -> None:
+        generator = self._noise_rngs[i]
+        assert generator is not None
+        self.batch.noise[:, i] = generator.standard_normal(
+            (b.NOISE_BLOCK // b.NOISE_RUN, b.NOISE_RUN, NOISE_COUNT), dtype=np.float32
+        )
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that changes while episodes run; can be pickled. `resume` goes on from it."""
+        return copy.deepcopy({name: getattr(self, name) for name in _RUNNING})
+
+    def resume(self, snapshot: Mapping[str, Any]) -> None:
+        """Go on from what `snapshot` returned, bit for bit; of the same count and config."""
+        if len(snapshot["observations"]) != self.count:
+            raise ValueError(
+                f"snapshot of {len(snapshot['observations'])} vehicles; must be of {self.count}"
+            )
+        for name, value in copy.deepcopy(dict(snapshot)).items():
+            setattr(self, name, value)
+
+    # --- what can be read -----------------------------------------------------------------
+    def column(self, column: int) -> NDArray[np.float64]:
+        """A copy (N,) of one column of the floats."""
+        return self.batch.floats[:, column].copy()
+
+    def report(self) -> NDArray[np.float64]:
+        """A copy (N, 8) of distance [m], heading error [rad], reward, and its five terms."""
+        return self.batch.floats[:, b.ERROR_DISTANCE : b.TERMS + len(b.REWARD_TERMS)].copy()
+
+    @property
+    def terminated(self) -> NDArray[np.bool_]:
+        """(N,) off the path, or non-finite."""
+        return self.batch.counters[:, b.TERMINATED] != 0
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """(N,) out of time."""
+        return self.batch.counters[:, b.TRUNCATED] != 0
+
+    @property
+    def rmse(self) -> NDArray[np.float64]:
+        """(N,) root mean square distance to the reference since reset [m]."""
+        steps = np.maximum(self.batch.counters[:, b.STEP], 1)
+        return np.sqrt(self.batch.floats[:, b.SQUARED_ERROR_SUM] / steps)
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
+        return self.truncated & (self.rmse < SUCCESS_RMSE * self.column(_LENGTH))
+
+    def reference_position(self, i: int) -> NDArray[np.float64]:
+        """(2,) position [m] of the reference of vehicle i now, world frame."""
+        return self.batch.floats[i, b.REFERENCE_X : b.REFERENCE_Y + 1].copy()
+
+    def truth(self) -> dict[str, NDArray[np.float64]]:
+        """True state and parameters in force, by name; each (N,)."""
+        state = {name: self.column(b.STATE + k) for k, name in enumerate(STATE_NAMES)}
+        parameters = {name: self.column(b.PARAMETERS + k) for k, name in enumerate(PARAMETER_NAMES)}
+        return {**state, **parameters}
+
+    def close(self) -> None:
+        """Release the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None

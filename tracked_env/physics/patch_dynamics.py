@@ -1,0 +1,240 @@
+"""A tracked vehicle on patches of soil, driven by its sprocket speeds or by their torques.
+
+Equations (F = Focchi et al. 2025 section 2.1; symbols in NOTATION.md):
+    m (dv_x/dt - w v_y) = F_L + F_R - R_L - R_R                  F (11)
+    m (dv_y/dt + w v_x) = F_y
+    I dw/dt             = M - (B/2) (R_R - R_L)
+    (J / r^2) db_k/dt   = torque_k / r - F_k,   b_k = r omega_k   driven by torques, k = L, R
+F_k, F_y and M are sums over the patches (`track_patches`); driven by speeds, b_k is given. F (11)
+prints the sum of R_R and R_L in the yaw equation, and F (22) a resistance along the motion.
+
+Two integrators:
+    rosenbrock  linearly implicit, second order (`implicit_step`): no chatter.
+    euler       explicit, the pose with the new velocities, as published simulators do: velocities
+                chatter by up to strength h / m near rolling. Here to be compared with them.
+
+Assumptions: planar motion, no load transfer, parameters constant over one control step.
+References: [1] Focchi et al. (2025).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tracked_env.physics import patch_forces
+from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.lumped_forces import (
+    Loads,
+    Motion,
+    coefficients,
+    drive_limits,
+    track_speeds,
+)
+from tracked_env.physics.parameters import row_parameters
+from tracked_env.physics.patch_forces import Contact, patch_count
+from tracked_env.physics.rosenbrock import Belts as Belts
+from tracked_env.physics.rosenbrock import Rates as Rates
+from tracked_env.physics.rosenbrock import damped, departure, pushed
+
+FADE = 0.1  # [-] share of the top speed over which the driving torque fades to nothing
+SPEED_DRIVEN = 0.0  # [1/kg] r^2 / J where the belt's speed is given
+
+
+class Pose(NamedTuple):
+    """Where the vehicle is, world frame; heading not wrapped, with its cosine and sine."""
+
+    x: float  # [m]
+    y: float  # [m]
+    yaw: float  # [rad]
+    cosine: float  # [-]
+    sine: float  # [-]
+
+
+class Moved(NamedTuple):
+    """The end of a step, with the loads and accelerations there."""
+
+    pose: Pose
+    motion: Motion
+    belts: Belts
+    loads: Loads
+    rates: Rates
+
+
+@formula
+def contact_of(p, k, drive, patches):
+    """Contact from parameters, coefficients and drive limits: the soil's strength is shared."""
+    return Contact(
+        0.5 * p.contact_length,
+        k.half_gauge,
+        p.track_width,
+        drive.effort_maximum / patch_count(patches),
+        1.0 / p.shear_deformation_modulus,
+    )
+
+
+@formula
+def loads_of(r, motion, belts, k):
+    """Loads on the vehicle from the soil's resistance r; the turning moment is the whole one."""
+    left = r.left * (belts.left - motion.v_x) + r.left_arm * motion.yaw_rate
+    right = r.right * (belts.right - motion.v_x) + r.right_arm * motion.yaw_rate
+    lateral = -((r.left + r.right) * motion.v_y + r.forward * motion.yaw_rate)
+    pushed = r.left_arm * (motion.v_x - belts.left) + r.right_arm * (motion.v_x - belts.right)
+    turned = r.polar * motion.yaw_rate + r.forward * motion.v_y
+    track_left, track_right = track_speeds(motion, k.half_gauge)
+    inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
+    resistance_left = soil.resisting(track_left, left, k.resistance, inverse_width)
+    resistance_right = soil.resisting(track_right, right, k.resistance, inverse_width)
+    moment = (pushed - turned) - k.half_gauge * (resistance_right - resistance_left)
+    return Loads(left, right, resistance_left, resistance_right, lateral, moment)
+
+
+@formula
+def driving_torque(torque, belt, inverse_belt_limit):
+    """Torque [N m] that a drive gives at belt speed r omega [m/s]: fades near its top speed."""
+    speed = abs(belt) * inverse_belt_limit if belt * torque > 0.0 else 0.0
+    return torque * min(max((1.0 - speed) / FADE, 0.0), 1.0)
+
+
+@formula
+def rates_of(loads, motion, belts, torques, k, drive, compliance):
+    """Rates from the loads. compliance r^2 / J [1/kg], SPEED_DRIVEN where belts are given."""
+    left = driving_torque(torques.left, belts.left, drive.inverse_belt_limit) * k.inverse_radius
+    right = driving_torque(torques.right, belts.right, drive.inverse_belt_limit) * k.inverse_radius
+    push = (loads.effort_left + loads.effort_right) - (
+        loads.resistance_left + loads.resistance_right
+    )
+    return Rates(
+        push * k.inverse_mass + motion.yaw_rate * motion.v_y,
+        loads.lateral_force * k.inverse_mass - motion.yaw_rate * motion.v_x,
+        loads.turning_moment * k.inverse_inertia,
+        compliance * (left - loads.effort_left),
+        compliance * (right - loads.effort_right),
+    )
+
+
+@formula
+def _moved_pose(pose, before, after, h):
+    """Pose after a step of length h [s] from the velocities at both ends."""
+    turn = 0.5 * h * (before.yaw_rate + after.yaw_rate)
+    half_c, half_s = rotation(0.5 * turn)
+    v_x, v_y = 0.5 * (before.v_x + after.v_x), 0.5 * (before.v_y + after.v_y)
+    ahead, aside = h * (half_c * v_x - half_s * v_y), h * (half_s * v_x + half_c * v_y)
+    c, s = half_c * half_c - half_s * half_s, 2.0 * half_c * half_s
+    return Pose(
+        pose.x + (pose.cosine * ahead - pose.sine * aside),
+        pose.y + (pose.sine * ahead + pose.cosine * aside),
+        pose.yaw + turn,
+        pose.cosine * c - pose.sine * s,
+        pose.sine * c + pose.cosine * s,
+    )
+
+
+@formula
+def _stage(belts, command, rates, h, driven):
+    """Belts of a later stage: driven by torques they have moved, else they are what is asked."""
+    left = belts.left + h * rates.left if driven else command.left
+    right = belts.right + h * rates.right if driven else command.right
+    return Belts(left, right)
+
+
+@formula
+def _followed(command, demand, decay):
+    """What the drives give after a sub-step: the lag leaves `decay` of what was missing."""
+    return Belts(
+        demand.left + decay * (command.left - demand.left),
+        demand.right + decay * (command.right - demand.right),
+    )
+
+
+@formula
+def _euler(pose, motion, rates, h):
+    """Motion, and pose with the new velocities in the old heading, after an explicit step."""
+    new = pushed(motion, rates, h)
+    cosine, sine = rotation(pose.yaw)
+    x = pose.x + h * (cosine * new.v_x - sine * new.v_y)
+    y = pose.y + h * (sine * new.v_x + cosine * new.v_y)
+    return new, Pose(x, y, pose.yaw + h * new.yaw_rate, cosine, sine)
+
+
+@formula
+def advance(w, start, command, demand, decay, substeps, h, vehicle, patches, euler):
+    """Advance one vehicle by `substeps` steps of h [s] and settle the loads of the end.
+
+    w: scratch of `track_patches`. start: (pose, motion, belts). command, demand: what the drives
+    give now and what is asked of them, torques [N m] or belt speeds [m/s]; decay [-] what the lag
+    leaves of the difference after one sub-step, 0 without lag. vehicle: (coefficients, drive
+    limits, contact, compliance). Returns Moved, and what the drives give in the end.
+    """
+    pose, motion, belts = start
+    k, drive, contact, compliance = vehicle
+    driven = compliance > SPEED_DRIVEN
+    if decay == 0.0:
+        command = demand
+    coming = _followed(command, demand, decay)
+    belts = belts if driven else command
+    stage_motion, stage_belts, given = motion, belts, command
+    first = Rates(0.0, 0.0, 0.0, 0.0, 0.0)
+    stages = 1 if euler else 2
+    stage = 0
+    loads, rates = Loads(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), first
+    for evaluation in range(stages * substeps + 1):
+        r = patch_forces.resistance(
+            w, stage_motion, stage_belts.left, stage_belts.right, contact, patches
+        )
+        loads = loads_of(r, stage_motion, stage_belts, k)
+        rates = rates_of(loads, stage_motion, stage_belts, given, k, drive, compliance)
+        if evaluation == stages * substeps:
+            break
+        if stages == 2 and stage == 0:
+            first = damped(r, rates, k, compliance, 0.5 * h)
+            given = _followed(command, coming, 0.5)
+            stage_motion = pushed(motion, first, 0.5 * h)
+            stage_belts = _stage(belts, given, first, 0.5 * h, driven)
+            stage = 1
+            continue
+        if euler:
+            motion, pose = _euler(pose, motion, rates, h)
+            belts = _stage(belts, coming, rates, h, driven)
+        else:
+            away = departure(r, first, rates, k, compliance, h)
+            moved = pushed(stage_motion, away, 1.0)
+            pose = _moved_pose(pose, motion, moved, h)
+            motion = moved
+            belts = _stage(stage_belts, coming, away, 1.0, driven)
+        command = coming
+        coming = _followed(command, demand, decay)
+        stage_motion, stage_belts, given = motion, belts, command
+        stage = 0
+    return Moved(pose, motion, belts, loads, rates), command
+
+
+@loop
+def hold_speeds(states, sprocket_speeds, parameters, patches, steps, h, euler, loads):
+    """Advance N vehicles by `steps` steps of h [s] with their sprocket speeds held.
+
+    states (N, 6): x, y [m], yaw [rad], v_x, v_y [m/s], yaw rate [rad/s], overwritten.
+    sprocket_speeds (N, 2) [rad/s] left, right. parameters (N, PARAMETER_ROWS). loads (N, 6) gets
+    the Loads at the end. Row i does not depend on the others.
+    """
+    w = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
+    for i in range(states.shape[0]):
+        p = row_parameters(parameters, i, 0)
+        k = coefficients(p, False)
+        drive = drive_limits(p)
+        contact = contact_of(p, k, drive, patches)
+        cosine, sine = rotation(states[i, 2])
+        pose = Pose(states[i, 0], states[i, 1], states[i, 2], cosine, sine)
+        motion = Motion(states[i, 3], states[i, 4], states[i, 5])
+        left, right = sprocket_speeds[i, 0], sprocket_speeds[i, 1]
+        belts = Belts(left * p.sprocket_radius, right * p.sprocket_radius)
+        moved, _ = advance(
+            w, (pose, motion, belts), belts, belts, 0.0, steps, h,
+            (k, drive, contact, SPEED_DRIVEN), patches, euler,
+        )  # fmt: skip
+        states[i, 0], states[i, 1], states[i, 2] = moved.pose.x, moved.pose.y, moved.pose.yaw
+        states[i, 3], states[i, 4] = moved.motion.v_x, moved.motion.v_y
+        states[i, 5] = moved.motion.yaw_rate
+        for row in range(6):
+            loads[i, row] = moved.loads[row]

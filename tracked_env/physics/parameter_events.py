@@ -10,6 +10,8 @@ An event is one row of eight numbers: kind, parameter index, target, then five m
     REGION  x [m], y [m], radius [m], width of the edge [m]: inside a disc
     LINE    x [m], y [m], cos, sin of the normal, width [m]: beyond a straight line
     WAVE    amplitude per metre of X, k_x, k_y [rad/m], phase [rad], decay [1/m]
+Every finite position gives a finite value: coordinates count at most as FAR, the exponent as
+EXPONENT_LIMIT, both far outside any map.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187, (44) and (45).
 """
@@ -19,6 +21,8 @@ import math
 from tracked_env.physics.jit import formula
 
 WAVE_LOW, WAVE_HIGH = 0.2, 1.5  # [-] a wave is clipped here: (44) leaves the physical range
+FAR = 1e100  # [m] its square is finite, and so is its product with every field of an event
+EXPONENT_LIMIT = 700.0  # [-] exp of it, and of its negative, are finite and not 0
 RAMP, REGION, LINE, WAVE = range(4)
 KINDS = {"ramp": RAMP, "region": REGION, "line": LINE, "wave": WAVE}
 
@@ -43,9 +47,11 @@ def changed_value(value, events, i, e, time, x, y):
     kind, target = events[i, e, 0], events[i, e, 2]
     first, second, third = events[i, e, 3], events[i, e, 4], events[i, e, 5]
     fourth, fifth = events[i, e, 6], events[i, e, 7]
+    x, y = min(max(x, -FAR), FAR), min(max(y, -FAR), FAR)
     if kind == WAVE:
         phase = second * x + third * y + fourth
-        wave = target + first * x * math.cos(phase) * math.exp(-fifth * y)
+        exponent = min(max(-fifth * y, -EXPONENT_LIMIT), EXPONENT_LIMIT)
+        wave = target + first * x * math.cos(phase) * math.exp(exponent)
         return min(max(wave, WAVE_LOW), WAVE_HIGH)
     if kind == RAMP:
         weight = ramp_weight(time, first, second)

@@ -11,7 +11,9 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import tracked_env
 from tracked_env import observation as obs
 from tracked_env import rewards
+from tracked_env.engine import columns as b
 from tracked_env.env import TrackedVehicleEnv
+from tracked_env.physics import state as s
 from tracked_env.physics.parameters import GROUPS, RANGES
 from tracked_env.references import REFERENCES
 from tracked_env.sensors import PRESETS
@@ -260,3 +262,27 @@ def test_the_registered_environment_needs_no_time_limit_wrapper():
         steps += 1
         assert not terminated
     assert steps == 50
+
+
+@pytest.mark.parametrize("row", [s.X, s.YAW, s.V_X, s.YAW_RATE])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e200])
+@pytest.mark.parametrize("env_id", [tracked_env.TORQUE_ID, tracked_env.SPEED_ID])
+@pytest.mark.parametrize("sensors", ["strawa", {"pose_delay": 0.1, "pose_rate": 10.0}])
+def test_a_diverged_vehicle_ends_with_its_last_readings_and_the_worst_reward(
+    env_id, row, value, sensors
+):
+    env = gymnasium.make(env_id, sensors=sensors, uncertainty="nominal", error_limit=1e6).unwrapped
+    env.reset(seed=0)
+    for _ in range(7):
+        before, *_ = env.step(np.float32([0.2, 0.2]))
+    env.simulation.batch.floats[0, b.STATE + row] = value
+    observation, reward, terminated, truncated, info = env.step(np.float32([0.2, 0.3]))
+    assert env.observation_space.contains(observation)
+    kept = [obs.INDEX[name] for name in ("v_x", "yaw_rate", "acceleration_x", "torque_left")]
+    if sensors == "strawa":  # no delay: the sensors show what they showed before
+        assert np.array_equal(observation[kept], before[kept])
+    assert terminated and not truncated and not info["is_success"]
+    assert reward == sum(info["reward_terms"].values()) == -0.1
+    assert info["reward_terms"] == {k: min(w, 0.0) for k, w in rewards.WEIGHTS.items()}
+    observation, info = env.reset()
+    assert env.observation_space.contains(observation) and np.isfinite(info["tracking_error"]).all()

@@ -241,3 +241,26 @@ def test_stable_baselines3_trains_from_the_id_alone():
     model.learn(64)
     action, _ = model.predict(model.get_env().reset(), deterministic=True)
     assert action.shape == (1, 2)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_diverged_row_ends_alone_with_finite_numbers_in_every_autoreset_mode(mode):
+    env, plain = (TrackedVehicleVectorEnv(70, duration=1.0, autoreset_mode=mode) for _ in range(2))
+    actions = np.full((70, 2), 0.2, np.float32)
+    for one in (env, plain):
+        one.reset(seed=0)
+        one.step(actions)
+    env.simulation.batch.floats[2, b.STATE + 3] = np.nan
+    others = np.arange(70) != 2
+    for step in range(5):
+        seen, expected = env.step(actions), plain.step(actions)
+        for left, right in zip(seen[:4], expected[:4], strict=True):
+            assert np.array_equal(left[others], right[others])
+        assert np.isfinite(seen[0]).all() and np.isfinite(seen[1]).all()
+        assert (seen[2] | seen[3])[2] == (step == 0 or mode is AutoresetMode.DISABLED)
+        if step == 0:
+            assert seen[1][2] == -0.1 and seen[2][2] and not seen[3][2]
+            if mode is AutoresetMode.SAME_STEP:
+                last = seen[4]["final_obs"][2]
+                assert env.single_observation_space.contains(last)
+                assert seen[4]["final_info"]["reward_terms"]["position"][2] == 0.0

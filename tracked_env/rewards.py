@@ -6,10 +6,9 @@ Each term is between 0 and 1; the weights below say what it is worth per control
     speed       = 1 / (1 + (speed error / (l/4 per s))^2)
     effort      = mean square of the action (left, right)
     smoothness  = mean square of the change of the action, over its largest value 4
-The sum lies in [-0.1, 1]: always better to stay on the path than to end the episode.
+The sum lies in [-0.1, 1]: always better to stay on the path than to end the episode. A vehicle
+whose motion is no longer finite gets the worst of every term, in all -0.1, and its episode ends.
 """
-
-import math
 
 from tracked_env.engine import columns as b
 from tracked_env.physics import state as s
@@ -28,6 +27,7 @@ WEIGHTS = {
 }
 _LENGTH = b.PARAMETERS + PARAMETER_INDEX["contact_length"]
 _POSITION, _HEADING, _SPEED, _EFFORT, _SMOOTHNESS = WEIGHTS.values()
+_WORST = tuple(min(weight, 0.0) for weight in WEIGHTS.values())
 
 
 @formula
@@ -55,8 +55,8 @@ def reward_terms(distance, heading_error, speed_error, left, right, left_before,
 
 
 @formula
-def judge(floats, counters, i, error_limit):
-    """Reward, and whether the episode of vehicle i ends."""
+def judge(floats, counters, i, error_limit, diverged):
+    """Reward, and whether the episode of vehicle i ends; diverged: its state is not finite."""
     distance = floats[i, b.ERROR_DISTANCE]
     left, right = floats[i, b.PREVIOUS_ACTION], floats[i, b.PREVIOUS_ACTION + 1]
     speed_error = floats[i, b.REFERENCE_MOTION] - floats[i, b.STATE + s.V_X]
@@ -70,13 +70,15 @@ def judge(floats, counters, i, error_limit):
         floats[i, b.ACTION_BEFORE],
         floats[i, b.ACTION_BEFORE + 1],
     )
+    if diverged:
+        terms = _WORST
     total = 0.0
     for row in range(len(b.REWARD_TERMS)):
         floats[i, b.TERMS + row] = terms[row]
         total += terms[row]
     floats[i, b.REWARD] = total
     floats[i, b.SQUARED_ERROR_SUM] += distance * distance
-    inside = distance <= error_limit and math.isfinite(floats[i, b.STATE + s.YAW])
+    inside = distance <= error_limit and not diverged
     counters[i, b.TERMINATED] = 0 if inside else 1
     ended = counters[i, b.STEP] >= counters[i, b.MAX_STEP]
     counters[i, b.TRUNCATED] = 1 if ended and inside else 0

@@ -20,6 +20,7 @@ from tracked_env.plants import distributed, lumped
 from tracked_env.plants.lumped import LANES
 from tracked_env.rewards import judge
 
+DIVERGED = 1e15  # [SI] no motion of a vehicle has such numbers; their squares are still finite
 CALM, SOME_ENDED = -1, -2  # results of a step: whether some vehicle's episode has ended
 
 
@@ -82,6 +83,15 @@ def _begin(floats, counters, events, actions, i, moving, period, h, constrained)
 
 
 @formula
+def _is_finite(floats, i):
+    """Whether every entry of the state of vehicle i is finite, and far from overflow."""
+    total = 0.0
+    for row in range(s.STATE_ROWS):
+        total += abs(floats[i, b.STATE + row])
+    return total < DIVERGED
+
+
+@formula
 def _refused(actions, chosen, start, stop):
     """The first chosen row with a non-finite action, or CALM."""
     for j in range(start, stop):
@@ -100,11 +110,13 @@ def _finish(
         _advance_reference(floats, counters, profile, i, period)
         counters[i, b.STEP] += 1
         counters[i, b.NOISE_CURSOR] += 1
+    diverged = moving and not _is_finite(floats, i)
     observing.observe(
-        floats, counters, profile, noise, history, i, counters[i, b.STEP], period, observations
-    )
+        floats, counters, profile, noise, history,
+        i, counters[i, b.STEP], period, observations, diverged,
+    )  # fmt: skip
     if moving:
-        judge(floats, counters, i, error_limit)
+        judge(floats, counters, i, error_limit, diverged)
         if counters[i, b.TERMINATED] + counters[i, b.TRUNCATED] > 0:
             return SOME_ENDED
     return CALM

@@ -134,11 +134,15 @@ def write_observation(floats, i, step, control_period, arrived, out):
 @formula
 def observe(
     floats, counters, profile, noise, history,
-    i, step, period, observations,
+    i, step, period, observations, diverged,
 ):  # fmt: skip
-    """All of the above for vehicle i at control step `step` of length `period` [s]."""
+    """All of the above for vehicle i at control step `step` of length `period` [s].
+
+    diverged: its state is not finite; then the sensors keep their last samples.
+    """
     reference_rates(floats, profile, i, step * period)
     tracking_error(floats, i)
-    sample_sensors(floats, counters, noise, i, step)
+    if not diverged:
+        sample_sensors(floats, counters, noise, i, step)
     arrived = deliver(floats, counters, history, i, step)
     write_observation(floats, i, step, period, arrived, observations)

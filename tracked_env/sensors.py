@@ -146,7 +146,14 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
     preset or field and for a value outside its range.
     """
     if isinstance(spec, Sensors):
-        return _stated(spec)
+        return _stated(
+            Sensors(*(checked_number(n, v, _RANGES[n]) for n, v in spec._asdict().items()))
+        )
+    if spec is None:
+        raise ValueError(
+            "sensors = None; must be a preset by name or a dict. "
+            "Did you mean 'ideal', sensors without error?"
+        )
     if isinstance(spec, str):
         return PRESETS[checked_choice("sensor preset", spec, PRESETS)]
     given = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields)))

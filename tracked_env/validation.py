@@ -8,8 +8,10 @@ import difflib
 import json
 import math
 from collections.abc import Iterable, Mapping
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any
+
+import numpy as np
 
 from tracked_env.physics.parameters import RANGES, Range
 
@@ -52,10 +54,33 @@ def checked_number(what: str, value: object, allowed: Range) -> float:
         shape = getattr(value, "shape", None)
         of = f" of shape {shape}" if shape else ""
         raise ValueError(f"{what} = {value!r}{of}; {rule}")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
     if not math.isfinite(number) or not low <= number <= high:
         raise ValueError(f"{what} = {number!r}{unit}; {rule}")
     return number
+
+
+def checked_whole(what: str, value: object, allowed: Range) -> int:
+    """`value` as an int inside its range; 64.0 is a whole number, 1.5 and True are not."""
+    number = checked_number(what, value, allowed)
+    if not number.is_integer():
+        raise ValueError(
+            f"{what} = {number!r}; must be a whole number in [{allowed.low:g}, {allowed.high:g}]. "
+            f"{allowed.hint}"
+        )
+    return int(value) if isinstance(value, Integral) else int(number)
+
+
+def checked_flag(what: str, value: object) -> bool:
+    """`value` when it is True or False: "no" and 0 are neither."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(
+            f"{what} = {value!r}; must be True or False. Did you pass text or a number?"
+        )
+    return bool(value)
 
 
 def checked_parameter(name: str, value: object) -> float:

@@ -31,9 +31,10 @@ def signals(state, i, sprocket_radius, cross_coupling, velocity):
 
     state: (N, >= STATE_ROWS), its first columns the state; sprocket_radius r [m];
     cross_coupling [-] between the two accelerometer axes; velocity [-] 1, or 0 where the body
-    velocity is not measured and reads 0. The torque that a shaft sensor
-    sees is the transmitted one, F r: sprocket and track have no inertia in this model, so
-    what the soil does not take the drive cannot give.
+    velocity is not measured and reads 0.
+    The torque that is measured is the one that reaches the soil, F r. In the lumped plant sprocket
+    and track have no inertia, and it is all that the drive can give. In the distributed plant
+    driven by torque they have `sprocket_inertia`: what speeds them up is not in the reading.
     """
     forward, lateral = state[i, rows.ACCELERATION_X], state[i, rows.ACCELERATION_Y]
     return (

@@ -1,7 +1,7 @@
 """Parameters of vehicle, soil and model closure: names, units, physical ranges, presets.
 
-The physics takes every parameter per vehicle and per step. A batch keeps one parameter per
-row, in the order of `PARAMETER_NAMES`, shape (PARAMETER_ROWS, N).
+The physics takes every parameter per vehicle and per step. A batch keeps one vehicle per row and
+one parameter per column, in the order of `PARAMETER_NAMES`, shape (N, PARAMETER_ROWS).
 
 References: [1] Strawa et al., Electronics 10 (2021) 187, Tables 1 and 2. [2] Focchi et al.,
 "Pseudo-Kinematic Trajectory Control and Planning of Tracked Vehicles" (2025), Table 2.

@@ -1,8 +1,10 @@
-"""The state of a tracked vehicle: names and the rows of the arrays that hold a batch.
+"""The state of a tracked vehicle: names and order of its entries.
 
-A batch of N vehicles keeps one quantity per row, shape (rows, N), so that kernels run over
-vehicles with unit stride. The first `DYNAMIC_ROWS` rows are integrated, the others follow
-from them algebraically and are refreshed after every control step.
+A batch of N vehicles keeps one vehicle per row and one entry of the state per column, shape
+(N, STATE_ROWS). In the scratch block of the lumped plant it is the other way round, one entry per
+row and one vehicle per column, so that its loops run over vehicles with unit stride.
+The first `DYNAMIC_ROWS` entries are integrated, the others follow from them algebraically and are
+refreshed after every control step; in the distributed plant the sprocket speeds are integrated too.
 World frame x, y, z up; body frame ISO 8855 (x forward, y left); yaw positive to the left.
 """
 

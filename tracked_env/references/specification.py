@@ -109,7 +109,7 @@ def _parameter_names(kind: str) -> list[str]:
 def _number(name: str, value: Any, quantity: Quantity) -> float:
     """Return `value` as a float within the range of the quantity, or raise ValueError."""
     is_number = isinstance(value, Real) and not isinstance(value, (bool, np.bool_))
-    if not is_number or not quantity.low <= float(value) <= quantity.high:
+    if not is_number or not quantity.low <= value <= quantity.high:
         raise ValueError(
             f"{name} = {value!r} {quantity.unit}; must be a number within "
             f"[{quantity.low:g}, {quantity.high:g}] {quantity.unit}. {quantity.hint}"
@@ -144,7 +144,9 @@ def _direction(value: Any, rng: np.random.Generator) -> float:
 
 def _points(value: Any) -> FloatArray:
     try:
-        points = np.array(value, dtype=np.float64)
+        points = np.array(value)
+        numeric = points.dtype.kind in "iuf"
+        points = points.astype(np.float64) if numeric else np.empty(0)
     except (TypeError, ValueError):
         points = np.empty(0)
     shaped = points.ndim == 2 and points.shape[1] == 2 and 2 <= len(points) <= POINTS_LIMIT
@@ -168,7 +170,7 @@ def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
         return _direction(value, rng)
     if name == "points":
         return _points(value)
-    if value is None and _ARGUMENTS[kind][name].default is None:
+    if value is None and name in _ARGUMENTS[kind] and _ARGUMENTS[kind][name].default is None:
         return None
     quantity = QUANTITIES[name]
     if name == "speed" and kind in FORWARD_ONLY:

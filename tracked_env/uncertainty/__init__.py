@@ -57,6 +57,11 @@ def make_uncertainty(spec: str | Mapping[str, Any] | Sequence[Any]) -> Law:
         if not spec:
             raise ValueError("uncertainty = []; a mixture needs at least one set")
         return _one_of([make_uncertainty(part) for part in spec])
+    if spec is None:
+        raise ValueError(
+            "uncertainty = None; must be a set by name, a dict or a list of them. "
+            "Did you mean 'nominal', where nothing is uncertain?"
+        )
     ranges: dict[str, tuple[float, float]] = {}
     for name, bounds in checked_keys("uncertainty", spec, PARAMETER_INDEX).items():
         if not isinstance(bounds, (list, tuple)) or len(bounds) != 2:

@@ -11,7 +11,7 @@ from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
-from tracked_env.validation import checked_choice
+from tracked_env.validation import checked_choice, checked_flag
 
 RENDER_MODES = ("human", "rgb_array")
 ObsType = NDArray[np.float32]
@@ -55,7 +55,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         left (0.3 m for l = 2 m), U(-0.1, 0.1) rad off, at its speed *U(0.8, 1.2).
 
         ## Episode End
-        Terminated: more than `error_limit` from the reference, or a non-finite state.
+        Terminated: more than `error_limit` from the reference, or a non-finite state. Then the
+        observation keeps the last readings of the sensors, the reward is the worst, -0.1, and
+        `truth` and `tracking_error` show the state as it is.
         Truncated: after `duration`. No TimeLimit wrapper is needed.
 
         ## Arguments
@@ -120,44 +122,54 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             time_step, 1, vehicle, plant, drive, patches,
         )  # fmt: skip
         self.simulation = Simulation(1, config)
-        self.expose_truth = expose_truth
+        self.expose_truth = checked_flag("expose_truth", expose_truth)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(control_rate)}
         self.observation_space = gymnasium.spaces.Box(obs.LOW, obs.HIGH, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._floats = self.simulation.batch.floats[0]
-        self._counters = self.simulation.batch.counters[0]
         self._renderer: Any = None
+
+    @property
+    def _np_random(self) -> np.random.Generator | None:
+        """Gymnasium's generator of this environment: the random stream of its vehicle."""
+        return self.simulation.rngs[0]
+
+    @_np_random.setter
+    def _np_random(self, generator: np.random.Generator | None) -> None:
+        self.simulation.rngs[0] = generator
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[ObsType, dict[str, Any]]:
         """Start an episode. Raises ValueError for options that are unknown or out of range."""
         super().reset(seed=seed)
-        self.simulation.rngs[0] = self.np_random
+        self.simulation.rngs[0] = self.np_random  # seeds itself where no seed was ever given
         observation = self.simulation.reset(self.simulation.all, [options])[0].copy()
         if self.render_mode == "human":
             self.render()
         return observation, self._info()
 
     def step(self, action: ObsType) -> tuple[ObsType, float, bool, bool, dict[str, Any]]:
-        """Hold the two torque demands for one control period."""
+        """Hold the two demands, sprocket torques or speeds, for one control period.
+
+        Raises ResetNeeded before the first reset, ValueError for an action that is not finite.
+        """
         observation = self.simulation.step(np.asarray(action, dtype=np.float32)[None])[0].copy()
-        counters = self._counters
+        counters = self.simulation.batch.counters[0]
         if self.render_mode == "human":
             self.render()
         return (
             observation,
-            float(self._floats[b.REWARD]),
+            float(self.simulation.batch.floats[0, b.REWARD]),
             bool(counters[b.TERMINATED]),
             bool(counters[b.TRUNCATED]),
             self._info(),
         )
 
     def _info(self) -> dict[str, Any]:
-        floats = self._floats
+        floats = self.simulation.batch.floats[0]
         terms = floats[b.TERMS : b.TERMS + len(b.REWARD_TERMS)].tolist()
-        ended = self._counters[b.TRUNCATED] != 0
+        ended = self.simulation.batch.counters[0, b.TRUNCATED] != 0
         info: dict[str, Any] = {
             "tracking_error": floats[b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy(),
             "reward_terms": dict(zip(b.REWARD_TERMS, terms, strict=True)),

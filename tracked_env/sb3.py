@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from tracked_env import TORQUE_ID
+from tracked_env.validation import checked_flag
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 
@@ -36,7 +37,7 @@ class TrackedVehicleVecEnv(VecEnv):
                 f"autoreset_mode = {core.autoreset_mode}; must be SAME_STEP, which is what SB3 does"
             )
         self.env: Any = env
-        self.staggered = staggered
+        self.staggered = checked_flag("staggered", staggered)
         self.render_mode = core.render_mode
         self._actions: NDArray[np.float32] | None = None
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
@@ -133,6 +134,7 @@ def make_vec_env(
     staggered: the first episodes end at different times, so that rows are not in step: better
     for training, and the first episodes are no measure of success.
     """
+    monitor = checked_flag("monitor", monitor)
     env = gymnasium.make_vec(
         env_id,
         num_envs=n_envs,

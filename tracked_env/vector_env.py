@@ -13,11 +13,20 @@ from numpy.typing import NDArray
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.episode import OPTION_KEYS
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
-from tracked_env.validation import checked_choice
+from tracked_env.physics.parameters import Range
+from tracked_env.validation import (
+    checked_choice,
+    checked_flag,
+    checked_keys,
+    checked_whole,
+)
 
 Bools = NDArray[np.bool_]
+_STEPS = Range(1, 10**9, "-", "It counts control steps. Did you pass seconds?")
+_KEYS = ("reset_mask", "rows", "staggered")  # of the options, beside those of one environment
 
 
 class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArray[Any]]):
@@ -68,17 +77,20 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         threads: int = 2,
         max_episode_steps: int | None = None,
     ) -> None:
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ValueError(f"max_episode_steps = {max_episode_steps}; must be at least 1")
+        if max_episode_steps is not None:
+            max_episode_steps = checked_whole("max_episode_steps", max_episode_steps, _STEPS)
         if render_mode is not None:
             checked_choice("render_mode", render_mode, self.metadata["render_modes"])
         config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
             time_step, threads, vehicle, plant, drive, patches,
         )  # fmt: skip
-        self.num_envs = num_envs
+        if not isinstance(autoreset_mode, AutoresetMode):
+            names = [mode.value for mode in AutoresetMode]
+            autoreset_mode = checked_choice("autoreset_mode", autoreset_mode, names)
         self.simulation = Simulation(num_envs, config)
-        self.expose_truth = expose_truth
+        self.num_envs = num_envs = self.simulation.count
+        self.expose_truth = checked_flag("expose_truth", expose_truth)
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
@@ -91,7 +103,6 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._every = np.ones(num_envs, dtype=np.bool_)
-        self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._max_steps = max_episode_steps
         self._renderers: list[Any] = []
 
@@ -106,20 +117,18 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         seed: an int seeds row i with seed + i, a sequence seeds each row; None keeps the
         streams. Raises ValueError for options that are unknown or out of range.
         """
-        common = dict(options or {})
+        common = dict(checked_keys("options", options, (*OPTION_KEYS, *_KEYS)))
         mask = self._mask(common.pop("reset_mask", None))
-        rows, staggered = common.pop("rows", None), bool(common.pop("staggered", False))
-        if rows is not None and (isinstance(rows, Mapping) or len(rows) != self.num_envs):
-            raise ValueError(f"options['rows'] must be a list of {self.num_envs} dicts or None")
+        rows = self._rows(common.pop("rows", None))
+        staggered = checked_flag("options['staggered']", common.pop("staggered", False))
         chosen = np.flatnonzero(mask)
         self._seed(chosen, seed)
-        given = [{**common, **((rows[i] if rows else None) or {})} for i in chosen]
+        given = [{**common, **rows[i]} for i in chosen]
         self._start(chosen, given)
         if staggered:
             share = np.arange(1, len(chosen) + 1) / len(chosen)
             limits = self.simulation.batch.counters[:, b.MAX_STEP]
             limits[chosen] = np.ceil(share * limits[chosen])
-        self._ended[chosen] = False
         return self.simulation.observations.copy(), self._info(
             mask, self.simulation.report(), self._success()
         )
@@ -146,33 +155,48 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             )
         return mask
 
-    def _seed(self, chosen: NDArray[np.int64], seed: int | Sequence[int | None] | None) -> None:
-        seeds: Sequence[int | None]
-        if seed is None:
-            seeds = [None] * self.num_envs
-        elif isinstance(seed, (int, np.integer)):
-            seeds = [int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = list(seed)
+    def _rows(self, rows: Any) -> list[Mapping[str, Any]]:
+        """Options of every row."""
+        if rows is None:
+            return [{}] * self.num_envs
+        listed = isinstance(rows, (list, tuple, np.ndarray)) and len(rows) == self.num_envs
+        if not listed or not all(row is None or isinstance(row, Mapping) for row in rows):
+            raise ValueError(f"options['rows'] must be a list of {self.num_envs} dicts or None")
+        return [row or {} for row in rows]
+
+    def _seed(self, chosen: NDArray[np.int64], seed: Any) -> None:
+        """Give the chosen rows the streams that `seed` says, or some where they have none."""
+        one = isinstance(seed, str) or not isinstance(seed, (Sequence, np.ndarray))
+        seeds: list[Any] = [seed] if one else list(seed)
+        for value in seeds:
+            whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+            if value is not None and not (whole and value >= 0):
+                raise ValueError(
+                    f"seed = {value!r}; must be a whole number >= 0 or None, one for all rows or "
+                    "one per row. Did you pass text or a number with a fraction?"
+                )
+        if one:
+            seeds = [None if seeds[0] is None else seeds[0] + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries; must have {self.num_envs}")
         for i in chosen:
-            if seeds[i] is not None or self.simulation.rngs[i] is None:
-                self.simulation.rngs[i] = seeding.np_random(seeds[i])[0]
+            if seeds[i] is not None:
+                self.simulation.rngs[i] = seeding.np_random(int(seeds[i]))[0]
+            elif self.simulation.rngs[i] is None:
+                self.simulation.rngs[i] = seeding.np_random()[0]
 
     def step(
         self, actions: ObsType
     ) -> tuple[ObsType, NDArray[np.float64], Bools, Bools, dict[str, Any]]:
         """Advance every row by one control period; actions (N, 2)."""
         simulation = self.simulation
-        ended = self._ended
+        ended = simulation.ended.copy()
         resting = ended.any()
         simulation.step(actions, np.flatnonzero(~ended) if resting else None)
         report = simulation.report()
         rewards = report[:, 2].copy()
         if not simulation.some_ended and not resting:  # nearly always: nothing to look up
             terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
-            self._ended = truncated.copy()
             info = self._info(self._every, report, success)
             return simulation.observations.copy(), rewards, terminated, truncated, info
         terminated, truncated = simulation.terminated, simulation.truncated
@@ -187,8 +211,6 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         if self.autoreset_mode is AutoresetMode.SAME_STEP and simulation.some_ended:
             final = self._final(over)
             self._restart(over)
-            over = np.zeros_like(over)
-        self._ended = over
         info = self._info(self._every, simulation.report(), self._success())
         info.update(final)
         return simulation.observations.copy(), rewards, terminated, truncated, info

@@ -55,7 +55,7 @@ def _checked(env: Any, count: int, observer: Observer) -> Any:
     if simulation is None:
         raise ValueError(f"{env.unwrapped} is no environment of this project")
     period = simulation.solver.control_period
-    if abs(observer.control_period - period) > 1e-9:
+    if not abs(observer.control_period - period) <= 1e-9:
         raise ValueError(
             f"the observer's control period is {observer.control_period:g} s, that of the "
             f"environment {period:g} s. Did you set control_rate in only one of them?"

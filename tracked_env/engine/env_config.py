@@ -6,14 +6,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
-from tracked_env.physics.patch_forces import Patches, make_patches
+from tracked_env.physics.patch_forces import COLUMN_LIMIT, Patches, make_patches
 from tracked_env.sensors import Sensors
-from tracked_env.validation import checked_choice, checked_number
+from tracked_env.validation import checked_choice, checked_number, checked_whole
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; converged and stable there, see docs/numerics.md
 LATERAL = ("sliding", "constrained")
 PLANTS = ("lumped", "distributed")
 DRIVES = ("torque", "speed")
+_PATCHES = Range(1, COLUMN_LIMIT, "-", "Did you pass a length?")
 
 
 class EnvConfig(NamedTuple):
@@ -49,6 +50,16 @@ class Solver(NamedTuple):
     threads: int
 
 
+def _patches(given: object) -> Patches:
+    if isinstance(given, (str, Mapping)) or not isinstance(given, Sequence) or len(given) != 2:
+        raise ValueError(f"patches = {given!r}; must be two numbers: along, across a track")
+    along, across = (
+        checked_whole(f"patches {way} the track", number, _PATCHES)
+        for way, number in zip(("along", "across"), given, strict=True)
+    )
+    return make_patches(along, across)
+
+
 def make_solver(config: EnvConfig) -> Solver:
     """Check and combine; the sub-step is the largest one <= time_step that divides a step.
 
@@ -64,7 +75,7 @@ def make_solver(config: EnvConfig) -> Solver:
     limit = checked_number(
         "error_limit", config.error_limit, Range(0.01, 1e6, "m", "It is a distance.")
     )
-    threads = checked_number("threads", config.threads, Range(1, 64, "-", "Number of threads."))
+    threads = checked_whole("threads", config.threads, Range(1, 64, "-", "Number of threads."))
     closure = checked_choice("lateral closure", config.lateral, LATERAL)
     plant = checked_choice("plant", config.plant, PLANTS)
     drive = checked_choice("drive", config.drive, DRIVES)
@@ -73,13 +84,14 @@ def make_solver(config: EnvConfig) -> Solver:
         raise ValueError(
             'drive = "speed"; needs plant = "distributed": the lumped one has no belts'
         )
-    if len(config.patches) != 2:
+    if plant == "distributed" and closure == "constrained":
         raise ValueError(
-            f"patches = {config.patches!r}; must be two numbers: along, across a track"
+            'lateral = "constrained" with plant = "distributed"; must be "sliding": only the '
+            "lumped plant has a lateral constraint, patches slide as the shear stress lets them"
         )
     substeps = int(np.ceil(1.0 / (rate * longest) - 1e-9))
     substep = 1.0 / (rate * substeps)
     return Solver(
         1.0 / rate, substeps, substep, closure == "constrained", plant == "distributed",
-        drive == "torque", make_patches(*config.patches), VEHICLES[vehicle], limit, int(threads),
+        drive == "torque", _patches(config.patches), VEHICLES[vehicle], limit, threads,
     )  # fmt: skip

@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from tracked_env import observation as obs
@@ -29,7 +30,7 @@ from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
 from tracked_env.plants.lumped import LANES
 from tracked_env.references import number_of_segments
 from tracked_env.sensors import longest_delay_steps
-from tracked_env.validation import checked_number
+from tracked_env.validation import checked_whole
 
 # [vehicles] of the lumped and of the distributed plant, from which two threads beat one
 THREADED_COUNT, THREADED_COUNT_DISTRIBUTED = 512, 16
@@ -48,8 +49,8 @@ class Simulation:
 
     def __init__(self, count: int, config: EnvConfig) -> None:
         """Allocate `count` vehicles. Raises ValueError for a wrong argument."""
-        self.count = int(checked_number("num_envs", count, Range(1, 10**6, "-", "A count.")))
-        self.config = config
+        self.count = count = checked_whole("num_envs", count, Range(1, 10**6, "-", "A count."))
+        self.config = config = copy.deepcopy(config)  # what the caller changes later stays outside
         self.solver = make_solver(config)
         self.settings = make_settings(
             config.reference,
@@ -79,9 +80,16 @@ class Simulation:
         if solver.distributed:
             self._threaded_count, self._share = THREADED_COUNT_DISTRIBUTED, 1
         self._noisy = np.zeros(count, dtype=bool)
+        self.ended = np.zeros(count, dtype=bool)  # and not started anew; not to be stepped
+        self._all_started = False
         self._pool: ThreadPoolExecutor | None = None
         self._until_refill = 0
         self.some_ended = False  # by the last step
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies and pickles are built anew, without threads, and go on bit for bit."""
+        running = {name: getattr(self, name) for name in (*_RUNNING, "ended")}
+        return type(self), (self.count, self.config), running
 
     # --- an episode starts ----------------------------------------------------------------
     def reset(
@@ -90,16 +98,21 @@ class Simulation:
         """Start an episode on the chosen vehicles; options: one entry per chosen vehicle.
 
         Returns all observations (N, SIZE). Everything is drawn and checked before any vehicle
-        is touched, so a wrong option loses nothing. Raises ValueError as `draw_episode` does.
+        is touched, so a wrong option loses nothing, no random number either. Raises ValueError
+        as `draw_episode` does.
         """
-        drawn = []
+        drawn: list[Episode] = []
+        before = []
         for i, given in zip(chosen, options, strict=True):
             rng = self.rngs[i]
             if rng is None:
                 raise ValueError(f"vehicle {i} has no random stream: call reset(seed=...) first")
+            before.append((rng.bit_generator, rng.bit_generator.state))
             try:
                 drawn.append(draw_episode(rng, self.settings, given))
             except ValueError as error:
+                for generator, state in before:
+                    generator.state = state
                 where = f"vehicle {i}: " if self.count > 1 else ""
                 raise ValueError(f"{where}{error}") from error
         for i, episode in zip(chosen, drawn, strict=True):
@@ -142,6 +155,7 @@ class Simulation:
         c[b.EVENT_COUNT] = len(episode.events)
         c[b.MAX_STEP] = self.settings.max_steps
         data.events[i, : len(episode.events)] = episode.events
+        self.ended[i] = False
         self._noisy[i] = sensors.noisy
         self._noise_rngs[i] = np.random.Generator(np.random.SFC64(episode.noise_seed))
         if sensors.noisy:
@@ -168,9 +182,11 @@ class Simulation:
     ) -> NDArray[np.float32]:
         """Advance the chosen vehicles (default: all) by one control step.
 
+        A vehicle whose episode has ended is stepped on unless it is left out.
+
         actions: (N, 2) float32, left and right sprocket torque over the torque limit, or speed
         over the speed limit, clipped to [-1, 1]. Raises ValueError for a wrong shape or a
-        non-finite value, before moving.
+        non-finite value, and ResetNeeded for a vehicle that was never reset, before moving.
         Returns all observations (N, SIZE).
         """
         actions = np.asarray(actions, dtype=np.float32)
@@ -180,6 +196,8 @@ class Simulation:
                 "(or speed) left, right over its limit, in [-1, 1]"
             )
         chosen = self.all if chosen is None else chosen
+        if not self._all_started:
+            self._check_started(chosen)
         size = chosen.size
         refill = self._until_refill <= 0
         if self.solver.threads > 1 and size >= self._threaded_count:
@@ -193,12 +211,25 @@ class Simulation:
             last = self.batch.counters[chosen, b.NOISE_CURSOR].max()
             self._until_refill = b.NOISE_BLOCK - 1 - int(last)
         self.some_ended = result == kernels.SOME_ENDED
+        if self.some_ended:
+            self.ended = self.terminated | self.truncated
         if result >= 0:
             raise ValueError(
                 f"action[{result}] = {actions[result].tolist()}; must be finite, in [-1, 1]. "
                 "Did the policy diverge, or divide by zero? No vehicle was moved."
             )
         return self.observations
+
+    def _check_started(self, chosen: NDArray[np.int64]) -> None:
+        """Raise ResetNeeded when one of the chosen vehicles has no episode."""
+        started = self.batch.counters[:, b.MAX_STEP] > 0
+        missing = chosen[~started[chosen]]
+        if missing.size:
+            raise ResetNeeded(
+                f"vehicle {missing[0]} has no episode ({missing.size} of {self.count} have none); "
+                "call reset() before step(), and without reset_mask the first time"
+            )
+        self._all_started = bool(started.all())
 
     def _advance(
         self,
@@ -261,6 +292,8 @@ class Simulation:
             )
         for name, value in copy.deepcopy(dict(snapshot)).items():
             setattr(self, name, value)
+        self.ended = self.terminated | self.truncated
+        self._all_started = False  # to be looked up
 
     # --- what can be read -----------------------------------------------------------------
     def column(self, column: int) -> NDArray[np.float64]:

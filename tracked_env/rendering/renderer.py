@@ -1,6 +1,7 @@
 """`Renderer`: one picture of one vehicle, as an array or in a window."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pygame
@@ -80,6 +81,10 @@ class Renderer:
         self._window: pygame.Window | None = None
         self._clock = pygame.time.Clock()
         self._forget()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """A copy has opened nothing yet and has not seen the pictures before it."""
+        return type(self), (self.render_mode, self.fps, self._zoom, self._soil_parameter)
 
     def draw(self, simulation: Simulation, row: int) -> NDArray[np.uint8] | None:
         """The picture of vehicle `row` (HEIGHT, WIDTH, 3); None in `human` mode.

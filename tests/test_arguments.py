@@ -1,0 +1,233 @@
+"""Arguments and options that make no sense: one line that says quantity, value, range and cause."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+from tests.test_env import make
+from tracked_env import SPEED, TORQUE_ID
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.references import make_reference
+from tracked_env.sb3 import make_vec_env
+from tracked_env.sensors import Sensors
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+NO_NUMBERS = [float("nan"), float("inf"), -float("inf"), True, "1", None, [1.0], 10**400, 1j]
+NUMBERS = ("duration", "control_rate", "error_limit", "time_step")
+COUNTS = ("num_envs", "threads", "max_episode_steps")
+FLAGS = ("no", "True", 1, 0, 1.0, None, [])
+
+
+def short(value):
+    """A name of a test of readable length."""
+    return str(value)[:12]
+
+
+def refused(call, *says):
+    """The message of the ValueError that `call` raises: one line with all of `says`."""
+    with pytest.raises(ValueError) as caught:
+        call()
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in says:
+        assert part in message, message
+    return message
+
+
+@pytest.mark.parametrize("kind", [TrackedVehicleEnv, TrackedVehicleVectorEnv])
+@pytest.mark.parametrize("value", NO_NUMBERS, ids=short)
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_number_that_is_none_is_refused(kind, name, value):
+    refused(lambda: kind(**{name: value}), name, "must be a number in [")
+
+
+@pytest.mark.parametrize("value", [*NO_NUMBERS, 1.5, 0, -1], ids=short)
+@pytest.mark.parametrize("name", COUNTS)
+def test_a_count_that_is_no_whole_number_is_refused(name, value):
+    if value is None and name == "max_episode_steps":
+        return  # no limit
+    says = "must be a whole number" if value == 1.5 else "must be a number"
+    refused(lambda: TrackedVehicleVectorEnv(**{name: value}), name, says, "[1, ")
+
+
+def test_a_count_may_be_written_as_a_float_or_a_numpy_integer():
+    env = TrackedVehicleVectorEnv(2.0, threads=np.int64(1), max_episode_steps=3.0)
+    env.reset(seed=0)
+    assert (env.num_envs, type(env.num_envs)) == (2, int)
+    ends = [env.step(np.zeros((2, 2), np.float32))[3].all() for _ in range(3)]
+    assert ends == [False, False, True]
+
+
+@pytest.mark.parametrize("value", FLAGS, ids=short)
+def test_a_flag_is_true_or_false_and_nothing_else(value):
+    says = "must be True or False"
+    for kind in (TrackedVehicleEnv, TrackedVehicleVectorEnv):
+        refused(lambda kind=kind: kind(expose_truth=value), "expose_truth", says)
+    env = TrackedVehicleVectorEnv(2)
+    refused(lambda: env.reset(options={"staggered": value}), "staggered", says)
+    refused(lambda: make_vec_env(n_envs=2, staggered=value), "staggered", says)
+    refused(lambda: make_vec_env(n_envs=2, monitor=value), "monitor", says)
+
+
+def test_what_is_uncertain_and_what_is_measured_must_be_said():
+    refused(lambda: make(uncertainty=None), "uncertainty = None", "'nominal'")
+    refused(lambda: make(sensors=None), "sensors = None", "'ideal'")
+    refused(lambda: make(uncertainty=["mixed", None]), "uncertainty = None")
+    refused(lambda: make(reference=None), "reference = None")
+    refused(lambda: make(uncertainty=5), "uncertainty = 5")
+    refused(lambda: make(sensors=5), "sensors = 5")
+
+
+def test_sensors_given_as_an_object_are_checked_like_a_dict():
+    refused(lambda: make(sensors=Sensors(position_noise=float("nan"))), "position_noise = nan")
+    refused(lambda: make(sensors=Sensors(pose_delay=3.0)), "pose_delay = 3.0 s", "milliseconds")
+
+
+def test_patches_have_no_lateral_constraint():
+    for arguments in ({"plant": "distributed"}, SPEED):
+        refused(
+            lambda given=arguments: TrackedVehicleEnv(**given, lateral="constrained"),
+            'lateral = "constrained"', '"sliding"',
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "patches", [None, 5, "10", {1: 2, 3: 4}, [10], [10, float("nan")], [float("inf"), 4],
+                [True, 4], [10, None], [10, "4"], [10, 2.5], [0, 4], [10, 1000]], ids=short,
+)  # fmt: skip
+def test_patches_are_two_whole_numbers(patches):
+    refused(lambda: TrackedVehicleEnv(plant="distributed", patches=patches), "patches", "must be")
+
+
+@pytest.mark.parametrize("seed", ["abc", 1.5, float("nan"), True, -1, [0, 1.5], [0, "1"], {}])
+def test_a_seed_is_a_whole_number_or_one_per_row(seed):
+    env = TrackedVehicleVectorEnv(2)
+    refused(lambda: env.reset(seed=seed), "seed")
+    assert env.simulation.rngs == [None, None]
+
+
+def test_seeds_may_come_from_numpy():
+    env = TrackedVehicleVectorEnv(2)
+    first, _ = env.reset(seed=7)
+    assert np.array_equal(first, env.reset(seed=np.array([7, 8]))[0])
+    assert np.array_equal(first, env.reset(seed=[np.int64(7), 8])[0])
+
+
+@pytest.mark.parametrize(
+    "options",
+    [5, "start", [1], {"rows": 5}, {"rows": [5, None]}, {"rows": "ab"}, {"rows": {0: {}, 1: {}}},
+     {"reset_mask": True}, {"reset_mask": "ab"}, {"start": 5}, {"vehicle": [1]}, {5: {}}],
+    ids=short,
+)  # fmt: skip
+def test_options_of_a_wrong_type_are_refused_by_the_vector_environment(options):
+    refused(lambda: TrackedVehicleVectorEnv(2).reset(seed=0, options=options), "options")
+
+
+def test_an_unknown_autoreset_mode_names_those_that_exist():
+    refused(lambda: TrackedVehicleVectorEnv(2, autoreset_mode="same"), "autoreset_mode", "SameStep")
+    refused(lambda: TrackedVehicleVectorEnv(2, autoreset_mode=None), "autoreset_mode", "SameStep")
+
+
+@pytest.mark.parametrize("points", [[["0", "1"], ["2", "3"]], [[True, False], [False, True]]])
+def test_way_points_are_numbers(points):
+    given = {"kind": "waypoints", "points": points}
+    refused(lambda: make_reference(given, 5.0, np.random.default_rng(0)), "points")
+
+
+@pytest.mark.parametrize("value", [*NO_NUMBERS, [0.5, float("nan")]], ids=short)
+@pytest.mark.parametrize("name", ["radius", "speed", "x", "yaw"])
+def test_a_number_of_a_reference_that_is_none_is_refused(name, value):
+    refused(lambda: make(reference={"kind": "circle", name: value}), name)
+
+
+def test_a_refused_reset_uses_up_no_random_numbers():
+    env, plain = make(), make()
+    for one in (env, plain):
+        one.reset(seed=0)
+    refused(lambda: env.reset(options={"vehicle": {"mass": -1.0}}), "mass")
+    assert np.array_equal(env.reset()[0], plain.reset()[0])
+    pair, twin = TrackedVehicleVectorEnv(2), TrackedVehicleVectorEnv(2)
+    for one in (pair, twin):
+        one.reset(seed=0)
+    wrong = {"rows": [None, {"start": {"speed": 1e9}}]}
+    refused(lambda: pair.reset(options=wrong), "vehicle 1", "km/h")
+    assert np.array_equal(pair.reset()[0], twin.reset()[0])
+
+
+@pytest.mark.parametrize("kind", [TrackedVehicleEnv, TrackedVehicleVectorEnv])
+def test_arguments_that_are_changed_after_construction_change_nothing(kind):
+    def arguments():
+        return {
+            "reference": {"kind": "waypoints", "points": np.array([[0.0, 0.0], [9.0, 0.0]])},
+            "uncertainty": [{"mass": [1200.0, 1300.0]}, {"cohesion": [5e3, 6e3]}],
+            "sensors": {"preset": "ideal", "pose_delay": 0.1},
+            "expose_truth": True,
+        }
+
+    given = arguments()
+    env, plain = kind(**given), kind(**arguments())
+    given["reference"]["points"][1] = 0.0, 9.0
+    given["uncertainty"][0]["mass"][:] = 5000.0, 6000.0
+    given["uncertainty"].pop()
+    given["sensors"]["pose_delay"] = 0.9
+    for one, other in zip(env.reset(seed=1), plain.reset(seed=1), strict=True):
+        np.testing.assert_equal(one, other)
+    given["reference"].clear()
+    for one, other in zip(env.reset(), plain.reset(), strict=True):
+        np.testing.assert_equal(one, other)
+
+
+def test_the_reference_of_a_made_environment_is_its_own():
+    reference = {"kind": "circle", "radius": 12.0}
+    env = gymnasium.make(TORQUE_ID, reference=reference)
+    first, _ = env.reset(seed=0)
+    reference["radius"] = 3.0
+    assert np.array_equal(first, env.reset(seed=0)[0])
+
+
+# --- vehicles without an episode ------------------------------------------------------------
+
+ResetNeeded = gymnasium.error.ResetNeeded
+
+
+@pytest.mark.parametrize("arguments", [{}, SPEED], ids=["torque", "speed"])
+def test_a_vehicle_that_was_never_reset_cannot_be_stepped(arguments):
+    env = TrackedVehicleEnv(**arguments)
+    with pytest.raises(ResetNeeded, match=r"call reset\(\)"):
+        env.step(np.zeros(2, np.float32))
+    many = TrackedVehicleVectorEnv(20, **arguments)
+    with pytest.raises(ResetNeeded, match=r"vehicle 0 has no episode \(20 of 20 have none\)"):
+        many.step(np.zeros((20, 2), np.float32))
+    assert not many.simulation.batch.floats.any()
+    many.reset(seed=0)
+    assert np.isfinite(many.step(np.zeros((20, 2), np.float32))[1]).all()
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+def test_rows_that_the_first_mask_leaves_out_cannot_be_stepped(mode):
+    env = TrackedVehicleVectorEnv(3, autoreset_mode=mode)
+    actions = np.zeros((3, 2), np.float32)
+    env.reset(seed=0, options={"reset_mask": np.array([True, False, True])})
+    before = env.simulation.batch.floats.copy()
+    with pytest.raises(ResetNeeded, match=r"vehicle 1 has no episode \(1 of 3"):
+        env.step(actions)
+    assert np.array_equal(before, env.simulation.batch.floats)
+    env.reset(options={"reset_mask": np.array([False, True, False])})
+    for _ in range(3):
+        assert np.isfinite(env.step(actions)[1]).all()
+
+
+def test_stable_baselines3_is_told_as_well():
+    env = make_vec_env(n_envs=3)
+    with pytest.raises(ResetNeeded, match="call reset"):
+        env.step(np.zeros((3, 2), np.float32))
+
+
+def test_a_snapshot_of_vehicles_without_an_episode_leaves_them_without():
+    env = TrackedVehicleVectorEnv(2)
+    kept = env.simulation.snapshot()
+    env.reset(seed=0)
+    env.step(np.zeros((2, 2), np.float32))
+    env.simulation.resume(kept)
+    with pytest.raises(ResetNeeded, match="2 of 2"):
+        env.step(np.zeros((2, 2), np.float32))

@@ -1,4 +1,4 @@
-"""Thousands of steps with all options at the ends of their ranges stay inside what is documented."""
+"""Thousands of steps with options at the ends of their ranges stay inside what is documented."""
 
 import inspect
 

@@ -70,7 +70,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, `mocap`, or dict of overrides |
         | `duration` | 30 | [s] of an episode |
         | `control_rate` | 50 | [Hz] of actions and observations |
-        | `lateral` | `"sliding"` | lateral closure of the lumped plant, or `"constrained"` |
+        | `lateral` | `"sliding"` | of the lumped plant; or `"constrained"`, which patches refuse |
         | `error_limit` | 5 | [m] distance that ends an episode |
         | `time_step` | 0.0025 | [s] longest integration step |
         | `vehicle` | `"strawa"` | nominal vehicle and soil: `strawa`, `focchi`, `focchi-short` |

@@ -35,7 +35,8 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
     Row i, seeded seed + i, gives the same numbers as a single environment, bit for bit.
     `reset(options=...)` takes the keys of the single environment for every row, and
 
-    * `reset_mask` (N,) bool: which rows to reset, the others go on;
+    * `reset_mask` (N,) bool: which rows to reset, the others go on; a row that was never reset
+      cannot be stepped;
     * `rows`: a list of N dicts (or None), options per row; they win over the common ones;
     * `staggered` bool: these episodes are cut short, the k-th of K after k/K of its length, so
       that rows are not in step from then on. Else all begin anew in the same step for long.
@@ -188,7 +189,10 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
     def step(
         self, actions: ObsType
     ) -> tuple[ObsType, NDArray[np.float64], Bools, Bools, dict[str, Any]]:
-        """Advance every row by one control period; actions (N, 2)."""
+        """Advance every row by one control period; actions (N, 2).
+
+        Raises ResetNeeded when a row was never reset, ValueError for an action that is not finite.
+        """
         simulation = self.simulation
         ended = simulation.ended.copy()
         resting = ended.any()

@@ -83,7 +83,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
         `closure` ({parameter: value}), `reference`, `sensors`, `schedule` (a list of changes, see
         `tracked_env.events`) and `start` ({offset_x, offset_y, offset_yaw, speed, yaw_rate}).
-        An unknown key is a ValueError.
+        An unknown key is a ValueError, and so is a parameter that the plant does not read
+        (docs/uncertainty.md has the table).
 
         ## Info
         `tracking_error` (2,) [m, rad]: distance to the reference, heading error; `reward_terms`;

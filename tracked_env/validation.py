@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tracked_env.physics.parameters import RANGES, Range
+from tracked_env.physics.parameters import RANGES, READS, Range
 
 
 def unknown(what: str, name: object, allowed: Iterable[str]) -> ValueError:
@@ -88,6 +88,16 @@ def checked_parameter(name: str, value: object) -> float:
     if name not in RANGES:
         raise unknown("parameter", name, RANGES)
     return checked_number(name, value, RANGES[name])
+
+
+def checked_effect(what: str, name: str, value: object, plant: str) -> None:
+    """Raises ValueError if `plant` (a key of READS) does not read the parameter `name`."""
+    if name not in READS[plant]:
+        readers = [f"the {other}" for other, names in READS.items() if name in names]
+        raise ValueError(
+            f"{what} {name} = {value!r}; the {plant} does not read it, so it would change nothing: "
+            f"must be one of {sorted(READS[plant])}. Did you mean {' or '.join(readers)}?"
+        )
 
 
 def name_or_json(text: str | None, what: str) -> str | Mapping[str, Any] | None:

@@ -77,6 +77,13 @@ def believed_parameters(scenario: Scenario, turning_factor: float) -> PlantParam
     return nominal._replace(**factors)
 
 
+def closure_options(turning_factor: float, lateral: str) -> dict[str, float]:
+    """Reset options of a closure: `sliding` does not read d, its ICR emerges."""
+    if lateral == "sliding":
+        return {"turning_resistance_factor": turning_factor}
+    return {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD}
+
+
 def run(
     scenario: Scenario,
     path: str,
@@ -101,7 +108,7 @@ def run(
     options = {
         **scenario.options,
         "vehicle": {"drive_time_constant": 0.0},
-        "closure": {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD},
+        "closure": closure_options(turning_factor, scenario.lateral),
         "start": START,
     }
     policy = controller(believed_parameters(scenario, turning_factor), 0.01, scenario.lateral)

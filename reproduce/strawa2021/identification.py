@@ -15,7 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reproduce.strawa2021.control import ICR_FORWARD, SCENARIOS, believed_parameters
+from reproduce.strawa2021.control import (
+    SCENARIOS,
+    believed_parameters,
+    closure_options,
+)
 from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
 from reproduce.strawa2021.tools import Tools
 from tracked_env.events import Event, ramp_events
@@ -84,10 +88,7 @@ def options(condition: Condition, reference: Event) -> dict[str, Any]:
         "reference": reference,
         "schedule": GROUNDS[condition.ground],
         "vehicle": {"drive_time_constant": 0.0},
-        "closure": {
-            "turning_resistance_factor": condition.factor,
-            "icr_forward": ICR_FORWARD,
-        },
+        "closure": closure_options(condition.factor, condition.lateral),
         "start": {
             "offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0,
             "speed": reference["initial_speed"], "yaw_rate": 0.0,

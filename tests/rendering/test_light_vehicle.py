@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 
 from tests.rendering.picture_cases import CENTRED, Picture, driven, started
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.patch_dynamics import hold_speeds
 from tracked_env.rendering import Renderer, canvas, scene, sizes, snapshot
 from tracked_env.rendering.afterglow import Memory
+from tracked_env.uncertainty import UNCERTAINTY_SETS, Draw
 
 FLOOR = {"plant": "distributed", "drive": "speed"}
 GENTLE = {"start": {**CENTRED, "speed": 0.3}}
@@ -156,18 +157,23 @@ def test_the_panel_lists_what_the_plant_knows_with_enough_digits(written: list[s
 
 
 def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistance_out(
-    written: list[str],
+    written: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     step = {"kind": "ramp", "start": 0.1}
-    schedule = [
+    changes: list[dict[str, Any]] = [
         {"parameter": "lateral_resistance", "target": 0.2, **step},
         {"parameter": "longitudinal_resistance", "target": 0.018, **step},
         {"parameter": "lateral_resistance", "kind": "region", "target": 0.1, "x": 5.0, "y": 0.0,
          "radius": 1.0, "edge": 0.1},
     ]  # fmt: skip
+
+    def changing(rng: object, nominal: PlantParameters, *_: object) -> Draw:
+        return Draw(nominal, changes)
+
+    monkeypatch.setitem(UNCERTAINTY_SETS, "nominal", changing)
     for plant, drive in (("distributed", "speed"), ("lumped", "torque")):
         written.clear()
-        env = started({**GENTLE, "schedule": schedule}, vehicle="focchi", plant=plant, drive=drive)
+        env = started(GENTLE, vehicle="focchi", plant=plant, drive=drive, uncertainty="nominal")
         driven(env, 8, 0.1, 0.1)
         assert "motion resistance: 0.025 → 0.018" in written
         lumped = plant == "lumped"

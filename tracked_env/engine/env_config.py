@@ -5,7 +5,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
+from tracked_env.physics.parameters import (
+    BY_SPEED,
+    BY_TORQUE,
+    CONSTRAINED,
+    SLIDING,
+    VEHICLES,
+    PlantParameters,
+    Range,
+)
 from tracked_env.physics.patch_forces import COLUMN_LIMIT, Patches, make_patches
 from tracked_env.sensors import Sensors
 from tracked_env.validation import checked_choice, checked_number, checked_whole
@@ -48,6 +56,13 @@ class Solver(NamedTuple):
     nominal: PlantParameters  # of the vehicle and the soil that its controllers expect
     error_limit: float  # [m] distance to the reference that ends an episode
     threads: int
+
+    @property
+    def plant(self) -> str:
+        """The plant that moves the vehicles, with its closure or drive: a key of READS."""
+        if self.distributed:
+            return BY_TORQUE if self.by_torque else BY_SPEED
+        return CONSTRAINED if self.constrained else SLIDING
 
 
 def _patches(given: object) -> Patches:

@@ -9,7 +9,9 @@ The draws of an episode, always in this order, from the vehicle's own generator:
     uncertainty     as `tracked_env.uncertainty` says for its set
     sensors         signs of the biases
 `options` override any value for one episode; the draws are made all the same, so that
-overriding one thing leaves the others as they were.
+overriding one thing leaves the others as they were. A set draws the same for every plant; of its
+changes an episode has those of parameters that the plant reads (`parameters.READS`). An option or a
+schedule that names another parameter is a ValueError.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,12 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.events import encode_schedule
-from tracked_env.physics.parameters import GROUPS, PlantParameters, Range
+from tracked_env.physics.parameters import (
+    BY_SPEED,
+    GROUPS,
+    PARAMETER_NAMES,
+    READS,
+    PlantParameters,
+    Range,
+)
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile, make_reference
 from tracked_env.sensors import SensorDraw, Sensors, draw_sensors, make_sensors
 from tracked_env.uncertainty import Law, make_uncertainty
-from tracked_env.validation import checked_keys, checked_number, checked_parameter
+from tracked_env.validation import checked_effect, checked_keys, checked_number, checked_parameter
 
 OPTION_KEYS = (*GROUPS, "reference", "sensors", "schedule", "start")
 START_OFFSET = 0.15  # [-] of the nominal contact length, to either side
@@ -47,6 +56,7 @@ class EpisodeSettings(NamedTuple):
     sensors: Sensors
     duration: float  # [s]
     control_period: float  # [s]
+    plant: str  # a key of READS
 
     @property
     def max_steps(self) -> int:
@@ -72,21 +82,28 @@ def make_settings(
     duration: float,
     control_period: float,
     nominal: PlantParameters,
+    plant: str,
 ) -> EpisodeSettings:
-    """Check everything that an environment is built from. Raises ValueError."""
+    """Check everything that an environment is built from; plant: a key of READS.
+
+    Raises ValueError.
+    """
     length = checked_number("duration", duration, DURATION_RANGE)
     make_reference(reference, length, np.random.default_rng(0))
     return EpisodeSettings(
-        reference, make_uncertainty(uncertainty), nominal, make_sensors(sensors), length,
-        control_period,
+        reference, make_uncertainty(uncertainty, plant), nominal, make_sensors(sensors), length,
+        control_period, plant,
     )  # fmt: skip
 
 
-def _overridden(parameters: PlantParameters, options: Mapping[str, Any]) -> PlantParameters:
+def _overridden(
+    parameters: PlantParameters, options: Mapping[str, Any], plant: str
+) -> PlantParameters:
     values = {}
     for group, names in GROUPS.items():
         for name, value in checked_keys(f"options['{group}']", options.get(group), names).items():
             values[name] = checked_parameter(name, value)
+            checked_effect("option", name, value, plant)
     return parameters._replace(**values) if values else parameters
 
 
@@ -116,10 +133,21 @@ def _start(
 
 
 def _schedule(
-    options: Mapping[str, Any], drawn: Sequence[Mapping[str, Any]]
+    options: Mapping[str, Any], drawn: Sequence[Mapping[str, Any]], plant: str
 ) -> NDArray[np.float64]:
+    """The changes of the episode: those given, or those drawn that change what the plant reads."""
     given = options.get("schedule")
-    return encode_schedule(drawn if given is None else given)
+    if given is None:
+        return encode_schedule([event for event in drawn if event["parameter"] in READS[plant]])
+    rows = encode_schedule(given)
+    for name, target in ((PARAMETER_NAMES[int(row[1])], float(row[2])) for row in rows):
+        checked_effect("schedule target of", name, target, plant)
+        if plant == BY_SPEED and name == "sprocket_speed_limit":
+            raise ValueError(
+                f"schedule target of {name} = {target!r}; it cannot change inside an episode of "
+                f"the {plant}: the action is measured in it. Change the action instead."
+            )
+    return rows
 
 
 def draw_episode(
@@ -142,8 +170,8 @@ def draw_episode(
     if options.get("sensors") is not None:
         sensors = make_sensors(options["sensors"], base=sensors)
     return Episode(
-        _overridden(truth.parameters, options),
-        _schedule(options, truth.events),
+        _overridden(truth.parameters, options, settings.plant),
+        _schedule(options, truth.events, settings.plant),
         profile,
         draw_sensors(sensors, settings.control_period, rng),
         _start(profile, start_draws, options, settings.nominal.contact_length),

@@ -59,6 +59,7 @@ class Simulation:
             config.duration,
             self.solver.control_period,
             self.solver.nominal,
+            self.solver.plant,
         )
         self.batch = b.allocate(count, number_of_segments(self.settings.duration))
         self.observations: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)

@@ -54,5 +54,3 @@ QUANTITIES = {
 }
 assert tuple(QUANTITIES) == PARAMETER_NAMES
 FRICTION = Quantity("friction μ = tan φ", "", 1.0, 2)
-# What means nothing to the distributed plant: there the soil's shear turns and holds the tracks.
-LUMPED_ONLY = ("lateral_resistance", "turning_resistance_factor", "icr_forward")

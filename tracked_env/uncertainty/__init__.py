@@ -17,7 +17,12 @@ from tracked_env.references import ReferenceProfile
 from tracked_env.uncertainty import floors, soils
 from tracked_env.uncertainty.law import Draw, Law
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
-from tracked_env.validation import checked_choice, checked_keys, checked_parameter
+from tracked_env.validation import (
+    checked_choice,
+    checked_effect,
+    checked_keys,
+    checked_parameter,
+)
 
 
 def _nominal(
@@ -44,19 +49,24 @@ def _one_of(laws: Sequence[Law]) -> Law:
     return law
 
 
-def make_uncertainty(spec: str | Mapping[str, Any] | Sequence[Any]) -> Law:
+def make_uncertainty(
+    spec: str | Mapping[str, Any] | Sequence[Any], plant: str | None = None
+) -> Law:
     """A set by name, or {parameter: [low, high]}: each drawn = U(low, high), no change.
 
     A list of those is a mixture: every episode draws one of them, all with the same odds.
+    plant: a key of `tracked_env.physics.parameters.READS`, or None for any. A set by name may draw
+    what the plant does not read; ranges of it are refused.
 
-    Raises ValueError for an unknown set or parameter and for a value outside its range.
+    Raises ValueError for an unknown set or parameter, for a value outside its range, and for a
+    range of a parameter that the plant does not read.
     """
     if isinstance(spec, str):
         return UNCERTAINTY_SETS[checked_choice("uncertainty set", spec, UNCERTAINTY_SETS)]
     if isinstance(spec, (list, tuple)):
         if not spec:
             raise ValueError("uncertainty = []; a mixture needs at least one set")
-        return _one_of([make_uncertainty(part) for part in spec])
+        return _one_of([make_uncertainty(part, plant) for part in spec])
     if spec is None:
         raise ValueError(
             "uncertainty = None; must be a set by name, a dict or a list of them. "
@@ -69,6 +79,8 @@ def make_uncertainty(spec: str | Mapping[str, Any] | Sequence[Any]) -> Law:
         low, high = (checked_parameter(name, bound) for bound in bounds)
         if low > high:
             raise ValueError(f"uncertainty of {name} = [{low}, {high}]; low must be <= high")
+        if plant is not None:
+            checked_effect("uncertainty of", name, bounds, plant)
         ranges[name] = (low, high)
 
     def law(

@@ -1,0 +1,148 @@
+"""Which plant reads which parameter: what is declared, what is measured, and what is refused."""
+
+import numpy as np
+import pytest
+
+from tests.test_env import run
+from tracked_env.engine import columns as b
+from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.simulation import Simulation
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.physics import state as s
+from tracked_env.physics.parameters import (
+    BY_SPEED,
+    BY_TORQUE,
+    CONSTRAINED,
+    GROUPS,
+    PARAMETER_NAMES,
+    RANGES,
+    READS,
+    SLIDING,
+    VEHICLES,
+)
+from tracked_env.uncertainty import UNCERTAINTY_SETS
+
+ARGUMENTS = {
+    SLIDING: {},
+    CONSTRAINED: {"lateral": "constrained"},
+    BY_TORQUE: {"plant": "distributed"},
+    BY_SPEED: {"plant": "distributed", "drive": "speed"},
+}
+UNREAD = [(plant, name) for plant in READS for name in PARAMETER_NAMES if name not in READS[plant]]
+# Full drive to the top speed, a turn, a pivot, reverse: 0.8 s each.
+ACTIONS = np.repeat(np.float32([[1, 1], [0.2, 0.9], [-1, 1], [-1, -0.6]]), 40, axis=0)
+
+
+def motion(plant, changed=None):
+    """All rows of the state (T, STATE_ROWS), with one parameter of the truth overwritten."""
+    config = EnvConfig(
+        uncertainty="nominal", sensors="ideal", reference="straight", error_limit=1e6,
+        **ARGUMENTS[plant],
+    )  # fmt: skip
+    simulation = Simulation(1, config)
+    simulation.rngs = [np.random.default_rng(0)]
+    # Past the check of the options, which is what this measurement is about.
+    nominal = simulation.settings.nominal._replace(**(changed or {}))
+    simulation.settings = simulation.settings._replace(nominal=nominal)
+    simulation.reset(simulation.all, [{"start": {"offset_x": 0.0, "offset_y": 0.0}}])
+    rows = []
+    for action in ACTIONS:
+        simulation.step(action[None])
+        rows.append(simulation.batch.floats[0, b.STATE : b.STATE + s.STATE_ROWS].copy())
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("plant", READS)
+def test_a_plant_reads_the_parameters_whose_range_ends_change_its_motion_and_no_others(plant):
+    base = motion(plant)
+    moved = set()
+    for name in PARAMETER_NAMES:
+        ends = [motion(plant, {name: end}) for end in (RANGES[name].low, RANGES[name].high)]
+        if any(not np.array_equal(base, end, equal_nan=True) for end in ends):
+            moved.add(name)
+    assert moved == READS[plant]
+
+
+def test_the_documented_table_lists_what_each_plant_reads(repository):
+    lines = (repository / "docs/uncertainty.md").read_text().splitlines()
+    first = next(n for n, line in enumerate(lines) if line.startswith("| parameter | lumped"))
+    columns = (SLIDING, CONSTRAINED, BY_TORQUE, BY_SPEED)  # in the order of the header
+    written = {plant: set(PARAMETER_NAMES) for plant in columns}
+    listed = [line.strip("|").split("|") for line in lines[first + 2 :]]
+    for name, *marks in listed[: next(n for n, cells in enumerate(listed) if len(cells) < 2)]:
+        assert {mark.strip() for mark in marks} == {"yes", "-"}, name
+        for plant, mark in zip(columns, marks, strict=True):
+            if mark.strip() == "-":
+                written[plant].remove(name.strip(" `"))
+    assert written == READS
+
+
+@pytest.mark.parametrize("plant, name", UNREAD)
+def test_an_option_a_schedule_or_a_range_without_effect_is_refused_by_name(plant, name):
+    value = getattr(VEHICLES["strawa"], name)
+    env = TrackedVehicleEnv(uncertainty="nominal", **ARGUMENTS[plant])
+    group = next(group for group, names in GROUPS.items() if name in names)
+    event = {"parameter": name, "kind": "ramp", "target": value, "start": 1.0}
+    asked = [{group: {name: value}}]
+    if name != "torque_limit":  # no schedule of any plant may change it
+        asked.append({"schedule": [event]})
+    says = rf"{name} = .*; the {plant} does not read it.*must be one of .*'mass'.*Did you mean"
+    for options in asked:
+        with pytest.raises(ValueError, match=says):
+            env.reset(seed=0, options=options)
+    for ranges in ({name: [value, value]}, ["nominal", {name: [value, value]}]):
+        with pytest.raises(ValueError, match=says):
+            TrackedVehicleEnv(uncertainty=ranges, **ARGUMENTS[plant])
+
+
+@pytest.mark.parametrize("plant", READS)
+def test_every_parameter_that_a_plant_reads_may_be_set_and_drawn(plant):
+    for name in READS[plant]:
+        value = getattr(VEHICLES["strawa"], name)
+        group = next(group for group, names in GROUPS.items() if name in names)
+        ranges = {"mass": [1450.0, 1450.0], name: [value, value]}
+        env = TrackedVehicleEnv(uncertainty=ranges, expose_truth=True, **ARGUMENTS[plant])
+        _, info = env.reset(seed=0, options={group: {name: value}})
+        assert info["truth"][name] == value
+
+
+@pytest.mark.parametrize("plant", READS)
+@pytest.mark.parametrize("name", UNCERTAINTY_SETS)
+def test_a_set_draws_the_same_for_every_plant_and_changes_what_the_plant_reads(name, plant):
+    def drawn(plant):
+        simulation = Simulation(4, EnvConfig(uncertainty=name, **ARGUMENTS[plant]))
+        simulation.rngs = [np.random.default_rng(i) for i in range(4)]
+        simulation.reset(simulation.all, [None] * 4)
+        return simulation.episodes
+
+    for here, everywhere in zip(drawn(plant), drawn(CONSTRAINED), strict=True):
+        assert here.parameters == everywhere.parameters
+        assert here.noise_seed == everywhere.noise_seed
+        assert here.state == everywhere.state
+        read = [PARAMETER_NAMES[int(row[1])] in READS[plant] for row in everywhere.events]
+        np.testing.assert_array_equal(here.events, everywhere.events[read])
+
+
+def test_a_resistance_map_on_patches_varies_the_motion_resistance_alone():
+    env = TrackedVehicleEnv(
+        uncertainty="resistance-map", plant="distributed", sensors="ideal", reference="straight",
+        expose_truth=True, error_limit=1e3,
+    )  # fmt: skip
+    seen = []
+    for count in (1, 150):
+        truth = run(env, count, np.full((count, 2), 0.3))[2]["truth"]
+        seen.append((truth["longitudinal_resistance"], truth["lateral_resistance"]))
+    (before, kept), (after, same) = seen
+    assert abs(after - before) > 1e-3
+    assert kept == same == VEHICLES["strawa"].lateral_resistance
+
+
+def test_the_limit_in_which_an_action_is_measured_does_not_change_inside_an_episode():
+    change = {"parameter": "sprocket_speed_limit", "kind": "ramp", "target": 10.0, "start": 1.0}
+    for plant, arguments in ARGUMENTS.items():
+        env = TrackedVehicleEnv(uncertainty="nominal", **arguments)
+        if plant == BY_SPEED:
+            with pytest.raises(ValueError, match=r"sprocket_speed_limit.*measured in it"):
+                env.reset(seed=0, options={"schedule": [change]})
+        else:
+            env.reset(seed=0, options={"schedule": [change]})

@@ -4,7 +4,8 @@
 
 Each manoeuvre lasts 5 s under a 50 Hz control law (torque = feedforward + gain * speed error)
 and is repeated with ever shorter sub-steps. Its error is the largest distance, and the largest
-heading difference, to the same manoeuvre with a sub-step of 0.05 ms, over all control instants.
+heading difference, to the same manoeuvre with a sub-step of 0.05 ms, over all control instants. A
+second table has random torques: median and worst over 40 runs.
 The loop is the one a simulation runs around `rk4_step`, for one vehicle.
 """
 
@@ -26,6 +27,7 @@ from tracked_env.physics.lumped_forces import (
 )
 from tracked_env.physics.parameters import PlantParameters, SoilParameters, plant_parameters
 from tracked_env.physics.rk4 import rk4_step
+from tracked_env.uncertainty import SOILS
 
 CONTROL_PERIOD = 0.02  # [s] one torque demand
 DURATION = 5.0  # [s] of one manoeuvre
@@ -130,6 +132,14 @@ def circle_entry():
     return command
 
 
+def reversal():
+    """Full torque backwards for 1.5 s, which ends at top speed in reverse, then full torque in
+    opposite senses: both tracks leave one traction limit and run into the other."""
+    command = constant(-8000.0, -8000.0)
+    command.torque[int(1.5 / CONTROL_PERIOD) :] = (-8000.0, 8000.0)
+    return command
+
+
 MANOEUVRES: dict[str, tuple[Command, PlantParameters, Motion]] = {
     "circle entry, R = 10 m at 2 m/s": (circle_entry(), plant_parameters(), REST),
     "pivot turn from rest, ±2500 N m": (constant(-2500, 2500), plant_parameters(), REST),
@@ -140,14 +150,39 @@ MANOEUVRES: dict[str, tuple[Command, PlantParameters, Motion]] = {
         constant(0, 8000), plant_parameters(soil=SANDY_LOAM), REST
     ),
     "full torque to top speed, heavy clay": (constant(8000, 8000), plant_parameters(), REST),
+    "2.5 m/s, into reverse at top speed, pivot": (
+        reversal(), plant_parameters(), Motion(2.5, 0.0, 0.0)
+    ),
 }  # fmt: skip
 
 
-def errors(command, p, start, constrained=False):
-    """[(position error [m], heading error [rad]) for each of SUBSTEPS]."""
+RANDOM_RUNS = 40  # of each soil
+RANDOM_SOILS = {"heavy_clay": 0.6, "sandy_loam": 0.3, "lete_sand": 0.13}  # and their mu_l [-]
+
+
+def random_torques(seed, steps=STEPS):
+    """Torques that jump every 0.1 to 1 s; a third of them at the limit. From 2 m/s on."""
+    rng = np.random.default_rng(seed)
+    hold = int(rng.integers(5, 50))
+    drawn = np.clip(rng.uniform(-1.5, 1.5, (steps // hold + 1, 2)), -1.0, 1.0)
+    torque = np.repeat(8000.0 * drawn, hold, axis=0)[:steps]
+    return Command(torque, np.zeros((steps, 2)))
+
+
+def random_errors(soil, resistance, substeps, runs=RANDOM_RUNS):
+    """(runs, 2): position error [m] and heading error [rad] of every random run."""
+    p = plant_parameters(soil=SOILS[soil]._replace(longitudinal_resistance=resistance))
+    start = Motion(2.0, 0.0, 0.0)
+    return np.array(
+        [errors(random_torques(seed), p, start, counts=(substeps,))[0] for seed in range(runs)]
+    )
+
+
+def errors(command, p, start, constrained=False, counts=SUBSTEPS):
+    """[(position error [m], heading error [rad]) for each of `counts` sub-steps]."""
     truth = run(command, REFERENCE_SUBSTEPS, p, constrained, start)
     found = []
-    for substeps in SUBSTEPS:
+    for substeps in counts:
         gap = run(command, substeps, p, constrained, start) - truth
         found.append((np.hypot(gap[:, 0], gap[:, 1]).max(), np.abs(gap[:, 2]).max()))
     return found
@@ -164,6 +199,15 @@ def main():
             cells = [f"{1e3 * distance:.2g} / {1e3 * turn:.2g}" for distance, turn in found]
             closure = "constrained" if constrained else "sliding"
             print(f"| {name} | {closure} | " + " | ".join(cells) + " |")
+    print(f"\n| {RANDOM_RUNS} random runs | " + " | ".join(lengths) + " |")
+    print("|---" + "|---:" * len(lengths) + "|")
+    for soil, resistance in RANDOM_SOILS.items():
+        cells = []
+        for substeps in SUBSTEPS:
+            found = 1e3 * random_errors(soil, resistance, substeps)
+            middle, worst = np.median(found, axis=0), found.max(axis=0)
+            cells.append(f"{middle[0]:.2g}, {middle[1]:.2g} / {worst[0]:.2g}, {worst[1]:.2g}")
+        print(f"| {soil.replace('_', ' ')} | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":

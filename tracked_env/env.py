@@ -72,7 +72,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `control_rate` | 50 | [Hz] of actions and observations |
         | `lateral` | `"sliding"` | of the lumped plant; or `"constrained"`, which patches refuse |
         | `error_limit` | 5 | [m] distance that ends an episode |
-        | `time_step` | 0.0025 | [s] longest integration step |
+        | `time_step` | 0.0025 | [s] longest integration step; its error: docs/numerics.md |
         | `vehicle` | `"strawa"` | nominal vehicle and soil: `strawa`, `focchi`, `focchi-short` |
         | `plant` | `"lumped"` | closed-form forces, or `"distributed"`: patches under the tracks |
         | `drive` | `"torque"` | what the actions are; `"speed"` needs the distributed plant |

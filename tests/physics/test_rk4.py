@@ -13,6 +13,8 @@ from docs.step_halving import (
     Command,
     circle_entry,
     constant,
+    errors,
+    random_errors,
     run,
 )
 from tracked_env.physics.lumped_forces import (
@@ -198,3 +200,31 @@ def test_the_tabulated_manoeuvres_agree_with_a_fine_step_to_the_tenth_of_a_milli
         gap = run(command, SUBSTEPS, p, start=start) - run(command, 128, p, start=start)
         assert np.hypot(gap[:, X], gap[:, Y]).max() < 1e-4
         assert np.abs(gap[:, YAW]).max() < 1e-4
+
+
+@pytest.mark.parametrize("constrained", [False, True])
+def test_at_the_default_step_one_traction_limit_costs_half_a_millimetre_at_most(constrained):
+    for name in list(MANOEUVRES)[:5]:
+        command, p, start = MANOEUVRES[name]
+        distance, turn = errors(command, p, start, constrained, counts=(SUBSTEPS,))[0]
+        assert distance < 0.5e-3 and turn < 0.6e-3, name
+
+
+def test_full_torque_from_one_traction_limit_into_another_costs_millimetres_to_first_order():
+    # The error that docs/numerics.md states: neither better nor worse.
+    command, p, start = MANOEUVRES["2.5 m/s, into reverse at top speed, pivot"]
+    coarse, fine = errors(command, p, start, counts=(SUBSTEPS, 80))
+    assert 3.5e-3 < coarse[0] < 4.5e-3
+    assert 1.8e-3 < coarse[1] < 2.4e-3
+    assert 0.1e-3 < fine[0] < 0.25e-3
+    assert 0.06e-3 < fine[1] < 0.15e-3
+    speed = run(command, SUBSTEPS, p, start=start)[:, V_X]
+    assert speed[0] == 2.5 and speed.min() < -5.9  # the belts reach their top speed, 6 m/s
+
+
+def test_random_full_torques_cost_millimetres_in_the_median_and_centimetres_at_worst():
+    found = random_errors("heavy_clay", 0.6, SUBSTEPS)
+    assert 3e-3 < np.median(found[:, 0]) < 7e-3
+    assert 0.04 < found[:, 0].max() < 0.09
+    assert 0.7e-3 < np.median(found[:, 1]) < 2e-3
+    assert 0.01 < found[:, 1].max() < 0.02

@@ -18,7 +18,7 @@ from tracked_env.physics.patch_forces import COLUMN_LIMIT, Patches, make_patches
 from tracked_env.sensors import Sensors
 from tracked_env.validation import checked_choice, checked_number, checked_whole
 
-SUBSTEP = 0.0025  # [s] longest RK4 step; converged and stable there, see docs/numerics.md
+SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
 LATERAL = ("sliding", "constrained")
 PLANTS = ("lumped", "distributed")
 DRIVES = ("torque", "speed")

@@ -1,6 +1,6 @@
 """What the plants leave out, and how they differ in a turn: the figures of two pages.
 
-    python docs/limits.py        prints the table of physics.md (Limits) and that of distributed.md
+    python -m docs.limits        prints the table of physics.md (Limits) and that of distributed.md
 
 The case is the vehicle of Strawa et al. (2021) on heavy clay at 3 m/s on a circle of 10 m. Measured
 figures come from the plants themselves; derived ones follow from the equation that stands beside

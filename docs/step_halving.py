@@ -1,6 +1,6 @@
 """How the trajectory of the torque plant depends on the sub-step: the table of docs/numerics.md.
 
-    python docs/step_halving.py        prints the Markdown table
+    python -m docs.step_halving        prints the Markdown table
 
 Each manoeuvre lasts 5 s under a 50 Hz control law (torque = feedforward + gain * speed error)
 and is repeated with ever shorter sub-steps. Its error is the largest distance, and the largest

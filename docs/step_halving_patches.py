@@ -1,20 +1,25 @@
 """How the trajectory of the distributed plant depends on the step: the table of distributed.md.
 
-    python docs/step_halving_patches.py        prints the Markdown table
+    python -m docs.step_halving_patches        prints the Markdown table
 
 Each manoeuvre is repeated with ever shorter steps of both integrators. Its error is the largest
 distance, and the largest heading difference, to the same manoeuvre with steps of 0.01 ms of the
 Rosenbrock method, over all instants 20 ms apart. Belts are driven by speeds that change every
-20 ms only, so that all steps see the same commands.
+20 ms only, so that all steps see the same commands. A second table has the heavy vehicle driven by
+random torques, on the soils of `step_halving`, against steps of 0.05 ms: median and worst.
 """
 
 import math
 
 import numpy as np
 
+from docs.step_halving import RANDOM_SOILS, random_torques
+from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import FIRM_FLOOR, FOCCHI_VEHICLE, plant_parameters
 from tracked_env.physics.patch_dynamics import hold_speeds
 from tracked_env.physics.patch_forces import make_patches
+from tracked_env.uncertainty import SOILS
 
 PERIOD = 0.02  # [s] one command
 LENGTHS = (5e-3, 2.5e-3, 1e-3, 0.5e-3)  # [s] of a step
@@ -76,8 +81,41 @@ def error(found, truth):
     return np.hypot(gap[:, 0], gap[:, 1]).max(), np.abs(gap[:, 2]).max()
 
 
+RANDOM_RUNS = 16  # of each soil
+TORQUE_LENGTHS = (5e-3, 2.5e-3, 1e-3, 0.5e-3)  # [s]
+TORQUE_REFERENCE = 5e-5  # [s]
+
+
+def driven_by_torque(h, soil, resistance):
+    """Poses (n, RANDOM_RUNS, 3) every PERIOD of the strawa vehicle under `random_torques`."""
+    config = EnvConfig(
+        uncertainty="nominal", sensors="ideal", reference="straight", plant="distributed",
+        time_step=h, error_limit=1e6,
+    )  # fmt: skip
+    simulation = Simulation(RANDOM_RUNS, config)
+    simulation.rngs = [np.random.default_rng(i) for i in range(RANDOM_RUNS)]
+    ground = SOILS[soil]._replace(longitudinal_resistance=resistance)._asdict()
+    del ground["lateral_resistance"]
+    simulation.reset(simulation.all, [{"soil": ground}] * RANDOM_RUNS)
+    limit = simulation.solver.nominal.torque_limit
+    demands = np.stack([random_torques(i).torque / limit for i in range(RANDOM_RUNS)], axis=1)
+    poses = []
+    for action in demands.astype(np.float32):
+        simulation.step(action)
+        poses.append(simulation.batch.floats[:, :3].copy())
+    return np.array(poses)
+
+
+def torque_errors(h, soil, resistance):
+    """(RANDOM_RUNS, 2): largest distance [m] and heading difference [rad] of every run."""
+    gap = driven_by_torque(h, soil, resistance)
+    gap -= driven_by_torque(TORQUE_REFERENCE, soil, resistance)
+    distance = np.hypot(gap[..., 0], gap[..., 1]).max(axis=0)
+    return np.stack([distance, np.abs(gap[..., 2]).max(axis=0)], axis=1)
+
+
 def main():
-    """Print the table: position error in mm / heading error in mrad."""
+    """Print the tables: position error in mm / heading error in mrad."""
     lengths = " | ".join(f"{1e3 * h:g} ms" for h in LENGTHS)
     print(f"| manoeuvre | friction | integrator | {lengths} |")
     print("|---|---|---" + "|---:" * len(LENGTHS) + "|")
@@ -93,6 +131,16 @@ def main():
                     cells.append(f"{1e3 * distance:.2g} / {1e3 * turn:.2g}")
                 integrator = "Euler" if euler else "Rosenbrock"
                 print(f"| {name} | {mu} | {integrator} | " + " | ".join(cells) + " |")
+    lengths = " | ".join(f"{1e3 * h:g} ms" for h in TORQUE_LENGTHS)
+    print(f"\n| {RANDOM_RUNS} random runs | {lengths} |")
+    print("|---" + "|---:" * len(TORQUE_LENGTHS) + "|")
+    for soil, resistance in RANDOM_SOILS.items():
+        cells = []
+        for h in TORQUE_LENGTHS:
+            found = 1e3 * torque_errors(h, soil, resistance)
+            middle, worst = np.median(found, axis=0), found.max(axis=0)
+            cells.append(f"{middle[0]:.2g}, {middle[1]:.2g} / {worst[0]:.2g}, {worst[1]:.2g}")
+        print(f"| {soil.replace('_', ' ')} | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":

@@ -3,9 +3,9 @@
     a_x = (F_L + F_R) / m - g mu_l (s_L + s_R) / 2,    F = torque / r,  s = sign(v_track)
 a_x is what the accelerometer feels, dv_x/dt - w v_y, so the coupling with lateral and yaw motion
 is in it, and each track has its own resistance: `coupled`, exact in curves too. S 7.1.2 assumes
-longitudinal motion: `paper` takes dv_x/dt for a_x and s_L = s_R = sign(v_x).
+longitudinal motion: `paper` and `printed` take dv_x/dt for a_x and s_L = s_R = sign(v_x).
 Variance of the equation: accelerometer and torque sensors. Tracks slower than SLOWEST are left
-out: there s is not yet +-1.
+out: there s is not yet +-1. `printed` leaves nothing out and weighs all samples alike.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2, its suggestion in 8.3.1.
 """
@@ -24,6 +24,7 @@ from baselines.estimators.two_parameters import (
     TORQUE_MARGIN,
     TwoParameterEstimator,
     answer,
+    as_printed,
     tuning,
 )
 from tracked_env.physics import terramechanics as soil
@@ -50,6 +51,7 @@ class Known(NamedTuple):
     acceleration_variance: float  # [m^2/s^4] accelerometer and model
     effort_variance: float  # [N^2] of F_L + F_R
     largest_torque: float  # [N m] that can be
+    slowest: float  # [m/s] slower tracks are left out
     coupled: bool
 
 
@@ -70,7 +72,7 @@ def equation(z, i, known):
     variance = known.acceleration_variance + scale * known.effort_variance
     return ls.Sample(
         y, force, -soil.GRAVITY * side, variance, known.effort_variance
-    ), slowest > SLOWEST
+    ), slowest > known.slowest
 
 
 @loop
@@ -94,10 +96,10 @@ def update_all(z, fresh, memory, prior, known, out):
 class LongitudinalEstimator(TwoParameterEstimator):
     """Estimates [1/m, mu_l] of N vehicles; see the head of the file.
 
-    regression: "coupled" (default) or "paper". forgetting: factor per sample. drift
-    [1/sqrt(s)]: random walk of mu_l. None takes the defaults of the regression; "paper" has
-    lambda = 0.998 and no walk. follows_changes: outlier gate and search
-    for changes; None = True for "coupled", False for "paper".
+    regression: "coupled" (default), "paper" or "printed", see two_parameters. forgetting: factor
+    per sample. drift [1/sqrt(s)]: random walk of mu_l. None takes the defaults of the
+    regression; "paper" and "printed" have lambda = 0.998 and no walk. follows_changes: outlier
+    gate and search for changes; None = True for "coupled" alone.
     """
 
     names = ("inverse_mass", "longitudinal_resistance")
@@ -109,7 +111,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
         control_period: float = 0.02,
         data_sheet: DataSheet | None = None,
         count: int = 1,
-        regression: Literal["coupled", "paper"] = "coupled",
+        regression: Literal["coupled", "paper", "printed"] = "coupled",
         forgetting: float | None = None,
         drift: float | None = None,
         follows_changes: bool | None = None,
@@ -126,16 +128,20 @@ class LongitudinalEstimator(TwoParameterEstimator):
             nominal / MASS_FACTOR, bounds.low, nominal * MASS_FACTOR, bounds.high,
             forgetting, walk, True, follows_changes,
         )  # fmt: skip
-        super().__init__(parameters, control_period, data_sheet, count, prior)
+        printed = regression == "printed"
+        super().__init__(
+            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior
+        )
         sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius
         self._known = Known(
             1.0 / p.sprocket_radius,
             0.5 * p.track_gauge,
             nominal,
-            sheet.acceleration_noise**2 + MODEL_NOISE**2,
-            2.0 * effort * effort,
-            TORQUE_MARGIN * p.torque_limit,
+            1.0 if printed else sheet.acceleration_noise**2 + MODEL_NOISE**2,
+            0.0 if printed else 2.0 * effort * effort,
+            math.inf if printed else TORQUE_MARGIN * p.torque_limit,
+            -1.0 if printed else SLOWEST,
             regression == "coupled",
         )
 

@@ -99,8 +99,9 @@ class IdentificationStack:
 
     parameters: nominal ones; the start of every estimate. control_period [s]: between two
     observations. data_sheet: noise of the sensors (default: `rtk`). lateral: closure of the
-    nominal model. regression: "coupled" (default) or "paper" least squares. slip: "batched"
-    or "filterpy", the same filter, slower, one vehicle after the other.
+    nominal model. regression: "coupled" (default), "paper" or "printed" least squares, see
+    two_parameters. slip: "batched" or "filterpy", the same filter, slower, one vehicle after the
+    other.
     Raises ValueError for arguments that make no sense.
     """
 
@@ -111,7 +112,7 @@ class IdentificationStack:
         data_sheet: DataSheet | None = None,
         count: int = 1,
         lateral: str = "sliding",
-        regression: Literal["coupled", "paper"] = "coupled",
+        regression: Literal["coupled", "paper", "printed"] = "coupled",
         slip: Literal["batched", "filterpy"] = "batched",
     ) -> None:
         if slip not in ("batched", "filterpy"):

@@ -35,6 +35,7 @@ from baselines.estimators.two_parameters import (
     VALUE_2,
     TwoParameterEstimator,
     answer,
+    as_printed,
     tuning,
 )
 from tracked_env.physics import terramechanics as soil
@@ -48,6 +49,7 @@ INERTIA_SIGMA = 0.4  # [-] of the nominal inertia: prior standard deviation
 FRICTION_SIGMA = 0.4  # [-] of the nominal m mu_t
 INERTIA_FACTOR = 6.0  # [-] inertia is sought between nominal / factor and nominal * factor
 MODEL_NOISE = 20.0  # [N m] of the equation itself
+SAME_WEIGHT = 1e6  # [N^2 m^2] variance of every sample, regression "printed": any number will do
 ITERATIONS = 3  # [-] for v_y; the first is exact in fast turns
 EPS2 = soil.LATERAL_FRICTION_REGULARISATION**2  # [m^2/s^2]
 LEAST_FRICTION = 0.1  # [-] mu_t of which v_y is still found
@@ -70,6 +72,7 @@ class Known(NamedTuple):
     turn_variance: float  # [rad^2/s^2] of w
     side_noise: float  # [m/s^2] sigma of the lateral accelerometer
     least_turn: float  # [rad/s] slower turns are left out
+    slowest: float  # [m/s] slower tracks are left out
     largest_torque: float  # [N m] that can be
     constrained: bool
 
@@ -144,7 +147,7 @@ def equation(z, i, known, mass, resistance, friction, inertia):
         + inertia * inertia * known.bend_variance
         + spread * spread * (slope * slope + side * side)
     )
-    usable = min(abs(left), abs(right)) > SLOWEST and abs(w) > known.least_turn
+    usable = min(abs(left), abs(right)) > known.slowest and abs(w) > known.least_turn
     regressor = factor * (unit_moment(v_y, w, known) + shift) + across
     return ls.Sample(
         y + factor * shift * friction, z[i, _BEND], regressor, variance, known.bend_variance
@@ -177,7 +180,8 @@ class TurningEstimator(TwoParameterEstimator):
     mass, mass_variance, resistance: arrays (N,) that the owner keeps up to date; they start
     at the nominal values with variance 0. lateral: closure, "sliding" or "constrained".
     forgetting: factor per sample. drift [1/sqrt(s)]: random walk of m mu_t. None takes the
-    defaults of the regression; "paper" has lambda = 0.998, no walk, and searches no changes.
+    defaults of the regression; "paper" and "printed" have lambda = 0.998, no walk, and search no
+    changes; "printed" has the constrained closure alone.
     """
 
     names = ("inertia", "lateral_resistance")
@@ -197,6 +201,12 @@ class TurningEstimator(TwoParameterEstimator):
     ) -> None:
         if lateral not in ("sliding", "constrained"):
             raise ValueError(f"lateral = {lateral!r}; must be 'sliding' or 'constrained'")
+        printed = regression == "printed"
+        if printed and lateral != "constrained":
+            raise ValueError(
+                f"regression = 'printed' with lateral = {lateral!r}; must be 'constrained': "
+                "S 7.1.2 knows no lateral motion but that of a fixed ICR"
+            )
         forgetting, drift, follows_changes = tuning(
             regression, forgetting, drift, follows_changes, (FORGETTING, FRICTION_DRIFT)
         )
@@ -210,7 +220,9 @@ class TurningEstimator(TwoParameterEstimator):
             inertia * INERTIA_FACTOR, limit * INERTIA_FACTOR * parameters.mass,
             forgetting, walk, False, follows_changes,
         )  # fmt: skip
-        super().__init__(parameters, control_period, data_sheet, count, prior)
+        super().__init__(
+            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior
+        )
         sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius
         self._known = Known(
@@ -219,16 +231,18 @@ class TurningEstimator(TwoParameterEstimator):
             p.contact_length,
             p.turning_resistance_factor,
             p.icr_forward,
-            2.0 * (0.5 * p.track_gauge * effort) ** 2 + MODEL_NOISE**2,
-            sheet.yaw_acceleration_noise**2,
-            sheet.gyro_noise**2 + sheet.gyro_bias**2 + 1e-8,
+            SAME_WEIGHT if printed else 2.0 * (0.5 * p.track_gauge * effort) ** 2 + MODEL_NOISE**2,
+            0.0 if printed else sheet.yaw_acceleration_noise**2,
+            0.0 if printed else sheet.gyro_noise**2 + sheet.gyro_bias**2 + 1e-8,
             sheet.acceleration_noise,
             soil.YAW_FRICTION_REGULARISATION
             if lateral == "constrained"
             else 2.0 * soil.LATERAL_FRICTION_REGULARISATION / p.contact_length,
-            TORQUE_MARGIN * p.torque_limit,
+            -1.0 if printed else SLOWEST,
+            math.inf if printed else TORQUE_MARGIN * p.torque_limit,
             lateral == "constrained",
         )
+        self._bounds = (-math.inf, math.inf) if printed else (0.0, limit)
         self.mass = np.full(count, p.mass)
         self.mass_variance = np.zeros(count)
         self.resistance = np.full(count, p.longitudinal_resistance)
@@ -244,9 +258,7 @@ class TurningEstimator(TwoParameterEstimator):
 
     def estimate(self, out: NDArray[np.float64]) -> Estimate:
         """Divide m mu_t by the mass in use; the mass' uncertainty adds to that of mu_t."""
-        out[:, VALUE_2] = np.clip(
-            out[:, VALUE_2] / self.mass, 0.0, RANGES["lateral_resistance"].high
-        )
+        out[:, VALUE_2] = np.clip(out[:, VALUE_2] / self.mass, *self._bounds)
         out[:, P_12] /= self.mass
         relative = self.mass_variance / self.mass**2
         out[:, P_22] = out[:, P_22] / self.mass**2 + out[:, VALUE_2] ** 2 * relative

@@ -2,8 +2,16 @@
 
 A regression turns a measurement into one equation per vehicle; least_squares takes it from
 there. A sample that cannot be used (stale, standstill) holds, one with NaN is counted.
+
+    coupled  this project's: one memory per parameter, changes searched for
+    paper    equations and forgetting factor of S, kept bounded: with the prior, the bounds, the
+             gates and the compensation of torque noise of least_squares. Not what S prints
+    printed  the same equations in the recursion that S 7.1.1 prints: no prior, bounds, gates or
+             compensation, all samples of one weight, in whose units its covariance is. Only yaw
+             rates below the regularisation of the friction stay out, where sign(w) is not +-1
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +25,8 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
 
 PAPER_FORGETTING = 0.998  # [-] S 8.3.1
+REGRESSIONS = ("coupled", "paper", "printed")
+WIDE = 1e3  # [-] times the prior's standard deviations, regression "printed": no prior to speak of
 CONVERGING, HOLDING, REJECTED = 0, 1, 2  # of estimate.Status, as plain numbers for kernels
 TORQUE_MARGIN = 1.5  # [-] of the drives' limit: a larger torque is not one, and would weigh much
 SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing about it
@@ -62,12 +72,12 @@ def tuning(
     own: tuple[float, float],
 ) -> tuple[float, float, bool]:
     """(forgetting, drift, follows_changes): None takes `own` forgetting and drift and follows,
-    or, with regression "paper", lambda = 0.998, no drift, and follows nothing.
+    or, with regression "paper" or "printed", lambda = 0.998, no drift, and follows nothing.
 
     Raises ValueError for an unknown regression and a forgetting factor that makes no sense.
     """
-    if regression not in ("coupled", "paper"):
-        raise ValueError(f"regression = {regression!r}; must be 'coupled' or 'paper'")
+    if regression not in REGRESSIONS:
+        raise ValueError(f"regression = {regression!r}; must be one of {', '.join(REGRESSIONS)}")
     coupled = regression == "coupled"
     defaults = own if coupled else (PAPER_FORGETTING, 0.0)
     return (
@@ -75,6 +85,14 @@ def tuning(
         defaults[1] if drift is None else drift,
         coupled if follows_changes is None else follows_changes,
     )
+
+
+def as_printed(prior: ls.Prior) -> ls.Prior:
+    """The prior with which the kernel is the recursion of S 7.1.1: wide, and without bounds."""
+    return prior._replace(
+        sigma_1=WIDE * prior.sigma_1, sigma_2=WIDE * prior.sigma_2,
+        low_1=-math.inf, low_2=-math.inf, high_1=math.inf, high_2=math.inf,
+    )  # fmt: skip
 
 
 class TwoParameterEstimator:

@@ -97,7 +97,7 @@ class AdaptivePolicy:
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
     sensors (default `rtk`). lateral: closure of the nominal model. gains: of the controller.
-    stack: "batched" or "filterpy" slip observer, "coupled" or "paper" regressions.
+    regression: "coupled", "paper" or "printed", slip: "batched" or "filterpy", see the stack.
     filtered: True shows the controller the filtered motion, False the measured one; None =
     True unless the data sheet knows no noise at all.
     uses_soil: whether the estimated traction limits are used. S does not.

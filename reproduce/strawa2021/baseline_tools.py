@@ -44,7 +44,7 @@ class FilteringPolicy(AdaptivePolicy):
 def policy(
     parameters: PlantParameters, period: float, sensors: Any, lateral: str, kind: str
 ) -> AdaptivePolicy:
-    """kind "paper" or "coupled": regression of the adaptive policy; "fixed": no adaptation.
+    """kind "printed", "paper" or "coupled": regression of the policy; "fixed": no adaptation.
 
     As in S the estimated soil is not used by the controller.
     """

@@ -11,7 +11,7 @@ from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021.drive import Drive
 from reproduce.strawa2021.identification import Condition
-from reproduce.strawa2021.results import Results
+from reproduce.strawa2021.results import REGRESSIONS, Results
 from reproduce.strawa2021.soil import CASES, CHANGES, Case
 from reproduce.strawa2021.sweep import Surface
 from tracked_env.benchmark.drawing import DPI, PALETTE, REFERENCE_COLOUR, STYLE
@@ -19,7 +19,8 @@ from tracked_env.benchmark.drawing import DPI, PALETTE, REFERENCE_COLOUR, STYLE
 TRUE = {"color": "black", "linewidth": 2.2, "alpha": 0.35, "label": "true"}
 KINDS = {  # of policy: label, colour, line style
     "fixed": ("wrong parameters", PALETTE[3], ":"),
-    "paper": ("as in the paper", PALETTE[0], "--"),
+    "printed": ("as printed", PALETTE[4], "-."),
+    "paper": ("bounded", PALETTE[0], "--"),
     "coupled": ("coupled", PALETTE[1], "-"),
 }
 ESTIMATED = {  # label, limits of the value, limits of the relative error [%]
@@ -71,9 +72,9 @@ def estimates(
     """
     figure, axes = _figure((10.0, 8.6), len(ESTIMATED), 2, sharex=True)
     for row, (name, (label, values, errors)) in enumerate(ESTIMATED.items()):
-        for kind in ("paper", "coupled"):
+        for kind in REGRESSIONS:
             result = runs[like._replace(kind=kind)]
-            if kind == "paper":
+            if kind == REGRESSIONS[0]:
                 axes[row, 0].plot(result.time, result.truth[name][:, 0], **TRUE)
             axes[row, 0].plot(result.time, result.belief[name][:, 0], **_kind(kind))
             error = 100.0 * ident.relative_error(result, name)[:, 0]

@@ -6,6 +6,7 @@ from reproduce import paper_page
 from reproduce.paper_page import terminal
 from reproduce.strawa2021 import claims, tables
 from reproduce.strawa2021 import slip as slips
+from reproduce.strawa2021 import soil as soils
 from reproduce.strawa2021.results import Results
 
 __all__ = ["CHOICES", "HEAD", "markdown", "terminal", "write"]
@@ -21,8 +22,12 @@ S (28); "factor" is the one of the turning resistance (20): 2 as printed, 1 from
 Sensors: `ideal`, or `strawa`, the noise of section 5.2, all at 100 Hz unless said otherwise. The
 manoeuvre of 8.3 is a straight line along the Y axis for 7 s, then a spiral to R = 6 m at 30 s, at
 2 ± 0.2 m/s: at X = 0 the maps (44), (45) are constant, so that the coefficients begin to change
-when the spiral begins, as the paper says. Regression `paper`: least squares of 7.1 with one
-forgetting factor 0.998; `coupled`: this project's, with one memory per parameter.
+when the spiral begins, as the paper says. Regression `printed`: the recursion of 7.1.1 as it
+stands, forgetting factor 0.998; `bounded`: the same equations and factor, kept in bounds by this
+project's prior, gates and compensation of the torque noise; `coupled`: this project's, with one
+memory per parameter.
+
+Not covered: sections 5.1 and 9; figures 1 to 8 show no results.
 """
 
 CHOICES = {
@@ -49,6 +54,8 @@ CHOICES = {
               "later."),
     "8.3.3: noise of the slip": (tables.soil_noise_table, "Printed method, manoeuvre, white noise "
                                  "on true slips."),
+    "8.3.3: window": (tables.soil_window_table, "Printed method, manoeuvre, changing ground, white "
+                      f"noise of {soils.WINDOW_NOISE:g} on true slips; the paper takes fifty."),
 }  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """The generalised Newton-Raphson method of section 7.3 as it is printed, for one vehicle.
 
-For the last fifty control steps, both tracks, f = F_max g(K) - tau / r with
+For the last fifty control steps (`window`), both tracks, f = F_max g(K) - tau / r with
 g = 1 - K / (i l) (1 - exp(-i l / K)); (F_max, K) <- (F_max, K) - J^+ f, J the printed derivatives,
 J^+ the least-squares inverse, at most twenty times; not converged -> the last converged values.
 No weights, no damping, no prior: what the estimators of this project add.
@@ -30,7 +30,11 @@ class Fit(NamedTuple):
 
 
 def printed_gnr(
-    slip: Floats, effort: Floats, contact_length: float, first_guess: tuple[float, float]
+    slip: Floats,
+    effort: Floats,
+    contact_length: float,
+    first_guess: tuple[float, float],
+    window: int = WINDOW,
 ) -> Fit:
     """Fit every window of slip [-] and effort tau / r [N], both (T, 2) for left and right.
 
@@ -40,7 +44,7 @@ def printed_gnr(
     fit = Fit(np.empty(steps), np.empty(steps), np.zeros(steps), np.zeros(steps, dtype=bool))
     known = first_guess
     for k in range(steps):
-        rows = slice(max(k + 1 - WINDOW, 0), k + 1)
+        rows = slice(max(k + 1 - window, 0), k + 1)
         distance, force = np.abs(slip[rows].ravel()) * contact_length, effort[rows].ravel()
         used = (slip[rows].ravel() * force > 0.0) & (distance > 1e-12)
         found, count, done = _newton(distance[used], np.abs(force[used]), known)

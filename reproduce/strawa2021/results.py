@@ -8,7 +8,7 @@ from reproduce.strawa2021.drive import Drive
 from reproduce.strawa2021.identification import Condition, Quality
 from reproduce.strawa2021.tools import Tools
 
-REGRESSIONS = ("paper", "coupled")
+REGRESSIONS = ("printed", "paper", "coupled")
 
 
 class Results(NamedTuple):
@@ -23,6 +23,7 @@ class Results(NamedTuple):
     slip: slip.Slips
     soil: dict[str, soil.Soil]
     soil_noise: dict[str, dict[float, soil.Soil]]  # by ground and sigma of the slips
+    soil_window: dict[int, soil.Soil]  # by window [control steps]
 
 
 def run_all(tools: Tools, say: Callable[[str], None] = lambda text: None) -> Results:
@@ -44,6 +45,7 @@ def run_all(tools: Tools, say: Callable[[str], None] = lambda text: None) -> Res
         ground: soil.with_noise(soils["ideal"], soil.CASES.index(soil.Case("manoeuvre", ground)))
         for ground in soil.GROUNDS
     }
+    windows = soil.by_window(soils["ideal"], soil.CASES.index(soil.Case("manoeuvre", "changing")))
     return Results(
-        controlled, surfaces, identified, by_path, by_noise, by_start, slips, soils, noise
+        controlled, surfaces, identified, by_path, by_noise, by_start, slips, soils, noise, windows
     )

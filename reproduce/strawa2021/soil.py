@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from reproduce.strawa2021.control import ICR_FORWARD, PATHS, SCENARIOS
 from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
 from reproduce.strawa2021.identification import SPEED, manoeuvre
-from reproduce.strawa2021.printed_gnr import printed_gnr
+from reproduce.strawa2021.printed_gnr import WINDOW, printed_gnr
 from reproduce.strawa2021.tools import Tools
 from tracked_env.events import Event, ramp_events
 from tracked_env.physics import terramechanics
@@ -42,6 +42,8 @@ WAYS = {"circle": PATHS["circle"], "manoeuvre": manoeuvre()}
 SENSORS = ("ideal", "rtk", "strawa")
 FIRST_GUESS = (20e3, 0.015)  # F_max [N], K [m] of every method: right nowhere
 NOISES = (0.0, 1e-5, 1e-4, 1e-3)  # [-] sigma of white noise on the slips
+WINDOWS = (5, 15, 50, 150)  # [control steps] around the fifty of the paper
+WINDOW_NOISE = 1e-4  # [-] sigma of the slips, with which the windows are compared
 
 
 class Case(NamedTuple):
@@ -135,11 +137,12 @@ def run_all(
     return found
 
 
-def _printed(exact: Soil, cases: Sequence[int], slip: Floats) -> Soil:
+def _printed(exact: Soil, cases: Sequence[int], slip: Floats, window: int = WINDOW) -> Soil:
     """The method as printed on the true efforts of some cases and the slips given."""
     length, cases = plant_parameters().contact_length, list(cases)
     fits = [
-        printed_gnr(slip[:, k], exact.force[:, i], length, FIRST_GUESS) for k, i in enumerate(cases)
+        printed_gnr(slip[:, k], exact.force[:, i], length, FIRST_GUESS, window)
+        for k, i in enumerate(cases)
     ]
     maximum, modulus, iterations = (
         np.stack([np.asarray(fit[k], dtype=np.float64) for fit in fits], axis=-1) for k in range(3)
@@ -159,6 +162,13 @@ def with_noise(exact: Soil, case: int) -> dict[float, Soil]:
     return {
         sigma: _printed(exact, [case], exact.slip[:, [case]] + sigma * noise) for sigma in NOISES
     }
+
+
+def by_window(exact: Soil, case: int, sigma: float = WINDOW_NOISE) -> dict[int, Soil]:
+    """The printed method on one case of `exact`, by its window; slips with white noise sigma."""
+    noise = np.random.default_rng(0).standard_normal(exact.slip[:, [case]].shape)
+    slip = exact.slip[:, [case]] + sigma * noise
+    return {window: _printed(exact, [case], slip, window) for window in WINDOWS}
 
 
 class Quality(NamedTuple):

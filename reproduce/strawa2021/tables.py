@@ -33,7 +33,7 @@ def identification_table(results: Results) -> Rows:
          "mu_t: mean error", "rms", "path RMSE [m]"],
     ]  # fmt: skip
     for c, run in results.identification.items():
-        head = [c.ground, c.lateral, c.sensors, f"{c.factor:g}", c.kind]
+        head = [c.ground, c.lateral, c.sensors, f"{c.factor:g}", ident.NAMES[c.kind]]
         if c.kind == "fixed":
             rows.append([*head, *(["-"] * 9), f"{rms(run.error):.2g}"])
             continue
@@ -53,7 +53,7 @@ def path_table(results: Results) -> Rows:
              "leaves 5 % at", "inertia: rms"]]  # fmt: skip
     for kind, found in results.by_path.items():
         rows += [
-            [kind, f"{speed:g}", f"{radius:g}", percent(q.mass_straight_worst),
+            [ident.NAMES[kind], f"{speed:g}", f"{radius:g}", percent(q.mass_straight_worst),
              percent(q.mass_spiral), seconds(q.exceeds), percent(q.inertia)]
             for (speed, radius), q in found.items()
         ]  # fmt: skip
@@ -66,7 +66,7 @@ def noise_table(results: Results) -> Rows:
              "spiral: worst", "inertia: rms"]]  # fmt: skip
     for kind, found in results.by_noise.items():
         rows += [
-            [kind, f"{noise:g}", f"{amplitude:g}", percent(q.mass_straight_worst),
+            [ident.NAMES[kind], f"{noise:g}", f"{amplitude:g}", percent(q.mass_straight_worst),
              percent(q.mass_spiral_worst), percent(q.inertia)]
             for (noise, amplitude), q in found.items()
         ]  # fmt: skip
@@ -79,8 +79,8 @@ def start_table(results: Results) -> Rows:
              "spiral: worst"]]  # fmt: skip
     for kind, found in results.by_start.items():
         rows += [
-            [kind, f"{start:g}", percent(q.mass_straight_worst), percent(q.mass_straight),
-             percent(q.mass_spiral_worst)]
+            [ident.NAMES[kind], f"{start:g}", percent(q.mass_straight_worst),
+             percent(q.mass_straight), percent(q.mass_spiral_worst)]
             for start, q in found.items()
         ]  # fmt: skip
     return rows
@@ -138,6 +138,14 @@ def soil_noise_table(results: Results) -> Rows:
     for ground, found in results.soil_noise.items():
         for sigma, one in found.items():
             rows.append([ground, f"{sigma:g}", *_soil_row(soils.quality(one, 0))[:-1]])
+    return rows
+
+
+def soil_window_table(results: Results) -> Rows:
+    """The printed method over its window."""
+    rows = [["window [samples]", *_SOIL_HEAD[:-1]]]
+    for window, one in results.soil_window.items():
+        rows.append([f"{window}", *_soil_row(soils.quality(one, 0))[:-1]])
     return rows
 
 

@@ -18,8 +18,8 @@ class Tools(NamedTuple):
 
     # (parameters, period, lateral) -> predict. Parameters: numbers, or (N,) for N vehicles.
     controller: Controller
-    # (parameters, period, sensors, lateral, kind) -> predict, estimates; kind "paper" or
-    # "coupled": regression of an adaptive policy; "fixed": the same without adaptation.
+    # (parameters, period, sensors, lateral, kind) -> predict, estimates; kind "printed",
+    # "paper" or "coupled": regression of the policy; "fixed": the same without adaptation.
     policy: Callable[[PlantParameters, float, Any, str, str], Any]
     # (parameters, period, sensors, count, velocity) -> observe(observation) = slips, variances
     slip: Callable[[PlantParameters, float, Any, int, bool], Any]

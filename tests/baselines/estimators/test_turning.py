@@ -65,6 +65,14 @@ def test_the_paper_s_settings_find_them_too(closure):
     assert np.abs(relative_error(last, truth)).max() < 2e-4
 
 
+def test_as_printed_they_are_found_however_far_they_are():
+    truth, nominal = with_closure(TRUTH), with_closure(CLAY)
+    far = truth._replace(inertia=20.0 * CLAY.inertia, lateral_resistance=0.05)
+    found = estimator(nominal=nominal, truth=far, lateral="constrained", regression="printed")
+    last = follow(found, measurements(far, "curves", "constrained"))[-1]
+    assert np.abs(relative_error(last, far)).max() < 1e-4
+
+
 def test_the_lateral_velocity_is_found_from_the_lateral_acceleration():
     known = estimator()._known
     for w in (-1.0, -0.2, -0.05, 0.03, 0.1, 0.6):
@@ -284,6 +292,7 @@ def test_a_batch_equals_single_vehicles_and_a_copied_memory_goes_on(closure):
     [
         ({"lateral": "slide"}, "lateral"),
         ({"regression": "simple"}, "regression"),
+        ({"regression": "printed", "lateral": "sliding"}, "must be 'constrained'"),
         ({"control_period": -0.02}, "control_period"),
         ({"count": 0}, "count"),
         ({"forgetting": 0.002}, "lambda"),

@@ -104,6 +104,28 @@ def test_another_slip_than_the_reference_has_leaves_a_term_that_48_lacks():
     assert max(printed_misses) > 0.05  # V can even grow where (48) has it fall
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_lateral_offset_alone_is_steered_with_the_sign_that_5_1_ends_with(sign):
+    # e_phi = 0, phi = psi +- pi/2. The sine on the way there, sin(e_phi/2 +- pi/2), should have -+.
+    for speed, distance, psi in ((0.3, 0.4, 0.9), (-0.2, 1.3, -2.0), (0.5, 0.1, 3.0)):
+        yaw = psi + sign * 0.5 * math.pi
+        pose = (distance * math.cos(psi), distance * math.sin(psi), yaw)
+        forward, turn = printed_law(pose, (0.0, 0.0, yaw), speed, 0.0, NO_SLIP)
+        assert forward == pytest.approx(speed, abs=1e-12)
+        assert turn == pytest.approx(sign * speed * distance, abs=1e-12)
+        between = -speed * distance * math.sin(0.0 + sign * 0.5 * math.pi)
+        assert turn == pytest.approx(-between, abs=1e-12)
+        ours = law.unicycle_law(pose_error(*pose, 0.0, 0.0, yaw), speed, 0.0, GAINS)
+        assert ours.yaw_rate == pytest.approx(turn, abs=1e-12)
+
+
+def test_for_a_reference_that_stands_every_lateral_offset_is_an_equilibrium():
+    motion = law.unicycle_law(PoseError(0.0, 0.7, 0.0), 0.0, 0.0, GAINS)
+    assert motion.speed == 0.0 and motion.yaw_rate == 0.0
+    turning = law.unicycle_law(PoseError(0.0, 0.7, 0.0), 0.3, 0.0, GAINS)
+    assert abs(turning.yaw_rate) > 0.1
+
+
 def test_in_body_axes_the_law_is_the_printed_one():
     for error, speed, yaw_rate, slip in situations(500, seed=2):
         yaw_d = 2.5

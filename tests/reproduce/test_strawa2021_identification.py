@@ -28,7 +28,7 @@ def noisy():
     }
 
 
-@pytest.mark.parametrize("kind", ["paper", "coupled"])
+@pytest.mark.parametrize("kind", ["printed", "paper", "coupled"])
 def test_on_the_straight_line_the_mass_is_right_to_one_percent(noisy, kind):
     assert ident.quality(noisy[kind]).mass_straight_worst < 0.01
 
@@ -41,8 +41,9 @@ def test_the_resistance_begins_to_change_when_the_spiral_begins(noisy):
 
 
 def test_in_the_spiral_a_single_forgetting_factor_takes_resistance_for_mass(noisy):
-    paper, coupled = (ident.quality(noisy[kind]) for kind in ("paper", "coupled"))
+    printed, paper, coupled = (ident.quality(noisy[kind]) for kind in ident.KINDS[1:])
     assert ident.STRAIGHT + 3.0 < paper.exceeds < 16.0
+    assert printed.exceeds == pytest.approx(paper.exceeds, abs=0.1)
     assert coupled.mass_spiral_worst < 0.05 and math.isnan(coupled.exceeds)
     assert abs(coupled.longitudinal_bias) < 0.02
 
@@ -52,9 +53,28 @@ def test_on_uniform_ground_the_spiral_costs_less_than_5_percent_and_inertia_is_b
     quality = ident.quality(result)
     assert quality.mass_spiral_worst < 0.05
     assert quality.inertia < 0.01 and quality.inertia < quality.mass_spiral
+    printed = ident.identify(TOOLS, PAPER._replace(kind="printed", ground="uniform"), seeds=3)
+    assert ident.quality(printed).mass_spiral_worst == pytest.approx(0.02, abs=0.005)
 
 
-@pytest.mark.parametrize("kind", ["paper", "coupled"])
+def test_on_the_maps_the_printed_recursion_has_no_bound_and_the_bounded_one_ends_on_its_own():
+    found = {
+        kind: ident.identify(TOOLS, PAPER._replace(kind=kind, sensors="ideal"))
+        for kind in ("printed", "paper")
+    }
+    worst = {kind: ident.quality(one).mass_spiral_worst for kind, one in found.items()}
+    assert worst["printed"] > 30.0
+    assert worst["paper"] == pytest.approx(5.0 * 0.55 - 1.0)  # five times the mass believed
+
+
+@pytest.mark.parametrize("sigma", [1e-4, 1e-3])
+def test_the_window_of_the_paper_is_more_robust_to_noise_than_shorter_ones(ground, sigma):
+    windows = soils.by_window(ground["ideal"], 0, sigma)
+    error = {window: soils.quality(one, 0).effort for window, one in windows.items()}
+    assert error[50] < 0.5 * min(error[5], error[15])
+
+
+@pytest.mark.parametrize("kind", ["printed", "paper", "coupled"])
 def test_identified_parameters_keep_the_vehicle_closer_to_the_path_than_wrong_ones(noisy, kind):
     assert noisy[kind].rmse().max() < 0.2 * noisy["fixed"].rmse().min()
 

@@ -21,6 +21,7 @@ from reproduce.strawa2021 import baseline_tools as baseline
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
+from reproduce.strawa2021.results import REGRESSIONS
 
 TOOLS = Tools(**baseline.TOOLS)
 LENGTH = 9.0  # [s] of the drives; numbers of so short ones mean little, the page is what counts
@@ -52,9 +53,11 @@ def results(module_patch):
     slip = slips.run_all(TOOLS, cases, seeds=2, duration=LENGTH)
     soil = soils.run_all(TOOLS, duration=LENGTH)
     noise = {ground: soils.with_noise(soil["ideal"], k) for k, ground in enumerate(soils.GROUNDS)}
-    by = dict.fromkeys(("paper", "coupled"), qualities)
+    windows = soils.by_window(soil["ideal"], soils.CASES.index(soils.Case("manoeuvre", "changing")))
+    by = dict.fromkeys(REGRESSIONS, qualities)
     starts = {kind: {2.0: qualities[2.0, 6.0]} for kind in by}
-    return Results(controlled, surfaces, identified, by, by, starts, slip, soil, noise)
+    return Results(controlled, surfaces, identified, by, by, starts, slip, soil, noise,
+                   windows)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +103,16 @@ def test_the_claims_cover_every_section_and_their_verdicts_are_known(results):
     assert {claim.agrees for claim in found} <= {"yes", "partly", "no", "only with the misprint",
                                                  "-"}  # fmt: skip
     assert all("nan" not in claim.ours for claim in found if claim.place.startswith("8.1"))
+
+
+def test_the_row_with_bounds_is_not_called_the_paper_s(results):
+    for table in (tables.identification_table, tables.path_table, tables.start_table):
+        cells = {cell for row in table(results) for cell in row}
+        assert {"printed", "bounded", "coupled"} <= cells and "paper" not in cells
+
+
+def test_the_page_names_what_it_does_not_cover(results):
+    assert "Not covered: " in page.HEAD
 
 
 def test_a_verdict_is_yes_no_or_partly():

@@ -1,4 +1,4 @@
-"""Sphinx configuration: Markdown pages (MyST), API from the docstrings, furo theme."""
+"""Sphinx configuration: Markdown pages (MyST), one of them the docstring of the environment, furo."""
 
 from importlib.metadata import version as installed_version
 
@@ -7,14 +7,11 @@ author = "tracked-env contributors"
 copyright = "2026, tracked-env contributors"
 release = version = installed_version("tracked-env")
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
+extensions = ["myst_parser", "sphinx.ext.mathjax"]
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "_generated"]
 nitpicky = False
-
-autodoc_typehints = "description"
-autodoc_member_order = "bysource"
 
 html_theme = "furo"
 html_title = f"tracked-env {release}"

@@ -5,6 +5,7 @@ Here a pair is held until the motion is steady, and `after_two_seconds` says wha
 The runs of the real vehicle are no part of this project: without their file they are left out.
 """
 
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,6 +57,7 @@ class Identifications(NamedTuple):
     measured: Identified | None
     against_measured: dict[float, Agreement]  # simulation by contact length [m]
     behind: dict[float, tuple[float, Agreement]]  # [m] `offset`, and the agreement with it
+    behind_each: tuple[float, float]  # [m] of forward and reverse runs alone, shorter length
     brief: Agreement  # steady slip against 2 s from rest
     brief_slow: Agreement  # the same within MEASURED_LIMIT
     missing: str  # why there are no trees; "" when there are
@@ -134,7 +136,8 @@ def run_all(tools: Tools, file: Path | None = None, step: float = STEP) -> Ident
     slowly = agreement((slow.beta_left, slow.beta_right, slow.alpha), brief_slow)
     file = MEASURED if file is None else file
     if not file.exists():
-        return Identifications(simulated, by_friction, None, {}, {}, brief, slowly, missing)
+        none = (math.nan, math.nan)
+        return Identifications(simulated, by_friction, None, {}, {}, none, brief, slowly, missing)
     real = tools.measured(file, true)
     measured, missing = identify(tools, true, real)
     against, behind = {}, {}
@@ -142,8 +145,10 @@ def run_all(tools: Tools, file: Path | None = None, step: float = STEP) -> Ident
         predicted = tools.slip(vehicle(length)).slip(real.sprocket_left, real.sprocket_right)
         against[length] = agreement(predicted, real)
         behind[length] = offset(predicted, real)
+    short = tools.slip(vehicle(LENGTHS[0])).slip(real.sprocket_left, real.sprocket_right)
+    each = distance(short, real, real.v_x > SLOW), distance(short, real, real.v_x < -SLOW)
     return Identifications(
-        simulated, by_friction, measured, against, behind, brief, slowly, missing
+        simulated, by_friction, measured, against, behind, each, brief, slowly, missing
     )
 
 
@@ -153,12 +158,16 @@ def offset(predicted: tuple[Floats, Floats, Floats], runs: Any) -> tuple[float, 
     A point d behind it has v_y - w d: alpha in a turn changes by -w d / v_x, with the same sign
     forward and in reverse, while that of the slip changes sign. d is the least squares fit.
     """
-    moving = np.abs(runs.v_x) > SLOW
-    across = runs.v_x * np.tan(predicted[2])
-    turn = runs.yaw_rate
-    behind = -float(turn[moving] @ (runs.v_y - across)[moving] / (turn[moving] @ turn[moving]))
+    across, turn = runs.v_x * np.tan(predicted[2]), runs.yaw_rate
+    behind = distance(predicted, runs, np.abs(runs.v_x) > SLOW)
     moved = np.arctan((across - behind * turn) / np.where(runs.v_x == 0.0, np.inf, runs.v_x))
     return behind, agreement((predicted[0], predicted[1], moved), runs)
+
+
+def distance(predicted: tuple[Floats, Floats, Floats], runs: Any, chosen: Any) -> float:
+    """The d [m] of `offset` from some of the runs, by a mask."""
+    turn, across = runs.yaw_rate[chosen], (runs.v_x * np.tan(predicted[2]))[chosen]
+    return -float(turn @ (runs.v_y[chosen] - across) / (turn @ turn))
 
 
 def share_above(runs: Any, other: Any) -> float:

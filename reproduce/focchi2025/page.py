@@ -20,6 +20,11 @@ Reference: (53) with the ramp v_d = v_max t; start 5 cm, 3 cm and 0.01 rad off; 
 3 s on. Actuation noise N(0, 0.02) is a standard deviation in rad/s, new at every control step, four
 vehicles per case: mean ± standard deviation of their largest errors. The SLC looks its slip up in a
 table of the sweep of section 4; decision trees as in the paper have a line of their own.
+
+Not covered: sections 2.2, 4.5, 5.3, 6, 7.2 and 8 but for (54) (slopes, planners); figure 15, for
+want of the real vehicle's path; neural networks against trees (4.2), of which only the trees are
+here; that actual sprocket speeds predict slip better than desired ones (7.1): here the sprockets
+differ from what is asked by the noise alone.
 """
 
 CHOICES = {

@@ -10,7 +10,7 @@ from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 Floats = NDArray[np.float64]
 
-LENGTHS = (0.5, 0.7)  # [m] contact length: the one that fits the paper best, and its Table 2
+LENGTHS = (0.5, 0.7)  # [m] contact length: nearest to figure 13, and Table 2
 FRICTION = 0.1  # [-] mu of figures 6, 7, 9, 12 to 14
 RESISTANCE = 0.025  # [-] c_r of Table 2
 BEGUN = 3.0  # [s] from here on errors count: the start is 5.8 cm off

@@ -1,7 +1,8 @@
 """Figure 10: unicycle and slippage-aware controller on the pseudo-kinematic model, on a spiral.
 
-F prints v_d = 0.3 m/s and w_d = 4 t. In rad/s that asks the outer sprocket for more than its
-10 rad/s within half a second (`impossible_after`). Here w_d = 0.05 t: a radius of 0.3 m after 20 s.
+F prints v_d = 0.3 m/s and w_d = 4 t, on a model without limits. In rad/s that takes the outer
+sprocket within half a second beyond the 10 rad/s up to which slip was identified (`beyond_after`).
+Here w_d = 0.05 t: a radius of 0.3 m after 20 s.
 """
 
 from typing import NamedTuple
@@ -44,8 +45,8 @@ def profile() -> ReferenceProfile:
     return ReferenceProfile(constant(SPEED, len(starts)), turn)
 
 
-def impossible_after(parameters: PlantParameters, slope: float = PRINTED) -> float:
-    """Time [s] at which w_d = slope t asks, without slip, for more than the outer sprocket has."""
+def beyond_after(parameters: PlantParameters, slope: float = PRINTED) -> float:
+    """Time [s] at which w_d = slope t, without slip, takes the outer sprocket beyond its limit."""
     fastest = parameters.sprocket_radius * parameters.sprocket_speed_limit
     return (fastest - SPEED) / (0.5 * parameters.track_gauge * slope)
 

@@ -27,7 +27,9 @@ stands, forgetting factor 0.998; `bounded`: the same equations and factor, kept 
 project's prior, gates and compensation of the torque noise; `coupled`: this project's, with one
 memory per parameter.
 
-Not covered: sections 5.1 and 9; figures 1 to 8 show no results.
+Not covered: the motor's electric circuit of 4.1.4, for which the paper gives no constants; the two
+accelerometers of 5.2.1, in whose place the yaw acceleration has a noise of its own; figure 16 on the
+straight line.
 """
 
 CHOICES = {

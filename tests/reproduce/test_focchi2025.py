@@ -139,8 +139,8 @@ def test_on_the_spiral_the_lyapunov_function_falls_for_the_slippage_aware_contro
 
 
 def test_the_spiral_as_printed_is_too_fast_for_the_sprockets():
-    assert spiral.impossible_after(vehicle()) == pytest.approx(0.459, abs=0.001)
-    assert spiral.impossible_after(vehicle(), spiral.YAW_ACCELERATION) > spiral.DURATION
+    assert spiral.beyond_after(vehicle()) == pytest.approx(0.459, abs=0.001)
+    assert spiral.beyond_after(vehicle(), spiral.YAW_ACCELERATION) > spiral.DURATION
 
 
 def test_the_vehicle_is_that_of_table_2():

@@ -80,9 +80,10 @@ def test_where_the_markers_sit_is_found_and_explains_the_sign_in_reverse(runs, t
 
 def test_a_vehicle_measured_at_its_turning_centre_has_no_offset(runs, tmp_path):
     real = TOOLS.measured(real_file(runs, tmp_path / "real.csv"), vehicle())
-    assert ident.offset((runs.beta_left, runs.beta_right, runs.alpha), real)[0] == pytest.approx(
-        0.0, abs=1e-6
-    )
+    predicted = (runs.beta_left, runs.beta_right, runs.alpha)
+    assert ident.offset(predicted, real)[0] == pytest.approx(0.0, abs=1e-6)
+    for way in (real.v_x > ident.SLOW, real.v_x < -ident.SLOW):
+        assert ident.distance(predicted, real, way) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_real_vehicle_agrees_with_the_paper():

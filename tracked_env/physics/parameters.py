@@ -118,7 +118,7 @@ FOCCHI_VEHICLE = VehicleParameters(  # Table 2 of [2]; the drive is this project
     drive_time_constant=0.0,
     sprocket_inertia=0.05,
 )
-# Table 2 says 0.7 m; with 0.5 m the chicane of [2] section 7.1 comes out as it is printed.
+# Table 2 says 0.7 m; with 0.5 m the unicycle controller of [2] 7.1 comes nearest to figure 13.
 FOCCHI_SHORT_VEHICLE = FOCCHI_VEHICLE._replace(contact_length=0.5)
 FIRM_FLOOR = SoilParameters(  # rubber on a firm floor, [2]: no cohesion, mu = tan(phi) = 0.4
     cohesion=0.0,

@@ -1,4 +1,4 @@
-"""Sphinx configuration: Markdown pages (MyST), one of them the docstring of the environment, furo."""
+"""Sphinx configuration: Markdown pages (MyST), one from the docstring of the env, furo."""
 
 from importlib.metadata import version as installed_version
 

@@ -28,8 +28,8 @@ project's prior, gates and compensation of the torque noise; `coupled`: this pro
 memory per parameter.
 
 Not covered: the motor's electric circuit of 4.1.4, for which the paper gives no constants; the two
-accelerometers of 5.2.1, in whose place the yaw acceleration has a noise of its own; figure 16 on the
-straight line.
+accelerometers of 5.2.1, in whose place the yaw acceleration has a noise of its own; figure 16 on
+the straight line.
 """
 
 CHOICES = {

@@ -110,20 +110,44 @@ def test_a_policy_that_needs_the_truth_but_cannot_hear_it_is_refused() -> None:
         checked_policy(PolicyEntry("deaf", lambda context: deaf(), "1"), CONTEXT)
 
 
-def test_the_fingerprint_changes_with_the_source_and_only_with_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    package = tmp_path / "their_package"
-    (package / "deep").mkdir(parents=True)
-    for name in ("__init__.py", "deep/law.py", "plots.py"):
-        (package / name).write_text("A = 1\n")
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A package of others, importable as `their_package`."""
+    folder = tmp_path / "their_package"
+    (folder / "deep").mkdir(parents=True)
+    for name in ("__init__.py", "deep/__init__.py", "deep/law.py", "plots.py"):
+        (folder / name).write_text("A = 1\n")
     monkeypatch.syspath_prepend(tmp_path)
+    return folder
 
-    def fingerprint() -> str:
-        return source_fingerprint("their_package.deep", ignore=("plots.py",))
 
+def fingerprint() -> str:
+    return source_fingerprint("their_package.deep", without={"plots.py", "pictures/"})
+
+
+@pytest.mark.parametrize("name", ["__init__.py", "deep/__init__.py", "deep/law.py"])
+def test_the_fingerprint_changes_with_every_file_of_the_package(package: Path, name: str) -> None:
+    first = fingerprint()
+    (package / name).write_text("A = 2\n")
+    assert fingerprint() != first
+
+
+def test_the_fingerprint_does_not_change_with_what_is_left_out_by_its_path(package: Path) -> None:
     first = fingerprint()
     (package / "plots.py").write_text("A = 2\n")
+    (package / "pictures").mkdir()
+    (package / "pictures" / "law.py").write_text("A = 2\n")
     assert fingerprint() == first
-    (package / "deep" / "law.py").write_text("A = 2\n")
+    (package / "deep" / "plots.py").write_text("A = 2\n")  # the same name, another path
     assert fingerprint() != first
+
+
+def test_the_fingerprint_tells_the_same_bytes_in_other_files_apart(package: Path) -> None:
+    (package / "deep" / "a.py").write_text("A = 1\nB = 2\n")
+    (package / "deep" / "b.py").write_text("")
+    first = fingerprint()
+    (package / "deep" / "a.py").write_text("A = 1\n")
+    (package / "deep" / "b.py").write_text("B = 2\n")
+    second = fingerprint()
+    (package / "deep" / "b.py").rename(package / "b.py")
+    assert len({first, second, fingerprint()}) == 3

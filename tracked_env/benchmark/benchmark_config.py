@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
@@ -12,17 +11,29 @@ from tracked_env.validation import checked_choice
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
-# Files and folders of the package that do not change the numbers of an episode.
-_HERE = {path.name for path in Path(__file__).parent.iterdir()}
-_NUMBERS = {
-    "metrics.py",
-    "runner.py",
-    "changes.py",
-    "identification.py",
-    "sets.py",
-    "configuration.py",
+# What a result's identity leaves out: files and folders of the package that draw, report or adapt
+# to other libraries. Everything else counts, so a new file counts until it is named here.
+WITHOUT_INFLUENCE = {
+    "rendering/": "pictures of a state",
+    "sb3.py": "another interface to the vector environment",
+    "benchmark/drawing.py": "figures from records",
+    "benchmark/figures.py": "figures from records",
+    "benchmark/focchi2025/": "a paper's experiments, which are no episodes of a set",
+    "benchmark/frozen.py": "compares what is drawn with what is kept",
+    "benchmark/leaderboard.py": "tables from records",
+    "benchmark/loading.py": "finds policies; their own fingerprints stand beside their records",
+    "benchmark/page.py": "tables from records",
+    "benchmark/papers.py": "a paper's experiments, which are no episodes of a set",
+    "benchmark/records.py": "checks of what is read",
+    "benchmark/reliability.py": "statistics of records",
+    "benchmark/report.py": "tables from records",
+    "benchmark/shown.py": "the motion that is kept for figures",
+    "benchmark/statistics.py": "statistics of records",
+    "benchmark/store.py": "writes and reads records",
+    "benchmark/strawa2021/": "a paper's experiments, which are no episodes of a set",
+    "benchmark/summary.py": "statistics of records",
+    "benchmark/video.py": "pictures of an episode",
 }
-_HARMLESS = ("rendering", "sb3.py", *(_HERE - _NUMBERS))
 
 
 @dataclass(frozen=True)
@@ -66,7 +77,7 @@ class BenchmarkConfig:
         fields = asdict(self)
         for name in ("sets", "episodes", "chunk"):
             del fields[name]
-        return {**fields, "source": source_fingerprint("tracked_env", _HARMLESS)}
+        return {**fields, "source": source_fingerprint("tracked_env", WITHOUT_INFLUENCE)}
 
     @property
     def env(self) -> str:

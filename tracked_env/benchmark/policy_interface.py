@@ -23,12 +23,20 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
-from collections.abc import Callable, Mapping
+import sysconfig
+import traceback
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tracked_env.sensors import RTK, Sensors
 from tracked_env.validation import unknown
+
+# Where Python and installed packages lie; an error is located in the policy's own source first.
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 
 
 class Policy(Protocol):
@@ -66,25 +74,68 @@ class PolicyEntry(NamedTuple):
     fingerprint: str  # changes with its source, so that old results are not mistaken for new
 
 
-def source_fingerprint(module: str, ignore: tuple[str, ...] = ()) -> str:
+class PolicyError(ValueError):
+    """A policy that fails; one line says which, where, and what it did."""
+
+
+def blamed(error: BaseException, policy: str, where: str) -> PolicyError:
+    """The error of a policy in one line, with the place in its source that raised it.
+
+    where: what the policy was asked for, such as "set 'payload', step 3".
+    """
+    if isinstance(error, PolicyError):
+        return error
+    kind = type(error).__name__
+    text = " ".join(str(error).split())
+    said = f"{kind}: {text}" if text else kind
+    if isinstance(error, SystemExit):
+        said = f"it called sys.exit({error.code!r}), which a policy must not do"
+    frames = [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename).parent != Path(__file__).parent and frame.filename[:1] != "<"
+    ]
+    own = [frame for frame in frames if not frame.filename.startswith(_LIBRARIES)]
+    place = ""
+    if frames:
+        frame = (own or frames)[-1]
+        place = f" ({frame.filename}, line {frame.lineno}, in {frame.name})"
+    return PolicyError(f"policy {policy!r}, {where}: {said}{place}")
+
+
+def folder_digest(folder: Path, without: Collection[str] = ()) -> str:
+    """Digest of every Python file below a folder: path relative to it, length and content.
+
+    without: relative paths that are left out, of files and, with a slash at the end, of folders.
+    """
+    digest = hashlib.sha256()
+    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
+    for name in sorted(files):
+        if name in without or any(of.endswith("/") and name.startswith(of) for of in without):
+            continue
+        content = files[name].read_bytes()
+        digest.update(f"{name}\0{len(content)}\0".encode())
+        digest.update(content)
+    return digest.hexdigest()[:12]
+
+
+def source_fingerprint(module: str, without: Collection[str] = ()) -> str:
     """Digest of the Python source of a module, and of its whole package if it is in one.
 
-    ignore: files and folders without influence on results. Raises ModuleNotFoundError.
+    without: as of `folder_digest`, what has no influence on results. Raises ModuleNotFoundError.
     """
     spec = importlib.util.find_spec(module.partition(".")[0])
     if spec is None:
         raise ModuleNotFoundError(f"no module named {module!r}")
-    folders = spec.submodule_search_locations
-    if folders:
-        files = sorted(path for folder in folders for path in Path(folder).rglob("*.py"))
-    else:
-        files = [Path(spec.origin)] if spec.origin and Path(spec.origin).is_file() else []
-    digest = hashlib.sha256()
-    for path in files:
-        if not {*path.parts}.intersection(ignore):
-            digest.update(path.name.encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
+    if spec.submodule_search_locations:
+        digests = [folder_digest(Path(at), without) for at in spec.submodule_search_locations]
+        return digests[0] if len(digests) == 1 else _digest("".join(digests).encode())
+    source = Path(spec.origin) if spec.origin else None
+    return _digest(source.read_bytes() if source and source.is_file() else b"")
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:12]
 
 
 def _from_module(spec: str) -> PolicyEntry:
@@ -92,24 +143,31 @@ def _from_module(spec: str) -> PolicyEntry:
     module_name, _, attribute = spec.partition(":")
     try:
         found: Any = importlib.import_module(module_name)
+        for part in attribute.split("."):
+            if not hasattr(found, part):
+                raise PolicyError(f"policy {spec!r}: {module_name} has no attribute {attribute!r}")
+            found = getattr(found, part)
+        fingerprint = source_fingerprint(module_name)
     except ModuleNotFoundError as error:
         raise ValueError(
             f"policy {spec!r}: {error}. Is the module installed, or in the current folder?"
         ) from error
-    for part in attribute.split("."):
-        if not hasattr(found, part):
-            raise ValueError(f"policy {spec!r}: {module_name} has no attribute {attribute!r}")
-        found = getattr(found, part)
-    fingerprint = source_fingerprint(module_name)
+    except (Exception, SystemExit) as error:
+        raise blamed(error, spec, f"when {module_name or 'it'} was imported") from error
     if not isinstance(found, type) and hasattr(found, "predict"):
         return PolicyEntry(spec, lambda context: found, fingerprint)
     if not callable(found):
-        raise ValueError(f"policy {spec!r} is {found!r}; it has no `predict` and is no factory")
+        said = " ".join(repr(found).split())[:200]
+        raise PolicyError(f"policy {spec!r} is {said}; it has no `predict` and is no factory")
     return PolicyEntry(spec, _factory(found), fingerprint)
 
 
 def _factory(found: Callable[..., Any]) -> PolicyFactory:
-    if "context" in inspect.signature(found).parameters:
+    try:
+        told = "context" in inspect.signature(found).parameters
+    except ValueError:  # some built-in functions have no signature
+        told = False
+    if told:
         return lambda context: found(context=context)
     return lambda context: found()
 
@@ -136,13 +194,39 @@ def load_policy(spec: str, registry: Mapping[str, PolicyFactory]) -> PolicyEntry
 
 
 def checked_policy(entry: PolicyEntry, context: PolicyContext) -> Policy:
-    """A fresh policy, seen to have what it declares. Raises ValueError."""
-    policy = entry.make(context)
-    if not callable(getattr(policy, "predict", None)):
-        raise ValueError(f"policy {entry.name!r} is {policy!r}, which has no method `predict`")
-    if needs_truth(policy) and not callable(getattr(policy, "observe_truth", None)):
-        raise ValueError(f"policy {entry.name!r} declares needs_truth but has no `observe_truth`")
+    """A fresh policy, seen to have what it declares. Raises PolicyError."""
+    try:
+        policy = entry.make(context)
+        if not callable(getattr(policy, "predict", None)):
+            raise TypeError(
+                f"it is {policy!r:.200}, which has no method `predict`. Name an object that has "
+                "one, or a class or function that makes one from no argument or `context`"
+            )
+        if needs_truth(policy) and not callable(getattr(policy, "observe_truth", None)):
+            raise TypeError("it declares needs_truth but has no `observe_truth`")
+    except (Exception, SystemExit) as error:
+        raise blamed(error, entry.name, "when it was made") from error
     return policy
+
+
+def checked_answer(answer: Any, count: int) -> tuple[NDArray[np.float32], Any]:
+    """Actions (count, 2) and state from what `predict` returned. Raises ValueError."""
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        raise ValueError(f"`predict` returned {answer!r:.100}; must be a pair (action, state)")
+    action = np.asarray(answer[0])
+    if action.shape != (count, 2) or action.dtype.kind not in "biuf":
+        raise ValueError(
+            f"`predict` returned actions of shape {action.shape} and type {action.dtype}; must be "
+            f"numbers of shape ({count}, 2): left and right of every vehicle"
+        )
+    wrong = ~np.isfinite(action).all(axis=1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise ValueError(
+            f"`predict` returned action[{row}] = {action[row].tolist()}; must be finite, in "
+            "[-1, 1]. Is the state of the policy finite?"
+        )
+    return np.clip(action, -1.0, 1.0).astype(np.float32), answer[1]
 
 
 def needs_truth(policy: Policy) -> bool:

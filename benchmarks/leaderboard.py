@@ -23,7 +23,9 @@ import numpy as np
 from tracked_env.benchmark import SETS
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.leaderboard import between
+from tracked_env.benchmark.report import rate_unit
 from tracked_env.benchmark.statistics import Estimate
+from tracked_env.benchmark.summary import action_rate
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "agents" / "pretrained"
@@ -55,11 +57,15 @@ def estimate_text(estimate: dict[str, float], digits: int, seeds: int) -> str:
 def table(board: dict[str, Any]) -> str:
     """The leaderboard as Markdown: overall, then the IQM of the RMSE per set."""
     agents, track = board["agents"], track_of(board)
-    most = max(entry["overall"]["means"]["torque_chatter"] for entry in agents)
-    unit, factor = ("kN m/s", 1e-3) if most > 1e3 else ("N m/s", 1.0)
+    means = [
+        {name: np.nan if value is None else value for name, value in e["overall"]["means"].items()}
+        for e in agents
+    ]
+    unit, factor = rate_unit(means)
+    rates = [f"{factor * action_rate(of)[0]:.1f}" for of in means]
     lines = [
         "| | policy | seeds | RMSE, all sets [m] | after 5 s [m] | score | worst tenth [m] "
-        f"| success | chatter [{unit}] | P(better) | than {board['reference']} "
+        f"| success | action rate [{unit}] | P(better) | than {board['reference']} "
         "| training of a seed, CPU |",
         "|--:|--|--:|--:|--:|--:|--:|--:|--:|--:|--|--:|",
     ]
@@ -73,7 +79,7 @@ def table(board: dict[str, Any]) -> str:
             f"{rank}", entry["agent"], f"{seeds}{star}",
             estimate_text(o["rmse_iqm"], 3, entry["seeds"]), f"{o['settled_iqm']['value']:.3f}",
             estimate_text(o["score"], 3, entry["seeds"]), f"{o['rmse_worst']['value']:.2f}",
-            f"{100 * o['means']['success']:.1f} %", f"{factor * o['means']['torque_chatter']:.1f}",
+            f"{100 * o['means']['success']:.1f} %", rates[rank - 1],
             chance, entry["verdict"], training_cost(entry["agent"], track),
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")

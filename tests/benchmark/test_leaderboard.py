@@ -1,5 +1,6 @@
 """The leaderboard: order, seeds, verdicts, and a page that needs nothing else."""
 
+import importlib.util
 import json
 import re
 from html.parser import HTMLParser
@@ -205,6 +206,44 @@ def test_the_page_without_figures_still_has_the_tables_and_every_cell_of_the_hea
     assert "<img" not in text
     assert text.count('<td style="background:') == 5 * 2
     assert "Learning curves" not in text
+
+
+def by_speed(given: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The same records with sprocket speeds as actions, whose rate is 2.5 rad/s^2."""
+    return [{**r, "torque_rate": None, "sprocket_speed_rate": 2.5} for r in given]
+
+
+@pytest.mark.parametrize(
+    ("rate", "change", "short", "cost", "shown"),
+    [
+        (25e3, list, "kN m/s", "N m/s", ("25.0", "2.5e+04")),
+        (25.0, list, "N m/s", "N m/s", ("25.0", "25")),
+        (25.0, by_speed, "rad/s^2", "rad/s^2", ("2.5", "2.5")),
+    ],
+)
+def test_every_table_names_the_unit_of_the_action_rate(
+    repository: Path, rate: float, change: Any, short: str, cost: str, shown: tuple[str, str]
+) -> None:
+    given = [{**r, "torque_rate": rate} for r in records("payload", nominal=3 * EASY, oracle=EASY)]
+    given = change(given)
+    rows = rows_of(given)
+    summary = summarise(given, rows)
+    head, line, _ = policy_table(summary)
+    assert (head[-1], line[-1]) == (f"action rate [{short}]", shown[0])
+    found = lb.leaderboard(summary, rows)
+    head, line, _ = lb.cost_table(found)
+    assert (head[-2], line[-2]) == (f"action rate [{cost}]", shown[1])
+    path = repository / "benchmarks" / "leaderboard.py"
+    spec = importlib.util.spec_from_file_location("publishing", path)
+    assert spec
+    assert spec.loader
+    publishing = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(publishing)
+    head_line, _, first, *_ = publishing.table(json.loads(json.dumps(lb.document(found)))).split(
+        "\n"
+    )
+    column = [cell.strip() for cell in head_line.split("|")].index(f"action rate [{short}]")
+    assert first.split("|")[column].strip() == shown[0]
 
 
 def test_figures_are_drawn_for_what_there_is() -> None:

@@ -8,6 +8,7 @@ import pytest
 from tracked_env.benchmark import metrics
 from tracked_env.benchmark.changes import CHANGING
 from tracked_env.benchmark.metrics import Trace
+from tracked_env.engine.env_config import DRIVES
 
 PERIOD = 0.02  # [s]
 STEPS = 1000
@@ -73,9 +74,10 @@ def test_a_state_that_is_not_finite_counts_as_the_limit_and_spoils_nothing(bad: 
     moving = [name for name in metrics.CHANNELS if name not in CHANGING]
     channels = {name: np.r_[np.zeros(9), bad] for name in moving}
     diverged = metrics.evaluate(trace(10, **channels))
-    after_change = ("recovery_time", "peak_after_change")  # of the parameters: there is none
+    # No change of the parameters, and the actions are torques.
+    lacking = ("sprocket_speed_rate", "recovery_time", "peak_after_change")
     finite = {name: np.isfinite(column).all() for name, column in diverged.items()}
-    assert [name for name in finite if not finite[name]] == list(after_change)
+    assert [name for name in finite if not finite[name]] == list(lacking)
     assert diverged["max_error"][0] == LIMIT
 
 
@@ -92,18 +94,35 @@ def test_the_energy_is_power_times_time_whatever_the_signs() -> None:
     assert value(driving, "energy") == pytest.approx(4000.0 * STEPS * PERIOD)
 
 
-def test_saturation_counts_the_steps_and_sides_at_the_torque_limit() -> None:
+def test_saturation_counts_the_steps_and_sides_at_the_limit_of_the_demand() -> None:
     action = np.zeros(STEPS)
     action[:100] = 1.0
     assert value(trace(action_left=action), "saturation_share") == pytest.approx(0.05)
     assert value(trace(action_left=0.99), "saturation_share") == 0.0
 
 
-def test_chatter_is_the_mean_rate_of_the_demand() -> None:
-    ramp = trace(action_left=np.linspace(0.0, 1.0, STEPS), action_right=0.5)
-    assert value(ramp, "torque_chatter") == pytest.approx(8000.0 / (STEPS * PERIOD) / 2)
-    alternating = trace(action_left=0.1 * (-1.0) ** np.arange(STEPS))
-    assert value(alternating, "torque_chatter") == pytest.approx(0.2 * 8000 / PERIOD / 2, rel=2e-3)
+@pytest.mark.parametrize(
+    ("drive", "limit", "name", "other"),
+    [
+        ("torque", 8000.0, "torque_rate", "sprocket_speed_rate"),  # [N m]
+        ("speed", 10.0, "sprocket_speed_rate", "torque_rate"),  # [rad/s]
+    ],
+)
+def test_the_action_rate_is_the_mean_rate_of_the_demand_in_its_own_unit(
+    drive: str, limit: float, name: str, other: str
+) -> None:
+    given: dict[str, Any] = {"drive": drive, "demand_limit": np.array([limit])}
+    ramp = trace(action_left=np.linspace(0.0, 1.0, STEPS), action_right=0.5)._replace(**given)
+    assert value(ramp, name) == pytest.approx(limit / (STEPS * PERIOD) / 2)
+    alternating = trace(action_left=0.1 * (-1.0) ** np.arange(STEPS))._replace(**given)
+    assert value(alternating, name) == pytest.approx(0.2 * limit / PERIOD / 2, rel=2e-3)
+    assert np.isnan(value(alternating, other))
+
+
+def test_every_drive_has_an_action_rate_and_every_unit_of_a_record_is_one_unit() -> None:
+    assert set(metrics.ACTION_RATES) == set(DRIVES)
+    units = [metrics.METRICS[name].unit for name in metrics.ACTION_RATES.values()]
+    assert units == ["N m/s", "rad/s^2"]
 
 
 def test_heading_and_speed_are_measured_over_the_time_driven() -> None:
@@ -118,7 +137,7 @@ def test_rows_past_the_end_of_an_episode_are_void() -> None:
     values[100:, 1] = 1e9  # whatever lies there
     pair = both._replace(
         values=values, steps=np.array([STEPS, 100]), terminated=np.array([False, True]),
-        success=np.array([True, False]), torque_limit=np.full(2, 8000.0),
+        success=np.array([True, False]), demand_limit=np.full(2, 8000.0),
         contact_length=np.full(2, 2.0),
     )  # fmt: skip
     alone = metrics.evaluate(trace(100))

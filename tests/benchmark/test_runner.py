@@ -294,6 +294,30 @@ def test_an_error_of_a_policy_says_whose_it_was_and_where(tmp_path: Path) -> Non
     assert caught.value.__notes__ == ["policy 'diverging', set 'soil-and-mass', step 2"]
 
 
+class Alternating(Constant):
+    """Demands 0.3 and 0.2 of the limit in turn, on both sides."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        self.action = (0.3, 0.3) if len(self.calls) % 2 else (0.2, 0.2)
+        return super().predict(*args, **kwargs)
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "limit", "lacking"),
+    [
+        ("nominal", "torque_rate", NOMINAL.torque_limit, "sprocket_speed_rate"),
+        ("floor", "sprocket_speed_rate", VEHICLES["focchi"].sprocket_speed_limit, "torque_rate"),
+    ],
+)
+def test_the_action_rate_of_an_environment_is_that_of_what_its_action_commands(
+    tmp_path: Path, name: str, rate: str, limit: float, lacking: str
+) -> None:
+    config = BenchmarkConfig(sets=(name,), episodes=1, duration=1.0)  # 49 changes in 50 steps
+    (record,) = done(tmp_path, config, entry("alternating", lambda context: Alternating()))
+    assert record[rate] == pytest.approx(0.1 * limit / 0.02 * 49 / 50, rel=1e-5)
+    assert record[lacking] is None
+
+
 def test_progress_adds_up_to_every_step_of_every_vehicle(tmp_path: Path) -> None:
     config = BenchmarkConfig(sets=("nominal",), episodes=4, duration=8.0)  # SPIN ends early
     reported: list[int] = []

@@ -22,7 +22,7 @@ from tracked_env.benchmark.reliability import FEW_SEEDS, estimate, fewest
 from tracked_env.benchmark.report import aligned, markdown_rows, marked, plain
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
-from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary
+from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary, action_rate
 
 # What agents have to beat, by torque and by speed; the summary's baseline where both are missing.
 REFERENCES = ("adaptive", "slc-adaptive")
@@ -153,10 +153,11 @@ def set_table(board: Leaderboard) -> list[list[str]]:
 
 
 def cost_table(board: Leaderboard) -> list[list[str]]:
-    """Rows of cells, the header first: what driving costs, and what changes do, over all sets."""
+    """Rows of cells, the header first: cost metrics and those about changes, over all sets."""
+    unit = action_rate(board.places[0].overall.means)[1]
     cells = [
         ["agent", "success", "ended early", "recovery [s]", "peak [m]", "energy [kJ]", "effort",
-         "saturated", "chatter [N m/s]", "predict [us]"],
+         "saturated", f"action rate [{unit}]", "predict [us]"],
     ]  # fmt: skip
     for place in board.places:
         o, m = place.overall, place.overall.means
@@ -164,7 +165,7 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
         cells.append(
             [place.agent, f"{m['success']:.1%}", f"{m['terminated']:.1%}",
              *(change if o.changed else ["-", "-"]), f"{m['energy'] / 1e3:.4g}",
-             f"{m['effort']:.4f}", f"{m['saturation_share']:.1%}", f"{m['torque_chatter']:.4g}",
+             f"{m['effort']:.4f}", f"{m['saturation_share']:.1%}", f"{action_rate(m)[0]:.4g}",
              f"{o.predict_time * 1e6:.1f}"]
         )  # fmt: skip
     return cells

@@ -5,11 +5,14 @@ of the episode, E the error limit, tau and omega of the two sprockets:
     tracking RMSE      sqrt(mean e_k^2)
     effort             mean demand^2 over its limit^2                   over both sides
     energy             sum h (|tau_L omega_L| + |tau_R omega_R|)        no recuperation
-    saturation share   part of the steps and sides with |demand| at the torque limit
-    torque chatter     mean |demand_k - demand_(k-1)| / h               over both sides
+    saturation share   part of the steps and sides with |demand| at its limit
+    action rate        mean |demand_k - demand_(k-1)| / h               over both sides
+The demand is what the action commands: the torque of a sprocket, or its speed. Its limit is the
+largest one. The action rate is therefore one of two metrics: `torque_rate` [N m/s], or
+`sprocket_speed_rate` [rad/s^2]; the other one is NaN.
 An episode that ends early counts e_k = E for the time it lacks, and e_k never counts more than
 E: leaving the path is never better than staying on it. Heading, speed, effort, energy, saturation
-and chatter are taken over the time driven; read them beside the share of terminations. Recovery
+and action rate are taken over the time driven; read them beside the share of terminations. Recovery
 and peak after an abrupt change of the true parameters are defined in `changes`; they are NaN where
 there is none.
 """
@@ -24,7 +27,9 @@ from tracked_env.benchmark.changes import CHANGING, RECOVERED, Change, abrupt_ch
 FloatArray = NDArray[np.float64]
 
 SETTLING_TIME = 5.0  # [s] start of the settled part; half the episode when it is shorter than 10 s
-SATURATED = 0.999  # [-] of the torque limit
+SATURATED = 0.999  # [-] of the limit of the demand
+# Metric of the action rate by drive, what the actions are.
+ACTION_RATES = {"torque": "torque_rate", "speed": "sprocket_speed_rate"}
 ENDINGS = ("time", "off-path", "non-finite")
 
 # Columns of a trace, all true values.
@@ -33,7 +38,7 @@ CHANNELS = (
     "reference_x", "reference_y", "reference_yaw",  # [m, m, rad]
     "error", "heading_error",  # [m, rad]
     "speed_error",  # [m/s] reference minus vehicle
-    "action_left", "action_right",  # [-] clipped demand over the torque limit
+    "action_left", "action_right",  # [-] clipped demand over its limit
     "torque_left", "torque_right",  # [N m] of the drives
     "sprocket_speed_left", "sprocket_speed_right",  # [rad/s]
     "slip_left", "slip_right",  # [-]
@@ -49,10 +54,11 @@ class Trace(NamedTuple):
     max_steps: int  # control steps of a whole episode
     terminated: NDArray[np.bool_]  # (n,) ended before its time
     success: NDArray[np.bool_]  # (n,) as `info["is_success"]`
-    torque_limit: FloatArray  # (n,) [N m]
+    demand_limit: FloatArray  # (n,) largest demand: torque [N m] or sprocket speed [rad/s]
     contact_length: FloatArray  # (n,) [m]
     error_limit: float  # [m]
     control_period: float  # [s]
+    drive: str = "torque"  # what the demand is, a key of ACTION_RATES
 
     def channel(self, name: str) -> FloatArray:
         """One channel, (T, n)."""
@@ -87,9 +93,10 @@ METRICS = {
     "speed_rmse": Metric("m/s", "RMSE of the speed error"),
     "effort": Metric("-", "mean square of the demand over its limit"),
     "energy": Metric("J", "work of the sprockets, braking counts as well"),
-    "saturation_share": Metric("-", "part of the time with a demand at the torque limit"),
-    "torque_chatter": Metric("N m/s", "mean rate of change of the torque demand"),
-    "success": Metric("-", "ended by time with an RMSE below 0.5 m"),
+    "saturation_share": Metric("-", "part of the time with a demand at its limit"),
+    "torque_rate": Metric("N m/s", "mean rate of change of the torque demand"),
+    "sprocket_speed_rate": Metric("rad/s^2", "mean rate of change of the demanded sprocket speed"),
+    "success": Metric("-", "ended by time with an RMSE below a quarter of the contact length l"),
     "terminated": Metric("-", "ended before its time"),
     "driven_time": Metric("s", "time until the end of the episode"),
     "recovery_time": Metric(
@@ -97,6 +104,8 @@ METRICS = {
     ),
     "peak_after_change": Metric("m", "largest distance to the reference after that change"),
 }
+# Metrics that an episode may lack: of the other drive, and without an abrupt change.
+OPTIONAL = (*ACTION_RATES.values(), "recovery_time", "peak_after_change")
 
 
 def counted_error(trace: Trace) -> FloatArray:
@@ -143,7 +152,7 @@ def ending(trace: Trace) -> list[str]:
 
 
 def evaluate(trace: Trace) -> dict[str, FloatArray]:
-    """Every metric of METRICS, (n,) each; NaN only in the two about an abrupt change."""
+    """Every metric of METRICS, (n,) each; NaN only in OPTIONAL ones."""
     period = trace.control_period
     error = counted_error(trace)
     settled = settled_step(trace)
@@ -154,7 +163,9 @@ def evaluate(trace: Trace) -> dict[str, FloatArray]:
     power = np.abs(_sides(trace, "torque") * _sides(trace, "sprocket_speed")).sum(axis=0)
     action = _sides(trace, "action")
     before = np.concatenate([action[:, :1], action[:, :-1]], axis=1)  # the first step is no change
-    demand_rate = np.abs(action - before).mean(axis=0) * trace.torque_limit / period
+    demand_rate = np.abs(action - before).mean(axis=0) * trace.demand_limit / period
+    rates = dict.fromkeys(ACTION_RATES.values(), np.full(len(trace.steps), np.nan))
+    rates[ACTION_RATES[trace.drive]] = _driven_mean(trace, demand_rate)
     saturated = (np.abs(action) >= SATURATED).mean(axis=0)
     return {
         "tracking_rmse": _root_mean_square(error),
@@ -166,7 +177,7 @@ def evaluate(trace: Trace) -> dict[str, FloatArray]:
         "effort": _driven_mean(trace, (action**2).mean(axis=0)),
         "energy": _driven_mean(trace, power) * trace.steps * period,
         "saturation_share": _driven_mean(trace, saturated),
-        "torque_chatter": _driven_mean(trace, demand_rate),
+        **rates,
         "success": trace.success.astype(np.float64),
         "terminated": trace.terminated.astype(np.float64),
         "driven_time": trace.steps * period,

@@ -212,7 +212,7 @@ def render(board: Leaderboard, drawn: "Mapping[str, Figure]") -> str:
         heat_map(board),
         '<p class="note">0 (red): as good as nominal; 1 (blue): as good as the oracle; below '
         "it the IQM of the RMSE. Intervals appear under the pointer.</p>",
-        "<h2>What driving costs</h2>",
+        "<h2>Cost metrics</h2>",
         _table(cost_table(board), 1),
         f'<p class="note">{html.escape(COSTS).replace(chr(10), " ")}</p>',
     ]

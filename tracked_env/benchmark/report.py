@@ -8,7 +8,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from tracked_env.benchmark.summary import (
     SEPARATION_RATIO,
     Comparison,
     Summary,
+    action_rate,
     summarise,
 )
 
@@ -43,11 +44,20 @@ def marked(agent: str, seeds: int) -> str:
     return f"{agent} *" if 0 < seeds <= FEW_SEEDS else agent
 
 
+def rate_unit(means: Iterable[Mapping[str, float]]) -> tuple[str, float]:
+    """Unit of a column of action rates, and the factor from SI to it; means: of each row."""
+    found = [action_rate(of) for of in means]
+    unit = found[0][1]
+    large = max((rate for rate, _ in found if rate == rate), default=0.0) > 1e3
+    return ("kN m/s", 1e-3) if large and unit == "N m/s" else (unit, 1.0)
+
+
 def policy_table(summary: Summary) -> list[list[str]]:
     """Rows of cells, the header first: one row per set and policy."""
+    unit, factor = rate_unit(p.means for by in summary.policies.values() for p in by.values())
     rows = [
         ["set", "policy", "RMSE [m]: IQM [95 %]", "mean", "worst", "max", "success", "early",
-         "energy [kJ]", "saturated", "chatter [kN m/s]"],
+         "energy [kJ]", "saturated", f"action rate [{unit}]"],
     ]  # fmt: skip
     for name, by_policy in summary.policies.items():
         for policy, p in by_policy.items():
@@ -57,7 +67,7 @@ def policy_table(summary: Summary) -> list[list[str]]:
                  f"{p.rmse_worst.value:.2f}",
                  f"{m['max_error']:.2f}", f"{m['success']:.0%}", f"{m['terminated']:.0%}",
                  f"{m['energy'] / 1e3:.0f}", f"{m['saturation_share']:.1%}",
-                 f"{m['torque_chatter'] / 1e3:.1f}"]
+                 f"{factor * action_rate(m)[0]:.1f}"]
             )  # fmt: skip
     return rows
 

@@ -46,6 +46,7 @@ _COLUMNS = [
     b.STATE + s.SLIP_LEFT, b.STATE + s.SLIP_RIGHT,
     *(b.PARAMETERS + PARAMETER_INDEX[name] for name in CHANGING),
 ]  # fmt: skip
+_LIMITS = {"torque": "torque_limit", "speed": "sprocket_speed_limit"}  # of the demand, by drive
 _SPEED_ERROR = metrics.CHANNELS.index("speed_error")
 
 Progress = Callable[[int, str], None]  # (vehicle steps done since the last call, what runs)
@@ -137,16 +138,18 @@ def drive(
         if terminated.any():  # a diverged vehicle must not disturb those that go on
             observation = np.nan_to_num(observation)
         on_step()
+    demand = "torque" if solver.by_torque else "speed"
     trace = metrics.Trace(
         values[:done],
         simulation.batch.counters[:, b.STEP].copy(),
         max_steps,
         terminated,
         np.asarray(info["is_success"], dtype=bool),
-        simulation.column(b.PARAMETERS + PARAMETER_INDEX["torque_limit"]),
+        simulation.column(b.PARAMETERS + PARAMETER_INDEX[_LIMITS[demand]]),
         simulation.column(b.PARAMETERS + PARAMETER_INDEX["contact_length"]),
         solver.error_limit,
         solver.control_period,
+        demand,
     )
     return trace, predict_time
 

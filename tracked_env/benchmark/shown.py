@@ -4,7 +4,7 @@ time, error                  error of all episodes at SHOWN_POINTS times
 motion                       every channel of the first SHOWN_EPISODES, NaN after their end
 believed_time, _names,       of a policy that estimates: value, standard deviation and truth
   _value, _deviation, _truth (points, parameters, episodes) of the same episodes
-torque_limit, control_period
+control_period               [s]
 """
 
 from typing import Any
@@ -34,7 +34,6 @@ def shown(trace: Trace, beliefs: Beliefs | None = None) -> dict[str, NDArray[Any
         "time": (times + 1) * trace.control_period,
         "error": error[times].astype(np.float32),
         "motion": few,
-        "torque_limit": trace.torque_limit[:SHOWN_EPISODES],
         "control_period": np.array(trace.control_period),
         **({} if beliefs is None else _believed(trace, beliefs)),
     }

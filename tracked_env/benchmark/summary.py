@@ -29,7 +29,7 @@ from tracked_env.benchmark import reliability as rel
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.identification_metrics import IdentificationSummary, mean_nis
 from tracked_env.benchmark.identification_metrics import summarise as summarise_beliefs
-from tracked_env.benchmark.metrics import METRICS
+from tracked_env.benchmark.metrics import ACTION_RATES, METRICS
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record
 
@@ -54,6 +54,13 @@ class PolicySummary(NamedTuple):
     changed: int = 0  # episodes with an abrupt change of the parameters, of all seeds
     seeds: int = 0  # trainings; 0 for a policy that is not trained
     score: Estimate | None = None  # [-] 0 as nominal, 1 as oracle; None if they are not told apart
+
+
+def action_rate(means: Mapping[str, float]) -> tuple[float, str]:
+    """Action rate of an agent and its unit, of the drive that it has been on."""
+    known = [name for name in ACTION_RATES.values() if not np.isnan(means[name])]
+    name = known[0] if known else ACTION_RATES["torque"]
+    return means[name], METRICS[name].unit
 
 
 class Comparison(NamedTuple):

@@ -1,22 +1,36 @@
 """What survives on disk, and what is refused."""
 
+import errno
+import io
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from tracked_env.benchmark.store import FILE, Record, Store
+from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
+from tracked_env.benchmark.metrics import CHANNELS, METRICS, OPTIONAL
+from tracked_env.benchmark.store import FILE, LOCK, Record, Store, write_atomically
 
 IDENTITY = {"seed": 0, "sensors": "rtk"}
 PRINTS = {"a": "1"}
 
 
+def record(episode: int, rmse: float = 0.5) -> Record:
+    """What the runner stores of an episode."""
+    known = {"episode": episode, "seed": episode, "digest": f"d{episode}", "ended": "time"}
+    values = dict.fromkeys(METRICS, 0.5) | dict.fromkeys(OPTIONAL)
+    return {**known, **values, "tracking_rmse": rmse}
+
+
 def chunk(first: int = 0, policy: str = "a", fingerprint: str = "1", rmse: float = 0.5) -> Record:
-    episodes = [{"episode": first + i, "tracking_rmse": rmse} for i in range(2)]
     return {
         "policy": policy, "fingerprint": fingerprint, "set": "s", "predict_time": 1e-6,
-        "episodes": episodes,
+        "episodes": [record(first + i, rmse) for i in range(2)],
     }  # fmt: skip
 
 
@@ -32,9 +46,7 @@ def folder(tmp_path: Path) -> Path:
 def test_finished_chunks_are_there_after_reopening(folder: Path) -> None:
     records = Store(folder, IDENTITY).records(PRINTS)
     assert [record["episode"] for record in records] == [0, 1, 2, 3]
-    assert records[0] == {
-        "set": "s", "policy": "a", "predict_time": 1e-6, "episode": 0, "tracking_rmse": 0.5
-    }  # fmt: skip
+    assert records[0] == {"set": "s", "policy": "a", "predict_time": 1e-6, **record(0)}
 
 
 @pytest.mark.parametrize("keep", [1, 40, -1])
@@ -78,7 +90,7 @@ def test_another_configuration_in_the_same_folder_is_an_error_that_says_what_dif
 
 def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path) -> None:
     (tmp_path / FILE).write_text('{"format": 99}\n')
-    with pytest.raises(ValueError, match="not a result file"):
+    with pytest.raises(ValueError, match="not a result file of format"):
         Store(tmp_path, IDENTITY)
 
 
@@ -104,11 +116,358 @@ def test_the_header_says_what_was_run_with_what_and_where(folder: Path) -> None:
     assert header["machine"]["cores"] >= 1
 
 
+def edited(folder: Path, line: int, change: Any) -> None:
+    """Put something else into a line of the results."""
+    path = folder / FILE
+    lines = path.read_text().splitlines()
+    lines[line] = change(lines[line]) if callable(change) else change
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("header", ["[]", "5", "null", "{}", '"text"', "[" * 100_000, "\x00"])
+def test_a_damaged_header_is_one_line_that_names_the_file(folder: Path, header: str) -> None:
+    edited(folder, 0, header)
+    with pytest.raises(ValueError, match=r"episodes\.jsonl cannot be continued: .*") as caught:
+        Store(folder, IDENTITY)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"hash": 5}, {"hash": "0" * 12}, {"identity": []}, {"identity": {"seed": 1}},
+     {"versions": None}, {"machine": "mine"}, {"more": 1}, {"format": "2"}],
+)  # fmt: skip
+def test_a_header_with_wrong_types_or_another_hash_is_refused(folder: Path, wrong: Record) -> None:
+    edited(folder, 0, lambda line: json.dumps({**json.loads(line), **wrong}))
+    with pytest.raises(ValueError, match="cannot be continued"):
+        Store(folder, IDENTITY)
+
+
+@pytest.mark.parametrize("line", [1, 2])
+@pytest.mark.parametrize("text", ["[]", "5", "null", "{}", '"text"', "true"])
+def test_a_line_that_is_no_chunk_is_refused_wherever_it_is(
+    folder: Path, line: int, text: str
+) -> None:
+    edited(folder, line, text)
+    with pytest.raises(ValueError, match=f"line {line + 1} is damaged") as caught:
+        Store(folder, IDENTITY)
+    assert "\n" not in str(caught.value)
+
+
+ESTIMATE = dict.fromkeys(ESTIMATION_METRICS, 0.1)
+
+
+def test_records_of_every_kind_that_the_runner_makes_are_read(folder: Path) -> None:
+    Store(folder, IDENTITY).append(
+        {**chunk(4), "episodes": [
+            {**record(4), "recovery_time": 0.0, "identification": {"mass": ESTIMATE},
+             "nis": {"filter": None}},
+            {**record(5), "identification": {"mass": {**ESTIMATE, "settling_time": None}},
+             "nis": {"filter": 2.0}},
+        ]}
+    )  # fmt: skip
+    assert len(Store(folder, IDENTITY).records(PRINTS)) == 6
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        ("tracking_rmse", "small", "tracking_rmse of episode 0 = 'small'; must be a finite"),
+        ("tracking_rmse", float("nan"), "tracking_rmse of episode 0 = nan"),
+        ("max_error", float("inf"), "max_error of episode 0 = inf"),
+        ("tracking_rmse", -1.0, r".*= -1\.0; must be a finite number >= 0"),
+        ("tracking_rmse", None, "tracking_rmse of episode 0 = None"),
+        ("tracking_rmse", True, "tracking_rmse of episode 0 = True"),
+        pytest.param("energy", 10**400, "energy of episode 0", id="larger than any float"),
+        ("success", 7.0, r"success of episode 0 = 7\.0; must be a finite number in \[0, 1\]"),
+        ("recovery_time", "soon", "recovery_time of episode 0 = 'soon'"),
+        ("episode", "first", "episode of a record = 'first'; must be an integer"),
+        ("seed", 1.5, r"seed of a record = 1\.5"),
+        ("digest", 3, "digest of a record = 3; must be text"),
+        ("ended", "well", "ended of episode 0 = 'well'; must be one of"),
+        ("note", "mine", "a record has 'note', which is not known"),
+        ("identification", [], r"identification of episode 0 = \[\]; must be a dict"),
+        ("identification", {"mass": 3}, "estimate of 'mass' in episode 0 is 3"),
+        ("identification", {"mass": {}}, "estimate of 'mass' in episode 0 lacks relative_rmse"),
+        ("identification", {"mass": {**ESTIMATE, "nees": "x"}}, "nees of episode 0 = 'x'"),
+        ("nis", {"filter": float("nan")}, "filter of episode 0 = nan"),
+    ],
+)
+def test_a_record_with_text_or_no_number_is_refused_when_it_is_read(
+    folder: Path, place: str, value: Any, message: str
+) -> None:
+    def change(line: str) -> str:
+        found = json.loads(line)
+        found["episodes"][0][place] = value
+        return json.dumps(found)
+
+    edited(folder, 1, change)
+    with pytest.raises(ValueError, match=f"line 2 is damaged .{message}"):
+        Store(folder, IDENTITY)
+
+
+@pytest.mark.parametrize("name", ["policy", "fingerprint", "set", "predict_time", "episodes"])
+def test_a_chunk_with_a_wrong_type_is_refused(folder: Path, name: str) -> None:
+    for wrong in (None, 5 if name != "predict_time" else "5", {}):
+        edited(folder, 1, json.dumps({**chunk(0), name: wrong}))
+        with pytest.raises(ValueError, match=f"line 2 is damaged .{name} of the chunk"):
+            Store(folder, IDENTITY)
+
+
+@pytest.mark.parametrize("kind", ["file", "below a file", "too long", "proc", "results", "lock"])
+def test_a_folder_that_cannot_hold_results_is_one_line(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "file").write_text("mine")
+    folder = {
+        "file": tmp_path / "file", "below a file": tmp_path / "file" / "below",
+        "too long": tmp_path / ("x" * 5000), "proc": Path("/proc/nothing/here"),
+        "results": tmp_path, "lock": tmp_path,
+    }[kind]  # fmt: skip
+    if kind in ("results", "lock"):
+        (tmp_path / (FILE if kind == "results" else LOCK)).mkdir()
+    with pytest.raises(ValueError, match="Results need a folder that can be written") as caught:
+        Store(folder, IDENTITY)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("written", [0, 100])
+def test_a_short_write_fails_and_leaves_the_file_as_it_was(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, written: int
+) -> None:
+    store = Store(folder, IDENTITY)
+    before = (folder / FILE).read_bytes()
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda file, data: write(file, data[:written]))
+    with pytest.raises(
+        OSError, match=rf"{written} of \d+ bytes written.*is the disk full"
+    ) as caught:
+        store.append(chunk(4))
+    assert "\n" not in str(caught.value)
+    monkeypatch.undo()
+    assert (folder / FILE).read_bytes() == before
+    assert len(store.records(PRINTS)) == 4
+    store.append(chunk(4))
+    assert len(Store(folder, IDENTITY).records(PRINTS)) == 6
+
+
+@pytest.mark.parametrize("failing", ["fsync", "write"])
+def test_an_error_while_writing_leaves_the_file_as_it_was(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    def full(*arguments: Any) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    store = Store(folder, IDENTITY)
+    before = (folder / FILE).read_bytes()
+    monkeypatch.setattr(os, failing, full)
+    with pytest.raises(OSError, match=r"episodes\.jsonl: .*No space left on device"):
+        store.append(chunk(4))
+    assert (folder / FILE).read_bytes() == before
+    assert len(store.chunks) == 2
+
+
+LIMITED = """
+import resource, signal, sys
+from pathlib import Path
+from tests.benchmark.test_store import IDENTITY, chunk
+from tracked_env.benchmark.store import FILE, Store
+
+store = Store(Path(sys.argv[1]), IDENTITY)
+size = (store.folder / FILE).stat().st_size + 100
+resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+try:
+    store.append(chunk(4))
+except OSError as error:
+    sys.exit(f"failed: {error}")
+"""
+
+
+def test_a_limit_of_the_system_on_files_fails_clearly_and_a_rerun_goes_on(
+    folder: Path, repository: Path
+) -> None:
+    pytest.importorskip("resource", reason="limits of processes are those of POSIX")
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, str(folder)], cwd=repository, capture_output=True,
+        text=True, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "failed: " in done.stderr
+    assert "100 of" in done.stderr
+    store = Store(folder, IDENTITY)
+    assert store.notices == []
+    assert len(store.records(PRINTS)) == 4
+    store.append(chunk(4))
+    assert len(Store(folder, IDENTITY).records(PRINTS)) == 6
+
+
+def test_results_that_were_deleted_meanwhile_are_not_begun_without_a_header(folder: Path) -> None:
+    store = Store(folder, IDENTITY)
+    (folder / FILE).unlink()
+    with pytest.raises(OSError, match="No such file"):
+        store.append(chunk(4))
+    assert not (folder / FILE).exists()
+
+
+def test_no_temporary_file_survives_a_failure_or_a_rerun(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(folder, IDENTITY)
+
+    def full(*arguments: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError, match="No space left"):
+        store.save_trace("a", "s", {"time": np.arange(3.0)})
+    with pytest.raises(OSError, match="No space left"):
+        write_atomically(folder / "results.json", b"{}")
+    monkeypatch.undo()
+    assert [path.name for path in folder.rglob("*.tmp")] == []
+    del store
+    killed = [folder / ".results.json.4711.tmp", folder / "traces" / ".s--a.npz.1.tmp",
+              folder / "videos" / ".x.2.tmp" / "new" / "episode.mp4"]  # fmt: skip
+    for path in killed:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"half")
+    mine = folder / "notes.tmp"
+    mine.write_text("mine")
+    again = Store(folder, IDENTITY)
+    assert list(folder.rglob("*.tmp")) == [mine]
+    assert len(again.records(PRINTS)) == 4
+
+
+HOLDING = """
+import sys, time
+from pathlib import Path
+from tests.benchmark.test_store import IDENTITY
+from tracked_env.benchmark.store import Store
+
+store = Store(Path(sys.argv[1]), IDENTITY)
+print("open", flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_folder_is_open_in_one_process_at_a_time_and_a_killed_one_blocks_nothing(
+    folder: Path, repository: Path
+) -> None:
+    partial = folder / ".results.json.4711.tmp"
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDING, str(folder)], cwd=repository, stdout=subprocess.PIPE,
+        text=True,
+    ) as other:  # fmt: skip
+        try:
+            assert other.stdout
+            assert other.stdout.readline() == "open\n"
+            partial.write_bytes(b"being written")
+            with (folder / FILE).open("a") as file:
+                file.write('{"half')
+            with pytest.raises(ValueError, match="another process writes results there"):
+                Store(folder, IDENTITY)
+            assert partial.exists()
+            assert (folder / FILE).read_text().endswith('{"half')
+        finally:
+            other.kill()
+    assert len(Store(folder, IDENTITY).records(PRINTS)) == 4
+    assert not partial.exists()
+
+
+def test_a_process_may_open_its_folder_again(folder: Path) -> None:
+    first, second = Store(folder, IDENTITY), Store(folder, IDENTITY)
+    first.append(chunk(4))
+    del first
+    second.append(chunk(6))
+    assert len(Store(folder, IDENTITY).records(PRINTS)) == 8
+
+
+def motion() -> dict[str, np.ndarray]:
+    """A trace as `shown` makes it."""
+    return {
+        "time": np.arange(3.0), "error": np.zeros((3, 2), np.float32),
+        "motion": np.zeros((3, 2, len(CHANNELS)), np.float32), "control_period": np.array(0.02),
+    }  # fmt: skip
+
+
 def test_traces_come_back_under_any_policy_name(tmp_path: Path) -> None:
     store = Store(tmp_path, IDENTITY)
     assert store.load_trace("my.module:make", "s") is None
-    store.save_trace("my.module:make", "s", {"time": np.arange(3.0)})
+    store.save_trace("my.module:make", "s", motion())
     loaded = store.load_trace("my.module:make", "s")
     assert loaded is not None
     assert loaded["time"].tolist() == [0.0, 1.0, 2.0]
     assert [path.suffix for path in (tmp_path / "traces").iterdir()] == [".npz"]
+
+
+def test_no_two_policies_or_sets_share_a_file_on_any_file_system(tmp_path: Path) -> None:
+    store = Store(tmp_path, IDENTITY)
+    names = [
+        "a_b",
+        "a/b",
+        "a\\b",
+        "A_b",
+        "a b",
+        "a:b",
+        "ä",
+        "a\u0308",
+        "..",
+        "",
+        "a|b",
+        "a--b",
+        "b",
+    ]
+    names += ["x" * 300, "x" * 301, "x" * 60, "a@0", "a~0", "a_", "_a"]
+    pairs = [(policy, of_set) for policy in names for of_set in names]
+    files = {store.trace_path(*pair).name.lower() for pair in pairs}
+    assert len(files) == len(pairs)
+    assert all(name.isascii() and len(name) < 200 for name in files)
+    assert store.trace_path("nominal", "weak-soil").name == "weak-soil--nominal.npz"
+    for number, name in enumerate(names):
+        store.save_trace(name, "s", {**motion(), "time": np.full(3, float(number))})
+    for number, name in enumerate(names):
+        loaded = store.load_trace(name, "s")
+        assert loaded is not None
+        assert loaded["time"][0] == number
+
+
+def damaged_traces() -> dict[str, Any]:
+    """Bytes or arrays that are none of a trace."""
+    whole = io.BytesIO()
+    np.savez(whole, **motion())
+    single = io.BytesIO()
+    np.save(single, np.zeros(3))
+    data = whole.getvalue()
+    return {
+        "empty": b"", "text": b"mine", "torn": data[:500],
+        "spoilt": data[:70] + b"\xff" * 60 + data[130:],
+        "array": single.getvalue(), "nothing": {}, "flat": {**motion(), "motion": np.zeros(3)},
+        "few channels": {**motion(), "motion": np.zeros((3, 2, 4))},
+        "no rows": {**motion(), "motion": np.zeros((0, 2, len(CHANNELS)))},
+        "other times": {**motion(), "time": np.zeros(4)},
+        "text inside": {**motion(), "error": np.full((3, 2), "x")},
+        "objects": {**motion(), "error": np.full((3, 2), None)},
+        "half a belief": {**motion(), "believed_names": np.array(["mass"])},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", damaged_traces())
+def test_a_damaged_trace_is_left_out_with_a_notice(tmp_path: Path, kind: str) -> None:
+    store = Store(tmp_path, IDENTITY)
+    given = damaged_traces()[kind]
+    path = store.trace_path("a", "s")
+    if isinstance(given, bytes):
+        path.parent.mkdir()
+        path.write_bytes(given)
+    else:
+        store.save_trace("a", "s", given)
+    assert store.load_trace("a", "s") is None
+    (notice,) = store.notices
+    assert f"{path} is damaged and left out of the figures" in notice
+
+
+def test_a_trace_that_is_a_folder_is_left_out_with_a_notice(tmp_path: Path) -> None:
+    store = Store(tmp_path, IDENTITY)
+    store.trace_path("a", "s").mkdir(parents=True)
+    assert store.load_trace("a", "s") is None
+    assert len(store.notices) == 1

@@ -17,6 +17,7 @@ WITHOUT_INFLUENCE = {
     "rendering/": "pictures of a state",
     "sb3.py": "another interface to the vector environment",
     "benchmark/drawing.py": "figures from records",
+    "benchmark/files.py": "writes records",
     "benchmark/figures.py": "figures from records",
     "benchmark/focchi2025/": "a paper's experiments, which are no episodes of a set",
     "benchmark/frozen.py": "compares what is drawn with what is kept",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.identification_metrics import Beliefs
-from tracked_env.benchmark.metrics import Trace, counted_error
+from tracked_env.benchmark.metrics import CHANNELS, Trace, counted_error
 
 SHOWN_EPISODES = 4  # whose motion is kept in full
 SHOWN_POINTS = 300  # times at which error and beliefs are kept
@@ -54,3 +54,27 @@ def _believed(trace: Trace, beliefs: Beliefs) -> dict[str, NDArray[Any]]:
         "believed_deviation": kept(beliefs.deviation),
         "believed_truth": kept(beliefs.truth),
     }
+
+
+def checked_trace(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays of `shown`, seen to fit together. Raises ValueError, or KeyError for a name."""
+    shapes = {"time": 1, "error": 2, "motion": 3, "control_period": 0}
+    if "believed_names" in arrays:
+        shapes |= {"believed_time": 1, "believed_names": 1}
+        shapes |= dict.fromkeys(("believed_value", "believed_deviation", "believed_truth"), 3)
+    for name, dimensions in shapes.items():
+        kind = "U" if name == "believed_names" else "f"
+        if arrays[name].ndim != dimensions or arrays[name].dtype.kind != kind:
+            raise ValueError(f"{name} has shape {arrays[name].shape}, type {arrays[name].dtype}")
+    motion = arrays["motion"]
+    sizes: list[tuple[Any, Any]] = [
+        (len(arrays["time"]), len(arrays["error"])),
+        (motion.shape[2], len(CHANNELS)),
+    ]
+    if "believed_names" in arrays:
+        size = (len(arrays["believed_time"]), len(arrays["believed_names"]), motion.shape[1])
+        for part in ("value", "deviation", "truth"):
+            sizes.append((arrays[f"believed_{part}"].shape, size))
+    if any(one != other for one, other in sizes) or not motion.size:
+        raise ValueError("its arrays do not fit together")
+    return arrays

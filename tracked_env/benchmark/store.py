@@ -3,28 +3,41 @@
     episodes.jsonl   line 1: header with the identity (all that changes numbers) and its hash;
                      then one line per finished chunk of one policy on one set
     traces/          the motion of some episodes of each policy and set, for the figures
+    .lock            locked by the process that has the folder open; the system unlocks it when
+                     the process ends, however it ends
 A line is appended by a single write and synced, so a kill at any moment costs at most the
-chunk in progress; a torn last line is cut off when the folder is opened again. Lines of a
-policy whose source has changed since are skipped.
+chunk in progress; a torn last line is cut off when the folder is opened again, and temporary files
+of processes that were killed are removed. Lines of a policy whose source has changed since are
+skipped.
 """
 
 import hashlib
+import io
 import json
 import os
 import platform
 import sys
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-FORMAT = 1  # of the file; a change of the columns needs a new one
+from tracked_env.benchmark.files import Lock, file_name, sweep, write_atomically
+from tracked_env.benchmark.records import Record, checked_chunk, checked_header
+from tracked_env.benchmark.shown import checked_trace
+
+FORMAT = 2  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"
+LOCK = ".lock"
 PACKAGES = ("tracked-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "torch")
-Record = dict[str, Any]
+
+__all__ = ["FILE", "FORMAT", "LOCK", "Record", "Store", "identity_hash", "machine", "versions",
+           "write_atomically"]  # fmt: skip
 
 
 def identity_hash(identity: Mapping[str, Any]) -> str:
@@ -63,22 +76,18 @@ def _processor() -> str:
     return names[0] if names else platform.processor()
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that it is there whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_bytes(data)
-    os.replace(temporary, path)
+# Locks of this process by device and file: a folder may be opened again where it is open.
+_LOCKS: WeakValueDictionary[tuple[int, int], Lock] = WeakValueDictionary()
 
 
 class Store:
     """The results in one folder, for one identity."""
 
     def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
-        """Open or create `folder`.
+        """Open or create `folder`, which no other process may have open.
 
-        Raises ValueError when it holds results of another identity, or is damaged anywhere but
-        in its last line. `notices` says what was dropped.
+        Raises ValueError when it cannot be written, is open elsewhere, holds results of another
+        identity, or is damaged anywhere but in its last line. `notices` says what was dropped.
         """
         self.folder = folder
         self.path = folder / FILE
@@ -91,9 +100,43 @@ class Store:
             "versions": versions(),
             "machine": machine(),
         }
-        self.header: Record = self._load(header) if self.path.exists() else header
-        if not self.path.exists():
-            write_atomically(self.path, (json.dumps(header) + "\n").encode())
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._lock = self._locked()
+            self.header: Record = self._load(header) if self.path.exists() else header
+            if not self.path.exists():
+                write_atomically(self.path, (json.dumps(header) + "\n").encode())
+        except OSError as error:
+            raise ValueError(
+                f"{str(error.filename or folder)[:200]}: {error.strerror}. Results need a folder "
+                "that can be written; name another one"
+            ) from error
+
+    def _locked(self) -> Lock | None:
+        """The lock of the folder; None, with a notice, where the file system has none."""
+        descriptor = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT)
+        status = os.fstat(descriptor)
+        key = (status.st_dev, status.st_ino)
+        lock = _LOCKS.get(key)
+        if lock is not None:
+            os.close(descriptor)
+            return lock
+        try:
+            lock = _LOCKS[key] = Lock(descriptor)
+        except BlockingIOError as error:
+            raise ValueError(
+                f"{self.folder}: another process writes results there. Wait until it has ended, "
+                "or name another folder"
+            ) from error
+        except OSError:
+            self.notices.append(
+                f"{self.folder} is on a file system without locks; a second process must not "
+                "write there"
+            )
+            return None
+        for place in (self.folder, *self.folder.glob("*/")):
+            sweep(place)
+        return lock
 
     def _load(self, expected: Record) -> Record:
         data = self.path.read_bytes()
@@ -102,16 +145,18 @@ class Store:
         parsed: list[Record] = []
         for number, line in enumerate(lines, start=1):
             try:
-                parsed.append(json.loads(line))
-            except ValueError as error:
+                value = json.loads(line)
+            except (ValueError, RecursionError) as error:
                 if number < len(lines) or number == 1:
-                    raise ValueError(
-                        f"{self.path}, line {number} is damaged ({error}). Remove that line, or "
-                        "the folder to start anew."
-                    ) from error
+                    raise self._damaged(number, error) from error
                 whole = whole[: -len(line)]
-        if not parsed or parsed[0].get("format") != FORMAT:
-            raise ValueError(f"{self.path} is not a result file of format {FORMAT}; move it away")
+                continue
+            try:
+                parsed.append(checked_chunk(value) if number > 1 else self._header(value))
+            except ValueError as error:
+                raise self._damaged(number, error) from error
+        if not parsed:
+            raise self._damaged(1, ValueError("not a result file, it has no whole line"))
         header = parsed[0]
         if header["hash"] != expected["hash"]:
             raise ValueError(
@@ -125,12 +170,53 @@ class Store:
         self.chunks = parsed[1:]
         return header
 
+    def _header(self, value: Any) -> Record:
+        """The first line. Raises ValueError for another format, and if it contradicts itself."""
+        if isinstance(value, dict) and value.get("format", FORMAT) != FORMAT:
+            raise ValueError(f"not a result file of format {FORMAT}, but {value['format']!r:.60}")
+        header = checked_header(value)
+        if identity_hash(header["identity"]) != header["hash"]:
+            raise ValueError("the identity is not that of the hash")
+        return header
+
+    def _damaged(self, number: int, error: BaseException) -> ValueError:
+        if number == 1:
+            return ValueError(
+                f"{self.path} cannot be continued: {error}. Move it away, or name another folder."
+            )
+        return ValueError(
+            f"{self.path}, line {number} is damaged ({error}). Remove that line, or the folder to "
+            "start anew."
+        )
+
     def append(self, chunk: Record) -> None:
-        """Add a finished chunk {policy, fingerprint, set, predict_time, episodes: [...]}."""
+        """Add a finished chunk {policy, fingerprint, set, predict_time, episodes: [...]}.
+
+        Raises OSError when it cannot be written whole; then the file is what it was before.
+        """
         line = (json.dumps(chunk, allow_nan=False) + "\n").encode()
-        with self.path.open("ab", buffering=0) as file:
-            file.write(line)
-            os.fsync(file.fileno())
+        descriptor, written = -1, 0
+        try:
+            # No file is made here: one without a header could not be read again.
+            descriptor = os.open(self.path, os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0))
+            before = os.fstat(descriptor).st_size
+            try:
+                written = os.write(descriptor, line)
+                if written < len(line):
+                    raise OSError("is the disk full, or a quota or file size limit reached?")
+                os.fsync(descriptor)
+            except BaseException:
+                with suppress(OSError):  # what is left is a torn line, cut off on opening
+                    os.ftruncate(descriptor, before)
+                raise
+        except OSError as error:
+            raise OSError(
+                f"{self.path}: {written} of {len(line)} bytes written, chunk not stored: "
+                f"{error.strerror or error}"
+            ) from error
+        finally:
+            if descriptor >= 0:
+                os.close(descriptor)
         self.chunks.append(chunk)
 
     def records(self, fingerprints: Mapping[str, str]) -> list[Record]:
@@ -147,27 +233,27 @@ class Store:
 
     def trace_path(self, policy: str, uncertainty_set: str) -> Path:
         """File with the motion of the first episodes of a policy on a set."""
-        safe = [
-            "".join(c if c.isalnum() or c in "-_." else "_" for c in name)
-            for name in (uncertainty_set, policy)
-        ]
-        return self.folder / "traces" / f"{'--'.join(safe)}.npz"
+        return self.folder / "traces" / f"{file_name(uncertainty_set, policy)}.npz"
 
     def save_trace(self, policy: str, uncertainty_set: str, arrays: Mapping[str, Any]) -> None:
         """Keep arrays for the figures, all or nothing."""
-        path = self.trace_path(policy, uncertainty_set)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.npz")
-        np.savez(temporary, **arrays)
-        os.replace(temporary, path)
+        buffer = io.BytesIO()
+        np.savez(buffer, **arrays)
+        write_atomically(self.trace_path(policy, uncertainty_set), buffer.getvalue())
 
     def load_trace(self, policy: str, uncertainty_set: str) -> dict[str, NDArray[Any]] | None:
-        """The arrays of `save_trace`, or None when there are none."""
+        """The arrays of `save_trace`; None when there are none, with a notice if unreadable."""
         path = self.trace_path(policy, uncertainty_set)
-        if not path.exists():
+        try:
+            if not path.exists():
+                return None
+            with np.load(io.BytesIO(path.read_bytes())) as data:
+                return checked_trace(dict(data))
+        except Exception as error:  # zipfile and numpy raise many kinds for a damaged file
+            self.notices.append(
+                f"{path} is damaged and left out of the figures ({type(error).__name__}: {error})"
+            )
             return None
-        with np.load(path) as data:
-            return dict(data)
 
 
 def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:

@@ -1,150 +1,79 @@
-"""Mass and motion resistance from the longitudinal motion.
+"""Files that are there whole or not at all, names that no two things share, and locks.
 
-    a_x = (F_L + F_R) / m - g mu_l (s_L + s_R) / 2,    F = torque / r,  s = sign(v_track)
-a_x is what the accelerometer feels, dv_x/dt - w v_y, so the coupling with lateral and yaw motion
-is in it, and each track has its own resistance: `coupled`, exact in curves too. S 7.1.2 assumes
-longitudinal motion: `paper` and `printed` take dv_x/dt for a_x and s_L = s_R = sign(v_x).
-Variance of the equation: accelerometer and torque sensors. Tracks slower than SLOWEST are left
-out: there s is not yet +-1. `printed` leaves nothing out and weighs all samples alike.
-
-References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2, its suggestion in 8.3.1.
+A file is written beside its place under a temporary name and then moved there. What a kill leaves
+under such a name is removed by `sweep`, which whoever holds the lock of the folder may call.
 """
 
-import math
-from typing import Any, Literal, NamedTuple
+import hashlib
+import os
+import re
+import shutil
+import sys
+from contextlib import suppress
+from pathlib import Path
 
-import numpy as np
+NAME_LENGTH = 60  # [characters] of each readable part of a file's name
 
-from baselines.estimators import least_squares as ls
-from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
-from baselines.estimators.two_parameters import (
-    HOLDING,
-    REJECTED,
-    SLOWEST,
-    TORQUE_MARGIN,
-    TwoParameterEstimator,
-    answer,
-    as_printed,
-    tuning,
-)
-from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import RANGES, PlantParameters
-
-FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
-RESISTANCE_DRIFT = 0.01  # [1/sqrt(s)] random walk of mu_l: 0.02 in a second, more by `changes`
-INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
-RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
-MASS_FACTOR = 5.0  # [-] mass is sought between nominal / factor and nominal * factor
-MODEL_NOISE = 0.02  # [m/s^2] of the equation itself: what the model leaves out
-
-_V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
-_A_X, _TORQUE = COLUMN["acceleration_x"], COLUMN["torque_left"]
+_TEMPORARY = re.compile(r"\..+\.\d+\.tmp")
+# Names that are different files on every file system: lower case, ASCII, single separators.
+_PLAIN = re.compile(r"[a-z0-9]+([-_.@][a-z0-9]+)*")
 
 
-class Known(NamedTuple):
-    """Constants of the longitudinal equation."""
-
-    inverse_radius: float  # [1/m] 1/r
-    half_gauge: float  # [m] B/2
-    inverse_mass: float  # [1/kg] nominal, for the variance
-    acceleration_variance: float  # [m^2/s^4] accelerometer and model
-    effort_variance: float  # [N^2] of F_L + F_R
-    largest_torque: float  # [N m] that can be
-    slowest: float  # [m/s] slower tracks are left out
-    coupled: bool
+def temporary(path: Path) -> Path:
+    """Where this process writes a file until it is whole; `sweep` removes what a kill has left."""
+    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
 
 
-@formula
-def equation(z, i, known):
-    """The Sample of vehicle i from its measurement z (N, 13), and whether the tracks move."""
-    v_x, w = z[i, _V_X], z[i, _W]
-    left, right = v_x - w * known.half_gauge, v_x + w * known.half_gauge
-    force = (z[i, _TORQUE] + z[i, _TORQUE + 1]) * known.inverse_radius
-    slowest = min(abs(left), abs(right)) if known.coupled else abs(v_x)
-    if known.coupled:
-        y = z[i, _A_X]
-        side = 0.5 * (math.copysign(1.0, left) + math.copysign(1.0, right))
-    else:
-        y = z[i, _A_X] + w * z[i, _V_Y]
-        side = math.copysign(1.0, v_x)
-    scale = known.inverse_mass * known.inverse_mass
-    variance = known.acceleration_variance + scale * known.effort_variance
-    return ls.Sample(
-        y, force, -soil.GRAVITY * side, variance, known.effort_variance
-    ), slowest > known.slowest
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that it is there whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = temporary(path)
+    try:
+        partial.write_bytes(data)
+        os.replace(partial, path)
+    except BaseException:
+        with suppress(OSError):
+            partial.unlink()
+        raise
 
 
-@loop
-def update_all(z, fresh, memory, prior, known, out):
-    """One sample of every vehicle: z (N, 13), fresh (N, 3), memory (N, MEMORY) in and out."""
-    for i in range(z.shape[0]):
-        status, nis = HOLDING, np.nan
-        if fresh[i, INERTIAL] and fresh[i, DRIVE]:
-            sample, moving = equation(z, i, known)
-            seen = sample.y + sample.phi_1 + sample.phi_2 + z[i, _V_X] + z[i, _W]
-            if not math.isfinite(seen):
-                memory[i, ls.SKIPPED] += 1.0
-                status = REJECTED
-            elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > known.largest_torque:
-                status = REJECTED
-            elif moving:
-                status, nis = ls.step(memory, i, sample, prior)
-        answer(memory, i, prior, status, nis, out)
+def sweep(folder: Path) -> None:
+    """Remove temporary files and folders; no process may be writing there."""
+    for path in folder.glob(".*.tmp"):
+        if _TEMPORARY.fullmatch(path.name):
+            with suppress(OSError):
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
-class LongitudinalEstimator(TwoParameterEstimator):
-    """Estimates [1/m, mu_l] of N vehicles; see the head of the file.
+def file_name(*names: str) -> str:
+    """A name for a file of these names, another one for any others, on every file system."""
+    parts = []
+    for name in names:
+        if _PLAIN.fullmatch(name) and len(name) <= NAME_LENGTH:
+            parts.append(name)
+        else:
+            readable = re.sub(r"[^A-Za-z0-9.@_-]", "_", name)[:NAME_LENGTH]
+            parts.append(f"{readable}~{hashlib.sha256(name.encode()).hexdigest()[:12]}")
+    return "--".join(parts)
 
-    regression: "coupled" (default), "paper" or "printed", see two_parameters. forgetting: factor
-    per sample. drift [1/sqrt(s)]: random walk of mu_l. None takes the defaults of the
-    regression; "paper" and "printed" have lambda = 0.998 and no walk. follows_changes: outlier
-    gate and search for changes; None = True for "coupled" alone.
-    """
 
-    names = ("inverse_mass", "longitudinal_resistance")
-    _kernel = update_all
+class Lock:
+    """An advisory lock of the operating system on a file, until this object or its process ends."""
 
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float = 0.02,
-        data_sheet: DataSheet | None = None,
-        count: int = 1,
-        regression: Literal["coupled", "paper", "printed"] = "coupled",
-        forgetting: float | None = None,
-        drift: float | None = None,
-        follows_changes: bool | None = None,
-    ) -> None:
-        forgetting, drift, follows_changes = tuning(
-            regression, forgetting, drift, follows_changes, (FORGETTING, RESISTANCE_DRIFT)
-        )
-        walk = drift * drift * control_period / RESISTANCE_SIGMA**2
-        nominal = 1.0 / parameters.mass
-        bounds = RANGES["longitudinal_resistance"]
-        prior = ls.Prior(
-            nominal, parameters.longitudinal_resistance,
-            INVERSE_MASS_SIGMA * nominal, RESISTANCE_SIGMA,
-            nominal / MASS_FACTOR, bounds.low, nominal * MASS_FACTOR, bounds.high,
-            forgetting, walk, True, follows_changes,
-        )  # fmt: skip
-        printed = regression == "printed"
-        super().__init__(
-            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior
-        )
-        sheet, p = self.data_sheet, self.parameters
-        effort = sheet.torque_noise / p.sprocket_radius
-        self._known = Known(
-            1.0 / p.sprocket_radius,
-            0.5 * p.track_gauge,
-            nominal,
-            1.0 if printed else sheet.acceleration_noise**2 + MODEL_NOISE**2,
-            0.0 if printed else 2.0 * effort * effort,
-            math.inf if printed else TORQUE_MARGIN * p.torque_limit,
-            -1.0 if printed else SLOWEST,
-            regression == "coupled",
-        )
+    def __init__(self, descriptor: int) -> None:
+        """Raises BlockingIOError if another process holds it, OSError where there are no locks."""
+        self.descriptor = descriptor
+        if sys.platform == "win32":
+            import msvcrt
 
-    def known(self) -> tuple[Any, ...]:
-        """Constants of the equation."""
-        return (self._known,)
+            try:
+                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            except PermissionError as error:
+                raise BlockingIOError(error.errno, error.strerror) from error
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def __del__(self) -> None:
+        os.close(self.descriptor)

@@ -9,7 +9,22 @@ figures.
 An interrupted run loses at most the chunk of episodes in progress; run it again to continue.
 """
 
+import os
+import signal
 import sys
+from contextlib import suppress
+
+if __name__ == "__main__":
+    # Exit at once: an exception in the middle of an import or a compilation is lost or replaced.
+    # Finished chunks are on disk, and what else a kill leaves is removed by the next run.
+    def _stop(signum: int, frame: object) -> None:
+        with suppress(Exception):
+            sys.stdout.flush()
+        os.write(2, b"\nevaluate.py: interrupted; finished episodes are kept, run it again\n")
+        os._exit(130)  # as shells have it for Ctrl-C
+
+    signal.signal(signal.SIGINT, _stop)
+
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,18 +50,17 @@ from tracked_env.benchmark import (
     page,
     report,
 )
-from tracked_env.benchmark.policy_interface import PolicyEntry, checked_policy
+from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
 from tracked_env.benchmark.policy_lookup import archives, load_policies, shipped_agents
 from tracked_env.benchmark.runner import pending, progress_bar, run
 from tracked_env.benchmark.sets import VERSION
 from tracked_env.benchmark.store import identity_hash
 from tracked_env.benchmark.summary import Row, rows_of
-from tracked_env.validation import name_or_json
+from tracked_env.validation import checked_choice, name_or_json
 
 PRETRAINED = Path(__file__).parent / "agents" / "pretrained"
 DRIVES = {TORQUE_ID: "torque", SPEED_ID: "speed"}
 SHIPPED = {env: shipped_agents(PRETRAINED / env.partition("/")[2]) for env in DRIVES}
-INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
 
 
 @dataclass(frozen=True)
@@ -76,7 +90,8 @@ class Config:
     NAME=runs/ppo-*/agent.zip: the seeds of one agent,
     summarised together.
     module:attribute: any object with a `predict` as in
-    Stable-Baselines3, or what makes one."""
+    Stable-Baselines3, or what makes one. It is imported
+    and run."""
 
     sets: tuple[str, ...] | None = None
     """Evaluation sets: laws of vehicle, soil and changes,
@@ -107,7 +122,8 @@ class Config:
     held at a constant distance as in the original paper."""
 
     output: Path = Path("results")
-    """Folder for results; each configuration gets its own in it."""
+    """Folder for results; each configuration gets its own in
+    it, which one evaluate.py at a time may write."""
 
     figures: bool = True
     """Draw paths, errors, torque and slip as PNG."""
@@ -130,6 +146,7 @@ class Config:
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
     """The part of the command line that the benchmark knows. Raises ValueError."""
+    checked_choice("environment", config.env, DRIVES)
     return BenchmarkConfig(
         sets=config.sets or default_sets(config.env),
         episodes=config.episodes,
@@ -189,6 +206,8 @@ def reproduce(config: Config) -> int:
     Without matplotlib the page has no figures.
     """
     began = time.perf_counter()
+    folder = config.output / config.paper
+    folder.mkdir(parents=True, exist_ok=True)
     paper = import_module(f"reproduce.{config.paper}")
     page, claims = (import_module(f"{paper.__name__}.{part}") for part in ("page", "claims"))
     baseline = import_module(f"reproduce.{config.paper}.baseline_tools")
@@ -197,7 +216,6 @@ def reproduce(config: Config) -> int:
         print(f"{time.perf_counter() - began:5.0f} s  {text}", flush=True)
 
     results = paper.run_everything(paper.Tools(**baseline.TOOLS), say)
-    folder = config.output / config.paper
     say("page")
     try:
         files = page.write(results, folder, config.figures)
@@ -242,16 +260,23 @@ def write_leaderboard(
 
 
 def main(config: Config) -> int:
-    """Run, print the summary, write the results; returns the exit status."""
+    """Run what is asked for; returns the exit status. One line on stderr says what failed."""
+    try:
+        return reproduce(config) if config.paper != "none" else compare(config)
+    except (PolicyError, OSError) as error:
+        print(f"evaluate.py: {error}", file=sys.stderr)
+        return 1
+
+
+def compare(config: Config) -> int:
+    """The benchmark: run, print the summary, write the results; returns the exit status."""
     began = time.perf_counter()
-    if config.paper != "none":
-        return reproduce(config)
     try:
         benchmark = benchmark_config(config)
         entries = load_policies(
             config.named_policies(), POLICIES, SHIPPED[config.env], open_archive
         )
-        for entry in entries:  # whoever cannot drive here is refused before anybody drives
+        for entry in entries:  # reject incompatible policies first
             checked_policy(entry, benchmark.context(benchmark.sets[0]))
         store = Store(result_folder(config.output, benchmark), benchmark.identity())
     except ValueError as error:
@@ -260,19 +285,20 @@ def main(config: Config) -> int:
     checked = check(benchmark)
     for notice in (*store.notices, checked.message):
         print(notice)
+    known = len(store.notices)
     tasks = list(pending(benchmark, entries, store))
     asked = len(entries) * len(benchmark.sets) * benchmark.episodes
     missing = sum(len(task.episodes) for task in tasks)
     if missing < asked:
         print(f"{asked - missing} of {asked} episodes are already in {store.folder}")
     steps = sum(len(task.episodes) * benchmark.max_steps(task.uncertainty_set) for task in tasks)
+    with progress_bar(steps) as progress:
+        records = run(benchmark, entries, store, progress)
     try:
-        with progress_bar(steps) as progress:
-            records = run(benchmark, entries, store, progress)
-    except KeyboardInterrupt:
-        print(f"\ninterrupted; run the same command to continue in {store.folder}", file=sys.stderr)
-        return INTERRUPTED
-    rows = rows_of(records)
+        rows = rows_of(records)
+    except ValueError as error:  # stored episodes that contradict each other
+        print(f"evaluate.py: {error}", file=sys.stderr)
+        return 1
     summary = report.summarise(records, rows)
     report.write(store.folder, {**store.header, "benchmark": checked._asdict()}, records, summary)
     conditions = f"{checked.message}; source {benchmark.identity()['source']}"
@@ -280,6 +306,8 @@ def main(config: Config) -> int:
     print(f"\n{report.terminal(summary)}\n\n\nLeaderboard\n\n{board}\n")
     print(f"results.json, episodes.csv, summary.md and leaderboard.html in {store.folder}")
     draw(config, benchmark, entries, store, records)
+    for notice in store.notices[known:]:
+        print(notice)
     print(f"done in {time.perf_counter() - began:.1f} s")
     return 0
 

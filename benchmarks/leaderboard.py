@@ -23,7 +23,7 @@ import numpy as np
 from tracked_env.benchmark import SETS
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.leaderboard import between
-from tracked_env.benchmark.report import rate_unit
+from tracked_env.benchmark.report import escaped, rate_unit
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import action_rate
 
@@ -65,7 +65,7 @@ def table(board: dict[str, Any]) -> str:
     rates = [f"{factor * action_rate(of)[0]:.1f}" for of in means]
     lines = [
         "| | policy | seeds | RMSE, all sets [m] | after 5 s [m] | score | worst tenth [m] "
-        f"| success | action rate [{unit}] | P(better) | than {board['reference']} "
+        f"| success | action rate [{unit}] | P(better) | than {escaped(board['reference'])} "
         "| training of a seed, CPU |",
         "|--:|--|--:|--:|--:|--:|--:|--:|--:|--:|--|--:|",
     ]
@@ -76,14 +76,14 @@ def table(board: dict[str, Any]) -> str:
         against = entry["against"]
         chance = "-" if against is None else f"{against['improvement']['value']:.0%}"
         cells = [
-            f"{rank}", entry["agent"], f"{seeds}{star}",
+            f"{rank}", escaped(entry["agent"]), f"{seeds}{star}",
             estimate_text(o["rmse_iqm"], 3, entry["seeds"]), f"{o['settled_iqm']['value']:.3f}",
             estimate_text(o["score"], 3, entry["seeds"]), f"{o['rmse_worst']['value']:.2f}",
             f"{100 * o['means']['success']:.1f} %", rates[rank - 1],
             chance, entry["verdict"], training_cost(entry["agent"], track),
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
-    names = [entry["agent"] for entry in agents]
+    names = [escaped(entry["agent"]) for entry in agents]
     lines += ["", "| set | " + " | ".join(names) + " |", "|--|" + "--:|" * len(names)]
     for name in board["sets"]:
         values = [entry["rmse"][name]["value"] for entry in agents]

@@ -50,6 +50,39 @@ def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in files)
 
 
+@pytest.mark.parametrize("damaged", [["coast"], ["coast", "spin"]])
+def test_a_damaged_trace_is_left_out_of_the_figures_and_the_others_are_drawn(
+    finished: tuple[Store, list[episode_figures.Record]], tmp_path: Path, damaged: list[str]
+) -> None:
+    original, records = finished
+    store = Store(tmp_path / "copy", CONFIG.identity())
+    for policy in POLICIES:
+        trace = original.load_trace(policy.name, "payload")
+        assert trace is not None
+        store.save_trace(policy.name, "payload", trace)
+        if policy.name in damaged:
+            store.trace_path(policy.name, "payload").write_bytes(b"mine")
+    files = episode_figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
+    assert len(files) == (4 if len(damaged) == 1 else 1)
+    assert len(store.notices) == len(damaged)
+
+
+def test_policies_of_which_fewer_episodes_were_kept_are_drawn_and_names_are_no_formulas(
+    finished: tuple[Store, list[episode_figures.Record]], tmp_path: Path
+) -> None:
+    original, records = finished
+    store = Store(tmp_path / "copy", CONFIG.identity())
+    odd = {"coast": "$\\foo$", "spin": "spin"}
+    for name, new in odd.items():
+        trace = original.load_trace(name, "payload")
+        assert trace is not None
+        kept = 1 if name == "coast" else 3
+        store.save_trace(new, "payload", {**trace, "motion": trace["motion"][:, :kept]})
+    renamed = [{**r, "policy": odd[r["policy"]]} for r in records]
+    files = episode_figures.save_all(tmp_path, store, renamed, CONFIG.sets, CONFIG.seed)
+    assert len(files) == 4
+
+
 def test_every_axis_has_a_label_with_its_unit(
     finished: tuple[Store, list[episode_figures.Record]],
 ) -> None:

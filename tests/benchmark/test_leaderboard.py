@@ -198,6 +198,21 @@ def test_the_page_is_whole_escaped_and_needs_no_other_file(tmp_path: Path) -> No
     assert [p.name for p in tmp_path.iterdir()] == ["leaderboard.html"]
 
 
+def test_markdown_and_figures_show_a_strange_name_as_it_is(
+    tmp_path: Path, repository: Path
+) -> None:
+    name = "<script>|x\n$\\foo$"
+    found, rows = board("payload", "drift", **{**ALL, name: EASY})
+    text = lb.markdown(found)
+    assert "<script>" not in text
+    assert r"&lt;script>\|x $\\foo$" in text
+    published = publishing(repository).table(lb.document(found))
+    assert "<script>" not in published
+    assert r"| &lt;script>\|x $\\foo$ |" in published
+    pytest.importorskip("matplotlib")
+    page.write(tmp_path, found, rows["all sets"], {name: [[(1e5, 1.0), (1e6, 0.1)]]})
+
+
 def test_the_page_without_figures_still_has_the_tables_and_every_cell_of_the_heat_map(
     tmp_path: Path,
 ) -> None:
@@ -206,6 +221,17 @@ def test_the_page_without_figures_still_has_the_tables_and_every_cell_of_the_hea
     assert "<img" not in text
     assert text.count('<td style="background:') == 5 * 2
     assert "Learning curves" not in text
+
+
+def publishing(repository: Path) -> Any:
+    """The script that writes the leaderboard into the README."""
+    path = repository / "benchmarks" / "leaderboard.py"
+    spec = importlib.util.spec_from_file_location("publishing", path)
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def by_speed(given: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -233,14 +259,8 @@ def test_every_table_names_the_unit_of_the_action_rate(
     found = lb.leaderboard(summary, rows)
     head, line, _ = lb.cost_table(found)
     assert (head[-2], line[-2]) == (f"action rate [{cost}]", shown[1])
-    path = repository / "benchmarks" / "leaderboard.py"
-    spec = importlib.util.spec_from_file_location("publishing", path)
-    assert spec
-    assert spec.loader
-    publishing = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(publishing)
-    head_line, _, first, *_ = publishing.table(json.loads(json.dumps(lb.document(found)))).split(
-        "\n"
+    head_line, _, first, *_ = (
+        publishing(repository).table(json.loads(json.dumps(lb.document(found)))).split("\n")
     )
     column = [cell.strip() for cell in head_line.split("|")].index(f"action rate [{short}]")
     assert first.split("|")[column].strip() == shown[0]

@@ -11,6 +11,7 @@ from baselines.registry import BY_DRIVE, POLICIES
 from tracked_env.benchmark.policy_interface import (
     PolicyContext,
     PolicyEntry,
+    PolicyError,
     checked_policy,
     load_policy,
     needs_truth,
@@ -90,6 +91,9 @@ def test_a_factory_with_an_argument_named_context_gets_it(module: str) -> None:
         ("no_such_module:policy", "No module named 'no_such_module'.*current folder"),
         ("{module}:Missing", "no attribute 'Missing'"),
         ("{module}:NOTHING", "no `predict` and is no factory"),
+        (":x", "policy ':x', when it was imported: ValueError"),
+        ("..up:x", "policy '..up:x', when ..up was imported: TypeError"),
+        ("{module}:", "has no attribute ''"),
     ],
 )
 def test_what_is_no_policy_is_refused_with_what_would_be_one(
@@ -97,6 +101,65 @@ def test_what_is_no_policy_is_refused_with_what_would_be_one(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         load_policy(spec.format(module=module), POLICIES)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("1 / 0", "ZeroDivisionError: division by zero .*broken.py, line 1"),
+        ("import sys; sys.exit(0)", r"it called sys.exit\(0\)"),
+        ("def (", "SyntaxError: invalid syntax .*line 1"),
+        (
+            "class Odd:\n def __getattr__(self, name): raise KeyError(name)\npolicy = Odd()",
+            "KeyError",
+        ),
+    ],
+)
+def test_a_module_that_cannot_be_imported_is_named_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, message: str
+) -> None:
+    (tmp_path / "broken.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "broken", raising=False)
+    with pytest.raises(PolicyError, match=f"policy 'broken:policy'.*{message}") as caught:
+        load_policy("broken:policy", POLICIES)
+    assert "\n" not in str(caught.value)
+    monkeypatch.delitem(sys.modules, "broken", raising=False)
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("json:dumps", "TypeError: dumps.. missing 1 required positional argument: 'obj'"),
+        ("builtins:dict", "which has no method `predict`"),
+        ("builtins:object", "which has no method `predict`"),
+        ("os:getcwd", "which has no method `predict`"),
+        ("sys:exit", r"it called sys.exit\(None\)"),
+        ("math:sin", "TypeError"),
+    ],
+)
+def test_a_callable_that_makes_no_policy_is_named_in_one_line(spec: str, message: str) -> None:
+    with pytest.raises(PolicyError, match=f"^policy '{spec}', when it was made: .*{message}") as no:
+        made(spec)
+    assert "\n" not in str(no.value)
+
+
+@pytest.mark.parametrize("error", [ValueError("no\nsuch file"), RuntimeError(), SystemExit(0)])
+def test_a_constructor_that_raises_or_exits_is_named_in_one_line(error: BaseException) -> None:
+    def make(context: PolicyContext) -> Any:
+        raise error
+
+    with pytest.raises(PolicyError, match=r"^policy 'bad', when it was made: .*\(.*line") as caught:
+        checked_policy(PolicyEntry("bad", make, "1"), CONTEXT)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_interruption_is_not_taken_for_an_error_of_the_policy() -> None:
+    def make(context: PolicyContext) -> Any:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        checked_policy(PolicyEntry("slow", make, "1"), CONTEXT)
 
 
 def test_a_factory_that_makes_something_else_is_refused() -> None:

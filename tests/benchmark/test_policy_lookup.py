@@ -69,6 +69,10 @@ def test_any_policy_can_be_renamed() -> None:
     [
         (["nominl"], "Did you mean 'nominal'"),
         (["ppi"], "Did you mean 'ppo'"),
+        (["a\nb=nominal"], "at most 200 characters that can be printed"),
+        (["\x1b[2J=nominal"], "that can be printed"),
+        ([f"{'x' * 201}=nominal"], "at most 200 characters"),
+        (["ppo@1=nominal"], "without @, which marks seeds"),
         (["nominal", "nominal=tests.benchmark.stub_policies:Constant"], "two policies are called"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,19 @@ def test_a_single_policy_is_summarised_without_a_comparison() -> None:
     text = report.terminal(report.summarise(records("set", mine=EASY)))
     assert "mine" in text
     assert "clearly worse" not in text
+
+
+def test_names_are_shown_as_they_are_in_markdown() -> None:
+    strange = "a|b\n<script>&`x`[y](z)\\|"
+    text = report.markdown(report.summarise(records("s|t", **{strange: EASY, "b": 2 * EASY})))
+    shown = r"a\|b &lt;script>&amp;\`x\`[y\](z)\\\|"
+    assert shown in text
+    assert "<script>" not in text
+    for part in text.split("\n\n"):
+        rows = [line for line in part.splitlines() if line.startswith("|")]
+        assert len({len(re.findall(r"(?<!\\)(?:\\\\)*\|", line)) for line in rows}) <= 1
+        assert len(rows) in (0, len(part.splitlines()))
+    assert report.escaped("RMSE [m]: IQM [95 %] *") == "RMSE [m]: IQM [95 %] *"
 
 
 def test_nothing_finished_is_an_error() -> None:

@@ -23,7 +23,12 @@ from tracked_env.benchmark import (
 )
 from tracked_env.benchmark.benchmark_config import WITHOUT_INFLUENCE
 from tracked_env.benchmark.metrics import METRICS
-from tracked_env.benchmark.policy_interface import PolicyContext, PolicyEntry
+from tracked_env.benchmark.policy_interface import (
+    PolicyContext,
+    PolicyEntry,
+    PolicyError,
+    checked_answer,
+)
 from tracked_env.benchmark.runner import drive, pending
 from tracked_env.benchmark.shown import shown
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
@@ -289,9 +294,68 @@ def test_the_simulation_takes_nothing_but_pictures_from_what_is_without_influenc
 
 
 def test_an_error_of_a_policy_says_whose_it_was_and_where(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="must be finite") as caught:
+    said = "policy 'diverging', set 'soil-and-mass', step 2: .*must be finite"
+    with pytest.raises(PolicyError, match=said):
         done(tmp_path, SHORT, entry("diverging", lambda context: Diverging()))
-    assert caught.value.__notes__ == ["policy 'diverging', set 'soil-and-mass', step 2"]
+
+
+class Answering(Constant):
+    """Answers with what it was built with, or raises it."""
+
+    def __init__(self, answer: Any) -> None:
+        super().__init__()
+        self.answer = answer
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        if isinstance(self.answer, BaseException):
+            raise self.answer
+        return self.answer
+
+
+ACTIONS = np.zeros((4, 2), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (None, r"`predict` returned None; must be a pair"),
+        (ACTIONS, r"`predict` returned array.*must be a pair"),
+        ((ACTIONS,), "must be a pair"),
+        ((None, None), r"actions of shape \(\) and type object; must be numbers of shape \(4, 2\)"),
+        ((ACTIONS[0], None), r"actions of shape \(2,\)"),
+        ((ACTIONS[:3], None), r"actions of shape \(3, 2\)"),
+        ((ACTIONS.T, None), r"actions of shape \(2, 4\)"),
+        ((ACTIONS.astype(str), None), "type <U"),
+        ((ACTIONS * 1j, None), "type complex64"),
+        (([[1, 2], [3]], None), "ValueError"),
+        ((np.full((4, 2), np.nan), None), r"action\[0\] = \[nan, nan\]; must be finite"),
+        ((np.full((4, 2), -np.inf), None), "must be finite"),
+        (
+            ZeroDivisionError("over\n0"),
+            r"ZeroDivisionError: over 0 \(.*test_runner.py, line \d+, in",
+        ),
+        (SystemExit(0), r"it called sys.exit\(0\), which a policy must not do"),
+        (SystemExit("bye"), r"it called sys.exit\('bye'\)"),
+        (MemoryError(), "MemoryError"),
+    ],
+)
+def test_a_policy_that_answers_wrongly_raises_or_exits_is_named_in_one_line(
+    tmp_path: Path, answer: Any, message: str
+) -> None:
+    said = f"^policy 'wrong', set 'soil-and-mass', step 0: .*{message}"
+    with pytest.raises(PolicyError, match=said) as caught:
+        done(tmp_path, SHORT, entry("wrong", lambda context: Answering(answer)))
+    assert "\n" not in str(caught.value)
+    assert Store(tmp_path, SHORT.identity()).chunks == []
+
+
+def test_actions_beyond_the_limits_and_of_other_types_are_taken_as_the_environment_does() -> None:
+    given = np.array([[2.0, -1e300], [0.1, 1.0]])
+    action, state = checked_answer((given, "mine"), 2)
+    assert action.dtype == np.float32
+    assert action.tolist() == [[1.0, -1.0], [np.float32(0.1), 1.0]]
+    assert state == "mine"
+    assert checked_answer(([[0, 1], [1, 0]], None), 2)[0].tolist() == [[0.0, 1.0], [1.0, 0.0]]
 
 
 class Alternating(Constant):

@@ -416,6 +416,7 @@ def test_no_two_policies_or_sets_share_a_file_on_any_file_system(tmp_path: Path)
         "a|b",
         "a--b",
         "b",
+        "b--b",
     ]
     names += ["x" * 300, "x" * 301, "x" * 60, "a@0", "a~0", "a_", "_a"]
     pairs = [(policy, of_set) for policy in names for of_set in names]

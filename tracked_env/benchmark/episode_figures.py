@@ -39,9 +39,9 @@ __all__ = [
 
 BELIEFS = {  # drawn, with their labels
     "mass": "mass [kg]",
-    "inertia": "inertia [kg m$^2$]",
-    "longitudinal_resistance": r"$\mu_l$ [-]",
-    "lateral_resistance": r"$\mu_t$ [-]",
+    "inertia": "inertia [kg m²]",
+    "longitudinal_resistance": "longitudinal resistance [-]",
+    "lateral_resistance": "lateral resistance [-]",
 }
 MARKER_TIME = 5.0  # [s] between two markers on a path
 
@@ -123,7 +123,7 @@ def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figu
     Markers every MARKER_TIME show who is where at the same time: a delay is an error as well.
     """
     longest = max(traces.values(), key=lambda trace: len(trace["motion"]))
-    count = longest["motion"].shape[1]
+    count = min(trace["motion"].shape[1] for trace in traces.values())
     every = max(round(MARKER_TIME / float(longest["control_period"])), 1)
     figure, grid = new_figure((2.4, 2.6), 1, count, gap=(0.5, 0.0))
     for episode, axes in enumerate(grid[0]):
@@ -194,7 +194,7 @@ def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Fi
     rows = [parameter for parameter in BELIEFS if any(parameter in of for of in known.values())]
     if not rows:
         return None
-    count = max(traces[policy]["believed_value"].shape[2] for policy, of in known.items() if of)
+    count = min(traces[policy]["believed_value"].shape[2] for policy, of in known.items() if of)
     figure, grid = new_figure(
         (2.5, 1.35), len(rows), count, left=0.75, gap=(0.25, 0.2), sharex=True, sharey="row"
     )
@@ -223,7 +223,7 @@ def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Fi
         grid[0, episode].set_title(f"episode {episode} (seed {seed + episode})")
         grid[-1, episode].set_xlabel("time [s]")
     figure.align_ylabels(grid[:, 0])
-    head(figure, grid[0, 0], rf"{name}: parameters, estimates $\pm 2\sigma$", style)
+    head(figure, grid[0, 0], f"{name}: parameters, estimates ± 2 standard deviations", style)
     return figure
 
 
@@ -249,9 +249,14 @@ def save_all(
     found: dict[str, Traces] = {}
     for name in sets:
         loaded = {policy: store.load_trace(policy, name) for policy in style}
-        found[name] = {policy: trace for policy, trace in loaded.items() if trace is not None}
-    with matplotlib.rc_context(STYLE):
-        drawn = {"overview": overview(records, sets, style), "errors": errors(found, style)}
+        traces = {policy: trace for policy, trace in loaded.items() if trace is not None}
+        if traces:
+            found[name] = traces
+    # Names of policies are shown as they are: a dollar sign in one begins no formula.
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        drawn = {"overview": overview(records, sets, style)}
+        if found:
+            drawn["errors"] = errors(found, style)
         for name, traces in found.items():
             drawn[f"paths-{name}"] = paths(name, traces, style, seed)
             drawn[f"drive-{name}"] = drive(name, traces, style)

@@ -19,7 +19,7 @@ import numpy as np
 
 from tracked_env.benchmark.changes import RECOVERED
 from tracked_env.benchmark.reliability import FEW_SEEDS, estimate, fewest
-from tracked_env.benchmark.report import aligned, markdown_rows, marked, plain
+from tracked_env.benchmark.report import aligned, escaped_lines, markdown_rows, marked, plain
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary, action_rate
@@ -202,12 +202,12 @@ def markdown(board: Leaderboard) -> str:
     """The leaderboard as Markdown."""
     parts = [
         markdown_rows(table(board)),
-        explanation(board).replace("\n*", "\n\n\\*"),
+        escaped_lines(explanation(board)).replace("\n*", "\n\n\\*"),
         markdown_rows(set_table(board), 1),
         "Score, and in brackets the IQM of the RMSE [m].",
         markdown_rows(cost_table(board), 1),
         COSTS,
-        board.conditions,
+        escaped_lines(board.conditions),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 

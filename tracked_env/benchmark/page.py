@@ -133,8 +133,8 @@ def profiles(row: Row, board: Leaderboard, style: dict[str, Look]) -> "Figure":
     axes.set_xscale("log")
     _plain(axes.xaxis)
     axes.set_ylim(0.0, 1.02)
-    axes.set_xlabel(r"threshold $\tau$ [m]")
-    axes.set_ylabel(r"share of episodes with RMSE $\leq \tau$")
+    axes.set_xlabel("threshold of the RMSE [m]")
+    axes.set_ylabel("share of episodes with RMSE ≤ threshold")
     _legend(axes, "Performance profile over all sets: further left is better")
     return figure
 
@@ -183,7 +183,8 @@ def figures(board: Leaderboard, row: Row, curves: Curves) -> "dict[str, Figure]"
     except ImportError:
         return {}
     style = looks([place.agent for place in board.places])
-    with matplotlib.rc_context(STYLE):
+    # Names of agents are shown as they are: a dollar sign in one begins no formula.
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
         drawn = {
             "Tracking error": intervals(board, style),
             "Performance profile": profiles(row, board, style),

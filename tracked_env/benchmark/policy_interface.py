@@ -148,13 +148,14 @@ def _from_module(spec: str) -> PolicyEntry:
                 raise PolicyError(f"policy {spec!r}: {module_name} has no attribute {attribute!r}")
             found = getattr(found, part)
         fingerprint = source_fingerprint(module_name)
+        ready = not isinstance(found, type) and hasattr(found, "predict")
     except ModuleNotFoundError as error:
         raise ValueError(
             f"policy {spec!r}: {error}. Is the module installed, or in the current folder?"
         ) from error
     except (Exception, SystemExit) as error:
         raise blamed(error, spec, f"when {module_name or 'it'} was imported") from error
-    if not isinstance(found, type) and hasattr(found, "predict"):
+    if ready:
         return PolicyEntry(spec, lambda context: found, fingerprint)
     if not callable(found):
         said = " ".join(repr(found).split())[:200]

@@ -27,6 +27,7 @@ from tracked_env.benchmark.policy_interface import (
 from tracked_env.benchmark.summary import SEED_MARK
 
 ARCHIVE = ".zip"
+NAME_LIMIT = 200  # [characters] of the name of a policy
 GENERIC = ("agent", "last")  # names that say nothing: the folder has a better one
 Opener = Callable[[Path], PolicyEntry]
 
@@ -102,6 +103,12 @@ def load_policies(
                 entries.append(PolicyEntry(name, _nothing, ""))
             trained.setdefault(name, []).append(path)
     names = [entry.name for entry in entries]
+    for name in names:
+        if not name.isprintable() or len(name) > NAME_LIMIT or SEED_MARK in name:
+            raise ValueError(
+                f"policy {name!r:.60}: a name is at most {NAME_LIMIT} characters that can be "
+                f"printed, without {SEED_MARK}, which marks seeds; give one: NAME=PATH"
+            )
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"two policies are called {name!r}; give one a name: NAME=PATH")

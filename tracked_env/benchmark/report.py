@@ -158,9 +158,24 @@ def aligned(rows: Sequence[Sequence[str]], names: int = 2) -> str:
 
 def markdown_rows(rows: Sequence[Sequence[str]], names: int = 2) -> str:
     """The same as a Markdown table."""
-    head, *body = rows
+    head, *body = ([escaped(cell) for cell in row] for row in rows)
     rule = ["--" if i < names else "--:" for i in range(len(head))]
     return "\n".join("| " + " | ".join(row) + " |" for row in [head, rule, *body])
+
+
+# What ends a cell or a line, or starts HTML, code or a link.
+_MARKUP = {"\\": "\\\\", "|": "\\|", "`": "\\`", "&": "&amp;", "<": "&lt;", "]": "\\]"}
+
+
+def escaped(text: str) -> str:
+    """Text that Markdown shows as it is, in one line; brackets stay where they cannot be a link."""
+    marks = _MARKUP if "](" in text else {**_MARKUP, "]": "]"}
+    return "".join(marks.get(c, c) if c.isprintable() else " " for c in text)
+
+
+def escaped_lines(text: str) -> str:
+    """The same of every line of a text."""
+    return "\n".join(map(escaped, text.split("\n")))
 
 
 def rule(summary: Summary) -> str:
@@ -223,7 +238,12 @@ def terminal(summary: Summary) -> str:
 def markdown(summary: Summary) -> str:
     """The whole summary as Markdown."""
     parts = _parts(summary)
-    return "\n\n".join(f"{markdown_rows(r, names)}\n\n{text}" for r, names, text in parts) + "\n"
+    return (
+        "\n\n".join(
+            f"{markdown_rows(r, names)}\n\n{escaped_lines(text)}" for r, names, text in parts
+        )
+        + "\n"
+    )
 
 
 def plain(value: Any) -> Any:

@@ -21,6 +21,8 @@ from tracked_env.benchmark.changes import CHANGING
 from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
+    blamed,
+    checked_answer,
     checked_policy,
     identifies,
     needs_truth,
@@ -124,12 +126,13 @@ def drive(
             truth = {k: v for k, v in info["truth"].items() if not k.startswith("_")}
             policy.observe_truth(truth)  # type: ignore[attr-defined]
         began = time.perf_counter()
-        action, state = policy.predict(observation, state, start, deterministic=True)
+        answer = policy.predict(observation, state, start, deterministic=True)
         predict_time += time.perf_counter() - began
+        action, state = checked_answer(answer, env.num_envs)
         if recorder is not None:
             recorder.take(policy, simulation.batch.floats)
         start = np.zeros_like(start)
-        observation, _, terminated, truncated, info = env.step(np.asarray(action, np.float32))
+        observation, _, terminated, truncated, info = env.step(action)
         floats = simulation.batch.floats
         values[done] = floats[:, _COLUMNS]
         values[done, :, _SPEED_ERROR] -= floats[:, b.STATE + s.V_X]
@@ -155,7 +158,7 @@ def drive(
 
 
 def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progress) -> None:
-    """Run one chunk and store it. An error of the policy says where it happened."""
+    """Run one chunk and store it. Raises PolicyError, OSError when it cannot be stored."""
     count = len(task.episodes)
     policy = checked_policy(task.policy, config.context(task.uncertainty_set))
     env = config.environment(task.uncertainty_set, count, needs_truth(policy))
@@ -175,9 +178,9 @@ def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progre
     seeds = [config.seed + i for i in task.episodes]
     try:
         trace, predict_time = drive(policy, env, seeds, on_step, recorder)
-    except Exception as error:
-        error.add_note(f"policy {task.policy.name!r}, set {task.uncertainty_set!r}, step {steps}")
-        raise
+    except (Exception, SystemExit) as error:
+        where = f"set {task.uncertainty_set!r}, step {steps}"
+        raise blamed(error, task.policy.name, where) from error
     finally:
         env.close()
     columns = metrics.evaluate(trace)

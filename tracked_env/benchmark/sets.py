@@ -67,7 +67,7 @@ _ALL = (
     BenchmarkSet("slow-drive", "slow-drive", "the motors lag 0.15 to 0.3 s"),
     # Another plant than any controller's model: the shear of patches under the tracks.
     BenchmarkSet(
-        "distributed", "loose-soil", "patches under the tracks: a plant that nobody models",
+        "distributed", "loose-soil", "patches under the tracks: model mismatch for all controllers",
         arguments=MappingProxyType({"plant": "distributed"}),
     ),
     _indoors("floor", "nominal", "nothing is unknown, indoors"),

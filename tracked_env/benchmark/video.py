@@ -3,14 +3,18 @@
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.files import file_name
 from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
+    blamed,
+    checked_answer,
     checked_policy,
     needs_truth,
 )
@@ -25,17 +29,23 @@ def record(
     Returns the file. Raises ImportError that names the extra to install.
     """
     policy = checked_policy(entry, config.context(uncertainty_set))
-    name = "".join(c if c.isalnum() or c in "-_." else "_" for c in entry.name)
-    path = folder / f"{uncertainty_set}--{name}--seed-{config.seed + episode}.mp4"
+    name = file_name(uncertainty_set, entry.name)
+    path = folder / f"{name}--seed-{config.seed + episode}.mp4"
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder) as temporary:
-        _record(config, policy, uncertainty_set, config.seed + episode, f"{temporary}/new")
-        os.replace(next(Path(temporary).glob("new/*.mp4")), path)
+    ours = f".{os.getpid()}.tmp"  # as `files.temporary` has it: a later run removes what is left
+    with tempfile.TemporaryDirectory(prefix=".video", suffix=ours, dir=folder) as place:
+        _record(config, policy, entry.name, uncertainty_set, config.seed + episode, f"{place}/new")
+        os.replace(next(Path(place).glob("new/*.mp4")), path)
     return path
 
 
 def _record(
-    config: BenchmarkConfig, policy: Policy, uncertainty_set: str, seed: int, folder: str
+    config: BenchmarkConfig,
+    policy: Policy,
+    name: str,
+    uncertainty_set: str,
+    seed: int,
+    folder: str,
 ) -> None:
     """Run one episode under RecordVideo, which writes one file into `folder`."""
     try:
@@ -50,14 +60,23 @@ def _record(
         observation, info = env.reset(seed=seed)
     except (ImportError, gymnasium.error.DependencyNotInstalled) as error:
         raise ImportError(f"{error}. Videos need: pip install 'tracked-env[render]'") from error
+    try:
+        _drive(env, policy, observation, info)
+    except (Exception, SystemExit) as error:
+        raise blamed(error, name, f"video of set {uncertainty_set!r}") from error
+    finally:
+        env.close()  # writes the file
+
+
+def _drive(env: Any, policy: Policy, observation: Any, info: dict[str, Any]) -> None:
     state, start, over = None, np.ones(1, dtype=bool), False
     while not over:
         if needs_truth(policy):
             policy.observe_truth(  # type: ignore[attr-defined]
                 {key: np.array([value]) for key, value in info["truth"].items()}
             )
-        action, state = policy.predict(observation[None], state, start, deterministic=True)
+        answer = policy.predict(observation[None], state, start, deterministic=True)
+        action, state = checked_answer(answer, 1)
         start = np.zeros(1, dtype=bool)
-        observation, _, terminated, truncated, info = env.step(np.asarray(action, np.float32)[0])
+        observation, _, terminated, truncated, info = env.step(action[0])
         over = terminated or truncated
-    env.close()  # writes the file

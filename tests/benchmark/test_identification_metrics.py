@@ -277,3 +277,15 @@ def test_every_parameter_of_the_plant_may_be_estimated(tmp_path: Path) -> None:
     assert set(records[0]["identification"]) == {
         *PARAMETER_NAMES, "effort_maximum", "slip_left", "slip_right"
     }  # fmt: skip
+
+
+def test_a_light_vehicle_is_judged_by_its_own_nominal_values(tmp_path: Path) -> None:
+    light = VEHICLES["focchi"].mass
+    assert ident.nominal_values(VEHICLES["focchi"])["mass"] == light
+    config = BenchmarkConfig(sets=("floor",), episodes=1, duration=0.5)  # nothing is unknown
+    store = Store(tmp_path, config.identity())
+    policy = entry("heavy", lambda context: Believing({"mass": (6.0 * light, 1.0)}, 0.0))
+    (record,) = run(config, [policy], store)
+    believed = record["identification"]["mass"]
+    assert believed["relative_rmse"] == pytest.approx(5.0, rel=1e-6)
+    assert believed["diverged"] == 1.0  # the nominal value is right, and of a heavy vehicle is not

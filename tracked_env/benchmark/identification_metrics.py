@@ -29,7 +29,12 @@ from tracked_env.benchmark.metrics import Metric, Trace, settled_step
 from tracked_env.engine import columns as b
 from tracked_env.physics import state as s
 from tracked_env.physics.lumped_forces import DriveLimits, drive_limits
-from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, VEHICLES
+from tracked_env.physics.parameters import (
+    PARAMETER_INDEX,
+    PARAMETER_NAMES,
+    VEHICLES,
+    PlantParameters,
+)
 
 SETTLED = 0.1  # [-] relative error within which an estimate is settled
 DIVERGED = 0.5  # [-] relative error from which on an estimate may count as diverged
@@ -127,16 +132,21 @@ class Recorder:
         )
 
 
-@lru_cache(maxsize=1)
-def nominal_values() -> dict[str, float]:
-    """What a policy that identifies nothing believes of each of KNOWN."""
-    effort = float(drive_limits(VEHICLES["strawa"]).effort_maximum)
-    return {**VEHICLES["strawa"]._asdict(), "effort_maximum": effort, **dict.fromkeys(_SLIPS, 0.0)}
+@lru_cache
+def nominal_values(nominal: PlantParameters = VEHICLES["strawa"]) -> dict[str, float]:
+    """What a policy that identifies nothing believes of each of KNOWN, of a nominal vehicle."""
+    effort = float(drive_limits(nominal).effort_maximum)
+    return {**nominal._asdict(), "effort_maximum": effort, **dict.fromkeys(_SLIPS, 0.0)}
 
 
-def scales(names: Sequence[str], truth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What an error is measured in, (P, K): the true value, not too close to 0; 1 for slips."""
-    floor = [[LEAST_SCALE * abs(nominal_values()[name])] for name in names]
+def scales(
+    names: Sequence[str], truth: NDArray[np.float64], known: Mapping[str, float]
+) -> NDArray[np.float64]:
+    """What an error is measured in, (P, K): the true value, not too close to 0; 1 for slips.
+
+    known: the nominal values.
+    """
+    floor = [[LEAST_SCALE * abs(known[name])] for name in names]
     slips = [[name in _SLIPS] for name in names]
     return np.where(slips, 1.0, np.maximum(np.abs(truth), floor))
 
@@ -161,6 +171,7 @@ def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
     The metrics are those of ESTIMATION_METRICS, None where there is nothing to measure.
     """
     changes = trace.changes()
+    known = nominal_values(trace.nominal)
     # Vehicle first and time last: neighbours in memory, and the same sums for every batch.
     parts = (beliefs.value, beliefs.deviation, beliefs.truth, beliefs.excited)
     by_vehicle = [np.ascontiguousarray(part.T) for part in parts]
@@ -168,7 +179,7 @@ def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
     for i, steps in enumerate(trace.steps):
         origin = changes[i][-1].last + 1 if changes[i] else 0
         rows = [part[i, :, :steps].astype(np.float64) for part in by_vehicle]
-        columns = _episode(beliefs, rows, origin, settled_step(trace))
+        columns = _episode(beliefs, rows, origin, settled_step(trace), known)
         columns["settling_time"] = columns["settling_time"] * trace.control_period
         parameters = {
             name: {metric: optional(column[j]) for metric, column in columns.items()}
@@ -183,23 +194,28 @@ def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
 
 
 def _episode(
-    beliefs: Beliefs, rows: Sequence[NDArray[np.float64]], origin: int, settled: int
+    beliefs: Beliefs,
+    rows: Sequence[NDArray[np.float64]],
+    origin: int,
+    settled: int,
+    known: Mapping[str, float],
 ) -> dict[str, NDArray[np.float64]]:
     """Every metric of one episode, (P,) each; the settling time in rows.
 
-    rows: value, deviation, truth and excited, each (P, K); origin: first row after the last change.
+    rows: value, deviation, truth and excited, each (P, K); origin: first row after the last change;
+    known: the nominal values.
     """
     value, deviation, truth, excited = rows
     finite = np.isfinite(value) & np.isfinite(truth)
     error = np.where(finite, value - np.where(finite, truth, 0.0), np.nan)
-    scale = scales(beliefs.names, truth)
+    scale = scales(beliefs.names, truth, known)
     relative = error / scale
     squared = relative * relative
     outside = ~(np.abs(relative) <= SETTLED)[:, origin:]
     settling = np.array([last_outside(row) for row in outside], dtype=np.float64)
     never = settling >= outside.shape[1]
     claimed = finite & (deviation > 0.0) & np.isfinite(deviation)
-    nominal = np.array([nominal_values()[name] for name in beliefs.names])
+    nominal = np.array([known[name] for name in beliefs.names])
     last = np.abs(relative[:, -1])
     others = np.abs(nominal - truth[:, -1]) / scale[:, -1]
     seen = outside.shape[1] > 0

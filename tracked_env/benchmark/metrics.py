@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.changes import CHANGING, RECOVERED, Change, abrupt_changes, recovery
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 FloatArray = NDArray[np.float64]
 
@@ -59,6 +60,7 @@ class Trace(NamedTuple):
     error_limit: float  # [m]
     control_period: float  # [s]
     drive: str = "torque"  # what the demand is, a key of ACTION_RATES
+    nominal: PlantParameters = VEHICLES["strawa"]  # what its policies expect
 
     def channel(self, name: str) -> FloatArray:
         """One channel, (T, n)."""

@@ -153,6 +153,7 @@ def drive(
         solver.error_limit,
         solver.control_period,
         demand,
+        solver.nominal,
     )
     return trace, predict_time
 

@@ -163,12 +163,18 @@ def joined(parts: Sequence[VecEnv], seed: int) -> VecEnv:
     return env
 
 
+def make_privileged(part: Part) -> Privileged:
+    """What a teacher sees of a part's vehicles."""
+    context = part.context
+    return Privileged(part.rows, context.control_period, VEHICLES[context.vehicle])
+
+
 def make_part(config: Any, part: Part) -> VecEnv:
     """The vehicles of one kind of sensors as the agent sees them. Raises ValueError."""
     memory: Memory
     arguments = part.arguments
     if config.memory == TEACHER:
-        memory = Privileged(part.rows, part.context.control_period)
+        memory = make_privileged(part)
         arguments = {**arguments, "expose_truth": True}
     else:
         memory = make_memory(config.memory, config.memory_options, part.context, part.rows)
@@ -198,9 +204,8 @@ def make_taught(config: Any, arguments: Mapping[str, Any]) -> tuple[VecEnv, list
     """
     made, truths = [], []
     for part in parts_of(config, {**arguments, "expose_truth": True}, config.vehicles):
-        period = part.context.control_period
-        truth = Privileged(part.rows, period)
-        history = History(part.rows, period, tuple(config.lags))
+        truth = make_privileged(part)
+        history = History(part.rows, part.context.control_period, tuple(config.lags))
 
         def wrapper(
             env: Vehicles, truth: Privileged = truth, history: History = history

@@ -1,8 +1,9 @@
 """The network of a student: infers what its teacher was told, then drives as the teacher does.
 
-    inputs = inference(observation, past samples)       (N, F), for agents.privileged.privileged
-    action = teacher(observation, inputs)
-It sees what any agent with memory `history` sees, and no truth.
+    inputs = inference(observation, past samples)       (N, F), for what the teacher's network sees
+    action = teacher(observation, inputs)               of agents.privileged.privileged
+It sees what any agent with memory `history` sees, and no truth. Where the teacher's inputs are
+normalised and clipped, the inference is of the normalised and clipped values.
 """
 
 import io
@@ -26,6 +27,7 @@ Floats = NDArray[np.float32]
 
 STUDENT = "student"  # the kind of memory in a recipe
 WEIGHTS = "student.npz"  # in the archive, beside the teacher's networks
+FORMAT = 2  # of it; 1, without an entry `format`, inferred values before their normalisation
 
 
 def make_inference(lags: tuple[int, ...], hidden: tuple[int, ...]) -> nn.Sequential:
@@ -54,8 +56,19 @@ class StudentModel:
     ) -> None:
         self.inference, self.teacher, self.normalisation = inference, teacher, normalisation
 
+    def _shown(self, values: Floats, columns: slice) -> Floats:
+        """What the teacher's network sees of some of its columns."""
+        if self.normalisation is None:
+            return values
+        mean, variance, *rest = self.normalisation
+        return Normalisation(mean[columns], variance[columns], *rest)(values)
+
+    def told(self, truth: Floats) -> Floats:
+        """What the teacher's network sees of the privileged inputs (N, F): the right inference."""
+        return self._shown(truth, slice(layout.SIZE, None))
+
     def infer(self, observation: Floats) -> Floats:
-        """The privileged inputs (N, F) that the student believes in."""
+        """What the student believes that the teacher would be told, (N, F)."""
         with torch.no_grad():
             found: Floats = self.inference(torch.from_numpy(observation)).numpy()
         return found
@@ -65,18 +78,16 @@ class StudentModel:
         deterministic: bool = False,
     ) -> tuple[Any, Any]:  # fmt: skip
         """Action (N, 2) and the state of a recurrent teacher."""
-        widened = np.concatenate(
-            [observation[:, : layout.SIZE], self.infer(observation)], axis=1, dtype=np.float32
-        )
-        if self.normalisation is not None:
-            widened = self.normalisation(widened)
+        present = self._shown(observation[:, : layout.SIZE], slice(layout.SIZE))
+        widened = np.concatenate([present, self.infer(observation)], axis=1, dtype=np.float32)
         return self.teacher.predict(widened, state, episode_start, deterministic)
 
 
 def weights(inference: nn.Sequential) -> bytes:
     """The parameters of an inference network as an npz file."""
     buffer = io.BytesIO()
-    np.savez(buffer, **{name: value.numpy() for name, value in inference.state_dict().items()})
+    values = {name: value.numpy() for name, value in inference.state_dict().items()}
+    np.savez(buffer, format=np.array(FORMAT), **values)
     return buffer.getvalue()
 
 
@@ -87,10 +98,17 @@ def load_student(
     try:
         inference = make_inference(tuple(options["lags"]), tuple(options["hidden"]))
         with zipfile.ZipFile(path) as archive, np.load(io.BytesIO(archive.read(WEIGHTS))) as stored:
-            inference.load_state_dict({name: torch.from_numpy(stored[name]) for name in stored})
+            values = {name: torch.from_numpy(stored[name]) for name in stored}
+        written = int(values.pop("format", torch.tensor(1)))
+        inference.load_state_dict(values)
     except (KeyError, RuntimeError, ValueError) as error:
         raise ValueError(
             f"agent {path} cannot be loaded as a student: {WEIGHTS} in it is missing, or is not "
             f"what its recipe says ({error})"
         ) from error
+    if written != FORMAT and (written != 1 or scaling is not None):
+        raise ValueError(
+            f"agent {path} holds an inference of format {written}; must be {FORMAT}: what it "
+            "infers has another scale. Train the student again"
+        )
     return StudentModel(inference, teacher, scaling)

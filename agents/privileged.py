@@ -17,7 +17,8 @@ from agents.memory import Blind, seen
 from agents.policy import AgentPolicy, AgentState, Normalisation, Predictor
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
-from tracked_env.physics.parameters import plant_parameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.wrappers import FEATURE_BOUND
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -43,30 +44,37 @@ def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
     return {**truth, "traction_limit": limit}
 
 
-_NOMINAL = {"slip_left": 0.0, "slip_right": 0.0, **_quantities(plant_parameters()._asdict())}
+def privileged(truth: Truth, nominal: PlantParameters) -> Floats:
+    """The true PRIVILEGED quantities over their scales, (N, F), finite and clipped, 0 = nominal.
 
-
-def privileged(truth: Truth) -> Floats:
-    """The true PRIVILEGED quantities over their scales, (N, F), 0 = nominal; slips within 1."""
+    nominal: the vehicle on the soil that its controllers expect. Slips are clipped to 1 before
+    they are scaled, everything to FEATURE_BOUND after, so that a student learns what its teacher
+    sees.
+    """
     given = _quantities(truth)
-    columns = [np.log(given[name] / _NOMINAL[name]) / scale for name, scale in RATIOS.items()]
+    expected = {"slip_left": 0.0, "slip_right": 0.0, **_quantities(nominal._asdict())}
+    with np.errstate(divide="ignore"):  # a soil without any traction is shown as the bound
+        columns = [np.log(given[name] / expected[name]) / scale for name, scale in RATIOS.items()]
     for name, scale in DIFFERENCES.items():
         value = np.clip(given[name], -1.0, 1.0) if name.startswith("slip") else given[name]
-        columns.append((value - _NOMINAL[name]) / scale)
-    return np.nan_to_num(np.stack(columns, axis=-1)).astype(np.float32)
+        columns.append((value - expected[name]) / scale)
+    shown = np.nan_to_num(np.stack(columns, axis=-1))
+    return np.clip(shown, -FEATURE_BOUND, FEATURE_BOUND).astype(np.float32)
 
 
 class Privileged(Blind):
     """A memory that is told the truth before each `observe`. count, control_period: as Blind.
 
+    nominal: the vehicle and the soil that the inputs are ratios to and differences from.
     `present` (N, F) belongs to the observation that the environment shows. `last` is the same
     except in rows that have just ended, where it belongs to the last observation of the episode.
     """
 
     feature_names = PRIVILEGED
 
-    def __init__(self, count: int, control_period: float) -> None:
+    def __init__(self, count: int, control_period: float, nominal: PlantParameters) -> None:
         super().__init__(count, control_period)
+        self.nominal = nominal
         self.present: Floats = np.zeros((count, len(PRIVILEGED)), dtype=np.float32)
         self.last = self.present
 
@@ -78,13 +86,18 @@ class Privileged(Blind):
 class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
     """Tells a `Privileged` the truth after each step. env: with `expose_truth`.
 
-    Raises ValueError for an environment that does not expose the truth.
+    Raises ValueError for an environment that does not expose the truth, or of another vehicle.
     """
 
     def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], memory: Privileged) -> None:
         super().__init__(env)
         if not getattr(env.unwrapped, "expose_truth", False):
             raise ValueError("a teacher needs an environment made with expose_truth = True")
+        if env.unwrapped.simulation.solver.nominal != memory.nominal:
+            raise ValueError(
+                "the environment and the memory have different nominal vehicles; a teacher needs "
+                "`tracked_env.physics.parameters.VEHICLES` of the environment's `vehicle`"
+            )
         self.memory = memory
 
     def reset(
@@ -92,16 +105,17 @@ class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
     ) -> tuple[Any, dict[str, Any]]:
         """Start episodes."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self.memory.present = self.memory.last = privileged(info["truth"])
+        memory = self.memory
+        memory.present = memory.last = privileged(info["truth"], memory.nominal)
         return observation, info
 
     def step(self, actions: Floats) -> tuple[Any, NDArray[np.float64], Bools, Bools, Any]:
         """Advance all rows by one control period; actions (N, 2)."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
         memory = self.memory
-        memory.present = memory.last = privileged(info["truth"])
+        memory.present = memory.last = privileged(info["truth"], memory.nominal)
         if "final_info" in info:  # the row shows its next episode already
-            final = privileged(info["final_info"]["truth"])
+            final = privileged(info["final_info"]["truth"], memory.nominal)
             memory.last = np.where(info["_final_info"][:, None], final, memory.present)
         return observation, reward, terminated, truncated, info
 
@@ -109,18 +123,25 @@ class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
 class TeacherPolicy:
     """A teacher as a policy of the benchmark, which must be handed the truth.
 
-    model: of Stable-Baselines3, sees observation and privileged inputs. normalisation: of both.
+    model: of Stable-Baselines3, sees observation and privileged inputs. nominal: as Privileged.
+    normalisation: of both.
     """
 
     needs_truth = True
 
-    def __init__(self, model: Predictor, normalisation: Normalisation | None = None) -> None:
-        self.model, self.normalisation = model, normalisation
+    def __init__(
+        self,
+        model: Predictor,
+        nominal: PlantParameters,
+        normalisation: Normalisation | None = None,
+    ) -> None:
+        self.model, self.nominal, self.normalisation = model, nominal, normalisation
         self._inputs: Floats | None = None
 
     def observe_truth(self, truth: Truth) -> None:
         """Take over the truth, {name: number or (N,)}; other names are ignored."""
-        self._inputs = privileged({k: np.atleast_1d(v) for k, v in truth.items() if k[0] != "_"})
+        values = {name: np.atleast_1d(value) for name, value in truth.items() if name[0] != "_"}
+        self._inputs = privileged(values, self.nominal)
 
     def predict(
         self,
@@ -159,5 +180,5 @@ def policy_of(
 ) -> AgentPolicy | TeacherPolicy:
     """A model as the policy that its kind of memory makes of it; arguments as AgentPolicy."""
     if kind == TEACHER:
-        return TeacherPolicy(model, normalisation)
+        return TeacherPolicy(model, VEHICLES[context.vehicle], normalisation)
     return AgentPolicy(model, kind, options, context, normalisation)

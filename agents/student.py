@@ -21,14 +21,23 @@ from torch import nn
 
 from agents import checkpoints
 from agents.configs import StudentConfig, check_buffer
-from agents.environment import HeldOut, make_held_out, make_taught, random_seed
+from agents.environment import (
+    HeldOut,
+    control_period,
+    driven,
+    make_held_out,
+    make_taught,
+    random_seed,
+)
 from agents.inference import WEIGHTS, StudentModel, make_inference, weights
 from agents.loading import load_teacher, normalisation_of, save_agent
 from agents.policy import AgentPolicy, Normalisation
 from agents.privileged import PRIVILEGED, Privileged
 from agents.training import Schedule, held_out_rmse, write_curve
+from tracked_env import TORQUE_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.store import write_atomically
+from tracked_env.engine.env_config import EnvConfig
 
 CURVE = ("steps", "seconds", "cpu_seconds", "loss", "held_out_rmse")
 _CHANGING = (  # attributes that change while it learns
@@ -77,8 +86,8 @@ class Student:
 
     @property
     def truth(self) -> Any:
-        """The privileged inputs (N, F) of all rows, beside their present observation."""
-        return np.concatenate([memory.present for memory in self.truths])
+        """What the teacher would see beside the present observation, (N, F) of all rows."""
+        return self.model.told(np.concatenate([memory.present for memory in self.truths]))
 
     def policy(self, context: PolicyContext) -> AgentPolicy:
         """The student as the benchmark has it."""
@@ -185,6 +194,26 @@ class Student:
         write_curve(folder, CURVE, self.curve)
 
 
+def check_teacher(config: Any, arguments: Mapping[str, Any], recipe: Mapping[str, Any]) -> None:
+    """Raises ValueError for a teacher of another control period, drive or nominal vehicle.
+
+    Its privileged inputs would be ratios to other values, its actions other commands.
+    """
+    environment = recipe.get("environment", {})
+    theirs = driven(environment.get("id", TORQUE_ID), environment)
+    ours = driven(config.env, arguments)
+    pairs = {"control_period": (recipe["control_period"], control_period(config.env, arguments))}
+    for name in ("drive", "vehicle"):
+        usual = EnvConfig._field_defaults[name]
+        pairs[name] = theirs.get(name, usual), ours.get(name, usual)
+    for name, (of_teacher, of_student) in pairs.items():
+        if of_teacher != of_student:
+            raise ValueError(
+                f"teacher {config.teacher} was trained with {name} = {of_teacher}; its student "
+                f"would have {of_student}. Is --env or --env-args another one?"
+            )
+
+
 def make_student(
     config: Any, arguments: Mapping[str, Any], captured: Mapping[str, Any] | None = None
 ) -> tuple[Student, dict[str, Any]]:
@@ -193,6 +222,7 @@ def make_student(
     config: of train.py. arguments: of the environment. captured: a checkpoint. Raises ValueError.
     """
     teacher, recipe = load_teacher(config.teacher)
+    check_teacher(config, arguments, recipe)
     check_buffer(config.student, config.vehicles)
     env, truths = make_taught(config, arguments)
     student = Student(

@@ -1,24 +1,27 @@
 """Teacher and student: who sees the truth, what the student learns, and that it drives alone."""
 
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents.configs import StudentConfig
 from agents.environment import environment_arguments
-from agents.inference import WEIGHTS, StudentModel, make_inference
+from agents.inference import WEIGHTS, StudentModel, load_student, make_inference
 from agents.loading import agent_entry, load_model, read_recipe
 from agents.memory import AgentVectorEnv, History
+from agents.policy import Normalisation
 from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, privileged
 from agents.student import Student, make_student
 from agents.training import Schedule
 from tests.agents.agent_cases import same_parameters, small
 from tests.agents.test_agents import STEPS, Recorded, as_evaluated
+from tracked_env import SPEED_ID
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
-from tracked_env.physics.parameters import plant_parameters
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from train import main
 
@@ -50,37 +53,6 @@ def student(teacher, tmp_path_factory):
     return folder
 
 
-def test_privileged_inputs_are_0_at_nominal_and_of_order_one_where_parameters_spread():
-    nominal = {name: np.array([value]) for name, value in plant_parameters()._asdict().items()}
-    truth = {**nominal, "slip_left": np.zeros(1), "slip_right": np.zeros(1)}
-    np.testing.assert_array_equal(privileged(truth), np.zeros((1, len(PRIVILEGED))))
-    heavy = {**truth, "mass": nominal["mass"] * np.exp(0.3), "slip_left": np.array([-7.0])}
-    shown = dict(zip(PRIVILEGED, privileged(heavy)[0], strict=True))
-    assert shown["mass"] == pytest.approx(1.0) and shown["slip_left"] == pytest.approx(-2.0)
-    assert 0.0 < shown["traction_limit"] < 0.1  # cohesion bears most of it
-
-
-def test_privileged_inputs_belong_to_the_observation_they_stand_beside():
-    """At an episode's end too: `final_obs` has the old vehicle's, the new row the new one's."""
-    memory = Privileged(3, 0.02)
-    constant = vehicles("soil-and-mass", expose_truth=True)  # within an episode
-    env = AgentVectorEnv(TruthfulVectorEnv(constant, memory), memory)
-    parameters = [not name.startswith("slip") for name in PRIVILEGED]
-    core = env.unwrapped
-    observation, _ = env.reset(seed=0)
-    ends = 0
-    for _ in range(STEPS):
-        truth = privileged(core.simulation.truth())
-        np.testing.assert_array_equal(observation[:, obs.SIZE :], np.clip(truth, -10, 10))
-        observation, _, terminated, truncated, info = env.step(np.full((3, 2), 0.2, np.float32))
-        for i in np.flatnonzero(terminated | truncated):
-            ends += 1
-            last = info["final_obs"][i][obs.SIZE :]
-            np.testing.assert_array_equal(last[parameters], truth[i, parameters])
-            assert (observation[i, obs.SIZE :][parameters] != truth[i, parameters]).any()
-    assert ends >= 3
-
-
 def test_a_teacher_is_declared_privileged_and_refuses_to_drive_without_the_truth(teacher):
     policy = checked_policy(agent_entry(teacher), CONTEXT)
     assert needs_truth(policy)
@@ -95,7 +67,7 @@ def test_a_teacher_is_declared_privileged_and_refuses_to_drive_without_the_truth
 def test_a_teacher_acts_in_the_benchmark_as_in_training(teacher):
     recipe = read_recipe(teacher)
     model = load_model(teacher, (recipe["algorithm"],))
-    memory, inner = Privileged(3, 0.02), Recorded(vehicles(expose_truth=True))
+    memory, inner = Privileged(3, 0.02, VEHICLES["strawa"]), Recorded(vehicles(expose_truth=True))
     env = AgentVectorEnv(TruthfulVectorEnv(inner, memory), memory)
     observation, _ = env.reset(seed=5)
     for _ in range(STEPS):
@@ -150,12 +122,69 @@ def test_a_student_drives_with_its_teachers_network_and_says_whose(student, teac
 def test_the_inference_is_regressed_on_the_truth_of_the_moment(teacher, tmp_path):
     config = student_config(tmp_path, teacher)
     student, _ = make_student(config, environment_arguments(config))
-    truth = privileged(student.env.env.unwrapped.simulation.truth())
+    truth = privileged(student.env.env.unwrapped.simulation.truth(), VEHICLES["strawa"])
     shown = student._observation.copy()
     student.collect()
     np.testing.assert_array_equal(student._true[0].numpy(), truth)
     np.testing.assert_array_equal(student._seen[0].numpy(), shown)
     np.testing.assert_array_equal(student.model.infer(shown), np.zeros_like(truth))
+
+
+def test_the_inference_is_regressed_on_what_the_teachers_network_sees(tmp_path):
+    """Normalised and clipped where its inputs are, and driving hands it the same values."""
+    assert main(small(tmp_path, memory="teacher", normalise=True, steps=256)) == 0
+    config = student_config(tmp_path / "student", tmp_path / "agent.zip", steps=1024)
+    student, _ = make_student(config, environment_arguments(config))
+    scaling = student.model.normalisation
+    scaling = student.model.normalisation = scaling._replace(clip=0.5)
+    observation = student._observation[:, : obs.SIZE].copy()
+    truth = np.concatenate([memory.present for memory in student.truths])
+    shown = scaling(np.concatenate([observation, truth], axis=1))
+    assert np.abs(shown).max() == 0.5 and np.ptp(shown[:, obs.SIZE :]) > 0.0
+    np.testing.assert_array_equal(student.truth, shown[:, obs.SIZE :])
+    student.collect()
+    np.testing.assert_array_equal(student._true[0].numpy(), shown[:, obs.SIZE :])
+
+    class Echo:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return observation, state
+
+    width = student.model.inference[0].in_features
+    history = np.zeros((len(shown), width - obs.SIZE), np.float32)
+    student.model.teacher = Echo()
+    given, _ = student.model.predict(np.concatenate([observation, history], axis=1))
+    np.testing.assert_array_equal(given[:, : obs.SIZE], shown[:, : obs.SIZE])
+
+
+def test_a_normalised_inference_of_the_former_scale_is_refused(student):
+    recipe = read_recipe(student / "agent.zip")
+    options, path = recipe["memory_options"], student / "agent.zip"
+    width = obs.SIZE + len(PRIVILEGED)
+    scaling = Normalisation(np.zeros(width), np.ones(width), 1e-8, 10.0)
+    load_student(path, options, None, scaling)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("agents.inference.FORMAT", 3)
+        with pytest.raises(ValueError, match="inference of format 2; must be 3"):
+            load_student(path, options, None, scaling)
+    shipped = next(Path(__file__).parents[2].glob("agents/pretrained/*/ppo-student-seed0/*.zip"))
+    options = read_recipe(shipped)["memory_options"]
+    load_student(shipped, options, None, None)  # of format 1, without normalisation
+    with pytest.raises(ValueError, match="inference of format 1; must be 2"):
+        load_student(shipped, options, None, scaling)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"env": SPEED_ID, "uncertainty": ("friction",)}, "drive = torque; its student .* speed"),
+        ({"env_args": '{"vehicle": "focchi"}'}, "vehicle = strawa; its student .* focchi"),
+        ({"env_args": '{"control_rate": 25}'}, r"control_period = 0\.02; its student .* 0\.04"),
+    ],
+)
+def test_a_teacher_of_another_vehicle_drive_or_rate_is_refused(changes, message, teacher, tmp_path):
+    config = student_config(tmp_path / "none", teacher, **changes)
+    with pytest.raises(ValueError, match=message):
+        make_student(config, environment_arguments(config))
 
 
 def test_a_saved_student_acts_as_in_training(teacher, tmp_path):
@@ -267,7 +296,7 @@ def test_what_makes_no_student_is_a_clear_error(teacher, student, tmp_path, caps
         assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
     with pytest.raises(ValueError, match="expose_truth = True"):
-        TruthfulVectorEnv(vehicles(), Privileged(3, 0.02))
+        TruthfulVectorEnv(vehicles(), Privileged(3, 0.02, VEHICLES["strawa"]))
 
 
 def test_a_student_without_its_weights_is_refused(student, tmp_path):

@@ -8,16 +8,23 @@ from the last checkpoint. Compare the agent with the controllers afterwards:
 """
 
 import sys
+
+from agents.ending import Refused, failed, interrupted, raise_again, refusing, stop_at_once
+
+if __name__ == "__main__":
+    stop_at_once()  # Ctrl-C; the imports take seconds
+
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 try:
     import gymnasium
     import torch
     import tyro
     from tqdm import tqdm
+    from tyro.constructors import PrimitiveConstructorSpec
 
     from agents import checkpoints, configs, training
     from agents.algorithms import make_model
@@ -38,8 +45,24 @@ except ImportError as error:
 
 from tracked_env import TORQUE_ID
 
-INTERRUPTED = 130  # exit status, as shells have it for Ctrl-C
 FREE = ("resume", "overwrite", "output", "tensorboard", "quiet")  # may differ when resumed
+WRONG = (ValueError, OSError, gymnasium.error.Error)  # what wrong settings raise
+
+
+def folder_of(text: str) -> Path:
+    """A folder that the command line names. Raises ValueError for an empty name."""
+    if not text.strip():
+        raise ValueError("--output is empty; name a folder, or `.` for the working directory")
+    return Path(text)
+
+
+Folder = Annotated[
+    Path,
+    PrimitiveConstructorSpec(
+        1, "PATH", lambda words: folder_of(words[0]), lambda given: isinstance(given, Path),
+        lambda given: [str(given)],
+    ),
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -102,7 +125,7 @@ class Config:
     """Further arguments of the environment, as JSON:
     '{"plant": "distributed"}'."""
 
-    output: Path | None = None
+    output: Folder | None = None
     """Folder of the training. Default:
     runs/AGENT-MEMORY-seedSEED, and of Speed-v0
     runs/Speed-v0/AGENT-MEMORY-seedSEED."""
@@ -173,6 +196,11 @@ class Config:
 
     def __post_init__(self) -> None:
         configs.check(self)
+        if self.teacher is not None and self.memory != STUDENT:
+            raise ValueError(
+                f"teacher = {self.teacher} with memory {self.memory}; only a student has a "
+                "teacher. Did you mean --memory student?"
+            )
 
     @property
     def settings(self) -> Any:
@@ -222,16 +250,11 @@ def bar_of(config: Config, done: int) -> "tqdm[Any]":
     )  # fmt: skip
 
 
-def interrupted(folder: Path) -> int:
-    """Say how to go on; returns the exit status."""
-    print(f"\ninterrupted; go on with --resume --output {folder}", file=sys.stderr)
-    return INTERRUPTED
-
-
 def teach(config: Config, arguments: Mapping[str, Any], captured: Any) -> int:
-    """Train a student of `config.teacher`; returns the exit status. Raises ValueError."""
+    """Train a student of `config.teacher`; returns the exit status. Raises Refused."""
     folder = config.folder
-    student, taught = make_student(config, arguments, captured)
+    with refusing(*WRONG):
+        student, taught = make_student(config, arguments, captured)
     recipe = {**recipe_of(config, arguments), **taught}
     begin(folder, recipe, student.steps)
     asked = config.checkpoint_every
@@ -239,10 +262,7 @@ def teach(config: Config, arguments: Mapping[str, Any], captured: Any) -> int:
     schedule = training.Schedule(config.total_steps, config.evaluation_interval, every)
     with bar_of(config, student.steps) as bar:
         show = lambda text: bar.set_postfix_str(text, refresh=False)  # noqa: E731
-        try:
-            student.learn(schedule, folder, recipe, bar.update, show)
-        except KeyboardInterrupt:
-            return interrupted(folder)
+        student.learn(schedule, folder, recipe, bar.update, show)
     finish(folder, recipe)
     print(
         f"done: {student.steps:,} steps in {student.curve[-1][1]:.0f} s, best "
@@ -251,25 +271,14 @@ def teach(config: Config, arguments: Mapping[str, Any], captured: Any) -> int:
     return 0
 
 
-def main(config: Config) -> int:
-    """Train and save; returns the exit status."""
-    torch.set_num_threads(config.threads)
+def learn(config: Config, arguments: Mapping[str, Any], captured: Any) -> int:
+    """Train any other agent; returns the exit status. Raises Refused."""
     folder = config.folder
-    try:
-        captured = going_on(folder, exact(config), FREE, config.resume, config.overwrite)
-        arguments = environment_arguments(config)
-        if config.memory == STUDENT:
-            return teach(config, arguments, captured)
+    with refusing(*WRONG):
         env = make_environment(config, arguments)
         log = str(folder) if config.tensorboard else None
         model = make_model(config.agent, config.settings, env, random_seed(config.seed), log)
         held_out = make_held_out(config, arguments)
-    except AlreadyFinished as notice:
-        print(notice)
-        return 0
-    except (ValueError, gymnasium.error.Error) as error:
-        print(f"train.py: {error}", file=sys.stderr)
-        return 2
     recipe = recipe_of(config, arguments)
     if captured is not None:
         checkpoints.resume(model, captured)
@@ -281,9 +290,7 @@ def main(config: Config) -> int:
             recipe, (config.memory, config.memory_options), held_out, captured,
             bar.update, lambda text: bar.set_postfix_str(text, refresh=False),
         )  # fmt: skip
-        finished = training.learn(model, trainer)
-    if not finished:
-        return interrupted(folder)
+        training.learn(model, trainer)
     finish(folder, recipe)
     best = f"best {trainer.best:.4f} m held out, " if held_out else ""
     print(
@@ -293,5 +300,37 @@ def main(config: Config) -> int:
     return 0
 
 
+def main(config: Config) -> int:
+    """Train and save; returns the exit status."""
+    torch.set_num_threads(config.threads)
+    folder = config.folder
+    learner = STUDENT if config.memory == STUDENT else config.agent
+    try:
+        with refusing(*WRONG):
+            captured = going_on(folder, exact(config), FREE, config.resume, config.overwrite)
+            arguments = environment_arguments(config)
+        return (teach if learner == STUDENT else learn)(config, arguments, captured)
+    except AlreadyFinished as notice:
+        print(notice)
+        return 0
+    except KeyboardInterrupt:
+        return interrupted(folder, checkpoints.exist(folder))
+    except Refused as error:
+        return failed(error)
+    except training.Diverged as error:
+        settings = config.student if learner == STUDENT else config.settings
+        return failed(
+            f"{error}. Lower --{learner}.learning-rate (now {settings.learning_rate:g}) and train "
+            f"anew with --overwrite; {folder} keeps the agent and the checkpoint of before"
+        )
+    except OSError as error:
+        return failed(
+            f"--output {folder} cannot be written ({error}). Make room or choose another folder; "
+            "a checkpoint there is kept, and --resume goes on from it"
+        )
+
+
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(Config, description=__doc__)))
+    chosen = tyro.cli(Config, description=__doc__)
+    raise_again()
+    sys.exit(main(chosen))

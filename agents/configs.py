@@ -19,16 +19,19 @@ from typing import Any, ClassVar
 from agents.reward import SMOOTHNESS
 
 # Of the settings here and in train.py; a parenthesis leaves the bound out. Advantages are
-# normalised over a batch, so one has two samples.
+# normalised over a batch, so one has two samples. Upper bounds leave out what cannot be meant: an
+# update that moves every weight by more than 1, or more samples than a large machine can hold.
 LIMITS = {
-    "steps": "[1, inf)", "vehicles": "[1, 65536]", "held_out": "[0, 65536]",
-    "evaluate_every": "[1, inf)", "checkpoint_every": "[0, inf)", "threads": "[1, 1024]",
-    "n_steps": "[1, inf)", "batch_size": "[2, inf)", "n_epochs": "[1, inf)",
-    "learning_rate": "(0, inf)", "gamma": "[0, 1)", "gae_lambda": "[0, 1]",
-    "clip_range": "(0, inf)", "ent_coef": "[0, inf)", "log_std_init": "(-inf, inf)",
-    "hidden": "[1, inf)", "lstm_hidden": "[1, inf)", "buffer_size": "[1, inf)",
-    "learning_starts": "[0, inf)", "train_freq": "[1, inf)", "gradient_steps": "[1, inf)",
-    "tau": "(0, 1]", "action_noise": "[0, inf)", "top_quantiles_to_drop_per_net": "[0, 24]",
+    "steps": "[1, 1e12]", "vehicles": "[1, 65536]", "held_out": "[0, 65536]",
+    "evaluate_every": "[1, 1e12]", "checkpoint_every": "[0, 1e12]", "threads": "[1, 1024]",
+    "lags": "[1, 10000]", "residual_scale": "[0, 2]", "precision": "[0, 1000]",
+    "smoothness": "[0, 1e6]",
+    "n_steps": "[1, 1000000]", "batch_size": "[2, 1e8]", "n_epochs": "[1, 10000]",
+    "learning_rate": "(0, 1]", "gamma": "[0, 1)", "gae_lambda": "[0, 1]",
+    "clip_range": "(0, 100]", "ent_coef": "[0, 1000]", "log_std_init": "[-20, 5]",
+    "hidden": "[1, 16384]", "lstm_hidden": "[1, 16384]", "buffer_size": "[1, 1e9]",
+    "learning_starts": "[0, 1e12]", "train_freq": "[1, 1000000]", "gradient_steps": "[1, 1000000]",
+    "tau": "(0, 1]", "action_noise": "[0, 10]", "top_quantiles_to_drop_per_net": "[0, 24]",
 }  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from itertools import accumulate
 from typing import Any, NamedTuple
 
 import gymnasium
+from gymnasium.envs.registration import load_env_creator
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
 from agents.joined import JoinedVecEnv, shares
@@ -103,11 +104,26 @@ def _further(text: str | None, env: str) -> Mapping[str, Any]:
     return further
 
 
+def check_environment(env: str) -> None:
+    """Raises ValueError for an id that is unknown, or not of an environment of this project."""
+    try:
+        made: Any = gymnasium.spec(env).vector_entry_point
+        made = load_env_creator(made) if isinstance(made, str) else made
+    except (gymnasium.error.Error, ImportError) as error:
+        raise ValueError(f"--env {env}: {error}") from error
+    if not (isinstance(made, type) and issubclass(made, TrackedVehicleVectorEnv)):
+        raise ValueError(
+            f"--env {env} is not an environment of tracked vehicles; must be {TORQUE_ID}, "
+            f"{SPEED_ID}, or an id registered with their vector_entry_point"
+        )
+
+
 def environment_arguments(config: Any) -> dict[str, Any]:
     """Arguments of the environment; `sensors` is a list where there are several.
 
     What the command line leaves open is as the environment id is registered. Raises ValueError.
     """
+    check_environment(config.env)
     defaults = defaults_of(config.env)
     given = {
         "uncertainty": _entries(config.uncertainty, "uncertainty", config.env, MIXTURE),

@@ -3,32 +3,99 @@
 config.json                     the recipe; `"finished": true` when the training has ended
 agent.zip, last.zip, curve.csv  of the training that config.json describes
 checkpoint*.zip                 of `agents.checkpoints`, until it has ended
+A file of one of these names that no training has written is never replaced or deleted: training
+there is refused. Each is recognised by its content, a checkpoint also by an unfinished training
+beside it, since a damaged one must give way.
 """
 
 import json
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from agents import checkpoints
+from agents.loading import read_recipe
 from tracked_env.benchmark.store import write_atomically
 
 CONFIG = "config.json"
-PRODUCTS = ("agent.zip", "last.zip", "curve.csv")
+ARCHIVES = ("agent.zip", "last.zip")
+CURVE = "curve.csv"
+PRODUCTS = (*ARCHIVES, CURVE)
+_COLUMNS = b"steps,seconds,"  # how a learning curve begins, a student's too
+_RECIPE = (  # entries of every config.json that a training has written
+    "algorithm", "memory", "memory_options", "control_period", "environment", "config",
+    "versions", "command",
+)  # fmt: skip
 
 
 class AlreadyFinished(Exception):
     """The training that is asked for has ended; its text says where the agent is."""
 
 
-def _recorded(folder: Path) -> dict[str, Any]:
-    """What config.json holds, nothing where there is none or it is damaged."""
+def _lies(path: Path) -> bool:
+    """Whether something is there, a broken link too."""
+    return path.is_symlink() or path.exists()
+
+
+def _recipe(path: Path) -> dict[str, Any] | None:
+    """The recipe that a training has written to config.json, None for any other content."""
     try:
-        recipe = json.loads((folder / CONFIG).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return recipe if isinstance(recipe, dict) else {}
+        recipe = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(recipe, dict) or not isinstance(recipe.get("config"), dict):
+        return None
+    return recipe if all(name in recipe for name in _RECIPE) else None
+
+
+def _is_archive(path: Path) -> bool:
+    """Whether a training has written an archive: it has a recipe with a configuration."""
+    try:
+        recipe = read_recipe(path)
+    except ValueError:
+        return False
+    return recipe is not None and "config" in recipe
+
+
+def _is_curve(path: Path) -> bool:
+    """Whether a file is a learning curve."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_COLUMNS)) == _COLUMNS
+    except OSError:
+        return False
+
+
+def _are_checkpoints(folder: Path, recipe: Mapping[str, Any] | None) -> bool:
+    """Whether a training has written the checkpoints of a folder that holds `recipe`."""
+    if recipe is not None and "finished" not in recipe:
+        return True
+    try:
+        return checkpoints.read(folder)[0] is not None
+    except ValueError:
+        return False
+
+
+def _recorded(folder: Path) -> dict[str, Any]:
+    """What config.json holds, nothing where there is none.
+
+    Raises ValueError for a file, any of those of a training, that no training has written.
+    """
+    recipe = _recipe(folder / CONFIG)
+    ours = {CONFIG: recipe is not None, CURVE: _is_curve(folder / CURVE)}
+    ours.update({name: _is_archive(folder / name) for name in ARCHIVES})
+    names = (checkpoints.FILE, checkpoints.PREVIOUS)
+    if any(_lies(folder / name) for name in names):
+        ours.update(dict.fromkeys(names, _are_checkpoints(folder, recipe)))
+    foreign = [name for name in ours if _lies(folder / name) and not ours[name]]
+    if foreign:
+        raise ValueError(
+            f"{folder} holds {', '.join(foreign)} not written by a training, or damaged: nothing "
+            "is changed there. Choose another --output, or move it away"
+        )
+    return recipe or {}
 
 
 def _compare(then: Mapping[str, Any], now: Mapping[str, Any], free: Sequence[str]) -> None:
@@ -65,17 +132,25 @@ def going_on(
     """
     if resume and overwrite:
         raise ValueError("--resume goes on and --overwrite trains anew: choose one of them")
+    if _lies(folder) and not folder.is_dir():
+        raise ValueError(f"--output {folder} is a file; must be a folder, or not yet there")
+    recorded = _recorded(folder)
     if overwrite:
         return None
-    recorded = _recorded(folder)
     finished = recorded.get("finished") is True
     if not resume:
         _check_free(folder, finished)
         return None
     if finished:
         _compare(recorded["config"], config, free)
+        agent = folder / ARCHIVES[0]
+        if not agent.exists():
+            raise ValueError(
+                f"{folder} holds a finished training, but {agent.name} is missing: put it back, "
+                "or give --overwrite to train anew"
+            )
         checkpoints.remove(folder)  # one may be left of a kill in the last moment
-        raise AlreadyFinished(f"already finished: {folder / PRODUCTS[0]}")
+        raise AlreadyFinished(f"already finished: {agent}")
     captured, notices = checkpoints.read(folder)
     for notice in notices:
         print(f"{notice}; going on from the one before", file=sys.stderr)
@@ -88,20 +163,33 @@ def going_on(
     return captured
 
 
+def _bytes(recipe: Mapping[str, Any]) -> bytes:
+    return json.dumps(recipe, indent=2).encode()
+
+
 def begin(folder: Path, recipe: Mapping[str, Any], done: int) -> None:
-    """Write the configuration. What lies there goes, unless the training goes on after `done`."""
+    """Write the configuration. What lies there goes, unless the training goes on after `done`.
+
+    Nothing is deleted before the new configuration is on the disk. Raises OSError.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     if done:
         print(f"going on after {done:,} steps")
-    else:
+        write_atomically(folder / CONFIG, _bytes(recipe))
+        return
+    written = folder / f".{CONFIG}.new"
+    try:
+        written.write_bytes(_bytes(recipe))
         checkpoints.remove(folder)
         for name in (CONFIG, *PRODUCTS):
             (folder / name).unlink(missing_ok=True)
-    write_atomically(folder / CONFIG, json.dumps(recipe, indent=2).encode())
+        os.replace(written, folder / CONFIG)
+    except BaseException:
+        written.unlink(missing_ok=True)
+        raise
 
 
 def finish(folder: Path, recipe: Mapping[str, Any]) -> None:
     """Say in the folder that its training has ended, and delete its checkpoints."""
-    ended = {**recipe, "finished": True}
-    write_atomically(folder / CONFIG, json.dumps(ended, indent=2).encode())
+    write_atomically(folder / CONFIG, _bytes({**recipe, "finished": True}))
     checkpoints.remove(folder)

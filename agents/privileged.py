@@ -91,9 +91,10 @@ class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
 
     def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], memory: Privileged) -> None:
         super().__init__(env)
-        if not getattr(env.unwrapped, "expose_truth", False):
+        core: Any = env.unwrapped
+        if not getattr(core, "expose_truth", False):
             raise ValueError("a teacher needs an environment made with expose_truth = True")
-        if env.unwrapped.simulation.solver.nominal != memory.nominal:
+        if core.simulation.solver.nominal != memory.nominal:
             raise ValueError(
                 "the environment and the memory have different nominal vehicles; a teacher needs "
                 "`tracked_env.physics.parameters.VEHICLES` of the environment's `vehicle`"

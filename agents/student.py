@@ -33,7 +33,7 @@ from agents.inference import WEIGHTS, StudentModel, make_inference, weights
 from agents.loading import load_teacher, normalisation_of, save_agent
 from agents.policy import AgentPolicy, Normalisation
 from agents.privileged import PRIVILEGED, Privileged
-from agents.training import Schedule, held_out_rmse, write_curve
+from agents.training import Schedule, check_finite, held_out_rmse, write_curve
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.store import write_atomically
@@ -157,7 +157,8 @@ class Student:
     ) -> None:
         """Train to the end of the schedule. recipe: what stands in every archive.
 
-        Between a regression and the next samples a checkpoint is written, when one is due.
+        Between a regression and the next samples a checkpoint is written, when one is due. Raises
+        Diverged for an inference that is not finite, before anything of it is kept.
         """
         began, total = time.perf_counter() - self.spent, schedule.total
         started = time.process_time() - self.worked
@@ -165,6 +166,7 @@ class Student:
             before = self.steps
             loss = self.collect()
             self.regress(self.config.learning_rate * (1.0 - before / total))
+            check_finite(self.model.inference, {"loss": loss}, self.steps)
             on_steps(self.steps - before)
             due = self.steps - self.evaluated >= schedule.evaluate_every or self.steps >= total
             rmse = held_out_rmse(self.policy, self.held_out) if due else float("nan")
@@ -188,8 +190,8 @@ class Student:
         }  # fmt: skip
         files = {WEIGHTS: weights(self.model.inference)}
         save_agent(folder / "last.zip", self.teacher, {**recipe, **reached}, files)
-        if not rmse >= self.best:
-            self.best = rmse if rmse == rmse else self.best
+        if rmse < self.best or not self.held_out:
+            self.best = min(self.best, rmse)  # which a NaN does not change
             write_atomically(folder / "agent.zip", (folder / "last.zip").read_bytes())
         write_curve(folder, CURVE, self.curve)
 
@@ -202,7 +204,8 @@ def check_teacher(config: Any, arguments: Mapping[str, Any], recipe: Mapping[str
     environment = recipe.get("environment", {})
     theirs = driven(environment.get("id", TORQUE_ID), environment)
     ours = driven(config.env, arguments)
-    pairs = {"control_period": (recipe["control_period"], control_period(config.env, arguments))}
+    pairs: dict[str, tuple[Any, Any]] = {}
+    pairs["control_period"] = (recipe["control_period"], control_period(config.env, arguments))
     for name in ("drive", "vehicle"):
         usual = EnvConfig._field_defaults[name]
         pairs[name] = theirs.get(name, usual), ours.get(name, usual)

@@ -6,6 +6,7 @@ benchmark form, and draw nothing from the training's random streams: evaluating 
 change the agent.
 """
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,10 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from torch import nn
 
 from agents import checkpoints
 from agents.environment import HeldOut
@@ -44,6 +47,21 @@ class Schedule:
     total: int
     evaluate_every: int
     checkpoint_every: int  # 0: before every rollout
+
+
+class Diverged(Exception):
+    """A network or a loss is not finite any more; the text says which one and when."""
+
+
+def check_finite(network: nn.Module, losses: Mapping[str, Any], steps: int) -> None:
+    """Raises Diverged for a parameter or a loss that is NaN or infinite. steps: done so far."""
+    with torch.no_grad():
+        named = dict(network.named_parameters())
+        sums = torch.stack([value.abs().max() for value in named.values()])
+        wrong = [name for name, sure in zip(named, torch.isfinite(sums), strict=True) if not sure]
+    wrong += [name for name, value in losses.items() if not math.isfinite(value)]
+    if wrong:
+        raise Diverged(f"the training diverged at {steps:,} steps: {wrong[0]} is not finite")
 
 
 def normalisation(model: BaseAlgorithm) -> Normalisation | None:
@@ -165,6 +183,7 @@ class Trainer(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         """Between an update and the next rollout the state of a training is smallest."""
+        self.check()
         done, schedule = self.model.num_timesteps, self.schedule
         if done - self.drawn >= schedule.total // CURVE_ROWS and done > self.drawn:
             self._note(float("nan"))
@@ -173,6 +192,12 @@ class Trainer(BaseCallback):
         if done > self.saved and done - self.saved >= schedule.checkpoint_every:
             self.saved = done
             self._write_checkpoint()
+
+    def check(self) -> None:
+        """Raises Diverged after an update that has spoilt the networks, before anything is kept."""
+        logged = self.logger.name_to_value
+        losses = {name: value for name, value in logged.items() if name.endswith("loss")}
+        check_finite(self.model.policy, losses, self.model.num_timesteps)
 
     def _write_checkpoint(self) -> None:
         names = ("curve", "best", "evaluated", "saved", "drawn", "evaluating")
@@ -205,7 +230,7 @@ class Trainer(BaseCallback):
         self.evaluating += time.perf_counter() - began
         if self.held_out:
             self.logger.record("held_out/rmse", rmse)
-        better = not rmse >= self.best  # also where nothing is held out
+        better = rmse < self.best or not self.held_out
         self.best = rmse if rmse < self.best else self.best
         self._note(rmse)
         stored = None
@@ -224,19 +249,26 @@ class Trainer(BaseCallback):
         write_curve(self.output, CURVE, self.curve)
 
     def _on_training_end(self) -> None:
+        self.check()
         self.evaluate()
 
 
-def learn(model: BaseAlgorithm, trainer: Trainer) -> bool:
-    """Train to the end of the trainer's schedule; False when interrupted."""
+def learn(model: BaseAlgorithm, trainer: Trainer) -> None:
+    """Train to the end of the trainer's schedule.
+
+    Raises Diverged, also for the errors that networks of NaN cause in a library.
+    """
     left = trainer.schedule.total - model.num_timesteps
     if left <= 0:
-        return True
+        return
     try:
         model.learn(left, callback=trainer, reset_num_timesteps=model.num_timesteps == 0)
-    except KeyboardInterrupt:
-        return False
-    return True
+    except (ValueError, RuntimeError, ArithmeticError) as error:
+        try:
+            check_finite(model.policy, {}, model.num_timesteps)
+        except Diverged as diverged:
+            raise diverged from error
+        raise
 
 
 def checkpoint_interval(model: BaseAlgorithm, asked: int | None) -> int:

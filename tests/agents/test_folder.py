@@ -1,13 +1,15 @@
 """A folder holds one training: finished ones are not repeated, none is overwritten unasked."""
 
+import errno
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import train
-from agents import checkpoints
+from agents import checkpoints, folder
 from agents.student import Student
 from tests.agents.agent_cases import same_parameters, small
 from tests.agents.test_checkpoints import killed_after
@@ -43,8 +45,10 @@ def test_a_finished_training_is_not_repeated(finished, capsys):
 
 def test_overwrite_trains_anew_where_a_training_is_finished(finished, tmp_path, monkeypatch):
     config = replace(finished, output=tmp_path)
-    assert train.main(config) == 0
-    (tmp_path / checkpoints.PREVIOUS).write_bytes(b"of before")
+    with monkeypatch.context() as patch:  # killed before the last checkpoints were deleted
+        patch.setattr(checkpoints, "remove", lambda folder: None)
+        assert train.main(config) == 0
+    (tmp_path / checkpoints.FILE).replace(tmp_path / checkpoints.PREVIOUS)
     anew = replace(config, overwrite=True, seed=4, steps=512)
     killed_after(200, anew, monkeypatch)
     assert "finished" not in recorded(tmp_path)
@@ -65,38 +69,149 @@ def test_overwrite_trains_anew_where_a_training_is_unfinished(
     assert not list(tmp_path.glob("*checkpoint*"))
 
 
-def test_one_checkpoint_of_two_is_an_unfinished_training_too(finished, tmp_path, capsys):
-    (tmp_path / checkpoints.PREVIOUS).write_bytes(b"killed between the two renamings")
-    assert train.main(replace(finished, output=tmp_path)) == 2
+@pytest.mark.parametrize("damaged", [False, True])
+def test_one_checkpoint_of_two_is_an_unfinished_training_too(
+    damaged, finished, tmp_path, monkeypatch, capsys
+):
+    """As a kill between two renamings leaves it; a damaged one gives way to --overwrite."""
+    config = replace(finished, output=tmp_path)
+    killed_after(200, config, monkeypatch)
+    left = (tmp_path / checkpoints.FILE).replace(tmp_path / checkpoints.PREVIOUS)
+    if damaged:
+        left.write_bytes(b"half of it")
+    assert train.main(config) == 2
     assert "holds an unfinished training: add --resume" in capsys.readouterr().err
+    assert train.main(replace(config, overwrite=True)) == 0
+    assert not left.exists()
 
 
-@pytest.mark.parametrize("resume", [False, True])
-def test_an_agent_of_unknown_origin_is_not_overwritten(resume, finished, tmp_path, capsys):
-    (tmp_path / "agent.zip").write_bytes(b"mine")
-    assert train.main(replace(finished, output=tmp_path, resume=resume)) == 2
-    assert "holds an agent" in capsys.readouterr().err
-    assert (tmp_path / "agent.zip").read_bytes() == b"mine"
+OF_STRANGERS = {
+    "config.json": [
+        b'{"finished": true}', b"[]", b"5", b"null", b"a text", b"torn {", b"\xff\x00\x93",
+        b"[" * 9999, b'{"config": {"seed": 3}}',
+        b'{"finished": true, "config": 5}', b"",
+    ],
+    "agent.zip": [b"mine"], "last.zip": [b"mine", b""], "curve.csv": [b"time,height", b""],
+    "checkpoint.zip": [b"mine"], "checkpoint-before.zip": [b"mine"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("asked", [{}, {"resume": True}, {"overwrite": True}], ids=str)
+@pytest.mark.parametrize("name", OF_STRANGERS)
+def test_a_file_that_no_training_has_written_stays_as_it_is(
+    asked, name, finished, tmp_path, capsys, monkeypatch
+):
+    """In the folder that is named, and in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / name
+    for content in OF_STRANGERS[name]:
+        for output in (tmp_path, Path()):
+            path.write_bytes(content)
+            assert train.main(replace(finished, output=output, **asked)) == 2
+            message = capsys.readouterr().err
+            assert name in message and "not written by a training" in message
+            assert message.count("\n") == 1
+            assert path.read_bytes() == content
+    assert [found.name for found in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("asked", [{"resume": True}, {"overwrite": True}], ids=str)
+@pytest.mark.parametrize("name", OF_STRANGERS)
+def test_a_strangers_file_among_those_of_a_finished_training_stays(
+    asked, name, finished, tmp_path, capsys
+):
+    folder = tmp_path / "copied"
+    shutil.copytree(finished.folder, folder)
+    (folder / name).unlink(missing_ok=True)
+    (folder / name).symlink_to(tmp_path / "nowhere")
+    assert train.main(replace(finished, output=folder, **asked)) == 2
+    assert (folder / name).is_symlink()
+    (folder / name).unlink()
+    (folder / name).write_bytes(b"mine")
+    kept = {path: path.read_bytes() for path in folder.iterdir()}
+    assert train.main(replace(finished, output=folder, **asked)) == 2
+    assert name in capsys.readouterr().err
+    assert kept == {path: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_what_comes_with_the_project_is_recognised_as_written_by_a_training():
+    folders = [
+        path.parent for path in Path(__file__).parents[2].glob("agents/pretrained/*/*/*.csv")
+    ]
+    assert len(folders) >= 60
+    for path in folders[::6]:
+        assert folder._recorded(path)["command"].startswith("python train.py")
 
 
 def test_resume_without_a_checkpoint_begins_only_the_training_that_lies_there(
     finished, tmp_path, capsys
 ):
     config = replace(finished, output=tmp_path, resume=True)
-    (tmp_path / "config.json").write_text(json.dumps({"config": {"seed": 9}}))
+    recipe = recorded(finished.folder)
+    del recipe["finished"]
+    recipe["config"]["seed"] = 9
+    (tmp_path / "config.json").write_text(json.dumps(recipe))
     assert train.main(config) == 2
     assert "seed (then 9, now 3)" in capsys.readouterr().err
-    (tmp_path / "config.json").write_text("torn {")
+    recipe["config"]["seed"] = 3
+    (tmp_path / "config.json").write_text(json.dumps(recipe))
     assert train.main(config) == 0
     assert same_parameters(tmp_path / "last.zip", finished.folder / "last.zip")
 
 
-def test_a_checkpoint_left_by_a_kill_in_the_last_moment_is_cleared(finished, capsys):
-    left = finished.folder / checkpoints.FILE
-    left.write_bytes(b"not yet deleted")
-    assert train.main(replace(finished, resume=True)) == 0
+def test_a_checkpoint_left_by_a_kill_in_the_last_moment_is_cleared(
+    finished, tmp_path, capsys, monkeypatch
+):
+    config = replace(finished, output=tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoints, "remove", lambda folder: None)
+        assert train.main(config) == 0
+    left = tmp_path / checkpoints.FILE
+    assert left.exists()
+    assert train.main(replace(config, resume=True)) == 0
     assert "already finished" in capsys.readouterr().out
     assert not left.exists()
+
+
+def test_a_finished_training_without_its_agent_is_not_called_finished(finished, tmp_path, capsys):
+    shutil.copytree(finished.folder, tmp_path / "copied")
+    (tmp_path / "copied" / "agent.zip").unlink()
+    assert train.main(replace(finished, output=tmp_path / "copied", resume=True)) == 2
+    assert "agent.zip is missing" in capsys.readouterr().err
+
+
+def test_nothing_is_deleted_before_the_new_configuration_is_on_the_disk(
+    finished, tmp_path, capsys, monkeypatch
+):
+    shutil.copytree(finished.folder, tmp_path / "copied")
+    config = replace(finished, output=tmp_path / "copied", overwrite=True)
+    kept = {path: path.read_bytes() for path in config.folder.iterdir()}
+
+    def full(path, content):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_bytes", full)
+        assert train.main(config) == 2
+    message = capsys.readouterr().err
+    assert "No space left on device" in message and message.count("\n") == 1
+    assert kept == {path: path.read_bytes() for path in config.folder.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [
+        ("/proc/none", "cannot be written"),
+        ("/dev/null", "is a file; must be a folder"),
+        ("/dev/null/none", "Not a directory"),
+        ("x" * 300, "File name too long"),
+    ],
+)
+def test_a_folder_that_cannot_be_written_is_one_clear_line(output, message, finished, capsys):
+    for asked in ({}, {"resume": True}, {"overwrite": True}):
+        assert train.main(replace(finished, output=Path(output), **asked)) == 2
+        shown = capsys.readouterr().err
+        assert message in shown and shown.count("\n") == 1
 
 
 def test_wrong_settings_delete_nothing(finished, capsys):

@@ -8,6 +8,7 @@ change the agent.
 
 import math
 import time
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -268,6 +269,13 @@ def learn(model: BaseAlgorithm, trainer: Trainer) -> None:
             check_finite(model.policy, {}, model.num_timesteps)
         except Diverged as diverged:
             raise diverged from error
+        # Finite parameters too may make a deviation that is not: exp(log_std).
+        frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+        if frames[-1].f_globals["__name__"].startswith("torch.distributions"):
+            raise Diverged(
+                f"the training diverged at {model.num_timesteps:,} steps: the distribution of the "
+                "action is not finite"
+            ) from error
         raise
 
 

@@ -111,6 +111,8 @@ def test_the_help_lists_what_there_is(repository):
         (("--sensors", '{"pose_delay": -1}'), "pose_delay"),
         (("--memory", "residual", "--residual-scale", "0"), "must be in"),
         (("--env", "tracked_env/Nothing-v0"), "Nothing"),
+        (("--env", "CartPole-v1"), "--env CartPole-v1 is not an environment of tracked vehicles"),
+        (("--env", "nothing_at_all:Torque-v0"), "--env nothing_at_all:Torque-v0: "),
         (("--env-args", '{"plant": "lumpy"}'), "lumped"),
         (("--agent", "sac", "--sac.buffer-size", "10"), "must be at least 32"),
     ],
@@ -123,18 +125,22 @@ def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, t
     output = tmp_path / "none"
     config = tyro.cli(Config, args=[*BUDGET, "--output", str(output), *arguments])
     assert main(config) == 2
-    assert message in capsys.readouterr().err
+    shown = capsys.readouterr().err
+    assert message in shown and shown.count("\n") == 1
     assert not output.exists()
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--steps", "0"), "steps = 0; must be in [1, inf)"),
+        (("--steps", "0"), "steps = 0; must be in [1, 1e12]"),
         (("--vehicles", "0"), "vehicles = 0; must be in [1, 65536]"),
         (("--held-out", "-3"), "held_out = -3; must be in [0, 65536]"),
-        (("--ppo.batch-size", "0"), "ppo: batch_size = 0; must be in [2, inf)"),
-        (("--sac.n-steps", "0"), "sac: n_steps = 0; must be in [1, inf)"),
+        (("--ppo.batch-size", "0"), "ppo: batch_size = 0; must be in [2, 1e8]"),
+        (("--ppo.learning-rate", "1e30"), "ppo: learning_rate = 1e+30; must be in (0, 1]"),
+        (("--teacher", "a.zip"), "only a student has"),
+        (("--output", ""), "--output is empty"),
+        (("--sac.n-steps", "0"), "sac: n_steps = 0; must be in [1, 1000000]"),
     ],
 )
 def test_a_number_outside_its_limits_is_a_clear_error(arguments, message, tmp_path, capsys):

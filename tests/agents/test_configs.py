@@ -1,6 +1,7 @@
 """Settings: defaults that suit the algorithm, and values that are refused at once."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
@@ -40,7 +41,7 @@ def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, step
 @pytest.mark.parametrize("made", ALL)
 def test_defaults_are_within_the_limits_and_every_number_has_some(made):
     made()
-    free = {"seed", "duration", "precision", "smoothness", "lags", "residual_scale"}  # elsewhere
+    free = {"seed", "duration"}  # elsewhere
     numbers = {
         field.name
         for field in dataclasses.fields(made)
@@ -52,12 +53,31 @@ def test_defaults_are_within_the_limits_and_every_number_has_some(made):
 @pytest.mark.parametrize(
     ("made", "changes", "message"),
     [
-        (configs.PPOConfig, {"batch_size": 0}, r"batch_size = 0; must be in \[2, inf\)"),
-        (configs.PPOConfig, {"learning_rate": 0.0}, r"learning_rate = 0\.0; must be in \(0, inf\)"),
+        (configs.PPOConfig, {"batch_size": 0}, r"batch_size = 0; must be in \[2, 1e8\]"),
+        (configs.PPOConfig, {"learning_rate": 0.0}, r"learning_rate = 0\.0; must be in \(0, 1\]"),
+        (
+            configs.PPOConfig,
+            {"learning_rate": 1e30},
+            r"learning_rate = 1e\+30; must be in \(0, 1\]",
+        ),
+        (
+            configs.PPOConfig,
+            {"log_std_init": 1e30},
+            r"log_std_init = 1e\+30; must be in \[-20, 5\]",
+        ),
+        (configs.PPOConfig, {"ent_coef": float("inf")}, "ent_coef = inf"),
+        (configs.PPOConfig, {"clip_range": 1e9}, r"clip_range = 1000000000\.0; must be in"),
+        (configs.SACConfig, {"ent_coef": "auto_nan"}, "ent_coef = 'auto_nan'"),
+        (configs.TD3Config, {"action_noise": 1e9}, "action_noise"),
+        (Config, {"precision": float("nan")}, "precision = nan"),
+        (Config, {"smoothness": -1.0}, r"smoothness = -1\.0"),
+        (Config, {"residual_scale": float("nan")}, "residual_scale = nan"),
+        (Config, {"lags": (0,)}, r"lags = \(0,\)"),
+        (Config, {"teacher": Path("a.zip")}, "only a student has a teacher"),
         (configs.PPOConfig, {"learning_rate": float("nan")}, "learning_rate = nan"),
-        (configs.PPOConfig, {"hidden": (64, 0)}, r"hidden = \(64, 0\); must be in \[1, inf\)"),
+        (configs.PPOConfig, {"hidden": (64, 0)}, r"hidden = \(64, 0\); must be in \[1, 16384\]"),
         (configs.RecurrentPPOConfig, {"lstm_hidden": 0}, "lstm_hidden = 0"),
-        (configs.SACConfig, {"n_steps": 0}, r"n_steps = 0; must be in \[1, inf\)"),
+        (configs.SACConfig, {"n_steps": 0}, r"n_steps = 0; must be in \[1, 1000000\]"),
         (configs.SACConfig, {"gamma": 1.0}, r"gamma = 1\.0; must be in \[0, 1\)"),
         (configs.SACConfig, {"gamma": -0.1}, r"gamma = -0\.1"),
         (configs.SACConfig, {"ent_coef": "many"}, "ent_coef = 'many'.* auto_ and a number"),
@@ -65,7 +85,7 @@ def test_defaults_are_within_the_limits_and_every_number_has_some(made):
         (configs.StudentConfig, {"gradient_steps": 0}, "gradient_steps = 0"),
         (Config, {"vehicles": 0}, r"vehicles = 0; must be in \[1, 65536\]"),
         (Config, {"held_out": -3}, r"held_out = -3; must be in \[0, 65536\]"),
-        (Config, {"steps": 0}, r"steps = 0; must be in \[1, inf\)"),
+        (Config, {"steps": 0}, r"steps = 0; must be in \[1, 1e12\]"),
         (Config, {"evaluate_every": 0}, "evaluate_every = 0"),
         (Config, {"checkpoint_every": -1}, "checkpoint_every = -1"),
         (Config, {"threads": 0}, "threads = 0"),
@@ -122,3 +142,12 @@ def test_what_stable_baselines_refuses_is_a_clear_error(changes, message, tmp_pa
     assert main(config) == 2
     assert message in capsys.readouterr().err
     assert not config.folder.exists()
+
+
+def test_more_samples_than_memory_holds_are_a_clear_error(tmp_path, capsys, monkeypatch):
+    def allocate(*_):
+        raise MemoryError("Unable to allocate 454. GiB")
+
+    monkeypatch.setattr("train.make_model", allocate)
+    assert main(small(tmp_path / "none")) == 2
+    assert "454. GiB. Lower vehicles, n_steps" in capsys.readouterr().err

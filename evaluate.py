@@ -28,6 +28,7 @@ if __name__ == "__main__":
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -85,13 +86,19 @@ class Config:
     slc-oracle: the same, slip of the true soil.
     Of both:
     ppo-blind ...: agents/pretrained, with all seeds.
-    path/to/agent.zip: an agent of train.py, or any
-    other archive of Stable-Baselines3.
+    path/to/agent.zip: an agent of train.py, or, with
+    --trust, any other archive of Stable-Baselines3.
     NAME=runs/ppo-*/agent.zip: the seeds of one agent,
     summarised together.
     module:attribute: any object with a `predict` as in
     Stable-Baselines3, or what makes one. It is imported
     and run."""
+
+    trust: bool = False
+    """Open archives that hold pickled objects too: those of Stable-
+    Baselines3 itself, and of former versions of train.py. Opening one
+    runs any code that its author put there: only for authors whom
+    you trust. Agents of train.py hold none and need it not."""
 
     sets: tuple[str, ...] | None = None
     """Evaluation sets: laws of vehicle, soil and changes,
@@ -229,8 +236,11 @@ def reproduce(config: Config) -> int:
     return 0
 
 
-def open_archive(path: Path) -> PolicyEntry:
-    """A trained agent; PyTorch is imported only here. Raises ValueError."""
+def open_archive(path: Path, trust: bool = False) -> PolicyEntry:
+    """A trained agent; PyTorch is imported only here. trust: unpickle it if need be.
+
+    Raises ValueError.
+    """
     try:
         import torch
 
@@ -240,7 +250,7 @@ def open_archive(path: Path) -> PolicyEntry:
             f"policy {str(path)!r}: {error}. Trained agents need pip install 'tracked-env[rl]'"
         ) from error
     torch.set_num_threads(1)  # networks this small are faster on one, and a busy machine is too
-    return agent_entry(path)
+    return agent_entry(path, trust)
 
 
 def write_leaderboard(
@@ -274,8 +284,9 @@ def compare(config: Config) -> int:
     try:
         benchmark = benchmark_config(config)
         entries = load_policies(
-            config.named_policies(), POLICIES, SHIPPED[config.env], open_archive
-        )
+            config.named_policies(), POLICIES, SHIPPED[config.env],
+            partial(open_archive, trust=config.trust),
+        )  # fmt: skip
         for entry in entries:  # reject incompatible policies first
             checked_policy(entry, benchmark.context(benchmark.sets[0]))
         store = Store(result_folder(config.output, benchmark), benchmark.identity())

@@ -15,6 +15,7 @@ if __name__ == "__main__":
     stop_at_once()  # Ctrl-C; the imports take seconds
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -37,6 +38,7 @@ try:
     from agents.folder import AlreadyFinished, begin, finish, going_on
     from agents.inference import STUDENT
     from agents.loading import exact, recipe_of
+    from agents.lock import locked
     from agents.memory import LAGS, RESIDUAL_SCALE
     from agents.reward import PRECISION
     from agents.student import make_student
@@ -45,7 +47,7 @@ except ImportError as error:
 
 from tracked_env import TORQUE_ID
 
-FREE = ("resume", "overwrite", "output", "tensorboard", "quiet")  # may differ when resumed
+FREE = ("resume", "overwrite", "output", "tensorboard", "quiet", "trust")  # may differ
 WRONG = (ValueError, OSError, gymnasium.error.Error)  # what wrong settings raise
 
 
@@ -82,6 +84,10 @@ class Config:
 
     teacher: Path | None = None
     """Of memory student: agent.zip of the teacher."""
+
+    trust: bool = False
+    """Open a teacher of a former version too. It is unpickled, which runs any
+    code that its author put there: only for authors whom you trust."""
 
     steps: int | None = None
     """Environment steps, over all vehicles. Default:
@@ -279,9 +285,9 @@ def learn(config: Config, arguments: Mapping[str, Any], captured: Any) -> int:
         log = str(folder) if config.tensorboard else None
         model = make_model(config.agent, config.settings, env, random_seed(config.seed), log)
         held_out = make_held_out(config, arguments)
+        if captured is not None:
+            checkpoints.resume(model, captured)
     recipe = recipe_of(config, arguments)
-    if captured is not None:
-        checkpoints.resume(model, captured)
     begin(folder, recipe, model.num_timesteps)
     every = training.checkpoint_interval(model, config.checkpoint_every)
     with bar_of(config, model.num_timesteps) as bar:
@@ -301,6 +307,16 @@ def learn(config: Config, arguments: Mapping[str, Any], captured: Any) -> int:
 
 
 def main(config: Config) -> int:
+    """Train and save, alone in the folder; returns the exit status."""
+    with ExitStack() as held:
+        try:
+            held.enter_context(locked(config.folder))
+        except ValueError as error:
+            return failed(error)
+        return train(config)
+
+
+def train(config: Config) -> int:
     """Train and save; returns the exit status."""
     torch.set_num_threads(config.threads)
     folder = config.folder

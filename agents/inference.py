@@ -6,11 +6,8 @@ It sees what any agent with memory `history` sees, and no truth. Where the teach
 normalised and clipped, the inference is of the normalised and clipped values.
 """
 
-import io
-import zipfile
 from collections.abc import Mapping
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +16,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from agents.memory import History
+from agents.networks import fill, from_npz, to_npz
 from agents.policy import Normalisation, Predictor
 from agents.privileged import PRIVILEGED
 from tracked_env import observation as layout
@@ -85,30 +83,26 @@ class StudentModel:
 
 def weights(inference: nn.Sequential) -> bytes:
     """The parameters of an inference network as an npz file."""
-    buffer = io.BytesIO()
     values = {name: value.numpy() for name, value in inference.state_dict().items()}
-    np.savez(buffer, format=np.array(FORMAT), **values)
-    return buffer.getvalue()
+    return to_npz({"format": np.array(FORMAT), **values})
 
 
 def load_student(
-    path: Path, options: Mapping[str, Any], teacher: Predictor, scaling: Normalisation | None
+    content: bytes, options: Mapping[str, Any], teacher: Predictor, scaling: Normalisation | None
 ) -> StudentModel:
-    """The student in an archive. options: `lags` and `hidden`. Raises ValueError."""
-    try:
+    """The student in the file WEIGHTS of an archive. options: `lags` and `hidden`.
+
+    Raises ValueError for weights that are damaged, not finite, or not those of the options.
+    """
+    with torch.random.fork_rng(devices=[]):  # its first weights are replaced
         inference = make_inference(tuple(options["lags"]), tuple(options["hidden"]))
-        with zipfile.ZipFile(path) as archive, np.load(io.BytesIO(archive.read(WEIGHTS))) as stored:
-            values = {name: torch.from_numpy(stored[name]) for name in stored}
-        written = int(values.pop("format", torch.tensor(1)))
-        inference.load_state_dict(values)
-    except (KeyError, RuntimeError, ValueError) as error:
-        raise ValueError(
-            f"agent {path} cannot be loaded as a student: {WEIGHTS} in it is missing, or is not "
-            f"what its recipe says ({error})"
-        ) from error
+    expected = {name: value.numpy() for name, value in inference.state_dict().items()}
+    stored = from_npz(content, WEIGHTS)
+    written = stored.pop("format", np.array(1)).tolist()
     if written != FORMAT and (written != 1 or scaling is not None):
         raise ValueError(
-            f"agent {path} holds an inference of format {written}; must be {FORMAT}: what it "
-            "infers has another scale. Train the student again"
+            f"{WEIGHTS} holds an inference of format {written}; must be {FORMAT}: what it infers "
+            "has another scale. Train the student again"
         )
+    fill(inference, stored, expected)
     return StudentModel(inference, teacher, scaling)

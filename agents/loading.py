@@ -1,47 +1,58 @@
-"""A trained agent as one file: the archive of Stable-Baselines3 with the agent's recipe in it.
+"""A trained agent as a policy of the benchmark, from its archive.
 
-`recipe.json` inside the archive says what surrounds the network: algorithm, kind of memory and
-its options, normalisation, control period; and how the agent came about: configuration, steps,
-seconds, versions, machine, command. An archive without it, from `model.save` of any of the
-algorithms on the plain environment, is loaded as a blind agent, with a notice.
-
-Loading unpickles what SB3 has pickled: open only archives that you trust.
+Archives of train.py are plain data (`agents.archive`). Those of `model.save` of
+Stable-Baselines3, and of train.py of the version before, hold pickled objects: opening one runs
+whatever its author put there, so it takes `trust`. One without a recipe, of any of the algorithms
+on the plain environment, is loaded as a blind agent, with a notice.
 """
 
 import hashlib
-import io
 import json
 import shlex
 import sys
 import warnings
-import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from agents import memory
 from agents.algorithms import ALGORITHMS
+from agents.archive import (
+    PICKLED,
+    load_network,
+    normalisation_of,
+    read_entry,
+    read_recipe,
+    untrusted,
+)
 from agents.environment import control_period, driven
-from agents.inference import STUDENT, load_student
-from agents.policy import AgentPolicy, Normalisation, Predictor
+from agents.inference import STUDENT, WEIGHTS, load_student
+from agents.policy import AgentPolicy, Predictor
 from agents.privileged import PRIVILEGED, TEACHER, TeacherPolicy, policy_of
 from tracked_env import TORQUE_ID
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext, PolicyEntry
 from tracked_env.benchmark.policy_interface import source_fingerprint
-from tracked_env.benchmark.store import machine, versions, write_atomically
+from tracked_env.benchmark.store import machine, versions
 
-RECIPE = "recipe.json"
-OPTIMISER = "optimizer.pth"  # how the entries of optimisers end
-FORMAT = 1  # of the recipe
-_NEEDED = ("format", "algorithm", "memory", "memory_options", "normalisation", "control_period")
-# Files whose code is around every network; a change of one may change what an agent does.
-_AROUND = ("memory.py", "policy.py", "slip_memory.py", "held.py", "recurrent.py", "loading.py")
+PACKAGE = Path(__file__).parent
+# Files of this package that no action of a trained agent depends on; all others are in its
+# fingerprint. Each with the reason.
+WITHOUT_INFLUENCE = {
+    "checkpoint_fit.py": "whether a training can go on from a checkpoint",
+    "checkpoints.py": "what a training goes on from; an archive has nothing of it",
+    "configs.py": "settings of trainings; an archive holds the network that came of them",
+    "folder.py": "where a training may write",
+    "joined.py": "joins the vehicles of a training",
+    "lock.py": "keeps two trainings out of one folder",
+    "reward.py": "what a training is paid",
+    "state_file.py": "how checkpoints are written",
+    "student.py": "the training of a student; it drives by inference.py",
+    "training.py": "the training of all others",
+}
 # Order in which an archive without a recipe is tried: who is the pickiest comes first.
 _TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
 
@@ -72,80 +83,11 @@ def recipe_of(config: Any, arguments: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def save_agent(
-    path: Path,
-    model: BaseAlgorithm,
-    recipe: Mapping[str, Any],
-    files: Mapping[str, bytes] | None = None,
-) -> None:
-    """Write model, recipe and further files as one archive without moments, whole or not at all."""
-    buffer = io.BytesIO()
-    model.save(buffer)
-    with zipfile.ZipFile(buffer, "a") as archive:
-        archive.writestr(RECIPE, json.dumps({"format": FORMAT, **recipe}, indent=1))
-        for name, content in (files or {}).items():
-            archive.writestr(name, content)
-    write_atomically(path, without_moments(buffer.getvalue()))
+def unpickled(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
+    """The model in an archive of Stable-Baselines3, of the first of `algorithms` that can load it.
 
-
-def without_moments(archive: bytes) -> bytes:
-    """An archive of Stable-Baselines3, compressed, its optimisers as fresh ones.
-
-    Their moments of gradients are two thirds of it, and only the next gradient step needs them:
-    `load` and `learn` work without. A training that goes on has them in its checkpoint.
+    Runs whatever code is in the archive. Raises ValueError where none can.
     """
-    buffer = io.BytesIO()
-    with (
-        zipfile.ZipFile(io.BytesIO(archive)) as given,
-        zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as kept,
-    ):
-        for name in given.namelist():
-            content = given.read(name)
-            if name.endswith(OPTIMISER):
-                state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-                fresh = io.BytesIO()
-                torch.save({**state, "state": {}}, fresh)
-                content = fresh.getvalue()
-            kept.writestr(name, content)
-    return buffer.getvalue()
-
-
-def read_recipe(path: Path) -> dict[str, Any] | None:
-    """The recipe in an archive, None where there is none.
-
-    Raises ValueError for a missing or damaged file, and for a recipe of another format.
-    """
-    if not path.is_file():
-        raise ValueError(f"agent {path}: no such file. Was it trained with another --output?")
-    try:
-        with zipfile.ZipFile(path) as archive:
-            damaged = archive.testzip()
-            names = archive.namelist()
-            if damaged is None and RECIPE not in names and "data" in names:
-                return None
-            recipe = json.loads(archive.read(RECIPE)) if damaged is None else {}
-    except (zipfile.BadZipFile, OSError, KeyError, EOFError, ValueError) as error:
-        raise ValueError(
-            f"agent {path} cannot be loaded: not an archive of an agent, or damaged ({error})"
-        ) from error
-    if damaged is not None:
-        raise ValueError(f"agent {path} cannot be loaded: {damaged} in it is damaged")
-    if not isinstance(recipe, dict) or recipe.get("format") != FORMAT:
-        raise ValueError(
-            f"agent {path} has a recipe of another format; must be {FORMAT}. Is it of another "
-            "version of this project?"
-        )
-    missing = [name for name in _NEEDED if name not in recipe]
-    if missing or recipe["algorithm"] not in ALGORITHMS:
-        raise ValueError(
-            f"agent {path}: its recipe lacks {missing} or names an algorithm that is none of "
-            f"{', '.join(ALGORITHMS)}"
-        )
-    return recipe
-
-
-def load_model(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
-    """The model in an archive, of the first of `algorithms` that can load it. ValueError if none"""
     errors = []
     for name in algorithms:
         with warnings.catch_warnings():
@@ -159,26 +101,30 @@ def load_model(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
     raise ValueError(f"agent {path} cannot be loaded as {'; '.join(errors)}")
 
 
-def normalisation_of(recipe: Mapping[str, Any]) -> Normalisation | None:
-    """The running normalisation that a recipe holds."""
-    stored = recipe["normalisation"]
-    if stored is None:
-        return None
-    return Normalisation(
-        np.array(stored["mean"]), np.array(stored["variance"]), stored["epsilon"], stored["clip"]
-    )
+def load_predictor(path: Path, recipe: Mapping[str, Any] | None, trust: bool) -> Any:
+    """What acts in an archive: a policy of Stable-Baselines3, or a whole model of it.
+
+    recipe: of `read_recipe`. Raises ValueError, also for a pickled one without `trust`.
+    """
+    if recipe is None:
+        if not trust:
+            raise ValueError(untrusted(path, "has no recipe of train.py"))
+        return unpickled(path, _TRIED)
+    if recipe["format"] == PICKLED and trust:
+        return unpickled(path, (recipe["algorithm"],)).policy
+    return load_network(path, recipe)
 
 
-def load_teacher(path: Path | None) -> tuple[BaseAlgorithm, dict[str, Any]]:
-    """Model and recipe of a teacher. Raises ValueError where there is none."""
+def load_teacher(path: Path | None, trust: bool = False) -> tuple[Any, dict[str, Any]]:
+    """Network and recipe of a teacher; trust: as `agent_entry`. Raises ValueError."""
     if path is None:
         raise ValueError("a student needs --teacher, an agent.zip of --memory teacher")
     recipe = read_recipe(path)
     if recipe is None or recipe["memory"] != TEACHER:
         kind = "blind" if recipe is None else recipe["memory"]
         raise ValueError(f"agent {path} has memory {kind!r}; a student needs a teacher")
-    agent_entry(path)  # checks what it sees
-    return load_model(path, (recipe["algorithm"],)), recipe
+    agent_entry(path, trust)  # checks what it sees
+    return load_predictor(path, recipe, trust), recipe
 
 
 def agent_name(path: Path) -> str:
@@ -186,14 +132,18 @@ def agent_name(path: Path) -> str:
     return path.resolve().parent.name if path.stem in ("agent", "last") else path.stem
 
 
+def code_around(package: Path) -> list[Path]:
+    """The files of this package that an agent's action may depend on, relative to it."""
+    files = sorted(file.relative_to(package) for file in package.rglob("*.py"))
+    return [file for file in files if file.as_posix() not in WITHOUT_INFLUENCE]
+
+
 def _fingerprint(path: Path, kind: str) -> str:
     """Digest of the archive and of the code around its network."""
     digest = hashlib.sha256(path.read_bytes())
-    for file in _AROUND:
-        digest.update(Path(memory.__file__).with_name(file).read_bytes())
-    if kind in (TEACHER, STUDENT):
-        for file in ("privileged.py", "inference.py"):
-            digest.update(Path(memory.__file__).with_name(file).read_bytes())
+    for file in code_around(PACKAGE):
+        content = (PACKAGE / file).read_bytes()
+        digest.update(f"{file.as_posix()} {len(content)}\n".encode() + content)
     if kind in ("estimates", "residual"):
         digest.update(source_fingerprint("baselines").encode())
     return digest.hexdigest()[:12]
@@ -220,18 +170,19 @@ def _plain_recipe(path: Path) -> dict[str, Any]:
     return {"memory": "blind", "memory_options": {}, "normalisation": None}
 
 
-def agent_entry(path: Path) -> PolicyEntry:
+def agent_entry(path: Path, trust: bool = False) -> PolicyEntry:
     """A trained agent as a policy of the benchmark.
 
+    trust: open an archive that holds pickled objects too, which runs its author's code.
     Raises ValueError for a missing, damaged or foreign file, and for an agent that sees or does
     something else than this environment offers.
     """
     path = Path(path)
     recipe = read_recipe(path)
     plain = recipe is None
+    model = load_predictor(path, recipe, trust)
     if recipe is None:
         recipe = _plain_recipe(path)
-    model = load_model(path, _TRIED if plain else (recipe["algorithm"],))
     kind, options = recipe["memory"], recipe["memory_options"]
     normalisation = normalisation_of(recipe)
     shown = getattr(model.observation_space, "shape", None)
@@ -251,7 +202,10 @@ def agent_entry(path: Path) -> PolicyEntry:
 
     driver: Predictor = model
     if kind == STUDENT:
-        driver = load_student(path, options, model, normalisation)
+        try:
+            driver = load_student(read_entry(path, WEIGHTS), options, model, normalisation)
+        except ValueError as error:
+            raise ValueError(f"agent {path} cannot be loaded as a student: {error}") from error
         kind, options, normalisation = "history", {"lags": options["lags"]}, None
 
     def make(context: PolicyContext) -> AgentPolicy | TeacherPolicy:

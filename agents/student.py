@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from agents import checkpoints
+from agents.archive import normalisation_of, save_agent
 from agents.configs import StudentConfig, check_buffer
 from agents.environment import (
     HeldOut,
@@ -30,7 +31,7 @@ from agents.environment import (
     random_seed,
 )
 from agents.inference import WEIGHTS, StudentModel, make_inference, weights
-from agents.loading import load_teacher, normalisation_of, save_agent
+from agents.loading import load_teacher
 from agents.policy import AgentPolicy, Normalisation
 from agents.privileged import PRIVILEGED, Privileged
 from agents.training import Schedule, check_finite, held_out_rmse, write_curve
@@ -49,7 +50,7 @@ _CHANGING = (  # attributes that change while it learns
 class Student:
     """The training of a student.
 
-    env, truths: of `make_taught`. teacher: its model and normalisation. held_out: of each kind
+    env, truths: of `make_taught`. teacher: its network and normalisation. held_out: of each kind
     of sensors; without, it evaluates never. After `learn`: `best` [m], `curve`.
     """
 
@@ -57,7 +58,7 @@ class Student:
         self,
         env: VecEnv,
         truths: Sequence[Privileged],
-        teacher: tuple[BaseAlgorithm, Normalisation | None],
+        teacher: tuple[BasePolicy, Normalisation | None],
         lags: tuple[int, ...],
         config: StudentConfig,
         seed: int,
@@ -224,7 +225,7 @@ def make_student(
 
     config: of train.py. arguments: of the environment. captured: a checkpoint. Raises ValueError.
     """
-    teacher, recipe = load_teacher(config.teacher)
+    teacher, recipe = load_teacher(config.teacher, config.trust)
     check_teacher(config, arguments, recipe)
     check_buffer(config.student, config.vehicles)
     env, truths = make_taught(config, arguments)
@@ -233,6 +234,9 @@ def make_student(
         random_seed(config.seed), make_held_out(config, arguments),
     )  # fmt: skip
     if captured is not None:
-        student.resume(captured["student"])
+        try:
+            student.resume(captured["student"])
+        except Exception as error:  # what is not as `capture` left it raises all sorts
+            raise checkpoints.misfit(error) from error
     names = ("algorithm", "normalisation")
     return student, {**{name: recipe[name] for name in names}, "teacher": recipe}

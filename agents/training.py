@@ -23,8 +23,8 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from torch import nn
 
 from agents import checkpoints
+from agents.archive import save_agent
 from agents.environment import HeldOut
-from agents.loading import save_agent
 from agents.policy import Normalisation
 from agents.privileged import policy_of
 from tracked_env.benchmark import PolicyContext

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from agents.archive import WEIGHTS, read_entry
 from agents.configs import PPOConfig, RecurrentPPOConfig, SACConfig, TD3Config, TQCConfig
-from agents.loading import read_recipe
+from agents.networks import from_npz
 from train import Config
 
 OFF_POLICY = {"buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "hidden": (16,)}
@@ -26,11 +27,7 @@ def small(output: Path, **changes) -> Config:
 
 def parameters(path: Path) -> dict[str, np.ndarray]:
     """Network parameters in an archive, by name."""
-    from agents.loading import load_model
-
-    recipe = read_recipe(path)
-    model = load_model(path, (recipe["algorithm"],))
-    return {name: value.numpy() for name, value in model.policy.state_dict().items()}
+    return from_npz(read_entry(path, WEIGHTS), WEIGHTS)
 
 
 def same_parameters(one: Path, other: Path) -> bool:

@@ -8,7 +8,8 @@ import pytest
 from gymnasium.vector import VectorWrapper
 
 from agents.algorithms import ALGORITHMS
-from agents.loading import agent_entry, load_model, normalisation_of, read_recipe
+from agents.archive import load_network
+from agents.loading import agent_entry, normalisation_of, read_recipe
 from agents.memory import KINDS, AgentVectorEnv, make_memory
 from agents.training import HELD_OUT_SEED
 from tests.agents.agent_cases import small
@@ -44,7 +45,7 @@ def vehicles(count=3):
 def as_trained(path):
     """Commands of the agent inside the wrapper of its training."""
     recipe = read_recipe(path)
-    model = load_model(path, (recipe["algorithm"],))
+    model = load_network(path, recipe)
     normalise = normalisation_of(recipe) or (lambda values: values)
     inner = vehicles()
     memory = make_memory(recipe["memory"], recipe["memory_options"], CONTEXT, 3)

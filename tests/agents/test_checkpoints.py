@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 import train
 from agents import checkpoints
@@ -34,6 +35,28 @@ def killed_after(steps, config, monkeypatch):
             train.main(config)
 
 
+def models_at_the_end(monkeypatch):
+    """Filled with the networks, values and optimisers of each training that ends."""
+    found = []
+    original = Trainer._on_training_end
+
+    def end(trainer):
+        found.append(trainer.model.get_parameters())
+        original(trainer)
+
+    monkeypatch.setattr(Trainer, "_on_training_end", end)
+    return found
+
+
+def same_tensors(one, other):
+    """Whether all tensors in two trees of dicts and lists are equal, bit for bit."""
+    if isinstance(one, dict):
+        return set(one) == set(other) and all(same_tensors(one[key], other[key]) for key in one)
+    if isinstance(one, (list, tuple)):
+        return len(one) == len(other) and all(map(same_tensors, one, other))
+    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
+
+
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkeypatch, capsys):
     """In mid-episode, with running normalisation and a memory, over a held-out evaluation."""
@@ -41,11 +64,13 @@ def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkey
     whole = small(tmp_path / "whole", **changes)
     sac = replace(whole.sac, learning_starts=360)  # killed while its actions are drawn blindly
     whole = replace(whole, sac=sac)
+    models = models_at_the_end(monkeypatch)
     assert train.main(whole) == 0
     torn = replace(whole, output=tmp_path / "torn")
     killed_after(330, torn, monkeypatch)
     assert (torn.folder / checkpoints.FILE).exists()
     assert train.main(replace(torn, resume=True)) == 0
+    assert len(models) == 2 and same_tensors(*models)
     assert "going on after" in capsys.readouterr().out
     for name in ("last.zip", "agent.zip"):
         assert same_parameters(whole.folder / name, torn.folder / name)
@@ -122,10 +147,40 @@ def test_a_kill_while_a_checkpoint_is_written_loses_neither(tmp_path, monkeypatc
     killed_after(400, config, monkeypatch)
     before = checkpoints.read(config.folder)[0]["attributes"]["num_timesteps"]
     half = (config.folder / checkpoints.FILE).read_bytes()[:5000]
-    (config.folder / f".{checkpoints.FILE}.tmp").write_bytes(half)
+    temporary = config.folder / f".{checkpoints.FILE}.1-abcd.tmp"
+    temporary.write_bytes(half)
     assert checkpoints.read(config.folder)[0]["attributes"]["num_timesteps"] == before
     (config.folder / checkpoints.FILE).unlink()  # killed between the two renamings
     assert checkpoints.read(config.folder)[0]["attributes"]["num_timesteps"] == before - 128
+    assert train.main(replace(config, resume=True)) == 0
+    assert not temporary.exists()
+
+
+def test_two_writers_of_one_checkpoint_share_no_temporary_file(tmp_path, monkeypatch):
+    """The second one begins and ends while the first one writes."""
+    written = []
+    original = checkpoints.write_state
+
+    def slow(path, state):
+        original(path, state)
+        written.append(path)
+        if len(written) == 1:
+            checkpoints.write(tmp_path, {"recipe": {"config": {}}, "number": 2})
+
+    monkeypatch.setattr(checkpoints, "write_state", slow)
+    checkpoints.write(tmp_path, {"recipe": {"config": {}}, "number": 1})
+    assert len(set(written)) == 2
+    assert checkpoints.read(tmp_path)[0]["number"] == 1
+    names = {checkpoints.FILE, checkpoints.PREVIOUS}
+    assert {path.name for path in tmp_path.iterdir()} == names
+
+
+def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path):
+    checkpoints.write(tmp_path, {"recipe": {"config": {}}, "number": 1})
+    with pytest.raises(TypeError, match="cannot be written"):
+        checkpoints.write(tmp_path, {"recipe": {"config": {}}, "number": object()})
+    assert [path.name for path in tmp_path.iterdir()] == [checkpoints.FILE]
+    assert checkpoints.read(tmp_path)[0]["number"] == 1
 
 
 def test_an_unfinished_training_is_not_overwritten_nor_mixed(tmp_path, monkeypatch, capsys):

@@ -1,9 +1,8 @@
-"""Archives of agents: plain ones of SB3 load, damaged and foreign ones are clear errors."""
+"""Archives of agents become policies: those of SB3 if trusted; damaged ones are clear errors."""
 
 import json
 import warnings
 import zipfile
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -12,10 +11,12 @@ import torch
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 
-from agents import memory
-from agents.algorithms import ALGORITHMS
-from agents.loading import agent_entry, load_model
-from tests.agents.agent_cases import small
+from agents import loading
+from agents.algorithms import ALGORITHMS, make_model
+from agents.archive import load_network, read_recipe
+from agents.environment import environment_arguments, make_environment
+from agents.loading import PACKAGE, WITHOUT_INFLUENCE, agent_entry, unpickled
+from tests.agents.agent_cases import parameters, small
 from tracked_env import TORQUE_ID
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
@@ -36,7 +37,7 @@ def test_an_archive_of_sb3_alone_is_loaded_as_a_blind_agent(algorithm, tmp_path,
     policy = "MlpLstmPolicy" if algorithm is RecurrentPPO else "MlpPolicy"
     model = algorithm(policy, gymnasium.make(TORQUE_ID), device="cpu", seed=0)
     model.save(tmp_path / "mine.zip")
-    entry = agent_entry(tmp_path / "mine.zip")
+    entry = agent_entry(tmp_path / "mine.zip", trust=True)
     assert entry.name == "mine"
     (notice,) = capsys.readouterr().err.splitlines()
     assert "mine.zip has no recipe" in notice
@@ -56,10 +57,10 @@ def test_an_archive_of_train_py_is_loaded_without_a_notice(trained, capsys):
 def test_an_archive_of_sb3_beside_a_normalisation_is_refused(tmp_path):
     PPO("MlpPolicy", gymnasium.make(TORQUE_ID), device="cpu").save(tmp_path / "mine.zip")
     (tmp_path / "policy.pkl").write_bytes(b"")
-    agent_entry(tmp_path / "mine.zip")
+    agent_entry(tmp_path / "mine.zip", trust=True)
     (tmp_path / "VecNormalize_final.pkl").write_bytes(b"")
     with pytest.raises(ValueError, match=r"VecNormalize_final\.pkl.*--normalise.*module:attribute"):
-        agent_entry(tmp_path / "mine.zip")
+        agent_entry(tmp_path / "mine.zip", trust=True)
 
 
 def test_loading_with_targets_of_several_rewards_is_quiet_of_that_alone(tmp_path, monkeypatch):
@@ -74,34 +75,37 @@ def test_loading_with_targets_of_several_rewards_is_quiet_of_that_alone(tmp_path
     monkeypatch.setattr(made, "load", loud)
     with warnings.catch_warnings(record=True) as shown:
         warnings.simplefilter("always")
-        assert load_model(tmp_path / "a.zip", ("sac",)).n_steps == 4
+        assert unpickled(tmp_path / "a.zip", ("sac",)).n_steps == 4
     assert [str(warning.message) for warning in shown] == [
         "`n_steps=4` is ignored because of the weather"
     ]
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_an_archive_has_no_moments_of_gradients_and_goes_on_learning(algorithm, tmp_path):
-    assert main(small(tmp_path, agent=algorithm, steps=256)) == 0
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_an_archive_has_the_network_of_the_action_and_nothing_else_of_learning(algorithm, tmp_path):
+    """Its weights fit a model of Stable-Baselines3 with the same settings, to learn on from."""
+    assert main(small(tmp_path, agent=algorithm, steps=128)) == 0
     path = tmp_path / "agent.zip"
-    made = ALGORITHMS[algorithm][0]
     with zipfile.ZipFile(path) as archive:
-        optimisers = [name for name in archive.namelist() if name.endswith("optimizer.pth")]
-        assert len(optimisers) >= 1
-        for name in optimisers:
-            state = torch.load(archive.open(name), weights_only=True)
-            assert state["state"] == {} and state["param_groups"]
-    model = made.load(path, env=gymnasium.make(TORQUE_ID), device="cpu")
-    bias = "actor.mu.bias" if algorithm == "sac" else "action_net.bias"
-    before = model.policy.state_dict()[bias].clone()
-    model.learn(64 if algorithm == "ppo" else 400)
-    assert not torch.equal(before, model.policy.state_dict()[bias])
+        assert set(archive.namelist()) == {"recipe.json", "weights.npz"}
+    stored = parameters(path)
+    assert stored and not [name for name in stored if "critic" in name or "value" in name]
+    config = small(tmp_path, agent=algorithm)
+    env = make_environment(config, environment_arguments(config))
+    model = make_model(algorithm, config.settings, env, 0)
+    state = {name: torch.from_numpy(value) for name, value in stored.items()}
+    assert not model.policy.load_state_dict(state, strict=False).unexpected_keys
+    network = load_network(path, read_recipe(path))
+    batch = np.random.default_rng(0).normal(size=(3, obs.SIZE)).astype(np.float32)
+    acted = [each.predict(batch, deterministic=True)[0] for each in (model, network)]
+    assert np.ptp(acted[0]) > 0.0
+    np.testing.assert_array_equal(*acted)
 
 
 def test_an_agent_of_another_environment_is_refused(tmp_path):
     PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(tmp_path / "pendulum.zip")
     with pytest.raises(ValueError, match=r"sees \(3,\).*must see \(31,\)"):
-        agent_entry(tmp_path / "pendulum.zip")
+        agent_entry(tmp_path / "pendulum.zip", trust=True)
 
 
 def test_an_agent_of_another_control_rate_is_refused(trained):
@@ -132,7 +136,7 @@ def test_missing_damaged_and_foreign_files_are_clear_errors(trained, tmp_path):
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("data", "{}")
     with pytest.raises(ValueError, match="cannot be loaded as recurrent-ppo"):
-        agent_entry(path)
+        agent_entry(path, trust=True)
 
 
 @pytest.mark.parametrize(
@@ -163,19 +167,32 @@ def test_agents_are_called_after_their_folder_and_told_apart(trained, tmp_path):
     assert agent_entry(tmp_path / "other" / "agent.zip").fingerprint != entry.fingerprint
 
 
-def test_results_are_stored_apart_when_the_code_around_the_network_changes(
-    trained, tmp_path, monkeypatch
+def test_every_file_without_influence_is_there_and_has_its_reason():
+    names = {path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
+    assert set(WITHOUT_INFLUENCE) < names
+    assert all(len(reason) > 10 for reason in WITHOUT_INFLUENCE.values())
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in PACKAGE.glob("*.py")))
+def test_a_changed_byte_of_a_file_around_the_network_changes_the_fingerprint(
+    name, trained, tmp_path, monkeypatch
 ):
-    source = Path(memory.__file__).parent
-    for path in source.glob("*.py"):
+    for path in PACKAGE.glob("*.py"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    monkeypatch.setattr(memory, "__file__", str(tmp_path / "memory.py"))
-    found = {agent_entry(trained).fingerprint}
-    changed = ("memory", "policy", "slip_memory", "held", "recurrent", "loading")
-    for name in changed:
-        with (tmp_path / f"{name}.py").open("a") as file:
-            file.write("# changed")
+    monkeypatch.setattr(loading, "PACKAGE", tmp_path)
+    before = agent_entry(trained).fingerprint
+    (tmp_path / name).write_bytes((tmp_path / name).read_bytes() + b"#")
+    assert (agent_entry(trained).fingerprint == before) == (name in WITHOUT_INFLUENCE)
+
+
+def test_a_line_that_moves_to_another_file_changes_the_fingerprint(trained, tmp_path, monkeypatch):
+    monkeypatch.setattr(loading, "PACKAGE", tmp_path)
+    found = set()
+    for first, second in (("x\n", ""), ("", "x\n")):
+        (tmp_path / "a.py").write_text(first)
+        (tmp_path / "b.py").write_text(second)
         found.add(agent_entry(trained).fingerprint)
-    assert len(found) == 1 + len(changed)
-    (tmp_path / "training.py").write_text("# of no influence on a trained agent")
-    assert agent_entry(trained).fingerprint in found
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "b.py").rename(tmp_path / "folder" / "b.py")
+    found.add(agent_entry(trained).fingerprint)
+    assert len(found) == 3

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents.archive import load_network, read_entry
 from agents.configs import StudentConfig
 from agents.environment import environment_arguments
 from agents.inference import WEIGHTS, StudentModel, load_student, make_inference
-from agents.loading import agent_entry, load_model, read_recipe
+from agents.loading import agent_entry, read_recipe
 from agents.memory import AgentVectorEnv, History
 from agents.policy import Normalisation
 from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, privileged
@@ -66,7 +67,7 @@ def test_a_teacher_is_declared_privileged_and_refuses_to_drive_without_the_truth
 
 def test_a_teacher_acts_in_the_benchmark_as_in_training(teacher):
     recipe = read_recipe(teacher)
-    model = load_model(teacher, (recipe["algorithm"],))
+    model = load_network(teacher, recipe)
     memory, inner = Privileged(3, 0.02, VEHICLES["strawa"]), Recorded(vehicles(expose_truth=True))
     env = AgentVectorEnv(TruthfulVectorEnv(inner, memory), memory)
     observation, _ = env.reset(seed=5)
@@ -161,16 +162,18 @@ def test_a_normalised_inference_of_the_former_scale_is_refused(student):
     options, path = recipe["memory_options"], student / "agent.zip"
     width = obs.SIZE + len(PRIVILEGED)
     scaling = Normalisation(np.zeros(width), np.ones(width), 1e-8, 10.0)
-    load_student(path, options, None, scaling)
+    content = read_entry(path, WEIGHTS)
+    load_student(content, options, None, scaling)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("agents.inference.FORMAT", 3)
         with pytest.raises(ValueError, match="inference of format 2; must be 3"):
-            load_student(path, options, None, scaling)
+            load_student(content, options, None, scaling)
     shipped = next(Path(__file__).parents[2].glob("agents/pretrained/*/ppo-student-seed0/*.zip"))
     options = read_recipe(shipped)["memory_options"]
-    load_student(shipped, options, None, None)  # of format 1, without normalisation
+    content = read_entry(shipped, WEIGHTS)
+    load_student(content, options, None, None)  # of format 1, without normalisation
     with pytest.raises(ValueError, match="inference of format 1; must be 2"):
-        load_student(shipped, options, None, scaling)
+        load_student(content, options, None, scaling)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,276 @@
+"""Archives of strangers: no code in them runs unasked, and nothing in them is a traceback."""
+
+import base64
+import copy
+import io
+import json
+import pickle
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import evaluate
+import train
+from agents.archive import LONGEST_LAG, RECIPE, WEIGHTS, read_recipe
+from agents.inference import WEIGHTS as INFERENCE
+from agents.loading import agent_entry, load_teacher
+from agents.networks import from_npz, to_npz
+from tests.agents.agent_cases import parameters, small
+from tests.agents.test_student import SETTINGS
+from tracked_env import TORQUE_ID
+
+
+class Harm:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, mark):
+        self.mark = mark
+
+    def __reduce__(self):
+        return Path.mkdir, (self.mark, 0o777, True, True)
+
+
+@pytest.fixture(scope="module")
+def teacher(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("teacher")
+    assert train.main(small(folder, memory="teacher", steps=128, normalise=True)) == 0
+    return folder / "agent.zip"
+
+
+@pytest.fixture(scope="module")
+def student(teacher, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("student")
+    given = {"memory": "student", "teacher": teacher, "student": SETTINGS, "steps": 128}
+    assert train.main(small(folder, **given)) == 0
+    return folder / "agent.zip"
+
+
+def entries(path):
+    """The files of an archive, by name."""
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def packed(path, files):
+    """An archive of these files."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path
+
+
+def pickled_data(mark):
+    """The file `data` of Stable-Baselines3 with harm in it."""
+    text = base64.b64encode(pickle.dumps(Harm(mark))).decode()
+    return json.dumps({"policy_class": {":type:": "<class 'type'>", ":serialized:": text}})
+
+
+def pickled_array(mark):
+    """An npz file of an array of objects with harm in it."""
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=True, log_std=np.array([Harm(mark)], dtype=object))
+    return buffer.getvalue()
+
+
+def strangers(tmp_path, mark, teacher):
+    """Archives that harm whoever unpickles them."""
+    recipe = json.loads(entries(teacher)[RECIPE])
+    old = {name: value for name, value in {**recipe, "format": 1}.items() if name != "network"}
+    data = {"data": pickled_data(mark)}
+    made = {
+        "plain": data,
+        "old": {RECIPE: json.dumps(old), **data},
+        "new": {RECIPE: json.dumps(recipe), **data},
+        "array": {RECIPE: json.dumps(recipe), WEIGHTS: pickled_array(mark)},
+        "bare": {RECIPE: json.dumps(recipe), WEIGHTS: pickle.dumps(Harm(mark))},
+    }
+    return {name: packed(tmp_path / f"{name}.zip", files) for name, files in made.items()}
+
+
+def test_no_code_of_an_archive_runs_unasked(teacher, tmp_path, capsys):
+    """Read, opened as a policy, as a teacher, by evaluate.py and by train.py."""
+    mark = tmp_path / "harm"
+    for name, path in strangers(tmp_path, mark, teacher).items():
+        read_recipe(path)
+        for opened in (agent_entry, load_teacher, evaluate.open_archive):
+            with pytest.raises(ValueError, match=str(path)) as refused:
+                opened(path)
+            assert "\n" not in str(refused.value)
+            if name in ("plain", "old") and opened is not load_teacher:
+                assert "any code that its author put there" in str(refused.value)
+                assert "--trust" in str(refused.value)
+        given = {"memory": "student", "teacher": path, "student": SETTINGS}
+        assert train.main(small(tmp_path / "out", **given)) == 2
+        assert evaluate.main(evaluate.Config(policies=(str(path),), output=tmp_path / "out")) == 2
+        shown = capsys.readouterr().err
+        assert len(shown.splitlines()) == 2 and str(path) in shown
+        assert not mark.exists(), name
+
+
+@pytest.mark.parametrize("name", ["plain", "old"])
+def test_an_archive_that_is_trusted_is_unpickled(name, teacher, tmp_path):
+    """The harm of these archives is real: they would be no test without."""
+    mark = tmp_path / "harm"
+    path = strangers(tmp_path, mark, teacher)[name]
+    with pytest.raises(ValueError, match="cannot be loaded as"):
+        agent_entry(path, trust=True)
+    assert mark.exists()
+
+
+def test_trust_reaches_the_archive_from_the_command_line(teacher, tmp_path, capsys):
+    path = strangers(tmp_path, tmp_path / "harm", teacher)["old"]
+    config = evaluate.Config(policies=(str(path),), output=tmp_path / "out", trust=True)
+    assert evaluate.main(config) == 2
+    assert (tmp_path / "harm").exists()
+    (tmp_path / "harm").rmdir()
+    given = {"memory": "student", "teacher": path, "student": SETTINGS, "trust": True}
+    assert train.main(small(tmp_path / "out", **given)) == 2
+    assert (tmp_path / "harm").exists()
+    assert "cannot be loaded as ppo" in capsys.readouterr().err
+
+
+def test_no_module_that_a_recipe_names_is_imported(teacher, tmp_path, monkeypatch):
+    (tmp_path / "harmful_module.py").write_text(
+        f"from pathlib import Path\nPath({str(tmp_path / 'harm')!r}).mkdir()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    files = entries(teacher)
+    recipe = json.loads(files[RECIPE])
+    for name in ("harmful_module:tracked_env/Torque-v0", f"harmful_module:{TORQUE_ID}"):
+        recipe["environment"]["id"] = name
+        path = packed(tmp_path / "agent.zip", {**files, RECIPE: json.dumps(recipe)})
+        with pytest.raises(ValueError, match="is not registered"):
+            agent_entry(path)
+    assert not (tmp_path / "harm").exists()
+
+
+@pytest.mark.parametrize("name", [WEIGHTS, INFERENCE])
+def test_weights_that_are_not_those_of_the_recipe_are_one_line(name, student, tmp_path):
+    files = entries(student)
+    whole = from_npz(files[name], name)
+    path = tmp_path / "agent.zip"
+    for key, value in whole.items():
+        changed = {
+            "are not finite": [np.where(np.arange(value.size).reshape(value.shape) == 0, bad, value)
+                               for bad in (np.float32("nan"), np.float32("inf"))],
+            "must be": [value.astype(np.float64), value[..., None], value[:-1],
+                        value.astype(np.int32)],
+        }  # fmt: skip
+        for message, others in changed.items():
+            for other in others:
+                content = to_npz({**whole, key: other})
+                packed(path, {**files, name: content})
+                with pytest.raises(ValueError, match=f"weights {key} are.*{message}|{message}"):
+                    agent_entry(path)
+        packed(path, {**files, name: to_npz({k: v for k, v in whole.items() if k != key})})
+        with pytest.raises(ValueError, match=f"lack or have too much: {key}"):
+            agent_entry(path)
+    for content in (b"", b"no npz", to_npz({}), files[name][:-50], to_npz({**whole, "x": value})):
+        packed(path, {**files, name: content})
+        with pytest.raises(ValueError, match="cannot be loaded") as refused:
+            agent_entry(path)
+        assert "\n" not in str(refused.value)
+
+
+WRONG = (
+    None, True, 0, -1, 5, 10**9, 1e308, float("nan"), float("inf"), "", "ppo", "\n", [], ["ppo"],
+    [None], {}, {"ppo": 1}, [[]], -0.5,
+)  # fmt: skip
+
+
+def branches(tree, where=(), width=2):
+    """The place of everything in a tree of JSON; of lists the first `width` entries."""
+    yield where
+    inside = range(min(len(tree), width)) if isinstance(tree, list) else tree
+    for key in inside if isinstance(tree, (dict, list)) else ():
+        yield from branches(tree[key], (*where, key), width)
+
+
+def put(tree, where, value):
+    """A copy of a tree with something else in one place."""
+    if not where:
+        return value
+    changed = copy.deepcopy(tree)
+    place = changed
+    for key in where[:-1]:
+        place = place[key]
+    place[where[-1]] = value
+    return changed
+
+
+READ = (
+    "format", "algorithm", "memory", "memory_options", "normalisation", "network", "environment",
+    "control_period",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("field", READ)
+@pytest.mark.parametrize("kind", ["teacher", "student"])
+def test_no_value_in_a_recipe_is_a_traceback(kind, field, teacher, student, tmp_path):
+    """Every value that is read, of every wrong type: opened all the same, or refused in a line."""
+    path = teacher if kind == "teacher" else student
+    files = entries(path)
+    recipe = json.loads(files[RECIPE])
+    refused = 0
+    for where in branches(recipe[field], (field,)):
+        for value in WRONG:
+            text = json.dumps(put(recipe, where, value))
+            packed(tmp_path / "agent.zip", {**files, RECIPE: text})
+            try:
+                agent_entry(tmp_path / "agent.zip")
+            except ValueError as error:
+                assert str(tmp_path) in str(error) and "\n" not in str(error), (where, value)
+                refused += 1
+    assert refused >= len(WRONG) // 2
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "message"),
+    [
+        (("algorithm",), ["ppo"], r"algorithm = \['ppo'\]; must be one of ppo, sac"),
+        (("memory",), {}, r"memory = {}; must be one of blind"),
+        (("normalisation",), {}, "normalisation = {}; must be null, or have finite numbers"),
+        (("normalisation", "mean"), [0.0], "40 of each"),
+        (("environment",), "Torque", "must be an id and arguments"),
+        (("environment", "id"), "tracked_env/Nothing-v0", "is not registered"),
+        (("environment", "vehicle"), [], "vehicle = \\[\\]; must be one of strawa"),
+        (("control_period",), "20 ms", "control_period = '20 ms'; must be in s"),
+        (("network", "hidden"), [10**9], "within"),
+        (("network", "inputs"), 31, "normalisation = .*31 of each"),
+        (("memory_options",), {"lags": [1]}, "of memory 'teacher' must have nothing"),
+    ],
+)
+def test_a_wrong_recipe_says_what_is_wrong(where, value, message, teacher, tmp_path):
+    files = entries(teacher)
+    recipe = put(json.loads(files[RECIPE]), where, value)
+    path = packed(tmp_path / "agent.zip", {**files, RECIPE: json.dumps(recipe)})
+    with pytest.raises(ValueError, match=message):
+        agent_entry(path)
+
+
+def test_what_would_fill_the_memory_is_refused(student, tmp_path):
+    files = entries(student)
+    recipe = put(json.loads(files[RECIPE]), ("memory_options", "lags"), [1, LONGEST_LAG + 1])
+    path = packed(tmp_path / "lags.zip", {**files, RECIPE: json.dumps(recipe)})
+    with pytest.raises(ValueError, match=f"at most {LONGEST_LAG} control steps"):
+        agent_entry(path)
+    deep = packed(tmp_path / "deep.zip", {**files, RECIPE: "[" * 100_000})
+    with pytest.raises(ValueError, match="not an archive of an agent, or damaged"):
+        agent_entry(deep)
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(RECIPE, files[RECIPE])
+        archive.writestr(WEIGHTS, bytes(2**28 + 1))
+    with pytest.raises(ValueError, match="more than 268435456 bytes"):
+        agent_entry(tmp_path / "bomb.zip")
+
+
+def test_loading_draws_nothing_from_the_random_stream(teacher):
+    import torch
+
+    torch.manual_seed(0)
+    expected = torch.get_rng_state()
+    agent_entry(teacher)
+    assert torch.equal(torch.get_rng_state(), expected)
+    assert parameters(teacher)

@@ -1,0 +1,208 @@
+"""Checkpoints as plain data: what is written comes back, and a stranger's runs no code."""
+
+import io
+import json
+import pickle
+import random
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.lib import format as npy
+
+import train
+from agents import checkpoints
+from agents.algorithms import make_model
+from agents.environment import environment_arguments, make_environment
+from agents.memory import KINDS
+from agents.state_file import GENERATORS, STATE, TYPES, read_state, write_state
+from tests.agents.agent_cases import small
+from tests.agents.test_archive import WRONG, Harm, branches, entries, packed, put
+from tests.agents.test_checkpoints import killed_after
+from tracked_env import SPEED_ID, TORQUE_ID
+from tracked_env.engine import columns
+from tracked_env.physics.state import VehicleState
+
+
+def same(one, other):
+    """Whether two states are equal, types and bits."""
+    if isinstance(one, dict):  # an ordered one comes back as a dict, which has an order too
+        return list(one) == list(other) and all(same(one[key], other[key]) for key in one)
+    assert type(one) is type(other)
+    if isinstance(one, (list, tuple, deque)):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, np.random.Generator):
+        return same(one.bit_generator.state, other.bit_generator.state)
+    if isinstance(one, torch.Tensor):
+        one, other = one.numpy(), other.numpy()
+    if isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype and one.shape == other.shape
+        assert one.flags.f_contiguous == other.flags.f_contiguous and other.flags.writeable
+        return one.tobytes() == other.tobytes()
+    return one == other or (one != one and other != other)
+
+
+def there_and_back(state, tmp_path):
+    write_state(tmp_path / "state.zip", state)
+    return read_state(tmp_path / "state.zip")
+
+
+def test_every_kind_of_value_comes_back_to_the_bit(tmp_path):
+    shared = np.arange(3.0)
+    deviation = np.random.default_rng(3)
+    deviation.standard_normal(5, dtype=np.float32)
+    state = {
+        "numbers": [0, -7, 2**130, True, False, None, 0.1, -0.0, 1e-320, float("inf")],
+        "nan": float("nan"), "text": 'a "b" \n \u00e4', 5: {(1, "a"): []},
+        "numpy": (np.float64(0.1), np.float32(0.1), np.int64(-3), np.bool_(True)),
+        "arrays": [np.zeros((0, 8)), np.array(0.5), np.eye(3, dtype=np.float32),
+                   np.arange(24).reshape(2, 3, 4), np.arange(6.0).reshape(2, 3).T,
+                   np.array([True, False]), np.arange(9, dtype=np.uint8)],
+        "shared": [shared, shared], "deque": deque([{"r": 1.5}], maxlen=100),
+        "tensors": (torch.arange(4), torch.tensor(0.25), torch.eye(2)),
+        "named": VehicleState(1.0, yaw=np.float64(0.3)),
+        "generators": [deviation, np.random.Generator(np.random.SFC64(4))],
+        "python": random.getstate(), "legacy": np.random.RandomState(0).get_state(),
+    }  # fmt: skip
+    found = there_and_back(state, tmp_path)
+    assert same(state, found)
+    assert found["shared"][0] is found["shared"][1]
+    drawn = [each.standard_normal() for each in (state["generators"][0], found["generators"][0])]
+    assert drawn[0] == drawn[1]
+
+
+@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])
+@pytest.mark.parametrize("memory", [*KINDS, "teacher"])
+def test_the_state_of_every_memory_comes_back_to_the_bit(memory, env, tmp_path):
+    """After some steps: a named tuple that is not in TYPES would be a TypeError."""
+    config = small(tmp_path, memory=memory, env=env, normalise=True)
+    vehicles = make_environment(config, environment_arguments(config))
+    model = make_model("ppo", config.settings, vehicles, 0)
+    model.learn(128)
+    state = checkpoints.capture(model)
+    assert same(state, there_and_back(state, tmp_path))
+
+
+def test_what_cannot_be_written_is_a_clear_error(tmp_path):
+    for value, message in (
+        (object(), "a object cannot be written.*agents.state_file.TYPES"),
+        (np.array([None]), "an array of object cannot be written"),
+        (np.random.Generator(np.random.MT19937(0)), "a Generator cannot be written"),
+        (type("VehicleState", (tuple,), {})(), "a VehicleState cannot be written"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            write_state(tmp_path / "state.zip", {"value": value})
+
+
+def objects(mark):
+    """An npy file of an array of objects with harm in it."""
+    buffer = io.BytesIO()
+    npy.write_array(buffer, np.array([Harm(mark)], dtype=object), allow_pickle=True)
+    return buffer.getvalue()
+
+
+def test_no_code_of_a_checkpoint_runs(tmp_path, capsys):
+    """The former format, arrays of objects, and types that nobody listed."""
+    mark, folder = tmp_path / "harm", tmp_path / "out"
+    folder.mkdir()
+    table = {"arrays": [["|O", 0, [1], False]], "state": {"array": 0}}
+    named = {"arrays": [], "state": {"named": ["Popen", [["mkdir", str(mark)]]]}}
+    for files in (
+        {"state.pkl": pickle.dumps(Harm(mark))},
+        {"state.pkl": pickle.dumps(Harm(mark)), STATE: json.dumps(named)},
+        {STATE: json.dumps(table), "|O.npy": objects(mark)},
+        {STATE: json.dumps(named)},
+        {STATE: pickle.dumps(Harm(mark))},
+    ):
+        packed(folder / checkpoints.FILE, files)
+        assert train.main(small(folder, resume=True)) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert str(folder) in line and "Nothing to resume" in line
+        assert not mark.exists()
+
+
+def test_only_what_is_listed_is_ever_built():
+    assert all(issubclass(made, tuple) and made._fields for made in TYPES.values())
+    assert set(GENERATORS) == {"PCG64", "SFC64"}
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", "5", "null", "{}", '{"format": 1}', '{"state": {"dict": []}, "arrays": []}',
+     '{"state": {"dict": [["format", 2]]}, "arrays": []}', "[" * 100_000,
+     '{"state": {"array": 0}, "arrays": [["<f8", -3, [2], false]]}',
+     '{"state": {"array": 0}, "arrays": [["<f8", 0, [99], false]]}',
+     '{"state": {"generator": {"dict": [["bit_generator", "MT19937"]]}}, "arrays": []}',
+     '{"state": {"nothing": 0, "more": 1}, "arrays": []}'],
+)  # fmt: skip
+def test_a_checkpoint_that_is_none_is_one_line(content, tmp_path, capsys):
+    packed(tmp_path / checkpoints.FILE, {STATE: content})
+    assert train.main(small(tmp_path, resume=True)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "Nothing to resume" in line and str(tmp_path) in line
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory):
+    """The configuration of a training that was killed, and its checkpoint as JSON and files."""
+    config = small(tmp_path_factory.mktemp("torn"), memory="history", normalise=True, held_out=0)
+    with pytest.MonkeyPatch.context() as patch:
+        killed_after(400, config, patch)
+    (config.folder / checkpoints.PREVIOUS).unlink()
+    files = entries(config.folder / checkpoints.FILE)
+    return config, json.loads(files[STATE]), files
+
+
+def simulation_of(state):
+    """The part of a state that the simulation goes on from."""
+    (found,) = [
+        layer for layer in state["environment"] if isinstance(layer, dict) and "batch" in layer
+    ]
+    return found
+
+
+def test_no_value_in_a_checkpoint_is_a_traceback(interrupted, tmp_path, capsys):
+    """Wrong values in random places of the state: it goes on, or says in a line why not."""
+    config, content, files = interrupted
+    places = [where for where in branches(content, width=10**6) if len(where) > 1]
+    chosen = random.Random(0).sample(places, 120)
+    refused = 0
+    for i, where in enumerate(chosen):
+        text = json.dumps(put(content, where, WRONG[i % len(WRONG)]))
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        packed(folder / checkpoints.FILE, {**files, STATE: text})
+        status = train.main(replace(config, output=folder, resume=True))
+        lines = capsys.readouterr().err.splitlines()
+        assert (status, len(lines)) in ((0, 0), (2, 1)), where
+        refused += status == 2
+    assert 20 < refused < 100  # many numbers may be others: they are as good as before
+
+
+@pytest.mark.parametrize("column", ["STEP", "NOISE_CURSOR", "EVENT_COUNT", "DELAY"])
+def test_places_outside_the_arrays_of_the_kernels_are_refused(
+    column, interrupted, tmp_path, capsys
+):
+    config, _, _ = interrupted
+    state = read_state(config.folder / checkpoints.FILE)
+    counters = simulation_of(state)["batch"].counters
+    counters[0, getattr(columns, column)] = -(10**6)
+    write_state(tmp_path / checkpoints.FILE, state)
+    assert train.main(replace(config, output=tmp_path, resume=True)) == 2
+    assert "Batch.counters" in capsys.readouterr().err
+
+
+def test_arrays_of_another_shape_are_refused_before_anything_is_put_back(
+    interrupted, tmp_path, capsys
+):
+    config, _, _ = interrupted
+    for name in ("floats", "counters", "events", "noise", "history", "profile"):
+        state = read_state(config.folder / checkpoints.FILE)
+        simulation = simulation_of(state)
+        smaller = getattr(simulation["batch"], name)[..., :-1]
+        simulation["batch"] = simulation["batch"]._replace(**{name: smaller})
+        write_state(tmp_path / checkpoints.FILE, state)
+        assert train.main(replace(config, output=tmp_path, resume=True)) == 2
+        assert f"Batch.{name} = " in capsys.readouterr().err

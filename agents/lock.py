@@ -30,7 +30,13 @@ def locked(folder: Path) -> Iterator[None]:
             folder.mkdir(parents=True, exist_ok=True)
             handle = None if fcntl is None else os.open(folder, os.O_RDONLY)
         except OSError as error:
-            raise ValueError(f"{folder}: {error}; must be a folder to write into") from error
+            if isinstance(error, FileExistsError):
+                raise ValueError(
+                    f"--output {folder} is a file; must be a folder, or not yet there"
+                ) from error
+            raise ValueError(
+                f"--output {folder} cannot be written ({error}). Make room or choose another folder"
+            ) from error
         if handle is not None:
             _lock(handle, folder)
         yield

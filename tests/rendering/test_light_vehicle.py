@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from tests.rendering.picture_cases import CENTRED, Picture, driven, started
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.physics.patch_dynamics import hold_speeds
+from tracked_env.physics.patch_forces import make_patches
 from tracked_env.rendering import Renderer, canvas, scene, sizes, snapshot
 from tracked_env.rendering.afterglow import Memory
 
@@ -108,7 +109,7 @@ def test_drawn_forces_are_those_of_the_patches(drive: str, steps: int, action: f
     loads = np.zeros((1, 6))
     speeds = np.array([[state.sprocket_speed_left, state.sprocket_speed_right]])
     hold_speeds(
-        np.array([state[:6]]), speeds, np.array([shot.parameters]), simulation.solver.patches,
+        np.array([state[:6]]), speeds, np.array([shot.parameters]), make_patches(10, 4),
         0, simulation.solver.substep, False, loads,
     )  # fmt: skip
     assert (state.effort_left, state.effort_right) == pytest.approx(loads[0, :2], rel=1e-6)
@@ -167,7 +168,10 @@ def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistanc
     ]  # fmt: skip
     for plant, drive in (("distributed", "speed"), ("lumped", "torque")):
         written.clear()
-        env = started({**GENTLE, "schedule": schedule}, vehicle="focchi", plant=plant, drive=drive)
+        env = started(GENTLE, vehicle="focchi", plant=plant, drive=drive)
+        everything = frozenset(PARAMETER_NAMES)  # as laws, which may draw what has no effect
+        env.simulation.settings = env.simulation.settings._replace(reads=everything)
+        env.reset(seed=0, options={**GENTLE, "schedule": schedule})
         driven(env, 8, 0.1, 0.1)
         assert "motion resistance: 0.025 → 0.018" in written
         lumped = plant == "lumped"

@@ -6,14 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
-from tracked_env.physics.patch_forces import Patches, make_patches
+from tracked_env.plants import DRIVES, Drive, Plant, Prepared, find, prepared
 from tracked_env.sensors import Sensors
-from tracked_env.validation import checked_choice, checked_number
+from tracked_env.validation import checked_choice, checked_keys, checked_number
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; converged and stable there, see docs/numerics.md
-LATERAL = ("sliding", "constrained")
-PLANTS = ("lumped", "distributed")
-DRIVES = ("torque", "speed")
 
 
 class EnvConfig(NamedTuple):
@@ -29,31 +26,42 @@ class EnvConfig(NamedTuple):
     time_step: float = SUBSTEP  # [s]
     threads: int = 1
     vehicle: str = "strawa"
-    plant: str = "lumped"
+    plant: str | Plant = "lumped"
     drive: str = "torque"
     patches: Sequence[int] = (10, 4)
+    plant_options: Mapping[str, Any] | None = None
 
 
 class Solver(NamedTuple):
-    """Clock, closure and limits, the same for every vehicle of a batch."""
+    """Clock, plant and limits, the same for every vehicle of a batch."""
 
     control_period: float  # [s]
     substeps: int  # per control step
     substep: float  # [s]
-    constrained: bool  # of the lumped plant
-    distributed: bool  # which plant
-    by_torque: bool  # what the action is
-    patches: Patches  # of the distributed plant
+    plant: Plant
+    drive: Drive  # what the action is
+    prepared: Prepared  # the plant with this drive and its options
     nominal: PlantParameters  # of the vehicle and the soil that its controllers expect
     error_limit: float  # [m] distance to the reference that ends an episode
     threads: int
 
 
+def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
+    """Options of the plant: those that are arguments of their own, then `plant_options`.
+
+    `lateral` and `patches` are arguments of every environment, and mean nothing to a plant that
+    has no such option.
+    """
+    arguments = {"lateral": config.lateral, "patches": config.patches}
+    own = {name: value for name, value in arguments.items() if name in plant.options}
+    return {**own, **checked_keys("plant_options", config.plant_options, plant.options)}
+
+
 def make_solver(config: EnvConfig) -> Solver:
     """Check and combine; the sub-step is the largest one <= time_step that divides a step.
 
-    Raises ValueError for a value outside its range, an unknown name, and for sprocket speeds as
-    actions of the lumped plant, in which sprockets have no dynamics of their own.
+    Raises ValueError for a value outside its range, an unknown name, and for a drive that the plant
+    does not accept.
     """
     rate = checked_number(
         "control_rate", config.control_rate, Range(5.0, 1000.0, "Hz", "Did you pass the period?")
@@ -65,21 +73,12 @@ def make_solver(config: EnvConfig) -> Solver:
         "error_limit", config.error_limit, Range(0.01, 1e6, "m", "It is a distance.")
     )
     threads = checked_number("threads", config.threads, Range(1, 64, "-", "Number of threads."))
-    closure = checked_choice("lateral closure", config.lateral, LATERAL)
-    plant = checked_choice("plant", config.plant, PLANTS)
-    drive = checked_choice("drive", config.drive, DRIVES)
+    plant = find(config.plant)
     vehicle = checked_choice("vehicle", config.vehicle, VEHICLES)
-    if drive == "speed" and plant == "lumped":
-        raise ValueError(
-            'drive = "speed"; needs plant = "distributed": the lumped one has no belts'
-        )
-    if len(config.patches) != 2:
-        raise ValueError(
-            f"patches = {config.patches!r}; must be two numbers: along, across a track"
-        )
+    ready = prepared(plant, config.drive, plant_options(plant, config))
     substeps = int(np.ceil(1.0 / (rate * longest) - 1e-9))
     substep = 1.0 / (rate * substeps)
     return Solver(
-        1.0 / rate, substeps, substep, closure == "constrained", plant == "distributed",
-        drive == "torque", make_patches(*config.patches), VEHICLES[vehicle], limit, int(threads),
+        1.0 / rate, substeps, substep, plant, DRIVES[config.drive], ready, VEHICLES[vehicle],
+        limit, int(threads),
     )  # fmt: skip

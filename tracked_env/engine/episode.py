@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.events import encode_schedule
-from tracked_env.physics.parameters import GROUPS, PlantParameters, Range
+from tracked_env.physics.parameters import GROUPS, PARAMETER_NAMES, PlantParameters, Range
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile, make_reference
 from tracked_env.sensors import SensorDraw, Sensors, draw_sensors, make_sensors
@@ -47,6 +47,8 @@ class EpisodeSettings(NamedTuple):
     sensors: Sensors
     duration: float  # [s]
     control_period: float  # [s]
+    reads: frozenset[str]  # parameters that the plant depends on
+    plant: str  # its name and drive, for messages
 
     @property
     def max_steps(self) -> int:
@@ -72,21 +74,35 @@ def make_settings(
     duration: float,
     control_period: float,
     nominal: PlantParameters,
+    reads: frozenset[str],
+    plant: str,
 ) -> EpisodeSettings:
     """Check everything that an environment is built from. Raises ValueError."""
     length = checked_number("duration", duration, DURATION_RANGE)
     make_reference(reference, length, np.random.default_rng(0))
     return EpisodeSettings(
         reference, make_uncertainty(uncertainty), nominal, make_sensors(sensors), length,
-        control_period,
+        control_period, reads, plant,
     )  # fmt: skip
 
 
-def _overridden(parameters: PlantParameters, options: Mapping[str, Any]) -> PlantParameters:
+def _read(where: str, name: str, settings: EpisodeSettings) -> None:
+    """Raise ValueError for a parameter that the plant does not read."""
+    if name not in settings.reads:
+        raise ValueError(
+            f"{where}: {name} has no effect on {settings.plant}, which reads "
+            f"{', '.join(sorted(settings.reads))}. Did you mean another plant or drive?"
+        )
+
+
+def _overridden(
+    parameters: PlantParameters, options: Mapping[str, Any], settings: EpisodeSettings
+) -> PlantParameters:
     values = {}
     for group, names in GROUPS.items():
         for name, value in checked_keys(f"options['{group}']", options.get(group), names).items():
             values[name] = checked_parameter(name, value)
+            _read(f"options['{group}']", name, settings)
     return parameters._replace(**values) if values else parameters
 
 
@@ -116,10 +132,15 @@ def _start(
 
 
 def _schedule(
-    options: Mapping[str, Any], drawn: Sequence[Mapping[str, Any]]
+    options: Mapping[str, Any], drawn: Sequence[Mapping[str, Any]], settings: EpisodeSettings
 ) -> NDArray[np.float64]:
     given = options.get("schedule")
-    return encode_schedule(drawn if given is None else given)
+    if given is None:
+        return encode_schedule(drawn)
+    encoded = encode_schedule(given)
+    for row in encoded:
+        _read("options['schedule']", PARAMETER_NAMES[int(row[1])], settings)
+    return encoded
 
 
 def draw_episode(
@@ -142,8 +163,8 @@ def draw_episode(
     if options.get("sensors") is not None:
         sensors = make_sensors(options["sensors"], base=sensors)
     return Episode(
-        _overridden(truth.parameters, options),
-        _schedule(options, truth.events),
+        _overridden(truth.parameters, options, settings),
+        _schedule(options, truth.events, settings),
         profile,
         draw_sensors(sensors, settings.control_period, rng),
         _start(profile, start_draws, options, settings.nominal.contact_length),

@@ -1,9 +1,10 @@
 """The state of a tracked vehicle: names and the rows of the arrays that hold a batch.
 
 A batch of N vehicles keeps one quantity per row, shape (rows, N), so that kernels run over
-vehicles with unit stride. The first `DYNAMIC_ROWS` rows are integrated, the others follow
-from them algebraically and are refreshed after every control step.
-World frame x, y, z up; body frame ISO 8855 (x forward, y left); yaw positive to the left.
+vehicles with unit stride. A plant integrates the rows that are its own; the others follow from
+them algebraically and are refreshed after every control step.
+World frame x, y, z up; body frame ISO 8855 (x forward, y left); yaw positive to the left. The
+attitude is yaw, then pitch, then roll (z-y'-x''). Planar plants leave the last six rows at zero.
 """
 
 from typing import NamedTuple
@@ -29,13 +30,19 @@ class VehicleState(NamedTuple):
     acceleration_x: float = 0.0  # [m/s^2] inertial acceleration, body x
     acceleration_y: float = 0.0  # [m/s^2] inertial acceleration, body y
     yaw_acceleration: float = 0.0  # [rad/s^2]
+    z: float = 0.0  # [m] Z, centre of mass above its height on level ground at rest, world
+    roll: float = 0.0  # [rad] positive: left side up
+    pitch: float = 0.0  # [rad] positive: nose down
+    v_z: float = 0.0  # [m/s] vertical velocity, body, upward
+    roll_rate: float = 0.0  # [rad/s] about the body's x axis
+    pitch_rate: float = 0.0  # [rad/s] about the body's y axis
 
 
 STATE_NAMES = VehicleState._fields
 STATE_ROWS = len(STATE_NAMES)
-DYNAMIC_ROWS = 8  # x .. torque_right
 (
     X, Y, YAW, V_X, V_Y, YAW_RATE, TORQUE_LEFT, TORQUE_RIGHT,
     SLIP_LEFT, SLIP_RIGHT, SPROCKET_SPEED_LEFT, SPROCKET_SPEED_RIGHT,
     EFFORT_LEFT, EFFORT_RIGHT, ACCELERATION_X, ACCELERATION_Y, YAW_ACCELERATION,
+    Z, ROLL, PITCH, V_Z, ROLL_RATE, PITCH_RATE,
 ) = range(STATE_ROWS)  # fmt: skip

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tracked_env.physics import parameter_events
 from tracked_env.physics.parameters import PARAMETER_NAMES
-from tracked_env.rendering.quantities import LUMPED_ONLY, QUANTITIES
+from tracked_env.rendering.quantities import QUANTITIES
 from tracked_env.rendering.snapshot import Snapshot
 from tracked_env.rendering.soil_map import value_at
 
@@ -74,7 +74,7 @@ class Memory:
         if shot.events[0, e, 0] == parameter_events.WAVE:
             return
         name, before, weight = self._change(shot, e)
-        if shot.distributed and name in LUMPED_ONLY:
+        if name not in shot.reads:
             return
         change = weight - self._weights[e]
         if abs(change) < NOTICE_WEIGHT:

@@ -33,6 +33,7 @@ from tracked_env.validation import checked_choice
 
 INTEGRATORS = ("rosenbrock", "euler")
 SOIL_AT = ("centre", "tracks")
+NO_REST = -1.0  # [m/s, rad/s] every speed is a motion: the plant alone changes no digit
 _RESISTANCE_LEFT, _RESISTANCE_RIGHT = b.PLANT, b.PLANT + 1  # [N] at the end of the last step
 # What the lumped law of the lateral friction needs, and shear has no use for.
 _LATERAL_LAW = {"lateral_resistance", "turning_resistance_factor", "icr_forward"}
@@ -50,21 +51,21 @@ def _state(floats, i, radius):
 
 
 @formula
-def _rested(speed):
+def _rested(speed, rest):
     """The speed, or 0 where it is too small to be a motion."""
-    return speed if abs(speed) > REST else 0.0
+    return speed if abs(speed) > rest else 0.0
 
 
 @formula
-def _write(floats, i, moved, torques, k):
-    """State of vehicle i after the step, its algebraic rows included."""
+def _write(floats, i, moved, torques, k, rest):
+    """State of vehicle i after the step, its algebraic rows included; slower than rest is rest."""
     row = b.STATE
     motion, loads, rates = moved.motion, moved.loads, moved.rates
     floats[i, row + s.X], floats[i, row + s.Y] = moved.pose.x, moved.pose.y
     floats[i, row + s.YAW] = moved.pose.yaw
-    floats[i, row + s.V_X] = _rested(motion.v_x)
-    floats[i, row + s.V_Y] = _rested(motion.v_y)
-    floats[i, row + s.YAW_RATE] = _rested(motion.yaw_rate)
+    floats[i, row + s.V_X] = _rested(motion.v_x, rest)
+    floats[i, row + s.V_Y] = _rested(motion.v_y, rest)
+    floats[i, row + s.YAW_RATE] = _rested(motion.yaw_rate, rest)
     floats[i, row + s.TORQUE_LEFT], floats[i, row + s.TORQUE_RIGHT] = torques.left, torques.right
     left, right = vehicle.track_speeds(motion, k.half_gauge)
     floats[i, row + s.SLIP_LEFT] = soil.slip_ratio(moved.belts.left, left)
@@ -129,11 +130,11 @@ def _two_soils(batch, i, period, p, parts, inverse_belt_mass, patches):
 
 
 @formula
-def _move(demand_of, soils, batch, w, block, pace, chosen, options):
+def _move(demand_of, soils, rest, batch, w, block, pace, chosen, options):
     """Advance (pace.substeps > 0) and settle the vehicle of the block.
 
-    demand_of: `_asked` or `_held`. soils: `_one_soil` or `_two_soils`. chosen: patches, by_torque
-    (the action is a torque, else a sprocket speed), euler.
+    demand_of: `_asked` or `_held`. soils: `_one_soil` or `_two_soils`. rest [m/s, rad/s]: slower
+    is no motion. chosen: patches, by_torque (the action is a torque, else a speed), euler.
     """
     i = block.chosen[block.first]
     patches, by_torque, euler = chosen
@@ -159,25 +160,25 @@ def _move(demand_of, soils, batch, w, block, pace, chosen, options):
             moved.loads.effort_left * p.sprocket_radius,
             moved.loads.effort_right * p.sprocket_radius,
         )
-    _write(floats, i, moved, given, k)
+    _write(floats, i, moved, given, k, rest)
 
 
 @formula
 def _move_on_one_soil(batch, w, block, pace, options):
     """As `advance_blocks` takes it."""
-    _move(_asked, _one_soil, batch, w, block, pace, options, options)
+    _move(_asked, _one_soil, REST, batch, w, block, pace, options, options)
 
 
 @formula
 def _move_on_two_soils(batch, w, block, pace, options):
     """The same with a soil under each track."""
-    _move(_asked, _two_soils, batch, w, block, pace, options, options)
+    _move(_asked, _two_soils, REST, batch, w, block, pace, options, options)
 
 
 @formula
 def _hold_on_one_soil(batch, w, block, pace, options):
     """As `hold_blocks` takes it."""
-    _move(_held, _one_soil, batch, w, block, pace, options[1:], options)
+    _move(_held, _one_soil, NO_REST, batch, w, block, pace, options[1:], options)
 
 
 @loop

@@ -26,7 +26,9 @@ from tracked_env.sensors import SensorDraw, Sensors, draw_sensors, make_sensors
 from tracked_env.uncertainty import Law, make_uncertainty
 from tracked_env.validation import checked_keys, checked_number, checked_parameter
 
-OPTION_KEYS = (*GROUPS, "reference", "sensors", "schedule", "start")
+# Option -> group of parameters; `closure` is the former name of `lateral_model`.
+PARAMETER_KEYS = {**{group: group for group in GROUPS}, "lateral_model": "closure"}
+OPTION_KEYS = (*PARAMETER_KEYS, "reference", "sensors", "schedule", "start")
 START_OFFSET = 0.15  # [-] of the nominal contact length, to either side
 DURATION_RANGE = Range(0.1, 3600.0, "s", "Did you pass control steps?")
 _START_RANGES = {
@@ -99,10 +101,11 @@ def _overridden(
     parameters: PlantParameters, options: Mapping[str, Any], settings: EpisodeSettings
 ) -> PlantParameters:
     values = {}
-    for group, names in GROUPS.items():
-        for name, value in checked_keys(f"options['{group}']", options.get(group), names).items():
+    for given, group in PARAMETER_KEYS.items():
+        chosen = checked_keys(f"options['{given}']", options.get(given), GROUPS[group])
+        for name, value in chosen.items():
             values[name] = checked_parameter(name, value)
-            _read(f"options['{group}']", name, settings)
+            _read(f"options['{given}']", name, settings)
     return parameters._replace(**values) if values else parameters
 
 

@@ -82,9 +82,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `render_mode` | None | `"human"` or `"rgb_array"` |
 
         `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
-        `lateral_model` (or by its former name `closure`; {parameter: value}), `reference`, `sensors`,
-        `schedule` (a list of changes, see `tracked_env.events`) and `start` ({offset_x, offset_y,
-        offset_yaw, speed, yaw_rate}).
+        `lateral_model` (formerly `closure`; {parameter: value}), `reference`, `sensors`, `schedule`
+        (a list of changes, see `tracked_env.events`) and `start` ({offset_x, offset_y, offset_yaw,
+        speed, yaw_rate}).
         An unknown key is a ValueError.
 
         ## Info

@@ -13,6 +13,7 @@ from tracked_env import SPEED_ID, TORQUE_ID, plants
 from tracked_env.benchmark import SETS, BenchmarkConfig, Store, run
 from tracked_env.benchmark.sets import BenchmarkSet
 from tracked_env.engine import columns as b
+from tracked_env.engine.columns import Batch
 from tracked_env.engine.kernels import advance_blocks, hold_blocks
 from tracked_env.observation import unpack
 from tracked_env.physics import state as s
@@ -87,9 +88,13 @@ def move_held(batch, scratch, block, pace, options):
 
 
 @loop
-def advance(*call):
+def advance(
+    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
+):
     """Kernel of the control step."""
-    return advance_blocks(derive, move, 1, np.empty((1, 1)), call)
+    batch = Batch(floats, counters, profile, events, noise, history)
+    given = (chosen, actions, observations)
+    return advance_blocks(derive, move, 1, np.empty((1, 1)), batch, given, rest)
 
 
 @loop

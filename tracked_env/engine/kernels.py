@@ -7,16 +7,20 @@ vehicles share the call, so a batch gives the bits of one vehicle.
 A plant's file makes its kernels by handing its own functions to the templates:
 
     @loop
-    def advance(*call):
-        return advance_blocks(derive, move, LANES, np.empty((ROWS, LANES)), call)
+    def advance(
+        floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
+    ):
+        batch = Batch(floats, counters, profile, events, noise, history)
+        given = (chosen, actions, observations)
+        return advance_blocks(derive, move, LANES, np.empty((ROWS, LANES)), batch, given, rest)
 
     @loop
     def hold(*call):
         return hold_blocks(derive, move_held, LANES, np.empty((ROWS, LANES)), call)
 
 They stand at module level, because numba's disk cache finds those again in a new process, but not
-closures. Kernels are called with plain arrays and numbers (`unpacked`, `unpacked_hold`): a tuple
-with names costs microseconds at the boundary from Python, and nothing inside.
+closures. Kernels are called with plain arrays and numbers: a tuple with names costs microseconds at
+the boundary from Python, and nothing inside.
 """
 
 import math
@@ -61,20 +65,6 @@ class Pace(NamedTuple):
     substeps: int
     h: float
     period: float
-
-
-@formula
-def unpacked(call):
-    """Batch, clock and the plant's options of a call of `advance`.
-
-    call: the six arrays of the batch, chosen (M,) int64 rows of vehicles, actions (N, 2) float32,
-    observations (N, SIZE) float32, start, stop, moving, then Clock, then the plant's options.
-    """
-    return (
-        Batch(call[0], call[1], call[2], call[3], call[4], call[5]),
-        Clock(call[12], call[13], call[14]),
-        call[15:],
-    )
 
 
 @formula
@@ -141,19 +131,21 @@ def _finish(batch, observations, i, moving, period, error_limit):
 
 
 @formula
-def advance_blocks(derive, move, lane_limit, scratch, call):
+def advance_blocks(derive, move, lane_limit, scratch, batch, given, rest):
     """Advance vehicles chosen[start:stop] by one control step and write their observations.
 
     derive: compiled (floats, i, substep), refreshes what follows from the parameters of vehicle i.
     move: compiled (batch, scratch, block, pace, options), moves a block of at most lane_limit
-    vehicles and settles their states. call: see `unpacked`; actions are clipped to [-1, 1];
-    moving: False completes freshly loaded vehicles instead of moving them.
+    vehicles and settles their states. given: chosen (M,) int64 rows of vehicles, actions (N, 2)
+    float32, clipped to [-1, 1], observations (N, SIZE) float32. rest: start, stop, moving, the
+    numbers of Clock, then the plant's options; moving: False completes freshly loaded vehicles
+    instead of moving them.
     Returns CALM or SOME_ENDED, or the first row with a non-finite action: then no vehicle has
     moved.
     """
-    batch, clock, options = unpacked(call)
-    chosen, actions, observations = call[6], call[7], call[8]
-    start, stop, moving = call[9], call[10], call[11]
+    chosen, actions, observations = given
+    start, stop, moving = rest[0], rest[1], rest[2]
+    clock, options = Clock(rest[3], rest[4], rest[5]), rest[6:]
     result = _refused(actions, chosen, start, stop)
     if result != CALM:
         return result

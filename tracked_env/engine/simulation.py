@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
-from tracked_env.engine import kernels
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
+from tracked_env.engine.kernels import SOME_ENDED, Clock
 from tracked_env.physics.channels import NOISE_COUNT
 from tracked_env.physics.parameters import PARAMETER_NAMES, Range
 from tracked_env.physics.state import STATE_NAMES
@@ -60,7 +60,8 @@ class Simulation:
         self._action_shape = (count, 2)
         self._idle: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
         self._kernel = solver.prepared.advance
-        clock = kernels.Clock(solver.substeps, solver.substep, solver.error_limit)
+        self._threads = solver.threads
+        clock = Clock(solver.substeps, solver.substep, solver.error_limit)
         self._tail: tuple[Any, ...] = (*clock, *solver.prepared.options)
         self._noisy = np.zeros(count, dtype=bool)
         self._pool: ThreadPoolExecutor | None = None
@@ -158,7 +159,7 @@ class Simulation:
         chosen = self.all if chosen is None else chosen
         size = chosen.size
         refill = self._until_refill <= 0
-        if self.solver.threads > 1 and size >= self.solver.plant.threads_from:
+        if self._threads > 1 and size >= self.solver.plant.threads_from:
             result = self._step_threaded(actions, chosen, refill)
         else:
             if refill:
@@ -168,7 +169,7 @@ class Simulation:
         if refill and size:
             last = self.batch.counter("noise_cursor")[chosen].max()
             self._until_refill = b.NOISE_BLOCK - 1 - int(last)
-        self.some_ended = result == kernels.SOME_ENDED
+        self.some_ended = result == SOME_ENDED
         if result >= 0:
             raise ValueError(
                 f"action[{result}] = {actions[result].tolist()}; must be finite, in [-1, 1]. "

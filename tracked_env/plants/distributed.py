@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from tracked_env.engine import columns as b
+from tracked_env.engine.columns import Batch
 from tracked_env.engine.kernels import advance_blocks, hold_blocks
 from tracked_env.physics import patch_dynamics, patch_forces, vehicle
 from tracked_env.physics import state as s
@@ -182,17 +183,25 @@ def _hold_on_one_soil(batch, w, block, pace, options):
 
 
 @loop
-def advance(*call):
+def advance(
+    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
+):
     """Kernel of the control step, see `engine.kernels`."""
     scratch = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
-    return advance_blocks(derive_free, _move_on_one_soil, 1, scratch, call)
+    batch = Batch(floats, counters, profile, events, noise, history)
+    given = (chosen, actions, observations)
+    return advance_blocks(derive_free, _move_on_one_soil, 1, scratch, batch, given, rest)
 
 
 @loop
-def advance_on_two_soils(*call):
+def advance_on_two_soils(
+    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
+):
     """The same with a soil under each track."""
     scratch = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
-    return advance_blocks(derive_free, _move_on_two_soils, 1, scratch, call)
+    batch = Batch(floats, counters, profile, events, noise, history)
+    given = (chosen, actions, observations)
+    return advance_blocks(derive_free, _move_on_two_soils, 1, scratch, batch, given, rest)
 
 
 @loop

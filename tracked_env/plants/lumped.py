@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tracked_env.engine import columns as b
+from tracked_env.engine.columns import Batch
 from tracked_env.engine.kernels import advance_blocks, hold_blocks
 from tracked_env.physics import lumped_forces, vehicle
 from tracked_env.physics import state as s
@@ -224,17 +225,27 @@ def _derive_constrained(floats, i, substep):
 
 
 @loop
-def advance_sliding(*call):
+def advance_sliding(
+    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
+):
     """Kernel of the control step, see `engine.kernels`."""
     scratch = np.empty((SCRATCH_ROWS, LANES))
-    return advance_blocks(derive_free, _move_sliding, LANES, scratch, call)
+    batch = Batch(floats, counters, profile, events, noise, history)
+    given = (chosen, actions, observations)
+    return advance_blocks(derive_free, _move_sliding, LANES, scratch, batch, given, rest)
 
 
 @loop
-def advance_constrained(*call):
+def advance_constrained(
+    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
+):
     """The same with the lateral motion constrained."""
     scratch = np.empty((SCRATCH_ROWS, LANES))
-    return advance_blocks(_derive_constrained, _move_constrained, LANES, scratch, call)
+    batch = Batch(floats, counters, profile, events, noise, history)
+    given = (chosen, actions, observations)
+    return advance_blocks(
+        _derive_constrained, _move_constrained, LANES, scratch, batch, given, rest
+    )
 
 
 @loop

@@ -225,3 +225,15 @@ def test_the_lateral_model_may_be_given_by_its_former_name():
     assert yaws[0] == yaws[1]
     with pytest.raises(ValueError, match=r"unknown options\['lateral_model'\] key"):
         env.reset(seed=0, options={"lateral_model": {"mass": 3.0}})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"patches": [10]}, "must be two numbers"),
+        ({"plant": "distributed", "lateral": "sideways"}, "sideways"),
+    ],
+)
+def test_an_argument_of_another_plant_is_checked_all_the_same(arguments, says):
+    with pytest.raises(ValueError, match=says):
+        TrackedVehicleVectorEnv(1, **arguments)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
-from tracked_env.plants import DRIVES, Drive, Plant, Prepared, find, prepared
+from tracked_env.plants import DRIVES, PLANTS, Drive, Plant, Prepared, find, prepared
 from tracked_env.sensors import Sensors
 from tracked_env.validation import checked_choice, checked_keys, checked_number
 
@@ -50,9 +50,13 @@ def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
     """Options of the plant: those that are arguments of their own, then `plant_options`.
 
     `lateral` and `patches` are arguments of every environment, and mean nothing to a plant that
-    has no such option.
+    has no such option; a wrong value is refused all the same.
     """
     arguments = {"lateral": config.lateral, "patches": config.patches}
+    for other in PLANTS.values():
+        foreign = {k: v for k, v in arguments.items() if k in other.options.keys() - plant.options}
+        if foreign:
+            other.prepare(next(iter(other.reads)), {**other.options, **foreign})
     own = {name: value for name, value in arguments.items() if name in plant.options}
     return {**own, **checked_keys("plant_options", config.plant_options, plant.options)}
 

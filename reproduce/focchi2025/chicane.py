@@ -11,7 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reproduce.focchi2025.identification import MEASURED_LIMIT, STEP, within
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.slip.slip_models import SlipModel
+from baselines.slip.slip_regression import fit_exponential, train_trees
+from baselines.slip.slip_sweep import identified_slip, sweep, upsample
+from reproduce.focchi2025.identification import MEASURED_LIMIT, within
 from reproduce.focchi2025.loop import Patches, follow
 from reproduce.focchi2025.runs import (
     FRICTION,
@@ -22,7 +28,6 @@ from reproduce.focchi2025.runs import (
     Run,
     vehicle,
 )
-from reproduce.focchi2025.tools import Tools
 from tracked_env.engine import columns as b
 from tracked_env.physics import state as s
 from tracked_env.physics.parameters import PlantParameters
@@ -79,26 +84,28 @@ RESISTANCES = [
 LOUD = [Case(kind, length, noise=0.02**0.5) for length in LENGTHS for kind in KINDS]
 
 
-def slip_model(tools: Tools, parameters: PlantParameters, kind: str) -> Any:
-    """Slip of a vehicle as F has it, by `kind`; "exponential, slow": of slow runs."""
+def slip_model(parameters: PlantParameters, kind: str) -> SlipModel:
+    """Slip of a vehicle on its soil: "table", or one of REGRESSED."""
     if kind == "table":
-        return tools.slip(parameters)
-    runs = tools.sweep(parameters, STEP)
+        return identified_slip(parameters)
+    runs = sweep(parameters)
     if kind == "trees":
-        return tools.regression(tools.upsample(runs, parameters), parameters, kind)[0]
+        return train_trees(upsample(runs, parameters)[0], parameters)[0]
     if kind == "exponential, slow":
         runs = within(runs, MEASURED_LIMIT)
-    return tools.regression(runs, parameters, "exponential")[0]
+    return fit_exponential(runs, parameters)[0]
 
 
-def policy(tools: Tools, case: Case, count: int) -> Any:
-    """What drives `count` vehicles of a case."""
+def policy(case: Case) -> SlippageAwarePolicy | AdaptiveSlipPolicy:
+    """The controller of a case, for any number of vehicles."""
     believed = vehicle(case.length, case.believed, case.believed_resistance)
-    sensors, period = PRESETS[case.sensors], 1.0 / case.rate
+    sheet, period = DataSheet.of(PRESETS[case.sensors]), 1.0 / case.rate
     if case.kind == "online":
-        return tools.online(believed, period, sensors, count)
-    model = None if case.kind == "uc" else slip_model(tools, believed, case.kind)
-    return tools.controller(believed, period, sensors, count, model)
+        return AdaptiveSlipPolicy(believed, period, sheet)
+    if case.kind == "uc":
+        return UnicyclePolicy(believed, period, data_sheet=sheet)
+    model = slip_model(believed, case.kind)
+    return SlippageAwarePolicy(believed, period, model, data_sheet=sheet)
 
 
 def knowledge(case: Case) -> tuple[Any, ...]:
@@ -125,20 +132,16 @@ def options(case: Case) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def drive(
-    tools: Tools, cases: Sequence[Case], seeds: int = SEEDS, duration: float = DURATION
-) -> dict[Case, Run]:
+def drive(cases: Sequence[Case], seeds: int = SEEDS, duration: float = DURATION) -> dict[Case, Run]:
     """Drive `seeds` vehicles of every case; the noise of seed k is the same for all cases."""
     found: dict[Case, Run] = {}
     for rate in dict.fromkeys(case.rate for case in cases):
         alike = sorted((c for c in cases if c.rate == rate), key=knowledge)
-        found |= _drive(alike, tools, rate, seeds, duration)
+        found |= _drive(alike, rate, seeds, duration)
     return {case: found[case] for case in cases}
 
 
-def _drive(
-    cases: Sequence[Case], tools: Tools, rate: int, seeds: int, duration: float
-) -> dict[Case, Run]:
+def _drive(cases: Sequence[Case], rate: int, seeds: int, duration: float) -> dict[Case, Run]:
     """All of one control rate, as one batch; cases that share a controller are neighbours."""
     count, steps = seeds * len(cases), round(duration * rate)
     env = TrackedVehicleVectorEnv(
@@ -153,7 +156,7 @@ def _drive(
     for _, group in groupby(range(len(cases)), lambda i: knowledge(cases[i])):
         members = list(group)
         shares.append(slice(parts[members[0]].start, parts[members[-1]].stop))
-        policies.append(policy(tools, cases[members[0]], seeds * len(members)))
+        policies.append(policy(cases[members[0]]))
     memories: list[Any] = [None] * len(policies)
     sigma = np.repeat([case.noise for case in cases], seeds)[:, None]
     scale = sigma / vehicle().sprocket_speed_limit
@@ -201,7 +204,7 @@ def reading(name: str) -> ReferenceProfile:
 
 
 def readings(
-    tools: Tools, rate: int = 50, resistances: Sequence[float] = (RESISTANCE, 0.0)
+    rate: int = 50, resistances: Sequence[float] = (RESISTANCE, 0.0)
 ) -> dict[tuple[str, float, float, str], Numbers]:
     """{(reading, length, c_r, kind): errors}, without noise."""
     found = {}
@@ -211,7 +214,7 @@ def readings(
             for kind in KINDS:
                 case = Case(kind, length, rate, believed_resistance=resistance)
                 true = vehicle(length, FRICTION, resistance)
-                made, plant = policy(tools, case, len(profiles)), Patches(true, False, 2.5e-3)
+                made, plant = policy(case), Patches(true, False, 2.5e-3)
                 run = follow(made, plant, profiles, START, true, rate, DURATION)
                 for i, name in enumerate(READINGS):
                     found[name, length, resistance, kind] = run.only(slice(i, i + 1)).numbers()
@@ -225,13 +228,13 @@ INTEGRATORS = {
 }
 
 
-def integrators(tools: Tools, length: float = LENGTHS[-1]) -> dict[tuple[str, str], Run]:
+def integrators(length: float = LENGTHS[-1]) -> dict[tuple[str, str], Run]:
     """{(integrator, kind): run} without noise, 200 Hz."""
     found = {}
     true, profile = vehicle(length), reading("v_max t")
     for name, (euler, step) in INTEGRATORS.items():
         for kind in KINDS:
             case = Case(kind, length)
-            made, plant = policy(tools, case, 1), Patches(true, euler, step)
+            made, plant = policy(case), Patches(true, euler, step)
             found[name, kind] = follow(made, plant, [profile], START, true, case.rate, DURATION)
     return found

@@ -1,13 +1,10 @@
-"""The page: claims, figures and tables as Markdown, and as HTML where markdown-it is installed."""
+"""What the page of the paper is made of: its head, the texts above the tables, the figures."""
 
 from pathlib import Path
 
-from reproduce import paper_page
 from reproduce.focchi2025 import claims, tables
 from reproduce.focchi2025.results import Results
-from reproduce.paper_page import terminal
-
-__all__ = ["CHOICES", "HEAD", "markdown", "terminal", "write"]
+from reproduce.paper_page import Figures, PaperPage
 
 HEAD = """# Focchi et al. (2025) run again: sections 4, 5.2 and 7.1
 
@@ -27,7 +24,7 @@ here; that actual sprocket speeds predict slip better than desired ones (7.1): h
 differ from what is asked by the noise alone.
 """
 
-CHOICES = {
+TABLES = {
     "Chicane": (tables.chicane_table, "Figure 13. The paper controls at 1 kHz in simulation; its "
                 "vehicle at 200 Hz."),
     "Slip models": (tables.model_table, "200 Hz. (54) fitted to all runs, and to those with both "
@@ -44,23 +41,14 @@ CHOICES = {
 }  # fmt: skip
 
 
-def markdown(results: Results, figures: paper_page.Figures) -> str:
-    """The page; figures: {name: (file, caption)}, linked by their names alone."""
-    shown = [
-        paper_page.Table(title, text, table(results)) for title, (table, text) in CHOICES.items()
-    ]
-    return paper_page.markdown(HEAD, claims.claims(results), figures, shown)
+def save_figures(results: Results, folder: Path) -> Figures:
+    """Write all figures, in the order of the page. Raises ImportError without matplotlib."""
+    from reproduce import paper_figures
+    from reproduce.focchi2025 import control_figures, surfaces
+
+    return paper_figures.save(
+        results, folder, "focchi2025", surfaces.drawings, control_figures.drawings
+    )
 
 
-def write(results: Results, folder: Path, draw: bool = True) -> list[Path]:
-    """Write page.md, figures beside it, and page.html if possible. Returns the files.
-
-    draw: without figures when False. Raises ImportError when matplotlib is missing.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    found: paper_page.Figures = {}
-    if draw:
-        from reproduce.focchi2025 import control_figures, surfaces
-
-        found = {**surfaces.save(results, folder), **control_figures.save(results, folder)}
-    return paper_page.write(markdown(results, found), folder, found)
+PAGE = PaperPage(HEAD, claims.claims, TABLES, save_figures)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reproduce.strawa2021.tools import Controller
+from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import ClosureParameters, PlantParameters, plant_parameters
 from tracked_env.uncertainty import STRAWA_MAPS
@@ -88,13 +88,9 @@ def run(
     scenario: Scenario,
     path: str,
     turning_factor: float,
-    controller: Controller,
     duration: float = 60.0,
 ) -> Run:
-    """Drive one scenario on "circle" or "straight"; `controller` builds the policy.
-
-    controller: (believed parameters, control period [s], closure) -> object with `predict`.
-    """
+    """Drive one scenario on "circle" or "straight" for `duration` [s]."""
     env = TrackedVehicleEnv(
         reference=PATHS[path],
         uncertainty="nominal",
@@ -111,7 +107,9 @@ def run(
         "closure": closure_options(turning_factor, scenario.lateral),
         "start": START,
     }
-    policy = controller(believed_parameters(scenario, turning_factor), 0.01, scenario.lateral)
+    policy = FeedbackLinearizingController(
+        believed_parameters(scenario, turning_factor), 0.01, lateral=scenario.lateral
+    )
     observation, info = env.reset(seed=0, options=options)
     state: Any = None
     rows, errors, references, demands = [], [], [], []
@@ -139,10 +137,10 @@ def run(
     )
 
 
-def run_all(controller: Controller, duration: float = 60.0) -> dict[tuple[str, str, float], Run]:
+def run_all(duration: float = 60.0) -> dict[tuple[str, str, float], Run]:
     """Every scenario on both paths with each turning factor: {(scenario, path, factor): Run}."""
     return {
-        (name, path, factor): run(scenario, path, factor, controller, duration)
+        (name, path, factor): run(scenario, path, factor, duration)
         for name, scenario in SCENARIOS.items()
         for path in PATHS
         for factor in scenario.turning_factors

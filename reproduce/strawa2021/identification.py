@@ -20,8 +20,8 @@ from reproduce.strawa2021.control import (
     believed_parameters,
     closure_options,
 )
-from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
-from reproduce.strawa2021.tools import Tools
+from reproduce.strawa2021.drive import Drive, Floats, drive, rms
+from reproduce.strawa2021.filtered_policies import filtered_policy
 from tracked_env.events import Event, ramp_events
 from tracked_env.sensors import PRESETS, Sensors
 from tracked_env.uncertainty import STRAWA_MAPS
@@ -100,7 +100,6 @@ def options(condition: Condition, reference: Event) -> dict[str, Any]:
 
 
 def identify(
-    tools: Tools,
     condition: Condition,
     references: Sequence[Event] | None = None,
     seeds: int | None = None,
@@ -116,7 +115,7 @@ def identify(
     paths = [manoeuvre()] if references is None else list(references)
     rows = [options(condition, path) for path in paths for _ in range(count)]
     believed = believed_parameters(SCENARIOS["mass-inertia"], condition.factor)
-    policy = tools.policy(believed, PERIOD, used, condition.lateral, condition.kind)
+    policy = filtered_policy(believed, used, condition.kind, condition.lateral)
     return drive(policy, rows, duration, used._asdict(), condition.lateral)
 
 
@@ -134,10 +133,10 @@ def conditions(
     ]
 
 
-def run_all(tools: Tools, duration: float = DURATION) -> dict[Condition, Drive]:
+def run_all(duration: float = DURATION) -> dict[Condition, Drive]:
     """The manoeuvre under all conditions; the sliding closure on the maps only."""
     every = conditions() + conditions("sliding", ("maps",))
-    return {condition: identify(tools, condition, duration=duration) for condition in every}
+    return {condition: identify(condition, duration=duration) for condition in every}
 
 
 def relative_error(result: Drive, name: str) -> Floats:
@@ -206,29 +205,29 @@ AMPLITUDES = (0.05, 0.2, 0.5)  # [m/s]
 STARTS = (0.5, 1.0, 2.0)  # [m/s]
 
 
-def by_path(tools: Tools, kind: str) -> dict[tuple[float, float], Quality]:
+def by_path(kind: str) -> dict[tuple[float, float], Quality]:
     """Over speed [m/s] and final radius [m], ideal sensors, printed factor, maps."""
     cases = [(speed, radius) for speed in SPEEDS for radius in RADII]
-    result = identify(tools, Condition(kind, 2.0, "ideal"), [manoeuvre(*case) for case in cases])
+    result = identify(Condition(kind, 2.0, "ideal"), [manoeuvre(*case) for case in cases])
     return {case: quality(only(result, i, 1)) for i, case in enumerate(cases)}
 
 
-def by_noise(tools: Tools, kind: str) -> dict[tuple[float, float], Quality]:
+def by_noise(kind: str) -> dict[tuple[float, float], Quality]:
     """Over noise (times `strawa`) and amplitude [m/s] of the speed, uniform ground, factor 2."""
     found = {}
     paths = [manoeuvre(amplitude=amplitude) for amplitude in AMPLITUDES]
     for noise in NOISES:
         sensors = scaled(PRESETS["strawa"], noise)
-        result = identify(tools, Condition(kind, 2.0, "strawa", "uniform"), paths, SEEDS, sensors)
+        result = identify(Condition(kind, 2.0, "strawa", "uniform"), paths, SEEDS, sensors)
         for i, amplitude in enumerate(AMPLITUDES):
             found[noise, amplitude] = quality(only(result, i * SEEDS, SEEDS))
     return found
 
 
-def by_start(tools: Tools, kind: str) -> dict[float, Quality]:
+def by_start(kind: str) -> dict[float, Quality]:
     """Over the speed [m/s] at the start, the paper's noise, uniform ground, factor 2."""
     paths = [manoeuvre(start=start) for start in STARTS]
-    result = identify(tools, Condition(kind, 2.0, "strawa", "uniform"), paths)
+    result = identify(Condition(kind, 2.0, "strawa", "uniform"), paths)
     return {start: quality(only(result, i * SEEDS, SEEDS)) for i, start in enumerate(STARTS)}
 
 

@@ -1,15 +1,12 @@
-"""The page: claims, figures and tables as Markdown, and as HTML where markdown-it is installed."""
+"""What the page of the paper is made of: its head, the texts above the tables, the figures."""
 
 from pathlib import Path
 
-from reproduce import paper_page
-from reproduce.paper_page import terminal
+from reproduce.paper_page import Figures, PaperPage
 from reproduce.strawa2021 import claims, tables
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
 from reproduce.strawa2021.results import Results
-
-__all__ = ["CHOICES", "HEAD", "markdown", "terminal", "write"]
 
 HEAD = """# Strawa et al. (2021) run again: section 8
 
@@ -32,7 +29,7 @@ accelerometers of 5.2.1, in whose place the yaw acceleration has a noise of its 
 the straight line.
 """
 
-CHOICES = {
+TABLES = {
     "8.1 and 8.2": (tables.control_table, "Errors are distances to the moving reference point, "
                     "from 30 s to 60 s."),
     "Figure 17": (tables.sweep_table, "Largest RMSE against the vehicle whose controller knows "
@@ -61,29 +58,19 @@ CHOICES = {
 }  # fmt: skip
 
 
-def markdown(results: Results, figures: paper_page.Figures) -> str:
-    """The page; figures: {name: (file, caption)}, linked by their names alone."""
-    shown = [
-        paper_page.Table(title, text, table(results)) for title, (table, text) in CHOICES.items()
-    ]
-    return paper_page.markdown(HEAD, claims.claims(results), figures, shown)
+ORDER = ("exact", "mass-inertia", "sweep", "maps", "resistance-maps", "sandy-loam", "estimates",
+         "estimates-uniform", "trajectory", "slip", "soil")  # fmt: skip
 
 
-def write(results: Results, folder: Path, draw: bool = True) -> list[Path]:
-    """Write page.md, figures beside it, and page.html if possible. Returns the files.
+def save_figures(results: Results, folder: Path) -> Figures:
+    """Write all figures, in the order of the page. Raises ImportError without matplotlib."""
+    from reproduce import paper_figures
+    from reproduce.strawa2021 import control_figures, identification_figures
 
-    draw: without figures when False. Raises ImportError when matplotlib is missing.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    found: paper_page.Figures = {}
-    if draw:
-        from reproduce.strawa2021 import control_figures, identification_figures
+    drawn = paper_figures.save(
+        results, folder, "strawa2021", control_figures.drawings, identification_figures.drawings
+    )
+    return {name: drawn[name] for name in ORDER}
 
-        drawn = {
-            **control_figures.save(results.control, folder),
-            **identification_figures.save(results, folder),
-        }
-        order = ("exact", "mass-inertia", "sweep", "maps", "resistance-maps", "sandy-loam",
-                 "estimates", "estimates-uniform", "trajectory", "slip", "soil")  # fmt: skip
-        found = {name: drawn[name] for name in order}
-    return paper_page.write(markdown(results, found), folder, found)
+
+PAGE = PaperPage(HEAD, claims.claims, TABLES, save_figures)

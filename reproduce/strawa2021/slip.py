@@ -13,12 +13,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.estimators.observation_reader import ObservationReader
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.slip_observer import SlipObserver
 from reproduce.strawa2021.control import ICR_FORWARD, SCENARIOS
 from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
+from reproduce.strawa2021.filtered_policies import filtered_policy
 from reproduce.strawa2021.identification import SPEED, manoeuvre
-from reproduce.strawa2021.tools import Tools
-from tracked_env.physics.parameters import ClosureParameters, plant_parameters
-from tracked_env.sensors import PRESETS
+from tracked_env.physics.parameters import ClosureParameters, PlantParameters, plant_parameters
+from tracked_env.sensors import PRESETS, Sensors
 
 DURATION = 30.0  # [s]
 BEGUN = 5.0  # [s] from here on the filter has forgotten its start
@@ -61,8 +64,26 @@ class Slips(NamedTuple):
     acceleration: Floats  # (T, N) dv/dt [m/s^2]
 
 
+def estimated_slips(
+    observations: NDArray[np.float32], parameters: PlantParameters, sensors: Sensors, velocity: bool
+) -> tuple[Floats, Floats]:
+    """Slips i_L, i_R of the filter and their variances, (T, N, 2) each.
+
+    observations: (T, N, SIZE). velocity: whether the filter measures velocities and yaw rate too;
+    without them z = [X, Y, yaw], as in the paper.
+    """
+    steps, count = observations.shape[:2]
+    reader = ObservationReader(PERIOD, count)
+    observer = SlipObserver(parameters, PERIOD, DataSheet.of(sensors), count, velocity=velocity)
+    slips, variances = np.empty((2, steps, count, 2))
+    for k, observation in enumerate(observations):
+        observer.update(reader.read(observation).latest)
+        slips[k], variances[k] = observer.slips, observer.slip_variances
+    return slips, variances
+
+
 def run_all(
-    tools: Tools, cases: list[Case] | None = None, seeds: int = SEEDS, duration: float = DURATION
+    cases: list[Case] | None = None, seeds: int = SEEDS, duration: float = DURATION
 ) -> Slips:
     """Drive every case and filter what was observed."""
     chosen = CASES if cases is None else cases
@@ -81,12 +102,12 @@ def run_all(
         for _ in range(seeds)
     ]
     sensors = PRESETS["strawa"]
-    policy = tools.policy(parameters, PERIOD, sensors, "constrained", "fixed")
+    policy = filtered_policy(parameters, sensors, "fixed")
     result = drive(policy, rows, duration, "strawa", keep=True)
-    estimate = {}
-    for name, velocity in MEASURED.items():
-        observer = tools.slip(parameters, PERIOD, sensors, len(rows), velocity)
-        estimate[name] = np.array([observer.observe(seen)[0] for seen in result.observations])
+    estimate = {
+        name: estimated_slips(result.observations, parameters, sensors, velocity)[0]
+        for name, velocity in MEASURED.items()
+    }
     speed = result.truth["v_x"]
     return Slips(chosen, seeds, result, estimate, np.gradient(speed, PERIOD, axis=0))
 

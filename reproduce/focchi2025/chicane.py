@@ -1,8 +1,9 @@
 """Section 7.1: the chicane F (53) on the distributed model, figures 12 to 14.
 
-As printed v starts at -2 v_max; read as a ramp v = v_max t it reaches 2 v_max at t_1 and jumps
-back. Chosen: that ramp, mu = 0.1, actuation noise as sigma of the sprocket speeds, new at every
-control step, ideal sensors. The paper controls at 1 kHz in simulation, its vehicle at 200 Hz.
+As printed the speed starts at -2 v_max; read as a ramp v = v_max t it reaches 2 v_max at t_1 and
+jumps back. Chosen: that ramp, mu = 0.1, actuation noise as the standard deviation of the sprocket
+speeds, drawn anew at every control step, ideal sensors. The paper controls at 1 kHz in simulation
+and its vehicle at 200 Hz.
 """
 
 from collections.abc import Sequence
@@ -50,13 +51,13 @@ _SPROCKETS = [b.STATE + s.SPROCKET_SPEED_LEFT, b.STATE + s.SPROCKET_SPEED_RIGHT]
 
 
 class Case(NamedTuple):
-    """One vehicle and what its controller believes."""
+    """A vehicle, and what its controller assumes."""
 
     kind: str  # uc; slc with the slip of a table or of REGRESSED; online
     length: float = LENGTHS[-1]  # [m]
     rate: int = 200  # [Hz] of control
     friction: float = FRICTION  # [-] true mu
-    believed: float = FRICTION  # [-] mu that the controller is told
+    believed: float = FRICTION  # [-] mu that the controller assumes
     resistance: float = RESISTANCE  # [-] c_r, true
     believed_resistance: float = RESISTANCE
     noise: float = NOISE  # [rad/s]
@@ -67,19 +68,19 @@ KINDS = ("uc", "table")  # of the paper's comparison; the table stands for its r
 PAPER = [Case(kind, length, rate) for rate in RATES for length in LENGTHS for kind in KINDS]
 REGRESSED = ("trees", "exponential", "exponential, slow")
 MODELS = [Case(kind, length) for length in LENGTHS for kind in REGRESSED]
-SOILS = ((0.1, 0.4), (0.4, 0.1))  # (true, told)
+SOILS = ((0.1, 0.4), (0.4, 0.1))  # [-] mu: (true, assumed)
 ONLINE = [
     Case(kind, length, friction=true, believed=believed)
     for length in LENGTHS
-    for true, told in SOILS
-    for kind, believed in (("table", true), ("table", told), ("online", told))
+    for true, assumed in SOILS
+    for kind, believed in (("table", true), ("table", assumed), ("online", assumed))
 ]
 RESISTANCES = [
-    Case(kind, length, resistance=true, believed_resistance=told)
+    Case(kind, length, resistance=true, believed_resistance=assumed)
     for length in LENGTHS
     for kind in KINDS
-    for true, told in ((0.0, 0.0), (0.0, RESISTANCE), (RESISTANCE, 0.0))
-    if kind != "uc" or true == told
+    for true, assumed in ((0.0, 0.0), (0.0, RESISTANCE), (RESISTANCE, 0.0))
+    if kind != "uc" or true == assumed
 ]
 LOUD = [Case(kind, length, noise=0.02**0.5) for length in LENGTHS for kind in KINDS]
 
@@ -109,7 +110,7 @@ def policy(case: Case) -> SlippageAwarePolicy | AdaptiveSlipPolicy:
 
 
 def knowledge(case: Case) -> tuple[Any, ...]:
-    """What the controller is made of: cases that agree in it share one."""
+    """What a controller is made from: cases with the same knowledge share one controller."""
     if case.kind == "uc":
         return ("uc", case.sensors)
     return (case.kind, case.length, case.believed, case.believed_resistance, case.sensors)
@@ -142,7 +143,7 @@ def drive(cases: Sequence[Case], seeds: int = SEEDS, duration: float = DURATION)
 
 
 def _drive(cases: Sequence[Case], rate: int, seeds: int, duration: float) -> dict[Case, Run]:
-    """All of one control rate, as one batch; cases that share a controller are neighbours."""
+    """All cases of one control rate as one batch; those that share a controller are neighbours."""
     count, steps = seeds * len(cases), round(duration * rate)
     env = TrackedVehicleVectorEnv(
         count, reference=REFERENCE, uncertainty="nominal", sensors="ideal",
@@ -172,9 +173,9 @@ def _drive(cases: Sequence[Case], rate: int, seeds: int, duration: float) -> dic
         for i, (one, share) in enumerate(zip(policies, shares, strict=True)):
             action[share], memories[i] = one.predict(observation[share], memories[i])
             if hasattr(one, "estimates"):
-                told = one.estimates()["friction_angle"][0]
+                angle = one.estimates()["friction_angle"][0]
                 belief.setdefault("friction", np.full((steps, count), np.nan))
-                belief["friction"][k, share] = np.tan(told)
+                belief["friction"][k, share] = np.tan(angle)
         noise = np.tile(rng.standard_normal((seeds, 2)), (len(cases), 1))
         noisy = np.clip(action + scale * noise, -1.0, 1.0).astype(np.float32)
         observation = env.step(noisy)[0]

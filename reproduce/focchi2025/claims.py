@@ -17,7 +17,7 @@ from reproduce.paper_page import Claim, verdict
 
 RATE = chicane.RATES[0]  # [Hz] of the paper's simulation
 REAL = (0.91, 0.84, 0.961)  # R^2 of F for the real vehicle: beta_left, beta_right, alpha
-GOAL = 0.20  # [-] what may be lost to the wrong friction
+GOAL = 0.20  # [-] largest loss of accuracy that a wrong assumed friction may leave
 TURNS = (slice(2.5, 12.0), slice(13.0, 20.0))  # [s] of the chicane, without its jumps
 
 
@@ -145,12 +145,12 @@ def prediction(
         jumps |= (time >= jump) & (time < jump + 1.0)
     found = {}
     names = ("beta_left", "beta_right", "alpha")
-    for name, true, told in zip(names, actual, predicted[case], strict=True):
+    for name, true, expected in zip(names, actual, predicted[case], strict=True):
 
         def rms(values: Floats, rows: np.ndarray) -> float:
             return float(np.sqrt(np.nanmean(np.square(values[rows])))) if rows.any() else math.nan
 
-        error = true[:, 0] - told
+        error = true[:, 0] - expected
         found[name] = (rms(true[:, 0], turning), rms(error, turning), rms(error, jumps))
     return found
 
@@ -194,14 +194,14 @@ def chicane_claims(results: Results) -> list[Claim]:
 
 
 def further_claims(results: Results) -> list[Claim]:
-    """What the paper does not say, or leaves open."""
+    """Comparisons that the paper leaves open or does not make."""
     numbers = {case: run.numbers() for case, run in results.chicane.items()}
     loss, wrong = [], []
     for length in LENGTHS:
-        for true, told in chicane.SOILS:
+        for true, assumed in chicane.SOILS:
             known = numbers[Case("table", length, friction=true, believed=true)]
-            guess = numbers[Case("table", length, friction=true, believed=told)]
-            found = numbers[Case("online", length, friction=true, believed=told)]
+            guess = numbers[Case("table", length, friction=true, believed=assumed)]
+            found = numbers[Case("online", length, friction=true, believed=assumed)]
             loss += [found.largest / known.largest - 1.0, found.rmse / known.rmse - 1.0]
             wrong.append(guess.largest / known.largest)
     by_rate = [

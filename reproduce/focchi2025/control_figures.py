@@ -16,7 +16,7 @@ from tracked_env.benchmark.drawing import PALETTE
 UC: dict[str, Any] = {"color": PALETTE[1], "linestyle": "--", "linewidth": 1.3, "label": "UC"}
 SLC: dict[str, Any] = {"color": PALETTE[0], "linewidth": 1.3, "label": "SLC"}
 LINES = {"uc": UC, "table": SLC, "slc": SLC}
-TOLD: dict[str, Any] = {"color": PALETTE[3], "linestyle": ":", "linewidth": 1.3}
+ASSUMED: dict[str, Any] = {"color": PALETTE[3], "linestyle": ":", "linewidth": 1.3}
 ONLINE: dict[str, Any] = {"color": PALETTE[2], "linestyle": "-.", "linewidth": 1.3}
 DOTS = 4000  # points of a line at most
 
@@ -118,14 +118,14 @@ def slip(results: Results) -> Figure:
 
 
 def online(results: Results) -> Figure:
-    """The chicane with the friction told wrong: error, and the friction believed."""
+    """The chicane with a wrong assumed friction: error, and the friction of the controller."""
     length = LENGTHS[-1]
     figure, axes = panels((10.0, 5.0), 2, len(chicane.SOILS), sharex=True)
-    for column, (true, told) in enumerate(chicane.SOILS):
+    for column, (true, assumed) in enumerate(chicane.SOILS):
         for kind, believed, line, label in (
             ("table", true, SLC, "slip of the true friction"),
-            ("table", told, TOLD, "slip of the friction told"),
-            ("online", told, ONLINE, "identified on line"),
+            ("table", assumed, ASSUMED, "slip of the friction told"),
+            ("online", assumed, ONLINE, "identified on line"),
         ):
             run = results.chicane[Case(kind, length, friction=true, believed=believed)]
             shown = {**line, "label": label}
@@ -134,7 +134,7 @@ def online(results: Results) -> Figure:
                 len(run.time), believed
             )  # fmt: skip
             axes[1, column].plot(run.time, mu, **shown)
-        axes[0, column].set_title(f"true mu = {true:g}, told {told:g}")
+        axes[0, column].set_title(f"true mu = {true:g}, told {assumed:g}")
         axes[0, column].set_ylim(0.0, 10.0)
         axes[1, column].set_ylim(0.0, 0.5)
         axes[1, column].set_xlabel("time [s]")
@@ -167,6 +167,6 @@ def drawings(results: Results) -> Drawings:
         ),
         "online": (
             online(results),
-            "The chicane with the friction told wrong, contact length 0.7 m.",
+            "The chicane with a wrong assumed friction, contact length 0.7 m.",
         ),
     }

@@ -1,8 +1,8 @@
 """Section 4: slip as a function of the sprocket speeds, figures 6 to 9, and its exponential form.
 
 The sweep of F has 31 x 31 pairs of sprocket speeds within +-10 rad/s, each held for 2 s from rest.
-Here a pair is held until the motion is steady, and `after_two_seconds` says what that changes.
-The runs of the real vehicle are no part of this project: without their file they are left out.
+Here a pair is held until the motion is steady; `after_two_seconds` computes the difference.
+The runs of the real vehicle are not part of this project: without their file they are left out.
 """
 
 import math
@@ -34,7 +34,7 @@ from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.patch_dynamics import hold_speeds
 from tracked_env.physics.patch_forces import make_patches
 
-# Beside the folder of the project, where there is one.
+# Runs of the real vehicle, in a folder beside that of the project.
 MEASURED = Path(__file__).parents[3] / "shared" / "data" / "slip_real_indoor.csv"
 
 FRICTIONS = (0.1, 0.4, 0.6)  # [-] mu of figure 8

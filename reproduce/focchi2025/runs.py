@@ -1,7 +1,7 @@
-"""The vehicle, and what one run of it gave: F (36) and the numbers of figures 13 and 15."""
+"""The vehicle, and the time histories and errors of its runs: F (36), (37) and figure 13."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,7 @@ class Run(NamedTuple):
     state: Floats  # (T, 6, N) x, y [m], yaw [rad], v_x, v_y [m/s], yaw rate [rad/s]
     sprockets: Floats  # (T, 2, N) [rad/s] in force before that time, left and right
     reference: Floats  # (T, 3, N) x, y [m], yaw [rad]
-    belief: dict[str, Floats]  # (T, N) by name, empty when the policy says nothing
+    belief: dict[str, Floats]  # (T, N) estimates by name, empty when the policy has none
 
     @property
     def distance(self) -> Floats:
@@ -74,8 +74,8 @@ class Run(NamedTuple):
             float(np.sqrt(np.mean(distance**2))), float(np.abs(self.heading[late]).max()),
         )  # fmt: skip
 
-    def only(self, rows: Any) -> "Run":
-        """Some of the vehicles, by slice."""
+    def only(self, rows: slice) -> "Run":
+        """Some of the vehicles."""
         return Run(
             self.time, self.state[:, :, rows], self.sprockets[:, :, rows],
             self.reference[:, :, rows],

@@ -1,9 +1,9 @@
 """Sections 8.1 and 8.2 of Strawa et al. (2021) as scenarios that can be run again.
 
-The paper names neither radius, nor speed, nor where its circle lies; chosen here: R = 10 m around
-the origin of the maps, 2 m/s, start 1 m to the side at 0.3 m/s, ideal sensors, no motor lag, the
-`constrained` closure of S (28). S (20) is run with the factor 2 it prints and with 1, what the
-integral gives.
+The paper states neither the radius, nor the speed, nor the place of its circle; chosen here: R =
+10 m around the origin of the maps, 2 m/s, start 1 m to the side at 0.3 m/s, ideal sensors, no motor
+lag, the lateral constraint of S (28). S (20) is run with the printed factor 2 and with 1, the
+factor of its integral.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187.
 """
@@ -31,12 +31,12 @@ START = {"offset_x": 0.0, "offset_y": 1.0, "offset_yaw": 0.0, "speed": 0.3, "yaw
 
 
 class Scenario(NamedTuple):
-    """What is true, and what the controller believes of it."""
+    """The true plant, and what the controller assumes of it."""
 
     section: str
     title: str
     options: dict[str, Any]  # of reset(): the truth where it differs from Tables 1 and 2
-    believed: dict[str, float]  # factors on the true parameters of Tables 1 and 2
+    believed: dict[str, float]  # factors of the assumed on the true parameters of Tables 1 and 2
     turning_factors: tuple[float, ...] = (2.0, 1.0)
     lateral: str = "constrained"
 
@@ -70,7 +70,7 @@ class Run(NamedTuple):
 
 
 def believed_parameters(scenario: Scenario, turning_factor: float) -> PlantParameters:
-    """What the controller of a scenario is built from."""
+    """Parameters that the controller of a scenario assumes."""
     closure = ClosureParameters(turning_resistance_factor=turning_factor, icr_forward=ICR_FORWARD)
     nominal = plant_parameters(closure=closure)
     factors = {name: getattr(nominal, name) * f for name, f in scenario.believed.items()}
@@ -78,7 +78,7 @@ def believed_parameters(scenario: Scenario, turning_factor: float) -> PlantParam
 
 
 def closure_options(turning_factor: float, lateral: str) -> dict[str, float]:
-    """Reset options of a closure: `sliding` does not read d, its ICR emerges."""
+    """Options of reset for the turning resistance; d exists with the lateral constraint only."""
     if lateral == "sliding":
         return {"turning_resistance_factor": turning_factor}
     return {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD}

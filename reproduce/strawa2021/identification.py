@@ -1,4 +1,4 @@
-"""Section 8.3.1: mass, inertia and resistance identified under way, and what the path gains.
+"""Section 8.3.1: mass, inertia and resistance identified on line, and the effect on the path.
 
 The paper says that the error of the mass is below 1 % on the straight line, and that the
 coefficients begin to vary fast at 6 s, when the spiral begins. Both hold if the straight line is
@@ -6,7 +6,7 @@ the Y axis: at X = 0 the maps (44), (45) are constant. So the manoeuvre (figure 
 origin along +Y: 7 s straight, then a spiral. Speed, radius and excitation are not in the paper;
 chosen: 2 m/s +- 0.2 m/s with a period of 4 s, spiral down to R = 6 m at 30 s, start on the path
 at its speed. The controller begins with 55 % of the mass, 110 % of the inertia, mu_l = 0.6 and
-mu_t = 0.8 (8.2), closure and d as in 8.1.
+mu_t = 0.8 (8.2), lateral constraint and d as in 8.1.
 """
 
 import math
@@ -37,7 +37,7 @@ SEEDS = 6  # vehicles per condition with noise
 KINDS = ("fixed", "printed", "paper", "coupled")
 NAMES = {"fixed": "fixed", "printed": "printed", "paper": "bounded", "coupled": "coupled"}
 
-# The coefficients at X = 0, everywhere: what is left of the error has other causes.
+# The coefficients at X = 0, everywhere: errors on this ground have other causes than the maps.
 UNIFORM: list[Event] = ramp_events(
     {"longitudinal_resistance": 0.7, "lateral_resistance": 0.6}, 0.0, 0.0
 )
@@ -129,12 +129,12 @@ def conditions(
         for sensors in ("ideal", "strawa")
         for factor in (2.0, 1.0)
         for kind in KINDS
-        if kind != "printed" or lateral == "constrained"  # it knows no other closure
+        if kind != "printed" or lateral == "constrained"  # it supposes the constraint
     ]
 
 
 def run_all(duration: float = DURATION) -> dict[Condition, Drive]:
-    """The manoeuvre under all conditions; the sliding closure on the maps only."""
+    """The manoeuvre under all conditions; sliding tracks on the maps only."""
     every = conditions() + conditions("sliding", ("maps",))
     return {condition: identify(condition, duration=duration) for condition in every}
 

@@ -188,7 +188,7 @@ def drawings(results: Results) -> Drawings:
     return {
         "sweep": (
             sweep(results.sweep),
-            "Figure 17 of the paper: RMSE over the mass and inertia that the controller believes, "
+            "Figure 17 of the paper: RMSE over the mass and inertia that the controller assumes, "
             "factor 2 in (20).",
         ),
         "estimates": (

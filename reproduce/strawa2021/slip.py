@@ -1,11 +1,12 @@
 """Section 8.3.2: the unscented Kalman filter for the slips, under the paper's noise.
 
-The paper says that the filter is unbiased but for rapid changes of speed (figure 33), and names
-neither path nor rates of the sensors. Chosen: the manoeuvre of 8.3.1 with a gentle speed (2 +- 0.2
-m/s, at most 0.3 m/s^2) and a brisk one (2 +- 1 m/s, up to 3.1 m/s^2), each on heavy clay, where
-the slip is a fraction of a percent, and on sandy loam; all sensors at 100 Hz, and the pose at lower
-rates as well. Controller and filter are fed with the noise, as in the paper; the controller
-knows the vehicle. Measured is z = [X, Y, yaw] as the paper has it, or velocities and gyro too.
+The paper says that the filter is unbiased except on rapid changes of speed (figure 33), and states
+neither the path nor the rates of the sensors. Chosen: the manoeuvre of 8.3.1 with a gentle speed (2
++- 0.2 m/s, at most 0.3 m/s^2) and a brisk one (2 +- 1 m/s, up to 3.1 m/s^2), each on heavy clay,
+where the slip is a fraction of a percent, and on sandy loam; all sensors at 100 Hz, and the pose at
+lower rates as well. As in the paper, controller and filter receive noisy measurements; the
+controller has the true parameters. The measurement is z = [X, Y, yaw] as in the paper, or
+velocities and yaw rate as well.
 """
 
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ from tracked_env.physics.parameters import ClosureParameters, PlantParameters, p
 from tracked_env.sensors import PRESETS, Sensors
 
 DURATION = 30.0  # [s]
-BEGUN = 5.0  # [s] from here on the filter has forgotten its start
+BEGUN = 5.0  # [s] from here on the initial error of the filter has decayed
 STEADY, RAPID = 0.4, 2.0  # [m/s^2] of |dv/dt|: below steady, above rapid
 SEEDS = 8  # vehicles per case
 SPEEDS = {  # amplitude [m/s] and period [s] of the speed

@@ -1,4 +1,4 @@
-"""Section 8.3.3: F_max and K of the soil, and what can be known of them on firm ground.
+"""Section 8.3.3: F_max and K of the soil, and their observability on firm ground.
 
 The paper names neither soil nor path. Chosen: circle (R = 10 m, 2 m/s, steady) and manoeuvre
 (8.3.1), turning factor 1, over three grounds that follow each other in time: sandy loam of 8.2.3,
@@ -45,7 +45,7 @@ GROUNDS: dict[str, tuple[dict[str, float], list[Event]]] = {
 }
 WAYS = {"circle": PATHS["circle"], "manoeuvre": manoeuvre()}
 SENSORS = ("ideal", "rtk", "strawa")
-FIRST_GUESS = (20e3, 0.015)  # F_max [N], K [m] of every method: right nowhere
+FIRST_GUESS = (20e3, 0.015)  # F_max [N], K [m] of every method, wrong on every ground
 NOISES = (0.0, 1e-5, 1e-4, 1e-3)  # [-] sigma of white noise on the slips
 WINDOWS = (5, 15, 50, 150)  # [control steps] around the fifty of the paper
 WINDOW_NOISE = 1e-4  # [-] sigma of the slips, with which the windows are compared
@@ -62,7 +62,7 @@ CASES = [Case(way, ground) for ground in GROUNDS for way in WAYS]
 
 
 class Soil(NamedTuple):
-    """What one method says of every case."""
+    """Estimates of one method in every case."""
 
     method: str
     time: Floats  # (T,)
@@ -72,7 +72,7 @@ class Soil(NamedTuple):
     modulus: Floats
     iterations: Floats  # (T, N)
     converged: NDArray[np.bool_]
-    ratio_only: NDArray[np.bool_]  # (T, N) the estimator says that F_max is not determined
+    ratio_only: NDArray[np.bool_]  # (T, N) only F_max / K is determined
     slip: Floats  # (T, N, 2) true
     force: Floats  # (T, N, 2) [N] true efforts
 
@@ -121,8 +121,8 @@ def parameters_of_guess() -> PlantParameters:
 def estimated_soil(
     result: Drive, slips: Floats, variances: Floats, sensors: str
 ) -> dict[str, Floats]:
-    """What this project's estimator says of a drive, by name (T, N): F_max [N], K [m], iterations,
-    and the flags `converged` and `ratio_only`, 0 or 1.
+    """Estimates of this project's estimator by name, (T, N): F_max [N], K [m], iterations, and the
+    flags `converged` and `ratio_only`, 0 or 1.
 
     slips, variances: (T, N, 2); with ideal sensors the true ones, else those of the filter, whose
     errors are correlated in time.

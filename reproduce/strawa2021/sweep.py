@@ -1,8 +1,8 @@
-"""Figure 17: what wrong mass and wrong inertia each cost, on a grid of both.
+"""Figure 17: the tracking error that a wrong mass and a wrong inertia cause, on a grid of both.
 
-RMSE is the distance between the vehicle and the one whose controller knows both, over the run, as
-the paper has it. All grid points are one batch: one plant, a controller with its own parameters per
-vehicle. Run on the circle and the straight line of 8.2.1 and on the manoeuvre of 8.3.1.
+As in the paper the RMSE over a run is that of the distance to the vehicle whose controller knows
+both. All grid points are one batch: one plant, a controller with its own parameters per vehicle.
+Paths are the circle and the straight line of 8.2.1 and the manoeuvre of 8.3.1.
 """
 
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ WAYS: dict[str, Any] = {**PATHS, "manoeuvre": manoeuvre()}
 
 
 class Surface(NamedTuple):
-    """RMSE [m] over mass (rows) and inertia (columns) that the controller believes, / true."""
+    """RMSE [m] over mass (rows) and inertia (columns): assumed by the controller over true."""
 
     factors: Floats
     rmse: Floats  # (F, F)

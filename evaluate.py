@@ -29,7 +29,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -40,6 +39,7 @@ except ImportError:
     sys.exit("evaluate.py needs tyro: run `make install`, or pip install 'tracked-env[cli]'")
 
 from baselines.registry import BY_DRIVE, POLICIES
+from reproduce.command import main as run_paper
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import (
     BenchmarkConfig,
@@ -207,35 +207,6 @@ def draw(
         print(f"not drawn: {error}", file=sys.stderr)
 
 
-def reproduce(config: Config) -> int:
-    """A paper's experiments: run them, print what it claims beside what comes out, write the page.
-
-    Without matplotlib the page has no figures.
-    """
-    began = time.perf_counter()
-    folder = config.output / config.paper
-    folder.mkdir(parents=True, exist_ok=True)
-    paper = import_module(f"reproduce.{config.paper}")
-    page, claims = (import_module(f"{paper.__name__}.{part}") for part in ("page", "claims"))
-    baseline = import_module(f"reproduce.{config.paper}.baseline_tools")
-
-    def say(text: str) -> None:
-        print(f"{time.perf_counter() - began:5.0f} s  {text}", flush=True)
-
-    results = paper.run_everything(paper.Tools(**baseline.TOOLS), say)
-    say("page")
-    try:
-        files = page.write(results, folder, config.figures)
-    except ImportError as error:
-        print(f"not drawn: {error}", file=sys.stderr)
-        files = page.write(results, folder, draw=False)
-    print(f"\n{page.terminal(claims.claims(results))}\n")
-    names = ", ".join(file.name for file in files if file.suffix != ".png")
-    drawn = sum(file.suffix == ".png" for file in files)
-    print(f"{names} and {drawn} figures in {folder}; {time.perf_counter() - began:.0f} s")
-    return 0
-
-
 def open_archive(path: Path, trust: bool = False) -> PolicyEntry:
     """A trained agent; PyTorch is imported only here. trust: unpickle it if need be.
 
@@ -272,7 +243,9 @@ def write_leaderboard(
 def main(config: Config) -> int:
     """Run what is asked for; returns the exit status. One line on stderr says what failed."""
     try:
-        return reproduce(config) if config.paper != "none" else compare(config)
+        if config.paper != "none":
+            return run_paper(config.paper, config.output, config.figures)
+        return compare(config)
     except (PolicyError, OSError) as error:
         print(f"evaluate.py: {error}", file=sys.stderr)
         return 1

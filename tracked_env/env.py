@@ -11,6 +11,7 @@ from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
+from tracked_env.uncertainty import Spec
 from tracked_env.validation import checked_choice
 
 RENDER_MODES = ("human", "rgb_array")
@@ -41,7 +42,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         straight on; more on the right turns left.
 
         ## Observation Space
-        `Box(float32)`: sensor readings and the reference, each over its scale. No true state.
+        `Box(float32)`: sensor readings and the reference, each over its scale. No true state. The
+        table is that of `observation="v0"`; the attribute `layout` has the names, scales and table
+        of the groups that this environment shows.
 
     OBSERVATION_TABLE
 
@@ -59,12 +62,13 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         Truncated: after `duration`. No TimeLimit wrapper is needed.
 
         ## Arguments
-        All are JSON-able; `tracked_env/Speed-v0` has defaults of its own (`tracked_env.SPEED`).
+        All but a function are JSON-able; `tracked_env/Speed-v0` has defaults of its own
+        (`tracked_env.SPEED`).
 
         | argument | default | meaning |
         |--|--|--|
         | `reference` | `"random"` | name or dict, see `tracked_env.references` |
-        | `uncertainty` | `"soil-and-mass"` | set by name, or {parameter: [low, high]} |
+        | `uncertainty` | `"soil-and-mass"` | set by name, {parameter: [low, high]}, or a function |
         | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, `mocap`, or dict of overrides |
         | `duration` | 30 | [s] of an episode |
         | `control_rate` | 50 | [Hz] of actions and observations |
@@ -75,6 +79,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `plant` | `"lumped"` | closed-form forces, or `"distributed"`: patches under the tracks |
         | `drive` | `"torque"` | what the actions are; `"speed"` needs the distributed plant |
         | `patches` | (10, 4) | of the distributed plant: along and across a track |
+        | `observation` | `"v0"` | groups that are shown: a list of names from the table above |
         | `expose_truth` | False | put true state and parameters into `info["truth"]` |
         | `render_mode` | None | `"human"` or `"rgb_array"` |
 
@@ -99,7 +104,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     def __init__(
         self,
         reference: str | Mapping[str, Any] = "random",
-        uncertainty: str | Mapping[str, Any] = "soil-and-mass",
+        uncertainty: Spec = "soil-and-mass",
         sensors: str | Mapping[str, Any] = "rtk",
         duration: float = 30.0,
         control_rate: float = 50.0,
@@ -110,6 +115,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         plant: str = "lumped",
         drive: str = "torque",
         patches: Sequence[int] = (10, 4),
+        observation: str | Sequence[str] = "v0",
         expose_truth: bool = False,
         render_mode: str | None = None,
     ) -> None:
@@ -117,13 +123,14 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             checked_choice("render_mode", render_mode, RENDER_MODES)
         config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, 1, vehicle, plant, drive, patches,
+            time_step, 1, vehicle, plant, drive, patches, observation,
         )  # fmt: skip
         self.simulation = Simulation(1, config)
+        self.layout = self.simulation.layout
         self.expose_truth = expose_truth
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(control_rate)}
-        self.observation_space = gymnasium.spaces.Box(obs.LOW, obs.HIGH, dtype=np.float32)
+        self.observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._floats = self.simulation.batch.floats[0]
         self._counters = self.simulation.batch.counters[0]

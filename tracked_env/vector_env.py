@@ -10,11 +10,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
+from tracked_env.uncertainty import Spec
 from tracked_env.validation import checked_choice
 
 Bools = NDArray[np.bool_]
@@ -51,7 +51,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self,
         num_envs: int = 1,
         reference: str | Mapping[str, Any] = "random",
-        uncertainty: str | Mapping[str, Any] = "soil-and-mass",
+        uncertainty: Spec = "soil-and-mass",
         sensors: str | Mapping[str, Any] = "rtk",
         duration: float = 30.0,
         control_rate: float = 50.0,
@@ -62,6 +62,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         plant: str = "lumped",
         drive: str = "torque",
         patches: Sequence[int] = (10, 4),
+        observation: str | Sequence[str] = "v0",
         expose_truth: bool = False,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
@@ -74,10 +75,11 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             checked_choice("render_mode", render_mode, self.metadata["render_modes"])
         config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, threads, vehicle, plant, drive, patches,
+            time_step, threads, vehicle, plant, drive, patches, observation,
         )  # fmt: skip
         self.num_envs = num_envs
         self.simulation = Simulation(num_envs, config)
+        self.layout = self.simulation.layout
         self.expose_truth = expose_truth
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -86,7 +88,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             "autoreset_mode": self.autoreset_mode,
             "render_fps": round(control_rate),
         }
-        self.single_observation_space = gymnasium.spaces.Box(obs.LOW, obs.HIGH, dtype=np.float32)
+        self.single_observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

@@ -8,6 +8,7 @@ import numpy as np
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
 from tracked_env.physics.patch_forces import Patches, make_patches
 from tracked_env.sensors import Sensors
+from tracked_env.uncertainty import Spec
 from tracked_env.validation import checked_choice, checked_number
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; converged and stable there, see docs/numerics.md
@@ -20,7 +21,7 @@ class EnvConfig(NamedTuple):
     """Arguments of the environments, as `TrackedVehicleEnv` documents them."""
 
     reference: str | Mapping[str, Any] = "random"
-    uncertainty: str | Mapping[str, Any] = "soil-and-mass"
+    uncertainty: Spec = "soil-and-mass"
     sensors: str | Mapping[str, Any] | Sensors = "rtk"
     duration: float = 30.0  # [s]
     control_rate: float = 50.0  # [Hz]
@@ -32,6 +33,7 @@ class EnvConfig(NamedTuple):
     plant: str = "lumped"
     drive: str = "torque"
     patches: Sequence[int] = (10, 4)
+    observation: str | Sequence[str] = "v0"
 
 
 class Solver(NamedTuple):

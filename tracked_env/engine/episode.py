@@ -23,7 +23,7 @@ from tracked_env.physics.parameters import GROUPS, PlantParameters, Range
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile, make_reference
 from tracked_env.sensors import SensorDraw, Sensors, draw_sensors, make_sensors
-from tracked_env.uncertainty import Law, make_uncertainty
+from tracked_env.uncertainty import CheckedLaw, Law, Spec, make_uncertainty
 from tracked_env.validation import checked_keys, checked_number, checked_parameter
 
 OPTION_KEYS = (*GROUPS, "reference", "sensors", "schedule", "start")
@@ -47,6 +47,7 @@ class EpisodeSettings(NamedTuple):
     sensors: Sensors
     duration: float  # [s]
     control_period: float  # [s]
+    channels: tuple[str, ...] = ()  # registered sensor channels that are sampled
 
     @property
     def max_steps(self) -> int:
@@ -67,19 +68,22 @@ class Episode(NamedTuple):
 
 def make_settings(
     reference: str | Mapping[str, Any],
-    uncertainty: str | Mapping[str, Any],
+    uncertainty: Spec,
     sensors: str | Mapping[str, Any] | Sensors,
     duration: float,
     control_period: float,
     nominal: PlantParameters,
+    channels: tuple[str, ...] = (),
 ) -> EpisodeSettings:
     """Check everything that an environment is built from. Raises ValueError."""
     length = checked_number("duration", duration, DURATION_RANGE)
-    make_reference(reference, length, np.random.default_rng(0))
+    profile = make_reference(reference, length, np.random.default_rng(0))
+    law = make_uncertainty(uncertainty)
+    if isinstance(law, CheckedLaw):  # somebody's own: an error in it shows here, not in an episode
+        law(np.random.default_rng(0), nominal, profile, length)
     return EpisodeSettings(
-        reference, make_uncertainty(uncertainty), nominal, make_sensors(sensors), length,
-        control_period,
-    )  # fmt: skip
+        reference, law, nominal, make_sensors(sensors), length, control_period, channels
+    )
 
 
 def _overridden(parameters: PlantParameters, options: Mapping[str, Any]) -> PlantParameters:
@@ -145,7 +149,7 @@ def draw_episode(
         _overridden(truth.parameters, options),
         _schedule(options, truth.events),
         profile,
-        draw_sensors(sensors, settings.control_period, rng),
+        draw_sensors(sensors, settings.control_period, rng, settings.channels),
         _start(profile, start_draws, options, settings.nominal.contact_length),
         noise_seed,
     )

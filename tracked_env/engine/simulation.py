@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.engine import kernels
+from tracked_env.engine.composing import Composer
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
 from tracked_env.physics import state as s
@@ -39,7 +40,7 @@ _LENGTH = b.PARAMETERS + PARAMETER_INDEX["contact_length"]
 
 _RUNNING = (  # attributes that change while episodes run
     "batch", "observations", "rngs", "_noise_rngs", "episodes", "_noisy", "_until_refill",
-    "some_ended",
+    "some_ended", "composer",
 )  # fmt: skip
 
 
@@ -51,6 +52,7 @@ class Simulation:
         self.count = int(checked_number("num_envs", count, Range(1, 10**6, "-", "A count.")))
         self.config = config
         self.solver = make_solver(config)
+        self.layout = obs.make_layout(config.observation)
         self.settings = make_settings(
             config.reference,
             config.uncertainty,
@@ -58,9 +60,14 @@ class Simulation:
             config.duration,
             self.solver.control_period,
             self.solver.nominal,
+            self.layout.channels,
         )
         self.batch = b.allocate(count, number_of_segments(self.settings.duration))
-        self.observations: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
+        self.observations: NDArray[np.float32] = np.zeros((count, self.layout.size), np.float32)
+        # Where the layout is not the one that the kernels write:
+        self.composer: Composer | None = None
+        if self.layout.groups != obs.V0.groups:
+            self.composer = Composer(self.layout, count, self.solver.control_period)
         self.rngs: list[np.random.Generator | None] = [None] * count
         self._noise_rngs: list[np.random.Generator | None] = [None] * count
         self.episodes: list[Episode | None] = [None] * count
@@ -89,8 +96,9 @@ class Simulation:
     ) -> NDArray[np.float32]:
         """Start an episode on the chosen vehicles; options: one entry per chosen vehicle.
 
-        Returns all observations (N, SIZE). Everything is drawn and checked before any vehicle
-        is touched, so a wrong option loses nothing. Raises ValueError as `draw_episode` does.
+        Returns all observations (N, D) in the layout of the config. Everything is drawn and checked
+        before any vehicle is touched, so a wrong option loses nothing. Raises ValueError as
+        `draw_episode` does.
         """
         drawn = []
         for i, given in zip(chosen, options, strict=True):
@@ -105,7 +113,10 @@ class Simulation:
         for i, episode in zip(chosen, drawn, strict=True):
             self._load(int(i), episode)
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
-        self._advance(self._idle, np.asarray(chosen, dtype=np.int64), 0, len(drawn), False)
+        chosen = np.asarray(chosen, dtype=np.int64)
+        self._advance(self._idle, chosen, 0, len(drawn), False)
+        if self.composer is not None:
+            self.composer.start(self.batch, self.observations, chosen, drawn)
         return self.observations
 
     def _load(self, i: int, episode: Episode) -> None:
@@ -171,7 +182,7 @@ class Simulation:
         actions: (N, 2) float32, left and right sprocket torque over the torque limit, or speed
         over the speed limit, clipped to [-1, 1]. Raises ValueError for a wrong shape or a
         non-finite value, before moving.
-        Returns all observations (N, SIZE).
+        Returns all observations (N, D) in the layout of the config.
         """
         actions = np.asarray(actions, dtype=np.float32)
         if actions.shape != self._action_shape:
@@ -198,6 +209,8 @@ class Simulation:
                 f"action[{result}] = {actions[result].tolist()}; must be finite, in [-1, 1]. "
                 "Did the policy diverge, or divide by zero? No vehicle was moved."
             )
+        if self.composer is not None:
+            self.composer.write(self.batch, self.observations, chosen)
         return self.observations
 
     def _advance(
@@ -208,9 +221,8 @@ class Simulation:
         stop: int,
         moving: bool,
     ) -> int:
-        return self._kernel(
-            *self.batch, chosen, actions, self.observations, start, stop, moving, *self._clock
-        )
+        out = self.observations if self.composer is None else self.composer.written
+        return self._kernel(*self.batch, chosen, actions, out, start, stop, moving, *self._clock)
 
     def _step_threaded(
         self, actions: NDArray[np.float32], chosen: NDArray[np.int64], refill: bool

@@ -4,10 +4,11 @@ A set draws the true parameters of one vehicle for one episode around the nomina
 vehicle (`tracked_env.physics.parameters.VEHICLES`) and a schedule of changes that act inside the
 episode. Notation of the laws: U(a, b) uniform; `=` replaces the nominal value, `*` multiplies it.
 A controller that trusts the nominal parameters is right in the set `nominal` only. `soils` are the
-sets of a heavy vehicle in the field, `floors` those of a light one indoors.
+sets of a heavy vehicle in the field, `floors` those of a light one indoors; `register` adds one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,12 @@ import numpy as np
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters
 from tracked_env.references import ReferenceProfile
 from tracked_env.uncertainty import floors, soils
-from tracked_env.uncertainty.law import Draw, Law
+from tracked_env.uncertainty.law import CheckedLaw, Draw, Law, checked, fingerprint
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
 from tracked_env.validation import checked_choice, checked_keys, checked_parameter
+
+# What `uncertainty=` takes: a name, ranges, a list of these, or a law.
+Spec = str | Mapping[str, Any] | Sequence[Any] | Callable[..., Draw]
 
 
 def _nominal(
@@ -28,35 +32,70 @@ def _nominal(
 
 
 UNCERTAINTY_SETS: dict[str, Law] = {"nominal": _nominal, **soils.LAWS, **floors.LAWS}
+DESCRIPTIONS: dict[str, str] = {}  # of the sets that were registered
 
 
-def _one_of(laws: Sequence[Law]) -> Law:
+def register(name: str, law: Law, description: str = "") -> None:
+    """Add a set, from then on a name for `uncertainty=` and for the sets of the benchmark.
+
+    Raises ValueError for a name that is taken, and for a law with another signature.
+    """
+    if name in UNCERTAINTY_SETS or not name.isprintable() or not name:
+        raise ValueError(f"uncertainty set {name!r} is taken, or no name")
+    UNCERTAINTY_SETS[name] = checked(law)
+    DESCRIPTIONS[name] = description or (law.__doc__ or "").partition("\n")[0]
+
+
+@dataclass(frozen=True)
+class _Mixture:
     """Each episode follows one of `laws`, all with the same odds."""
 
-    def law(
+    laws: tuple[Law, ...]
+
+    def __call__(
+        self,
         rng: np.random.Generator,
         nominal: PlantParameters,
         profile: ReferenceProfile,
         duration: float,
     ) -> Draw:
-        return laws[int(rng.integers(len(laws)))](rng, nominal, profile, duration)
+        law = self.laws[int(rng.integers(len(self.laws)))]
+        return law(rng, nominal, profile, duration)
 
-    return law
+
+@dataclass(frozen=True)
+class _Ranges:
+    """Each parameter of `bounds` is drawn = U(low, high), no change."""
+
+    bounds: dict[str, tuple[float, float]]
+
+    def __call__(
+        self,
+        rng: np.random.Generator,
+        nominal: PlantParameters,
+        profile: ReferenceProfile,
+        duration: float,
+    ) -> Draw:
+        drawn = {name: rng.uniform(*bounds) for name, bounds in self.bounds.items()}
+        return Draw(nominal._replace(**drawn), [])
 
 
-def make_uncertainty(spec: str | Mapping[str, Any] | Sequence[Any]) -> Law:
+def make_uncertainty(spec: Spec) -> Law:
     """A set by name, or {parameter: [low, high]}: each drawn = U(low, high), no change.
 
-    A list of those is a mixture: every episode draws one of them, all with the same odds.
-
-    Raises ValueError for an unknown set or parameter and for a value outside its range.
+    A list of those is a mixture: every episode draws one of them, all with the same odds. A
+    function is a law of one's own; its draws are checked.
+    Raises ValueError for an unknown set or parameter, for a value outside its range, and for a
+    function that takes other arguments than a law.
     """
     if isinstance(spec, str):
         return UNCERTAINTY_SETS[checked_choice("uncertainty set", spec, UNCERTAINTY_SETS)]
+    if callable(spec):
+        return checked(spec)
     if isinstance(spec, (list, tuple)):
         if not spec:
             raise ValueError("uncertainty = []; a mixture needs at least one set")
-        return _one_of([make_uncertainty(part) for part in spec])
+        return _Mixture(tuple(make_uncertainty(part) for part in spec))
     ranges: dict[str, tuple[float, float]] = {}
     for name, bounds in checked_keys("uncertainty", spec, PARAMETER_INDEX).items():
         if not isinstance(bounds, (list, tuple)) or len(bounds) != 2:
@@ -65,17 +104,10 @@ def make_uncertainty(spec: str | Mapping[str, Any] | Sequence[Any]) -> Law:
         if low > high:
             raise ValueError(f"uncertainty of {name} = [{low}, {high}]; low must be <= high")
         ranges[name] = (low, high)
-
-    def law(
-        rng: np.random.Generator,
-        nominal: PlantParameters,
-        profile: ReferenceProfile,
-        duration: float,
-    ) -> Draw:
-        drawn = {name: rng.uniform(*bounds) for name, bounds in ranges.items()}
-        return Draw(nominal._replace(**drawn), [])
-
-    return law
+    return _Ranges(ranges)
 
 
-__all__ = ["SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "Draw", "Law", "make_uncertainty"]
+__all__ = [
+    "DESCRIPTIONS", "SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "CheckedLaw", "Draw", "Law", "Spec",
+    "fingerprint", "make_uncertainty", "register",
+]  # fmt: skip

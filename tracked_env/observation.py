@@ -261,11 +261,15 @@ def columns(names: Sequence[str], wanted: Sequence[str]) -> NDArray[np.int64]:
         for name in lacking:
             if name not in groups:
                 raise unknown("observation field", name, groups)
-        missing = sorted({groups[name] for name in lacking})
+        missing: dict[str, list[str]] = {}
+        for name in lacking:
+            missing.setdefault(groups[name], []).append(name)
+        parts = [f"group {group} ({', '.join(names)})" for group, names in missing.items()]
         shown = list(dict.fromkeys(groups[name] for name in names if name in groups))
+        enough = list(dict.fromkeys((*shown, *missing)))
         raise ValueError(
-            f"the observation lacks {', '.join(lacking)} of the group {' and '.join(missing)}; it "
-            f"shows {shown}. Make the environment with observation={[*shown, *missing]}"
+            f"the observation lacks {' and '.join(parts)}; it shows {shown}. Make the environment "
+            f"with observation={enough}"
         )
     return np.array([place[name] for name in wanted], dtype=np.int64)
 

@@ -66,7 +66,7 @@ class AgentPolicy:
         self.model = model
         self.normalisation = normalisation
         self._recipe = (kind, dict(options), context)
-        self._view = layout.View(context.observation)
+        self._view = layout.View(context.observation, hint="The agent widens it by itself.")
         self._given: AgentState | None = None
         self.memory: Memory = make_memory(*self._recipe, 1)
 

@@ -293,12 +293,18 @@ def store(out, row, column, value):
 class View:
     """Observations with the fields `names` as those of V0; what is not shown there is 0.
 
-    needs: fields of V0 that must be shown. Raises ValueError, which names the missing group.
+    needs: fields of V0 that must be shown. hint: likely cause of another shape. Raises ValueError,
+    which names the missing group.
     """
 
-    def __init__(self, names: Sequence[str] = NAMES, needs: Sequence[str] = NAMES) -> None:
+    def __init__(
+        self,
+        names: Sequence[str] = NAMES,
+        needs: Sequence[str] = NAMES,
+        hint: str = "Did a wrapper stack or append to it?",
+    ) -> None:
         columns(NAMES, needs)
-        self.size = len(names)
+        self.size, self.hint = len(names), hint
         self.same = tuple(names) == NAMES
         shown = [name for name in NAMES if name in names or name in needs]
         self._from, self._to = columns(names, shown), columns(NAMES, shown)
@@ -314,7 +320,7 @@ class View:
         if batch.ndim != 2 or batch.shape[1] != self.size:
             raise ValueError(
                 f"observation has shape {np.shape(observation)}; must be ({self.size},) or "
-                f"(N, {self.size}). Did a wrapper stack or append to it?"
+                f"(N, {self.size}). {self.hint}"
             )
         if self.same:
             return batch

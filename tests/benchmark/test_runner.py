@@ -15,6 +15,7 @@ from tracked_env.benchmark import (
     SETS,
     BenchmarkConfig,
     Store,
+    benchmark_config,
     default_sets,
     load_policy,
     run,
@@ -239,6 +240,12 @@ def test_what_is_kept_for_the_figures_is_small() -> None:
     assert kept["error"].shape == (300, 8)
     assert kept["motion"].shape[1] == 4
     assert sum(array.nbytes for array in kept.values()) < 600_000
+
+
+def test_every_file_that_makes_numbers_of_the_benchmark_is_part_of_the_identity() -> None:
+    """A file that is renamed would leave the identity without a word."""
+    assert benchmark_config._NUMBERS <= benchmark_config._HERE
+    assert not benchmark_config._NUMBERS & {*benchmark_config._HARMLESS}
 
 
 def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:

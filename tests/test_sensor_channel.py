@@ -87,6 +87,16 @@ def test_the_channel_has_the_noise_and_bias_of_the_preset():
     assert abs(repeated) < 0.05 * SIGMA**2  # nor the blocks in which it is drawn
 
 
+def test_two_channels_do_not_share_their_noise():
+    sensors.register(WHEEL._replace(name="second_wheel"))
+    obs.register(obs.Group("second", (obs.Field("second_wheel", "m/s", 2.0, 40.0, ""),)))
+    env = vehicles(200, observation=("wheel", "second"), error_limit=1e6)
+    seen = [env.reset(seed=0)[0]]
+    seen += [env.step(np.tile(ACTION, (200, 1)))[0] for _ in range(50)]
+    difference = np.ptp([[row[:, 0] - row[:, 2]] for row in seen], axis=0)
+    assert (difference * 2.0 > SIGMA).all()
+
+
 def test_other_presets_and_fields_give_other_errors():
     assert np.allclose(*driven(vehicles(3, sensors="ideal"), 40), atol=1e-6)
     loud = vehicles(50, sensors={"preset": "ideal", "wheel_noise": 0.5})

@@ -8,7 +8,6 @@ import sys
 import pytest
 
 from tests.test_documentation import python_blocks
-from tracked_env import observation
 
 # Section -> what its last block prints, besides that it runs.
 SECTIONS = {
@@ -40,9 +39,3 @@ def test_what_a_section_says_works_in_a_folder_of_ones_own(what, repository, tmp
     assert done.returncode == 0, done.stderr
     assert re.search(SECTIONS[what], done.stdout), done.stdout
     assert "Warning" not in done.stderr
-
-
-def test_the_groups_named_on_the_page_are_those_of_the_layout(repository):
-    text = sections((repository / "CONTRIBUTING.md").read_text())["a sensor channel"]
-    (named,) = re.findall(r"^groups = \((.*)\)$", text, flags=re.MULTILINE)
-    assert tuple(re.findall(r'"(\w+)"', named))[:-1] == observation.V0.groups

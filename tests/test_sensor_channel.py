@@ -1,6 +1,7 @@
 """A sensor channel and its group are added in one file; nothing else changes, and agents drive."""
 
 import copy
+import json
 import pickle
 from pathlib import Path
 
@@ -108,6 +109,11 @@ def test_other_presets_and_fields_give_other_errors():
     shown = loud.step(np.tile(ACTION, (50, 1)))
     true = wheel_speed(shown[-1]["truth"])
     assert np.allclose(shown[0][:, loud.layout.index["wheel_speed"]] * 2.0, true, atol=1e-6)
+    known = sensors.make_sensors({"preset": "rtk", "wheel_noise": 0.5})
+    assert known.value("wheel_noise") == 0.5 and known.value("wheel_bias") == BIAS
+    assert known.value("gyro_noise") == sensors.RTK.gyro_noise
+    assert sensors.make_sensors(known._asdict()) == known
+    assert sensors.make_sensors(json.loads(json.dumps(known._asdict()))) == known
     with pytest.raises(ValueError, match=r"wheel_noise = -1\.0 .*must be a number in"):
         vehicles(1, sensors={"wheel_noise": -1.0})
     with pytest.raises(ValueError, match=r"unknown sensors key 'whel_noise'.*'wheel_noise'"):

@@ -199,7 +199,9 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
     if isinstance(spec, str):
         return _preset(spec)
     added = _added_fields()
-    given = dict(checked_keys("sensors", spec, ("preset", *_FIELDS, *added)))
+    # As `Sensors._asdict()` has it, the fields of registered channels may stand together.
+    given = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields, *added)))
+    given = {**checked_keys("sensors", dict(given.pop("further", ())), added), **given}
     if "preset" in given:
         base = _preset(given.pop("preset"))
     checked = {

@@ -77,8 +77,9 @@ class Identification(NamedTuple):
 
     reading: Reading
     motion: Motion  # filtered
-    parts: Mapping[str, Estimate]  # by estimator: the four of ESTIMATORS, then further ones
-    quantities: Mapping[str, tuple[Quantity, ...]]  # that each provides
+    parts: Mapping[str, Estimate]  # by estimator
+    # That each provides, in order: the four of ESTIMATORS, then further ones.
+    quantities: Mapping[str, tuple[Quantity, ...]]
     traction_known: NDArray[np.bool_]  # (N,) the data determine what effort the soil carries
 
     @property
@@ -126,15 +127,15 @@ class Identification(NamedTuple):
 
     def excitation(self) -> dict[str, NDArray[np.float64]]:
         """Excitation [-] of each estimator, (N,)."""
-        return {name: estimate.excitation for name, estimate in self.parts.items()}
+        return {name: self.parts[name].excitation for name in self.quantities}
 
     def nis(self) -> dict[str, NDArray[np.float64]]:
         """Normalised innovation squared of each estimator, NaN without a sample, (N,)."""
-        return {name: estimate.nis for name, estimate in self.parts.items()}
+        return {name: self.parts[name].nis for name in self.quantities}
 
     def status(self) -> dict[str, NDArray[np.int64]]:
         """Status of each estimator, (N,)."""
-        return {name: estimate.status for name, estimate in self.parts.items()}
+        return {name: self.parts[name].status for name in self.quantities}
 
 
 class IdentificationStack:
@@ -187,8 +188,8 @@ class IdentificationStack:
                 )
             self.parts[name] = REGISTERED[name](setting)
         # The filter comes first: its velocities are what the regressions see.
-        self._after = [name for name in self.parts if name != "slip"]
-        self._check_needs(("slip", *self._after))
+        self._after = [(name, part) for name, part in self.parts.items() if name != "slip"]
+        self._check_needs(("slip", *(name for name, _ in self._after)))
         self.quantities = {name: part.provides for name, part in self.parts.items()}
         self._features = _names(self.quantities)
         self._remembering: tuple[Any, ...] = (self.reader, *self.parts.values())
@@ -273,14 +274,12 @@ class IdentificationStack:
         estimates = {"slip": self.slip.update(latest)}
         motion = self.slip.motion()
         paired.values[:, _V_X], paired.values[:, _V_Y] = motion.v_x, motion.v_y
-        for name in self._after:
-            part = self.parts[name]
+        for name, part in self._after:
             part.take_over(self.parts, estimates)
             estimates[name] = part.update(paired if part.paired else latest)
         _limit, traction_known = self.soil.effort_limit()
         links.advance(*motion, behind, paired.values)
-        known = {name: estimates[name] for name in self.parts}
-        return Identification(reading, motion, known, self.quantities, traction_known)
+        return Identification(reading, motion, estimates, self.quantities, traction_known)
 
     def _check(self, observation: NDArray[np.float32]) -> None:
         """Raise ValueError for what `update` cannot take."""

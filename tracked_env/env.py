@@ -12,6 +12,7 @@ from tracked_env.engine import columns as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
 from tracked_env.plants import Plant
+from tracked_env.uncertainty import Spec
 from tracked_env.validation import checked_choice, checked_flag
 
 RENDER_MODES = ("human", "rgb_array")
@@ -42,7 +43,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         straight on; more on the right turns left.
 
         ## Observation Space
-        `Box(float32)`: sensor readings and the reference, each over its scale. No true state.
+        `Box(float32)`: sensor readings and the reference, each over its scale. No true state. The
+        table is that of `observation="v0"`; the attribute `layout` has the names, scales and table
+        of the groups that this environment shows.
 
     OBSERVATION_TABLE
 
@@ -62,12 +65,13 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         Truncated: after `duration`. No TimeLimit wrapper is needed.
 
         ## Arguments
-        All are JSON-able; `tracked_env/Speed-v0` has defaults of its own (`tracked_env.SPEED`).
+        All but a function are JSON-able; `tracked_env/Speed-v0` has defaults of its own
+        (`tracked_env.SPEED`).
 
         | argument | default | meaning |
         |--|--|--|
         | `reference` | `"random"` | name or dict, see `tracked_env.references` |
-        | `uncertainty` | `"soil-and-mass"` | set by name, or {parameter: [low, high]} |
+        | `uncertainty` | `"soil-and-mass"` | set by name, {parameter: [low, high]}, or a function |
         | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, `mocap`, or dict of overrides |
         | `duration` | 30 | [s] of an episode |
         | `control_rate` | 50 | [Hz] of actions and observations |
@@ -80,6 +84,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `drive` | `"torque"` | what the actions are; `"speed"` needs the distributed plant |
         | `patches` | (10, 4) | of the distributed plant: along and across a track |
         | `plant_options` | None | {option: value} of the plant, see its file in `plants/` |
+        | `observation` | `"v0"` | groups that are shown: a list of names from the table above |
         | `expose_truth` | False | put true state and parameters into `info["truth"]` |
         | `render_mode` | None | `"human"` or `"rgb_array"` |
 
@@ -105,7 +110,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     def __init__(
         self,
         reference: str | Mapping[str, Any] = "random",
-        uncertainty: str | Mapping[str, Any] = "soil-and-mass",
+        uncertainty: Spec = "soil-and-mass",
         sensors: str | Mapping[str, Any] = "rtk",
         duration: float = 30.0,
         control_rate: float = 50.0,
@@ -117,6 +122,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         drive: str = "torque",
         patches: Sequence[int] = (10, 4),
         plant_options: Mapping[str, Any] | None = None,
+        observation: str | Sequence[str] = "v0",
         expose_truth: bool = False,
         render_mode: str | None = None,
     ) -> None:
@@ -124,13 +130,14 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             checked_choice("render_mode", render_mode, RENDER_MODES)
         config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, 1, vehicle, plant, drive, patches, plant_options,
+            time_step, 1, vehicle, plant, drive, patches, plant_options, observation,
         )  # fmt: skip
         self.simulation = Simulation(1, config)
+        self.layout = self.simulation.layout
         self.expose_truth = checked_flag("expose_truth", expose_truth)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(control_rate)}
-        self.observation_space = gymnasium.spaces.Box(obs.LOW, obs.HIGH, dtype=np.float32)
+        self.observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Any = None
 

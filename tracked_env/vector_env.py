@@ -10,7 +10,6 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from tracked_env import observation as obs
 from tracked_env.engine.columns import REWARD_TERMS, Report
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.episode import OPTION_KEYS
@@ -18,6 +17,7 @@ from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
 from tracked_env.physics.parameters import Range
 from tracked_env.plants import Plant
+from tracked_env.uncertainty import Spec
 from tracked_env.validation import (
     checked_choice,
     checked_flag,
@@ -62,7 +62,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self,
         num_envs: int = 1,
         reference: str | Mapping[str, Any] = "random",
-        uncertainty: str | Mapping[str, Any] = "soil-and-mass",
+        uncertainty: Spec = "soil-and-mass",
         sensors: str | Mapping[str, Any] = "rtk",
         duration: float = 30.0,
         control_rate: float = 50.0,
@@ -74,6 +74,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         drive: str = "torque",
         patches: Sequence[int] = (10, 4),
         plant_options: Mapping[str, Any] | None = None,
+        observation: str | Sequence[str] = "v0",
         expose_truth: bool = False,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
@@ -86,13 +87,14 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             checked_choice("render_mode", render_mode, self.metadata["render_modes"])
         config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, threads, vehicle, plant, drive, patches, plant_options,
+            time_step, threads, vehicle, plant, drive, patches, plant_options, observation,
         )  # fmt: skip
         if not isinstance(autoreset_mode, AutoresetMode):
             names = [mode.value for mode in AutoresetMode]
             autoreset_mode = checked_choice("autoreset_mode", autoreset_mode, names)
         self.simulation = Simulation(num_envs, config)
         self.num_envs = num_envs = self.simulation.count
+        self.layout = self.simulation.layout
         self.expose_truth = checked_flag("expose_truth", expose_truth)
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -101,7 +103,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             "autoreset_mode": self.autoreset_mode,
             "render_fps": round(control_rate),
         }
-        self.single_observation_space = gymnasium.spaces.Box(obs.LOW, obs.HIGH, dtype=np.float32)
+        self.single_observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

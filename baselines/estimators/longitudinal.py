@@ -11,12 +11,13 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2, its sug
 """
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
+from baselines.estimators.estimate import Estimate, Quantity, Setting
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet, Measurement
 from baselines.estimators.two_parameters import (
     HOLDING,
     REJECTED,
@@ -103,6 +104,11 @@ class LongitudinalEstimator(TwoParameterEstimator):
     """
 
     names = ("inverse_mass", "longitudinal_resistance")
+    provides = (
+        Quantity("mass", "kg", "mass", inverse_of="inverse_mass"),
+        Quantity("longitudinal_resistance", "-"),
+    )
+    needs = ("v_x", "v_y", "yaw_rate", "acceleration_x", "torque_left", "torque_right")
     _kernel = update_all
 
     def __init__(
@@ -111,7 +117,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
         control_period: float = 0.02,
         data_sheet: DataSheet | None = None,
         count: int = 1,
-        regression: Literal["coupled", "paper", "printed"] = "coupled",
+        regression: str = "coupled",
         forgetting: float | None = None,
         drift: float | None = None,
         follows_changes: bool | None = None,
@@ -145,6 +151,17 @@ class LongitudinalEstimator(TwoParameterEstimator):
             regression == "coupled",
         )
 
+    @classmethod
+    def for_stack(cls, setting: Setting) -> "LongitudinalEstimator":
+        """As a part of the identification stack."""
+        s = setting
+        return cls(s.parameters, s.control_period, s.data_sheet, s.count, s.regression)
+
     def known(self) -> tuple[Any, ...]:
         """Constants of the equation."""
         return (self._known,)
+
+    def update(self, measurement: Measurement) -> Estimate:
+        """Take one sample; `jumps_before` (N,) is how often the mass had jumped until then."""
+        self.jumps_before = self.memory[:, ls.JUMPS].copy()
+        return super().update(measurement)

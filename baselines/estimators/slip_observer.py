@@ -6,6 +6,7 @@ rest of a step in slip_step. slip_filterpy is the same observer around the filte
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.stats import chi2
 
 from baselines.estimators import dead_reckoning, slip_kinematics, slip_unscented
 from baselines.estimators import slip_step as step
-from baselines.estimators.estimate import Estimate
+from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
 from baselines.estimators.sensor_samples import DataSheet, Measurement
 from baselines.estimators.slip_kinematics import ROWS, STATES
 from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS
@@ -89,6 +90,13 @@ class SlipObserver:
     """
 
     names = slip_kinematics.NAMES
+    provides = (
+        Quantity("slip_left", "-"), Quantity("slip_right", "-"), Quantity("side_slip", "rad"),
+    )  # fmt: skip
+    needs = (
+        "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right"
+    )  # fmt: skip
+    paired = False
 
     def __init__(
         self,
@@ -126,6 +134,16 @@ class SlipObserver:
         columns = step.RING + dead_reckoning.columns_for(self._slots)
         self.memory = np.zeros((int(count), columns))
         self.reset()
+
+    @classmethod
+    def for_stack(cls, setting: Setting) -> "SlipObserver":
+        """As a part of the identification stack."""
+        return cls(
+            setting.parameters, setting.control_period, setting.data_sheet, setting.count
+        )  # fmt: skip
+
+    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+        """Nothing is needed of other estimators."""
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""

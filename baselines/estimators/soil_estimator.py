@@ -9,15 +9,18 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.3.
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import soil_regression as sr
-from baselines.estimators.estimate import Estimate
+from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
 from baselines.estimators.sensor_samples import DataSheet, Measurement
+from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_window import DETERMINED, Sensing, update_all
 from tracked_env.physics import terramechanics as soil
+from tracked_env.physics import vehicle
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 
@@ -26,6 +29,8 @@ EFFORT_FLOOR = 5.0  # [N] sigma of the model: F is not quite quasi-static
 SLIP_FLOOR = 2e-4  # [-] sigma of the model, likewise
 CLEAR_EFFORT = 5.0  # [-] standard deviations that an effort must be above zero
 TRUSTED = 100.0  # [-] inverse variance of ln F from the data that a controller may rely on
+# The UKF's slip errors hang together over some samples: variance counts that much more.
+SLIP_CORRELATION = 10.0  # [control steps]
 PRIOR_SIGMA = (1.0, 0.7)  # [-] of ln F_max (weak soil to clay: a factor e), ln K (1 to 6 cm)
 
 
@@ -50,6 +55,11 @@ def limits(memory, contact_length, limit, trusted):
         trusted[i] = determinant > 1e-12 * a * c and numerator * TRUSTED <= determinant
 
 
+def nominal_effort_maximum(parameters: PlantParameters) -> float:
+    """F_max of one track [N]."""
+    return float(vehicle.drive_limits(parameters).effort_maximum)
+
+
 class SoilEstimator:
     """Estimates [F_max [N], K [m]] of vehicles on the move.
 
@@ -62,6 +72,15 @@ class SoilEstimator:
     """
 
     names = ("effort_maximum", "shear_deformation_modulus")
+    provides = (
+        Quantity("effort_maximum", "N", nominal_effort_maximum, True),
+        Quantity("shear_deformation_modulus", "m", "shear_deformation_modulus", True),
+    )
+    needs = (
+        "v_x", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right", "torque_left",
+        "torque_right", "slip_left", "slip_right",
+    )  # fmt: skip
+    paired = False
 
     def __init__(
         self,
@@ -115,6 +134,20 @@ class SoilEstimator:
         self.memory = np.zeros((count, sr.HEADER + sr.BLOCKS * samples))
         self._scratch = np.zeros((2 * sr.ROWS + 1, samples))
         self.reset()
+
+    @classmethod
+    def for_stack(cls, setting: Setting) -> "SoilEstimator":
+        """As a part of the identification stack."""
+        return cls(
+            setting.parameters, setting.control_period, setting.data_sheet, setting.count,
+            correlation_steps=SLIP_CORRELATION,
+        )  # fmt: skip
+
+    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+        """The slips of the filter."""
+        source = parts["slip"]
+        assert isinstance(source, SlipObserver)
+        self.provide_slip(source.slips, source.slip_variances)
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all of the vehicles `rows` (indices or a mask), or of all."""

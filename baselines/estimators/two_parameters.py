@@ -12,14 +12,14 @@ there. A sample that cannot be used (stale, standstill) holds, one with NaN is c
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.estimate import Estimate
+from baselines.estimators.estimate import Estimate, Estimator, Quantity
 from baselines.estimators.sensor_samples import DataSheet, Measurement
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
@@ -104,6 +104,9 @@ class TwoParameterEstimator:
     """
 
     names: tuple[str, ...]
+    provides: tuple[Quantity, ...]
+    needs: tuple[str, ...]
+    paired = True
     _kernel: Callable[..., None]
 
     def __init__(
@@ -130,6 +133,9 @@ class TwoParameterEstimator:
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
         self.memory[slice(None) if rows is None else np.asarray(rows)] = 0.0
+
+    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+        """Nothing is needed of other estimators."""
 
     def known(self) -> tuple[Any, ...]:
         """What the kernel needs besides the measurement."""

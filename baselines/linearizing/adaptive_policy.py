@@ -9,7 +9,7 @@ parameters in every episode, uses observations only, and never sees a true param
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing.linearizing_law import Gains
-from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from baselines.linearizing.linearizing_policy import NEEDS, FeedbackLinearizingController
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
@@ -101,7 +101,9 @@ class AdaptivePolicy:
     filtered: True shows the controller the filtered motion, False the measured one; None =
     True unless the data sheet knows no noise at all.
     uses_soil: whether the estimated traction limits are used. S does not.
-    Raises ValueError for arguments that make no sense.
+    observation: names of the fields that the environment shows.
+    Raises ValueError for arguments that make no sense, and for an observation that lacks what the
+    controller or an estimator needs.
     """
 
     def __init__(
@@ -115,6 +117,7 @@ class AdaptivePolicy:
         slip: str = "batched",
         filtered: bool | None = None,
         uses_soil: bool = True,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
         self.parameters = plant_parameters() if parameters is None else parameters
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
@@ -130,6 +133,7 @@ class AdaptivePolicy:
         self._given: AdaptiveState | None = None
         self.known: Identification | None = None
         self._build(1)
+        self._view = layout.View(observation, tuple(dict.fromkeys((*NEEDS, *self.stack.needs))))
 
     def _build(self, count: int) -> None:
         """Estimators and parameters of `count` vehicles, all at their nominal values."""
@@ -150,7 +154,7 @@ class AdaptivePolicy:
     ) -> tuple[NDArray[np.float32], AdaptiveState]:
         """Sprocket torques over their limit, and the state to pass to the next call.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None starts
+        observation: (D,) or (N, D), with the fields told. state: None starts
         from the nominal parameters. episode_start: (N,) or a bool; those rows start anew.
         deterministic: without effect. One call per control step.
         Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
@@ -159,13 +163,8 @@ class AdaptivePolicy:
         is still good.
         """
         single = np.ndim(observation) == 1
-        batch = np.array(observation, dtype=np.float32, ndmin=2)
+        batch = np.array(self._view(observation))  # the filtered motion is written into it
         count = len(batch)
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
-            )
         start = np.full(count, state is None)
         if episode_start is not None:
             given = np.asarray(episode_start, dtype=bool)
@@ -217,14 +216,11 @@ class AdaptivePolicy:
         """Whether the data determine the parameter, by name, (N,)."""
         if self.known is None:
             return {}
-        status = self.known.status()
-        by_parameter = {
-            "mass": "longitudinal", "longitudinal_resistance": "longitudinal",
-            "inertia": "turning", "lateral_resistance": "turning",
-            "slip_left": "slip", "slip_right": "slip", "effort_maximum": "soil",
-            "shear_deformation_modulus": "soil",
-        }  # fmt: skip
-        return {name: status[e] == Status.CONVERGING for name, e in by_parameter.items()}
+        return {
+            quantity: status == Status.CONVERGING
+            for name, status in self.known.status().items()
+            for quantity in self.known.provided[name]
+        }
 
     def nis(self) -> Mapping[str, NDArray[np.float64]]:
         """Normalised innovation squared of each estimator in the last call, (N,)."""

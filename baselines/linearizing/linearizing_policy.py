@@ -11,6 +11,7 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,12 +32,16 @@ from tracked_env.physics.parameters import (
 
 CLOSURES = ("sliding", "constrained")
 
-_I = layout.INDEX
-_ERROR_X, _ERROR_Y = _I["position_error_x"], _I["position_error_y"]
-_HEADING_ERROR, _V_X, _YAW_RATE = _I["heading_error"], _I["v_x"], _I["yaw_rate"]
-_SPEED, _ACCELERATION = _I["reference_speed"], _I["reference_acceleration"]
-_JERK, _TURN = _I["reference_jerk"], _I["reference_yaw_rate"]
-_TURN_ACCELERATION = _I["reference_yaw_acceleration"]
+# Fields of the observation that the law reads.
+NEEDS = (
+    "position_error_x", "position_error_y", "heading_error", "v_x", "yaw_rate",
+    "reference_speed", "reference_acceleration", "reference_jerk",
+    "reference_yaw_rate", "reference_yaw_acceleration",
+)  # fmt: skip
+(
+    _ERROR_X, _ERROR_Y, _HEADING_ERROR, _V_X, _YAW_RATE,
+    _SPEED, _ACCELERATION, _JERK, _TURN, _TURN_ACCELERATION,
+) = (layout.INDEX[name] for name in NEEDS)  # fmt: skip
 _SCALE = layout.SCALE
 
 
@@ -132,10 +137,12 @@ class FeedbackLinearizingController:
     control_period: time [s] between two calls of `predict`.
     gains: of (35); must be positive with k_a k_v > k_p (Hurwitz).
     lateral: closure of the nominal model, "sliding" or "constrained".
+    observation: names of the fields that the environment shows.
 
     The attribute `parameters`, float64 (PARAMETER_ROWS, 1 or N), rows as PARAMETER_NAMES, is
     what the law uses at the next call: write to it, or use `set_parameters` which checks.
-    Raises ValueError for gains, parameters, period or closure that make no sense.
+    Raises ValueError for gains, parameters, period or closure that make no sense, and for an
+    observation that lacks a field of NEEDS.
     """
 
     def __init__(
@@ -144,6 +151,7 @@ class FeedbackLinearizingController:
         control_period: float = 0.02,
         gains: Gains | None = None,
         lateral: str = "sliding",
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
         gains = Gains() if gains is None else gains
         self.gains = Gains(*(float(gain) for gain in gains))
@@ -161,6 +169,7 @@ class FeedbackLinearizingController:
             )
         if lateral not in CLOSURES:
             raise ValueError(f"lateral = {lateral!r}; must be one of {CLOSURES}")
+        self._view = layout.View(observation, NEEDS)
         self.control_period = float(control_period)
         self.lateral = lateral
         self._constrained = lateral == "constrained"
@@ -195,22 +204,15 @@ class FeedbackLinearizingController:
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
         """Sprocket torques over their limit, and the state to pass to the next call.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: xi [m/s^2],
+        observation: (D,) or (N, D), with the fields told. state: xi [m/s^2],
         (N,), N = 1 for one vehicle; None starts at 0. episode_start: (N,) or a bool; those
         rows start at 0. deterministic: without effect, the law has no randomness.
         Returns action float32, (2,) or (N, 2), in [-1, 1], left then right; and the new xi.
         Raises ValueError for a wrong shape or an observation that is not finite.
         """
         single = np.ndim(observation) == 1
-        batch = np.ascontiguousarray(observation, dtype=np.float32)
-        if single:
-            batch = batch.reshape(1, -1)
+        batch = self._view(observation)
         count = batch.shape[0]
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
-            )
         if self.parameters.shape[1] not in (1, count):
             raise ValueError(
                 f"{count} observations but parameters of {self.parameters.shape[1]} vehicles"

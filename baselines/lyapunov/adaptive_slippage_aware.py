@@ -7,7 +7,7 @@ Both drive as SlippageAwarePolicy does; what they know of the slip is all that d
 References: [F] Focchi et al. (2025), section 5.2.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
-from baselines.lyapunov.slippage_aware import LyapunovState, SlippageAwarePolicy
+from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_models import Array, SlipFamily
 from baselines.slip.slip_sweep import slip_family, strength_over_weight
@@ -47,11 +47,13 @@ class AdaptiveSlipPolicy:
         control_period: float,
         data_sheet: DataSheet,
         gains: LyapunovGains | None = None,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
         self.parameters = parameters
         self.control_period = control_period
         self.nominal_friction = strength_over_weight(parameters)
         self._sheet, self._gains = data_sheet, gains
+        self._view = layout.View(observation, NEEDS)
         self._made(1)
 
     def _made(self, count: int) -> None:
@@ -76,7 +78,8 @@ class AdaptiveSlipPolicy:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], AdaptiveSlipState]:
         """As SlippageAwarePolicy.predict, after a look at what slipped since the last call."""
-        batch = np.array(observation, dtype=np.float64, ndmin=2)
+        single, shown = np.ndim(observation) == 1, self._view(observation)
+        batch = shown.astype(np.float64)
         count = len(batch)
         if len(self.estimator.memory) != count:
             self._made(count)
@@ -95,8 +98,10 @@ class AdaptiveSlipPolicy:
             left, right, np.where(known, v_x, np.nan), np.where(known, v_y, np.nan), yaw_rate
         )
         driving = None if state is None else state.driving
-        action, driving = self._policy.predict(observation, driving, episode_start, deterministic)
-        return action, AdaptiveSlipState(driving, self.estimator.memory.copy())
+        action, driving = self._policy.predict(shown, driving, episode_start, deterministic)
+        return (action[0] if single else action), AdaptiveSlipState(
+            driving, self.estimator.memory.copy()
+        )
 
 
 class KnownSlip:
@@ -140,8 +145,11 @@ class OracleSlipPolicy(SlippageAwarePolicy):
         control_period: float,
         data_sheet: DataSheet,
         gains: LyapunovGains | None = None,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        super().__init__(parameters, control_period, KnownSlip(parameters), gains, data_sheet)
+        super().__init__(
+            parameters, control_period, KnownSlip(parameters), gains, data_sheet, observation
+        )
 
     def observe_truth(self, truth: Mapping[str, Any]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""

@@ -19,6 +19,7 @@ Vehicles (2025), sections 5 and 7.1.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -39,13 +40,17 @@ LOOK_ASIDE = 0.05  # [s] to both sides, for alpha_d': short against a turn, long
 VELOCITY_NOISE_LIMIT = 1.0  # [m/s] a data sheet above it has no velocity: the belts give it
 BELT_DRIFT = 0.05  # [m/s] slow error of the belts' velocity: slip that the model does not know
 
+# Fields of the observation that the law and its filter read.
+_POSE = ("position_error_x", "position_error_y", "heading_error", "v_x", "v_y", "yaw_rate")
+_BELTS = ("sprocket_speed_left", "sprocket_speed_right")
+_PATH = ("reference_speed", "reference_yaw_rate", "reference_acceleration",
+         "reference_yaw_acceleration")  # fmt: skip
+NEEDS = (*_POSE, "pose_age", *_BELTS, *_PATH)
 _I, _SCALE = layout.INDEX, layout.SCALE
-_X, _Y, _HEADING = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
-_V_X, _V_Y, _YAW_RATE, _AGE = _I["v_x"], _I["v_y"], _I["yaw_rate"], _I["pose_age"]
-_SPROCKETS = [_I["sprocket_speed_left"], _I["sprocket_speed_right"]]
-_REFERENCE = np.array(
-    [_I[f"reference_{name}"] for name in ("speed", "yaw_rate", "acceleration", "yaw_acceleration")]
-)
+_X, _Y, _HEADING, _V_X, _V_Y, _YAW_RATE = (_I[name] for name in _POSE)
+_AGE = _I["pose_age"]
+_SPROCKETS = [_I[name] for name in _BELTS]
+_REFERENCE = np.array([_I[name] for name in _PATH])
 
 
 class LyapunovState(NamedTuple):
@@ -124,7 +129,9 @@ class SlippageAwarePolicy:
     parameters: track_gauge, sprocket_radius and sprocket_speed_limit are used, each a number
     or (N,). control_period [s]: between two calls. slip_model: beta and alpha from sprocket
     speeds. gains: of the law. data_sheet: noise of the sensors; it sets the filter of the pose.
-    None: no noise, hence no filter. Raises ValueError for arguments that make no sense.
+    None: no noise, hence no filter. observation: names of the fields that the environment shows.
+    Raises ValueError for arguments that make no sense, and for an observation that lacks a field
+    of NEEDS.
     """
 
     def __init__(
@@ -134,6 +141,7 @@ class SlippageAwarePolicy:
         slip_model: SlipModel,
         gains: LyapunovGains | None = None,
         data_sheet: DataSheet | None = None,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
         gains = LyapunovGains() if gains is None else gains
         self.gains = LyapunovGains(*(float(gain) for gain in gains))
@@ -148,6 +156,7 @@ class SlippageAwarePolicy:
                 f"k_p control_period = {self.gains.k_p * control_period:g}; must be below 1, or "
                 "every step overshoots. Is the controller called too rarely?"
             )
+        self._view = layout.View(observation, NEEDS)
         self.control_period = float(control_period)
         self.slip_model = slip_model
         self.geometry = Geometry.of(parameters)
@@ -171,18 +180,13 @@ class SlippageAwarePolicy:
     ) -> tuple[NDArray[np.float32], LyapunovState]:
         """Sprocket speeds over their limit, and the state to pass to the next call.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None starts
+        observation: (D,) or (N, D), with the fields told. state: None starts
         anew. episode_start: (N,) or a bool; those rows start anew. deterministic: unused.
         Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
         Raises ValueError for a wrong shape or a state of another number of vehicles.
         """
-        batch = np.array(observation, dtype=np.float32, ndmin=2)
+        batch = self._view(observation)
         count, single = len(batch), np.ndim(observation) == 1
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
-            )
         geometry = self.geometry.rows(count)
         error, age, last, mean, located = self._start(state, episode_start, count)
         measured = batch[:, _SPROCKETS] * _SCALE[_SPROCKETS]
@@ -291,8 +295,9 @@ class UnicyclePolicy(SlippageAwarePolicy):
         control_period: float,
         gains: LyapunovGains | None = None,
         data_sheet: DataSheet | None = None,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet)
+        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet, observation)
 
     def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
         slip, motion = np.empty((0, 3)), np.empty((len(error), 2))

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from baselines.estimators.observation_reader import ObservationReader
 from baselines.estimators.sensor_samples import DataSheet
-from baselines.estimators.soil_estimator import SoilEstimator
-from baselines.estimators.stack import SLIP_CORRELATION
+from baselines.estimators.soil_estimator import SLIP_CORRELATION, SoilEstimator
 from reproduce.strawa2021.control import ICR_FORWARD, PATHS, SCENARIOS
 from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
 from reproduce.strawa2021.filtered_policies import filtered_policy

@@ -144,7 +144,9 @@ def test_a_policy_is_told_the_data_sheet_of_the_sensors_and_nothing_of_the_truth
     (context,) = told
     assert context.sensors == STRAWA._replace(gyro_noise=0.5)
     assert context == config.context("ood")
-    assert context._fields == ("control_period", "lateral", "sensors", "drive", "vehicle")
+    assert context._fields == (
+        "control_period", "lateral", "sensors", "drive", "vehicle", "observation",
+    )  # fmt: skip
 
 
 def test_no_other_policy_is_handed_the_truth(tmp_path: Path) -> None:

@@ -5,8 +5,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
-from tracked_env.benchmark.sets import DEFAULT_SETS, SETS, BenchmarkSet
+from tracked_env.benchmark.sets import DEFAULT_SETS, OF_VERSION, SETS, BenchmarkSet
+from tracked_env.observation import make_layout
 from tracked_env.sensors import make_sensors
+from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -75,7 +77,16 @@ class BenchmarkConfig:
         fields = asdict(self)
         for name in ("sets", "episodes", "chunk"):
             del fields[name]
-        return {**fields, "source": source_fingerprint("tracked_env", WITHOUT_INFLUENCE)}
+        own = {
+            name: [
+                repr(part) if field != "uncertainty" else fingerprint(make_uncertainty(part))
+                for field, part in sorted(SETS[name]._asdict().items())
+            ]
+            for name in self.sets
+            if name not in OF_VERSION
+        }
+        identity = {**fields, "source": source_fingerprint("tracked_env", WITHOUT_INFLUENCE)}
+        return {**identity, "own_sets": own} if own else identity
 
     @property
     def env(self) -> str:
@@ -91,8 +102,10 @@ class BenchmarkConfig:
         """What a policy may know of the environment of a set."""
         chosen = self.evaluation_set(name)
         known = {k: v for k, v in chosen.arguments.items() if k in ("drive", "vehicle")}
+        shown = make_layout(chosen.arguments.get("observation", "v0")).names
         sensors = make_sensors(chosen.sensors)
-        return PolicyContext(1.0 / self.control_rate, self.lateral, sensors, **known)
+        period = 1.0 / self.control_rate
+        return PolicyContext(period, self.lateral, sensors, **known, observation=shown)
 
     def arguments(self, name: str, truth: bool) -> dict[str, Any]:
         """Arguments of an environment for a set; truth: whether it exposes it."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.sets import EPISODES, SEED, SETS, VERSION, of_version
+from tracked_env.benchmark.sets import EPISODES, OF_VERSION, SEED, VERSION, of_version
 
 FILE = f"sets_{VERSION}.json"
 DRIVEN = 8  # episodes
@@ -96,11 +96,12 @@ def kept() -> dict[str, Any]:
 
 def _deviations(config: BenchmarkConfig) -> list[str]:
     """What the configuration says differently, in words."""
-    return [
+    said = [
         f"{name} = {getattr(config, name)!r}"
         for name, fixed in FIXED.items()
         if getattr(config, name) != fixed
     ]
+    return said + [f"set {name}" for name in config.sets if name not in OF_VERSION]
 
 
 def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
@@ -145,7 +146,7 @@ def check(config: BenchmarkConfig) -> Check:
 
 def document() -> dict[str, Any]:
     """What is kept of a version, from what is drawn now."""
-    found = {name: look(name) for name in SETS}
+    found = {name: look(name) for name in OF_VERSION}
     return {
         "version": VERSION, "hash": total(found), "numpy": np.__version__, "episodes": EPISODES,
         "seed": SEED, "sets": found,

@@ -6,7 +6,8 @@ What the first EPISODES of them are is kept in `sets_v2.json`, and `frozen` comp
 here if it separates policies: nominal from oracle, and, in those about memory, one observation from
 many.
 
-To change anything here, or in what is drawn, is to make a new version.
+To change anything here, or in what is drawn, is to make a new version. `register` adds a set of
+one's own, which is run where it is named and belongs to no version.
 """
 
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ from typing import Any, NamedTuple
 
 from tracked_env import SPEED, SPEED_ID, TORQUE_ID
 from tracked_env.engine.episode import Episode
+from tracked_env.uncertainty import Spec
 
 VERSION = "v2"
 EPISODES = 100  # of each set, that are compared with those of the version
@@ -31,7 +33,7 @@ class BenchmarkSet(NamedTuple):
     """What the episodes of one set are drawn from."""
 
     name: str
-    uncertainty: str  # name of the law
+    uncertainty: Spec  # name of the law, or a law
     about: str  # what it asks of a policy
     sensors: str | Mapping[str, Any] = "rtk"
     reference: str | Mapping[str, Any] = "random"
@@ -89,13 +91,25 @@ _ALL = (
     ),
 )  # fmt: skip
 SETS = {entry.name: entry for entry in _ALL}
+OF_VERSION = tuple(SETS)  # names; those that are registered come on top
 # In `nominal` a controller with nominal parameters knows everything: it separates nothing.
 _KNOWN = ("nominal", "floor")
 
 
 def default_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
     """Names of the sets of an environment id that are run where none is named."""
-    return tuple(name for name, of in SETS.items() if of.env == env and name not in _KNOWN)
+    return tuple(n for n in OF_VERSION if SETS[n].env == env and n not in _KNOWN)
+
+
+def register(entry: BenchmarkSet) -> BenchmarkSet:
+    """Add a set, from then on a name for `BenchmarkConfig(sets=...)`; returns it.
+
+    Raises ValueError for a name that is taken.
+    """
+    if entry.name in SETS:
+        raise ValueError(f"evaluation set {entry.name!r} is registered already")
+    SETS[entry.name] = entry
+    return entry
 
 
 DEFAULT_SETS = default_sets()

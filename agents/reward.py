@@ -58,7 +58,7 @@ class TrainingReward(gymnasium.vector.VectorWrapper):
         if self.precision:
             added += 1.0 / (1.0 + (info["tracking_error"][:, 0] / self.precision) ** 2)
         if self.smoothness:
-            added -= self.smoothness * _MEAN_SQUARE * info["reward_terms"]["smoothness"]
+            added -= self.smoothness * _MEAN_SQUARE * info["reward_smoothness"]
         return np.nan_to_num(added)
 
     def step(

@@ -17,6 +17,7 @@ from tracked_env.engine.episode import OPTION_KEYS
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
 from tracked_env.physics.parameters import Range
+from tracked_env.rewards import INFO_KEYS
 from tracked_env.validation import (
     checked_choice,
     checked_flag,
@@ -27,6 +28,7 @@ from tracked_env.validation import (
 Bools = NDArray[np.bool_]
 _STEPS = Range(1, 10**9, "-", "It counts control steps. Did you pass seconds?")
 _KEYS = ("reset_mask", "rows", "staggered")  # of the options, beside those of one environment
+_REWARD_KEYS = tuple((name, f"_{name}") for name in INFO_KEYS)
 
 
 class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArray[Any]]):
@@ -238,17 +240,14 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
 
     def _info(self, mask: Bools, report: NDArray[np.float64], success: Bools) -> dict[str, Any]:
         """Info of every row as arrays, each with its mask `_name`, as Gymnasium has it."""
-        terms: dict[str, Any] = {}
-        for column, name in enumerate(b.REWARD_TERMS, start=3):
-            terms[name], terms["_" + name] = report[:, column], mask
         info: dict[str, Any] = {
             "tracking_error": report[:, :2],
             "_tracking_error": mask,
-            "reward_terms": terms,
-            "_reward_terms": mask,
             "is_success": success,
             "_is_success": mask,
         }
+        for column, (name, masked) in enumerate(_REWARD_KEYS, start=3):
+            info[name], info[masked] = report[:, column], mask
         if self.expose_truth:
             truth: dict[str, Any] = {}
             for name, value in self.simulation.truth().items():

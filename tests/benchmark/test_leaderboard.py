@@ -223,10 +223,9 @@ def test_the_page_without_figures_still_has_the_tables_and_every_cell_of_the_hea
     assert "Learning curves" not in text
 
 
-def publishing(repository: Path) -> Any:
-    """The script that writes the leaderboard into the README."""
-    path = repository / "benchmarks" / "leaderboard.py"
-    spec = importlib.util.spec_from_file_location("publishing", path)
+def script(repository: Path, name: str) -> Any:
+    """A script of benchmarks/ as a module."""
+    spec = importlib.util.spec_from_file_location(name, repository / "benchmarks" / f"{name}.py")
     assert spec
     assert spec.loader
     module = importlib.util.module_from_spec(spec)
@@ -260,7 +259,9 @@ def test_every_table_names_the_unit_of_the_action_rate(
     head, line, _ = lb.cost_table(found)
     assert (head[-2], line[-2]) == (f"action rate [{cost}]", shown[1])
     head_line, _, first, *_ = (
-        publishing(repository).table(json.loads(json.dumps(lb.document(found)))).split("\n")
+        script(repository, "leaderboard")
+        .table(json.loads(json.dumps(lb.document(found))))
+        .split("\n")
     )
     column = [cell.strip() for cell in head_line.split("|")].index(f"action rate [{short}]")
     assert first.split("|")[column].strip() == shown[0]

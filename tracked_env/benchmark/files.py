@@ -37,6 +37,19 @@ def write_atomically(path: Path, data: bytes) -> None:
         raise
 
 
+def replace_block(path: Path, name: str, content: str) -> None:
+    """Replace what stands between `<!-- name: begin -->` and `<!-- name: end -->` in a page.
+
+    Raises ValueError where the page has no such block, or more than one; then it stays as it is.
+    """
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    text = path.read_text(encoding="utf-8")
+    if text.count(begin) != 1 or text.count(end) != 1 or text.index(end) < text.index(begin):
+        raise ValueError(f"{path} has no block between {begin} and {end}. Was it edited by hand?")
+    before, after = text[: text.index(begin)], text[text.index(end) :]
+    write_atomically(path, f"{before}{begin}\n{content}\n{after}".encode())
+
+
 def sweep(folder: Path) -> None:
     """Remove temporary files and folders; no process may be writing there."""
     for path in folder.glob(".*.tmp"):

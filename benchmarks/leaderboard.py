@@ -13,6 +13,7 @@ them again, and ask whether each set separates the policies that it should.
 
 import argparse
 import json
+import re
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -97,7 +98,7 @@ def table(board: dict[str, Any]) -> str:
 def short_table(full: str) -> str:
     """The columns SHORT and the verdict of the first table in `full`, which `table` has made."""
     overall, _, _ = full.partition("\n\n")
-    rows = [line.split("|")[1:-1] for line in overall.split("\n")]
+    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in overall.split("\n")]
     names = [cell.strip() for cell in rows[0]]
     kept = [i for i, name in enumerate(names) if name in SHORT or name.startswith("than ")]
     return "\n".join("|" + "|".join(row[i] for i in kept) + "|" for row in rows)

@@ -206,7 +206,9 @@ def test_markdown_and_figures_show_a_strange_name_as_it_is(
     text = lb.markdown(found)
     assert "<script>" not in text
     assert r"&lt;script>\|x $\\foo$" in text
-    published = publishing(repository).table(lb.document(found))
+    publishing = script(repository, "leaderboard")
+    published = publishing.table(lb.document(found))
+    assert r"| &lt;script>\|x $\\foo$ |" in publishing.short_table(published)
     assert "<script>" not in published
     assert r"| &lt;script>\|x $\\foo$ |" in published
     pytest.importorskip("matplotlib")

@@ -15,18 +15,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.batch_policy import BatchPolicy
 from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tracked_env import observation as layout
-from tracked_env.physics.elementary import rotation
+from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
 
 _ROW = PARAMETER_INDEX
-_I, _SCALE, _BOUND = layout.INDEX, layout.SCALE, layout.BOUND
+_I, _SCALE = layout.INDEX, layout.SCALE
 _X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
 _V_X, _V_Y, _W = _I["v_x"], _I["v_y"], _I["yaw_rate"]
 _GYRO, _REJECTED = COLUMN["yaw_rate"], int(Status.REJECTED)
@@ -63,8 +64,7 @@ def show(observation, reference, x, y, yaw, v_x, v_y, yaw_rate, gyro, filtered):
     for i in range(observation.shape[0]):
         c, s = rotation(yaw[i])
         e_x, e_y = reference[i, 0] - x[i], reference[i, 1] - y[i]
-        turn = reference[i, 2] - yaw[i]
-        turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
+        turn = wrap_angle(reference[i, 2] - yaw[i])
         _show(observation, i, _X, c * e_x + s * e_y, filtered)
         _show(observation, i, _Y, c * e_y - s * e_x, filtered)
         _show(observation, i, _YAW, turn, filtered)
@@ -92,7 +92,7 @@ def hand_over(parameters, longitudinal, turning, soil, known, nominal, base):
         parameters[_MODULUS, i] = soil[i, 1] if known[i] else nominal[_MODULUS]
 
 
-class AdaptivePolicy:
+class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     """Controller and estimators as one policy, for one vehicle or a batch.
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
@@ -141,52 +141,34 @@ class AdaptivePolicy:
         self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
         self._nothing_known = np.zeros(count, dtype=bool)
 
-    def predict(
+    def act(
         self,
         observation: NDArray[np.float32],
-        state: AdaptiveState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
+        state: AdaptiveState | None,
+        start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], AdaptiveState]:
-        """Sprocket torques over their limit, and the state to pass to the next call.
+        """Sprocket torques over their limit, and the new state; one call per control step.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None starts
-        from the nominal parameters. episode_start: (N,) or a bool; those rows start anew.
-        deterministic: without effect. One call per control step.
-        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
-        A NaN in a sensor field is skipped. Raises ValueError for a wrong shape, a state of
-        another number of vehicles, or a reference that is not finite; then the state given
-        is still good.
+        Rows that start do so from the nominal parameters. A NaN in a sensor field is skipped.
+        Raises ValueError for a state of another number of vehicles, or a reference that is not
+        finite; then the state given is still good.
         """
-        single = np.ndim(observation) == 1
-        batch = np.array(observation, dtype=np.float32, ndmin=2)
-        count = len(batch)
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
-            )
-        start = np.full(count, state is None)
-        if episode_start is not None:
-            given = np.asarray(episode_start, dtype=bool)
-            if given.shape not in ((), (1,), (count,)):
-                raise ValueError(f"episode_start has shape {given.shape}; must be ({count},)")
-            start |= given
+        count = len(observation)
         if count != self.stack.count:
             self._build(count)
             self._given = None
         if state is not None and state is not self._given:
             self.stack.restore(state.memories)
         self._given = None  # until this call has ended well, `stack` is in no known state
-        known = self.stack.update(batch, start)
+        known = self.stack.update(observation, start)
         self._adapt(known)
         show(
-            batch, known.reading.reference, *known.motion, self._gyro(known), self.filtered,
+            observation, known.reading.reference, *known.motion, self._gyro(known), self.filtered,
         )  # fmt: skip
-        action, xi = self.controller.predict(batch, None if state is None else state.xi, start)
+        action, xi = self.controller.act(observation, None if state is None else state.xi, start)
         self.known = known
         self._given = AdaptiveState(xi, self.stack.memories())
-        return (action[0] if single else action), self._given
+        return action, self._given
 
     def _gyro(self, known: Identification) -> NDArray[np.float64]:
         """The gyro where its sample is new and the filter has not refused it, else NaN, (N,)."""

@@ -15,6 +15,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from baselines.batch_policy import BatchPolicy
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env import observation as layout
@@ -125,7 +126,7 @@ def _checked(name: str, value: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-class FeedbackLinearizingController:
+class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
     """Policy that tracks the reference with the corrected law of S section 6.
 
     parameters: nominal PlantParameters, each a number (all vehicles alike) or shape (N,).
@@ -186,48 +187,34 @@ class FeedbackLinearizingController:
         for name, array in checked.items():
             self.parameters[PARAMETER_INDEX[name]] = array
 
-    def predict(
+    def act(
         self,
         observation: NDArray[np.float32],
-        state: NDArray[np.float64] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+        state: NDArray[np.float64] | None,
+        start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Sprocket torques over their limit, and the state to pass to the next call.
+        """Sprocket torques over their limit and the state xi [m/s^2], (N,); 0 where one starts.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: xi [m/s^2],
-        (N,), N = 1 for one vehicle; None starts at 0. episode_start: (N,) or a bool; those
-        rows start at 0. deterministic: without effect, the law has no randomness.
-        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right; and the new xi.
-        Raises ValueError for a wrong shape or an observation that is not finite.
+        Raises ValueError for a state or parameters of another number of vehicles, or an
+        observation that is not finite.
         """
-        single = np.ndim(observation) == 1
-        batch = np.ascontiguousarray(observation, dtype=np.float32)
-        if single:
-            batch = batch.reshape(1, -1)
-        count = batch.shape[0]
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
-            )
+        count = len(observation)
         if self.parameters.shape[1] not in (1, count):
             raise ValueError(
                 f"{count} observations but parameters of {self.parameters.shape[1]} vehicles"
             )
         xi = np.zeros(count) if state is None else np.array(state, dtype=np.float64).reshape(-1)
-        if xi.shape[0] != count:
-            raise ValueError(f"state of {xi.shape[0]} vehicles for {count} observations")
-        if episode_start is not None:
-            xi[np.broadcast_to(np.asarray(episode_start, dtype=bool), (count,))] = 0.0
+        self.same_count(len(xi), count)
+        xi[start] = 0.0
         action = np.empty((count, 2), dtype=np.float32)
         bad = control_all(
-            batch, self.parameters, xi, self.gains, self.control_period, self._constrained, action
-        )
+            observation, self.parameters, xi, self.gains, self.control_period, self._constrained,
+            action,
+        )  # fmt: skip
         if bad >= 0:
-            column = int(np.argmin(np.isfinite(batch[bad])))
+            column = int(np.argmin(np.isfinite(observation[bad])))
             raise ValueError(
-                f"observation[{bad}]: {layout.NAMES[column]} = {batch[bad, column]}; must be "
+                f"observation[{bad}]: {layout.NAMES[column]} = {observation[bad, column]}; must be "
                 "finite. Did the state diverge, or a wrapper divide by zero?"
             )
-        return (action[0] if single else action), xi
+        return action, xi

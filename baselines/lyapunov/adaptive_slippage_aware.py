@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.batch_policy import BatchPolicy
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.slippage_aware import LyapunovState, SlippageAwarePolicy
@@ -35,7 +36,7 @@ class AdaptiveSlipState(NamedTuple):
     memory: NDArray[np.float64]  # of the estimator, (N, columns)
 
 
-class AdaptiveSlipPolicy:
+class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
     """slc on friction that it is not told; arguments as SlippageAwarePolicy, without the model.
 
     parameters: nominal; the friction in them is where the estimate starts.
@@ -68,26 +69,22 @@ class AdaptiveSlipPolicy:
         mu, sigma = self.estimator.estimates()["friction"]
         return {"friction_angle": (np.arctan(mu), sigma / (1.0 + mu * mu))}
 
-    def predict(
+    def act(
         self,
         observation: NDArray[np.float32],
-        state: AdaptiveSlipState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
+        state: AdaptiveSlipState | None,
+        start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], AdaptiveSlipState]:
-        """As SlippageAwarePolicy.predict, after a look at what slipped since the last call."""
-        batch = np.array(observation, dtype=np.float64, ndmin=2)
-        count = len(batch)
+        """As SlippageAwarePolicy.act, after the slip since the last call has been identified."""
+        count = len(observation)
+        if state is not None:
+            self.same_count(len(state.memory), count)
         if len(self.estimator.memory) != count:
             self._made(count)
-        if state is None:
-            self.estimator.reset()
-        else:
+        if state is not None:
             self.estimator.memory[:] = state.memory
-        start = np.broadcast_to(np.asarray(bool(state is None)), (count,))
-        if episode_start is not None:
-            start = start | np.asarray(episode_start, dtype=bool)
         self.estimator.reset(np.flatnonzero(start))
+        batch = observation.astype(np.float64)
         v_x, v_y, yaw_rate, age = (batch[:, _SEEN] * layout.SCALE[_SEEN]).T
         known = age <= LATE
         left, right = (batch[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]).T
@@ -95,7 +92,7 @@ class AdaptiveSlipPolicy:
             left, right, np.where(known, v_x, np.nan), np.where(known, v_y, np.nan), yaw_rate
         )
         driving = None if state is None else state.driving
-        action, driving = self._policy.predict(observation, driving, episode_start, deterministic)
+        action, driving = self._policy.act(observation, driving, start)
         return action, AdaptiveSlipState(driving, self.estimator.memory.copy())
 
 

@@ -24,12 +24,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.batch_policy import BatchPolicy
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pseudo_kinematic as kinematics
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pseudo_kinematic import Array, Geometry, NoSlip, SlipModel
 from tracked_env import observation as layout
+from tracked_env.physics.elementary import wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
 
@@ -107,7 +109,7 @@ def locate(
                     seen, mean[i, 0], mean[i, 1], mean[i, 2], 0.0, 0.0, old
                 )  # fmt: skip
             share, share_yaw = (gains[0], gains[1]) if located[i] else (1.0, 1.0)
-            turned = e.heading + law.wrapped(seen.heading - e.heading)
+            turned = e.heading + wrap_angle(seen.heading - e.heading)
             e = law.PoseError(
                 _blend(e.x, seen.x, share),
                 _blend(e.y, seen.y, share),
@@ -115,10 +117,10 @@ def locate(
             )
             located[i] = True
         age[i] = old if np.isfinite(old) else age[i] + period
-        error[i, 0], error[i, 1], error[i, 2] = e.x, e.y, law.wrapped(e.heading)
+        error[i, 0], error[i, 1], error[i, 2] = e.x, e.y, wrap_angle(e.heading)
 
 
-class SlippageAwarePolicy:
+class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
     """The slippage-aware controller of F 5.2 (slc) as a policy, for one vehicle or a batch.
 
     parameters: track_gauge, sprocket_radius and sprocket_speed_limit are used, each a number
@@ -162,35 +164,25 @@ class SlippageAwarePolicy:
             ),
         )
 
-    def predict(
+    def act(
         self,
         observation: NDArray[np.float32],
-        state: LyapunovState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
+        state: LyapunovState | None,
+        start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], LyapunovState]:
-        """Sprocket speeds over their limit, and the state to pass to the next call.
+        """Sprocket speeds over their limit, and the new state.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None starts
-        anew. episode_start: (N,) or a bool; those rows start anew. deterministic: unused.
-        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
-        Raises ValueError for a wrong shape or a state of another number of vehicles.
+        Raises ValueError for a state of another number of vehicles.
         """
-        batch = np.array(observation, dtype=np.float32, ndmin=2)
-        count, single = len(batch), np.ndim(observation) == 1
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
-            )
+        count = len(observation)
         geometry = self.geometry.rows(count)
-        error, age, last, mean, located = self._start(state, episode_start, count)
-        measured = batch[:, _SPROCKETS] * _SCALE[_SPROCKETS]
+        error, age, last, mean, located = self._start(state, start)
+        measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
         beta, alpha, driven = self._slip(actual, geometry)
         reference = np.empty((count, 4))
         locate(
-            batch, driven, alpha, self.velocity_measured, self.filter_gains,
+            observation, driven, alpha, self.velocity_measured, self.filter_gains,
             self.control_period, error, age, mean, located, reference,
         )  # fmt: skip
         moving = located & np.isfinite(reference[:, 0])
@@ -199,28 +191,17 @@ class SlippageAwarePolicy:
         sprockets = self._feed_forward(wanted, beta, geometry)
         sprockets[~moving] = 0.0
         action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
-        return (action[0] if single else action), LyapunovState(
-            error, age, sprockets, mean, located
-        )
+        return action, LyapunovState(error, age, sprockets, mean, located)
 
-    def _start(
-        self,
-        state: LyapunovState | None,
-        episode_start: NDArray[np.bool_] | bool | None,
-        count: int,
-    ) -> LyapunovState:
+    def _start(self, state: LyapunovState | None, start: NDArray[np.bool_]) -> LyapunovState:
         """A copy of the state, its rows new where an episode starts."""
         if state is None:
-            rows, nowhere = np.zeros((count, 3)), np.zeros(count, dtype=bool)
-            state = LyapunovState(rows, rows[:, 0], rows[:, :2], rows, nowhere)
-        if len(state.age) != count:
-            raise ValueError(f"state of {len(state.age)} vehicles for {count} observations")
-        start = np.asarray(False if episode_start is None else episode_start, dtype=bool)
-        if start.shape not in ((), (1,), (count,)):
-            raise ValueError(f"episode_start has shape {start.shape}; must be ({count},)")
+            rows, nowhere = np.zeros((len(start), 3)), np.zeros(len(start), dtype=bool)
+            return LyapunovState(rows, rows[:, 0].copy(), rows[:, :2].copy(), rows.copy(), nowhere)
+        self.same_count(len(state.age), len(start))
         copies = LyapunovState._make(values.copy() for values in state)
         for values in copies:
-            values[np.broadcast_to(start, (count,))] = 0
+            values[start] = 0
         return copies
 
     def _slip(self, sprockets: Array, geometry: Geometry) -> tuple[Array, Array, Array]:

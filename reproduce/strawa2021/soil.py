@@ -96,7 +96,8 @@ def true_maximum(result: Drive) -> Floats:
     nominal = plant_parameters()
     area = nominal.track_width * nominal.contact_length
     load = 0.5 * truth["mass"] * terramechanics.GRAVITY
-    return np.asarray(truth["cohesion"] * area + load * np.tan(truth["friction_angle"]))
+    tangent = np.tan(truth["friction_angle"])
+    return np.asarray(terramechanics.mohr_coulomb(truth["cohesion"], tangent, area, load))
 
 
 def run_all(

@@ -14,13 +14,12 @@ from tracked_env.engine import columns as b
 from tracked_env.physics import channels, reference_profile
 from tracked_env.physics import state as s
 from tracked_env.physics.channels import GROUP_START
-from tracked_env.physics.elementary import rotation
+from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import PARAMETER_INDEX
 
 _RADIUS = b.PARAMETERS + PARAMETER_INDEX["sprocket_radius"]
 _AHEAD_TIMES = np.array(obs.LOOK_AHEAD)
-TWO_PI = 2.0 * math.pi
 
 # Columns of the observation that are delivered channels, in the order of the channels.
 _CHANNEL_COLUMN = np.array([obs.INDEX.get(name, -1) for name in channels.CHANNELS], dtype=np.int64)
@@ -32,12 +31,6 @@ _AHEAD_YAW_RATE = obs.INDEX[f"reference_yaw_rate_ahead_{obs.LOOK_AHEAD[0]:g}"]
 _PREVIOUS_ACTION = obs.INDEX["previous_action_left"]
 _AGE = obs.INDEX["pose_age"]
 _FIRST_VELOCITY = channels.CHANNELS.index("v_x")
-
-
-@formula
-def wrapped(angle):
-    """The angle [rad] in [-pi, pi]. Exactly odd: symmetric situations stay symmetric."""
-    return angle - TWO_PI * np.rint(angle / TWO_PI)
 
 
 @formula
@@ -100,7 +93,7 @@ def tracking_error(floats, i):
     dy = floats[i, b.REFERENCE_Y] - floats[i, b.STATE + s.Y]
     floats[i, b.ERROR_X] = cosine * dx + sine * dy
     floats[i, b.ERROR_Y] = cosine * dy - sine * dx
-    floats[i, b.ERROR_YAW] = wrapped(floats[i, b.REFERENCE_YAW] - yaw)
+    floats[i, b.ERROR_YAW] = wrap_angle(floats[i, b.REFERENCE_YAW] - yaw)
     floats[i, b.ERROR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
 
 
@@ -116,7 +109,7 @@ def write_observation(floats, i, step, control_period, arrived, out):
     dy = floats[i, b.REFERENCE_Y] - floats[i, arrived + 1]
     obs.store(out, i, _POSITION_ERROR_X, cosine * dx + sine * dy)
     obs.store(out, i, _POSITION_ERROR_X + 1, cosine * dy - sine * dx)
-    obs.store(out, i, _HEADING_ERROR, wrapped(floats[i, b.REFERENCE_YAW] - yaw))
+    obs.store(out, i, _HEADING_ERROR, wrap_angle(floats[i, b.REFERENCE_YAW] - yaw))
     for c in range(_FIRST_VELOCITY, channels.CHANNEL_COUNT):
         obs.store(out, i, _CHANNEL_COLUMN[c], floats[i, arrived + c])
     for row in range(5):

@@ -279,7 +279,7 @@ def test_wrong_shapes_and_foreign_states_are_refused(recorded):
     ("options", "says"),
     [
         ({"slip": "ekf"}, "slip = 'ekf'; must be 'batched' or 'filterpy'"),
-        ({"regression": "ols"}, "regression = 'ols'; must be 'coupled' or 'paper'"),
+        ({"regression": "ols"}, "regression = 'ols'; must be one of coupled, paper, printed"),
         ({"lateral": "skid"}, "lateral = 'skid'; must be one of"),
         ({"control_period": 50.0}, r"control_period = 50.0 s; must be in \(0, 1\] s.*rate"),
         ({"gains": Gains(1.0, -1.0, 1.0)}, "gains must be positive"),

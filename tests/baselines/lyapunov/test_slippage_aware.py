@@ -64,8 +64,7 @@ def drive(
         motion, alpha = model.motion(sprockets)
         seen.append(pose + rng.normal(size=pose.shape) * sigma)
         taken = max(k - k % rate - delay, 0)
-        error = np.empty((count, 3))
-        kinematics.errors_of(seen[taken], np.tile(goal, (count, 1)), error)
+        error = np.array([kinematics.pose_error(*at, *goal) for at in seen[taken]])
         values = dict.fromkeys(layout.NAMES, np.zeros(count)) | {
             "position_error_x": -error[:, 0],
             "position_error_y": -error[:, 1],

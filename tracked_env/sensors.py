@@ -23,7 +23,7 @@ from scipy.special import ndtri
 
 from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUPS
 from tracked_env.physics.parameters import Range
-from tracked_env.validation import checked_choice, checked_keys, checked_number
+from tracked_env.validation import SIGMA, checked_choice, checked_keys, checked_number
 
 DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
 PERIOD_LIMIT = 10.0  # [s] longest sampling period
@@ -100,9 +100,8 @@ MOCAP = Sensors(
 )
 PRESETS = {"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA, "mocap": MOCAP}
 
-_SIGMA = Range(0.0, 1e4, "its SI unit", "Did you pass a variance or degrees?")
 _RANGES = {
-    **{name: _SIGMA for name in Sensors._fields if name.endswith(("_noise", "_bias"))},
+    **{name: SIGMA for name in Sensors._fields if name.endswith(("_noise", "_bias"))},
     "cross_coupling": Range(0.0, 1.0, "-", "Did you pass a percentage?"),
     "accelerometer_distance": Range(0.01, 10.0, "m", "Did you pass millimetres?"),
     **{f"{group}_rate": Range(0.0, 1e4, "Hz", "0 means every control step.") for group in GROUPS},

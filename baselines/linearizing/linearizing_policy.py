@@ -29,6 +29,7 @@ from tracked_env.physics.parameters import (
     PlantParameters,
     row_parameters,
 )
+from tracked_env.validation import CONTROL_PERIOD, checked_number, unknown
 
 CLOSURES = ("sliding", "constrained")
 
@@ -113,16 +114,12 @@ def _checked(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """A parameter as float64, shape () or (N,), inside its physical range."""
     array = np.asarray(value, dtype=np.float64)
     if name not in RANGES:
-        raise ValueError(f"unknown parameter {name!r}; known are {PARAMETER_NAMES}")
+        raise unknown("parameter", name, PARAMETER_NAMES)
     if array.ndim > 1:
         raise ValueError(f"{name} has shape {array.shape}; must be a number or shape (N,)")
-    low, high, unit, hint = RANGES[name]
-    inside = (array >= low) & (array <= high)  # NaN is outside
-    if not inside.all():
-        worst = float(array[~inside][0]) if array.ndim else float(array)
-        raise ValueError(
-            f"nominal {name} = {worst:g} {unit}; must be in [{low:g}, {high:g}] {unit}. {hint}"
-        )
+    inside = (array >= RANGES[name].low) & (array <= RANGES[name].high)  # NaN is outside
+    for number in array[~inside].reshape(-1):
+        checked_number(f"nominal {name}", number, RANGES[name])
     return array
 
 
@@ -156,13 +153,9 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
                 f"{self.gains}: k_a k_v = {k_a * k_v:g} must exceed k_p = {k_p:g}, or the "
                 "tracking error grows (not Hurwitz). Did you change the order of the gains?"
             )
-        if not 0.0 < control_period <= 1.0:
-            raise ValueError(
-                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
-            )
         if lateral not in CLOSURES:
             raise ValueError(f"lateral = {lateral!r}; must be one of {CLOSURES}")
-        self.control_period = float(control_period)
+        self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.lateral = lateral
         self._constrained = lateral == "constrained"
         self.parameters = np.empty((len(PARAMETER_NAMES), 1))

@@ -34,6 +34,7 @@ from tracked_env import observation as layout
 from tracked_env.physics.elementary import wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 PASSES = 3  # evaluations of the slip in the feed-forward; the next step starts where it ended
 PATH_PASSES = 6  # the same for alpha_d, which starts from nothing: 0.4^6 = 0.4 % is left of beta
@@ -141,10 +142,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self.gains = LyapunovGains(*(float(gain) for gain in gains))
         if not all(0.0 < gain < math.inf for gain in self.gains):
             raise ValueError(f"{self.gains}: both gains must be positive and finite")
-        if not 0.0 < control_period <= 1.0:
-            raise ValueError(
-                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
-            )
+        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         if self.gains.k_p * control_period >= 1.0:
             raise ValueError(
                 f"k_p control_period = {self.gains.k_p * control_period:g}; must be below 1, or "

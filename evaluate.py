@@ -48,7 +48,7 @@ from tracked_env.benchmark import (
     check,
     default_sets,
     leaderboard,
-    page,
+    leaderboard_page,
     report,
 )
 from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
@@ -265,7 +265,7 @@ def write_leaderboard(
     for name, path in paths:
         folders.setdefault(name, []).append(path.parent)
     curves = leaderboard.read_curves(folders)
-    page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
+    leaderboard_page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
     return leaderboard.terminal(board)
 
 

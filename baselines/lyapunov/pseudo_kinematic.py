@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.lyapunov import lyapunov_laws as law
-from tracked_env.physics.elementary import rotation, wrap_angle
+from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 
@@ -114,16 +114,6 @@ def pose_step(x, y, yaw, motion, alpha, duration):
     x_2, y_2 = pose_rate(yaw + turn, motion.speed, alpha)
     sixth = duration / 6.0
     return x + sixth * (x_0 + 4.0 * x_1 + x_2), y + sixth * (y_0 + 4.0 * y_1 + y_2), yaw + turn
-
-
-@formula
-def pose_error(x, y, yaw, x_d, y_d, yaw_d):
-    """law.PoseError of a pose against its reference, all in the world [m, rad]."""
-    cosine, sine = rotation(yaw)
-    d_x, d_y = x - x_d, y - y_d
-    return law.PoseError(
-        cosine * d_x + sine * d_y, cosine * d_y - sine * d_x, wrap_angle(yaw - yaw_d)
-    )
 
 
 @formula

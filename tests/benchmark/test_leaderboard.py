@@ -12,7 +12,7 @@ import pytest
 
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
-from tracked_env.benchmark import page
+from tracked_env.benchmark import leaderboard_page as page
 from tracked_env.benchmark.report import policy_table, terminal
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import rows_of, summarise
@@ -206,7 +206,7 @@ def test_markdown_and_figures_show_a_strange_name_as_it_is(
     text = lb.markdown(found)
     assert "<script>" not in text
     assert r"&lt;script>\|x $\\foo$" in text
-    publishing = script(repository, "leaderboard")
+    publishing = script(repository, "publish")
     published = publishing.table(lb.document(found))
     (shown,) = (line for line in publishing.short_table(published).split("\n") if "foo" in line)
     assert re.fullmatch(
@@ -264,9 +264,7 @@ def test_every_table_names_the_unit_of_the_action_rate(
     head, line, _ = lb.cost_table(found)
     assert (head[-2], line[-2]) == (f"action rate [{cost}]", shown[1])
     head_line, _, first, *_ = (
-        script(repository, "leaderboard")
-        .table(json.loads(json.dumps(lb.document(found))))
-        .split("\n")
+        script(repository, "publish").table(json.loads(json.dumps(lb.document(found)))).split("\n")
     )
     column = [cell.strip() for cell in head_line.split("|")].index(f"action rate [{short}]")
     assert first.split("|")[column].strip() == shown[0]

@@ -42,7 +42,7 @@ def test_the_table_of_the_readme_is_the_one_of_the_results_page_with_few_columns
 ) -> None:
     full = block(repository / "docs" / "results.md", f"leaderboard of {track}")
     shown = block(repository / "README.md", f"short leaderboard of {track}")
-    assert shown == script(repository, "leaderboard").short_table(full)
+    assert shown == script(repository, "publish").short_table(full)
     head, _, first, *_ = shown.split("\n")
     assert head.count("|") == 8 and "policy" in head and "| than " in head
     assert "**" not in shown and first.startswith("| 1 |")
@@ -51,14 +51,14 @@ def test_the_table_of_the_readme_is_the_one_of_the_results_page_with_few_columns
 def test_publishing_writes_one_table_into_two_pages_and_leaves_the_rest(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    publishing = script(repository, "leaderboard")
+    publishing = script(repository, "publish")
     monkeypatch.setattr(publishing, "ROOT", tmp_path)
     monkeypatch.setattr(publishing, "PRETRAINED", tmp_path / "agents" / "pretrained")
     pages(tmp_path)
     found, _ = board("payload", **ALL)
     (tmp_path / "leaderboard.json").write_text(json.dumps(lb.document(found)))
     (tmp_path / "results.json").write_text(json.dumps({"episodes": records("payload", **ALL)}))
-    monkeypatch.setattr(sys, "argv", ["leaderboard.py", str(tmp_path)])
+    monkeypatch.setattr(sys, "argv", ["publish.py", str(tmp_path)])
     assert publishing.main() == 0
     full = block(tmp_path / "docs" / "results.md", "leaderboard of Torque-v0")
     assert "| 1 | ppo | 5 |" in full and "| `payload` |" in full

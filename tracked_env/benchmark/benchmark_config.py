@@ -22,7 +22,7 @@ WITHOUT_INFLUENCE = {
     "benchmark/frozen.py": "compares what is drawn with what is kept",
     "benchmark/leaderboard.py": "tables from records",
     "benchmark/policy_lookup.py": "finds policies; each record has its own fingerprint",
-    "benchmark/page.py": "tables from records",
+    "benchmark/leaderboard_page.py": "tables from records",
     "benchmark/records.py": "checks of what is read",
     "benchmark/reliability.py": "statistics of records",
     "benchmark/report.py": "tables from records",

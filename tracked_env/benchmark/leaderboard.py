@@ -7,7 +7,7 @@ the difference of the IQMs. `better` and `worse` mean that the interval of that 
 0; where the mean, which lost vehicles decide, says the opposite, that is said too. Of an agent
 with one seed no interval and no verdict is given: there is nothing to tell luck by.
 
-Written as terminal table, Markdown, JSON and one HTML page (see `page`).
+Written as terminal table, Markdown, JSON and one HTML page (see `leaderboard_page`).
 """
 
 import json

@@ -7,7 +7,8 @@ import pytest
 
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.lyapunov_laws import BodyMotion, LyapunovGains, PoseError, Slip
-from baselines.lyapunov.pseudo_kinematic import pose_error, pose_rate
+from baselines.lyapunov.pseudo_kinematic import pose_rate
+from tests.baselines.lyapunov.lyapunov_function import lyapunov_rate, lyapunov_value, pose_error
 
 GAINS = LyapunovGains()
 NO_SLIP = Slip(0.0, 0.0, 0.0)
@@ -39,26 +40,6 @@ def printed_law(pose, reference, speed, yaw_rate, slip):
         - GAINS.k_phi * math.sin(e_h + slip.reference) - slip.reference_rate
     )  # fmt: skip
     return (speed + delta_v) * math.cos(slip.alpha), yaw_rate + delta_w
-
-
-def lyapunov_value(error, reference_slip):
-    """V of (45), or of (38) for reference_slip = 0 [rad]; distances count in metres."""
-    square = error.x * error.x + error.y * error.y
-    return 0.5 * square + 1.0 - math.cos(error.heading + reference_slip)
-
-
-def lyapunov_rate(error, speed, slip, gains):
-    """V' [1/s] under `slippage_aware_law`: (48) and the term in alpha - alpha_d missing there.
-
-    Without slip it is (43), for the unicycle law.
-    """
-    along = error.x * math.cos(slip.alpha) + error.y * math.sin(slip.alpha)
-    across = error.y * math.cos(slip.alpha) - error.x * math.sin(slip.alpha)
-    half = 0.5 * (error.heading + slip.alpha)
-    heading = math.sin(error.heading + slip.reference)
-    offset = across * math.cos(half) + along * math.sin(half)
-    left = 2.0 * math.sin(half) - heading / math.cos(half)
-    return speed * offset * left - gains.k_p * along * along - gains.k_phi * heading * heading
 
 
 def rate_along_the_model(error, speed, yaw_rate, slip, motion):

@@ -1,7 +1,7 @@
 """Publish a leaderboard: from the results of evaluate.py into the documentation.
 
     python evaluate.py                                    # all controllers and shipped agents
-    python benchmarks/leaderboard.py results/v2-seed0-*   # tables and scores.json
+    python benchmarks/publish.py results/v2-seed0-*   # tables and scores.json
 
 Likewise with `--env tracked_env/Speed-v0` and results/speed-v0-v2-*. docs/results.md gets the whole
 table between the two markers of that environment, with the cost of training each agent, read from

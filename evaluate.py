@@ -125,8 +125,8 @@ class Config:
     """Instead of the length of the episodes of each set [s]."""
 
     lateral: Literal["sliding", "constrained"] = "sliding"
-    """Lateral closure of the plant: sliding tracks, or the ICR
-    held at a constant distance as in the original paper."""
+    """Lateral model of the lumped plant: sliding tracks, or the
+    ICR at a constant distance, as in the paper."""
 
     output: Path = Path("results")
     """Folder for results; each configuration gets its own in
@@ -140,7 +140,7 @@ class Config:
 
     paper: Literal["none", "strawa2021", "focchi2025"] = "none"
     """Instead of the benchmark, run a paper's experiments again:
-    its claims beside what comes out, its figures, one page."""
+    its claims beside the results, its figures, one page."""
 
     chunk: int = 64
     """Episodes run and stored together; numbers do not change."""

@@ -1,4 +1,4 @@
-"""What `predict` of every controller does first: one vehicle or a batch, checked.
+"""Base class of the controllers: `predict` for one vehicle or a batch, with its checks.
 
 A subclass implements `act` for a batch. The signature of `predict` is that of
 Stable-Baselines3, so that the benchmark drives controllers and trained agents alike.

@@ -88,7 +88,7 @@ def checked_flag(what: str, value: object) -> bool:
 
 
 def checked_parameter(name: str, value: object) -> float:
-    """A vehicle, soil or closure parameter inside its physical range."""
+    """A parameter of vehicle, soil or lateral model inside its physical range."""
     if name not in RANGES:
         raise unknown("parameter", name, RANGES)
     return checked_number(name, value, RANGES[name])

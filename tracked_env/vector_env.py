@@ -168,7 +168,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         return [row or {} for row in rows]
 
     def _seed(self, chosen: NDArray[np.int64], seed: Any) -> None:
-        """Give the chosen rows the streams that `seed` says, or some where they have none."""
+        """Give the chosen rows the random streams of `seed`, or new ones where they have none."""
         one = isinstance(seed, str) or not isinstance(seed, (Sequence, np.ndarray))
         seeds: list[Any] = [seed] if one else list(seed)
         for value in seeds:
@@ -226,7 +226,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self._start(chosen, [None] * len(chosen))
 
     def _final(self, over: Bools) -> dict[str, Any]:
-        """What SAME_STEP would otherwise lose: last observation and info of the ended rows."""
+        """Last observation and info of the ended rows, which SAME_STEP replaces."""
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(over):
             final_obs[i] = self.simulation.observations[i].copy()

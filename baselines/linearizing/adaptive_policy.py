@@ -1,10 +1,10 @@
 """The adaptive policy: the feedback-linearizing controller fed by the identification stack.
 
-Certainty equivalence: at every control step the controller takes the estimates for the truth,
-    mass, mu_l, inertia, mu_t     always: where the data say nothing they stay where they were
-    F_max, K                      where the data determine what the soil carries, else nominal
-and sees the filtered pose and velocity instead of the measured ones. It starts from its nominal
-parameters in every episode, uses observations only, and never sees a true parameter.
+Certainty equivalence: at every control step the controller uses the estimates as if they were true,
+    mass, mu_l, inertia, mu_t     always: without information from the data they stay constant
+    F_max, K                      where the data determine the traction limit, else nominal
+and uses the filtered pose and velocity instead of the measured ones. It starts from its nominal
+parameters in every episode, uses observations only, and no true parameter.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
@@ -31,7 +31,7 @@ _I, _SCALE = layout.INDEX, layout.SCALE
 _X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
 _V_X, _V_Y, _W = _I["v_x"], _I["v_y"], _I["yaw_rate"]
 _GYRO, _REJECTED = COLUMN["yaw_rate"], int(Status.REJECTED)
-WILD_GYRO = 1.0  # [rad/s] from what the belts say: a refused gyro beyond that is not shown
+WILD_GYRO = 1.0  # [rad/s] from the yaw rate of the belts: a refused gyro beyond that is not used
 # Sensor fields that the controller does not use, but whose NaN would stop it.
 _UNUSED = np.array(
     [_I[name] for name in layout.NAMES if name.startswith(("acc", "yaw_acc", "sprocket", "torque"))]
@@ -43,7 +43,7 @@ _MODULUS = _ROW["shear_deformation_modulus"]
 
 
 class AdaptiveState(NamedTuple):
-    """What the policy remembers between two calls."""
+    """State of the policy between two calls."""
 
     xi: NDArray[np.float64]  # (N,) [m/s^2] compensator of the controller
     memories: Memories  # of the estimators
@@ -96,10 +96,10 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     """Controller and estimators as one policy, for one vehicle or a batch.
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
-    sensors (default `rtk`). lateral: closure of the nominal model. gains: of the controller.
+    sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller.
     regression: "coupled", "paper" or "printed", slip: "batched" or "filterpy", see the stack.
-    filtered: True shows the controller the filtered motion, False the measured one; None =
-    True unless the data sheet knows no noise at all.
+    filtered: True gives the controller the filtered motion, False the measured one; None =
+    True unless the data sheet has no noise at all.
     uses_soil: whether the estimated traction limits are used. S does not.
     Raises ValueError for arguments that make no sense.
     """
@@ -125,7 +125,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self.filtered = noisy if filtered is None else bool(filtered)
         self.uses_soil = bool(uses_soil)
         self._options: dict[str, Any] = {"regression": regression, "slip": slip}
-        # (PARAMETER_ROWS, N) or None: what to control with instead of the estimates.
+        # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates.
         self.given_parameters: NDArray[np.float64] | None = None
         self._given: AdaptiveState | None = None
         self.known: Identification | None = None
@@ -180,7 +180,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         return np.where(stale | outlier, np.nan, gyro)
 
     def _adapt(self, known: Identification) -> None:
-        """Hand the estimates to the controller, or what was given in their place."""
+        """Pass the estimates to the controller, or the parameters given in their place."""
         if self.given_parameters is not None:
             self.controller.parameters = self.given_parameters
             return

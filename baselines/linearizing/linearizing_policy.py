@@ -129,11 +129,11 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
     parameters: nominal PlantParameters, each a number (all vehicles alike) or shape (N,).
     control_period: time [s] between two calls of `predict`.
     gains: of (35); must be positive with k_a k_v > k_p (Hurwitz).
-    lateral: closure of the nominal model, "sliding" or "constrained".
+    lateral: lateral model of the nominal vehicle, "sliding" or "constrained".
 
     The attribute `parameters`, float64 (PARAMETER_ROWS, 1 or N), rows as PARAMETER_NAMES, is
     what the law uses at the next call: write to it, or use `set_parameters` which checks.
-    Raises ValueError for gains, parameters, period or closure that make no sense.
+    Raises ValueError for gains, parameters, period or lateral model that make no sense.
     """
 
     def __init__(

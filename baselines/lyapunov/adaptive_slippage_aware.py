@@ -1,8 +1,8 @@
-"""The slippage-aware controller with slip that it identifies under way, or is told.
+"""The slippage-aware controller with identified slip, or with the true one.
 
     AdaptiveSlipPolicy   slip of the friction that is estimated on line (slip_recursive)
-    OracleSlipPolicy     slip of the true friction and shear modulus, as handed to `observe_truth`
-Both drive as SlippageAwarePolicy does; what they know of the slip is all that differs.
+    OracleSlipPolicy     slip of the true friction and shear modulus, from `observe_truth`
+The law is that of SlippageAwarePolicy; only the slip model differs.
 
 References: [F] Focchi et al. (2025), section 5.2.
 """
@@ -23,21 +23,21 @@ from baselines.slip.slip_sweep import slip_family, strength_over_weight
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 
-LATE = 0.05  # [s] an older velocity says nothing about the slip of now
+LATE = 0.05  # [s] an older velocity gives no information on the present slip
 MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that the oracle knows
 _SEEN = [layout.INDEX[n] for n in ("v_x", "v_y", "yaw_rate", "pose_age")]
 _SPROCKETS = [layout.INDEX[n] for n in ("sprocket_speed_left", "sprocket_speed_right")]
 
 
 class AdaptiveSlipState(NamedTuple):
-    """What is carried from one call to the next."""
+    """State of the policy between two calls."""
 
     driving: LyapunovState
     memory: NDArray[np.float64]  # of the estimator, (N, columns)
 
 
 class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
-    """slc on friction that it is not told; arguments as SlippageAwarePolicy, without the model.
+    """slc with unknown friction; arguments as SlippageAwarePolicy, without the slip model.
 
     parameters: nominal; the friction in them is where the estimate starts.
     """
@@ -126,7 +126,7 @@ class KnownSlip:
 
 
 class OracleSlipPolicy(SlippageAwarePolicy):
-    """slc with the slip of the soil that is there; arguments as AdaptiveSlipPolicy."""
+    """slc with the slip of the true soil; arguments as AdaptiveSlipPolicy."""
 
     needs_truth = True
     slip_model: KnownSlip

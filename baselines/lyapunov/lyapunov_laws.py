@@ -58,7 +58,7 @@ class Slip(NamedTuple):
 
 
 class BodyMotion(NamedTuple):
-    """What the tracks are asked to do, or do."""
+    """Motion of the body, demanded or actual."""
 
     speed: float  # [m/s] v_x, forward
     yaw_rate: float  # [rad/s] w, positive to the left

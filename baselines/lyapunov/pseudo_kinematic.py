@@ -56,7 +56,7 @@ class NoSlip:
 
 
 class Geometry(NamedTuple):
-    """What the kinematics need of a vehicle, (N,) each, or (1,) for all alike."""
+    """Lengths and limits of a vehicle for the kinematics, (N,) each, or (1,) for all alike."""
 
     half_gauge: Array  # [m] B / 2
     radius: Array  # [m] r

@@ -52,7 +52,7 @@ _REFERENCE = np.array(
 
 
 class LyapunovState(NamedTuple):
-    """What a policy remembers between two calls; never changed in place."""
+    """State of the policy between two calls; never changed in place."""
 
     error: Array  # (N, 3) vehicle minus reference, body axes [m, m, rad]
     age: Array  # (N,) [s] age of the pose sample last seen

@@ -1,7 +1,8 @@
-"""Files that are there whole or not at all, names that no two things share, and locks.
+"""Atomic writing of files, unique file names, and locks.
 
-A file is written beside its place under a temporary name and then moved there. What a kill leaves
-under such a name is removed by `sweep`, which whoever holds the lock of the folder may call.
+A file is written beside its place under a temporary name and then moved there. Files that a
+killed process leaves under such a name are removed by `sweep`; call it only while the lock of the
+folder is held.
 """
 
 import hashlib

@@ -48,7 +48,7 @@ from tracked_env.benchmark import (
     check,
     default_sets,
     leaderboard,
-    page,
+    leaderboard_page,
     report,
 )
 from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
@@ -125,8 +125,8 @@ class Config:
     """Instead of the length of the episodes of each set [s]."""
 
     lateral: Literal["sliding", "constrained"] = "sliding"
-    """Lateral closure of the plant: sliding tracks, or the ICR
-    held at a constant distance as in the original paper."""
+    """Lateral model of the lumped plant: sliding tracks, or the
+    ICR at a constant distance, as in the paper."""
 
     output: Path = Path("results")
     """Folder for results; each configuration gets its own in
@@ -140,7 +140,7 @@ class Config:
 
     paper: Literal["none", "strawa2021", "focchi2025"] = "none"
     """Instead of the benchmark, run a paper's experiments again:
-    its claims beside what comes out, its figures, one page."""
+    its claims beside the results, its figures, one page."""
 
     chunk: int = 64
     """Episodes run and stored together; numbers do not change."""
@@ -236,7 +236,7 @@ def write_leaderboard(
     for name, path in paths:
         folders.setdefault(name, []).append(path.parent)
     curves = leaderboard.read_curves(folders)
-    page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
+    leaderboard_page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
     return leaderboard.terminal(board)
 
 

@@ -3,11 +3,11 @@
 The names are those of Stable-Baselines3, so that its documentation holds for them too; `hidden`,
 `log_std_init` and `lstm_hidden` describe the networks. Each default stands with its reason.
 
-Common to all: observations are of order one, and where `scaled` says so rewards come times
-1 - gamma (`agents.reward`), so nothing is normalised; `smoothness` is the price of a change of the
-action there, `steps` how long to train; a horizon of 1 to 1.3 s is long against the
-slowest pole of driving, and with two learning is slower; the learning rate falls linearly to zero,
-so that the last agent is a settled one. A value outside LIMITS is a ValueError.
+Common to all: observations are of order one, and where `scaled` is set rewards are multiplied by
+1 - gamma (`agents.reward`), so nothing is normalised; `smoothness` is the weight of the action-rate
+penalty there, `steps` the length of the training; a horizon of 1 to 1.3 s is long compared with the
+slowest pole of the vehicle, and learning is slower with two seconds; the learning rate falls
+linearly to zero, so that the last agent is a settled one. A value outside LIMITS is a ValueError.
 
 References: [1] Schulman et al., arXiv:1707.06347 (PPO). [2] Haarnoja et al., arXiv:1812.05905
 (SAC). [3] Fujimoto et al., arXiv:1802.09477 (TD3). [4] Kuznetsov et al., arXiv:2005.04269 (TQC).
@@ -139,7 +139,7 @@ class OffPolicyConfig:
     """What the algorithms with a replay buffer have in common."""
 
     scaled: ClassVar[bool] = False  # scaled, SAC and TD3 had learned nothing after 150 000 steps
-    smoothness: ClassVar[float] = 0.0  # with a price of changes TD3 learns nothing, SAC less
+    smoothness: ClassVar[float] = 0.0  # with an action-rate penalty TD3 learns nothing, SAC less
     steps: ClassVar[int] = 300_000
 
     buffer_size: int = 300_000

@@ -1,4 +1,4 @@
-"""Named policies for the benchmark: what each knows of the vehicle and its soil.
+"""Named policies for the benchmark: the knowledge that each has of the vehicle and its soil.
 
     nominal   the feedback-linearizing controller with the nominal parameters, right or wrong
     adaptive  the same controller with the parameters that it identifies under way
@@ -10,7 +10,7 @@ For vehicles driven by their sprocket speeds:
     slc-adaptive  the same controller with the slip of the friction that it identifies under way
     slc-oracle    the same controller with the slip of the true soil
 A factory takes a context with `control_period` [s], `lateral` (closure), `sensors` (data sheet:
-the noise of the sensors, which everybody may know), `drive`, `vehicle`, and `observation` (names
+the noise of the sensors, which every policy may use), `drive`, `vehicle`, and `observation` (names
 of its fields). `register` adds a controller.
 """
 

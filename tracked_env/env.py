@@ -12,6 +12,7 @@ from tracked_env.engine import columns as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
 from tracked_env.plants import Plant
+from tracked_env.rewards import INFO_KEYS
 from tracked_env.uncertainty import Spec
 from tracked_env.validation import checked_choice, checked_flag
 
@@ -52,7 +53,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         ## Rewards
         Sum of bounded terms (`tracked_env.rewards`), in [-0.1, 1] per step: closeness of position
         (weight 0.7), heading (0.15) and speed (0.15), minus effort (0.05) and change of the action
-        (0.05). They are in `info["reward_terms"]`.
+        (0.05). Each is in `info`: `reward_position`, `reward_heading`, `reward_speed`,
+        `reward_effort`, `reward_smoothness`.
 
         ## Starting State
         Beside the start of the reference: U(-0.15, 0.15) contact lengths l forward and to the
@@ -62,7 +64,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         Terminated: more than `error_limit` from the reference, or a non-finite state. Then the
         observation keeps the last readings of the sensors, the reward is the worst, -0.1, and
         `truth` and `tracking_error` show the state as it is.
-        Truncated: after `duration`. No TimeLimit wrapper is needed.
+        Truncated: after `duration`, by the environment itself. `spec.max_episode_steps` is None,
+        because it would be a fixed number of steps while `duration` and `control_rate` are
+        arguments: Gymnasium's TimeLimit would cut longer episodes in their middle.
 
         ## Arguments
         All but a function are JSON-able; `tracked_env/Speed-v0` has defaults of its own
@@ -95,8 +99,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         not read (docs/uncertainty.md has the table).
 
         ## Info
-        `tracking_error` (2,) [m, rad]: distance to the reference, heading error; `reward_terms`;
-        `is_success`: ended by time with an RMSE below l/4; `truth` when asked for.
+        `tracking_error` (2,) [m, rad]: distance to the reference, heading error; the terms of the
+        reward, one number each; `is_success`: ended by time with an RMSE below l/4; `truth` when
+        asked for.
 
         ## Version History
         * v0: initial version
@@ -184,7 +189,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         ended = self.simulation.batch.counters[0, b.TRUNCATED] != 0
         info: dict[str, Any] = {
             "tracking_error": floats[b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy(),
-            "reward_terms": dict(zip(b.REWARD_TERMS, terms, strict=True)),
+            **dict(zip(INFO_KEYS, terms, strict=True)),
             "is_success": bool(ended and self.simulation.success[0]),
         }
         if self.expose_truth:

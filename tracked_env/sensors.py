@@ -24,7 +24,7 @@ from scipy.special import ndtri
 
 from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUPS, TABLE, Channel
 from tracked_env.physics.parameters import Range
-from tracked_env.validation import checked_choice, checked_keys, checked_number
+from tracked_env.validation import SIGMA, checked_choice, checked_keys, checked_number
 
 DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
 PERIOD_LIMIT = 10.0  # [s] longest sampling period
@@ -108,9 +108,8 @@ MOCAP = Sensors(
 )
 PRESETS = {"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA, "mocap": MOCAP}
 
-_SIGMA = Range(0.0, 1e4, "its SI unit", "Did you pass a variance or degrees?")
 _RANGES = {
-    **{name: _SIGMA for name in Sensors._fields if name.endswith(("_noise", "_bias"))},
+    **{name: SIGMA for name in Sensors._fields if name.endswith(("_noise", "_bias"))},
     "cross_coupling": Range(0.0, 1.0, "-", "Did you pass a percentage?"),
     "accelerometer_distance": Range(0.01, 10.0, "m", "Did you pass millimetres?"),
     **{f"{group}_rate": Range(0.0, 1e4, "Hz", "0 means every control step.") for group in GROUPS},
@@ -163,7 +162,7 @@ def register(channel: Channel) -> Channel:
     for preset, values in channel.presets.items():
         checked_choice(f"sensor preset of channel {channel.name!r}", preset, PRESETS)
         for name, value in checked_keys(f"presets of {channel.name!r}", values, own).items():
-            checked_number(name, value, _SIGMA)
+            checked_number(name, value, SIGMA)
     ADDED[channel.name] = channel
     _fixed_part.cache_clear()
     return channel
@@ -198,7 +197,7 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
         fields = {
             name: checked_number(name, getattr(spec, name), _RANGES[name]) for name in _FIELDS
         }
-        registered = ((name, checked_number(name, value, _SIGMA)) for name, value in spec.further)
+        registered = ((name, checked_number(name, value, SIGMA)) for name, value in spec.further)
         return _stated(Sensors(**fields, further=tuple(registered)))
     if spec is None:
         raise ValueError(
@@ -214,8 +213,7 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
     if "preset" in given:
         base = _preset(given.pop("preset"))
     checked = {
-        name: checked_number(name, value, _RANGES.get(name, _SIGMA))
-        for name, value in given.items()
+        name: checked_number(name, value, _RANGES.get(name, SIGMA)) for name, value in given.items()
     }
     values = {name: value for name, value in checked.items() if name in _FIELDS}
     own = {name: value for name, value in checked.items() if name in added}

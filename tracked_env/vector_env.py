@@ -10,13 +10,14 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from tracked_env.engine.columns import REWARD_TERMS, Report
+from tracked_env.engine.columns import Report
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.episode import OPTION_KEYS
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
 from tracked_env.physics.parameters import Range
 from tracked_env.plants import Plant
+from tracked_env.rewards import INFO_KEYS
 from tracked_env.uncertainty import Spec
 from tracked_env.validation import (
     checked_choice,
@@ -28,6 +29,7 @@ from tracked_env.validation import (
 Bools = NDArray[np.bool_]
 _STEPS = Range(1, 10**9, "-", "It counts control steps. Did you pass seconds?")
 _KEYS = ("reset_mask", "rows", "staggered")  # of the options, beside those of one environment
+_REWARD_KEYS = tuple((name, f"_{name}") for name in INFO_KEYS)
 
 
 class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArray[Any]]):
@@ -170,7 +172,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         return [row or {} for row in rows]
 
     def _seed(self, chosen: NDArray[np.int64], seed: Any) -> None:
-        """Give the chosen rows the streams that `seed` says, or some where they have none."""
+        """Give the chosen rows the random streams of `seed`, or new ones where they have none."""
         one = isinstance(seed, str) or not isinstance(seed, (Sequence, np.ndarray))
         seeds: list[Any] = [seed] if one else list(seed)
         for value in seeds:
@@ -228,7 +230,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self._start(chosen, [None] * len(chosen))
 
     def _final(self, over: Bools) -> dict[str, Any]:
-        """What SAME_STEP would otherwise lose: last observation and info of the ended rows."""
+        """Last observation and info of the ended rows, which SAME_STEP replaces."""
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(over):
             final_obs[i] = self.simulation.observations[i].copy()
@@ -242,17 +244,14 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
 
     def _info(self, mask: Bools, report: Report, success: Bools) -> dict[str, Any]:
         """Info of every row as arrays, each with its mask `_name`, as Gymnasium has it."""
-        terms: dict[str, Any] = {}
-        for name, value in zip(REWARD_TERMS, report.terms, strict=True):
-            terms[name], terms["_" + name] = value, mask
         info: dict[str, Any] = {
             "tracking_error": report.tracking_error,
             "_tracking_error": mask,
-            "reward_terms": terms,
-            "_reward_terms": mask,
             "is_success": success,
             "_is_success": mask,
         }
+        for (name, masked), value in zip(_REWARD_KEYS, report.terms, strict=True):
+            info[name], info[masked] = value, mask
         if self.expose_truth:
             truth: dict[str, Any] = {}
             for name, value in self.simulation.truth().items():

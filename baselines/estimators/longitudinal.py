@@ -31,6 +31,7 @@ from baselines.estimators.two_parameters import (
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
 RESISTANCE_DRIFT = 0.01  # [1/sqrt(s)] random walk of mu_l: 0.02 in a second, more by `changes`
@@ -122,6 +123,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
         drift: float | None = None,
         follows_changes: bool | None = None,
     ) -> None:
+        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         forgetting, drift, follows_changes = tuning(
             regression, forgetting, drift, follows_changes, (FORGETTING, RESISTANCE_DRIFT)
         )

@@ -21,6 +21,7 @@ from tracked_env import observation as layout
 from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUPS
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
+from tracked_env.validation import CONTROL_PERIOD, VEHICLES, checked_number, checked_whole
 
 LONGEST_AGE = 1.0  # [s] older samples are not paired
 DELAY_RISE = 0.2  # [-] slope at which the delay of a group follows ages that stay up
@@ -163,13 +164,8 @@ class ObservationReader:
     """
 
     def __init__(self, control_period: float, count: int = 1) -> None:
-        if not 0.0 < control_period <= 1.0:
-            raise ValueError(
-                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
-            )
-        if count < 1:
-            raise ValueError(f"count = {count} vehicles; must be at least 1")
-        self.control_period = float(control_period)
+        count = checked_whole("count", count, VEHICLES)
+        self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.slots = round(LONGEST_AGE / control_period) + 2
         self.memory = np.zeros((count, RINGS + 2 * self.slots * SLOT))
 

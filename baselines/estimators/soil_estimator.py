@@ -22,7 +22,8 @@ from baselines.estimators.soil_window import DETERMINED, Sensing, update_all
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics import vehicle
 from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.physics.parameters import RANGES, PlantParameters, Range
+from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
 EFFORT_RANGE = (100.0, 1e6)  # [N] bounds of F_max
 EFFORT_FLOOR = 5.0  # [N] sigma of the model: F is not quite quasi-static
@@ -32,13 +33,10 @@ TRUSTED = 100.0  # [-] inverse variance of ln F from the data that a controller 
 # The UKF's slip errors hang together over some samples: variance counts that much more.
 SLIP_CORRELATION = 10.0  # [control steps]
 PRIOR_SIGMA = (1.0, 0.7)  # [-] of ln F_max (weak soil to clay: a factor e), ln K (1 to 6 cm)
-
-
-def _inside(name: str, value: float, low: float, high: float, unit: str, hint: str) -> float:
-    """The value, checked; ValueError says what is wrong."""
-    if not low <= value <= high:  # NaN is outside
-        raise ValueError(f"{name} = {value:g} {unit}; must be in [{low:g}, {high:g}]. {hint}")
-    return float(value)
+_WINDOW = Range(2, 10000, "control steps", "Did you pass seconds?")
+_ITERATIONS = Range(1, 1000, "-", "S allows 20.")
+_CORRELATED = Range(1.0, 1e4, "control steps", "1 = white.")
+_CORRELATION = Range(0.0, 1.0, "-", "It is a coefficient.")
 
 
 @loop
@@ -97,14 +95,14 @@ class SoilEstimator:
             "mass", "track_width", "track_gauge", "contact_length", "sprocket_radius", "cohesion",
             "friction_angle", "shear_deformation_modulus",
         ):  # fmt: skip
-            _inside(f"nominal {name}", float(getattr(parameters, name)), *RANGES[name])
-        _inside("control_period", control_period, 1e-4, 10.0, "s", "Did you pass Hz or ms?")
-        _inside("count", count, 1, 1e9, "vehicles", "There is at least one.")
-        _inside("window", window, 2, 10000, "control steps", "Did you pass seconds?")
-        _inside("iterations", iterations, 1, 1000, "-", "S allows 20.")
-        _inside("correlation_steps", correlation_steps, 1.0, 1e4, "control steps", "1 = white.")
+            checked_number(f"nominal {name}", getattr(parameters, name), RANGES[name])
+        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
+        count = checked_whole("count", count, VEHICLES)
+        window = checked_whole("window", window, _WINDOW)
+        iterations = checked_whole("iterations", iterations, _ITERATIONS)
+        checked_number("correlation_steps", correlation_steps, _CORRELATED)
         for name in ("torque_noise", "sprocket_speed_noise", "velocity_noise", "gyro_noise"):
-            _inside(name, getattr(data_sheet, name), 0.0, 1e6, "SI", "A standard deviation.")
+            checked_number(name, getattr(data_sheet, name), SIGMA)
         if residual not in ("total", "effort"):
             raise ValueError(f"residual = {residual!r}; must be 'total' or 'effort'")
         p, sheet = parameters, data_sheet
@@ -171,8 +169,7 @@ class SoilEstimator:
             raise ValueError(f"slip {arrays[0].shape}, variance {arrays[1].shape}; must be {shape}")
         self._given = (
             arrays[0],
-            arrays[1]
-            * (1.0 + _inside("correlation", correlation, 0.0, 1.0, "-", "It is a coefficient.")),
+            arrays[1] * (1.0 + checked_number("correlation", correlation, _CORRELATION)),
         )
 
     def update(self, measurement: Measurement) -> Estimate:

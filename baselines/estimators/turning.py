@@ -44,6 +44,7 @@ from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import saturated_sign
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
 FRICTION_DRIFT = 0.02  # [1/sqrt(s)] random walk of m mu_t, of its nominal value
@@ -233,6 +234,7 @@ class TurningEstimator(TwoParameterEstimator):
                 f"regression = 'printed' with lateral = {lateral!r}; must be 'constrained': "
                 "S 7.1.2 knows no lateral motion but that of a fixed ICR"
             )
+        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         forgetting, drift, follows_changes = tuning(
             regression, forgetting, drift, follows_changes, (FORGETTING, FRICTION_DRIFT)
         )

@@ -23,6 +23,7 @@ from baselines.estimators.estimate import Estimate, Estimator, Quantity
 from baselines.estimators.sensor_samples import DataSheet, Measurement
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.validation import VEHICLES, checked_whole
 
 PAPER_FORGETTING = 0.998  # [-] S 8.3.1
 REGRESSIONS = ("coupled", "paper", "printed")
@@ -117,14 +118,9 @@ class TwoParameterEstimator:
         count: int,
         prior: ls.Prior,
     ) -> None:
-        if not 0.0 < control_period <= 1.0:
-            raise ValueError(
-                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
-            )
-        if count < 1:
-            raise ValueError(f"count = {count} vehicles; must be at least 1")
+        count = checked_whole("count", count, VEHICLES)
         self.parameters = PlantParameters(*(float(value) for value in parameters))
-        self.control_period = float(control_period)
+        self.control_period = control_period
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
         numbers = [float(x) for x in prior[:-2]]
         self.prior = ls.Prior._make([*numbers, *(bool(x) for x in prior[-2:])])

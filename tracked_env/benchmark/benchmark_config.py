@@ -1,4 +1,4 @@
-"""What a benchmark runs: sets, episodes, and what is said differently from the sets."""
+"""Configuration of a benchmark: sets, episodes, and settings that differ from the sets."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -24,11 +24,11 @@ WITHOUT_INFLUENCE = {
     "benchmark/frozen.py": "compares what is drawn with what is kept",
     "benchmark/leaderboard.py": "tables from records",
     "benchmark/policy_lookup.py": "finds policies; each record has its own fingerprint",
-    "benchmark/page.py": "tables from records",
+    "benchmark/leaderboard_page.py": "tables from records",
     "benchmark/records.py": "checks of what is read",
     "benchmark/reliability.py": "statistics of records",
     "benchmark/report.py": "tables from records",
-    "benchmark/shown.py": "the motion that is kept for figures",
+    "benchmark/figure_data.py": "the motion that is kept for figures",
     "benchmark/statistics.py": "statistics of records",
     "benchmark/store.py": "writes and reads records",
     "benchmark/summary.py": "statistics of records",
@@ -38,9 +38,9 @@ WITHOUT_INFLUENCE = {
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """What is run. All but `sets`, `episodes` and `chunk` is part of a result's identity.
+    """Episodes to be run. All but `sets`, `episodes` and `chunk` is part of a result's identity.
 
-    None for reference, sensors, duration or error_limit: what each set, or its environment, says.
+    None for reference, sensors, duration or error_limit: the value of each set or its environment.
     All sets are of one environment id.
     """
 
@@ -94,12 +94,12 @@ class BenchmarkConfig:
         return SETS[self.sets[0]].env
 
     def evaluation_set(self, name: str) -> BenchmarkSet:
-        """A set, with what this configuration says differently."""
+        """A set, with the settings of this configuration in place of its own."""
         given = {key: getattr(self, key) for key in ("reference", "sensors", "duration")}
         return SETS[name]._replace(**{k: v for k, v in given.items() if v is not None})
 
     def context(self, name: str) -> PolicyContext:
-        """What a policy may know of the environment of a set."""
+        """Information on the environment of a set that a policy may use."""
         chosen = self.evaluation_set(name)
         known = {k: v for k, v in chosen.arguments.items() if k in ("drive", "vehicle")}
         shown = make_layout(chosen.arguments.get("observation", "v0")).names

@@ -61,7 +61,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def look(name: str, config: BenchmarkConfig | None = None) -> dict[str, Any]:
-    """What the episodes of a set are now: {"hash": digest, "driven": numbers}."""
+    """Digest of the episodes of a set as drawn now: {"hash": digest, "driven": numbers}."""
     config = BenchmarkConfig(sets=(name,)) if config is None else config
     env = config.environment(name, EPISODES, truth=False)
     simulation = env.simulation
@@ -95,7 +95,7 @@ def kept() -> dict[str, Any]:
 
 
 def _deviations(config: BenchmarkConfig) -> list[str]:
-    """What the configuration says differently, in words."""
+    """Settings that differ from those of the sets, in words."""
     said = [
         f"{name} = {getattr(config, name)!r}"
         for name, fixed in FIXED.items()
@@ -145,7 +145,7 @@ def check(config: BenchmarkConfig) -> Check:
 
 
 def document() -> dict[str, Any]:
-    """What is kept of a version, from what is drawn now."""
+    """The stored record of a version, from the episodes as drawn now."""
     found = {name: look(name) for name in OF_VERSION}
     return {
         "version": VERSION, "hash": total(found), "numpy": np.__version__, "episodes": EPISODES,

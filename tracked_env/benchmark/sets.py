@@ -1,10 +1,10 @@
-"""The evaluation sets, version by version the same episodes for everyone.
+"""The evaluation sets, in each version the same episodes for every policy.
 
 A set is a law of vehicles, soils and changes (`tracked_env.uncertainty`), with the environment id,
 the sensors, the reference and the duration of its episodes; episode i is drawn from seed SEED + i.
-What the first EPISODES of them are is kept in `sets_v2.json`, and `frozen` compares. A set belongs
-here if it separates policies: nominal from oracle, and, in those about memory, one observation from
-many.
+Digests of the first EPISODES are kept in `sets_v2.json`, and `frozen` compares with them. A set
+belongs here if it separates policies: nominal from oracle or, in the sets that need memory,
+policies of one observation from policies of many.
 
 To change anything here, or in what is drawn, is to make a new version. `register` adds a set of
 one's own, which is run where it is named and belongs to no version.
@@ -30,7 +30,7 @@ STATE_FIELDS = (
 
 
 class BenchmarkSet(NamedTuple):
-    """What the episodes of one set are drawn from."""
+    """Law, sensors and reference from which the episodes of one set are drawn."""
 
     name: str
     uncertainty: Spec  # name of the law, or a law
@@ -63,7 +63,7 @@ _ALL = (
     BenchmarkSet("drift", "drift", "everything slides away slowly"),
     BenchmarkSet("mixed", "mixed", "several changes at once"),
     BenchmarkSet("ood", "ood", "outside the ranges of all other sets"),
-    # Memory: one observation does not tell where the vehicle is or how fast it goes.
+    # One observation does not determine the position or the velocity of the vehicle.
     BenchmarkSet(
         "late-pose", "soil-and-mass", "position, heading, velocity come 0.2 s late",
         {"preset": "rtk", "pose_delay": 0.2},

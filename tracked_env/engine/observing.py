@@ -14,13 +14,12 @@ from tracked_env.engine import columns as b
 from tracked_env.physics import channels, reference_profile
 from tracked_env.physics import state as s
 from tracked_env.physics.channels import GROUP_START
-from tracked_env.physics.elementary import rotation
+from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import PARAMETER_INDEX
 
 _RADIUS = b.PARAMETERS + PARAMETER_INDEX["sprocket_radius"]
 _AHEAD_TIMES = np.array(obs.LOOK_AHEAD)
-TWO_PI = 2.0 * math.pi
 
 # Channels that are shown as they are: (channel, column of the observation).
 _SHOWN = np.array(
@@ -42,12 +41,6 @@ _AHEAD_SPEED, _AHEAD_YAW_RATE = (
 )
 _ACTION = np.array([obs.INDEX[f"previous_action_{side}"] for side in ("left", "right")])
 _AGE = np.array([obs.INDEX[f"{group}_age"] for group in channels.GROUPS])
-
-
-@formula
-def wrapped(angle):
-    """The angle [rad] in [-pi, pi]. Exactly odd: symmetric situations stay symmetric."""
-    return angle - TWO_PI * np.rint(angle / TWO_PI)
 
 
 @formula
@@ -107,7 +100,7 @@ def tracking_error(floats, i):
     yaw = floats[i, b.STATE + s.YAW]
     dx = floats[i, b.REFERENCE_X] - floats[i, b.STATE + s.X]
     dy = floats[i, b.REFERENCE_Y] - floats[i, b.STATE + s.Y]
-    floats[i, b.ERROR_YAW] = wrapped(floats[i, b.REFERENCE_YAW] - yaw)
+    floats[i, b.ERROR_YAW] = wrap_angle(floats[i, b.REFERENCE_YAW] - yaw)
     floats[i, b.ERROR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
 
 
@@ -123,7 +116,7 @@ def write_observation(floats, i, step, control_period, arrived, out):
     dy = floats[i, b.REFERENCE_Y] - floats[i, arrived + _Y]
     obs.store(out, i, _ERROR_X, cosine * dx + sine * dy)
     obs.store(out, i, _ERROR_Y, cosine * dy - sine * dx)
-    obs.store(out, i, _HEADING_ERROR, wrapped(floats[i, b.REFERENCE_YAW] - yaw))
+    obs.store(out, i, _HEADING_ERROR, wrap_angle(floats[i, b.REFERENCE_YAW] - yaw))
     for k in range(_SHOWN.shape[0]):
         obs.store(out, i, _SHOWN[k, 1], floats[i, arrived + _SHOWN[k, 0]])
     for row in range(5):

@@ -56,10 +56,12 @@ def capture_environment(env: VecEnv | None) -> list[Any]:
 
 
 def resume_environment(env: VecEnv | None, states: list[Any]) -> None:
-    """Put back what `capture_environment` took. env: has been reset.
+    """Put back what `capture_environment` took, into an environment of the same arguments.
 
     Raises ValueError, before anything is put back, for what another environment has left.
     """
+    if env is not None:
+        env.reset()  # now it has everything that the states are compared with
     checkpoint_fit.check(capture_environment(env), states, "environment")
     _put_back(env, states)
 

@@ -82,8 +82,9 @@ class Progress:
             checkpoints.write(self.folder, {**state, "learner": self.learner.capture()})
 
     def finish(self, value: float) -> None:
-        """Evaluate and keep the last agent. value: as `between`."""
-        self.evaluate(value)
+        """Evaluate and keep the last agent, unless `between` has just done so. value: as there."""
+        if self.evaluated < self.learner.steps:
+            self.evaluate(value)
 
     def evaluate(self, value: float) -> None:
         """Drive the held-out episodes, keep the agent, and apart from it the best one."""

@@ -122,8 +122,8 @@ class StudentLearner:
             self.regress(self.settings.learning_rate * (1.0 - before / total))
             check_finite(self.model.inference, {"loss": loss}, self.steps)
             progress.count(self.steps - before)
-            done = progress.between if self.steps < total else progress.finish
-            done(round(loss, 5))
+            progress.between(round(loss, 5))
+        progress.finish(progress.curve[-1][3] if progress.curve else float("nan"))
 
     def trained(self) -> Trained:
         """The network of the teacher, and what infers its inputs."""

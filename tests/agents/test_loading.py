@@ -170,7 +170,8 @@ def test_agents_are_called_after_their_folder_and_told_apart(trained, tmp_path):
 
 def test_every_file_without_influence_is_there_and_has_its_reason():
     names = {path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
-    assert set(WITHOUT_INFLUENCE) < names
+    for left_out in WITHOUT_INFLUENCE:
+        assert any(name.startswith(left_out) for name in names), left_out
     assert all(len(reason) > 10 for reason in WITHOUT_INFLUENCE.values())
 
 

@@ -17,16 +17,13 @@ from numba import njit
 
 from tracked_env.physics.elementary import small_rotation
 from tracked_env.physics.lumped_forces import (
-    Motion,
-    coefficients,
     constrained_accelerations,
-    drive_limits,
     sliding_accelerations,
-    torque_decay,
     traction_limits,
 )
 from tracked_env.physics.parameters import PlantParameters, SoilParameters, plant_parameters
 from tracked_env.physics.rk4 import rk4_step
+from tracked_env.physics.vehicle import Motion, coefficients, drive_limits, torque_decay
 from tracked_env.uncertainty import SOILS
 
 CONTROL_PERIOD = 0.02  # [s] one torque demand

@@ -11,6 +11,7 @@ from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
+from tracked_env.plants import Plant
 from tracked_env.validation import checked_choice, checked_flag
 
 RENDER_MODES = ("human", "rgb_array")
@@ -74,17 +75,19 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `error_limit` | 5 | [m] distance that ends an episode |
         | `time_step` | 0.0025 | [s] longest integration step; its error: docs/numerics.md |
         | `vehicle` | `"strawa"` | nominal vehicle and soil: `strawa`, `focchi`, `focchi-short` |
-        | `plant` | `"lumped"` | closed-form forces, or `"distributed"`: patches under the tracks |
+        | `plant` | `"lumped"` | closed-form forces, or `"distributed"`: patches under the tracks; a
+        name of `tracked_env.plants`, or a `Plant` |
         | `drive` | `"torque"` | what the actions are; `"speed"` needs the distributed plant |
         | `patches` | (10, 4) | of the distributed plant: along and across a track |
+        | `plant_options` | None | {option: value} of the plant, see its file in `plants/` |
         | `expose_truth` | False | put true state and parameters into `info["truth"]` |
         | `render_mode` | None | `"human"` or `"rgb_array"` |
 
         `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
-        `closure` ({parameter: value}), `reference`, `sensors`, `schedule` (a list of changes, see
-        `tracked_env.events`) and `start` ({offset_x, offset_y, offset_yaw, speed, yaw_rate}).
-        An unknown key is a ValueError, and so is a parameter that the plant does not read
-        (docs/uncertainty.md has the table).
+        `lateral_model` (formerly `closure`; {parameter: value}), `reference`, `sensors`, `schedule`
+        (a list of changes, see `tracked_env.events`) and `start` ({offset_x, offset_y, offset_yaw,
+        speed, yaw_rate}). An unknown key is a ValueError, and so is a parameter that the plant does
+        not read (docs/uncertainty.md has the table).
 
         ## Info
         `tracking_error` (2,) [m, rad]: distance to the reference, heading error; `reward_terms`;
@@ -110,9 +113,10 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         error_limit: float = 5.0,
         time_step: float = 0.0025,
         vehicle: str = "strawa",
-        plant: str = "lumped",
+        plant: str | Plant = "lumped",
         drive: str = "torque",
         patches: Sequence[int] = (10, 4),
+        plant_options: Mapping[str, Any] | None = None,
         expose_truth: bool = False,
         render_mode: str | None = None,
     ) -> None:
@@ -120,7 +124,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             checked_choice("render_mode", render_mode, RENDER_MODES)
         config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, 1, vehicle, plant, drive, patches,
+            time_step, 1, vehicle, plant, drive, patches, plant_options,
         )  # fmt: skip
         self.simulation = Simulation(1, config)
         self.expose_truth = checked_flag("expose_truth", expose_truth)

@@ -26,8 +26,8 @@ WEIGHTS = {
     "smoothness": -0.05,
 }
 _LENGTH = b.PARAMETERS + PARAMETER_INDEX["contact_length"]
-_POSITION, _HEADING, _SPEED, _EFFORT, _SMOOTHNESS = WEIGHTS.values()
-_WORST = tuple(min(weight, 0.0) for weight in WEIGHTS.values())
+_POSITION, _HEADING, _SPEED, _EFFORT, _SMOOTHNESS = (WEIGHTS[name] for name in b.REWARD_TERMS)
+_WORST = tuple(min(WEIGHTS[name], 0.0) for name in b.REWARD_TERMS)
 
 
 @formula
@@ -58,7 +58,7 @@ def reward_terms(distance, heading_error, speed_error, left, right, left_before,
 def judge(floats, counters, i, error_limit, diverged):
     """Reward, and whether the episode of vehicle i ends; diverged: its state is not finite."""
     distance = floats[i, b.ERROR_DISTANCE]
-    left, right = floats[i, b.PREVIOUS_ACTION], floats[i, b.PREVIOUS_ACTION + 1]
+    left, right = floats[i, b.ACTION], floats[i, b.ACTION + 1]
     speed_error = floats[i, b.REFERENCE_MOTION] - floats[i, b.STATE + s.V_X]
     length = floats[i, _LENGTH]
     terms = reward_terms(
@@ -67,8 +67,8 @@ def judge(floats, counters, i, error_limit, diverged):
         speed_error / length,
         left,
         right,
-        floats[i, b.ACTION_BEFORE],
-        floats[i, b.ACTION_BEFORE + 1],
+        floats[i, b.LAST_ACTION],
+        floats[i, b.LAST_ACTION + 1],
     )
     if diverged:
         terms = _WORST

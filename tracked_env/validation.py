@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tracked_env.physics.parameters import RANGES, READS, Range
+from tracked_env.physics.parameters import RANGES, ParametersRead, Range
 
 
 def unknown(what: str, name: object, allowed: Iterable[str]) -> ValueError:
@@ -90,13 +90,13 @@ def checked_parameter(name: str, value: object) -> float:
     return checked_number(name, value, RANGES[name])
 
 
-def checked_effect(what: str, name: str, value: object, plant: str) -> None:
-    """Raises ValueError if `plant` (a key of READS) does not read the parameter `name`."""
-    if name not in READS[plant]:
-        readers = [f"the {other}" for other, names in READS.items() if name in names]
+def checked_effect(what: str, name: str, value: object, reads: ParametersRead) -> None:
+    """Raises ValueError if the plant does not read the parameter `name`."""
+    if name not in reads.names:
         raise ValueError(
-            f"{what} {name} = {value!r}; the {plant} does not read it, so it would change nothing: "
-            f"must be one of {sorted(READS[plant])}. Did you mean {' or '.join(readers)}?"
+            f"{what} {name} = {value!r}; the {reads.plant} does not read it, so it would change "
+            f"nothing: must be one of {sorted(reads.names)}. Did you mean another plant, drive or "
+            "lateral model?"
         )
 
 

@@ -11,12 +11,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from tracked_env import observation as obs
-from tracked_env.engine import columns as b
+from tracked_env.engine.columns import REWARD_TERMS, Report
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.episode import OPTION_KEYS
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
 from tracked_env.physics.parameters import Range
+from tracked_env.plants import Plant
 from tracked_env.validation import (
     checked_choice,
     checked_flag,
@@ -69,9 +70,10 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         error_limit: float = 5.0,
         time_step: float = 0.0025,
         vehicle: str = "strawa",
-        plant: str = "lumped",
+        plant: str | Plant = "lumped",
         drive: str = "torque",
         patches: Sequence[int] = (10, 4),
+        plant_options: Mapping[str, Any] | None = None,
         expose_truth: bool = False,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
@@ -84,7 +86,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             checked_choice("render_mode", render_mode, self.metadata["render_modes"])
         config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, threads, vehicle, plant, drive, patches,
+            time_step, threads, vehicle, plant, drive, patches, plant_options,
         )  # fmt: skip
         if not isinstance(autoreset_mode, AutoresetMode):
             names = [mode.value for mode in AutoresetMode]
@@ -128,7 +130,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self._start(chosen, given)
         if staggered:
             share = np.arange(1, len(chosen) + 1) / len(chosen)
-            limits = self.simulation.batch.counters[:, b.MAX_STEP]
+            limits = self.simulation.batch.counter("max_step")
             limits[chosen] = np.ceil(share * limits[chosen])
         return self.simulation.observations.copy(), self._info(
             mask, self.simulation.report(), self._success()
@@ -137,12 +139,12 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
     def _start(self, chosen: NDArray[np.int64], given: Sequence[dict[str, Any] | None]) -> None:
         self.simulation.reset(chosen, given)
         if self._max_steps is not None:
-            limits = self.simulation.batch.counters[:, b.MAX_STEP]
+            limits = self.simulation.batch.counter("max_step")
             limits[chosen] = np.minimum(limits[chosen], self._max_steps)
 
     def _success(self) -> Bools:
         """An episode that `max_episode_steps` has cut short has not been driven to its end."""
-        steps = self.simulation.batch.counters[:, b.STEP]
+        steps = self.simulation.batch.counter("step")
         return self.simulation.success & (steps >= self.simulation.settings.max_steps)
 
     def _mask(self, mask: Any) -> Bools:
@@ -198,7 +200,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         resting = ended.any()
         simulation.step(actions, np.flatnonzero(~ended) if resting else None)
         report = simulation.report()
-        rewards = report[:, 2].copy()
+        rewards = report.reward.copy()
         if not simulation.some_ended and not resting:  # nearly always: nothing to look up
             terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
             info = self._info(self._every, report, success)
@@ -236,13 +238,13 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             "_final_info": mask,
         }
 
-    def _info(self, mask: Bools, report: NDArray[np.float64], success: Bools) -> dict[str, Any]:
+    def _info(self, mask: Bools, report: Report, success: Bools) -> dict[str, Any]:
         """Info of every row as arrays, each with its mask `_name`, as Gymnasium has it."""
         terms: dict[str, Any] = {}
-        for column, name in enumerate(b.REWARD_TERMS, start=3):
-            terms[name], terms["_" + name] = report[:, column], mask
+        for name, value in zip(REWARD_TERMS, report.terms, strict=True):
+            terms[name], terms["_" + name] = value, mask
         info: dict[str, Any] = {
-            "tracking_error": report[:, :2],
+            "tracking_error": report.tracking_error,
             "_tracking_error": mask,
             "reward_terms": terms,
             "_reward_terms": mask,

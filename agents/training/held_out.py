@@ -53,7 +53,7 @@ def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> 
         distance = np.where(gone, limit, info["tracking_error"][:, 0])
         squares += distance**2
         if (terminated | truncated).all() and not truncated.any():
-            squares += (steps - simulation.batch.counters[:, 0].max()) * limit**2
+            squares += (steps - simulation.steps.max()) * limit**2
             break
     errors: Floats = np.sqrt(squares / steps)
     return errors

@@ -25,7 +25,7 @@ from baselines.estimators.slip_observer import Motion, SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
 from tracked_env import observation as layout
-from tracked_env.physics import lumped_forces as plant
+from tracked_env.physics import vehicle
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
 
 # The UKF's slip errors hang together over some samples: variance counts that much more.
@@ -238,7 +238,7 @@ def features(known: Identification, nominal: PlantParameters) -> NDArray[np.floa
     Mass, inertia, K and F_max over their nominal values (F_max and K as logarithm of that);
     the others as they are. Excitation e is shown as e / (1 + e).
     """
-    maximum = plant.drive_limits(nominal).effort_maximum
+    maximum = vehicle.drive_limits(nominal).effort_maximum
     scales = {
         "mass": nominal.mass, "inertia": nominal.inertia,
         "effort_maximum": maximum,

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from tracked_env.physics import lumped_forces as plant
 from tracked_env.physics import terramechanics as soil
+from tracked_env.physics import vehicle
 from tracked_env.physics.elementary import saturated_sign, signed
 from tracked_env.physics.jit import formula
 
@@ -178,7 +179,7 @@ def turning_moment(motion, u_2, p, k, constrained):
     d = k.icr_forward
     none = plant.TractionLimits(0.0, 0.0, 0.0, 0.0)
     loads = plant.constrained_loads(motion, 0.0, 0.0, k, none)
-    turning = plant.Motion(0.0, 0.0, 2.0 * soil.YAW_FRICTION_REGULARISATION)
+    turning = vehicle.Motion(0.0, 0.0, 2.0 * soil.YAW_FRICTION_REGULARISATION)
     magnitude = -plant.constrained_loads(turning, 0.0, 0.0, k, none).turning_moment
     inertial = u_2 / k.inverse_inertia - d * motion.yaw_rate * motion.v_x / k.inverse_mass
     inverse_width = 1.0 / soil.YAW_FRICTION_REGULARISATION
@@ -194,7 +195,7 @@ def track_efforts(motion, u_1, u_2, p, k, constrained):
     """Tractive efforts (left, right) [N] for u_1 [m/s^2] and u_2: S (29), corrected."""
     force = (u_1 - motion.yaw_rate * motion.v_y) / k.inverse_mass
     turn = 0.5 * turning_moment(motion, u_2, p, k, constrained) / k.half_gauge
-    left, right = plant.track_speeds(motion, k.half_gauge)
+    left, right = vehicle.track_speeds(motion, k.half_gauge)
     inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
     return (
         against_resistance(0.5 * force - turn, left, k.resistance, inverse_width),

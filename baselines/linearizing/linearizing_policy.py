@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env import observation as layout
-from tracked_env.physics import lumped_forces as plant
+from tracked_env.physics import vehicle
 from tracked_env.physics.elementary import signed
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import (
@@ -55,7 +55,7 @@ def _si(observation, i, column):
 @formula
 def control(observation, i, p, xi, gains, period, constrained):
     """(action left, action right [-], next xi [m/s^2]) of vehicle i with parameters p."""
-    k = plant.coefficients(p, constrained)
+    k = vehicle.coefficients(p, constrained)
     heading_error = _si(observation, i, _HEADING_ERROR)
     # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
     faces_back = abs(heading_error) > 0.5 * math.pi
@@ -80,9 +80,9 @@ def control(observation, i, p, xi, gains, period, constrained):
     )  # fmt: skip
     eta_1, u_2 = law.linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains)
     xi += period * eta_1
-    motion = plant.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
+    motion = vehicle.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
     left, right = law.track_efforts(motion, xi, u_2, p, k, constrained)
-    limit = min(p.torque_limit * k.inverse_radius, plant.drive_limits(p).effort_limit)
+    limit = min(p.torque_limit * k.inverse_radius, vehicle.drive_limits(p).effort_limit)
     given_left, given_right = law.within_limit(left, right, limit)
     # Anti-windup: xi is the acceleration that the limited efforts give.
     xi += ((given_left - left) + (given_right - right)) * k.inverse_mass

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from reproduce.focchi2025.identification import MEASURED_LIMIT, STEP, within
-from reproduce.focchi2025.loop import Patches, follow
+from reproduce.focchi2025.loop import follow, patches
 from reproduce.focchi2025.runs import (
     FRICTION,
     LENGTHS,
@@ -23,8 +23,7 @@ from reproduce.focchi2025.runs import (
     vehicle,
 )
 from reproduce.focchi2025.tools import Tools
-from tracked_env.engine import columns as b
-from tracked_env.physics import state as s
+from tracked_env.engine.columns import columns
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.references import ReferenceProfile, make_reference
 from tracked_env.sensors import PRESETS
@@ -40,8 +39,9 @@ REFERENCE: dict[str, Any] = {
     "kind": "chicane", "speed": SPEED, "yaw_rate": TURN, "turn_time": TURN_TIME,
     "switch_time": SWITCH_TIME,
 }  # fmt: skip
-_STATES = [b.STATE + row for row in (s.X, s.Y, s.YAW, s.V_X, s.V_Y, s.YAW_RATE)]
-_SPROCKETS = [b.STATE + s.SPROCKET_SPEED_LEFT, b.STATE + s.SPROCKET_SPEED_RIGHT]
+_STATES = columns(("x", "y", "yaw", "v_x", "v_y", "yaw_rate"))
+_SPROCKETS = columns(("sprocket_speed_left", "sprocket_speed_right"))
+_GOAL = columns(("reference_x", "reference_y", "reference_yaw"))
 
 
 class Case(NamedTuple):
@@ -165,7 +165,7 @@ def _drive(
     for k in range(steps):
         floats = env.simulation.batch.floats
         state[k], sprockets[k] = floats[:, _STATES].T, floats[:, _SPROCKETS].T
-        goal[k] = floats[:, b.REFERENCE_X : b.REFERENCE_X + 3].T
+        goal[k] = floats[:, _GOAL].T
         for i, (one, share) in enumerate(zip(policies, shares, strict=True)):
             action[share], memories[i] = one.predict(observation[share], memories[i])
             if hasattr(one, "estimates"):
@@ -211,7 +211,8 @@ def readings(
             for kind in KINDS:
                 case = Case(kind, length, rate, believed_resistance=resistance)
                 true = vehicle(length, FRICTION, resistance)
-                made, plant = policy(tools, case, len(profiles)), Patches(true, False, 2.5e-3)
+                made = policy(tools, case, len(profiles))
+                plant = patches(true, len(profiles), False, 2.5e-3)
                 run = follow(made, plant, profiles, START, true, rate, DURATION)
                 for i, name in enumerate(READINGS):
                     found[name, length, resistance, kind] = run.only(slice(i, i + 1)).numbers()
@@ -232,6 +233,6 @@ def integrators(tools: Tools, length: float = LENGTHS[-1]) -> dict[tuple[str, st
     for name, (euler, step) in INTEGRATORS.items():
         for kind in KINDS:
             case = Case(kind, length)
-            made, plant = policy(tools, case, 1), Patches(true, euler, step)
+            made, plant = policy(tools, case, 1), patches(true, 1, euler, step)
             found[name, kind] = follow(made, plant, [profile], START, true, case.rate, DURATION)
     return found

@@ -1,53 +1,37 @@
 """A closed loop around any plant: the pseudo-kinematic model (27), or the patches with either
-integrator, on any reference. The environment has the patches with its own integrator only.
+integrator, on any reference. It drives whatever `plants.standalone` calls `Driven`.
 """
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from reproduce.focchi2025.runs import Floats, Run
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters
-from tracked_env.physics.patch_dynamics import hold_speeds
-from tracked_env.physics.patch_forces import make_patches
+from tracked_env.plants.standalone import Driven, Rig
 from tracked_env.references.profile import ReferenceProfile, sample
 
 
-class Plant(Protocol):
-    """N vehicles driven by their sprocket speeds."""
-
-    def advance(self, state: Floats, sprockets: Floats, period: float) -> None:
-        """state (N, 6) as in `Run` after `period` [s] at sprockets (N, 2) [rad/s], in place."""
-
-
-class Patches:
-    """The distributed model: euler explicit, else the method of the environment; step [s]."""
-
-    def __init__(self, parameters: PlantParameters, euler: bool, step: float = 1e-3) -> None:
-        self._row = np.array(parameters, dtype=np.float64)
-        self._patches, self._euler, self._step = make_patches(), euler, step
-
-    def advance(self, state: Floats, sprockets: Floats, period: float) -> None:
-        """As Plant."""
-        rows, loads = np.tile(self._row, (len(state), 1)), np.empty((len(state), 6))
-        steps = max(round(period / self._step), 1)
-        hold_speeds(
-            state, sprockets, rows, self._patches, steps, period / steps, self._euler, loads
-        )  # fmt: skip
+def patches(parameters: PlantParameters, count: int, euler: bool, step: float = 1e-3) -> Rig:
+    """The distributed plant driven by its speeds: euler explicit, else as the environment; [s]."""
+    integrator = "euler" if euler else "rosenbrock"
+    return Rig("distributed", parameters, count, "speed", step, {"integrator": integrator})
 
 
 class Kinematic:
-    """The pseudo-kinematic model that `Tools.kinematic` makes."""
+    """The pseudo-kinematic model that `Tools.kinematic` makes, as a `Driven`."""
 
-    def __init__(self, model: Any) -> None:
+    def __init__(self, model: Any, count: int = 1) -> None:
         self._model = model
+        self.states: Floats = np.zeros((count, 6))
 
-    def advance(self, state: Floats, sprockets: Floats, period: float) -> None:
-        """As Plant."""
-        state[:, :3] = self._model.step(state[:, :3], sprockets, period)
-        motion, alpha = self._model.motion(sprockets)
+    def advance(self, commands: Floats, duration: float) -> None:
+        """Sprocket speeds [rad/s] held for `duration` [s]."""
+        state = self.states
+        state[:, :3] = self._model.step(state[:, :3], commands, duration)
+        motion, alpha = self._model.motion(commands)
         state[:, 3], state[:, 4] = motion[:, 0], motion[:, 0] * np.tan(alpha)
         state[:, 5] = motion[:, 1]
 
@@ -73,7 +57,7 @@ def _observations(
 
 def follow(
     policy: Any,
-    plant: Plant,
+    plant: Driven,
     profiles: Sequence[ReferenceProfile],
     start: tuple[float, float, float],
     parameters: PlantParameters,
@@ -82,7 +66,7 @@ def follow(
     noise: float = 0.0,
     seed: int = 0,
 ) -> Run:
-    """Drive one vehicle per profile from rest at `start` (x, y [m], yaw [rad]).
+    """Drive one vehicle per profile from rest at `start` (x, y [m], yaw [rad]); plant: as many.
 
     rate [Hz] of control. noise [rad/s]: sigma on the sprocket speeds, new at every control step.
     """
@@ -92,14 +76,14 @@ def follow(
     sampled = [sample(profile, time)._asdict() for profile in profiles]
     reference = {name: np.stack([one[name] for one in sampled], axis=1) for name in sampled[0]}
     rng, memory = np.random.default_rng(seed), None
-    state, sprockets = np.zeros((count, 6)), np.zeros((count, 2))
-    state[:, :3] = start
+    state, sprockets = plant.states[:, :6], np.zeros((count, 2))
+    state[:] = (*start, 0.0, 0.0, 0.0)
     states, speeds = np.empty((steps, 6, count)), np.empty((steps, 2, count))
     for k in range(steps):
         states[k], speeds[k] = state.T, sprockets.T
         action, memory = policy.predict(_observations(state, sprockets, reference, k), memory)
         sprockets = limit * action.astype(np.float64) + noise * rng.standard_normal((count, 2))
         sprockets = np.clip(sprockets, -limit, limit)
-        plant.advance(state, sprockets, period)
+        plant.advance(sprockets, period)
     goal = np.stack([reference[name] for name in ("x", "y", "yaw")], axis=1)
     return Run(time, states, speeds, goal, {})

@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.engine import columns as b
+from tracked_env.engine.columns import columns
 from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS
 from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CONTROL_RATE = 100.0  # [Hz] the paper's step is 0.01 s
+_REFERENCE = columns(("reference_x", "reference_y"))
 PERIOD = 1.0 / CONTROL_RATE  # [s]
 
 Floats = NDArray[np.float64]
@@ -65,10 +66,10 @@ def drive(
     belief: dict[str, Floats] = {}
     state: Any = None
     for k in range(steps):
-        floats = env.simulation.batch.floats
-        truth[k, :STATE_ROWS] = floats[:, b.STATE : b.STATE + STATE_ROWS].T
-        truth[k, STATE_ROWS:] = floats[:, b.PARAMETERS : b.PARAMETERS + PARAMETER_ROWS].T
-        reference[k] = floats[:, b.REFERENCE_X : b.REFERENCE_X + 2]
+        batch = env.simulation.batch
+        truth[k, :STATE_ROWS] = batch.state().T
+        truth[k, STATE_ROWS:] = batch.parameters().T
+        reference[k] = batch.floats[:, _REFERENCE]
         if keep:
             kept[k] = observation
         action, state = policy.predict(observation, state)

@@ -151,7 +151,15 @@ def test_weights_that_are_not_those_of_the_recipe_are_one_line(name, student, tm
     files = entries(student)
     whole = from_npz(files[name], name)
     path = tmp_path / "agent.zip"
+    formats = [np.array(value) for value in ("x", [1, 2], np.nan, 99)] if name == INFERENCE else []
+    for wrong in formats:
+        packed(path, {**files, name: to_npz({**whole, "format": wrong})})
+        with pytest.raises(ValueError, match="must be 2") as raised:
+            agent_entry(path)
+        assert str(path) in str(raised.value) and "\n" not in str(raised.value)
     for key, value in whole.items():
+        if key == "format":
+            continue
         changed = {
             "are not finite": [np.where(np.arange(value.size).reshape(value.shape) == 0, bad, value)
                                for bad in (np.float32("nan"), np.float32("inf"))],

@@ -1,6 +1,7 @@
 """Settings: defaults that suit the algorithm, and values that are refused at once."""
 
 import dataclasses
+import inspect
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from agents.algorithms.student import StudentSettings
 from agents.algorithms.td3 import TD3Settings
 from agents.algorithms.tqc import TQCSettings
 from agents.training.environments import make_environment
+from agents.training.options import Options
 from agents.training.run import configuration, resolve
 from agents.training.student_learner import StudentLearner
 from tests.agents.agent_cases import ON_POLICY, Config, small
@@ -158,3 +160,33 @@ def test_more_samples_than_memory_holds_are_a_clear_error(tmp_path, capsys, monk
     monkeypatch.setattr("agents.training.sb3_learner.make_model", allocate)
     assert main(small(tmp_path / "none")) == 2
     assert "454. GiB. Lower vehicles, n_steps" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("agent", "ppo"),
+        ("agent", "sac"),
+        ("normalise", True),
+        ("precision", 0.1),
+        ("precision", 0.075),
+        ("smoothness", 0.0),
+        ("staggered", False),
+        ("tensorboard", True),
+        ("residual_scale", 0.2),
+    ],
+)
+def test_an_option_that_a_student_does_not_read_is_refused_where_it_is_given(name, value):
+    Config(memory="student", teacher=Path("a.zip"))
+    Config(**{name: value})
+    option = name.replace("_", "-")
+    with pytest.raises(ValueError, match=f"{option} = {value} with memory student; must be left"):
+        Config(memory="student", teacher=Path("a.zip"), **{name: value})
+
+
+def test_defaults_that_are_found_later_are_those_of_the_help():
+    resolved = resolve(Config())
+    text = inspect.getsource(Options)
+    assert (resolved.name, resolved.reward.precision) == ("ppo", 0.075)
+    for default in ("by default ppo", "leaves it out. Default: 0.075"):
+        assert default in text

@@ -36,7 +36,9 @@ def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
     driven += [simulation_of(make_taught(taught)[0])]
     assert len(driven) == 3
     for simulation in driven:
-        assert simulation.solver.distributed and len(simulation.solver.patches.columns) == 4
+        solver = simulation.solver
+        assert solver.plant.name == "distributed"
+        assert len(solver.prepared.options[0].columns) == 4
     assert main(config) == 0
     recipe = read_recipe(tmp_path / "agent.zip")
     assert recipe["environment"]["plant"] == "distributed"
@@ -97,7 +99,7 @@ def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
     (part,) = run.parts
     assert (part.context.drive, part.context.vehicle) == ("speed", "focchi-short")
     solver = simulation_of(make_part(run, part)).solver
-    assert solver.distributed and solver.nominal == VEHICLES["focchi-short"]
+    assert solver.plant.name == "distributed" and solver.nominal == VEHICLES["focchi-short"]
     assert solver.error_limit == 2.0
 
 

@@ -8,6 +8,7 @@ from scipy.integrate import cumulative_simpson
 
 from tracked_env import observation as layout
 from tracked_env.physics import lumped_forces as plant
+from tracked_env.physics import vehicle
 from tracked_env.physics.jit import loop
 from tracked_env.physics.rk4 import rk4_step
 
@@ -19,10 +20,10 @@ def _plant_step(accelerations, constrained):
     @loop
     def step(state, p, action, count):
         """Advance state (8, N): X, Y, yaw, v_x, v_y, yaw rate, torques; in place."""
-        k, drive = plant.coefficients(p, constrained), plant.drive_limits(p)
-        decay = plant.torque_decay(0.5 * SUB_STEP, p.drive_time_constant)
+        k, drive = vehicle.coefficients(p, constrained), vehicle.drive_limits(p)
+        decay = vehicle.torque_decay(0.5 * SUB_STEP, p.drive_time_constant)
         for i in range(state.shape[1]):
-            motion = plant.Motion(state[3, i], state[4, i], state[5, i])
+            motion = vehicle.Motion(state[3, i], state[4, i], state[5, i])
             left, right = state[6, i], state[7, i]
             to_left, to_right = action[i, 0] * p.torque_limit, action[i, 1] * p.torque_limit
             for _ in range(count):

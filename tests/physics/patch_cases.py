@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from tracked_env.physics import patch_forces
-from tracked_env.physics.lumped_forces import Motion, coefficients, drive_limits
 from tracked_env.physics.parameters import FIRM_FLOOR, FOCCHI_VEHICLE, plant_parameters
-from tracked_env.physics.patch_dynamics import Belts, advance, contact_of, hold_speeds
+from tracked_env.physics.patch_dynamics import Belts, advance, contact_of, hold_speeds, on_one_soil
 from tracked_env.physics.patch_forces import make_patches, resistance
+from tracked_env.physics.vehicle import Motion, coefficients, drive_limits
 
 PATCHES = make_patches()
 FOCCHI = plant_parameters(FOCCHI_VEHICLE, FIRM_FLOOR)
@@ -111,9 +111,9 @@ def trajectory(speeds, p=FOCCHI, h=MILLISECOND, euler=False, patches=PATCHES, st
 def drive_by_torque(moved, torques, p, steps, h, euler=False, patches=PATCHES, decay=0.0):
     """`Moved` after `steps` steps of the torque-driven plant from (pose, motion, belts)."""
     k, drive, contact = parts(p, patches)
-    compliance = p.sprocket_radius**2 / p.sprocket_inertia
+    inverse_belt_mass = p.sprocket_radius**2 / p.sprocket_inertia
     scratch = np.zeros((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
     return advance(
         scratch, moved, Belts(*torques), Belts(*torques), decay, steps, h,
-        (k, drive, contact, compliance), patches, euler,
+        on_one_soil(k, drive, contact, inverse_belt_mass), patches, euler,
     )[0]  # fmt: skip

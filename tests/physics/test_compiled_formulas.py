@@ -16,14 +16,15 @@ from tracked_env.physics import (
     rk4,
     rosenbrock,
     terramechanics,
+    vehicle,
 )
-from tracked_env.physics.lumped_forces import Motion
 from tracked_env.physics.parameters import plant_parameters
+from tracked_env.physics.vehicle import Motion
 
 CLAY = plant_parameters()
-DRIVE = lumped_forces.drive_limits(CLAY)
-K = lumped_forces.coefficients(CLAY, False)
-K_FIXED = lumped_forces.coefficients(CLAY, True)
+DRIVE = vehicle.drive_limits(CLAY)
+K = vehicle.coefficients(CLAY, False)
+K_FIXED = vehicle.coefficients(CLAY, True)
 TURN = Motion(2.0, -0.013, 0.23)
 BACK = Motion(-0.03, 0.4, -1.7)
 LIMITS = lumped_forces.traction_limits(TURN, K.half_gauge, DRIVE)
@@ -40,14 +41,14 @@ RATES = rosenbrock.Rates(1.0, -2.0, 0.5, 0.3, -4.0)
 OTHER_RATES = rosenbrock.Rates(0.3, 0.1, -0.7, -2.0, 9.0)
 SHEAR = [(SCRATCH, m, *b, CONTACT, PATCHES) for m in (TURN, BACK) for b in (BELTS, (0.0, -1.0))]
 DRAGS = [patch_forces.resistance(*arguments) for arguments in SHEAR]
-COMPLIANCES = (0.0, 0.147)
+INVERSE_BELT_MASSES = (0.0, 0.147)
 MOVES = [
     (
         SCRATCH, (patch_dynamics.Pose(1.0, 2.0, 0.7, math.cos(0.7), math.sin(0.7)), m, BELTS),
         rosenbrock.Belts(20.0, -3.0), rosenbrock.Belts(9.0, 0.5), decay, 3, 0.0025,
-        (FLOOR, FLOOR_DRIVE, CONTACT, compliance), PATCHES, euler,
+        patch_dynamics.on_one_soil(FLOOR, FLOOR_DRIVE, CONTACT, mass), PATCHES, euler,
     )
-    for m in (TURN, BACK) for decay in (0.0, 0.7) for compliance in COMPLIANCES
+    for m in (TURN, BACK) for decay in (0.0, 0.7) for mass in INVERSE_BELT_MASSES
     for euler in (False, True)
 ]  # fmt: skip
 
@@ -75,9 +76,6 @@ ARGUMENTS = {
         "lateral_friction": [(v, w, 5690.0, 2.0) for v in NUMBERS for w in NUMBERS],
     },
     lumped_forces: {
-        "drive_limits": [(CLAY,)],
-        "track_speeds": [(TURN, 0.85)],
-        "coefficients": [(CLAY, False), (CLAY, True)],
         "track_limits": [(v, DRIVE) for v in NUMBERS],
         "traction_limits": [(TURN, 0.85, DRIVE), (BACK, 0.85, DRIVE)],
         "safe_effort": [(TURN, 5e3, 0.85, DRIVE), (TURN, 5e5, 0.85, DRIVE)],
@@ -85,9 +83,14 @@ ARGUMENTS = {
         "constrained_loads": LOADS,
         "sliding_accelerations": LOADS,
         "constrained_accelerations": LOADS,
+        "track_slip": [(f, v, DRIVE) for f in (-5e4, 4e3) for v in NUMBERS],
+    },
+    vehicle: {
+        "drive_limits": [(CLAY,)],
+        "track_speeds": [(TURN, 0.85)],
+        "coefficients": [(CLAY, False), (CLAY, True)],
         "inertial_acceleration": [(TURN, 0.3, -0.2)],
         "torque_decay": [(0.00125, 0.05), (0.00125, 0.0)],
-        "track_slip": [(f, v, DRIVE) for f in (-5e4, 4e3) for v in NUMBERS],
         "kinetic_energy": [(TURN, CLAY)],
     },
     rk4: {
@@ -97,20 +100,31 @@ ARGUMENTS = {
         ],
     },
     parameters: {"row_parameters": [(np.arange(40.0).reshape(2, 20), 1, 3)]},
-    patch_forces: {"patch_count": [(PATCHES,)], "resistance": SHEAR},
+    patch_forces: {
+        "patch_count": [(PATCHES,)],
+        "resistance": SHEAR,
+        "tracks_resistance": [
+            (w, m, *b, (c, c._replace(strength=0.5 * c.strength)), patches)
+            for w, m, *b, c, patches in SHEAR
+        ],
+    },
     rosenbrock: {
-        "damped": [(r, RATES, FLOOR, c, 0.001) for r in DRAGS for c in COMPLIANCES],
+        "damped": [(r, RATES, FLOOR, c, 0.001) for r in DRAGS for c in INVERSE_BELT_MASSES],
         "pushed": [(TURN, RATES, 0.01)],
         "combined": [(RATES, OTHER_RATES, 1.5, -0.5)],
-        "departure": [(r, RATES, OTHER_RATES, FLOOR, c, 0.001) for r in DRAGS for c in COMPLIANCES],
+        "departure": [
+            (r, RATES, OTHER_RATES, FLOOR, c, 0.001) for r in DRAGS for c in INVERSE_BELT_MASSES
+        ],
     },
     patch_dynamics: {
         "contact_of": [(FOCCHI, FLOOR, FLOOR_DRIVE, PATCHES)],
         "loads_of": [(r, m, BELTS, FLOOR) for r in DRAGS for m in (TURN, BACK)],
+        "on_one_soil": [(FLOOR, FLOOR_DRIVE, CONTACT, 0.147)],
+        "tracks_loads": [(r, m, BELTS, FLOOR, (9.0, 3.0)) for r in DRAGS for m in (TURN, BACK)],
         "driving_torque": [(t, v, 0.25) for t in (-3.0, 7.0) for v in NUMBERS],
         "rates_of": [
-            (lumped_forces.Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR,
-             FLOOR_DRIVE, c) for c in COMPLIANCES
+            (vehicle.Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR,
+             FLOOR_DRIVE, c) for c in INVERSE_BELT_MASSES
         ],
         "advance": MOVES,
     },

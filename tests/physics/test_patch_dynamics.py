@@ -19,7 +19,6 @@ from tests.physics.patch_cases import (
     trajectory,
 )
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.lumped_forces import Motion, kinetic_energy, track_speeds
 from tracked_env.physics.parameters import FIRM_FLOOR, VEHICLES
 from tracked_env.physics.patch_dynamics import (
     FADE,
@@ -31,6 +30,7 @@ from tracked_env.physics.patch_dynamics import (
 )
 from tracked_env.physics.patch_forces import HISTORY_TURN, make_patches
 from tracked_env.physics.rosenbrock import Belts, Rates, damped
+from tracked_env.physics.vehicle import Motion, kinetic_energy, track_speeds
 
 STRAWA = VEHICLES["strawa"]
 AT_ORIGIN = Pose(0.0, 0.0, 0.0, 1.0, 0.0)
@@ -78,14 +78,14 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_rolling_plus_what_the_soil_d
 ):
     p = VEHICLES[vehicle]
     k, drive, contact = parts(p)
-    compliance = p.sprocket_radius**2 / p.sprocket_inertia if by_torque else SPEED_DRIVEN
+    inverse_belt_mass = p.sprocket_radius**2 / p.sprocket_inertia if by_torque else SPEED_DRIVEN
     compared = 0
     for motion, left, right in random_motions(400, 11, slowest=-2.0):
         if abs(motion.yaw_rate) * p.contact_length > HISTORY_TURN * min(abs(left), abs(right)):
             continue
         belts, torques = Belts(left, right), Belts(0.3 * p.torque_limit, -0.2 * p.torque_limit)
         loads = loads_of(soil_resistance(motion, left, right, contact), motion, belts, k)
-        rates = rates_of(loads, motion, belts, torques, k, drive, compliance)
+        rates = rates_of(loads, motion, belts, torques, k, drive, inverse_belt_mass)
         dissipated = forces_patch_by_patch(motion, left, right, contact).dissipation
         speeds = track_speeds(motion, k.half_gauge)
         rolling = loads.resistance_left * speeds[0] + loads.resistance_right * speeds[1]
@@ -96,7 +96,7 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_rolling_plus_what_the_soil_d
                 driving_torque(torque, belt, drive.inverse_belt_limit) * belt / p.sprocket_radius
                 for torque, belt in zip(torques, belts, strict=True)
             ]
-            stored += (left * rates.left + right * rates.right) / compliance
+            stored += (left * rates.left + right * rates.right) / inverse_belt_mass
         else:
             given = [loads.effort_left * left, loads.effort_right * right]
         largest = max(abs(given[0]), abs(given[1]), dissipated, abs(rolling), abs(stored))
@@ -184,7 +184,7 @@ def test_the_drive_torque_fades_at_the_top_speed_and_brakes_in_full():
 def test_damping_solves_the_linear_equations_of_body_and_belts():
     for p in (FOCCHI, STRAWA):
         k, _, contact = parts(p)
-        compliance = p.sprocket_radius**2 / p.sprocket_inertia
+        inverse_belt_mass = p.sprocket_radius**2 / p.sprocket_inertia
         for motion, left, right in random_motions(100, 13, slowest=-1.0):
             r = soil_resistance(motion, left, right, contact)
             forward, side, turn = (
@@ -196,7 +196,7 @@ def test_damping_solves_the_linear_equations_of_body_and_belts():
             )
             belt_left = np.array([-r.left, 0.0, r.left_arm, r.left, 0.0])
             belt_right = np.array([-r.right, 0.0, r.right_arm, 0.0, r.right])
-            for given in (compliance, SPEED_DRIVEN):
+            for given in (inverse_belt_mass, SPEED_DRIVEN):
                 drag = np.array([
                     forward / p.mass, side / p.mass, turn / p.inertia,
                     given * belt_left, given * belt_right,

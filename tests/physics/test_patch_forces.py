@@ -19,7 +19,6 @@ from tests.physics.patch_cases import (
     shear_displacement,
     soil_resistance,
 )
-from tracked_env.physics.lumped_forces import Motion
 from tracked_env.physics.patch_forces import (
     COLUMN_LIMIT,
     HISTORY_TURN,
@@ -28,6 +27,7 @@ from tracked_env.physics.patch_forces import (
     patch_count,
 )
 from tracked_env.physics.terramechanics import tractive_effort
+from tracked_env.physics.vehicle import Motion
 
 _, DRIVE, CONTACT = parts(FOCCHI)
 HALF = CONTACT.half_length

@@ -18,11 +18,11 @@ from tests.physics.patch_cases import (
     soil_resistance,
     trajectory,
 )
-from tracked_env.physics.lumped_forces import Motion
 from tracked_env.physics.parameters import HEAVY_CLAY, STRAWA_VEHICLE, VEHICLES, plant_parameters
 from tracked_env.physics.patch_dynamics import SPEED_DRIVEN, Pose, loads_of, rates_of
 from tracked_env.physics.patch_forces import make_patches
 from tracked_env.physics.rosenbrock import Belts
+from tracked_env.physics.vehicle import Motion
 
 STRAWA = VEHICLES["strawa"]
 # Soft and easy to roll on: smooth at every step tried, and nothing that has a kink.
@@ -78,12 +78,14 @@ def test_halving_the_step_of_the_explicit_method_divides_the_error_by_two():
 @pytest.mark.parametrize("by_torque", [False, True], ids=["speed", "torque"])
 def test_the_steps_solve_the_equations_that_an_independent_solver_solves(by_torque):
     k, limits, contact = parts(SOFT)
-    compliance = SOFT.sprocket_radius**2 / SOFT.sprocket_inertia if by_torque else SPEED_DRIVEN
+    inverse_belt_mass = (
+        SOFT.sprocket_radius**2 / SOFT.sprocket_inertia if by_torque else SPEED_DRIVEN
+    )
 
     def rate(_, z):
         motion, belts = Motion(*(float(v) for v in z[3:6])), Belts(float(z[6]), float(z[7]))
         loads = loads_of(soil_resistance(motion, *belts, contact), motion, belts, k)
-        rates = rates_of(loads, motion, belts, TORQUES, k, limits, compliance)
+        rates = rates_of(loads, motion, belts, TORQUES, k, limits, inverse_belt_mass)
         c, s = math.cos(z[2]), math.sin(z[2])
         return [
             c * motion.v_x - s * motion.v_y,

@@ -10,6 +10,7 @@ from tests.rendering.picture_cases import CENTRED, Picture, driven, started
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.patch_dynamics import hold_speeds
+from tracked_env.physics.patch_forces import make_patches
 from tracked_env.rendering import Renderer, canvas, scene, sizes, snapshot
 from tracked_env.rendering.afterglow import Memory
 from tracked_env.uncertainty import UNCERTAINTY_SETS, Draw
@@ -109,7 +110,7 @@ def test_drawn_forces_are_those_of_the_patches(drive: str, steps: int, action: f
     loads = np.zeros((1, 6))
     speeds = np.array([[state.sprocket_speed_left, state.sprocket_speed_right]])
     hold_speeds(
-        np.array([state[:6]]), speeds, np.array([shot.parameters]), simulation.solver.patches,
+        np.array([state[:6]]), speeds, np.array([shot.parameters]), make_patches(10, 4),
         0, simulation.solver.substep, False, loads,
     )  # fmt: skip
     assert (state.effort_left, state.effort_right) == pytest.approx(loads[0, :2], rel=1e-6)

@@ -98,7 +98,7 @@ def test_the_closed_loop_on_patches_moves_as_the_environment_does():
     inside = chicane.drive(TOOLS, [case], seeds=1, duration=4.0)[case]
     policy = chicane.policy(TOOLS, case, 1)
     outside = loop.follow(
-        policy, loop.Patches(vehicle(), False, 2.5e-3), [chicane.reading("v_max t")],
+        policy, loop.patches(vehicle(), 1, False, 2.5e-3), [chicane.reading("v_max t")],
         chicane.START, vehicle(), 200.0, 4.0,
     )  # fmt: skip
     np.testing.assert_allclose(outside.reference, inside.reference, atol=1e-9)

@@ -102,8 +102,14 @@ def locked(folder: Path, by: str = "another process") -> Iterator[None]:
             made += [path for path in (folder, *folder.parents) if not path.exists()]
             folder.mkdir(parents=True, exist_ok=True)
             descriptor = -1 if sys.platform == "win32" else os.open(folder, os.O_RDONLY)
+        except FileExistsError as error:
+            raise ValueError(
+                f"--output {folder} is a file; must be a folder, or not yet there"
+            ) from error
         except OSError as error:
-            raise ValueError(f"{folder}: {error}; must be a folder to write into") from error
+            raise ValueError(
+                f"--output {folder} cannot be written ({error}). Make room or choose another folder"
+            ) from error
         try:
             lock = None if descriptor < 0 else Lock(descriptor)
         except BlockingIOError as error:

@@ -19,9 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.sets import EPISODES, SEED, SETS, VERSION
-from tracked_env.engine import columns as b
-from tracked_env.physics import state as s
+from tracked_env.benchmark.sets import EPISODES, SEED, SETS, VERSION, of_version
 
 FILE = f"sets_{VERSION}.json"
 DRIVEN = 8  # episodes
@@ -69,7 +67,7 @@ def look(name: str, config: BenchmarkConfig | None = None) -> dict[str, Any]:
     simulation = env.simulation
     env.reset(seed=[SEED + i for i in range(EPISODES)])
     digest = hashlib.sha256()
-    _feed(digest, tuple(simulation.episodes))
+    _feed(digest, tuple(of_version(episode) for episode in simulation.episodes if episode))
     env.close()
     env = config.environment(name, DRIVEN, truth=False)
     simulation = env.simulation
@@ -77,8 +75,7 @@ def look(name: str, config: BenchmarkConfig | None = None) -> dict[str, Any]:
     action = np.tile(np.array(ACTION, np.float32), (DRIVEN, 1))
     for _ in range(DRIVEN_STEPS):
         observation, *_ = env.step(action)
-    floats = simulation.batch.floats
-    driven = [floats[:, b.STATE + column] for column in (s.X, s.Y, s.YAW, s.V_X)]
+    driven = [simulation.batch.column(name) for name in ("x", "y", "yaw", "v_x")]
     seen = np.abs(observation.astype(np.float64)).sum(axis=1)
     env.close()
     numbers = [float(f"{np.abs(values).mean():.8g}") for values in (*driven, seen)]

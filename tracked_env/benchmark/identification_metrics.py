@@ -26,26 +26,15 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark.changes import last_outside
 from tracked_env.benchmark.metrics import Metric, Trace, settled_step
-from tracked_env.engine import columns as b
-from tracked_env.physics import state as s
-from tracked_env.physics.lumped_forces import DriveLimits, drive_limits
-from tracked_env.physics.parameters import (
-    PARAMETER_INDEX,
-    PARAMETER_NAMES,
-    VEHICLES,
-    PlantParameters,
-)
+from tracked_env.engine.columns import columns
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
+from tracked_env.physics.vehicle import drive_limits
 
 SETTLED = 0.1  # [-] relative error within which an estimate is settled
 DIVERGED = 0.5  # [-] relative error from which on an estimate may count as diverged
 LEAST_SCALE = 0.01  # [-] of the nominal value; keeps x/0 out of the relative error
 
-_SLIPS = {"slip_left": s.SLIP_LEFT, "slip_right": s.SLIP_RIGHT}
-_COLUMNS = {
-    **{name: b.PARAMETERS + row for name, row in PARAMETER_INDEX.items()},
-    "effort_maximum": b.DRIVE + DriveLimits._fields.index("effort_maximum"),
-    **{name: b.STATE + row for name, row in _SLIPS.items()},
-}
+_SLIPS = ("slip_left", "slip_right")
 KNOWN = (*PARAMETER_NAMES, "effort_maximum", *_SLIPS)  # what may be estimated
 
 ESTIMATION_METRICS = {
@@ -96,7 +85,7 @@ class Recorder:
                     f"(value, standard deviation), each ({self.count},): one number per vehicle"
                 )
         self.judged = tuple(name in excited for name in self.names)
-        self._columns = [_COLUMNS[name] for name in self.names]
+        self._columns = columns(self.names)
         shape = (self.max_steps, len(self.names), self.count)
         self.value, self.deviation, self.truth = (np.empty(shape, np.float32) for _ in range(3))
         self.excited = np.zeros(shape, dtype=bool)

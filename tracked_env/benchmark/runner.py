@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark import identification_metrics, metrics
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.changes import CHANGING
 from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
@@ -27,28 +26,21 @@ from tracked_env.benchmark.policy_interface import (
     identifies,
     needs_truth,
 )
+from tracked_env.benchmark.sets import of_version
 from tracked_env.benchmark.shown import shown
 from tracked_env.benchmark.store import Record, Store
-from tracked_env.engine import columns as b
+from tracked_env.engine.columns import columns
 from tracked_env.engine.episode import Episode
-from tracked_env.physics import state as s
-from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 REPORT_EVERY = 50  # [control steps] between two calls of `progress`
 
-_COLUMNS = [
-    b.STATE + s.X, b.STATE + s.Y, b.STATE + s.YAW,
-    b.REFERENCE_X, b.REFERENCE_Y, b.REFERENCE_YAW,
-    b.ERROR_DISTANCE, b.ERROR_YAW,
-    b.REFERENCE_MOTION,  # speed; the vehicle's is subtracted
-    b.PREVIOUS_ACTION, b.PREVIOUS_ACTION + 1,
-    b.STATE + s.TORQUE_LEFT, b.STATE + s.TORQUE_RIGHT,
-    b.STATE + s.SPROCKET_SPEED_LEFT, b.STATE + s.SPROCKET_SPEED_RIGHT,
-    b.STATE + s.SLIP_LEFT, b.STATE + s.SLIP_RIGHT,
-    *(b.PARAMETERS + PARAMETER_INDEX[name] for name in CHANGING),
-]  # fmt: skip
-_LIMITS = {"torque": "torque_limit", "speed": "sprocket_speed_limit"}  # of the demand, by drive
+# Channels of a trace that have another name in the simulation.
+_RENAMED = {
+    "error": "distance",
+    "speed_error": "reference_speed",  # the vehicle's is subtracted
+}
+_COLUMNS = columns(_RENAMED.get(name, name) for name in metrics.CHANNELS)
 _SPEED_ERROR = metrics.CHANNELS.index("speed_error")
 
 Progress = Callable[[int, str], None]  # (vehicle steps done since the last call, what runs)
@@ -97,7 +89,7 @@ def episode_digest(episode: Episode) -> str:
         else:
             digest.update(np.asarray(value).tobytes())
 
-    add(tuple(episode))
+    add(of_version(episode))
     return digest.hexdigest()[:12]
 
 
@@ -133,26 +125,24 @@ def drive(
             recorder.take(policy, simulation.batch.floats)
         start = np.zeros_like(start)
         observation, _, terminated, truncated, info = env.step(action)
-        floats = simulation.batch.floats
-        values[done] = floats[:, _COLUMNS]
-        values[done, :, _SPEED_ERROR] -= floats[:, b.STATE + s.V_X]
+        values[done] = simulation.batch.floats[:, _COLUMNS]
+        values[done, :, _SPEED_ERROR] -= simulation.batch.column("v_x")
         done += 1
         over = terminated | truncated
         if terminated.any():  # a diverged vehicle must not disturb those that go on
             observation = np.nan_to_num(observation)
         on_step()
-    demand = "torque" if solver.by_torque else "speed"
     trace = metrics.Trace(
         values[:done],
-        simulation.batch.counters[:, b.STEP].copy(),
+        simulation.steps,
         max_steps,
         terminated,
         np.asarray(info["is_success"], dtype=bool),
-        simulation.column(b.PARAMETERS + PARAMETER_INDEX[_LIMITS[demand]]),
-        simulation.column(b.PARAMETERS + PARAMETER_INDEX["contact_length"]),
+        simulation.column(solver.drive.limit),
+        simulation.column("contact_length"),
         solver.error_limit,
         solver.control_period,
-        demand,
+        solver.drive.name,
         solver.nominal,
     )
     return trace, predict_time

@@ -14,10 +14,17 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from tracked_env import SPEED, SPEED_ID, TORQUE_ID
+from tracked_env.engine.episode import Episode
 
 VERSION = "v2"
 EPISODES = 100  # of each set, that are compared with those of the version
 SEED = 0  # of the first episode
+# Fields of the state that the digests of the version take in; later ones are not drawn.
+STATE_FIELDS = (
+    "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "torque_left", "torque_right", "slip_left",
+    "slip_right", "sprocket_speed_left", "sprocket_speed_right", "effort_left", "effort_right",
+    "acceleration_x", "acceleration_y", "yaw_acceleration",
+)  # fmt: skip
 
 
 class BenchmarkSet(NamedTuple):
@@ -92,3 +99,9 @@ def default_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
 
 
 DEFAULT_SETS = default_sets()
+
+
+def of_version(episode: Episode) -> tuple[Any, ...]:
+    """All that an episode is, with the state as the version knows it."""
+    state = tuple(getattr(episode.state, name) for name in STATE_FIELDS)
+    return tuple(episode._replace(state=state))  # type: ignore[arg-type]

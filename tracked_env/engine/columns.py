@@ -1,7 +1,7 @@
 """The arrays of a batch of N vehicles, and the names of their columns.
 
 Everything the kernels touch lives in a few arrays, one vehicle per row:
-    floats    (N, FLOAT_COLUMNS)   state, parameters, reference, sensors, bookkeeping
+    floats    (N, PLANT + own)     state, parameters, reference, sensors, bookkeeping, the plant's
     counters  (N, COUNTER_COLUMNS) integers: clocks and flags
     profile   (S, N, 12)           reference: polynomials of speed (6) and of yaw rate (6)
     events    (N, E, EVENT_FIELDS) what changes inside the episode
@@ -9,19 +9,21 @@ Everything the kernels touch lives in a few arrays, one vehicle per row:
               drawn ahead; NOISE_RUN steps lie together because writing is scattered too
     history   (N, H, DELIVERED_COUNT) past samples, for delayed sensors
 Profile and noise have the time first: vehicles that run in step then read one stream of memory.
-A column is an offset, so that a kernel takes one array instead of a hundred.
+A column is an offset, so that a kernel takes one array instead of a hundred. Offsets are for
+kernels; outside them a column has a name (`COLUMN`, `Batch.column`, `Batch.counter`).
 """
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.observation import LOOK_AHEAD
 from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS, NOISE_COUNT
-from tracked_env.physics.lumped_forces import Coefficients, DriveLimits
-from tracked_env.physics.parameters import PARAMETER_ROWS
-from tracked_env.physics.state import STATE_ROWS
+from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS
+from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
+from tracked_env.physics.vehicle import Coefficients, DriveLimits
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle
 NOISE_RUN = 8  # [steps] of it that are neighbours in memory
@@ -31,13 +33,25 @@ GROUP_COUNT = len(GROUPS)
 COEFFICIENT_COUNT = len(Coefficients._fields)
 DRIVE_COUNT = len(DriveLimits._fields)
 DELIVERED_COUNT = CHANNEL_COUNT + GROUP_COUNT  # samples, and the step at which each was taken
-REWARD_TERMS = ("position", "heading", "speed", "effort", "smoothness")
+
+
+class RewardTerms(NamedTuple):
+    """One number for each term of the reward, or an array."""
+
+    position: Any
+    heading: Any
+    speed: Any
+    effort: Any
+    smoothness: Any
+
+
+REWARD_TERMS = RewardTerms._fields
 
 # --- columns of `floats` -------------------------------------------------------------------
 STATE = 0
 PARAMETERS = STATE + STATE_ROWS  # in force now
-COEFFICIENTS = PARAMETERS + PARAMETER_ROWS  # derived from PARAMETERS
-DRIVE = COEFFICIENTS + COEFFICIENT_COUNT  # derived from PARAMETERS
+COEFFICIENTS = PARAMETERS + PARAMETER_ROWS  # derived from PARAMETERS, by plants that use them
+DRIVE = COEFFICIENTS + COEFFICIENT_COUNT  # the same
 TORQUE_DECAY = DRIVE + DRIVE_COUNT  # [-] exp(-h / 2T) of half a sub-step
 REFERENCE_X = TORQUE_DECAY + 1  # [m]
 REFERENCE_Y = REFERENCE_X + 1  # [m]
@@ -53,18 +67,35 @@ VELOCITY = CROSS_COUPLING + 1  # [-] 1, or 0 where v_x and v_y are not measured
 DROPOUT = VELOCITY + 1  # per group: a normal number below it loses the sample
 SAMPLE = DROPOUT + GROUP_COUNT  # latest samples, and the step each group was sampled
 DELIVERED = SAMPLE + DELIVERED_COUNT  # samples after their delay; unused while nobody has one
-ERROR_X = DELIVERED + DELIVERED_COUNT  # [m] true error, reference minus vehicle, body frame
-ERROR_Y = ERROR_X + 1  # [m]
 # What a step reports lies together, so that one pass over the batch collects it.
-ERROR_DISTANCE = ERROR_Y + 1  # [m]
-ERROR_YAW = ERROR_DISTANCE + 1  # [rad]
+ERROR_DISTANCE = DELIVERED + DELIVERED_COUNT  # [m] true distance from vehicle to reference
+ERROR_YAW = ERROR_DISTANCE + 1  # [rad] true, reference minus vehicle
 REWARD = ERROR_YAW + 1
 TERMS = REWARD + 1  # one per reward term
 SQUARED_ERROR_SUM = TERMS + len(REWARD_TERMS)  # [m^2] over the episode, for its RMSE
-PREVIOUS_ACTION = SQUARED_ERROR_SUM + 1  # left, right
-ACTION_BEFORE = PREVIOUS_ACTION + 2  # left, right
-BASE = ACTION_BEFORE + 2  # parameters at the start of the episode
-FLOAT_COLUMNS = BASE + PARAMETER_ROWS
+ACTION = SQUARED_ERROR_SUM + 1  # [-] in force: left, right
+LAST_ACTION = ACTION + 2  # [-] of the control step before: left, right
+BASE = LAST_ACTION + 2  # parameters at the start of the episode
+PLANT = BASE + PARAMETER_ROWS  # from here on: what a plant keeps for itself
+
+# Name -> column of `floats`, for all that is read outside kernels.
+COLUMN = {
+    **{name: STATE + row for row, name in enumerate(STATE_NAMES)},
+    **{name: PARAMETERS + row for row, name in enumerate(PARAMETER_NAMES)},
+    **{name: DRIVE + row for row, name in enumerate(DriveLimits._fields)},
+    "reference_x": REFERENCE_X,
+    "reference_y": REFERENCE_Y,
+    "reference_yaw": REFERENCE_YAW,
+    "reference_speed": REFERENCE_MOTION,
+    "reference_yaw_rate": REFERENCE_MOTION + 3,
+    "distance": ERROR_DISTANCE,
+    "heading_error": ERROR_YAW,
+    "reward": REWARD,
+    **{f"reward_{name}": TERMS + row for row, name in enumerate(REWARD_TERMS)},
+    "squared_error_sum": SQUARED_ERROR_SUM,
+    "action_left": ACTION,
+    "action_right": ACTION + 1,
+}
 
 # --- columns of `counters` -----------------------------------------------------------------
 STEP = 0  # control steps since reset
@@ -77,6 +108,19 @@ PERIOD = 6  # per group, [control steps] between samples
 DELAY = PERIOD + GROUP_COUNT  # per group, [control steps]
 COUNTER_COLUMNS = DELAY + GROUP_COUNT
 
+COUNTER = {
+    "step": STEP, "noise_cursor": NOISE_CURSOR, "terminated": TERMINATED, "truncated": TRUNCATED,
+    "event_count": EVENT_COUNT, "max_step": MAX_STEP,
+}  # fmt: skip
+
+
+class Report(NamedTuple):
+    """What a control step reports of N vehicles."""
+
+    tracking_error: NDArray[np.float64]  # (N, 2) distance [m] and heading error [rad]
+    reward: NDArray[np.float64]  # (N,)
+    terms: RewardTerms  # (N,) each
+
 
 class Batch(NamedTuple):
     """The arrays of N vehicles."""
@@ -88,11 +132,43 @@ class Batch(NamedTuple):
     noise: NDArray[np.float32]
     history: NDArray[np.float64]
 
+    def column(self, name: str) -> NDArray[np.float64]:
+        """A view (N,) of one column of the floats."""
+        return self.floats[:, COLUMN[name]]
 
-def allocate(count: int, segments: int, events: int = 1, history: int = 1) -> Batch:
-    """Zeroed arrays for `count` vehicles."""
+    def counter(self, name: str) -> NDArray[np.int64]:
+        """A view (N,) of one counter."""
+        return self.counters[:, COUNTER[name]]
+
+    def state(self) -> NDArray[np.float64]:
+        """A view (N, STATE_ROWS) of the states."""
+        return self.floats[:, STATE : STATE + STATE_ROWS]
+
+    def parameters(self) -> NDArray[np.float64]:
+        """A view (N, PARAMETER_ROWS) of the parameters in force."""
+        return self.floats[:, PARAMETERS : PARAMETERS + PARAMETER_ROWS]
+
+    def base(self) -> NDArray[np.float64]:
+        """A view (N, PARAMETER_ROWS) of the parameters at the start of the episode."""
+        return self.floats[:, BASE : BASE + PARAMETER_ROWS]
+
+    def report(self) -> Report:
+        """A copy of what the last step reports."""
+        values = self.floats[:, ERROR_DISTANCE : TERMS + len(REWARD_TERMS)].copy()
+        return Report(values[:, :2], values[:, 2], RewardTerms(*values.T[3:]))
+
+
+def columns(names: Iterable[str]) -> list[int]:
+    """Columns of `floats` of these names."""
+    return [COLUMN[name] for name in names]
+
+
+def allocate(
+    count: int, segments: int, own_columns: int = 0, events: int = 1, history: int = 1
+) -> Batch:
+    """Zeroed arrays for `count` vehicles, of a plant with so many columns of its own."""
     return Batch(
-        np.zeros((count, FLOAT_COLUMNS)),
+        np.zeros((count, PLANT + own_columns)),
         np.zeros((count, COUNTER_COLUMNS), dtype=np.int64),
         np.zeros((segments, count, 12)),
         np.zeros((count, events, EVENT_FIELDS)),

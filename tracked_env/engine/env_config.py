@@ -5,24 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracked_env.physics.parameters import (
-    BY_SPEED,
-    BY_TORQUE,
-    CONSTRAINED,
-    SLIDING,
-    VEHICLES,
-    PlantParameters,
-    Range,
-)
-from tracked_env.physics.patch_forces import COLUMN_LIMIT, Patches, make_patches
+from tracked_env.physics.parameters import VEHICLES, ParametersRead, PlantParameters, Range
+from tracked_env.plants import DRIVES, PLANTS, Drive, Plant, Prepared, find, prepared
 from tracked_env.sensors import Sensors
-from tracked_env.validation import checked_choice, checked_number, checked_whole
+from tracked_env.validation import checked_choice, checked_keys, checked_number, checked_whole
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
-LATERAL = ("sliding", "constrained")
-PLANTS = ("lumped", "distributed")
-DRIVES = ("torque", "speed")
-_PATCHES = Range(1, COLUMN_LIMIT, "-", "Did you pass a length?")
 
 
 class EnvConfig(NamedTuple):
@@ -38,48 +26,65 @@ class EnvConfig(NamedTuple):
     time_step: float = SUBSTEP  # [s]
     threads: int = 1
     vehicle: str = "strawa"
-    plant: str = "lumped"
+    plant: str | Plant = "lumped"
     drive: str = "torque"
     patches: Sequence[int] = (10, 4)
+    plant_options: Mapping[str, Any] | None = None
 
 
 class Solver(NamedTuple):
-    """Clock, closure and limits, the same for every vehicle of a batch."""
+    """Clock, plant and limits, the same for every vehicle of a batch."""
 
     control_period: float  # [s]
     substeps: int  # per control step
     substep: float  # [s]
-    constrained: bool  # of the lumped plant
-    distributed: bool  # which plant
-    by_torque: bool  # what the action is
-    patches: Patches  # of the distributed plant
+    plant: Plant
+    drive: Drive  # what the action is
+    prepared: Prepared  # the plant with this drive and its options
     nominal: PlantParameters  # of the vehicle and the soil that its controllers expect
     error_limit: float  # [m] distance to the reference that ends an episode
     threads: int
 
     @property
-    def plant(self) -> str:
-        """The plant that moves the vehicles, with its closure or drive: a key of READS."""
-        if self.distributed:
-            return BY_TORQUE if self.by_torque else BY_SPEED
-        return CONSTRAINED if self.constrained else SLIDING
+    def reads(self) -> ParametersRead:
+        """The parameters on which motion and sensors depend."""
+        names = self.plant.reads[self.drive.name] - self.prepared.unread
+        words = f"{self.plant.name} plant{self.prepared.variant} driven by {self.drive.name}"
+        return ParametersRead(words, names, self.drive.limit)
 
 
-def _patches(given: object) -> Patches:
-    if isinstance(given, (str, Mapping)) or not isinstance(given, Sequence) or len(given) != 2:
-        raise ValueError(f"patches = {given!r}; must be two numbers: along, across a track")
-    along, across = (
-        checked_whole(f"patches {way} the track", number, _PATCHES)
-        for way, number in zip(("along", "across"), given, strict=True)
-    )
-    return make_patches(along, across)
+def _quoted(value: object) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
+    """Options of the plant: those that are arguments of their own, then `plant_options`.
+
+    `lateral` and `patches` are arguments of every environment. Raises ValueError for a value other
+    than the default where the plant has no such option.
+    """
+    arguments = {"lateral": config.lateral, "patches": config.patches}
+    for other in PLANTS.values():
+        foreign = {k: v for k, v in arguments.items() if k in other.options.keys() - plant.options}
+        if foreign:
+            other.prepare(next(iter(other.reads)), {**other.options, **foreign})
+        for name, value in foreign.items():
+            default = EnvConfig._field_defaults[name]
+            if value != default:
+                raise ValueError(
+                    f'{name} = {_quoted(value)} with plant = "{plant.name}"; must be '
+                    f"{_quoted(default)}: this plant has no such option. Did you mean "
+                    f'plant = "{other.name}"?'
+                )
+    own = {name: value for name, value in arguments.items() if name in plant.options}
+    return {**own, **checked_keys("plant_options", config.plant_options, plant.options)}
 
 
 def make_solver(config: EnvConfig) -> Solver:
     """Check and combine; the sub-step is the largest one <= time_step that divides a step.
 
-    Raises ValueError for a value outside its range, an unknown name, and for sprocket speeds as
-    actions of the lumped plant, in which sprockets have no dynamics of their own.
+    Raises ValueError for a value outside its range, an unknown name, and for a drive that the plant
+    does not accept.
     """
     rate = checked_number(
         "control_rate", config.control_rate, Range(5.0, 1000.0, "Hz", "Did you pass the period?")
@@ -91,22 +96,12 @@ def make_solver(config: EnvConfig) -> Solver:
         "error_limit", config.error_limit, Range(0.01, 1e6, "m", "It is a distance.")
     )
     threads = checked_whole("threads", config.threads, Range(1, 64, "-", "Number of threads."))
-    closure = checked_choice("lateral closure", config.lateral, LATERAL)
-    plant = checked_choice("plant", config.plant, PLANTS)
-    drive = checked_choice("drive", config.drive, DRIVES)
+    plant = find(config.plant)
     vehicle = checked_choice("vehicle", config.vehicle, VEHICLES)
-    if drive == "speed" and plant == "lumped":
-        raise ValueError(
-            'drive = "speed"; needs plant = "distributed": the lumped one has no belts'
-        )
-    if plant == "distributed" and closure == "constrained":
-        raise ValueError(
-            'lateral = "constrained" with plant = "distributed"; must be "sliding": only the '
-            "lumped plant has a lateral constraint, patches slide as the shear stress lets them"
-        )
+    ready = prepared(plant, config.drive, plant_options(plant, config))
     substeps = int(np.ceil(1.0 / (rate * longest) - 1e-9))
     substep = 1.0 / (rate * substeps)
     return Solver(
-        1.0 / rate, substeps, substep, closure == "constrained", plant == "distributed",
-        drive == "torque", _patches(config.patches), VEHICLES[vehicle], limit, threads,
+        1.0 / rate, substeps, substep, plant, DRIVES[config.drive], ready, VEHICLES[vehicle],
+        limit, threads,
     )  # fmt: skip

@@ -10,7 +10,7 @@ The draws of an episode, always in this order, from the vehicle's own generator:
     sensors         signs of the biases
 `options` override any value for one episode; the draws are made all the same, so that
 overriding one thing leaves the others as they were. A set draws the same for every plant; of its
-changes an episode has those of parameters that the plant reads (`parameters.READS`). An option or a
+changes an episode has those of parameters that the plant reads (`plants.base`). An option or a
 schedule that names another parameter is a ValueError.
 """
 
@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from tracked_env.events import encode_schedule
 from tracked_env.physics.parameters import (
-    BY_SPEED,
     GROUPS,
     PARAMETER_NAMES,
-    READS,
+    ParametersRead,
     PlantParameters,
     Range,
 )
@@ -35,7 +34,9 @@ from tracked_env.sensors import SensorDraw, Sensors, draw_sensors, make_sensors
 from tracked_env.uncertainty import Law, make_uncertainty
 from tracked_env.validation import checked_effect, checked_keys, checked_number, checked_parameter
 
-OPTION_KEYS = (*GROUPS, "reference", "sensors", "schedule", "start")
+# Option -> group of parameters; `closure` is the former name of `lateral_model`.
+PARAMETER_KEYS = {**{group: group for group in GROUPS}, "lateral_model": "closure"}
+OPTION_KEYS = (*PARAMETER_KEYS, "reference", "sensors", "schedule", "start")
 START_OFFSET = 0.15  # [-] of the nominal contact length, to either side
 DURATION_RANGE = Range(0.1, 3600.0, "s", "Did you pass control steps?")
 _START_RANGES = {
@@ -56,7 +57,7 @@ class EpisodeSettings(NamedTuple):
     sensors: Sensors
     duration: float  # [s]
     control_period: float  # [s]
-    plant: str  # a key of READS
+    reads: ParametersRead  # by the plant
 
     @property
     def max_steps(self) -> int:
@@ -82,28 +83,26 @@ def make_settings(
     duration: float,
     control_period: float,
     nominal: PlantParameters,
-    plant: str,
+    reads: ParametersRead,
 ) -> EpisodeSettings:
-    """Check everything that an environment is built from; plant: a key of READS.
-
-    Raises ValueError.
-    """
+    """Check everything that an environment is built from. Raises ValueError."""
     length = checked_number("duration", duration, DURATION_RANGE)
     make_reference(reference, length, np.random.default_rng(0))
     return EpisodeSettings(
-        reference, make_uncertainty(uncertainty, plant), nominal, make_sensors(sensors), length,
-        control_period, plant,
+        reference, make_uncertainty(uncertainty, reads), nominal, make_sensors(sensors), length,
+        control_period, reads,
     )  # fmt: skip
 
 
 def _overridden(
-    parameters: PlantParameters, options: Mapping[str, Any], plant: str
+    parameters: PlantParameters, options: Mapping[str, Any], reads: ParametersRead
 ) -> PlantParameters:
     values = {}
-    for group, names in GROUPS.items():
-        for name, value in checked_keys(f"options['{group}']", options.get(group), names).items():
+    for given, group in PARAMETER_KEYS.items():
+        chosen = checked_keys(f"options['{given}']", options.get(given), GROUPS[group])
+        for name, value in chosen.items():
             values[name] = checked_parameter(name, value)
-            checked_effect("option", name, value, plant)
+            checked_effect("option", name, value, reads)
     return parameters._replace(**values) if values else parameters
 
 
@@ -133,19 +132,19 @@ def _start(
 
 
 def _schedule(
-    options: Mapping[str, Any], drawn: Sequence[Mapping[str, Any]], plant: str
+    options: Mapping[str, Any], drawn: Sequence[Mapping[str, Any]], reads: ParametersRead
 ) -> NDArray[np.float64]:
     """The changes of the episode: those given, or those drawn that change what the plant reads."""
     given = options.get("schedule")
     if given is None:
-        return encode_schedule([event for event in drawn if event["parameter"] in READS[plant]])
+        return encode_schedule([event for event in drawn if event["parameter"] in reads.names])
     rows = encode_schedule(given)
     for name, target in ((PARAMETER_NAMES[int(row[1])], float(row[2])) for row in rows):
-        checked_effect("schedule target of", name, target, plant)
-        if plant == BY_SPEED and name == "sprocket_speed_limit":
+        checked_effect("schedule target of", name, target, reads)
+        if name == reads.limit:
             raise ValueError(
                 f"schedule target of {name} = {target!r}; it cannot change inside an episode of "
-                f"the {plant}: the action is measured in it. Change the action instead."
+                f"the {reads.plant}: the action is measured in it. Change the action instead."
             )
     return rows
 
@@ -170,8 +169,8 @@ def draw_episode(
     if options.get("sensors") is not None:
         sensors = make_sensors(options["sensors"], base=sensors)
     return Episode(
-        _overridden(truth.parameters, options, settings.plant),
-        _schedule(options, truth.events, settings.plant),
+        _overridden(truth.parameters, options, settings.reads),
+        _schedule(options, truth.events, settings.reads),
         profile,
         draw_sensors(sensors, settings.control_period, rng),
         _start(profile, start_draws, options, settings.nominal.contact_length),

@@ -1,52 +1,72 @@
-"""The loops that advance a batch by one control step.
+"""The control step of a batch, as a template that every plant compiles for itself.
 
-One call advances vehicles start..stop-1: actions taken, parameters in force, motion (see
-`moving_lumped`, `moving_patches`), reference, sensors, tracking error, reward, flags,
-observation. Nothing in it depends on how many vehicles share the call, so a batch gives the bits
-of one vehicle.
+One call advances vehicles start..stop-1: actions taken, parameters in force, motion (the plant's),
+reference, sensors, tracking error, reward, flags, observation. Nothing in it depends on how many
+vehicles share the call, so a batch gives the bits of one vehicle.
+
+A plant's file makes its kernels by handing its own functions to the templates:
+
+    @loop
+    def advance(
+        floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
+    ):
+        batch = Batch(floats, counters, profile, events, noise, history)
+        given = (chosen, actions, observations)
+        return advance_blocks(derive, move, LANES, np.empty((ROWS, LANES)), batch, given, rest)
+
+    @loop
+    def hold(*call):
+        return hold_blocks(derive, move_held, LANES, np.empty((ROWS, LANES)), call)
+
+They stand at module level, because numba's disk cache finds those again in a new process, but not
+closures. Kernels are called with plain arrays and numbers: a tuple with names costs microseconds at
+the boundary from Python, and nothing inside.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracked_env.engine import columns as b
 from tracked_env.engine import observing
-from tracked_env.physics import lumped_forces, parameter_events, patch_forces, reference_profile
+from tracked_env.engine.columns import Batch
+from tracked_env.physics import reference_profile
 from tracked_env.physics import state as s
-from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PARAMETER_ROWS, row_parameters
-from tracked_env.plants import distributed, lumped
-from tracked_env.plants.lumped import LANES
+from tracked_env.physics.jit import formula
 from tracked_env.rewards import judge
+from tracked_env.terrain import ground
 
 DIVERGED = 1e15  # [SI] no motion of a vehicle has such numbers; their squares are still finite
 CALM, SOME_ENDED = -1, -2  # results of a step: whether some vehicle's episode has ended
 
 
-@formula
-def derive(floats, i, substep, constrained):
-    """Refresh what follows from the parameters of vehicle i; substep h [s]."""
-    p = row_parameters(floats, i, b.PARAMETERS)
-    k = lumped_forces.coefficients(p, constrained)
-    drive = lumped_forces.drive_limits(p)
-    for row in range(b.COEFFICIENT_COUNT):
-        floats[i, b.COEFFICIENTS + row] = k[row]
-    for row in range(b.DRIVE_COUNT):
-        floats[i, b.DRIVE + row] = drive[row]
-    floats[i, b.TORQUE_DECAY] = lumped_forces.torque_decay(0.5 * substep, p.drive_time_constant)
+class Clock(NamedTuple):
+    """Time of a control step and where an episode ends, the same for every vehicle."""
+
+    substeps: int  # of a control step
+    substep: float  # [s]
+    error_limit: float  # [m] distance to the reference that ends an episode
 
 
-@formula
-def _apply_events(floats, events, i, count, time):
-    """Parameters in force at `time` [s]: the base values changed by each event in turn."""
-    for row in range(PARAMETER_ROWS):
-        floats[i, b.PARAMETERS + row] = floats[i, b.BASE + row]
-    for e in range(count):
-        row = b.PARAMETERS + int(events[i, e, 1])
-        floats[i, row] = parameter_events.changed_value(
-            floats[i, row], events, i, e, time, floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
-        )
+class Block(NamedTuple):
+    """Vehicles that a plant moves at once, chosen[first] .. chosen[first + lanes - 1]."""
+
+    chosen: NDArray[np.int64]
+    first: int
+    lanes: int
+
+
+class Pace(NamedTuple):
+    """How far a plant moves them: `substeps` steps of h [s]; 0 settles what follows from a state.
+
+    period [s]: of a control step, also where substeps is 0.
+    """
+
+    substeps: int
+    h: float
+    period: float
 
 
 @formula
@@ -68,18 +88,19 @@ def _advance_reference(floats, counters, profile, i, period):
 
 
 @formula
-def _begin(floats, counters, events, actions, i, moving, period, h, constrained):
+def _begin(derive, batch, clock, actions, i, moving, period):
     """Take the action of vehicle i, and bring its parameters up to date."""
+    floats = batch.floats
     if moving:
         for side in range(2):
             action = min(max(np.float64(actions[i, side]), -1.0), 1.0)
-            floats[i, b.ACTION_BEFORE + side] = floats[i, b.PREVIOUS_ACTION + side]
-            floats[i, b.PREVIOUS_ACTION + side] = action
-    count = counters[i, b.EVENT_COUNT]
+            floats[i, b.LAST_ACTION + side] = floats[i, b.ACTION + side]
+            floats[i, b.ACTION + side] = action
+    count = batch.counters[i, b.EVENT_COUNT]
     if count > 0:
-        _apply_events(floats, events, i, count, counters[i, b.STEP] * period)
+        ground.refresh(floats, batch.events, i, count, batch.counters[i, b.STEP] * period)
     if count > 0 or not moving:
-        derive(floats, i, h, constrained)
+        derive(floats, i, clock.substep)
 
 
 @formula
@@ -102,18 +123,17 @@ def _refused(actions, chosen, start, stop):
 
 
 @formula
-def _finish(
-    floats, counters, profile, noise, history, observations, i, moving, period, error_limit
-):
+def _finish(batch, observations, i, moving, period, error_limit):
     """All that follows the motion of vehicle i; returns CALM or SOME_ENDED."""
+    floats, counters = batch.floats, batch.counters
     if moving:
-        _advance_reference(floats, counters, profile, i, period)
+        _advance_reference(floats, counters, batch.profile, i, period)
         counters[i, b.STEP] += 1
         counters[i, b.NOISE_CURSOR] += 1
     diverged = moving and not _is_finite(floats, i)
     observing.observe(
-        floats, counters, profile, noise, history,
-        i, counters[i, b.STEP], period, observations, diverged,
+        floats, counters, batch.profile, batch.noise, batch.history, i, counters[i, b.STEP],
+        period, observations, diverged,
     )  # fmt: skip
     if moving:
         judge(floats, counters, i, error_limit, diverged)
@@ -122,70 +142,55 @@ def _finish(
     return CALM
 
 
-def _lumped(constrained):
-    """The step kernel of one lateral closure; each is compiled when it is first used."""
+@formula
+def advance_blocks(derive, move, lane_limit, scratch, batch, given, rest):
+    """Advance vehicles chosen[start:stop] by one control step and write their observations.
 
-    def advance_batch(
-        floats, counters, profile, events, noise, history,
-        chosen, actions, observations, start, stop,
-        moving, substeps, h, error_limit,
-    ):  # fmt: skip
-        """Advance vehicles chosen[start:stop] by one control step and write their observations.
-
-        chosen: (M,) int64 indices of vehicles; actions: (N, 2) float32, clipped to [-1, 1];
-        observations: (N, SIZE) float32; moving: False completes freshly loaded vehicles instead
-        of moving them; h [s] is the sub-step, `substeps` of them make a control step;
-        error_limit [m] ends an episode.
-        Returns CALM or SOME_ENDED, or the first row with a non-finite action: then no vehicle
-        has moved.
-        """
-        result = _refused(actions, chosen, start, stop)
-        if result != CALM:
-            return result
-        period = substeps * h
-        scratch = np.empty((lumped.SCRATCH_ROWS, LANES))
-        for first in range(start, stop, LANES):
-            lanes = min(LANES, stop - first)
-            for lane in range(lanes):
-                i = chosen[first + lane]
-                _begin(floats, counters, events, actions, i, moving, period, h, constrained)
-            steps = substeps if moving else 0
-            lumped.move(floats, scratch, chosen, first, lanes, steps, h, constrained)
-            for lane in range(lanes):
-                ended = _finish(
-                    floats, counters, profile, noise, history, observations,
-                    chosen[first + lane], moving, period, error_limit,
-                )  # fmt: skip
-                result = min(result, ended)
-        return result
-
-    return loop(advance_batch)
-
-
-advance_sliding = _lumped(False)
-advance_constrained = _lumped(True)
-
-
-@loop
-def advance_distributed(
-    floats, counters, profile, events, noise, history,
-    chosen, actions, observations, start, stop,
-    moving, substeps, h, error_limit, patches, by_torque,
-):  # fmt: skip
-    """The same for the distributed plant: patches under each track; by_torque: what the
-    actions are, torques or else sprocket speeds."""
+    derive: compiled (floats, i, substep), refreshes what follows from the parameters of vehicle i.
+    move: compiled (batch, scratch, block, pace, options), moves a block of at most lane_limit
+    vehicles and settles their states. given: chosen (M,) int64 rows of vehicles, actions (N, 2)
+    float32, clipped to [-1, 1], observations (N, SIZE) float32. rest: start, stop, moving, the
+    numbers of Clock, then the plant's options; moving: False completes freshly loaded vehicles
+    instead of moving them.
+    Returns CALM or SOME_ENDED, or the first row with a non-finite action: then no vehicle has
+    moved.
+    """
+    chosen, actions, observations = given
+    start, stop, moving = rest[0], rest[1], rest[2]
+    clock, options = Clock(rest[3], rest[4], rest[5]), rest[6:]
     result = _refused(actions, chosen, start, stop)
     if result != CALM:
         return result
-    period = substeps * h
-    scratch = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
-    for j in range(start, stop):
-        i = chosen[j]
-        _begin(floats, counters, events, actions, i, moving, period, h, False)
-        steps = substeps if moving else 0
-        distributed.move(floats, scratch, i, steps, h, patches, by_torque)
-        ended = _finish(
-            floats, counters, profile, noise, history, observations, i, moving, period, error_limit
-        )
-        result = min(result, ended)
+    period = clock.substeps * clock.substep
+    steps = clock.substeps if moving else 0
+    for first in range(start, stop, lane_limit):
+        lanes = min(lane_limit, stop - first)
+        for lane in range(lanes):
+            _begin(derive, batch, clock, actions, chosen[first + lane], moving, period)
+        pace = Pace(steps, clock.substep, period)
+        move(batch, scratch, Block(chosen, first, lanes), pace, options)
+        for lane in range(lanes):
+            ended = _finish(
+                batch, observations, chosen[first + lane], moving, period, clock.error_limit
+            )
+            result = min(result, ended)
     return result
+
+
+@formula
+def hold_blocks(derive, move, lane_limit, scratch, call):
+    """Move vehicles chosen[start:stop] with what their drives are asked held, and nothing else.
+
+    No reference, sensors, reward or episode: the plant alone, for `plants.standalone`. call: the
+    six arrays of the batch, chosen, start, stop, substeps, h [s], then what `move` takes as
+    options. Parameters are those in force.
+    """
+    batch = Batch(call[0], call[1], call[2], call[3], call[4], call[5])
+    chosen, start, stop, substeps, h = call[6], call[7], call[8], call[9], call[10]
+    for first in range(start, stop, lane_limit):
+        lanes = min(lane_limit, stop - first)
+        for lane in range(lanes):
+            derive(batch.floats, chosen[first + lane], h)
+        pace = Pace(substeps, h, substeps * h)
+        move(batch, scratch, Block(chosen, first, lanes), pace, call[11:])
+    return CALM

@@ -93,13 +93,10 @@ def deliver(floats, counters, history, i, step):
 
 @formula
 def tracking_error(floats, i):
-    """True error of vehicle i: reference minus vehicle in the body frame, and heading."""
+    """True error of vehicle i: distance to the reference, and heading, reference minus vehicle."""
     yaw = floats[i, b.STATE + s.YAW]
-    cosine, sine = rotation(yaw)
     dx = floats[i, b.REFERENCE_X] - floats[i, b.STATE + s.X]
     dy = floats[i, b.REFERENCE_Y] - floats[i, b.STATE + s.Y]
-    floats[i, b.ERROR_X] = cosine * dx + sine * dy
-    floats[i, b.ERROR_Y] = cosine * dy - sine * dx
     floats[i, b.ERROR_YAW] = wrapped(floats[i, b.REFERENCE_YAW] - yaw)
     floats[i, b.ERROR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
 
@@ -124,8 +121,8 @@ def write_observation(floats, i, step, control_period, arrived, out):
     for j in range(b.AHEAD):
         obs.store(out, i, _AHEAD_SPEED + j, floats[i, b.AHEAD_SPEED + j])
         obs.store(out, i, _AHEAD_YAW_RATE + j, floats[i, b.AHEAD_YAW_RATE + j])
-    obs.store(out, i, _PREVIOUS_ACTION, floats[i, b.PREVIOUS_ACTION])
-    obs.store(out, i, _PREVIOUS_ACTION + 1, floats[i, b.PREVIOUS_ACTION + 1])
+    obs.store(out, i, _PREVIOUS_ACTION, floats[i, b.ACTION])
+    obs.store(out, i, _PREVIOUS_ACTION + 1, floats[i, b.ACTION + 1])
     for g in range(b.GROUP_COUNT):
         taken = floats[i, arrived + channels.CHANNEL_COUNT + g]
         obs.store(out, i, _AGE + g, (step - taken) * control_period)

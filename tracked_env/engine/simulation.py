@@ -20,24 +20,17 @@ from numpy.typing import NDArray
 
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
-from tracked_env.engine import kernels
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
-from tracked_env.physics import state as s
+from tracked_env.engine.kernels import SOME_ENDED, Clock
 from tracked_env.physics.channels import NOISE_COUNT
-from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PARAMETER_ROWS, Range
-from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
-from tracked_env.plants.lumped import LANES
+from tracked_env.physics.parameters import PARAMETER_NAMES, Range
+from tracked_env.physics.state import STATE_NAMES
 from tracked_env.references import number_of_segments
 from tracked_env.sensors import longest_delay_steps
 from tracked_env.validation import checked_whole
 
-# [vehicles] of the lumped and of the distributed plant, from which two threads beat one
-THREADED_COUNT, THREADED_COUNT_DISTRIBUTED = 512, 16
 SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
-_LENGTH = b.PARAMETERS + PARAMETER_INDEX["contact_length"]
-
-
 _RUNNING = (  # attributes that change while episodes run
     "batch", "observations", "rngs", "_noise_rngs", "episodes", "_noisy", "_until_refill",
     "some_ended",
@@ -52,16 +45,13 @@ class Simulation:
         self.count = count = checked_whole("num_envs", count, Range(1, 10**6, "-", "A count."))
         self.config = config = copy.deepcopy(config)  # what the caller changes later stays outside
         self.solver = make_solver(config)
+        solver = self.solver
         self.settings = make_settings(
-            config.reference,
-            config.uncertainty,
-            config.sensors,
-            config.duration,
-            self.solver.control_period,
-            self.solver.nominal,
-            self.solver.plant,
-        )
-        self.batch = b.allocate(count, number_of_segments(self.settings.duration))
+            config.reference, config.uncertainty, config.sensors, config.duration,
+            solver.control_period, solver.nominal, solver.reads,
+        )  # fmt: skip
+        segments = number_of_segments(self.settings.duration)
+        self.batch = b.allocate(count, segments, solver.plant.columns)
         self.observations: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
         self.rngs: list[np.random.Generator | None] = [None] * count
         self._noise_rngs: list[np.random.Generator | None] = [None] * count
@@ -69,17 +59,10 @@ class Simulation:
         self.all = np.arange(count)
         self._action_shape = (count, 2)
         self._idle: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
-        solver = self.solver
-        self._clock: tuple[Any, ...] = (solver.substeps, solver.substep, solver.error_limit)
-        self._kernel = (
-            kernels.advance_constrained if solver.constrained else kernels.advance_sliding
-        )
-        if solver.distributed:
-            self._kernel = kernels.advance_distributed
-            self._clock = (*self._clock, solver.patches, solver.by_torque)
-        self._threaded_count, self._share = THREADED_COUNT, LANES
-        if solver.distributed:
-            self._threaded_count, self._share = THREADED_COUNT_DISTRIBUTED, 1
+        self._kernel = solver.prepared.advance
+        self._threads = solver.threads
+        clock = Clock(solver.substeps, solver.substep, solver.error_limit)
+        self._tail: tuple[Any, ...] = (*clock, *solver.prepared.options)
         self._noisy = np.zeros(count, dtype=bool)
         self.ended = np.zeros(count, dtype=bool)  # and not started anew; not to be stepped
         self._all_started = False
@@ -130,21 +113,13 @@ class Simulation:
         f, c = data.floats[i], data.counters[i]
         f[:] = 0.0
         c[:] = 0
-        f[b.BASE : b.BASE + PARAMETER_ROWS] = episode.parameters
-        f[b.PARAMETERS : b.PARAMETERS + PARAMETER_ROWS] = episode.parameters
+        data.base()[i] = data.parameters()[i] = episode.parameters
         data.profile[:, i, :6] = episode.profile.speed
         data.profile[:, i, 6:] = episode.profile.yaw_rate
         f[b.REFERENCE_X : b.REFERENCE_X + 3] = episode.profile[2:]
         yaw = episode.profile.yaw
         f[b.REFERENCE_COSINE : b.REFERENCE_COSINE + 2] = np.cos(yaw), np.sin(yaw)
-        f[b.STATE : b.STATE + STATE_ROWS] = episode.state
-        if self.solver.distributed:  # the belts roll
-            turn = 0.5 * episode.parameters.track_gauge * episode.state.yaw_rate
-            rolling = np.array([episode.state.v_x - turn, episode.state.v_x + turn])
-            first = b.STATE + s.SPROCKET_SPEED_LEFT
-            f[first : first + 2] = rolling / episode.parameters.sprocket_radius
-        elif self.solver.constrained:
-            f[b.STATE + s.V_Y] = -episode.parameters.icr_forward * episode.state.yaw_rate
+        data.state()[i] = self.solver.prepared.start(episode.parameters, episode.state)
         sensors = episode.sensors
         f[b.SIGMA : b.SIGMA + len(sensors.sigma)] = sensors.sigma
         f[b.BIAS : b.BIAS + len(sensors.bias)] = sensors.bias
@@ -201,7 +176,7 @@ class Simulation:
             self._check_started(chosen)
         size = chosen.size
         refill = self._until_refill <= 0
-        if self.solver.threads > 1 and size >= self._threaded_count:
+        if self._threads > 1 and size >= self.solver.plant.threads_from:
             result = self._step_threaded(actions, chosen, refill)
         else:
             if refill:
@@ -209,9 +184,9 @@ class Simulation:
             result = self._advance(actions, chosen, 0, size, True)
         self._until_refill -= 1
         if refill and size:
-            last = self.batch.counters[chosen, b.NOISE_CURSOR].max()
+            last = self.batch.counter("noise_cursor")[chosen].max()
             self._until_refill = b.NOISE_BLOCK - 1 - int(last)
-        self.some_ended = result == kernels.SOME_ENDED
+        self.some_ended = result == SOME_ENDED
         if self.some_ended:
             self.ended = self.terminated | self.truncated
         if result >= 0:
@@ -241,7 +216,7 @@ class Simulation:
         moving: bool,
     ) -> int:
         return self._kernel(
-            *self.batch, chosen, actions, self.observations, start, stop, moving, *self._clock
+            *self.batch, chosen, actions, self.observations, start, stop, moving, *self._tail
         )
 
     def _step_threaded(
@@ -254,8 +229,9 @@ class Simulation:
         threads, size = self.solver.threads, chosen.size
         if self._pool is None:
             self._pool = ThreadPoolExecutor(threads - 1, "tracked_env")
-        blocks = -(-size // self._share)
-        share = -(-blocks // threads) * self._share
+        lanes = self.solver.plant.lanes
+        blocks = -(-size // lanes)
+        share = -(-blocks // threads) * lanes
 
         def run(first: int) -> int:
             last = min(first + share, size)
@@ -268,7 +244,7 @@ class Simulation:
 
     def _refill(self, chosen: NDArray[np.int64]) -> None:
         """Draw the next noise block of those chosen vehicles that are about to use up theirs."""
-        cursor = self.batch.counters[:, b.NOISE_CURSOR]
+        cursor = self.batch.counter("noise_cursor")
         used_up = chosen[cursor[chosen] >= b.NOISE_BLOCK - 1]
         for i in used_up[self._noisy[used_up]]:
             self._draw_noise(int(i))
@@ -297,34 +273,39 @@ class Simulation:
         self._all_started = False  # to be looked up
 
     # --- what can be read -----------------------------------------------------------------
-    def column(self, column: int) -> NDArray[np.float64]:
-        """A copy (N,) of one column of the floats."""
-        return self.batch.floats[:, column].copy()
+    def column(self, name: str) -> NDArray[np.float64]:
+        """A copy (N,) of one column of the floats; names: `columns.COLUMN`."""
+        return self.batch.column(name).copy()
 
-    def report(self) -> NDArray[np.float64]:
-        """A copy (N, 8) of distance [m], heading error [rad], reward, and its five terms."""
-        return self.batch.floats[:, b.ERROR_DISTANCE : b.TERMS + len(b.REWARD_TERMS)].copy()
+    def report(self) -> b.Report:
+        """A copy of tracking error, reward and its terms."""
+        return self.batch.report()
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """(N,) control steps since reset."""
+        return self.batch.counter("step").copy()
 
     @property
     def terminated(self) -> NDArray[np.bool_]:
         """(N,) off the path, or non-finite."""
-        return self.batch.counters[:, b.TERMINATED] != 0
+        return self.batch.counter("terminated") != 0
 
     @property
     def truncated(self) -> NDArray[np.bool_]:
         """(N,) out of time."""
-        return self.batch.counters[:, b.TRUNCATED] != 0
+        return self.batch.counter("truncated") != 0
 
     @property
     def rmse(self) -> NDArray[np.float64]:
         """(N,) root mean square distance to the reference since reset [m]."""
-        steps = np.maximum(self.batch.counters[:, b.STEP], 1)
-        return np.sqrt(self.batch.floats[:, b.SQUARED_ERROR_SUM] / steps)
+        steps = np.maximum(self.batch.counter("step"), 1)
+        return np.sqrt(self.batch.column("squared_error_sum") / steps)
 
     @property
     def success(self) -> NDArray[np.bool_]:
         """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
-        return self.truncated & (self.rmse < SUCCESS_RMSE * self.column(_LENGTH))
+        return self.truncated & (self.rmse < SUCCESS_RMSE * self.batch.column("contact_length"))
 
     def reference_position(self, i: int) -> NDArray[np.float64]:
         """(2,) position [m] of the reference of vehicle i now, world frame."""
@@ -332,9 +313,7 @@ class Simulation:
 
     def truth(self) -> dict[str, NDArray[np.float64]]:
         """True state and parameters in force, by name; each (N,)."""
-        state = {name: self.column(b.STATE + k) for k, name in enumerate(STATE_NAMES)}
-        parameters = {name: self.column(b.PARAMETERS + k) for k, name in enumerate(PARAMETER_NAMES)}
-        return {**state, **parameters}
+        return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}
 
     def close(self) -> None:
         """Release the threads."""

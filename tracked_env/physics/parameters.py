@@ -67,6 +67,18 @@ class PlantParameters(NamedTuple):
     icr_forward: float
 
 
+class ParametersRead(NamedTuple):
+    """The parameters on which motion and sensors of a plant depend, with its drive and options.
+
+    What a plant does not read may be drawn (the draws of a set do not depend on the plant), but
+    setting or scheduling it would change nothing and is an error.
+    """
+
+    plant: str  # the plant in words, for messages
+    names: frozenset[str]
+    limit: str  # the parameter in which its actions are measured
+
+
 class Range(NamedTuple):
     """Physical range of a parameter, both ends allowed, and what a value outside suggests."""
 
@@ -83,25 +95,6 @@ GROUPS = {
     "vehicle": VehicleParameters._fields,
     "soil": SoilParameters._fields,
     "closure": ClosureParameters._fields,
-}
-
-# The parameters that the motion of each plant depends on; a test perturbs all of them and compares.
-# What a plant does not read may be drawn (the draws of a set do not depend on the plant), but
-# setting it or scheduling it would change nothing and is an error.
-_LUMPED = frozenset(PARAMETER_NAMES) - {"sprocket_inertia"}  # S (24): tracks without inertia
-# Lateral force and turning moment come from the shear of the soil, and so does the ICR.
-_DISTRIBUTED = frozenset(PARAMETER_NAMES) - {
-    "lateral_resistance", "turning_resistance_factor", "icr_forward",
-}  # fmt: skip
-SLIDING = "lumped plant with the sliding closure"
-CONSTRAINED = "lumped plant with the constrained closure"
-BY_TORQUE = "distributed plant driven by torque"
-BY_SPEED = "distributed plant driven by speed"
-READS: dict[str, frozenset[str]] = {
-    SLIDING: _LUMPED - {"icr_forward"},  # the ICR emerges
-    CONSTRAINED: _LUMPED,
-    BY_TORQUE: _DISTRIBUTED,
-    BY_SPEED: _DISTRIBUTED - {"torque_limit", "sprocket_inertia"},  # the speed is given
 }
 
 STRAWA_VEHICLE = VehicleParameters()

@@ -25,21 +25,23 @@ from tracked_env.physics import patch_forces
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.lumped_forces import (
+from tracked_env.physics.parameters import row_parameters
+from tracked_env.physics.patch_forces import Contact, patch_count
+from tracked_env.physics.rosenbrock import Belts as Belts
+from tracked_env.physics.rosenbrock import Rates as Rates
+from tracked_env.physics.rosenbrock import damped, departure, pushed
+from tracked_env.physics.vehicle import (
+    Coefficients,
+    DriveLimits,
     Loads,
     Motion,
     coefficients,
     drive_limits,
     track_speeds,
 )
-from tracked_env.physics.parameters import row_parameters
-from tracked_env.physics.patch_forces import Contact, patch_count
-from tracked_env.physics.rosenbrock import Belts as Belts
-from tracked_env.physics.rosenbrock import Rates as Rates
-from tracked_env.physics.rosenbrock import damped, departure, pushed
 
 FADE = 0.1  # [-] share of the top speed over which the driving torque fades to nothing
-SPEED_DRIVEN = 0.0  # [1/kg] r^2 / J where the belt's speed is given
+SPEED_DRIVEN = 0.0  # [1/kg] inverse belt mass r^2 / J where the belt's speed is given
 
 
 class Pose(NamedTuple):
@@ -50,6 +52,16 @@ class Pose(NamedTuple):
     yaw: float  # [rad]
     cosine: float  # [-]
     sine: float  # [-]
+
+
+class TrackedVehicle(NamedTuple):
+    """A vehicle on the soils under its two tracks, for one control step."""
+
+    k: Coefficients
+    drive: DriveLimits
+    contacts: tuple[Contact, Contact]  # left, right
+    resistances: tuple[float, float]  # [N] mu_l N of the left and the right track
+    inverse_belt_mass: float  # [1/kg] r^2 / J, or SPEED_DRIVEN
 
 
 class Moved(NamedTuple):
@@ -75,8 +87,25 @@ def contact_of(p, k, drive, patches):
 
 
 @formula
+def on_one_soil(k, drive, contact, inverse_belt_mass):
+    """TrackedVehicle with the same soil under both tracks."""
+    return TrackedVehicle(
+        k, drive, (contact, contact), (k.resistance, k.resistance), inverse_belt_mass
+    )
+
+
+@formula
 def loads_of(r, motion, belts, k):
-    """Loads on the vehicle from the soil's resistance r; the turning moment is the whole one."""
+    """Loads on the vehicle from the resistance r of one soil under both tracks."""
+    return tracks_loads(r, motion, belts, k, (k.resistance, k.resistance))
+
+
+@formula
+def tracks_loads(r, motion, belts, k, resistances):
+    """Loads on the vehicle from the soil's resistance r; the turning moment is the whole one.
+
+    resistances [N]: the largest motion resistances of the left and the right track.
+    """
     left = r.left * (belts.left - motion.v_x) + r.left_arm * motion.yaw_rate
     right = r.right * (belts.right - motion.v_x) + r.right_arm * motion.yaw_rate
     lateral = -((r.left + r.right) * motion.v_y + r.forward * motion.yaw_rate)
@@ -84,8 +113,8 @@ def loads_of(r, motion, belts, k):
     turned = r.polar * motion.yaw_rate + r.forward * motion.v_y
     track_left, track_right = track_speeds(motion, k.half_gauge)
     inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
-    resistance_left = soil.resisting(track_left, left, k.resistance, inverse_width)
-    resistance_right = soil.resisting(track_right, right, k.resistance, inverse_width)
+    resistance_left = soil.resisting(track_left, left, resistances[0], inverse_width)
+    resistance_right = soil.resisting(track_right, right, resistances[1], inverse_width)
     moment = (pushed - turned) - k.half_gauge * (resistance_right - resistance_left)
     return Loads(left, right, resistance_left, resistance_right, lateral, moment)
 
@@ -98,8 +127,8 @@ def driving_torque(torque, belt, inverse_belt_limit):
 
 
 @formula
-def rates_of(loads, motion, belts, torques, k, drive, compliance):
-    """Rates from the loads. compliance r^2 / J [1/kg], SPEED_DRIVEN where belts are given."""
+def rates_of(loads, motion, belts, torques, k, drive, inverse_belt_mass):
+    """Rates from the loads; inverse_belt_mass r^2 / J [1/kg], or SPEED_DRIVEN."""
     left = driving_torque(torques.left, belts.left, drive.inverse_belt_limit) * k.inverse_radius
     right = driving_torque(torques.right, belts.right, drive.inverse_belt_limit) * k.inverse_radius
     push = (loads.effort_left + loads.effort_right) - (
@@ -109,8 +138,8 @@ def rates_of(loads, motion, belts, torques, k, drive, compliance):
         push * k.inverse_mass + motion.yaw_rate * motion.v_y,
         loads.lateral_force * k.inverse_mass - motion.yaw_rate * motion.v_x,
         loads.turning_moment * k.inverse_inertia,
-        compliance * (left - loads.effort_left),
-        compliance * (right - loads.effort_right),
+        inverse_belt_mass * (left - loads.effort_left),
+        inverse_belt_mass * (right - loads.effort_right),
     )
 
 
@@ -133,7 +162,7 @@ def _moved_pose(pose, before, after, h):
 
 @formula
 def _stage(belts, command, rates, h, driven):
-    """Belts of a later stage: driven by torques they have moved, else they are what is asked."""
+    """Belts of a later stage: moved by their torques, else at the commanded speed."""
     left = belts.left + h * rates.left if driven else command.left
     right = belts.right + h * rates.right if driven else command.right
     return Belts(left, right)
@@ -164,12 +193,12 @@ def advance(w, start, command, demand, decay, substeps, h, vehicle, patches, eul
 
     w: scratch of `track_patches`. start: (pose, motion, belts). command, demand: what the drives
     give now and what is asked of them, torques [N m] or belt speeds [m/s]; decay [-] what the lag
-    leaves of the difference after one sub-step, 0 without lag. vehicle: (coefficients, drive
-    limits, contact, compliance). Returns Moved, and what the drives give in the end.
+    leaves of the difference after one sub-step, 0 without lag. vehicle: TrackedVehicle.
+    Returns Moved, and what the drives give in the end.
     """
     pose, motion, belts = start
-    k, drive, contact, compliance = vehicle
-    driven = compliance > SPEED_DRIVEN
+    k, drive, inverse_belt_mass = vehicle.k, vehicle.drive, vehicle.inverse_belt_mass
+    driven = inverse_belt_mass > SPEED_DRIVEN
     if decay == 0.0:
         command = demand
     coming = _followed(command, demand, decay)
@@ -180,15 +209,15 @@ def advance(w, start, command, demand, decay, substeps, h, vehicle, patches, eul
     stage = 0
     loads, rates = Loads(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), first
     for evaluation in range(stages * substeps + 1):
-        r = patch_forces.resistance(
-            w, stage_motion, stage_belts.left, stage_belts.right, contact, patches
+        r = patch_forces.tracks_resistance(
+            w, stage_motion, stage_belts.left, stage_belts.right, vehicle.contacts, patches
         )
-        loads = loads_of(r, stage_motion, stage_belts, k)
-        rates = rates_of(loads, stage_motion, stage_belts, given, k, drive, compliance)
+        loads = tracks_loads(r, stage_motion, stage_belts, k, vehicle.resistances)
+        rates = rates_of(loads, stage_motion, stage_belts, given, k, drive, inverse_belt_mass)
         if evaluation == stages * substeps:
             break
         if stages == 2 and stage == 0:
-            first = damped(r, rates, k, compliance, 0.5 * h)
+            first = damped(r, rates, k, inverse_belt_mass, 0.5 * h)
             given = _followed(command, coming, 0.5)
             stage_motion = pushed(motion, first, 0.5 * h)
             stage_belts = _stage(belts, given, first, 0.5 * h, driven)
@@ -198,7 +227,7 @@ def advance(w, start, command, demand, decay, substeps, h, vehicle, patches, eul
             motion, pose = _euler(pose, motion, rates, h)
             belts = _stage(belts, coming, rates, h, driven)
         else:
-            away = departure(r, first, rates, k, compliance, h)
+            away = departure(r, first, rates, k, inverse_belt_mass, h)
             moved = pushed(stage_motion, away, 1.0)
             pose = _moved_pose(pose, motion, moved, h)
             motion = moved
@@ -231,7 +260,7 @@ def hold_speeds(states, sprocket_speeds, parameters, patches, steps, h, euler, l
         belts = Belts(left * p.sprocket_radius, right * p.sprocket_radius)
         moved, _ = advance(
             w, (pose, motion, belts), belts, belts, 0.0, steps, h,
-            (k, drive, contact, SPEED_DRIVEN), patches, euler,
+            on_one_soil(k, drive, contact, SPEED_DRIVEN), patches, euler,
         )  # fmt: skip
         states[i, 0], states[i, 1], states[i, 2] = moved.pose.x, moved.pose.y, moved.pose.yaw
         states[i, 3], states[i, 4] = moved.motion.v_x, moved.motion.v_y

@@ -45,9 +45,9 @@ LANES = 4 * COLUMN_LIMIT
 # Rows of the scratch array: one lane per side, half of the rows, and column.
 (
     _TIME, _SINE, _VERSINE, _LATERAL, _FORWARD, _BELT, _STRENGTH, _MIRROR, _EXTRA, _X,
-    _K, _KY, _KYY,
-) = range(13)  # fmt: skip
-SCRATCH_ROWS = 13
+    _MODULUS, _K, _KY, _KYY,
+) = range(14)  # fmt: skip
+SCRATCH_ROWS = 14
 
 
 class Patches(NamedTuple):
@@ -124,11 +124,12 @@ def _place(w, belt, half_length, patches, base, mirror):
 
 
 @formula
-def _columns(w, lanes, motion, belt_left, belt_right, contact, patches):
+def _columns(w, lanes, motion, belt_left, belt_right, contacts, patches):
     """All that does not depend on the row: positions, times and rotations."""
     count = patches.columns.size
     for side in range(2):
         belt = belt_right if side else belt_left
+        contact = contacts[1] if side else contacts[0]
         arm = -contact.half_gauge if side else contact.half_gauge
         forward = motion.v_x - motion.yaw_rate * arm
         for half in range(2):
@@ -137,10 +138,11 @@ def _columns(w, lanes, motion, belt_left, belt_right, contact, patches):
             for c in range(base, base + count):
                 w[_FORWARD, c] = forward
                 w[_STRENGTH, c] = contact.strength
+                w[_MODULUS, c] = contact.inverse_modulus
     for lane in range(4 * count, lanes):
         for row in range(_K):
             w[row, lane] = 0.0
-    rise = HISTORY_RISE * contact.half_length
+    rise = HISTORY_RISE * contacts[0].half_length
     for lane in range(lanes):
         turn = min(max(motion.yaw_rate * w[_TIME, lane], -TURN_LIMIT), TURN_LIMIT)
         half_turn = 0.5 * turn
@@ -157,7 +159,7 @@ def _columns(w, lanes, motion, belt_left, belt_right, contact, patches):
 
 
 @formula
-def _row(w, lanes, offset, weight, yaw_rate, inverse_modulus):
+def _row(w, lanes, offset, weight, yaw_rate):
     """Add the patches at `offset` [m] from the centre lines, outside on one half, inside on
     the other."""
     for lane in range(lanes):
@@ -170,7 +172,7 @@ def _row(w, lanes, offset, weight, yaw_rate, inverse_modulus):
         j_y = w[_TIME, lane] * (b * versine + lateral * sine)
         j = math.sqrt(j_x * j_x + j_y * j_y) + w[_EXTRA, lane]
         speed = math.sqrt(slip * slip + lateral * lateral + SHEAR_SPEED_FLOOR * SHEAR_SPEED_FLOOR)
-        mobilised = 1.0 - exponential(-j * inverse_modulus)
+        mobilised = 1.0 - exponential(-j * w[_MODULUS, lane])
         k = weight * w[_STRENGTH, lane] * mobilised / speed
         w[_K, lane] += k
         w[_KY, lane] += k * y
@@ -195,17 +197,25 @@ def _pair(w, c, base, count, arm):
 
 @formula
 def resistance(w, motion, belt_left, belt_right, contact, patches):
-    """Resistance of the soil to `motion` with belts at r omega [m/s].
+    """Resistance of one soil under both tracks to `motion` with belts at r omega [m/s]."""
+    return tracks_resistance(w, motion, belt_left, belt_right, (contact, contact), patches)
 
+
+@formula
+def tracks_resistance(w, motion, belt_left, belt_right, contacts, patches):
+    """Resistance of the soils to `motion`; contacts: under the left and the right track.
+
+    The contacts differ in soil, not in geometry.
     w: scratch (SCRATCH_ROWS, LANES). Sums run over pairs of columns that mirror each other, so
     that mirrored motions give mirrored sums to the last bit.
     """
     count = patches.columns.size
     lanes = (4 * count + _WIDE - 1) // _WIDE * _WIDE
-    _columns(w, lanes, motion, belt_left, belt_right, contact, patches)
+    contact = contacts[0]
+    _columns(w, lanes, motion, belt_left, belt_right, contacts, patches)
     for row in range(patches.rows.size):
         offset = patches.rows[row] * contact.track_width
-        _row(w, lanes, offset, patches.weights[row], motion.yaw_rate, contact.inverse_modulus)
+        _row(w, lanes, offset, patches.weights[row], motion.yaw_rate)
     left, right, left_arm, right_arm = 0.0, 0.0, 0.0, 0.0
     forward, polar = 0.0, 0.0
     for c in range((count + 1) // 2):

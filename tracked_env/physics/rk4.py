@@ -10,7 +10,7 @@ References: [1] Hairer, Norsett, Wanner, Solving Ordinary Differential Equations
 
 from tracked_env.physics.elementary import small_rotation
 from tracked_env.physics.jit import formula
-from tracked_env.physics.lumped_forces import Motion
+from tracked_env.physics.vehicle import Motion
 
 
 @formula

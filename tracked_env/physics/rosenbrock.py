@@ -23,7 +23,7 @@ import math
 from typing import NamedTuple
 
 from tracked_env.physics.jit import formula
-from tracked_env.physics.lumped_forces import Motion
+from tracked_env.physics.vehicle import Motion
 
 GAMMA = 1.0 - math.sqrt(0.5)  # [-] of the method: L-stable with the exact Jacobian
 
@@ -46,18 +46,18 @@ class Rates(NamedTuple):
 
 
 @formula
-def damped(r, rates, k, compliance, duration):
+def damped(r, rates, k, inverse_belt_mass, duration):
     """(1 - duration A)^-1 rates, where A is the linear drag of the soil's resistance r.
 
     The belts are eliminated first: each is coupled to the body only.
     """
-    give_left = 1.0 / (1.0 + duration * compliance * r.left)
-    give_right = 1.0 / (1.0 + duration * compliance * r.right)
+    give_left = 1.0 / (1.0 + duration * inverse_belt_mass * r.left)
+    give_right = 1.0 / (1.0 + duration * inverse_belt_mass * r.right)
     s_left, s_right = r.left * give_left, r.right * give_right
     a_left, a_right = r.left_arm * give_left, r.right_arm * give_right
     mass = 1.0 / k.inverse_mass + duration * (s_left + s_right)
     side = 1.0 / k.inverse_mass + duration * (r.left + r.right)
-    polar = r.polar - duration * compliance * (a_left * r.left_arm + a_right * r.right_arm)
+    polar = r.polar - duration * inverse_belt_mass * (a_left * r.left_arm + a_right * r.right_arm)
     turn = 1.0 / k.inverse_inertia + duration * polar
     arm, shift = duration * (a_left + a_right), duration * r.forward
     push = rates.v_x / k.inverse_mass + duration * (s_left * rates.left + s_right * rates.right)
@@ -68,7 +68,7 @@ def damped(r, rates, k, compliance, duration):
         turn - arm * arm / mass - shift * shift / side
     )
     forward = (push + arm * yaw) / mass
-    pull = duration * compliance
+    pull = duration * inverse_belt_mass
     left = give_left * (rates.left + pull * (r.left * forward - r.left_arm * yaw))
     right = give_right * (rates.right + pull * (r.right * forward - r.right_arm * yaw))
     return Rates(forward, (slide - shift * yaw) / side, yaw, left, right)
@@ -97,7 +97,7 @@ def combined(first, second, a, b):
 
 
 @formula
-def departure(r, first, rates, k, compliance, h):
+def departure(r, first, rates, k, inverse_belt_mass, h):
     """What motion and belts are away from the middle of the step at its end.
 
     Solves dz/dt = rates - A z, z(0) = -(h/2) first, A of the middle, by an L-stable method of
@@ -106,6 +106,6 @@ def departure(r, first, rates, k, compliance, h):
     back = -0.5 * h
     a, b = (2.0 * GAMMA - 1.0) / GAMMA, (1.0 - GAMMA) / GAMMA
     inner = combined(first, rates, b * back, (1.0 - GAMMA) * h)
-    inner = damped(r, inner, k, compliance, GAMMA * h)
+    inner = damped(r, inner, k, inverse_belt_mass, GAMMA * h)
     outer = combined(first, rates, a * back, GAMMA * h)
-    return damped(r, combined(outer, inner, 1.0, 1.0), k, compliance, GAMMA * h)
+    return damped(r, combined(outer, inner, 1.0, 1.0), k, inverse_belt_mass, GAMMA * h)

@@ -2,10 +2,11 @@
 
 A batch of N vehicles keeps one vehicle per row and one entry of the state per column, shape
 (N, STATE_ROWS). In the scratch block of the lumped plant it is the other way round, one entry per
-row and one vehicle per column, so that its loops run over vehicles with unit stride.
-The first `DYNAMIC_ROWS` entries are integrated, the others follow from them algebraically and are
-refreshed after every control step; in the distributed plant the sprocket speeds are integrated too.
-World frame x, y, z up; body frame ISO 8855 (x forward, y left); yaw positive to the left.
+row and one vehicle per column, so that its loops run over vehicles with unit stride. A plant
+integrates the entries that are its own; the others follow from them algebraically and are refreshed
+after every control step.
+World frame x, y, z up; body frame ISO 8855 (x forward, y left); yaw positive to the left. The
+attitude is yaw, then pitch, then roll (z-y'-x''). Planar plants leave the last six entries at zero.
 """
 
 from typing import NamedTuple
@@ -31,13 +32,19 @@ class VehicleState(NamedTuple):
     acceleration_x: float = 0.0  # [m/s^2] inertial acceleration, body x
     acceleration_y: float = 0.0  # [m/s^2] inertial acceleration, body y
     yaw_acceleration: float = 0.0  # [rad/s^2]
+    z: float = 0.0  # [m] Z, centre of mass above its height on level ground at rest, world
+    roll: float = 0.0  # [rad] positive: left side up
+    pitch: float = 0.0  # [rad] positive: nose down
+    v_z: float = 0.0  # [m/s] vertical velocity, body, upward
+    roll_rate: float = 0.0  # [rad/s] about the body's x axis
+    pitch_rate: float = 0.0  # [rad/s] about the body's y axis
 
 
 STATE_NAMES = VehicleState._fields
 STATE_ROWS = len(STATE_NAMES)
-DYNAMIC_ROWS = 8  # x .. torque_right
 (
     X, Y, YAW, V_X, V_Y, YAW_RATE, TORQUE_LEFT, TORQUE_RIGHT,
     SLIP_LEFT, SLIP_RIGHT, SPROCKET_SPEED_LEFT, SPROCKET_SPEED_RIGHT,
     EFFORT_LEFT, EFFORT_RIGHT, ACCELERATION_X, ACCELERATION_Y, YAW_ACCELERATION,
+    Z, ROLL, PITCH, V_Z, ROLL_RATE, PITCH_RATE,
 ) = range(STATE_ROWS)  # fmt: skip

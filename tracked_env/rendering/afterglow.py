@@ -74,6 +74,8 @@ class Memory:
         if shot.events[0, e, 0] == parameter_events.WAVE:
             return
         name, before, weight = self._change(shot, e)
+        if name not in shot.reads:
+            return
         change = weight - self._weights[e]
         if abs(change) < NOTICE_WEIGHT:
             return

@@ -12,67 +12,54 @@ _LEFT, _RIGHT = 14, 266  # [px] margins
 _LARGE = 1e3  # [N m] torque limits from here on are written in kN m
 
 
-class _Side(NamedTuple):
-    """One drive and its track."""
+class _Quantity(NamedTuple):
+    """How a torque or a speed of a sprocket is written."""
 
-    name: str
-    torque: float  # [N m]
-    speed: float  # [rad/s] of the sprocket
-    slip: float  # [-]
-    demand: float  # [-] of the limit
-
-
-class _Scale(NamedTuple):
-    """How torques or speeds of a sprocket are written."""
-
+    label: str
+    heading: str  # of its column where it is not commanded
     unit: str
     factor: float  # shown value over SI value
-    signed: str  # format
+    signed: str  # format where it is commanded or a torque
+    plain: str  # format where it is not commanded
 
 
-def _torque_scale(limit: float) -> _Scale:
-    return _Scale("kN m", 1e-3, "+.2f") if limit >= _LARGE else _Scale("N m", 1.0, "+z.1f")
-
-
-_SPEED = _Scale("rad/s", 1.0, "+z.2f")
+def _quantities(torque_limit: float) -> dict[str, _Quantity]:
+    """By the name of the state's rows."""
+    if torque_limit >= _LARGE:
+        torque = _Quantity("torque", "torque [kN m]", "kN m", 1e-3, "+.2f", "+.2f")
+    else:
+        torque = _Quantity("torque", "torque [N m]", "N m", 1.0, "+z.1f", "+z.1f")
+    speed = _Quantity("sprocket speed", "sprocket [rad/s]", "rad/s", 1.0, "+z.2f", ".2f")
+    return {"torque": torque, "sprocket_speed": speed}
 
 
 def draw(target: pygame.Surface, text: Text, shot: Snapshot) -> None:
     """Bars of what the action commands, torques or sprocket speeds; then slip and the other."""
     state, p = shot.state, shot.parameters
-    torque = _torque_scale(p.torque_limit)
-    if shot.by_torque:
-        label, limit, scale = "torque", p.torque_limit, torque
-    else:
-        label, limit, scale = "sprocket speed", p.sprocket_speed_limit, _SPEED
-    heading = f"{label}, of ±{limit * scale.factor:g} {scale.unit}"
+    quantities = _quantities(p.torque_limit)
+    commanded = shot.drive.quantity
+    (free,) = set(quantities) - {commanded}
+    asked, other = quantities[commanded], quantities[free]
+    limit = getattr(p, shot.drive.limit)
+    heading = f"{asked.label}, of ±{limit * asked.factor:g} {asked.unit}"
     text.put(target, heading, _LEFT, 163, 10, canvas.MUTED)
     text.put(target, "demand", _RIGHT, 163, 10, canvas.MUTED, align=1.0)
     pygame.draw.polygon(target, canvas.INK, [(210, 167), (218, 167), (214, 172)])
-    sides = (
-        _Side("left", state.torque_left, state.sprocket_speed_left, state.slip_left,
-              shot.action[0]),
-        _Side("right", state.torque_right, state.sprocket_speed_right, state.slip_right,
-              shot.action[1]),
-    )  # fmt: skip
-    for row, side in enumerate(sides):
+    for row, side in enumerate(("left", "right")):
         y = 180 + 20 * row
-        value = side.torque if shot.by_torque else side.speed
-        text.put(target, side.name, _LEFT, y)
-        number = f"{value * scale.factor:{scale.signed}}"
+        value, slip = getattr(state, f"{commanded}_{side}"), getattr(state, f"slip_{side}")
+        text.put(target, side, _LEFT, y)
+        number = f"{value * asked.factor:{asked.signed}}"
         text.put(target, number, _RIGHT, y, bold=True, align=1.0)
-        _bar(target, pygame.Rect(50, y + 1, 170, 12), value / limit, side.demand)
+        _bar(target, pygame.Rect(50, y + 1, 170, 12), value / limit, shot.action[row])
         y = 236 + 16 * row
-        text.put(target, side.name, _LEFT, y)
-        pygame.draw.rect(target, canvas.slip_colour(side.slip), (50, y + 2, 18, 10))
-        text.put(target, f"{100.0 * side.slip:.2f}", 150, y, bold=True, align=1.0)
-        other = f"{side.speed:.2f}"
-        if not shot.by_torque:
-            other = f"{side.torque * torque.factor:{torque.signed}}"
-        text.put(target, other, _RIGHT, y, bold=True, align=1.0)
+        text.put(target, side, _LEFT, y)
+        pygame.draw.rect(target, canvas.slip_colour(slip), (50, y + 2, 18, 10))
+        text.put(target, f"{100.0 * slip:.2f}", 150, y, bold=True, align=1.0)
+        number = f"{getattr(state, f'{free}_{side}') * other.factor:{other.plain}}"
+        text.put(target, number, _RIGHT, y, bold=True, align=1.0)
     text.put(target, "slip [%]", 150, 222, 10, canvas.MUTED, align=1.0)
-    other = "sprocket [rad/s]" if shot.by_torque else f"torque [{torque.unit}]"
-    text.put(target, other, _RIGHT, 222, 10, canvas.MUTED, align=1.0)
+    text.put(target, other.heading, _RIGHT, 222, 10, canvas.MUTED, align=1.0)
 
 
 def _bar(target: pygame.Surface, box: pygame.Rect, share: float, demand: float) -> None:

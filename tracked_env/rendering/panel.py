@@ -9,7 +9,7 @@ import pygame
 from tracked_env.rendering import canvas, drives
 from tracked_env.rendering.afterglow import Memory
 from tracked_env.rendering.canvas import Text
-from tracked_env.rendering.quantities import FRICTION, QUANTITIES, Quantity
+from tracked_env.rendering.quantities import QUANTITIES, Quantity, value_of
 from tracked_env.rendering.scene import Points
 from tracked_env.rendering.snapshot import Snapshot
 from tracked_env.rendering.soil_map import SoilMap
@@ -17,10 +17,6 @@ from tracked_env.rendering.soil_map import SoilMap
 WIDTH, HEIGHT = 280, 640  # [px]
 _LEFT, _RIGHT = 14, 266  # [px] margins
 _OVERVIEW = pygame.Rect(14, 452, 252, 176)
-_SHOWN = (
-    "mass", "inertia", "lateral_resistance", "longitudinal_resistance", "cohesion",
-    "friction_angle", "shear_deformation_modulus",
-)  # fmt: skip
 _CHANGED = 1e-6  # [-] relative change that is marked
 
 
@@ -143,13 +139,9 @@ def _rows(shot: Snapshot) -> list[tuple[Quantity, float, float, float]]:
     """Parameters of the plant: each with its nominal value, the one at the start, and now."""
     values = shot.nominal, shot.parameters_at_start, shot.parameters
     rows = []
-    for name in _SHOWN:
-        if shot.distributed and name == "lateral_resistance":
-            usual, start, now = (math.tan(p.friction_angle) for p in values)
-            rows.append((FRICTION, usual, start, now))
-        else:
-            usual, start, now = (getattr(p, name) for p in values)
-            rows.append((QUANTITIES[name], usual, start, now))
+    for name in shot.plant.panel:
+        usual, start, now = (value_of(p, name) for p in values)
+        rows.append((QUANTITIES[name], usual, start, now))
     return rows
 
 

@@ -1,8 +1,10 @@
 """How parameters are written in pictures: label, symbol, display unit, digits, colour range."""
 
+import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from tracked_env.physics.parameters import PARAMETER_NAMES
+from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 
 ROUNDING = 0.05  # [-] of the usual value of a parameter
 
@@ -53,4 +55,14 @@ QUANTITIES = {
     "icr_forward": Quantity("ICR forward d", "m", 1.0, 2),
 }
 assert tuple(QUANTITIES) == PARAMETER_NAMES
-FRICTION = Quantity("friction μ = tan φ", "", 1.0, 2)
+# What follows from parameters and may be shown in their place.
+FOLLOWING: dict[str, Callable[[PlantParameters], float]] = {
+    "friction": lambda p: math.tan(p.friction_angle),
+}
+QUANTITIES["friction"] = Quantity("friction μ = tan φ", "", 1.0, 2)
+
+
+def value_of(parameters: PlantParameters, name: str) -> float:
+    """SI value of a parameter, or of what follows from parameters."""
+    following = FOLLOWING.get(name)
+    return float(getattr(parameters, name)) if following is None else following(parameters)

@@ -66,8 +66,7 @@ class Renderer:
         render_mode: "human" or "rgb_array"; fps: [1/s] at most, in a window;
         pixels_per_metre: zoom, by default 80 px for the contact length of the environment's
         vehicle, else 40 to 200 px for it; soil_parameter: the one that colours the ground, by
-        default the first that varies in the plane, else `lateral_resistance`, or
-        `friction_angle` of the distributed plant.
+        default the first of the plant's `soil_map` that varies in the plane, else its first.
         Raises ValueError for anything else; `draw` for a zoom that does not suit the vehicle.
         """
         self.render_mode = checked_choice("render_mode", render_mode, MODES)

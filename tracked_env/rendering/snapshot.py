@@ -6,19 +6,13 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.engine import columns as b
+from tracked_env.engine.columns import columns
 from tracked_env.engine.episode import Episode
 from tracked_env.engine.simulation import Simulation
-from tracked_env.physics import lumped_forces
-from tracked_env.physics import state as s
-from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import PARAMETER_ROWS, PlantParameters
-from tracked_env.physics.state import STATE_ROWS, VehicleState
+from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.state import VehicleState
+from tracked_env.plants import Drive, Plant
 from tracked_env.rendering.sizes import Sizes, sizes_of
-
-HALF_GAUGE = lumped_forces.Coefficients._fields.index("half_gauge")
-RESISTANCE = lumped_forces.Coefficients._fields.index("resistance")
 
 
 class Pose(NamedTuple):
@@ -50,8 +44,9 @@ class Snapshot(NamedTuple):
     lateral_force: float  # [N] of the soil on the vehicle, to its left
     ending: str  # why the episode is over, or empty
     nominal: PlantParameters  # of the environment's vehicle and soil
-    distributed: bool  # the plant has patches under the tracks
-    by_torque: bool  # what the action is: torques, or else sprocket speeds
+    plant: Plant
+    drive: Drive  # what the action is
+    reads: frozenset[str]  # parameters that matter to the motion
 
     @property
     def pose(self) -> Pose:
@@ -64,50 +59,12 @@ class Snapshot(NamedTuple):
         return sizes_of(self.nominal)
 
 
-@loop
-def motion_resistances(floats, i):
-    """Motion resistance [N] of the left and the right track of vehicle i, by the lumped plant."""
-    motion = lumped_forces.Motion(
-        floats[i, b.STATE + s.V_X], floats[i, b.STATE + s.V_Y], floats[i, b.STATE + s.YAW_RATE]
-    )
-    c, d = b.COEFFICIENTS, b.DRIVE
-    k = lumped_forces.Coefficients(
-        floats[i, c], floats[i, c + 1], floats[i, c + 2], floats[i, c + 3], floats[i, c + 4],
-        floats[i, c + 5], floats[i, c + 6], floats[i, c + 7], floats[i, c + 8],
-    )  # fmt: skip
-    drive = lumped_forces.DriveLimits(
-        floats[i, d], floats[i, d + 1], floats[i, d + 2], floats[i, d + 3]
-    )
-    limits = lumped_forces.traction_limits(motion, k.half_gauge, drive)
-    loads = lumped_forces.sliding_loads(
-        motion, floats[i, b.STATE + s.TORQUE_LEFT], floats[i, b.STATE + s.TORQUE_RIGHT], k, limits
-    )
-    return loads.resistance_left, loads.resistance_right
-
-
-@loop
-def motion_resistances_on_patches(floats, i):
-    """The same by the distributed plant, from its tractive efforts."""
-    motion = lumped_forces.Motion(
-        floats[i, b.STATE + s.V_X], floats[i, b.STATE + s.V_Y], floats[i, b.STATE + s.YAW_RATE]
-    )
-    half_gauge = floats[i, b.COEFFICIENTS + HALF_GAUGE]
-    resistance = floats[i, b.COEFFICIENTS + RESISTANCE]
-    left, right = lumped_forces.track_speeds(motion, half_gauge)
-    inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
-    return (
-        soil.resisting(left, floats[i, b.STATE + s.EFFORT_LEFT], resistance, inverse_width),
-        soil.resisting(right, floats[i, b.STATE + s.EFFORT_RIGHT], resistance, inverse_width),
-    )
-
-
 def _ending(simulation: Simulation, row: int, finite: bool) -> str:
-    counters = simulation.batch.counters[row]
     if not finite:
         return "the state is not finite: episode over"
-    if counters[b.TERMINATED]:
+    if simulation.terminated[row]:
         return f"more than {simulation.solver.error_limit:g} m off the path: episode over"
-    return "time is up: episode over" if counters[b.TRUNCATED] else ""
+    return "time is up: episode over" if simulation.truncated[row] else ""
 
 
 def take(simulation: Simulation, row: int) -> Snapshot:
@@ -118,33 +75,40 @@ def take(simulation: Simulation, row: int) -> Snapshot:
     episode = simulation.episodes[row]
     if episode is None:
         raise gymnasium.error.ResetNeeded("nothing to draw: call reset() before render()")
-    floats, counters = simulation.batch.floats, simulation.batch.counters
-    finite = bool(np.isfinite(floats[row, b.STATE : b.STATE + STATE_ROWS]).all())
-    values = np.nan_to_num(floats[row], nan=0.0, posinf=0.0, neginf=0.0).tolist()
-    state = VehicleState(*values[b.STATE : b.STATE + STATE_ROWS])
-    parameters = PlantParameters(*values[b.PARAMETERS : b.PARAMETERS + PARAMETER_ROWS])
-    count = int(counters[row, b.EVENT_COUNT])
-    distributed = simulation.solver.distributed
-    resistances = motion_resistances_on_patches if distributed else motion_resistances
+    batch, solver = simulation.batch, simulation.solver
+
+    def shown(values: NDArray[np.float64]) -> list[float]:
+        return np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).tolist()
+
+    names = (
+        "reference_x", "reference_y", "reference_yaw", "reference_speed", "reference_yaw_rate",
+        "distance", "heading_error", "reward", "action_left", "action_right",
+    )  # fmt: skip
+    number = dict(zip(names, shown(batch.floats[row, columns(names)]), strict=True))
+    finite = bool(np.isfinite(batch.state()[row]).all())
+    state = VehicleState(*shown(batch.state()[row]))
+    parameters = PlantParameters(*shown(batch.parameters()[row]))
+    resistances = solver.plant.motion_resistances(batch.floats, row)
     return Snapshot(
-        episode,
-        simulation.batch.events[row : row + 1, :count],
-        int(counters[row, b.STEP]) * simulation.solver.control_period,
-        simulation.settings.duration,
-        state,
-        parameters,
-        PlantParameters(*values[b.BASE : b.BASE + PARAMETER_ROWS]),
-        Pose(*values[b.REFERENCE_X : b.REFERENCE_X + 3]),
-        values[b.REFERENCE_MOTION],
-        values[b.REFERENCE_MOTION + 3],
-        values[b.ERROR_DISTANCE],
-        values[b.ERROR_YAW],
-        values[b.REWARD],
-        (values[b.PREVIOUS_ACTION], values[b.PREVIOUS_ACTION + 1]),
-        resistances(floats, row) if finite else (0.0, 0.0),
-        parameters.mass * state.acceleration_y,
-        _ending(simulation, row, finite),
-        simulation.solver.nominal,
-        simulation.solver.distributed,
-        simulation.solver.by_torque,
+        episode=episode,
+        events=batch.events[row : row + 1, : int(batch.counter("event_count")[row])],
+        time=int(batch.counter("step")[row]) * solver.control_period,
+        duration=simulation.settings.duration,
+        state=state,
+        parameters=parameters,
+        parameters_at_start=PlantParameters(*shown(batch.base()[row])),
+        reference=Pose(number["reference_x"], number["reference_y"], number["reference_yaw"]),
+        reference_speed=number["reference_speed"],
+        reference_yaw_rate=number["reference_yaw_rate"],
+        distance=number["distance"],
+        heading_error=number["heading_error"],
+        reward=number["reward"],
+        action=(number["action_left"], number["action_right"]),
+        resistance=resistances if finite else (0.0, 0.0),
+        lateral_force=parameters.mass * state.acceleration_y,
+        ending=_ending(simulation, row, finite),
+        nominal=solver.nominal,
+        plant=solver.plant,
+        drive=solver.drive,
+        reads=solver.reads.names,
     )

@@ -1,7 +1,7 @@
 """The ground, coloured by one soil parameter as the plant sees it.
 
 The value at a place is that of the episode's start, changed by each event in turn with the
-kernel of the plant (`physics.schedule.changed_value`). It is drawn in square tiles, which are
+kernel of the plant (`terrain.ground.changed`). It is drawn in square tiles, which are
 kept: a tile is computed again only when a ramp in time moves its parameter.
 """
 
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from tracked_env.physics import parameter_events
 from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import PARAMETER_INDEX, SoilParameters
+from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.rendering.canvas import SOIL_SCALE, Bytes, paint, surface
 from tracked_env.rendering.quantities import QUANTITIES
 from tracked_env.rendering.sizes import grid_of
 from tracked_env.rendering.snapshot import Snapshot
+from tracked_env.terrain import ground
 
 FloatArray = NDArray[np.float64]
 
@@ -25,16 +26,6 @@ CELL_PIXELS = 2  # [px] side of a cell with one colour
 REFRESH = 0.2  # [s] a running ramp shows in steps of this length
 _TILES = 64  # [-] tiles kept
 _THIN, _THICK = 0.955, 0.86  # [-] the grid lines darken the soil by these factors
-# What is shown when several parameters vary in the plane: the first of them.
-PREFERENCE = (
-    "lateral_resistance", "longitudinal_resistance", "cohesion", "friction_angle",
-    "shear_deformation_modulus",
-)  # fmt: skip
-assert set(PREFERENCE) == set(SoilParameters._fields)
-# The same for the distributed plant, to which the lateral resistance means nothing.
-PREFERENCE_DISTRIBUTED = (
-    "friction_angle", "cohesion", "longitudinal_resistance", "shear_deformation_modulus",
-)  # fmt: skip
 
 
 @loop
@@ -46,13 +37,9 @@ def values_on_grid(start, events, count, parameter, time, xs, ys, out):
     """
     for row in range(ys.size):
         for column in range(xs.size):
-            value = start
-            for e in range(count):
-                if int(events[0, e, 1]) == parameter:
-                    value = parameter_events.changed_value(
-                        value, events, 0, e, time, xs[column], ys[row]
-                    )
-            out[row, column] = value
+            out[row, column] = ground.changed(
+                start, parameter, events, 0, count, time, xs[column], ys[row]
+            )
 
 
 def value_at(shot: Snapshot, count: int, name: str, time: float, x: float, y: float) -> float:
@@ -84,7 +71,7 @@ class SoilMap:
         """parameter: a name of SoilParameters; None takes the first that varies in the plane."""
         events = shot.events[0]
         spatial = {int(row[1]) for row in events if row[0] != parameter_events.RAMP}
-        preference = PREFERENCE_DISTRIBUTED if shot.distributed else PREFERENCE
+        preference = shot.plant.soil_map
         varying = [name for name in preference if PARAMETER_INDEX[name] in spatial]
         self.name = parameter or (varying or preference)[0]
         self.quantity = QUANTITIES[self.name]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters
+from tracked_env.physics.parameters import PARAMETER_INDEX, ParametersRead, PlantParameters
 from tracked_env.references import ReferenceProfile
 from tracked_env.uncertainty import floors, soils
 from tracked_env.uncertainty.law import Draw, Law
@@ -50,13 +50,13 @@ def _one_of(laws: Sequence[Law]) -> Law:
 
 
 def make_uncertainty(
-    spec: str | Mapping[str, Any] | Sequence[Any], plant: str | None = None
+    spec: str | Mapping[str, Any] | Sequence[Any], reads: ParametersRead | None = None
 ) -> Law:
     """A set by name, or {parameter: [low, high]}: each drawn = U(low, high), no change.
 
     A list of those is a mixture: every episode draws one of them, all with the same odds.
-    plant: a key of `tracked_env.physics.parameters.READS`, or None for any. A set by name may draw
-    what the plant does not read; ranges of it are refused.
+    reads: what the plant reads, or None for any plant. A set by name may draw what the plant does
+    not read; ranges of it are refused.
 
     Raises ValueError for an unknown set or parameter, for a value outside its range, and for a
     range of a parameter that the plant does not read.
@@ -66,7 +66,7 @@ def make_uncertainty(
     if isinstance(spec, (list, tuple)):
         if not spec:
             raise ValueError("uncertainty = []; a mixture needs at least one set")
-        return _one_of([make_uncertainty(part, plant) for part in spec])
+        return _one_of([make_uncertainty(part, reads) for part in spec])
     if spec is None:
         raise ValueError(
             "uncertainty = None; must be a set by name, a dict or a list of them. "
@@ -79,8 +79,8 @@ def make_uncertainty(
         low, high = (checked_parameter(name, bound) for bound in bounds)
         if low > high:
             raise ValueError(f"uncertainty of {name} = [{low}, {high}]; low must be <= high")
-        if plant is not None:
-            checked_effect("uncertainty of", name, bounds, plant)
+        if reads is not None:
+            checked_effect("uncertainty of", name, bounds, reads)
         ranges[name] = (low, high)
 
     def law(

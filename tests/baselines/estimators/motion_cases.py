@@ -4,6 +4,7 @@ import numpy as np
 
 from baselines.estimators.sensor_samples import COLUMN, DataSheet, Measurement, make_measurement
 from tracked_env.physics import lumped_forces as plant
+from tracked_env.physics import vehicle
 from tracked_env.physics.parameters import plant_parameters
 
 CLAY = plant_parameters()
@@ -63,14 +64,14 @@ def measurements(p, kind, closure="sliding", sheet=EXACT, count=1, seed=0, steps
     """A list of measurements of `count` vehicles with parameters p: the plant's accelerations
     at every moment of a motion, with the sensors' noise (no bias)."""
     constrained = closure == "constrained"
-    k = plant.coefficients(p, constrained)
+    k = vehicle.coefficients(p, constrained)
     rates = plant.constrained_accelerations if constrained else plant.sliding_accelerations
     rng = np.random.default_rng(seed + 1000)
     result: list[Measurement] = []
     for v_x, v_y, w, left, right in zip(*motion(kind, seed, steps), strict=True):
-        state = plant.Motion(v_x, -p.icr_forward * w if constrained else v_y, w)
+        state = vehicle.Motion(v_x, -p.icr_forward * w if constrained else v_y, w)
         rate_x, rate_y, bend = rates(state, left, right, k, NO_LIMITS)
-        a_x, a_y = plant.inertial_acceleration(state, rate_x, rate_y)
+        a_x, a_y = vehicle.inertial_acceleration(state, rate_x, rate_y)
         noise = rng.standard_normal((8, count))
         result.append(
             make_measurement(

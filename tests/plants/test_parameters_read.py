@@ -5,29 +5,21 @@ import pytest
 
 from tests.test_env import run
 from tracked_env.engine import columns as b
-from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics import state as s
-from tracked_env.physics.parameters import (
-    BY_SPEED,
-    BY_TORQUE,
-    CONSTRAINED,
-    GROUPS,
-    PARAMETER_NAMES,
-    RANGES,
-    READS,
-    SLIDING,
-    VEHICLES,
-)
+from tracked_env.physics.parameters import GROUPS, PARAMETER_NAMES, RANGES, VEHICLES
 from tracked_env.uncertainty import UNCERTAINTY_SETS
 
-ARGUMENTS = {
-    SLIDING: {},
-    CONSTRAINED: {"lateral": "constrained"},
-    BY_TORQUE: {"plant": "distributed"},
-    BY_SPEED: {"plant": "distributed", "drive": "speed"},
-}
+# In the order of the columns of the table in docs/uncertainty.md.
+VARIANTS = (
+    {}, {"lateral": "constrained"}, {"plant": "distributed"},
+    {"plant": "distributed", "drive": "speed"},
+)  # fmt: skip
+ARGUMENTS = {make_solver(EnvConfig(**given)).reads.plant: given for given in VARIANTS}
+READS = {plant: make_solver(EnvConfig(**given)).reads.names for plant, given in ARGUMENTS.items()}
+SLIDING, CONSTRAINED, BY_TORQUE, BY_SPEED = ARGUMENTS
 UNREAD = [(plant, name) for plant in READS for name in PARAMETER_NAMES if name not in READS[plant]]
 # Full drive to the top speed, a turn, a pivot, reverse: 0.8 s each.
 ACTIONS = np.repeat(np.float32([[1, 1], [0.2, 0.9], [-1, 1], [-1, -0.6]]), 40, axis=0)
@@ -66,12 +58,11 @@ def test_a_plant_reads_the_parameters_whose_range_ends_change_its_motion_and_no_
 def test_the_documented_table_lists_what_each_plant_reads(repository):
     lines = (repository / "docs/uncertainty.md").read_text().splitlines()
     first = next(n for n, line in enumerate(lines) if line.startswith("| parameter | lumped"))
-    columns = (SLIDING, CONSTRAINED, BY_TORQUE, BY_SPEED)  # in the order of the header
-    written = {plant: set(PARAMETER_NAMES) for plant in columns}
+    written = {plant: set(PARAMETER_NAMES) for plant in READS}
     listed = [line.strip("|").split("|") for line in lines[first + 2 :]]
     for name, *marks in listed[: next(n for n, cells in enumerate(listed) if len(cells) < 2)]:
         assert {mark.strip() for mark in marks} == {"yes", "-"}, name
-        for plant, mark in zip(columns, marks, strict=True):
+        for plant, mark in zip(READS, marks, strict=True):
             if mark.strip() == "-":
                 written[plant].remove(name.strip(" `"))
     assert written == READS

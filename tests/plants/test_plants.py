@@ -1,0 +1,174 @@
+"""The plant seam: what a plant says of itself is true, and nothing else knows a plant."""
+
+import ast
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.patch_dynamics import hold_speeds
+from tracked_env.physics.patch_forces import make_patches
+from tracked_env.plants.standalone import Rig
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+SHIPPED = ("lumped", "distributed")
+STILL = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
+NO_NAMES = {"distributed", "lumped", "constrained", "by_torque"}
+# Files that may write a plant's name: defaults of ids and arguments, and the evaluation sets.
+DEFAULTS = ("__init__.py", "env.py", "vector_env.py", "engine/env_config.py", "benchmark/sets.py")
+
+
+def names_of_plants(path):
+    """Identifiers and compared strings of a file that name a plant or what only one plant has."""
+    tree = ast.parse(path.read_text())
+    found = []
+    for node in ast.walk(tree):
+        named = getattr(node, "id", None) or getattr(node, "attr", None) or getattr(node, "arg", "")
+        if named in NO_NAMES:
+            found.append((node.lineno, named))
+        if isinstance(node, ast.Constant) and node.value in NO_NAMES:
+            found.append((node.lineno, repr(node.value)))
+    return found
+
+
+def test_no_other_part_of_the_package_knows_a_plant_by_name(repository):
+    package = repository / "tracked_env"
+    assert names_of_plants(package / "plants/lumped.py"), "the search finds nothing"
+    known = []
+    for path in sorted(package.rglob("*.py")):
+        part = path.relative_to(package).as_posix()
+        if part.startswith(("plants/", "physics/")):
+            continue
+        for line, name in names_of_plants(path):
+            if part not in DEFAULTS or not name.startswith("'"):
+                known.append(f"{part}:{line} {name}")
+    assert known == []
+
+
+def test_a_new_process_finds_the_kernels_in_the_cache(repository):
+    code = (
+        "import numpy as np, tracked_env\n"
+        "from tracked_env.plants import distributed, lumped\n"
+        "from tracked_env.vector_env import TrackedVehicleVectorEnv\n"
+        "kernels = {'lumped': lumped.advance_sliding, 'distributed': distributed.advance}\n"
+        "for plant, kernel in kernels.items():\n"
+        "    env = TrackedVehicleVectorEnv(1, plant=plant)\n"
+        "    env.reset(seed=0); env.step(np.zeros((1, 2), np.float32))\n"
+        "    hits, misses = kernel.stats.cache_hits, kernel.stats.cache_misses\n"
+        "    print(sum(hits.values()), sum(misses.values()))\n"
+    )
+
+    def process():
+        command = [sys.executable, "-c", code]
+        done = subprocess.run(command, cwd=repository, capture_output=True, text=True, check=True)
+        return done.stdout.split()
+
+    process()  # fills the cache
+    assert process() == ["1", "0", "1", "0"]
+
+
+def test_the_plant_alone_moves_as_the_environment_does():
+    # 0.25 is exact in single precision, so both are given the same torque.
+    env = TrackedVehicleVectorEnv(1, uncertainty="nominal", reference="straight", error_limit=1e3)
+    env.reset(seed=0, options={"start": STILL})
+    rig = Rig("lumped", VEHICLES["strawa"])
+    rig.states[:] = env.simulation.batch.state()
+    limit = VEHICLES["strawa"].torque_limit
+    for _ in range(50):
+        env.step(np.array([[0.25, 0.5]], np.float32))
+        rig.advance(np.array([[0.25, 0.5]]) * limit, 0.02)
+    assert np.abs(rig.state.v_x).min() > 0.1
+    assert rig.states == pytest.approx(env.simulation.batch.state(), rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("integrator", ["rosenbrock", "euler"])
+def test_the_plant_alone_on_patches_is_hold_speeds_bit_for_bit(integrator):
+    p, draws = VEHICLES["focchi"], np.random.default_rng(0)
+    rig = Rig("distributed", p, 2, "speed", 1e-3, {"integrator": integrator})
+    states, loads = np.zeros((2, 6)), np.zeros((2, 6))
+    table = np.array([p, p], dtype=float)
+    for _ in range(30):
+        speeds = draws.uniform(-5.0, 5.0, (2, 2))
+        hold_speeds(states, speeds, table, make_patches(), 10, 1e-3, integrator == "euler", loads)
+        rig.advance(speeds, 0.01)
+    assert np.array_equal(rig.states[:, :6], states)
+
+
+def test_a_rig_refuses_what_it_cannot_do():
+    rig = Rig("lumped", VEHICLES["strawa"], 2)
+    with pytest.raises(ValueError, match=r"commands of shape \(2,\)"):
+        rig.advance(np.zeros(2), 0.1)
+    with pytest.raises(ValueError, match="finite"):
+        rig.advance(np.full((2, 2), np.nan), 0.1)
+    with pytest.raises(ValueError, match="needs plant"):
+        Rig("lumped", VEHICLES["strawa"], drive="speed")
+
+
+def braked(soil_at, slippery=None):
+    """Yaw [rad] 0.4 s after the belts of a vehicle at 1 m/s stop; slippery: -1 right, 1 left."""
+    env = TrackedVehicleVectorEnv(
+        1, plant="distributed", drive="speed", vehicle="focchi", uncertainty="nominal",
+        sensors="ideal", error_limit=1e3, plant_options={"soil_at": soil_at},
+        reference={"kind": "straight", "speed": 1.0, "x": 0.0, "y": 0.0, "yaw": 0.0},
+    )  # fmt: skip
+    schedule = []
+    if slippery is not None:
+        schedule = [
+            {"parameter": "friction_angle", "kind": "line", "target": 0.1, "x": 0.0, "y": 0.0,
+             "direction": 0.5 * math.pi * slippery, "edge": 0.01}
+        ]  # fmt: skip
+    options = {"start": {**STILL, "speed": 1.0}, "schedule": schedule}
+    env.reset(seed=0, options=options)
+    for _ in range(20):
+        env.step(np.zeros((1, 2), np.float32))
+    return env.simulation.column("yaw")[0]
+
+
+def test_a_braking_vehicle_turns_to_the_side_with_more_grip():
+    left, right = braked("tracks", slippery=-1), braked("tracks", slippery=1)
+    assert left > 0.05, "the right track slides, the left one holds"
+    assert right == pytest.approx(-left, rel=1e-6)
+    assert abs(braked("tracks")) < 1e-9
+
+
+def test_one_soil_under_the_whole_vehicle_turns_it_to_no_side():
+    assert abs(braked("centre", slippery=-1)) < 0.1 * braked("tracks", slippery=-1)
+
+
+def test_the_soil_under_the_tracks_is_that_of_the_centre_where_nothing_varies():
+    assert braked("tracks") == pytest.approx(braked("centre"), abs=1e-12)
+
+
+def test_a_file_for_each_plant(repository: Path):
+    files = {path.stem for path in (repository / "tracked_env/plants").glob("*.py")}
+    assert set(SHIPPED) <= files
+
+
+def test_the_lateral_model_may_be_given_by_its_former_name():
+    yaws = []
+    for key in ("lateral_model", "closure"):
+        env = TrackedVehicleVectorEnv(1, lateral="constrained")
+        env.reset(seed=0, options={key: {"icr_forward": 0.4}})
+        for _ in range(20):
+            env.step(np.array([[0.2, 0.6]], np.float32))
+        assert env.simulation.column("icr_forward")[0] == 0.4
+        yaws.append(env.simulation.column("yaw")[0])
+    assert yaws[0] == yaws[1]
+    with pytest.raises(ValueError, match=r"unknown options\['lateral_model'\] key"):
+        env.reset(seed=0, options={"lateral_model": {"mass": 3.0}})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"patches": [10]}, "must be two numbers"),
+        ({"plant": "distributed", "lateral": "sideways"}, "sideways"),
+    ],
+)
+def test_an_argument_of_another_plant_is_checked_all_the_same(arguments, says):
+    with pytest.raises(ValueError, match=says):
+        TrackedVehicleVectorEnv(1, **arguments)

@@ -1,0 +1,240 @@
+"""A plant that lives in this file alone drives everything: a kinematic unicycle with a lag.
+
+d omega/dt = (demand - omega) / T,  v = r (omega_L + omega_R) / 2,  w = r (omega_R - omega_L) / B
+"""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from tests.benchmark.stub_policies import Constant, entry
+from tracked_env import SPEED_ID, TORQUE_ID, plants
+from tracked_env.benchmark import SETS, BenchmarkConfig, Store, run
+from tracked_env.benchmark.sets import BenchmarkSet
+from tracked_env.engine import columns as b
+from tracked_env.engine.columns import Batch
+from tracked_env.engine.kernels import advance_blocks, hold_blocks
+from tracked_env.observation import unpack
+from tracked_env.physics import state as s
+from tracked_env.physics import vehicle
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import VEHICLES, row_parameters
+from tracked_env.plants import Plant, Prepared
+from tracked_env.plants.standalone import Rig
+
+DECAY = b.PLANT  # [-] what the lag leaves of a difference after one sub-step
+RADIUS, GAUGE, LIMIT, LAG = (
+    "sprocket_radius", "track_gauge", "sprocket_speed_limit", "drive_time_constant",
+)  # fmt: skip
+
+
+@formula
+def derive(floats, i, substep):
+    """Refresh the decay of vehicle i."""
+    p = row_parameters(floats, i, b.PARAMETERS)
+    floats[i, DECAY] = vehicle.torque_decay(substep, p.drive_time_constant)
+
+
+@formula
+def asked(floats, i, p, options):
+    """Sprocket speeds [rad/s] that the action asks for."""
+    limit = p.sprocket_speed_limit
+    return limit * floats[i, b.ACTION], limit * floats[i, b.ACTION + 1]
+
+
+@formula
+def held(floats, i, p, options):
+    """Sprocket speeds [rad/s] that are given."""
+    return options[0][i, 0], options[0][i, 1]
+
+
+@formula
+def drive(demand_of, floats, i, pace, options):
+    """Advance and settle vehicle i."""
+    p = row_parameters(floats, i, b.PARAMETERS)
+    left, right = floats[i, s.SPROCKET_SPEED_LEFT], floats[i, s.SPROCKET_SPEED_RIGHT]
+    to_left, to_right = demand_of(floats, i, p, options) if pace.substeps > 0 else (left, right)
+    for _ in range(pace.substeps):
+        left = to_left + floats[i, DECAY] * (left - to_left)
+        right = to_right + floats[i, DECAY] * (right - to_right)
+        speed = 0.5 * p.sprocket_radius * (left + right)
+        turn = pace.h * p.sprocket_radius * (right - left) / p.track_gauge
+        cosine, sine = rotation(floats[i, s.YAW] + 0.5 * turn)
+        floats[i, s.X] += pace.h * speed * cosine
+        floats[i, s.Y] += pace.h * speed * sine
+        floats[i, s.YAW] += turn
+    speed = 0.5 * p.sprocket_radius * (left + right)
+    yaw_rate = p.sprocket_radius * (right - left) / p.track_gauge
+    if pace.substeps > 0:
+        floats[i, s.ACCELERATION_X] = (speed - floats[i, s.V_X]) / pace.period
+        floats[i, s.YAW_ACCELERATION] = (yaw_rate - floats[i, s.YAW_RATE]) / pace.period
+    floats[i, s.ACCELERATION_Y] = speed * yaw_rate
+    floats[i, s.V_X], floats[i, s.YAW_RATE] = speed, yaw_rate
+    floats[i, s.SPROCKET_SPEED_LEFT], floats[i, s.SPROCKET_SPEED_RIGHT] = left, right
+
+
+@formula
+def move(batch, scratch, block, pace, options):
+    """By actions."""
+    drive(asked, batch.floats, block.chosen[block.first], pace, options)
+
+
+@formula
+def move_held(batch, scratch, block, pace, options):
+    """By given sprocket speeds."""
+    drive(held, batch.floats, block.chosen[block.first], pace, options)
+
+
+@loop
+def advance(
+    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
+):
+    """Kernel of the control step."""
+    batch = Batch(floats, counters, profile, events, noise, history)
+    given = (chosen, actions, observations)
+    return advance_blocks(derive, move, 1, np.empty((1, 1)), batch, given, rest)
+
+
+@loop
+def hold(*call):
+    """Kernel of the plant alone."""
+    return hold_blocks(derive, move_held, 1, np.empty((1, 1)), call)
+
+
+@loop
+def no_resistances(floats, i):
+    """Nothing rolls heavily here."""
+    return 0.0, 0.0
+
+
+def rolling(parameters, state):
+    """The belts roll, and nothing slides aside."""
+    turn = 0.5 * parameters.track_gauge * state.yaw_rate
+    return state._replace(
+        sprocket_speed_left=(state.v_x - turn) / parameters.sprocket_radius,
+        sprocket_speed_right=(state.v_x + turn) / parameters.sprocket_radius,
+    )
+
+
+def prepare(drive, options):
+    """Nothing to choose."""
+    return Prepared(advance, hold, start=rolling)
+
+
+UNICYCLE = plants.register(
+    Plant(
+        name="unicycle-with-lag",
+        reads={"speed": frozenset({RADIUS, GAUGE, LIMIT, LAG})},
+        prepare=prepare,
+        motion_resistances=no_resistances,
+        columns=1,
+        panel=(RADIUS, GAUGE, LAG),
+    )
+)
+ARGUMENTS = {"plant": UNICYCLE.name, "sensors": "ideal"}
+LEFT, RIGHT = 0.2, 0.3
+
+
+def turned(limit, parameters, duration):
+    """Yaw [rad] after a step of the demands (LEFT, RIGHT) from rest."""
+    lag = parameters.drive_time_constant
+    gone = lag * (1.0 - np.exp(-duration / lag))
+    rate = parameters.sprocket_radius * limit * (RIGHT - LEFT) / parameters.track_gauge
+    return rate * (duration - gone)
+
+
+@pytest.mark.filterwarnings("error")
+def test_it_is_made_by_name_checked_and_moves_as_its_equations_say():
+    env = gymnasium.make(SPEED_ID, **ARGUMENTS, expose_truth=True).unwrapped
+    check_env(env, skip_render_check=True)
+    still = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
+    options = {"start": still, "vehicle": {LAG: 0.3}, "reference": "straight"}
+    env.reset(seed=0, options=options)
+    for _ in range(100):
+        *_, info = env.step(np.array([LEFT, RIGHT], np.float32))
+    parameters = VEHICLES["focchi"]._replace(drive_time_constant=0.3)
+    expected = turned(parameters.sprocket_speed_limit, parameters, 2.0)
+    start = env.simulation.episodes[0].state.yaw
+    assert info["truth"]["yaw"] - start == pytest.approx(expected, rel=2e-2)
+    assert info["truth"]["z"] == 0.0
+
+
+def test_a_plant_object_needs_no_name():
+    env = gymnasium.make(SPEED_ID, **{**ARGUMENTS, "plant": UNICYCLE}).unwrapped
+    env.reset(seed=0)
+    assert np.isfinite(env.step(np.zeros(2, np.float32))[0]).all()
+
+
+def test_rows_of_its_vector_environment_are_its_single_environment_bit_for_bit():
+    arguments = {**ARGUMENTS, "sensors": "mocap"}
+    batch = gymnasium.make_vec(SPEED_ID, num_envs=3, **arguments)
+    seen, _ = batch.reset(seed=4)
+    singles = [gymnasium.make(SPEED_ID, **arguments) for _ in range(3)]
+    alone = [env.reset(seed=4 + i)[0] for i, env in enumerate(singles)]
+    for _ in range(40):
+        assert np.array_equal(seen, alone)
+        seen = batch.step(np.full((3, 2), (LEFT, RIGHT), np.float32))[0]
+        alone = [env.step(np.array([LEFT, RIGHT], np.float32))[0] for env in singles]
+
+
+def test_its_sensors_and_its_picture_show_its_motion():
+    env = gymnasium.make(SPEED_ID, **ARGUMENTS, render_mode="rgb_array").unwrapped
+    env.reset(seed=1)
+    first = env.render()
+    for _ in range(30):
+        seen = env.step(np.array([LEFT, RIGHT], np.float32))[0]
+    told, truth = unpack(seen), env.simulation.truth()
+    for name in ("v_x", "yaw_rate", "sprocket_speed_left", "acceleration_y"):
+        assert told[name] == pytest.approx(truth[name][0], rel=1e-5)
+    assert not np.array_equal(first, env.render())
+
+
+def test_the_benchmark_drives_it(tmp_path, monkeypatch):
+    arguments = {"plant": UNICYCLE.name, "drive": "speed", "vehicle": "focchi"}
+    given = BenchmarkSet("unicycle", "friction", "no slip", "mocap", "straight", 1.0, SPEED_ID,
+                         arguments)  # fmt: skip
+    monkeypatch.setitem(SETS, "unicycle", given)
+    config = BenchmarkConfig(sets=("unicycle",), episodes=2, duration=1.0)
+    policy = entry("ahead", lambda context: Constant(0.2, 0.2))
+    records = run(config, [policy], Store(tmp_path, config.identity()))
+    assert [r["ended"] for r in records] == ["time", "time"]
+    assert all(np.isfinite(r["tracking_rmse"]) for r in records)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"soil": {"cohesion": 2e3}},
+        {"vehicle": {"mass": 50.0}},
+        {"schedule": [{"parameter": "friction_angle", "kind": "ramp", "target": 0.2, "start": 0}]},
+    ],
+)
+def test_options_without_effect_on_it_are_refused(options):
+    env = gymnasium.make(SPEED_ID, **ARGUMENTS)
+    with pytest.raises(
+        ValueError, match="unicycle-with-lag plant driven by speed does not read it"
+    ):
+        env.reset(seed=0, options=options)
+
+
+def test_a_drive_and_an_option_that_it_does_not_have_are_refused():
+    with pytest.raises(ValueError, match='drive = "torque"; needs plant = "lumped" or'):
+        gymnasium.make(TORQUE_ID, plant=UNICYCLE)
+    with pytest.raises(ValueError, match="unknown plant_options key 'lag'"):
+        gymnasium.make(SPEED_ID, **ARGUMENTS, plant_options={"lag": 1.0})
+
+
+def test_it_is_driven_without_an_environment():
+    parameters = VEHICLES["focchi"]._replace(drive_time_constant=0.3)
+    rig = Rig(UNICYCLE, parameters, 2, "speed")
+    limit = parameters.sprocket_speed_limit
+    rig.advance(np.full((2, 2), (LEFT * limit, RIGHT * limit)), 2.0)
+    assert rig.state.yaw == pytest.approx(turned(limit, parameters, 2.0), rel=1e-2)
+
+
+def test_another_plant_of_its_name_is_refused():
+    with pytest.raises(ValueError, match="another plant is registered"):
+        plants.register(Plant("unicycle-with-lag", {}, prepare, no_resistances))
+    assert plants.register(UNICYCLE) is UNICYCLE

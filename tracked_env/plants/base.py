@@ -1,0 +1,73 @@
+"""What the engine needs of a plant, in one object.
+
+A plant is the motion of a vehicle over one control step: actions in, state out. `Plant` holds all
+that differs between plants; simulation, sensors, drawing and benchmark read it there and know no
+plant by name. A new plant is one file that makes a `Plant`, and `tracked_env.plants.register`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.physics.parameters import PlantParameters, SoilParameters
+from tracked_env.physics.state import VehicleState
+
+
+class Drive(NamedTuple):
+    """What an action of 1 asks of a sprocket."""
+
+    name: str
+    limit: str  # the parameter that the action is a share of
+    quantity: str  # what is driven: `<quantity>_left`, `<quantity>_right` of the state
+
+
+DRIVES = {
+    "torque": Drive("torque", "torque_limit", "torque"),
+    "speed": Drive("speed", "sprocket_speed_limit", "sprocket_speed"),
+}
+
+
+def unchanged(parameters: PlantParameters, state: VehicleState) -> VehicleState:
+    """The state an episode draws, as it is."""
+    return state
+
+
+class Prepared(NamedTuple):
+    """A plant with its drive and its options chosen.
+
+    advance: kernel of a control step, made of `engine.kernels.advance_blocks`.
+    hold: kernel of the plant alone, made of `hold_blocks`; None if it has none.
+    options: what both take after the clock, plain numbers, arrays or named tuples of them.
+    start: (parameters, drawn state) -> the state that the episode starts from.
+    """
+
+    advance: Callable[..., int]
+    hold: Callable[..., int] | None = None
+    options: tuple[Any, ...] = ()
+    start: Callable[[PlantParameters, VehicleState], VehicleState] = unchanged
+    unread: frozenset[str] = frozenset()  # parameters without effect under these options
+    variant: str = ""  # what the options make of the plant, in words
+
+
+@dataclass(frozen=True)
+class Plant:
+    """All that the engine needs of a plant.
+
+    prepare: (drive, options) -> Prepared; raises ValueError for an option outside its range.
+    motion_resistances: compiled (floats, i) -> [N] of the left and the right track of vehicle i.
+    """
+
+    name: str
+    # Drives that it accepts, each with the parameters that motion and sensors then depend on.
+    reads: Mapping[str, frozenset[str]]
+    prepare: Callable[[str, Mapping[str, Any]], Prepared]
+    motion_resistances: Callable[[NDArray[np.float64], int], tuple[float, float]]
+    options: Mapping[str, Any] = field(default_factory=dict)  # names and defaults
+    columns: int = 0  # of its own, from `engine.columns.PLANT` on
+    lanes: int = 1  # vehicles that it moves at once
+    threads_from: int = 512  # [vehicles] from which two threads are faster than one
+    panel: tuple[str, ...] = ("mass", "inertia")  # quantities of the picture's panel
+    soil_map: tuple[str, ...] = SoilParameters._fields  # that colour the ground, the first wins

@@ -1,0 +1,1 @@
+"""The ground: its height and slope, and the soil at a place, as kernels evaluate them."""

@@ -1,0 +1,115 @@
+"""What is under a vehicle at a place: height, slope and soil, at one instant of its episode.
+
+The soil starts with the parameters of the episode; each event changes one of them in turn, by
+time and place (`tracked_env.physics.parameter_events`). `refresh` writes all parameters in
+force at the vehicle's centre of mass; `at` gives ground and soil at any other place, under a track
+or under a patch, so that a plant decides where its soil is asked for.
+
+    ground = Terrain(batch.floats, batch.events, i, count, time)       inside a kernel
+    under = at(level, ground, x, y)                                    Ground: surface, soil
+    Terrain(...).at(x, y)                                              the same from Python
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.engine import columns as b
+from tracked_env.physics import parameter_events
+from tracked_env.physics import state as s
+from tracked_env.physics.jit import formula
+from tracked_env.physics.parameters import (
+    PARAMETER_INDEX,
+    PARAMETER_ROWS,
+    PlantParameters,
+    SoilParameters,
+)
+from tracked_env.terrain.flat import Surface, level
+
+_COHESION = PARAMETER_INDEX["cohesion"]
+_FRICTION_ANGLE = PARAMETER_INDEX["friction_angle"]
+_MODULUS = PARAMETER_INDEX["shear_deformation_modulus"]
+_LONGITUDINAL = PARAMETER_INDEX["longitudinal_resistance"]
+_LATERAL = PARAMETER_INDEX["lateral_resistance"]
+
+
+class Ground(NamedTuple):
+    """Surface and soil at one place."""
+
+    surface: Surface
+    soil: SoilParameters
+
+
+class Terrain(NamedTuple):
+    """The ground of vehicle i at one instant: where its soil starts, and what changes it."""
+
+    floats: NDArray[np.float64]  # of the batch: parameters at the start of the episode
+    events: NDArray[np.float64]  # (N, E, 8)
+    i: int  # row of the vehicle
+    acting: int  # events of it that count
+    time: float  # [s] since the start of the episode
+
+    def at(self, x: float, y: float) -> Ground:
+        """Level ground and its soil at (x, y) [m], world frame."""
+        return at(level, self, float(x), float(y))
+
+
+@formula
+def changed(value, parameter, events, i, count, time, x, y):
+    """One parameter at `time` [s] and (x, y) [m]: its first value, changed by each event in turn.
+
+    parameter: its row in PARAMETER_NAMES.
+    """
+    for e in range(count):
+        if int(events[i, e, 1]) == parameter:
+            value = parameter_events.changed_value(value, events, i, e, time, x, y)
+    return value
+
+
+@formula
+def _value(terrain, parameter, x, y):
+    """One parameter of the soil at (x, y) [m]."""
+    return changed(
+        terrain.floats[terrain.i, b.BASE + parameter], parameter, terrain.events, terrain.i,
+        terrain.acting, terrain.time, x, y,
+    )  # fmt: skip
+
+
+@formula
+def at(surface, terrain, x, y):
+    """Ground at (x, y) [m]; surface: compiled (x, y) -> Surface."""
+    return Ground(
+        surface(x, y),
+        SoilParameters(
+            _value(terrain, _COHESION, x, y),
+            _value(terrain, _FRICTION_ANGLE, x, y),
+            _value(terrain, _MODULUS, x, y),
+            _value(terrain, _LONGITUDINAL, x, y),
+            _value(terrain, _LATERAL, x, y),
+        ),
+    )
+
+
+@formula
+def on_soil(p, soil):
+    """PlantParameters p with another soil."""
+    return PlantParameters(
+        p.mass, p.inertia, p.track_gauge, p.track_width, p.contact_length, p.sprocket_radius,
+        p.torque_limit, p.sprocket_speed_limit, p.drive_time_constant, p.sprocket_inertia,
+        soil.cohesion, soil.friction_angle, soil.shear_deformation_modulus,
+        soil.longitudinal_resistance, soil.lateral_resistance,
+        p.turning_resistance_factor, p.icr_forward,
+    )  # fmt: skip
+
+
+@formula
+def refresh(floats, events, i, count, time):
+    """Parameters in force at the centre of mass of vehicle i, at `time` [s], into their columns."""
+    for row in range(PARAMETER_ROWS):
+        floats[i, b.PARAMETERS + row] = floats[i, b.BASE + row]
+    for e in range(count):
+        row = b.PARAMETERS + int(events[i, e, 1])
+        floats[i, row] = parameter_events.changed_value(
+            floats[i, row], events, i, e, time, floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
+        )

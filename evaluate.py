@@ -9,21 +9,13 @@ figures.
 An interrupted run loses at most the chunk of episodes in progress; run it again to continue.
 """
 
-import os
-import signal
 import sys
-from contextlib import suppress
+
+from agents.ending import stop_at_once
 
 if __name__ == "__main__":
-    # Exit at once: an exception in the middle of an import or a compilation is lost or replaced.
     # Finished chunks are on disk, and what else a kill leaves is removed by the next run.
-    def _stop(signum: int, frame: object) -> None:
-        with suppress(Exception):
-            sys.stdout.flush()
-        os.write(2, b"\nevaluate.py: interrupted; finished episodes are kept, run it again\n")
-        os._exit(130)  # as shells have it for Ctrl-C
-
-    signal.signal(signal.SIGINT, _stop)
+    stop_at_once("\nevaluate.py: interrupted; finished episodes are kept, run it again")
 
 import time
 from collections.abc import Mapping
@@ -69,7 +61,7 @@ class Config:
     """What to compare, on what, and where the results go."""
 
     # Each line of these texts is a line of --help.
-    env: Literal["tracked_env/Torque-v0", "tracked_env/Speed-v0"] = TORQUE_ID
+    env: Literal["tracked_env/Torque-v0", "tracked_env/Speed-v0"] = "tracked_env/Torque-v0"
     """Environment id: sprocket torques as actions, or speeds."""
 
     policies: tuple[str, ...] | None = None

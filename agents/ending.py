@@ -1,4 +1,4 @@
-"""How train.py ends before its time: in one line, with the exit status that a shell expects.
+"""How train.py and evaluate.py end early: in one line, with the exit status that a shell expects.
 
     130   interrupted with Ctrl-C
     2     wrong settings, a training that diverged, a folder that cannot be written
@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 INTERRUPTED = 130
 REFUSED = 2
@@ -19,23 +19,27 @@ class Refused(Exception):
     """What is asked for cannot be trained; nothing has been written."""
 
 
-def _stop(*_: object) -> None:
-    os.write(2, b"train.py: interrupted before the training began\n")
-    os._exit(INTERRUPTED)
+def stop_at_once(line: str) -> None:
+    """From now on Ctrl-C prints `line` and ends the process without unwinding.
 
-
-def stop_at_once() -> None:
-    """From now on Ctrl-C ends the process without unwinding: nothing is open or written yet.
-
-    A process in the background, for which the shell has switched Ctrl-C off, stays as it is.
+    An exception in the middle of an import or a compilation would be lost or replaced. What is to
+    be kept must be whole on the disk at any time. A process in the background, for which the shell
+    has switched Ctrl-C off, stays as it is.
     """
+
+    def stop(*_: object) -> None:
+        with suppress(Exception):
+            sys.stdout.flush()
+        os.write(2, f"{line}\n".encode())
+        os._exit(INTERRUPTED)
+
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, _stop)
+        signal.signal(signal.SIGINT, stop)
 
 
 def raise_again() -> None:
     """Undo `stop_at_once`: Ctrl-C raises KeyboardInterrupt."""
-    if signal.getsignal(signal.SIGINT) is _stop:
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 

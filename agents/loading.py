@@ -7,12 +7,9 @@ on the plain environment, is loaded as a blind agent, with a notice.
 """
 
 import hashlib
-import json
-import shlex
 import sys
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -28,59 +25,25 @@ from agents.archive import (
     read_recipe,
     untrusted,
 )
-from agents.environment import control_period, driven
 from agents.inference import STUDENT, WEIGHTS, load_student
 from agents.policy import AgentPolicy, Predictor
 from agents.privileged import PRIVILEGED, TEACHER, TeacherPolicy, policy_of
+from agents.training.arguments import driven
 from tracked_env import TORQUE_ID
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext, PolicyEntry
 from tracked_env.benchmark.policy_interface import source_fingerprint
-from tracked_env.benchmark.store import machine, versions
 
 PACKAGE = Path(__file__).parent
 # Files of this package that no action of a trained agent depends on; all others are in its
 # fingerprint. Each with the reason.
 WITHOUT_INFLUENCE = {
-    "checkpoint_fit.py": "whether a training can go on from a checkpoint",
-    "checkpoints.py": "what a training goes on from; an archive has nothing of it",
-    "configs.py": "settings of trainings; an archive holds the network that came of them",
-    "folder.py": "where a training may write",
-    "joined.py": "joins the vehicles of a training",
-    "lock.py": "keeps two trainings out of one folder",
-    "reward.py": "what a training is paid",
-    "state_file.py": "how checkpoints are written",
-    "student.py": "the training of a student; it drives by inference.py",
-    "training.py": "the training of all others",
+    "algorithms/": "settings of trainings; an archive holds the network that came of them",
+    "ending.py": "how commands end early",
+    "training/": "how agents are trained; they drive by the files around it",
 }
 # Order in which an archive without a recipe is tried: who is the pickiest comes first.
 _TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
-
-
-def exact(config: Any) -> dict[str, Any]:
-    """A configuration of train.py as JSON knows it, settings of the other algorithms left out."""
-    student = config.memory == STUDENT
-    others = {name.replace("-", "_") for name in ALGORITHMS} | {STUDENT}
-    others -= {STUDENT if student else config.agent.replace("-", "_")}
-    kept = {name: value for name, value in asdict(config).items() if name not in others}
-    kept["smoothness"] = config.change_price
-    kept["steps"], kept["evaluate_every"] = config.total_steps, config.evaluation_interval
-    return dict(json.loads(json.dumps(kept, default=str)))
-
-
-def recipe_of(config: Any, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """What every archive of a training of train.py says of itself."""
-    return {
-        "algorithm": config.agent,
-        "memory": config.memory,
-        "memory_options": config.memory_options,
-        "control_period": control_period(config.env, arguments),
-        "environment": {"id": config.env, **arguments},
-        "config": exact(config),
-        "versions": versions(),
-        "machine": machine(),
-        "command": shlex.join(["python", *sys.argv]),
-    }
 
 
 def unpickled(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
@@ -135,7 +98,8 @@ def agent_name(path: Path) -> str:
 def code_around(package: Path) -> list[Path]:
     """The files of this package that an agent's action may depend on, relative to it."""
     files = sorted(file.relative_to(package) for file in package.rglob("*.py"))
-    return [file for file in files if file.as_posix() not in WITHOUT_INFLUENCE]
+    left_out = tuple(WITHOUT_INFLUENCE)
+    return [file for file in files if not file.as_posix().startswith(left_out)]
 
 
 def _fingerprint(path: Path, kind: str) -> str:

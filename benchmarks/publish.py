@@ -74,7 +74,7 @@ def table(board: dict[str, Any]) -> str:
     for rank, entry in enumerate(agents, start=1):
         o = entry["overall"]
         seeds = entry["seeds"] or "-"
-        star = "" if seeds == "-" or seeds >= 5 else "*"
+        star = "" if entry["seeds"] in (None, 0) or entry["seeds"] >= 5 else "*"
         against = entry["against"]
         chance = "-" if against is None else f"{against['improvement']['value']:.0%}"
         cells = [

@@ -24,7 +24,7 @@ from collections.abc import Callable
 from contextlib import redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -51,7 +51,7 @@ class Row(NamedTuple):
 
     name: str
     microseconds: float  # per environment step, or per call
-    count: int  # environment steps per call
+    steps: int  # of the environment, per call
     peer: str  # name of the row it is compared with
 
 
@@ -71,7 +71,7 @@ def best_time(call: Callable[[], object], seconds: float) -> float:
     return best
 
 
-def single_step(env_id: str, **arguments: object) -> Callable[[], object]:
+def single_step(env_id: str, **arguments: Any) -> Callable[[], object]:
     """One step of the unwrapped environment, reset when its episode ends."""
     env = gymnasium.make(env_id, **arguments).unwrapped
     env.action_space.seed(0)
@@ -88,7 +88,9 @@ def single_step(env_id: str, **arguments: object) -> Callable[[], object]:
     return call
 
 
-def vector_step(env_id: str, count: int, wild: bool = False, **arguments: object):
+def vector_step(
+    env_id: str, count: int, wild: bool = False, **arguments: Any
+) -> Callable[[], object]:
     """One step of the vector environment, with its autoresets."""
     env = gymnasium.make_vec(
         env_id, num_envs=count, vectorization_mode="vector_entry_point", **arguments
@@ -192,6 +194,7 @@ def training_seconds(steps: int) -> float:
     sys.path.insert(0, str(ROOT))
     try:
         import train
+        from agents.training.options import options_of_train
     except SystemExit as reason:  # train.py says what is missing and how to get it
         raise ImportError(str(reason)) from None
     finally:
@@ -201,7 +204,9 @@ def training_seconds(steps: int) -> float:
         began, worked = time.perf_counter(), time.process_time()
         with tempfile.TemporaryDirectory() as output, redirect_stdout(io.StringIO()):
             asked = steps if turn else 1
-            config = train.Config(steps=asked, held_out=0, quiet=True, output=Path(output, "ppo"))
+            config = options_of_train()(
+                steps=asked, held_out=0, quiet=True, output=Path(output, "ppo")
+            )
             if train.main(config) != 0:
                 raise RuntimeError("train.py failed; its message stands above")
             with open(config.folder / "curve.csv", newline="") as file:
@@ -229,7 +234,7 @@ def training_rows(steps: int) -> list[Row]:
 
 def measure(seconds: float) -> list[Row]:
     """All rows without PyTorch, peers first."""
-    free = {"error_limit": 1e6}  # episodes end by time only
+    free: dict[str, Any] = {"error_limit": 1e6}  # episodes end by time only
     singles = {
         "Pendulum-v1 step": (single_step("Pendulum-v1"), "Pendulum-v1 step"),
         "CartPole-v1 step": (single_step("CartPole-v1"), "Pendulum-v1 step"),
@@ -289,7 +294,7 @@ def markdown(rows: list[Row], cold: float, warm: float) -> str:
             f"| {row.name} | {row.microseconds:.2f} | {1e6 / row.microseconds:,.0f} "
             f"| {ratio:.2f} | {row.peer} |"
         )
-    env = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
+    env: Any = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
     memory = bytes_per_vehicle(env.simulation.batch) / 1024
     learner = ""
     if TRAINING in times:

@@ -120,10 +120,10 @@ def test_the_help_lists_what_there_is(repository):
 def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, tmp_path, capsys):
     import tyro
 
-    from train import Config, main
+    from train import main, options_of_train
 
     output = tmp_path / "none"
-    config = tyro.cli(Config, args=[*BUDGET, "--output", str(output), *arguments])
+    config = tyro.cli(options_of_train(), args=[*BUDGET, "--output", str(output), *arguments])
     assert main(config) == 2
     shown = capsys.readouterr().err
     assert message in shown and shown.count("\n") == 1
@@ -146,10 +146,10 @@ def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, t
 def test_a_number_outside_its_limits_is_a_clear_error(arguments, message, tmp_path, capsys):
     import tyro
 
-    from train import Config
+    from train import options_of_train
 
     with pytest.raises(SystemExit) as ended:
-        tyro.cli(Config, args=[*BUDGET, "--output", str(tmp_path / "none"), *arguments])
+        tyro.cli(options_of_train(), args=[*BUDGET, "--output", str(tmp_path / "none"), *arguments])
     assert ended.value.code == 2
     shown = capsys.readouterr()
     assert message in shown.err and "Traceback" not in shown.err

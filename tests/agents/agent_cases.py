@@ -4,23 +4,26 @@ from pathlib import Path
 
 import numpy as np
 
+from agents.algorithms import ppo, recurrent_ppo, sac, td3, tqc
 from agents.archive import WEIGHTS, read_entry
-from agents.configs import PPOConfig, RecurrentPPOConfig, SACConfig, TD3Config, TQCConfig
 from agents.networks import from_npz
-from train import Config
+from agents.training.options import Options, options_of_train
+
+Config = options_of_train()  # as the command line has it
 
 OFF_POLICY = {"buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "hidden": (16,)}
 ON_POLICY = {"n_steps": 32, "batch_size": 128, "n_epochs": 2, "hidden": (16,)}
 
 
-def small(output: Path, **changes) -> Config:
+def small(output: Path, **changes) -> Options:
     """A configuration that trains in about a second; episodes last 1 s, so that many end."""
     defaults = {
         "steps": 512, "vehicles": 4, "duration": 1.0, "held_out": 2, "evaluate_every": 256,
         "uncertainty": ("mixture",), "output": output, "quiet": True, "seed": 3,
-        "ppo": PPOConfig(**ON_POLICY), "recurrent_ppo": RecurrentPPOConfig(**ON_POLICY),
-        "sac": SACConfig(**OFF_POLICY), "td3": TD3Config(**OFF_POLICY),
-        "tqc": TQCConfig(**OFF_POLICY),
+        "ppo": ppo.PPOSettings(**ON_POLICY),
+        "recurrent_ppo": recurrent_ppo.RecurrentPPOSettings(**ON_POLICY),
+        "sac": sac.SACSettings(**OFF_POLICY), "td3": td3.TD3Settings(**OFF_POLICY),
+        "tqc": tqc.TQCSettings(**OFF_POLICY),
     }  # fmt: skip
     return Config(**{**defaults, **changes})
 

@@ -11,7 +11,7 @@ from agents.algorithms import ALGORITHMS
 from agents.archive import load_network
 from agents.loading import agent_entry, normalisation_of, read_recipe
 from agents.memory import KINDS, AgentVectorEnv, make_memory
-from agents.training import HELD_OUT_SEED
+from agents.training.held_out import HELD_OUT_SEED
 from tests.agents.agent_cases import small
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext

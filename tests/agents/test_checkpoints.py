@@ -7,9 +7,9 @@ import pytest
 import torch
 
 import train
-from agents import checkpoints
 from agents.algorithms import ALGORITHMS
-from agents.training import Trainer
+from agents.training import checkpoints
+from agents.training.sb3_learner import RolloutCallback
 from tests.agents.agent_cases import parameters, same_parameters, small
 
 
@@ -20,17 +20,17 @@ class Killed(Exception):
 def killed_after(steps, config, monkeypatch):
     """Run a training until `steps`, then stop it in the middle of a rollout."""
     done = 0
-    original = Trainer._on_step
+    original = RolloutCallback._on_step
 
-    def step(trainer):
+    def step(callback):
         nonlocal done
-        done += trainer.training_env.num_envs
+        done += callback.training_env.num_envs
         if done > steps:
             raise Killed
-        return original(trainer)
+        return original(callback)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "_on_step", step)
+        patch.setattr(RolloutCallback, "_on_step", step)
         with pytest.raises(Killed):
             train.main(config)
 
@@ -38,13 +38,13 @@ def killed_after(steps, config, monkeypatch):
 def models_at_the_end(monkeypatch):
     """Filled with the networks, values and optimisers of each training that ends."""
     found = []
-    original = Trainer._on_training_end
+    original = RolloutCallback._on_training_end
 
-    def end(trainer):
-        found.append(trainer.model.get_parameters())
-        original(trainer)
+    def end(callback):
+        found.append(callback.model.get_parameters())
+        original(callback)
 
-    monkeypatch.setattr(Trainer, "_on_training_end", end)
+    monkeypatch.setattr(RolloutCallback, "_on_training_end", end)
     return found
 
 
@@ -109,6 +109,11 @@ def test_evaluating_more_often_does_not_change_the_agent(tmp_path):
     assert parameters(never.folder / "agent.zip")
 
 
+def steps_in(folder):
+    """Steps that the checkpoint of a folder goes on after."""
+    return checkpoints.read(folder)[0]["learner"]["attributes"]["num_timesteps"]
+
+
 def damage(path):
     """Turn a bit in the middle of a file."""
     data = bytearray(path.read_bytes())
@@ -145,13 +150,13 @@ def test_nothing_but_damaged_checkpoints_is_a_clear_error(tmp_path, monkeypatch,
 def test_a_kill_while_a_checkpoint_is_written_loses_neither(tmp_path, monkeypatch):
     config = small(tmp_path / "torn")
     killed_after(400, config, monkeypatch)
-    before = checkpoints.read(config.folder)[0]["attributes"]["num_timesteps"]
+    before = steps_in(config.folder)
     half = (config.folder / checkpoints.FILE).read_bytes()[:5000]
     temporary = config.folder / f".{checkpoints.FILE}.1-abcd.tmp"
     temporary.write_bytes(half)
-    assert checkpoints.read(config.folder)[0]["attributes"]["num_timesteps"] == before
+    assert steps_in(config.folder) == before
     (config.folder / checkpoints.FILE).unlink()  # killed between the two renamings
-    assert checkpoints.read(config.folder)[0]["attributes"]["num_timesteps"] == before - 128
+    assert steps_in(config.folder) == before - 128
     assert train.main(replace(config, resume=True)) == 0
     assert not temporary.exists()
 

@@ -1,19 +1,28 @@
 """Settings: defaults that suit the algorithm, and values that are refused at once."""
 
 import dataclasses
+import inspect
 from pathlib import Path
 
 import pytest
 
-from agents import configs
 from agents.algorithms import ALGORITHMS, make_model
-from agents.environment import environment_arguments, make_environment
-from agents.loading import exact
-from agents.student import make_student
-from tests.agents.agent_cases import ON_POLICY, small
-from train import Config, main
+from agents.algorithms.ppo import PPOSettings
+from agents.algorithms.recurrent_ppo import RecurrentPPOSettings
+from agents.algorithms.sac import SACSettings
+from agents.algorithms.settings import LIMITS
+from agents.algorithms.stable_baselines import OffPolicySettings
+from agents.algorithms.student import StudentSettings
+from agents.algorithms.td3 import TD3Settings
+from agents.algorithms.tqc import TQCSettings
+from agents.training.environments import make_environment
+from agents.training.options import Options
+from agents.training.run import configuration, resolve
+from agents.training.student_learner import StudentLearner
+from tests.agents.agent_cases import ON_POLICY, Config, small
+from train import main
 
-ALL = [*(made[1] for made in ALGORITHMS.values()), configs.StudentConfig, Config]
+ALL = [*(made.settings for made in ALGORITHMS.values()), StudentSettings, Config]
 
 
 @pytest.mark.parametrize(
@@ -30,12 +39,12 @@ ALL = [*(made[1] for made in ALGORITHMS.values()), configs.StudentConfig, Config
 )
 def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, steps):
     config = Config(**changes)
-    assert (config.total_steps, config.evaluation_interval) == (steps, steps // 10)
-    kept = exact(config)
+    assert resolve(config).schedule[:2] == (steps, steps // 10)
+    kept = configuration(config)
     assert (kept["steps"], kept["evaluate_every"]) == (steps, steps // 10)
     given = Config(**changes, steps=5, evaluate_every=3)
-    assert (given.total_steps, given.evaluation_interval) == (5, 3)
-    assert Config(**changes, steps=5).evaluation_interval == 1
+    assert resolve(given).schedule[:2] == (5, 3)
+    assert resolve(Config(**changes, steps=5)).schedule.evaluate_every == 1
 
 
 @pytest.mark.parametrize("made", ALL)
@@ -47,42 +56,42 @@ def test_defaults_are_within_the_limits_and_every_number_has_some(made):
         for field in dataclasses.fields(made)
         if isinstance(field.default, (int, float, tuple)) and not isinstance(field.default, bool)
     }
-    assert numbers - free <= configs.LIMITS.keys()
+    assert numbers - free <= LIMITS.keys()
 
 
 @pytest.mark.parametrize(
     ("made", "changes", "message"),
     [
-        (configs.PPOConfig, {"batch_size": 0}, r"batch_size = 0; must be in \[2, 1e8\]"),
-        (configs.PPOConfig, {"learning_rate": 0.0}, r"learning_rate = 0\.0; must be in \(0, 1\]"),
+        (PPOSettings, {"batch_size": 0}, r"batch_size = 0; must be in \[2, 1e8\]"),
+        (PPOSettings, {"learning_rate": 0.0}, r"learning_rate = 0\.0; must be in \(0, 1\]"),
         (
-            configs.PPOConfig,
+            PPOSettings,
             {"learning_rate": 1e30},
             r"learning_rate = 1e\+30; must be in \(0, 1\]",
         ),
         (
-            configs.PPOConfig,
+            PPOSettings,
             {"log_std_init": 1e30},
             r"log_std_init = 1e\+30; must be in \[-20, 5\]",
         ),
-        (configs.PPOConfig, {"ent_coef": float("inf")}, "ent_coef = inf"),
-        (configs.PPOConfig, {"clip_range": 1e9}, r"clip_range = 1000000000\.0; must be in"),
-        (configs.SACConfig, {"ent_coef": "auto_nan"}, "ent_coef = 'auto_nan'"),
-        (configs.TD3Config, {"action_noise": 1e9}, "action_noise"),
+        (PPOSettings, {"ent_coef": float("inf")}, "ent_coef = inf"),
+        (PPOSettings, {"clip_range": 1e9}, r"clip_range = 1000000000\.0; must be in"),
+        (SACSettings, {"ent_coef": "auto_nan"}, "ent_coef = 'auto_nan'"),
+        (TD3Settings, {"action_noise": 1e9}, "action_noise"),
         (Config, {"precision": float("nan")}, "precision = nan"),
         (Config, {"smoothness": -1.0}, r"smoothness = -1\.0"),
         (Config, {"residual_scale": float("nan")}, "residual_scale = nan"),
         (Config, {"lags": (0,)}, r"lags = \(0,\)"),
         (Config, {"teacher": Path("a.zip")}, "only a student has a teacher"),
-        (configs.PPOConfig, {"learning_rate": float("nan")}, "learning_rate = nan"),
-        (configs.PPOConfig, {"hidden": (64, 0)}, r"hidden = \(64, 0\); must be in \[1, 16384\]"),
-        (configs.RecurrentPPOConfig, {"lstm_hidden": 0}, "lstm_hidden = 0"),
-        (configs.SACConfig, {"n_steps": 0}, r"n_steps = 0; must be in \[1, 1000000\]"),
-        (configs.SACConfig, {"gamma": 1.0}, r"gamma = 1\.0; must be in \[0, 1\)"),
-        (configs.SACConfig, {"gamma": -0.1}, r"gamma = -0\.1"),
-        (configs.SACConfig, {"ent_coef": "many"}, "ent_coef = 'many'.* auto_ and a number"),
-        (configs.TD3Config, {"tau": 0.0}, r"tau = 0\.0; must be in \(0, 1\]"),
-        (configs.StudentConfig, {"gradient_steps": 0}, "gradient_steps = 0"),
+        (PPOSettings, {"learning_rate": float("nan")}, "learning_rate = nan"),
+        (PPOSettings, {"hidden": (64, 0)}, r"hidden = \(64, 0\); must be in \[1, 16384\]"),
+        (RecurrentPPOSettings, {"lstm_hidden": 0}, "lstm_hidden = 0"),
+        (SACSettings, {"n_steps": 0}, r"n_steps = 0; must be in \[1, 1000000\]"),
+        (SACSettings, {"gamma": 1.0}, r"gamma = 1\.0; must be in \[0, 1\)"),
+        (SACSettings, {"gamma": -0.1}, r"gamma = -0\.1"),
+        (SACSettings, {"ent_coef": "many"}, "ent_coef = 'many'.* auto_ and a number"),
+        (TD3Settings, {"tau": 0.0}, r"tau = 0\.0; must be in \(0, 1\]"),
+        (StudentSettings, {"gradient_steps": 0}, "gradient_steps = 0"),
         (Config, {"vehicles": 0}, r"vehicles = 0; must be in \[1, 65536\]"),
         (Config, {"held_out": -3}, r"held_out = -3; must be in \[0, 65536\]"),
         (Config, {"steps": 0}, r"steps = 0; must be in \[1, 1e12\]"),
@@ -98,41 +107,41 @@ def test_a_value_outside_its_limits_is_refused_with_name_value_and_range(made, c
 
 def test_what_stable_baselines_allows_is_allowed():
     for entropy in ("auto", "auto_0.1", "0.2", "0"):
-        configs.SACConfig(ent_coef=entropy)
-    configs.PPOConfig(ent_coef=0.0, gae_lambda=1.0, gamma=0.0, hidden=())
-    configs.OffPolicyConfig(learning_starts=0, tau=1.0)
+        SACSettings(ent_coef=entropy)
+    PPOSettings(ent_coef=0.0, gae_lambda=1.0, gamma=0.0, hidden=())
+    OffPolicySettings(learning_starts=0, tau=1.0)
 
 
 @pytest.mark.parametrize("algorithm", ["sac", "td3", "tqc"])
 def test_a_buffer_holds_what_a_target_sums_of_all_vehicles(algorithm, tmp_path, capsys):
-    settings = ALGORITHMS[algorithm][1]
+    settings = ALGORITHMS[algorithm].settings
     config = small(tmp_path / "none", agent=algorithm, **{algorithm: settings(buffer_size=15)})
     assert main(config) == 2
     message = "buffer_size = 15; must be at least 16: n_steps = 4 of 4 vehicles"
     assert message in capsys.readouterr().err
     assert not config.folder.exists()
-    env = make_environment(config, environment_arguments(config))
+    env = make_environment(resolve(config))
     make_model(algorithm, settings(buffer_size=16), env, 0)
 
 
 def test_the_buffer_of_a_student_holds_what_it_drives_at_once(tmp_path):
     assert main(small(tmp_path, memory="teacher", steps=128)) == 0
-    settings = configs.StudentConfig(buffer_size=255)
+    settings = StudentSettings(buffer_size=255)
     config = small(tmp_path / "student", memory="student", teacher=tmp_path / "agent.zip")
     config = dataclasses.replace(config, student=settings)
     with pytest.raises(ValueError, match="buffer_size = 255; must be at least 256"):
-        make_student(config, environment_arguments(config))
+        StudentLearner(resolve(config))
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         (
-            {"vehicles": 1, "ppo": configs.PPOConfig(**{**ON_POLICY, "n_steps": 1})},
+            {"vehicles": 1, "ppo": PPOSettings(**{**ON_POLICY, "n_steps": 1})},
             "ppo: `n_steps * n_envs` must be greater than 1",
         ),
         (
-            {"agent": "tqc", "tqc": configs.TQCConfig(ent_coef="auto_0")},
+            {"agent": "tqc", "tqc": TQCSettings(ent_coef="auto_0")},
             "tqc: The initial value of ent_coef must be greater than 0",
         ),
     ],
@@ -148,6 +157,36 @@ def test_more_samples_than_memory_holds_are_a_clear_error(tmp_path, capsys, monk
     def allocate(*_):
         raise MemoryError("Unable to allocate 454. GiB")
 
-    monkeypatch.setattr("train.make_model", allocate)
+    monkeypatch.setattr("agents.training.sb3_learner.make_model", allocate)
     assert main(small(tmp_path / "none")) == 2
     assert "454. GiB. Lower vehicles, n_steps" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("agent", "ppo"),
+        ("agent", "sac"),
+        ("normalise", True),
+        ("precision", 0.1),
+        ("precision", 0.075),
+        ("smoothness", 0.0),
+        ("staggered", False),
+        ("tensorboard", True),
+        ("residual_scale", 0.2),
+    ],
+)
+def test_an_option_that_a_student_does_not_read_is_refused_where_it_is_given(name, value):
+    Config(memory="student", teacher=Path("a.zip"))
+    Config(**{name: value})
+    option = name.replace("_", "-")
+    with pytest.raises(ValueError, match=f"{option} = {value} with memory student; must be left"):
+        Config(memory="student", teacher=Path("a.zip"), **{name: value})
+
+
+def test_defaults_that_are_found_later_are_those_of_the_help():
+    resolved = resolve(Config())
+    text = inspect.getsource(Options)
+    assert (resolved.name, resolved.reward.precision) == ("ppo", 0.075)
+    for default in ("by default ppo", "leaves it out. Default: 0.075"):
+        assert default in text

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 import train
-from agents import checkpoints, configs
-from agents.algorithms import ALGORITHMS
-from agents.folder import PRODUCTS
-from agents.student import Student
-from agents.training import Trainer
+from agents.algorithms import ALGORITHMS, settings
+from agents.training import checkpoints
+from agents.training.folder import PRODUCTS
+from agents.training.progress import Progress
+from agents.training.sb3_learner import RolloutCallback, Sb3Learner
+from agents.training.student_learner import StudentLearner
 from tests.agents.agent_cases import parameters, same_parameters, small
 from tests.agents.test_student import SETTINGS
 
@@ -31,7 +32,7 @@ def one_line(capsys):
 @pytest.fixture
 def any_rate(monkeypatch):
     """Learning rates that spoil a network at once are refused; here they are let through."""
-    monkeypatch.setitem(configs.LIMITS, "learning_rate", "(0, inf)")
+    monkeypatch.setitem(settings.LIMITS, "learning_rate", "(0, inf)")
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -40,8 +41,8 @@ def test_a_training_that_diverges_says_so_and_keeps_nothing_of_it(
 ):
     config = small(tmp_path, agent=algorithm)
     name = algorithm.replace("-", "_")
-    settings = replace(getattr(config, name), learning_rate=1e30)
-    assert train.main(replace(config, **{name: settings})) == 2
+    quick = replace(getattr(config, name), learning_rate=1e30)
+    assert train.main(replace(config, **{name: quick})) == 2
     message = one_line(capsys)
     assert "the training diverged at" in message and "is not finite" in message
     assert f"Lower --{algorithm}.learning-rate (now 1e+30)" in message
@@ -54,18 +55,18 @@ def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
     tmp_path, capsys, monkeypatch
 ):
     config = small(tmp_path, evaluate_every=128)
-    check = Trainer.check
+    check = Sb3Learner.check
 
-    def spoil(trainer):
-        if trainer.model.num_timesteps >= 384:
-            next(trainer.model.policy.parameters()).data[0] = float("nan")
-        check(trainer)
+    def spoil(learner):
+        if learner.steps >= 384:
+            next(learner.model.policy.parameters()).data[0] = float("nan")
+        check(learner)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "check", spoil)
+        patch.setattr(Sb3Learner, "check", spoil)
         assert train.main(config) == 2
     assert "diverged at 384 steps: log_std is not finite" in one_line(capsys)
-    assert checkpoints.read(tmp_path)[0]["trainer"]["saved"] == 256
+    assert checkpoints.read(tmp_path)[0]["progress"]["saved"] == 256
     for product in PRODUCTS[:2]:
         assert all(np.isfinite(of).all() for of in parameters(tmp_path / product).values())
     assert "finished" not in json.loads((tmp_path / "config.json").read_text())
@@ -84,17 +85,17 @@ def test_a_student_that_diverges_says_so(any_rate, tmp_path, capsys):
 
 
 def test_an_error_of_the_program_is_not_taken_for_a_divergence(tmp_path, monkeypatch):
-    def fail(trainer):
+    def fail(callback):
         raise ValueError("of the program")
 
-    monkeypatch.setattr(Trainer, "_on_step", fail)
+    monkeypatch.setattr(RolloutCallback, "_on_step", fail)
     with pytest.raises(ValueError, match="of the program"):
         train.main(small(tmp_path))
 
 
 def test_an_evaluation_without_a_number_does_not_replace_the_best_agent(tmp_path, monkeypatch):
     scores = iter([0.5, float("nan"), 0.7])
-    monkeypatch.setattr("agents.training.held_out_rmse", lambda *_: next(scores))
+    monkeypatch.setattr("agents.training.progress.held_out_rmse", lambda *_: next(scores))
     assert train.main(small(tmp_path, evaluate_every=128, steps=384)) == 0
     assert not same_parameters(tmp_path / "agent.zip", tmp_path / "last.zip")
 
@@ -123,14 +124,21 @@ def test_a_disk_that_is_full_is_one_line_and_the_training_goes_on_later(
     assert not list((tmp_path / "torn").glob(".*"))
 
 
-@pytest.mark.parametrize("stage", ["make_environment", "make_model", "begin"])
+@pytest.mark.parametrize(
+    "stage",
+    [
+        "agents.training.sb3_learner.make_environment",
+        "agents.training.sb3_learner.make_model",
+        "train.begin",
+    ],
+)
 def test_an_interruption_before_the_first_checkpoint_is_one_line(
     stage, tmp_path, capsys, monkeypatch
 ):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(train, stage, interrupt)
+    monkeypatch.setattr(stage, interrupt)
     assert train.main(small(tmp_path / "none")) == 130
     assert "interrupted; no checkpoint yet" in one_line(capsys)
     assert not (tmp_path / "none").exists()
@@ -140,8 +148,8 @@ def test_an_interruption_later_says_how_to_go_on(tmp_path, capsys, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Trainer, "evaluate", interrupt)
-    monkeypatch.setattr(Student, "collect", interrupt)
+    monkeypatch.setattr(Progress, "evaluate", interrupt)
+    monkeypatch.setattr(StudentLearner, "collect", interrupt)
     assert train.main(small(tmp_path)) == 130
     assert one_line(capsys) == f"interrupted; go on with --resume --output {tmp_path}\n"
 

@@ -1,18 +1,15 @@
 """Further arguments of the environment reach the vehicles, the policies and the recipe."""
 
+from dataclasses import replace
+
 import pytest
 
-from agents import checkpoints
-from agents.environment import (
-    environment_arguments,
-    make_environment,
-    make_held_out,
-    make_part,
-    make_taught,
-    parts_of,
-)
 from agents.loading import agent_entry, read_recipe
-from agents.reward import PRECISION, TrainingReward
+from agents.training.arguments import environment_arguments
+from agents.training.environment_state import layers
+from agents.training.environments import make_environment, make_held_out, make_part, make_taught
+from agents.training.reward import PRECISION, TrainingReward
+from agents.training.run import Augmentation, resolve
 from tests.agents.agent_cases import small
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import PolicyContext
@@ -26,18 +23,17 @@ BY_SPEED = '{"plant": "distributed", "drive": "speed", "vehicle": "focchi", "err
 
 def simulation_of(env):
     """The simulation of an environment of a training."""
-    (inner,) = (
-        layer for layer in checkpoints.layers(env) if isinstance(layer, TrackedVehicleVecEnv)
-    )
+    (inner,) = (layer for layer in layers(env) if isinstance(layer, TrackedVehicleVecEnv))
     return inner.env.unwrapped.simulation
 
 
 def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
     config = small(tmp_path, env_args='{"plant": "distributed", "patches": [4, 2]}', steps=256)
-    arguments = environment_arguments(config)
-    driven = [simulation_of(make_environment(config, arguments))]
-    driven += [part.env.simulation for part in make_held_out(config, arguments)]
-    driven += [simulation_of(make_taught(config, arguments)[0])]
+    run = resolve(config)
+    taught = replace(run, augmentation=Augmentation("student", {"lags": [1, 2]}))
+    driven = [simulation_of(make_environment(run))]
+    driven += [part.env.simulation for part in make_held_out(run)]
+    driven += [simulation_of(make_taught(taught)[0])]
     assert len(driven) == 3
     for simulation in driven:
         solver = simulation.solver
@@ -56,13 +52,14 @@ def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
         tmp_path, env_args=BY_SPEED, memory="residual", uncertainty=("friction",),
         sensors=("mocap",), steps=256,
     )  # fmt: skip
-    arguments = environment_arguments(config)
-    (part,) = parts_of(config, arguments, 2)
+    run = resolve(config)
+    (part,) = run.parts
     assert (part.context.drive, part.context.vehicle) == ("speed", "focchi")
-    (held_out,) = make_held_out(config, arguments)
+    (held_out,) = make_held_out(run)
     assert held_out.context == part.context
-    layers = checkpoints.layers(make_part(config, part))
-    (reward,) = (layer for layer in layers if isinstance(layer, TrainingReward))
+    (reward,) = (
+        layer for layer in layers(make_part(run, part)) if isinstance(layer, TrainingReward)
+    )
     assert reward.precision == PRECISION * VEHICLES["focchi"].contact_length
     assert main(config) == 0
     entry = agent_entry(tmp_path / "agent.zip")
@@ -76,7 +73,8 @@ def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
 def test_controllers_inside_an_agent_know_the_nominal_vehicle(kind, tmp_path):
     config = small(tmp_path, env_args='{"vehicle": "focchi"}', memory=kind, steps=128)
     assert main(config) == 0
-    (part,) = parts_of(config, environment_arguments(config), 1)
+    run = resolve(config)
+    (part,) = run.parts
     memory = agent_entry(tmp_path / "agent.zip").make(part.context).memory
     known = memory.parameters if kind == "estimates" else memory.policy.parameters
     assert known == VEHICLES["focchi"]
@@ -84,7 +82,8 @@ def test_controllers_inside_an_agent_know_the_nominal_vehicle(kind, tmp_path):
 
 def test_another_control_rate_reaches_policies_and_recipe(tmp_path):
     config = small(tmp_path, env_args='{"control_rate": 25}', memory="history", steps=128)
-    (part,) = parts_of(config, environment_arguments(config), 2)
+    run = resolve(config)
+    (part,) = run.parts
     assert part.context.control_period == 0.04
     assert main(config) == 0
     assert read_recipe(tmp_path / "last.zip")["control_period"] == 0.04
@@ -96,9 +95,10 @@ def test_another_control_rate_reaches_policies_and_recipe(tmp_path):
 
 def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
     config = small(tmp_path, env=SPEED_ID, env_args='{"vehicle": "focchi-short"}')
-    (part,) = parts_of(config, environment_arguments(config), 2)
+    run = resolve(config)
+    (part,) = run.parts
     assert (part.context.drive, part.context.vehicle) == ("speed", "focchi-short")
-    solver = simulation_of(make_part(config, part)).solver
+    solver = simulation_of(make_part(run, part)).solver
     assert solver.plant.name == "distributed" and solver.nominal == VEHICLES["focchi-short"]
     assert solver.error_limit == 2.0
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import train
-from agents import checkpoints, folder
-from agents.student import Student
-from tests.agents.agent_cases import same_parameters, small
+from agents.training import checkpoints, folder
+from agents.training.student_learner import StudentLearner
+from tests.agents.agent_cases import Config, same_parameters, small
 from tests.agents.test_checkpoints import killed_after
 from tests.agents.test_student import SETTINGS
 from tracked_env import SPEED_ID
@@ -227,7 +227,7 @@ def test_a_student_is_not_repeated_or_overwritten_either(tmp_path, monkeypatch, 
     teacher = tmp_path / "teacher" / "agent.zip"
     given = {"memory": "student", "teacher": teacher, "student": SETTINGS, "steps": 256}
     config = small(tmp_path / "student", **given, checkpoint_every=100)
-    collect = Student.collect
+    collect = StudentLearner.collect
 
     def interrupted(self):
         if self.steps >= 128:
@@ -235,7 +235,7 @@ def test_a_student_is_not_repeated_or_overwritten_either(tmp_path, monkeypatch, 
         return collect(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Student, "collect", interrupted)
+        patch.setattr(StudentLearner, "collect", interrupted)
         assert train.main(config) == 130
     assert "finished" not in recorded(config.folder)
     assert train.main(config) == 2
@@ -248,7 +248,7 @@ def test_a_student_is_not_repeated_or_overwritten_either(tmp_path, monkeypatch, 
 
 
 def test_each_environment_has_a_folder_of_its_own():
-    assert train.Config().folder == Path("runs/ppo-blind-seed0")
-    speed = train.Config(env=SPEED_ID, agent="sac", memory="history", seed=2)
+    assert Config().folder == Path("runs/ppo-blind-seed0")
+    speed = Config(env=SPEED_ID, agent="sac", memory="history", seed=2)
     assert speed.folder == Path("runs/Speed-v0/sac-history-seed2")
     assert replace(speed, output=Path("mine")).folder == Path("mine")

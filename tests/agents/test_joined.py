@@ -8,21 +8,14 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import train
-from agents import checkpoints
-from agents.environment import (
-    SENSOR_MIXTURE,
-    environment_arguments,
-    joined,
-    make_environment,
-    make_held_out,
-    make_part,
-    parts_of,
-    random_seed,
-)
-from agents.joined import JoinedVecEnv, shares
 from agents.loading import agent_entry, read_recipe
 from agents.memory import KINDS
-from agents.training import HELD_OUT_SEED, held_out_errors, held_out_rmse
+from agents.training.arguments import SENSOR_MIXTURE
+from agents.training.environment_state import layers
+from agents.training.environments import joined, make_environment, make_held_out, make_part
+from agents.training.held_out import HELD_OUT_SEED, held_out_errors, held_out_rmse
+from agents.training.joined import JoinedVecEnv, shares
+from agents.training.run import resolve
 from tests.agents.agent_cases import same_parameters, small
 from tests.agents.test_checkpoints import killed_after
 from tracked_env import TORQUE_ID
@@ -45,16 +38,16 @@ def actions(steps):
 @pytest.mark.parametrize("kind", [*KINDS, "teacher"])
 def test_a_joined_row_is_that_of_its_own_environment_bit_for_bit(kind, tmp_path):
     config = mixed(tmp_path, memory=kind)
-    arguments = environment_arguments(config)
-    together = make_environment(config, arguments)
+    run = resolve(config)
+    together = make_environment(run)
     alone = []
-    for part in parts_of(config, arguments, VEHICLES):
-        alone.append((make_part(config, part), slice(part.first, part.first + part.rows)))
-        alone[-1][0].seed(random_seed(config.seed) + part.first)
+    for part in run.parts:
+        alone.append((make_part(run, part), slice(part.first, part.first + part.rows)))
+        alone[-1][0].seed(run.seed + part.first)
     shown = together.reset()
     for env, rows in alone:
         np.testing.assert_array_equal(env.reset(), shown[rows])
-    ended, scale = 0, np.float32(1.0 - config.settings.gamma)
+    ended, scale = 0, np.float32(1.0 - run.settings.gamma)
     for action in actions(70):
         shown, rewards, dones, infos = together.step(action)
         for env, rows in alone:
@@ -75,12 +68,12 @@ def test_a_joined_row_is_that_of_its_own_environment_bit_for_bit(kind, tmp_path)
 
 def test_the_mixture_is_good_late_noisy_and_slow_to_say_how_fast(tmp_path):
     config = mixed(tmp_path, sensors=("ideal", "mixture"), vehicles=5)
-    arguments = environment_arguments(config)
-    assert arguments["sensors"] == ["ideal", *SENSOR_MIXTURE[TORQUE_ID]]
-    shown = make_environment(config, arguments).reset()
+    run = resolve(config)
+    assert run.arguments["sensors"] == ["ideal", *SENSOR_MIXTURE[TORQUE_ID]]
+    shown = make_environment(run).reset()
     column = {name: shown[:, obs.INDEX[name]] for name in ("v_x", "position_error_x")}
     assert (column["v_x"][:4] != 0.0).all() and column["v_x"][4] == 0.0
-    contexts = [part.context.sensors for part in parts_of(config, arguments, 5)]
+    contexts = [part.context.sensors for part in run.parts]
     assert [sheet.position_noise for sheet in contexts] == [0.0, 0.02, 0.02, 1.0, 0.02]
     assert [sheet.pose_delay for sheet in contexts] == [0.0, 0.0, 0.2, 0.0, 0.0]
 
@@ -90,8 +83,8 @@ def test_vehicles_are_shared_evenly_and_one_kind_stays_one_environment(tmp_path)
     with pytest.raises(ValueError, match="3 vehicles or held-out episodes for 4 kinds"):
         shares(3, 4)
     config = small(tmp_path, sensors=("strawa",))
-    layers = checkpoints.layers(make_environment(config, environment_arguments(config)))
-    assert not any(isinstance(layer, JoinedVecEnv) for layer in layers)
+    env = make_environment(resolve(config))
+    assert not any(isinstance(layer, JoinedVecEnv) for layer in layers(env))
 
 
 def test_environments_with_other_spaces_are_not_joined():
@@ -108,7 +101,7 @@ def test_the_rows_of_a_joined_environment_can_be_asked_and_seeded():
         return DummyVecEnv([lambda: gymnasium.make("Pendulum-v1")] * count)
 
     env, whole = joined([part(2), part(1)], 7), part(3)
-    whole.seed(random_seed(7))
+    whole.seed(7)
     np.testing.assert_array_equal(env.reset(), whole.reset())
     assert env.get_attr("g", [2]) == [10.0]
     env.set_attr("g", 1.0, [0, 2])
@@ -143,7 +136,7 @@ def test_held_out_episodes_have_all_sensors_and_each_kind_counts_the_same(tmp_pa
     assert recipe["environment"]["sensors"] == [
         entry if isinstance(entry, str) else dict(entry) for entry in SENSOR_MIXTURE[TORQUE_ID]
     ]
-    held_out = make_held_out(config, environment_arguments(config))
+    held_out = make_held_out(resolve(config))
     entry = agent_entry(tmp_path / "last.zip")
     assert [part.env.num_envs for part in held_out] == [3, 2, 2, 2]
     means = [

@@ -14,8 +14,9 @@ from stable_baselines3 import PPO, SAC, TD3
 from agents import loading
 from agents.algorithms import ALGORITHMS, make_model
 from agents.archive import load_network, read_recipe
-from agents.environment import environment_arguments, make_environment
 from agents.loading import PACKAGE, WITHOUT_INFLUENCE, agent_entry, unpickled
+from agents.training.environments import make_environment
+from agents.training.run import resolve
 from tests.agents.agent_cases import parameters, small
 from tracked_env import TORQUE_ID
 from tracked_env import observation as obs
@@ -91,8 +92,8 @@ def test_an_archive_has_the_network_of_the_action_and_nothing_else_of_learning(a
     stored = parameters(path)
     assert stored and not [name for name in stored if "critic" in name or "value" in name]
     config = small(tmp_path, agent=algorithm)
-    env = make_environment(config, environment_arguments(config))
-    model = make_model(algorithm, config.settings, env, 0)
+    run = resolve(config)
+    model = make_model(algorithm, run.settings, make_environment(run), 0)
     state = {name: torch.from_numpy(value) for name, value in stored.items()}
     assert not model.policy.load_state_dict(state, strict=False).unexpected_keys
     network = load_network(path, read_recipe(path))
@@ -169,7 +170,8 @@ def test_agents_are_called_after_their_folder_and_told_apart(trained, tmp_path):
 
 def test_every_file_without_influence_is_there_and_has_its_reason():
     names = {path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
-    assert set(WITHOUT_INFLUENCE) < names
+    for left_out in WITHOUT_INFLUENCE:
+        assert any(name.startswith(left_out) for name in names), left_out
     assert all(len(reason) > 10 for reason in WITHOUT_INFLUENCE.values())
 
 

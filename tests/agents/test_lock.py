@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 
 import train
-from agents.lock import locked
 from tests.agents.agent_cases import small
+from tracked_env.benchmark.files import locked
 
 pytest.importorskip("fcntl", reason="folders are not locked here")
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from agents.lock import locked
+from tracked_env.benchmark.files import locked
 with locked(Path(sys.argv[1])):
     print("locked", flush=True)
     time.sleep(60)

@@ -11,12 +11,13 @@ pytest.importorskip("torch", reason="agents need the extra `rl`")
 
 import tyro
 
-from agents.loading import agent_entry, exact, read_recipe
+from agents.loading import agent_entry, read_recipe
+from agents.training.run import configuration
+from tests.agents.agent_cases import Config
 from tracked_env.benchmark import BenchmarkConfig, Store
 from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.sets import default_sets
 from tracked_env.benchmark.statistics import interquartile_mean
-from train import Config
 
 FOLDER = Path(__file__).resolve().parents[2] / "agents" / "pretrained"
 AGENTS = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
@@ -49,7 +50,7 @@ def test_an_agent_comes_with_the_command_that_made_it_and_its_learning_curve(fol
 def test_the_command_of_an_agent_says_its_whole_configuration(folder: Path) -> None:
     """Defaults may have changed since; then the command makes another agent today."""
     recipe = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-    today = exact(tyro.cli(Config, args=shlex.split(recipe["command"])[2:]))
+    today = configuration(tyro.cli(Config, args=shlex.split(recipe["command"])[2:]))
     for name in set(recipe["config"]) - {"output"}:
         assert today[name] == recipe["config"][name], name
 

@@ -1,13 +1,17 @@
 """What a teacher sees besides the observation: hidden parameters over their nominal values."""
 
+from dataclasses import replace
+
 import gymnasium
 import numpy as np
 import pytest
 
-from agents.checkpoints import layers
-from agents.environment import MIXTURE, environment_arguments, make_part, make_taught, parts_of
 from agents.memory import AgentVectorEnv
 from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, policy_of, privileged
+from agents.training.arguments import MIXTURE
+from agents.training.environment_state import layers
+from agents.training.environments import make_part, make_taught
+from agents.training.run import Augmentation, resolve
 from tests.agents.agent_cases import small
 from tests.agents.test_agents import STEPS
 from tracked_env import SPEED_ID, TORQUE_ID
@@ -66,12 +70,12 @@ def test_training_driving_and_teaching_scale_by_the_nominal_vehicle_of_the_envir
     env, tmp_path
 ):
     config = small(tmp_path, env=env, memory="teacher", uncertainty=None)
-    arguments = environment_arguments(config)
-    (part,) = parts_of(config, arguments, 4)
+    run = resolve(config)
+    (part,) = run.parts
     (trained,) = (
-        layer for layer in layers(make_part(config, part)) if isinstance(layer, TruthfulVectorEnv)
+        layer for layer in layers(make_part(run, part)) if isinstance(layer, TruthfulVectorEnv)
     )
-    _, (taught,) = make_taught(config, arguments)
+    _, (taught,) = make_taught(replace(run, augmentation=Augmentation("student", {"lags": [1, 2]})))
     driving = policy_of(None, "teacher", {}, part.context)
     nominal = trained.unwrapped.simulation.solver.nominal
     assert trained.memory.nominal == taught.nominal == driving.nominal == nominal

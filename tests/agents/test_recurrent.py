@@ -4,16 +4,17 @@ import pytest
 import torch
 
 from agents.algorithms import make_model
-from agents.configs import RecurrentPPOConfig
-from agents.environment import environment_arguments, make_environment
+from agents.algorithms.recurrent_ppo import RecurrentPPOSettings
+from agents.training.environments import make_environment
+from agents.training.run import resolve
 from tests.agents.agent_cases import small
 
 
 @pytest.fixture
 def policy(tmp_path):
     config = small(tmp_path, agent="recurrent-ppo")
-    env = make_environment(config, environment_arguments(config))
-    settings = RecurrentPPOConfig(hidden=(16,), lstm_hidden=8)
+    env = make_environment(resolve(config))
+    settings = RecurrentPPOSettings(hidden=(16,), lstm_hidden=8)
     return make_model("recurrent-ppo", settings, env, 0).policy
 
 

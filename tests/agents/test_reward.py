@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from agents.environment import environment_arguments, make_environment, random_seed
-from agents.loading import exact
-from agents.reward import ScaledReward, TrainingReward
+from agents.training.environments import make_environment
+from agents.training.reward import ScaledReward, TrainingReward
+from agents.training.run import resolve
 from tests.agents.agent_cases import small
 from tracked_env.sb3 import make_vec_env
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -64,10 +64,9 @@ def test_a_term_without_sense_is_a_clear_error(term, value):
 
 def trained_and_plain(config):
     """The environment of a training and a plain one, at the start of the same episodes."""
-    arguments = environment_arguments(config)
-    seed = random_seed(config.seed)
-    plain = make_vec_env(n_envs=config.vehicles, seed=seed, env_kwargs=arguments)
-    trained = make_environment(config, arguments)
+    run = resolve(config)
+    plain = make_vec_env(n_envs=config.vehicles, seed=run.seed, env_kwargs=run.arguments)
+    trained = make_environment(run)
     plain.reset()
     trained.reset()
     return trained, plain
@@ -104,6 +103,7 @@ def test_agents_with_a_replay_buffer_pay_for_changes_only_when_told_to(
     env, plain = trained_and_plain(config)
     action = np.random.default_rng(1).uniform(-1.0, 1.0, (config.vehicles, 2)).astype(np.float32)
     expected = plain.step(action)[1] - price * np.mean(action**2, axis=1)
-    scale = 1.0 - config.settings.gamma if config.settings.scaled else 1.0
+    run = resolve(config)
+    scale = 1.0 - run.settings.gamma if run.algorithm.scaled else 1.0
     np.testing.assert_allclose(env.step(action)[1], scale * expected, rtol=1e-5)
-    assert exact(config)["smoothness"] == price
+    assert run.recipe["config"]["smoothness"] == price

@@ -13,11 +13,13 @@ import torch
 from numpy.lib import format as npy
 
 import train
-from agents import checkpoints
 from agents.algorithms import make_model
-from agents.environment import environment_arguments, make_environment
 from agents.memory import KINDS
-from agents.state_file import GENERATORS, STATE, TYPES, read_state, write_state
+from agents.training import checkpoints
+from agents.training.environments import make_environment
+from agents.training.run import resolve
+from agents.training.sb3_state import capture
+from agents.training.state_file import GENERATORS, STATE, TYPES, read_state, write_state
 from tests.agents.agent_cases import small
 from tests.agents.test_archive import WRONG, Harm, branches, entries, packed, put
 from tests.agents.test_checkpoints import killed_after
@@ -78,16 +80,15 @@ def test_every_kind_of_value_comes_back_to_the_bit(tmp_path):
 def test_the_state_of_every_memory_comes_back_to_the_bit(memory, env, tmp_path):
     """After some steps: a named tuple that is not in TYPES would be a TypeError."""
     config = small(tmp_path, memory=memory, env=env, normalise=True)
-    vehicles = make_environment(config, environment_arguments(config))
-    model = make_model("ppo", config.settings, vehicles, 0)
+    model = make_model("ppo", config.ppo, make_environment(resolve(config)), 0)
     model.learn(128)
-    state = checkpoints.capture(model)
+    state = capture(model)
     assert same(state, there_and_back(state, tmp_path))
 
 
 def test_what_cannot_be_written_is_a_clear_error(tmp_path):
     for value, message in (
-        (object(), "a object cannot be written.*agents.state_file.TYPES"),
+        (object(), "a object cannot be written.*agents.training.state_file.TYPES"),
         (np.array([None]), "an array of object cannot be written"),
         (np.random.Generator(np.random.MT19937(0)), "a Generator cannot be written"),
         (type("VehicleState", (tuple,), {})(), "a VehicleState cannot be written"),
@@ -158,7 +159,9 @@ def interrupted(tmp_path_factory):
 def simulation_of(state):
     """The part of a state that the simulation goes on from."""
     (found,) = [
-        layer for layer in state["environment"] if isinstance(layer, dict) and "batch" in layer
+        layer
+        for layer in state["learner"]["environment"]
+        if isinstance(layer, dict) and "batch" in layer
     ]
     return found
 

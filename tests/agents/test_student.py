@@ -6,16 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from agents.algorithms.student import StudentSettings
 from agents.archive import load_network, read_entry
-from agents.configs import StudentConfig
-from agents.environment import environment_arguments
 from agents.inference import WEIGHTS, StudentModel, load_student, make_inference
 from agents.loading import agent_entry, read_recipe
 from agents.memory import AgentVectorEnv, History
 from agents.policy import Normalisation
 from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, privileged
-from agents.student import Student, make_student
-from agents.training import Schedule
+from agents.training.progress import Progress
+from agents.training.run import resolve
+from agents.training.sb3_learner import RolloutCallback
+from agents.training.student_learner import StudentLearner
 from tests.agents.agent_cases import same_parameters, small
 from tests.agents.test_agents import STEPS, Recorded, as_evaluated
 from tracked_env import SPEED_ID
@@ -27,7 +28,7 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 from train import main
 
 CONTEXT = PolicyContext(0.02, "sliding")
-SETTINGS = StudentConfig(n_steps=32, gradient_steps=30, batch_size=128, hidden=(16,))
+SETTINGS = StudentSettings(n_steps=32, gradient_steps=30, batch_size=128, hidden=(16,))
 
 
 def vehicles(uncertainty="payload", **more):
@@ -85,14 +86,12 @@ def test_a_teacher_acts_in_the_benchmark_as_in_training(teacher):
 
 
 def test_a_teacher_goes_on_after_an_interruption_as_if_nothing_had_been(teacher, tmp_path):
-    from agents.training import Trainer
-
     def interrupt(self, text=None):
         if self.model.num_timesteps >= 384:
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Trainer, "_on_step", lambda self: interrupt(self) or True)
+        patch.setattr(RolloutCallback, "_on_step", lambda self: interrupt(self) or True)
         assert main(small(tmp_path, memory="teacher")) == 130
     assert main(small(tmp_path, memory="teacher", resume=True)) == 0
     assert same_parameters(tmp_path / "last.zip", teacher.parent / "last.zip")
@@ -100,7 +99,7 @@ def test_a_teacher_goes_on_after_an_interruption_as_if_nothing_had_been(teacher,
 
 def test_the_regression_loss_falls(teacher, tmp_path):
     config = student_config(tmp_path, teacher)
-    student, _ = make_student(config, environment_arguments(config))
+    student = StudentLearner(resolve(config))
     losses = [student.collect()]
     seen, true = student._seen[:32].flatten(0, 1).numpy(), student._true[:32].flatten(0, 1).numpy()
     for _ in range(3):
@@ -122,7 +121,7 @@ def test_a_student_drives_with_its_teachers_network_and_says_whose(student, teac
 
 def test_the_inference_is_regressed_on_the_truth_of_the_moment(teacher, tmp_path):
     config = student_config(tmp_path, teacher)
-    student, _ = make_student(config, environment_arguments(config))
+    student = StudentLearner(resolve(config))
     truth = privileged(student.env.env.unwrapped.simulation.truth(), VEHICLES["strawa"])
     shown = student._observation.copy()
     student.collect()
@@ -135,7 +134,7 @@ def test_the_inference_is_regressed_on_what_the_teachers_network_sees(tmp_path):
     """Normalised and clipped where its inputs are, and driving hands it the same values."""
     assert main(small(tmp_path, memory="teacher", normalise=True, steps=256)) == 0
     config = student_config(tmp_path / "student", tmp_path / "agent.zip", steps=1024)
-    student, _ = make_student(config, environment_arguments(config))
+    student = StudentLearner(resolve(config))
     scaling = student.model.normalisation
     scaling = student.model.normalisation = scaling._replace(clip=0.5)
     observation = student._observation[:, : obs.SIZE].copy()
@@ -187,14 +186,14 @@ def test_a_normalised_inference_of_the_former_scale_is_refused(student):
 def test_a_teacher_of_another_vehicle_drive_or_rate_is_refused(changes, message, teacher, tmp_path):
     config = student_config(tmp_path / "none", teacher, **changes)
     with pytest.raises(ValueError, match=message):
-        make_student(config, environment_arguments(config))
+        StudentLearner(resolve(config))
 
 
 def test_a_saved_student_acts_as_in_training(teacher, tmp_path):
     config = student_config(tmp_path, teacher, steps=1024)
-    student, taught = make_student(config, environment_arguments(config))
-    recipe = {"memory": "student", "memory_options": config.memory_options, "control_period": 0.02}
-    student.learn(Schedule(1024, 1024, 1024), tmp_path, {**recipe, **taught})
+    run = resolve(config)
+    student = StudentLearner(run)
+    student.learn(Progress(run, student))
     inner = Recorded(vehicles())
     env = AgentVectorEnv(inner, History(3, 0.02))
     observation, _ = env.reset(seed=5)
@@ -243,7 +242,7 @@ def test_a_student_goes_on_after_an_interruption_as_if_nothing_had_been(
 ):
     given = {"steps": 1024, "checkpoint_every": 256, "sensors": sensors}
     assert main(student_config(tmp_path / "whole", teacher, **given)) == 0
-    collect = Student.collect
+    collect = StudentLearner.collect
 
     def interrupted(self):
         if self.steps >= 640:  # between two checkpoints, after 512 and 768
@@ -251,7 +250,7 @@ def test_a_student_goes_on_after_an_interruption_as_if_nothing_had_been(
         return collect(self)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Student, "collect", interrupted)
+        patch.setattr(StudentLearner, "collect", interrupted)
         assert main(student_config(tmp_path / "parts", teacher, **given)) == 130
     assert main(student_config(tmp_path / "parts", teacher, **given)) == 2  # would overwrite it
     assert main(student_config(tmp_path / "parts", teacher, **given, resume=True)) == 0
@@ -269,7 +268,7 @@ def test_another_seed_gives_another_student_of_the_same_teacher(teacher, tmp_pat
     first = []
     for seed in (3, 4):
         config = student_config(tmp_path, teacher, seed=seed)
-        student, _ = make_student(config, environment_arguments(config))
+        student = StudentLearner(resolve(config))
         first.append(student.model.inference[0].weight.detach().numpy().copy())
     assert not np.array_equal(*first)
 

@@ -10,7 +10,8 @@ import os
 import re
 import shutil
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 NAME_LENGTH = 60  # [characters] of each readable part of a file's name
@@ -89,5 +90,52 @@ class Lock:
 
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
+    def release(self) -> None:
+        """Give the lock back and close the file, once."""
+        descriptor, self.descriptor = self.descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
+
     def __del__(self) -> None:
-        os.close(self.descriptor)
+        self.release()
+
+
+@contextmanager
+def locked(folder: Path, by: str = "another process") -> Iterator[None]:
+    """Hold a lock on a folder itself, which leaves no file behind. It is made if need be, and
+    removed again if it stays empty.
+
+    by: who else could hold it, for the message. Where the system does not lock folders (Windows,
+    some network file systems) nothing is locked. Raises ValueError where another process holds it,
+    and where there can be no such folder.
+    """
+    made: list[Path] = []
+    lock = None
+    try:
+        try:
+            made += [path for path in (folder, *folder.parents) if not path.exists()]
+            folder.mkdir(parents=True, exist_ok=True)
+            descriptor = -1 if sys.platform == "win32" else os.open(folder, os.O_RDONLY)
+        except FileExistsError as error:
+            raise ValueError(
+                f"--output {folder} is a file; must be a folder, or not yet there"
+            ) from error
+        except OSError as error:
+            raise ValueError(
+                f"--output {folder} cannot be written ({error}). Make room or choose another folder"
+            ) from error
+        try:
+            lock = None if descriptor < 0 else Lock(descriptor)
+        except BlockingIOError as error:
+            raise ValueError(
+                f"{folder} is in use by {by} that runs now: wait for it, or choose another --output"
+            ) from error
+        except OSError:
+            pass  # a file system without locks
+        yield
+    finally:
+        for path in made:
+            with suppress(OSError):  # it has files now
+                path.rmdir()
+        if lock is not None:
+            lock.release()

@@ -2,7 +2,7 @@
 
 config.json                     the recipe; `"finished": true` when the training has ended
 agent.zip, last.zip, curve.csv  of the training that config.json describes
-checkpoint*.zip                 of `agents.checkpoints`, until it has ended
+checkpoint*.zip                 of `agents.training.checkpoints`, until it has ended
 A file of one of these names that no training has written is never replaced or deleted: training
 there is refused. Each is recognised by its content, a checkpoint also by an unfinished training
 beside it, since a damaged one must give way.
@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agents import checkpoints
-from agents.loading import read_recipe
+from agents.archive import read_recipe
+from agents.training import checkpoints
 from tracked_env.benchmark.store import write_atomically
 
 CONFIG = "config.json"

@@ -100,7 +100,7 @@ class _Writer:
             return {"named": [type(value).__name__, self.tree(list(value))]}
         raise TypeError(
             f"a {type(value).__name__} cannot be written; a named tuple has to stand in "
-            "agents.state_file.TYPES"
+            "agents.training.state_file.TYPES"
         )
 
 

@@ -1,0 +1,53 @@
+"""A student of a privileged teacher: regression of the hidden parameters on past samples.
+
+It is chosen by `--memory student`, not by `--agent`: its network is that of its teacher, whatever
+algorithm trained that one. The training itself: `agents.training.student_learner`.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from agents.algorithms.algorithm import Algorithm
+from agents.algorithms.settings import check
+
+if TYPE_CHECKING:
+    from agents.training.learner import Learner
+    from agents.training.run import Run
+
+
+@dataclass(frozen=True)
+class StudentSettings:
+    """Settings of memory student: how the inference of the hidden parameters is regressed."""
+
+    n_steps: int = 64
+    """Control steps per vehicle between two regressions."""
+
+    gradient_steps: int = 20
+    """Gradient steps of a regression, for 4096 new samples of 64 vehicles."""
+
+    batch_size: int = 1024
+    """Samples of one gradient step, of all that the buffer holds."""
+
+    buffer_size: int = 200_000
+    """Samples kept, the latest 62 s of 64 vehicles; 100 MB."""
+
+    learning_rate: float = 1e-3
+    """At the start; it falls linearly to 0 over the training."""
+
+    hidden: tuple[int, ...] = (128, 128)
+    """Units of the hidden layers."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+def learner_of(run: "Run") -> "Learner":
+    """A student of the teacher of a run. Raises ValueError."""
+    from agents.training.student_learner import StudentLearner  # imports the archives
+
+    return StudentLearner(run)
+
+
+STUDENT_ALGORITHM = Algorithm(
+    None, StudentSettings, learner_of, steps=500_000, network="that of its teacher"
+)

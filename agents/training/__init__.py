@@ -1,0 +1,1 @@
+"""Trainings: options resolved into a `Run`, learners, environments, checkpoints, folders."""

@@ -1,0 +1,205 @@
+"""The options of train.py: one dataclass, whose docstrings are its help."""
+
+from dataclasses import dataclass, field, make_dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+from tyro.constructors import PrimitiveConstructorSpec
+
+from agents.algorithms import ALGORITHMS
+from agents.algorithms.settings import check
+from agents.algorithms.student import StudentSettings
+from agents.inference import STUDENT
+from agents.memory import LAGS, RESIDUAL_SCALE
+from tracked_env import TORQUE_ID
+
+DEFAULT = "ppo"  # the algorithm where --agent is not given
+
+
+def folder_of(text: str) -> Path:
+    """A folder that the command line names. Raises ValueError for an empty name."""
+    if not text.strip():
+        raise ValueError("--output is empty; name a folder, or `.` for the working directory")
+    return Path(text)
+
+
+Folder = Annotated[
+    Path,
+    PrimitiveConstructorSpec(
+        1, "PATH", lambda words: folder_of(words[0]), lambda given: isinstance(given, Path),
+        lambda given: [str(given)],
+    ),
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to train, on what, and where it goes."""
+
+    agent: str | None = None
+    """Algorithm, by default ppo; its settings are the options that start with its name."""
+
+    memory: Literal["blind", "history", "estimates", "residual", "teacher", "student"] = "blind"
+    """What the agent has besides the present observation.
+    blind: nothing (recurrent-ppo remembers by itself).
+    history: past samples. estimates: the identified parameters.
+    residual: corrects the action of the adaptive controller.
+    teacher: the true parameters. student: drives with TEACHER's network,
+    and infers from past samples what that was told."""
+
+    teacher: Path | None = None
+    """Of memory student: agent.zip of the teacher."""
+
+    trust: bool = False
+    """Open a teacher of a former version too. It is unpickled, which runs any
+    code that its author put there: only for authors whom you trust."""
+
+    steps: int | None = None
+    """Environment steps, over all vehicles. Default:
+    2 000 000 for PPO, 1 000 000 for recurrent PPO,
+    300 000 for agents with a replay buffer,
+    500 000 for a student."""
+
+    seed: int = 0
+    """Of the networks and of the vehicles: same seed, same machine, same agent.
+    Trainings with different seeds share no episode."""
+
+    vehicles: int = 64
+    """Vehicles stepped together."""
+
+    env: str = TORQUE_ID
+    """Id of the environment."""
+
+    uncertainty: tuple[str, ...] | None = None
+    """Uncertainty sets to train on (default: that of ENV), or `mixture` for all but ood;
+    of several, every episode draws one."""
+
+    sensors: tuple[str, ...] | None = None
+    """Sensor presets ideal, rtk, strawa or mocap, or JSON overrides:
+    '{"preset": "rtk", "pose_delay": 0.1}'; of several, each gets its part of
+    the vehicles. `mixture`: rtk; rtk 0.2 s late; strawa; rtk without velocity."""
+
+    reference: str | None = None
+    """Kind of reference to follow, or JSON."""
+
+    duration: float = 30.0
+    """Length of an episode [s]."""
+
+    staggered: bool = True
+    """First episodes end at different times: else all vehicles are beside their
+    path at once, and settled at once, for the whole training."""
+
+    lateral: Literal["sliding", "constrained"] = "sliding"
+    """Lateral closure of the plant."""
+
+    env_args: str | None = None
+    """Further arguments of the environment, as JSON:
+    '{"plant": "distributed"}'."""
+
+    output: Folder | None = None
+    """Folder of the training. Default:
+    runs/AGENT-MEMORY-seedSEED, and of Speed-v0
+    runs/Speed-v0/AGENT-MEMORY-seedSEED."""
+
+    resume: bool = False
+    """Go on from the last checkpoint in OUTPUT; starts
+    where there is none, does nothing where it is finished."""
+
+    overwrite: bool = False
+    """Train anew, though OUTPUT holds a training: its files are deleted."""
+
+    evaluate_every: int | None = None
+    """Steps between evaluations on held-out episodes;
+    default is a tenth of all."""
+
+    held_out: int = 64
+    """Held-out episodes; 0 evaluates never and keeps the last agent."""
+
+    checkpoint_every: int | None = None
+    """Steps between checkpoints; default is every rollout,
+    or 20 000 for students and agents with a replay buffer."""
+
+    normalise: bool = False
+    """Normalise what the network sees by its running mean and
+    deviation. It is of order one already."""
+
+    precision: float | None = None
+    """Distance of a sharper reward term that only the training sees,
+    over the contact length; 0 leaves it out. Default: 0.075."""
+
+    smoothness: float | None = None
+    """Price of a change of the action, only in training: times its mean
+    square per control step. More drives calmer, less accurately; 0 leaves it out.
+    Default: 1 for PPO, 0 for agents with a replay buffer, which it keeps from learning."""
+
+    lags: tuple[int, ...] = LAGS
+    """Of memory history and student: ages of the samples [control steps]."""
+
+    residual_scale: float = RESIDUAL_SCALE
+    """Of memory residual: largest correction, over the torque limit."""
+
+    tensorboard: bool = False
+    """Also write TensorBoard logs to OUTPUT."""
+
+    threads: int = 1
+    """Threads of PyTorch; one is often faster than two for networks of this size."""
+
+    quiet: bool = False
+    """Show no progress bar."""
+
+    student: StudentSettings = field(default_factory=StudentSettings)
+    """Settings of memory student."""
+
+    def __post_init__(self) -> None:
+        check(self)
+        if self.agent is not None and self.agent not in ALGORITHMS:
+            known = ", ".join(ALGORITHMS)
+            raise ValueError(f"agent = {self.agent!r}; must be one of {known}")
+        if self.teacher is not None and self.memory != STUDENT:
+            raise ValueError(
+                f"teacher = {self.teacher} with memory {self.memory}; only a student has a "
+                "teacher. Did you mean --memory student?"
+            )
+        if self.memory == STUDENT:
+            self._check_student()
+
+    def _check_student(self) -> None:
+        """Raises ValueError for options that the training of a student would not read."""
+        given = {
+            "agent": self.agent is not None, "normalise": self.normalise,
+            "precision": self.precision is not None, "smoothness": self.smoothness is not None,
+            "staggered": not self.staggered, "tensorboard": self.tensorboard,
+            "residual-scale": self.residual_scale != RESIDUAL_SCALE,
+        }  # fmt: skip
+        for name in (name for name, is_given in given.items() if is_given):
+            value = getattr(self, name.replace("-", "_"))
+            raise ValueError(
+                f"{name} = {value} with memory student; must be left out: a student has the "
+                "algorithm, the network and the normalisation of its teacher, and learns by "
+                f"regression, without rewards. Was --{name} meant for the teacher?"
+            )
+
+    @property
+    def algorithm(self) -> str:
+        """Name of the algorithm: `agent`, or the default one."""
+        return DEFAULT if self.agent is None else self.agent
+
+    @property
+    def folder(self) -> Path:
+        """Where everything goes."""
+        track = "" if self.env == TORQUE_ID else self.env.rpartition("/")[2]
+        name = f"{self.algorithm}-{self.memory}-seed{self.seed}"
+        return self.output or Path("runs", track, name)
+
+
+def options_of_train() -> type[Options]:
+    """`Options` with a choice of, and the settings of, every algorithm that is registered now."""
+    choice: Any = Literal[tuple(ALGORITHMS)]
+    fields = [("agent", choice | None, None)]
+    fields += [
+        (name.replace("-", "_"), of.settings, field(default_factory=of.settings))
+        for name, of in ALGORITHMS.items()
+    ]
+    made = make_dataclass("Config", fields, bases=(Options,), frozen=True)
+    made.__doc__ = Options.__doc__
+    return cast(type[Options], made)

@@ -187,11 +187,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         floats = self.simulation.batch.floats[0]
         terms = floats[b.TERMS : b.TERMS + len(b.REWARD_TERMS)].tolist()
         ended = self.simulation.batch.counters[0, b.TRUNCATED] != 0
-        info: dict[str, Any] = {
-            "tracking_error": floats[b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy(),
-            **dict(zip(INFO_KEYS, terms, strict=True)),
-            "is_success": bool(ended and self.simulation.success[0]),
-        }
+        info: dict[str, Any] = dict(zip(INFO_KEYS, terms, strict=True))
+        info["tracking_error"] = floats[b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy()
+        info["is_success"] = bool(ended and self.simulation.success[0])
         if self.expose_truth:
             truth = self.simulation.truth()
             info["truth"] = {name: float(value[0]) for name, value in truth.items()}

@@ -1,6 +1,7 @@
 """The options of train.py: one dataclass, whose docstrings are its help."""
 
 from dataclasses import dataclass, field, make_dataclass
+from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -193,7 +194,14 @@ class Options:
 
 
 def options_of_train() -> type[Options]:
-    """`Options` with a choice of, and the settings of, every algorithm that is registered now."""
+    """`Options` with a choice of, and the settings of, every algorithm that is registered now.
+
+    Raises ValueError for an algorithm that is called like another option.
+    """
+    taken = {option.name for option in dataclass_fields(Options)}
+    for name in ALGORITHMS:
+        if name.replace("-", "_") in taken:
+            raise ValueError(f"algorithm {name!r}: --{name} is another option; rename it")
     choice: Any = Literal[tuple(ALGORITHMS)]
     fields = [("agent", choice | None, None)]
     fields += [

@@ -31,12 +31,12 @@ paper: $(STAMP) ## run both papers again: their claims, figures, one page each (
 	$(BIN)/python evaluate.py --paper strawa2021 $(EVALUATE_ARGS)
 	$(BIN)/python evaluate.py --paper focchi2025 $(EVALUATE_ARGS)
 
-leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the table in the README
+leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the tables of results
 	rm -rf results/leaderboard
 	$(BIN)/python evaluate.py --no-figures --output results/leaderboard
-	$(BIN)/python benchmarks/leaderboard.py results/leaderboard/v2-seed0-*
+	$(BIN)/python benchmarks/publish.py results/leaderboard/v2-seed0-*
 	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --no-figures --output results/leaderboard
-	$(BIN)/python benchmarks/leaderboard.py results/leaderboard/speed-v0-v2-seed0-*
+	$(BIN)/python benchmarks/publish.py results/leaderboard/speed-v0-v2-seed0-*
 
 train: $(STAMP) ## train a PPO agent into runs/ppo-blind-seed0
 	$(BIN)/python train.py $(TRAIN_ARGS)

@@ -21,7 +21,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -32,6 +31,7 @@ except ImportError:
     sys.exit("evaluate.py needs tyro: run `make install`, or pip install 'tracked-env[cli]'")
 
 from baselines.registry import BY_DRIVE, POLICIES
+from reproduce.command import main as run_paper
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import (
     BenchmarkConfig,
@@ -40,7 +40,7 @@ from tracked_env.benchmark import (
     check,
     default_sets,
     leaderboard,
-    page,
+    leaderboard_page,
     report,
 )
 from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
@@ -117,8 +117,8 @@ class Config:
     """Instead of the length of the episodes of each set [s]."""
 
     lateral: Literal["sliding", "constrained"] = "sliding"
-    """Lateral closure of the plant: sliding tracks, or the ICR
-    held at a constant distance as in the original paper."""
+    """Lateral model of the lumped plant: sliding tracks, or the
+    ICR at a constant distance, as in the paper."""
 
     output: Path = Path("results")
     """Folder for results; each configuration gets its own in
@@ -132,7 +132,7 @@ class Config:
 
     paper: Literal["none", "strawa2021", "focchi2025"] = "none"
     """Instead of the benchmark, run a paper's experiments again:
-    its claims beside what comes out, its figures, one page."""
+    its claims beside the results, its figures, one page."""
 
     chunk: int = 64
     """Episodes run and stored together; numbers do not change."""
@@ -199,35 +199,6 @@ def draw(
         print(f"not drawn: {error}", file=sys.stderr)
 
 
-def reproduce(config: Config) -> int:
-    """A paper's experiments: run them, print what it claims beside what comes out, write the page.
-
-    Without matplotlib the page has no figures.
-    """
-    began = time.perf_counter()
-    folder = config.output / config.paper
-    folder.mkdir(parents=True, exist_ok=True)
-    paper = import_module(f"reproduce.{config.paper}")
-    page, claims = (import_module(f"{paper.__name__}.{part}") for part in ("page", "claims"))
-    baseline = import_module(f"reproduce.{config.paper}.baseline_tools")
-
-    def say(text: str) -> None:
-        print(f"{time.perf_counter() - began:5.0f} s  {text}", flush=True)
-
-    results = paper.run_everything(paper.Tools(**baseline.TOOLS), say)
-    say("page")
-    try:
-        files = page.write(results, folder, config.figures)
-    except ImportError as error:
-        print(f"not drawn: {error}", file=sys.stderr)
-        files = page.write(results, folder, draw=False)
-    print(f"\n{page.terminal(claims.claims(results))}\n")
-    names = ", ".join(file.name for file in files if file.suffix != ".png")
-    drawn = sum(file.suffix == ".png" for file in files)
-    print(f"{names} and {drawn} figures in {folder}; {time.perf_counter() - began:.0f} s")
-    return 0
-
-
 def open_archive(path: Path, trust: bool = False) -> PolicyEntry:
     """A trained agent; PyTorch is imported only here. trust: unpickle it if need be.
 
@@ -257,14 +228,16 @@ def write_leaderboard(
     for name, path in paths:
         folders.setdefault(name, []).append(path.parent)
     curves = leaderboard.read_curves(folders)
-    page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
+    leaderboard_page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
     return leaderboard.terminal(board)
 
 
 def main(config: Config) -> int:
     """Run what is asked for; returns the exit status. One line on stderr says what failed."""
     try:
-        return reproduce(config) if config.paper != "none" else compare(config)
+        if config.paper != "none":
+            return run_paper(config.paper, config.output, config.figures)
+        return compare(config)
     except (PolicyError, OSError) as error:
         print(f"evaluate.py: {error}", file=sys.stderr)
         return 1

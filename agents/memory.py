@@ -23,6 +23,7 @@ from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
+from tracked_env.physics.elementary import wrap_angle
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.wrappers import FEATURE_BOUND, IdentifiedVectorObservation, Observer, joined
 
@@ -134,12 +135,11 @@ def known_features(observation: Floats, known: Identification, nominal: PlantPar
     motion, reference = known.motion, known.reading.reference
     ahead_x, ahead_y = reference[:, 0] - motion.x, reference[:, 1] - motion.y
     cosine, sine = np.cos(motion.yaw), np.sin(motion.yaw)
-    turn = reference[:, 2] - motion.yaw
     wanted = observation[:, _WANTED] * layout.SCALE[_WANTED]
     errors = (
         cosine * ahead_x + sine * ahead_y,
         cosine * ahead_y - sine * ahead_x,
-        turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
+        wrap_angle(reference[:, 2] - motion.yaw),
         wanted[:, 0] - motion.v_x,
         motion.v_y,
         wanted[:, 1] - motion.yaw_rate,

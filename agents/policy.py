@@ -50,7 +50,9 @@ class AgentState(NamedTuple):
 class AgentPolicy:
     """Network, memory and normalisation as one policy, for one vehicle or a batch.
 
-    model: of Stable-Baselines3. kind, options: of `make_memory`. context: of the environment.
+    model: of Stable-Baselines3, which sees the fields of `observation.V0`; they are looked up by
+    name in what the environment of `context` shows. kind, options: of `make_memory`.
+    Raises ValueError where it does not show them all.
     """
 
     def __init__(
@@ -64,6 +66,7 @@ class AgentPolicy:
         self.model = model
         self.normalisation = normalisation
         self._recipe = (kind, dict(options), context)
+        self._view = layout.View(context.observation, hint="The agent widens it by itself.")
         self._given: AgentState | None = None
         self.memory: Memory = make_memory(*self._recipe, 1)
 
@@ -81,13 +84,8 @@ class AgentPolicy:
         Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
         Raises ValueError for a wrong shape.
         """
-        batch = np.array(observation, dtype=np.float32, ndmin=2)
+        batch = self._view(observation)
         count = len(batch)
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). The agent widens it by itself."
-            )
         start = np.full(count, state is None)
         if episode_start is not None:
             start |= np.asarray(episode_start, dtype=bool)

@@ -18,6 +18,7 @@ from agents.policy import AgentPolicy, AgentState, Normalisation, Predictor
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.terramechanics import GRAVITY, mohr_coulomb
 from tracked_env.wrappers import FEATURE_BOUND
 
 Floats = NDArray[np.float32]
@@ -32,15 +33,12 @@ DIFFERENCES = {
     "slip_left": 0.5, "slip_right": 0.5,
 }  # fmt: skip
 PRIVILEGED = (*RATIOS, *DIFFERENCES)
-GRAVITY = 9.81  # [m/s^2]; only scales the weight in the traction limit
 
 
 def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
     """The truth and the largest effort F_max of one track [N], Mohr-Coulomb."""
-    area = truth["track_width"] * truth["contact_length"]
-    limit = area * truth["cohesion"] + 0.5 * GRAVITY * truth["mass"] * np.tan(
-        truth["friction_angle"]
-    )
+    area, load = truth["track_width"] * truth["contact_length"], 0.5 * GRAVITY * truth["mass"]
+    limit = mohr_coulomb(truth["cohesion"], np.tan(truth["friction_angle"]), area, load)
     return {**truth, "traction_limit": limit}
 
 

@@ -1,4 +1,4 @@
-"""Named policies for the benchmark: what each knows of the vehicle and its soil.
+"""Named policies for the benchmark: the knowledge that each has of the vehicle and its soil.
 
     nominal   the feedback-linearizing controller with the nominal parameters, right or wrong
     adaptive  the same controller with the parameters that it identifies under way
@@ -10,10 +10,11 @@ For vehicles driven by their sprocket speeds:
     slc-adaptive  the same controller with the slip of the friction that it identifies under way
     slc-oracle    the same controller with the slip of the true soil
 A factory takes a context with `control_period` [s], `lateral` (closure), `sensors` (data sheet:
-the noise of the sensors, which everybody may know), `drive` and `vehicle`.
+the noise of the sensors, which every policy may use), `drive`, `vehicle`, and `observation` (names
+of its fields). `register` adds a controller.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -50,6 +51,10 @@ class Context(Protocol):
     @property
     def vehicle(self) -> str:
         """Nominal vehicle and soil, a key of VEHICLES."""
+
+    @property
+    def observation(self) -> Sequence[str]:
+        """Names of the fields that the environment shows."""
 
 
 class OraclePolicy:
@@ -99,8 +104,9 @@ def _vehicle(context: Context, drive: str) -> PlantParameters:
 def nominal(context: Context) -> FeedbackLinearizingController:
     """The controller that trusts the nominal parameters."""
     return FeedbackLinearizingController(
-        _vehicle(context, "torque"), control_period=context.control_period, lateral=context.lateral
-    )
+        _vehicle(context, "torque"), control_period=context.control_period,
+        lateral=context.lateral, observation=context.observation,
+    )  # fmt: skip
 
 
 def _arguments(context: Context) -> dict[str, Any]:
@@ -109,6 +115,7 @@ def _arguments(context: Context) -> dict[str, Any]:
         "control_period": context.control_period,
         "data_sheet": DataSheet.of(context.sensors),
         "lateral": context.lateral,
+        "observation": context.observation,
     }
 
 
@@ -127,6 +134,7 @@ def _speed_arguments(context: Context) -> dict[str, Any]:
         "parameters": _vehicle(context, "speed"),
         "control_period": context.control_period,
         "data_sheet": DataSheet.of(context.sensors),
+        "observation": context.observation,
     }
 
 
@@ -160,6 +168,18 @@ POLICIES: dict[str, Callable[[Any], Any]] = {
     "slc-adaptive": slc_adaptive,
     "slc-oracle": slc_oracle,
 }
+
+
+def register(name: str, factory: Callable[[Any], Any]) -> None:
+    """Add a controller: factory(context) makes a fresh one, see the head of the file.
+
+    From then on it has a name for the benchmark. Raises ValueError for a name that is taken.
+    """
+    if name in POLICIES:
+        raise ValueError(f"policy {name!r} is registered already; known are {sorted(POLICIES)}")
+    POLICIES[name] = factory
+
+
 # Those for each kind of drive, from the least to the most that is known.
 BY_DRIVE = {
     "torque": ("nominal", "adaptive", "oracle"),

@@ -1,10 +1,11 @@
 """How fast the environment is, beside its peers measured in the same run.
 
-    python benchmarks/speed.py [--seconds 2.0] [--training-steps 100000] [--output FILE.md]
+    python benchmarks/speed.py [--seconds 2.0] [--training-steps 100000] [--publish]
 
 Every figure is the best of several repetitions (the machine's other work only ever slows a
 repetition down), rows are interleaved, and each comes with its ratio to a peer. Nothing is
-asserted: timings are for reading. `--output` also writes the table as Markdown.
+asserted: timings are for reading. `--output` also writes the table as Markdown,
+`--publish` into docs/speed.md.
 
 The row of a training runs train.py as it stands, with its default settings. It needs the extras
 `rl` and `cli`; without them it is left out, and that is said. `--training-steps 0` leaves it out.
@@ -30,6 +31,7 @@ import numpy as np
 
 import tracked_env
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from tracked_env.benchmark.files import replace_block
 from tracked_env.engine.columns import bytes_per_vehicle
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.patch_dynamics import hold_speeds
@@ -320,6 +322,9 @@ def main() -> None:
         "--training-steps", type=int, default=100_000, help="of each training; 0 leaves its row out"
     )
     parser.add_argument("--output", type=Path, help="also write the Markdown table to this file")
+    parser.add_argument(
+        "--publish", action="store_true", help="also renew the table in docs/speed.md"
+    )
     arguments = parser.parse_args()
     cold, warm = start_up()
     rows = measure(arguments.seconds) + training_rows(arguments.training_steps)
@@ -327,6 +332,8 @@ def main() -> None:
     print(table)
     if arguments.output:
         arguments.output.write_text(table + "\n")
+    if arguments.publish:
+        replace_block(ROOT / "docs" / "speed.md", "speed table", table)
 
 
 if __name__ == "__main__":

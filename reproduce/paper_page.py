@@ -1,18 +1,20 @@
-"""What the packages that run a paper again share: claims, their table, and the page.
+"""The page of a paper: its claims beside what comes out, figures and tables.
 
-A page is Markdown, and HTML where markdown-it is installed: a head, the claims of the paper beside
-what comes out, figures and tables.
+It is Markdown, and HTML where markdown-it is installed.
 """
 
 import math
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from tracked_env.benchmark.report import aligned, markdown_rows
 
-Rows = list[list[str]]
+Rows = list[list[str]]  # of a table, header first
 Figures = dict[str, tuple[Path, str]]  # {name: (file, caption)}
+R = TypeVar("R")  # results of all experiments of one paper
 
 STYLE = """<meta charset="utf-8"><style>
 body { font: 15px/1.45 sans-serif; max-width: 72em; margin: 2em auto; padding: 0 1em; }
@@ -24,21 +26,13 @@ img { max-width: 100%; }
 
 
 class Claim(NamedTuple):
-    """One line of the table."""
+    """One claim of the paper, and whether the runs agree with it."""
 
     place: str  # in the paper
     claim: str
     ours: str
     agrees: str
     why: str
-
-
-class Table(NamedTuple):
-    """One table of the page."""
-
-    title: str
-    text: str  # what stands above it
-    rows: Rows  # header first
 
 
 def percent(value: float) -> str:
@@ -55,27 +49,13 @@ def verdict(*agreed: bool) -> str:
 
 
 def claims_table(found: Sequence[Claim]) -> Rows:
-    """Rows, header first."""
+    """One line per claim."""
     return [["place", "claim of the paper", "our number", "agrees?", "why / conditions"],
             *(list(claim) for claim in found)]  # fmt: skip
 
 
-def markdown(head: str, found: Sequence[Claim], figures: Figures, tables: Sequence[Table]) -> str:
-    """The page; figures are linked by their names alone."""
-    rows = claims_table(found)
-    parts = [head, "## Claims\n", markdown_rows(rows, names=len(rows[0])) + "\n"]
-    if figures:
-        parts.append("## Figures\n")
-        parts += [f"![{name}]({file.name})\n\n{caption}\n" for name, (file, caption)
-                  in figures.items()]  # fmt: skip
-    parts.append("## Tables\n")
-    for title, text, table in tables:
-        parts.append(f"### {title}\n\n{text}\n\n{markdown_rows(table)}\n")
-    return "\n".join(parts)
-
-
 def html(text: str) -> str | None:
-    """The page as HTML; None when markdown-it is not installed."""
+    """Markdown as HTML; None when markdown-it is not installed."""
     try:
         from markdown_it import MarkdownIt
     except ImportError:
@@ -83,20 +63,47 @@ def html(text: str) -> str | None:
     return STYLE + str(MarkdownIt("commonmark").enable("table").render(text))
 
 
-def write(text: str, folder: Path, figures: Figures) -> list[Path]:
-    """Write page.md, and page.html if possible, to `folder`. Returns all files, figures last."""
-    folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / "page.md"]
-    files[0].write_text(text, encoding="utf-8")
-    page = html(text)
-    if page is not None:
-        files.append(folder / "page.html")
-        files[1].write_text(page, encoding="utf-8")
-    return [*files, *(file for file, _ in figures.values())]
+@dataclass(frozen=True)
+class PaperPage(Generic[R]):
+    """What the page of one paper is made of."""
+
+    head: str  # title, conditions, and what is not covered
+    claims: Callable[[R], list[Claim]]
+    tables: Mapping[str, tuple[Callable[[R], Rows], str]]  # {title: (rows, text above them)}
+    save_figures: Callable[[R, Path], Figures]  # to a folder; ImportError without matplotlib
+
+    def markdown(self, results: R, figures: Figures) -> str:
+        """The page; figures are linked by their names alone."""
+        rows = claims_table(self.claims(results))
+        parts = [self.head, "## Claims\n", markdown_rows(rows, names=len(rows[0])) + "\n"]
+        if figures:
+            parts.append("## Figures\n")
+            parts += [f"![{name}]({file.name})\n\n{caption}\n" for name, (file, caption)
+                      in figures.items()]  # fmt: skip
+        parts.append("## Tables\n")
+        for title, (table, text) in self.tables.items():
+            parts.append(f"### {title}\n\n{text}\n\n{markdown_rows(table(results))}\n")
+        return "\n".join(parts)
+
+    def write(self, results: R, folder: Path, draw: bool = True) -> list[Path]:
+        """Write page.md, figures beside it, and page.html if possible. Returns the files.
+
+        draw: without figures when False. Raises ImportError when matplotlib is missing.
+        """
+        folder.mkdir(parents=True, exist_ok=True)
+        figures = self.save_figures(results, folder) if draw else {}
+        text = self.markdown(results, figures)
+        files = [folder / "page.md"]
+        files[0].write_text(text, encoding="utf-8")
+        page = html(text)
+        if page is not None:
+            files.append(folder / "page.html")
+            files[1].write_text(page, encoding="utf-8")
+        return [*files, *(file for file, _ in figures.values())]
 
 
 def terminal(found: Sequence[Claim], width: int = 118) -> str:
-    """The claims as a table that fits a terminal: reasons are on the page."""
+    """The claims as a table that fits a terminal; the reasons are on the page only."""
     rows = [[claim.place, claim.claim, claim.ours, claim.agrees] for claim in found]
     head = ["place", "claim of the paper", "here", "agrees?"]
     return aligned(_wrapped([head, *rows], width), names=len(head))
@@ -104,8 +111,6 @@ def terminal(found: Sequence[Claim], width: int = 118) -> str:
 
 def _wrapped(rows: Rows, width: int) -> Rows:
     """Cells broken into lines of their own, so that no line is longer than `width`."""
-    import textwrap
-
     free = width - 8 - max(len(row[0]) for row in rows) - 12
     limits = [math.inf, int(0.42 * free), free - int(0.42 * free), 12]
     broken = []

@@ -1,6 +1,7 @@
 """What all tests share: no window, no sound, no display, and where reference data lies."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -33,3 +34,24 @@ def reference_data() -> Path:
             f"reference data not found at {folder}; set TRACKED_ENV_REFERENCE_DATA to its folder"
         )
     return folder
+
+
+@pytest.fixture
+def registries() -> Iterator[None]:
+    """What a test registers is gone after it."""
+    from baselines import registry
+    from baselines.estimators import stack
+    from tracked_env import observation, sensors, uncertainty
+    from tracked_env.benchmark import sets
+
+    tables = (
+        sensors.ADDED, observation.GROUPS, uncertainty.UNCERTAINTY_SETS, uncertainty.DESCRIPTIONS,
+        sets.SETS, stack.REGISTERED, registry.POLICIES,
+    )  # fmt: skip
+    before = [dict(table) for table in tables]
+    yield
+    for table, old in zip(tables, before, strict=True):
+        table.clear()
+        table.update(old)
+    observation._layout.cache_clear()
+    sensors._fixed_part.cache_clear()

@@ -13,6 +13,7 @@ from gymnasium.wrappers import RecordEpisodeStatistics, RecordVideo
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
+import tracked_env
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.rllib import env_creator
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -187,6 +188,18 @@ def test_a_time_limit_of_the_registration_holds_for_the_vector_as_for_one(limit,
             assert np.array_equal(
                 ours.reset(options=dict(options))[0], theirs.reset(options=dict(options))[0]
             )
+
+
+@pytest.mark.parametrize("name", [tracked_env.TORQUE_ID, tracked_env.SPEED_ID])
+def test_an_id_has_no_step_limit_so_that_a_longer_duration_is_driven_to_its_end(name):
+    assert gymnasium.spec(name).max_episode_steps is None
+    env = gymnasium.make(
+        name, duration=40.0, control_rate=40.0, error_limit=1e6, reference="circle"
+    )
+    env.reset(seed=0)
+    for step in range(1, 1601):
+        _, _, terminated, truncated, _ = env.step(np.zeros(2, np.float32))
+        assert not terminated and truncated == (step == 1600)
 
 
 def test_a_time_limit_below_one_step_is_refused():

@@ -16,7 +16,12 @@ OURS = (
 ALLOWED = {
     "tracked_env.physics": ("tracked_env.physics",),
     "tracked_env": ("tracked_env",),
-    "baselines": ("tracked_env.physics", "tracked_env.observation", "baselines"),
+    "baselines": (
+        "tracked_env.physics",
+        "tracked_env.observation",
+        "tracked_env.validation",
+        "baselines",
+    ),
     "agents": ("tracked_env", "baselines", "agents"),
     "reproduce": ("tracked_env", "baselines", "reproduce"),
     "train": ("tracked_env", "baselines", "agents"),

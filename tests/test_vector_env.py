@@ -9,6 +9,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 
 from tracked_env.engine import columns as b
 from tracked_env.env import TrackedVehicleEnv
+from tracked_env.rewards import INFO_KEYS
 from tracked_env.sb3 import make_vec_env
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -60,14 +61,15 @@ def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(m
         theirs_step = theirs.step(actions)
         for left, right in zip(ours_step[:4], theirs_step[:4], strict=True):
             assert_same(left, right)
-        for key in ("tracking_error", "is_success"):
+        for key in ("tracking_error", "is_success", *INFO_KEYS):
             rows = theirs_step[4].get("_" + key, np.zeros(count, bool))
+            assert ours_step[4]["_" + key].all()
             assert np.array_equal(ours_step[4][key][rows], theirs_step[4][key][rows])
         if "final_obs" in theirs_step[4]:
             assert_same(ours_step[4]["final_obs"], theirs_step[4]["final_obs"])
             assert_same(ours_step[4]["_final_obs"], theirs_step[4]["_final_obs"])
             over = theirs_step[4]["_final_info"]
-            for key in ("tracking_error", "is_success"):
+            for key in ("tracking_error", "is_success", *INFO_KEYS):
                 one = ours_step[4]["final_info"][key][over]
                 assert np.array_equal(one, theirs_step[4]["final_info"][key][over])
         ends += int((ours_step[2] | ours_step[3]).sum())
@@ -226,6 +228,9 @@ def test_the_sb3_adapter_hands_over_terminal_observations_and_learns():
     for i in range(4):
         assert np.array_equal(infos[i]["terminal_observation"], last[i])
         assert infos[i]["TimeLimit.truncated"] is True
+        terms = [infos[i][key] for key in INFO_KEYS]
+        assert {type(term) for term in terms} == {float}
+        assert rewards[i] == pytest.approx(sum(terms), abs=1e-6)
     assert not np.array_equal(observations, last)
     monitored = make_vec_env(n_envs=4, seed=0, env_kwargs={"duration": 0.4})
     assert isinstance(monitored, VecMonitor)
@@ -263,4 +268,4 @@ def test_a_diverged_row_ends_alone_with_finite_numbers_in_every_autoreset_mode(m
             if mode is AutoresetMode.SAME_STEP:
                 last = seen[4]["final_obs"][2]
                 assert env.single_observation_space.contains(last)
-                assert seen[4]["final_info"]["reward_terms"]["position"][2] == 0.0
+                assert seen[4]["final_info"]["reward_position"][2] == 0.0

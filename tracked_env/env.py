@@ -12,6 +12,8 @@ from tracked_env.engine import columns as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
 from tracked_env.plants import Plant
+from tracked_env.rewards import INFO_KEYS
+from tracked_env.uncertainty import Spec
 from tracked_env.validation import checked_choice, checked_flag
 
 RENDER_MODES = ("human", "rgb_array")
@@ -42,14 +44,17 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         straight on; more on the right turns left.
 
         ## Observation Space
-        `Box(float32)`: sensor readings and the reference, each over its scale. No true state.
+        `Box(float32)`: sensor readings and the reference, each over its scale. No true state. The
+        table is that of `observation="v0"`; the attribute `layout` has the names, scales and table
+        of the groups that this environment shows.
 
     OBSERVATION_TABLE
 
         ## Rewards
         Sum of bounded terms (`tracked_env.rewards`), in [-0.1, 1] per step: closeness of position
         (weight 0.7), heading (0.15) and speed (0.15), minus effort (0.05) and change of the action
-        (0.05). They are in `info["reward_terms"]`.
+        (0.05). Each is in `info`: `reward_position`, `reward_heading`, `reward_speed`,
+        `reward_effort`, `reward_smoothness`.
 
         ## Starting State
         Beside the start of the reference: U(-0.15, 0.15) contact lengths l forward and to the
@@ -59,15 +64,18 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         Terminated: more than `error_limit` from the reference, or a non-finite state. Then the
         observation keeps the last readings of the sensors, the reward is the worst, -0.1, and
         `truth` and `tracking_error` show the state as it is.
-        Truncated: after `duration`. No TimeLimit wrapper is needed.
+        Truncated: after `duration`, by the environment itself. `spec.max_episode_steps` is None,
+        because it would be a fixed number of steps while `duration` and `control_rate` are
+        arguments: Gymnasium's TimeLimit would cut longer episodes in their middle.
 
         ## Arguments
-        All are JSON-able; `tracked_env/Speed-v0` has defaults of its own (`tracked_env.SPEED`).
+        All but a function are JSON-able; `tracked_env/Speed-v0` has defaults of its own
+        (`tracked_env.SPEED`).
 
         | argument | default | meaning |
         |--|--|--|
         | `reference` | `"random"` | name or dict, see `tracked_env.references` |
-        | `uncertainty` | `"soil-and-mass"` | set by name, or {parameter: [low, high]} |
+        | `uncertainty` | `"soil-and-mass"` | set by name, {parameter: [low, high]}, or a function |
         | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, `mocap`, or dict of overrides |
         | `duration` | 30 | [s] of an episode |
         | `control_rate` | 50 | [Hz] of actions and observations |
@@ -80,6 +88,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `drive` | `"torque"` | what the actions are; `"speed"` needs the distributed plant |
         | `patches` | (10, 4) | of the distributed plant: along and across a track |
         | `plant_options` | None | {option: value} of the plant, see its file in `plants/` |
+        | `observation` | `"v0"` | groups that are shown: a list of names from the table above |
         | `expose_truth` | False | put true state and parameters into `info["truth"]` |
         | `render_mode` | None | `"human"` or `"rgb_array"` |
 
@@ -90,8 +99,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         not read (docs/uncertainty.md has the table).
 
         ## Info
-        `tracking_error` (2,) [m, rad]: distance to the reference, heading error; `reward_terms`;
-        `is_success`: ended by time with an RMSE below l/4; `truth` when asked for.
+        `tracking_error` (2,) [m, rad]: distance to the reference, heading error; the terms of the
+        reward, one number each; `is_success`: ended by time with an RMSE below l/4; `truth` when
+        asked for.
 
         ## Version History
         * v0: initial version
@@ -105,7 +115,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     def __init__(
         self,
         reference: str | Mapping[str, Any] = "random",
-        uncertainty: str | Mapping[str, Any] = "soil-and-mass",
+        uncertainty: Spec = "soil-and-mass",
         sensors: str | Mapping[str, Any] = "rtk",
         duration: float = 30.0,
         control_rate: float = 50.0,
@@ -117,6 +127,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         drive: str = "torque",
         patches: Sequence[int] = (10, 4),
         plant_options: Mapping[str, Any] | None = None,
+        observation: str | Sequence[str] = "v0",
         expose_truth: bool = False,
         render_mode: str | None = None,
     ) -> None:
@@ -124,13 +135,14 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             checked_choice("render_mode", render_mode, RENDER_MODES)
         config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, 1, vehicle, plant, drive, patches, plant_options,
+            time_step, 1, vehicle, plant, drive, patches, plant_options, observation,
         )  # fmt: skip
         self.simulation = Simulation(1, config)
+        self.layout = self.simulation.layout
         self.expose_truth = checked_flag("expose_truth", expose_truth)
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": round(control_rate)}
-        self.observation_space = gymnasium.spaces.Box(obs.LOW, obs.HIGH, dtype=np.float32)
+        self.observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Any = None
 
@@ -177,7 +189,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         ended = self.simulation.batch.counters[0, b.TRUNCATED] != 0
         info: dict[str, Any] = {
             "tracking_error": floats[b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy(),
-            "reward_terms": dict(zip(b.REWARD_TERMS, terms, strict=True)),
+            **dict(zip(INFO_KEYS, terms, strict=True)),
             "is_success": bool(ended and self.simulation.success[0]),
         }
         if self.expose_truth:

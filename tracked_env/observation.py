@@ -1,19 +1,28 @@
-"""What an agent sees: the layout of the observation, defined once, by name.
+"""What an agent sees: fields in named groups, and the layouts that are made of groups.
 
-The observation is a float32 vector of dimensionless numbers: each quantity in SI units
-divided by its scale (so that a network sees values of order one) and clipped to its bound.
-`unpack` gives the SI quantities back by name. Only sensors and the reference enter it; no
-true state, no true parameter. Left/right and signs follow NOTATION.md.
+The observation is a float32 vector of dimensionless numbers: each quantity in SI units divided by
+its scale (so that a network sees values of order one) and clipped to its bound. Only sensors and
+the reference enter it; no true state, no true parameter. Left/right and signs follow NOTATION.md.
+
+A `Layout` is a sequence of groups; an environment is made with one: `observation="v0"`, or the
+names of the groups. `register` adds a group. Columns are looked up by the name of their field, so
+that a policy drives wherever the fields that it needs are shown: `columns`, `View`.
+The compiled loops write the fields of `V0` and nothing else; see `tracked_env.engine.composing`.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.physics.jit import formula
+from tracked_env.validation import checked_choice, unknown
 
 LOOK_AHEAD = (0.25, 0.5, 1.0, 2.0)  # [s] times at which the coming reference is shown
+
+Known = Mapping[str, NDArray[np.float64]]
 
 
 class Field(NamedTuple):
@@ -24,7 +33,22 @@ class Field(NamedTuple):
     scale: float  # SI value that is shown as 1
     bound: float  # SI value at which it is clipped, both signs
     meaning: str
-    mirrored: bool  # changes sign when left and right are exchanged; True also for L/R pairs
+    mirrored: bool = False  # changes sign when left and right are exchanged; True for L/R pairs
+    signed: bool = True  # False: it is never negative
+
+
+class Group(NamedTuple):
+    """Fields that are shown together.
+
+    values: of a registered group, what its fields are, {field: (N,)} in SI units, from what an
+    agent may know: the fields of `V0` and the samples of `channels`, by name, in SI units. None:
+    each field is the channel of its name.
+    """
+
+    name: str
+    fields: tuple[Field, ...]
+    channels: tuple[str, ...] = ()  # registered sensor channels that it reads
+    values: Callable[[Known], Known] | None = None
 
 
 def _ahead(kind: str, unit: str, scale: float, bound: float, mirrored: bool) -> tuple[Field, ...]:
@@ -41,109 +65,265 @@ def _ahead(kind: str, unit: str, scale: float, bound: float, mirrored: bool) -> 
     )
 
 
-FIELDS: tuple[Field, ...] = (
+_POSE_ERROR = (
     Field("position_error_x", "m", 1.0, 20.0, "reference ahead of the measured position", False),
     Field("position_error_y", "m", 1.0, 20.0, "reference to the left of it", True),
     Field("heading_error", "rad", 0.5, 4.0, "reference heading minus measured yaw", True),
+)
+_MOTION = (
     Field("v_x", "m/s", 2.0, 40.0, "measured forward velocity", False),
     Field("v_y", "m/s", 0.5, 40.0, "measured lateral velocity", True),
     Field("yaw_rate", "rad/s", 0.5, 20.0, "gyro", True),
     Field("acceleration_x", "m/s^2", 2.0, 200.0, "forward accelerometer", False),
     Field("acceleration_y", "m/s^2", 2.0, 200.0, "lateral accelerometer", True),
     Field("yaw_acceleration", "rad/s^2", 2.0, 400.0, "from two accelerometers", True),
+)
+_DRIVE = (
     Field("sprocket_speed_left", "rad/s", 6.0, 200.0, "left sprocket encoder", True),
     Field("sprocket_speed_right", "rad/s", 6.0, 200.0, "right sprocket encoder", True),
     Field("torque_left", "N m", 4000.0, 40000.0, "torque transmitted at the left sprocket", True),
     Field("torque_right", "N m", 4000.0, 40000.0, "torque transmitted at the right sprocket", True),
+)
+_REFERENCE = (
     Field("reference_speed", "m/s", 2.0, 40.0, "reference speed v, signed", False),
     Field("reference_acceleration", "m/s^2", 2.0, 100.0, "dv/dt of the reference", False),
     Field("reference_jerk", "m/s^3", 4.0, 400.0, "d2v/dt2 of the reference", False),
     Field("reference_yaw_rate", "rad/s", 0.5, 20.0, "reference yaw rate w", True),
     Field("reference_yaw_acceleration", "rad/s^2", 1.0, 100.0, "dw/dt of the reference", True),
+)
+_LOOK_AHEAD = (
     *_ahead("speed", "m/s", 2.0, 40.0, False),
     *_ahead("yaw_rate", "rad/s", 0.5, 20.0, True),
+)
+_ACTION = (
     Field("previous_action_left", "-", 1.0, 1.0, "left action of the step before", True),
     Field("previous_action_right", "-", 1.0, 1.0, "right action of the step before", True),
-    Field("pose_age", "s", 1.0, 60.0, "age of position, heading and velocity", False),
-    Field(
-        "inertial_age", "s", 1.0, 60.0, "age of accelerations, yaw rate, yaw acceleration", False
-    ),
-    Field("drive_age", "s", 1.0, 60.0, "age of sprocket speeds and torques", False),
 )
-NAMES = tuple(field.name for field in FIELDS)
-SIZE = len(FIELDS)
-INDEX = {name: index for index, name in enumerate(NAMES)}
-SCALE: NDArray[np.float64] = np.array([field.scale for field in FIELDS])
-BOUND: NDArray[np.float32] = np.array([f.bound / f.scale for f in FIELDS], dtype=np.float32)
-LOW: NDArray[np.float32] = np.where([f.endswith("_age") for f in NAMES], 0.0, -BOUND).astype(
-    np.float32
-)
-HIGH = BOUND
-INVERSE_SCALE: NDArray[np.float64] = 1.0 / SCALE
-_BOUND64: NDArray[np.float64] = BOUND.astype(np.float64)
+_AGES = {
+    "pose_age": "age of position, heading and velocity",
+    "inertial_age": "age of accelerations, yaw rate, yaw acceleration",
+    "drive_age": "age of sprocket speeds and torques",
+}
+_AGE = tuple(Field(name, "s", 1.0, 60.0, of, signed=False) for name, of in _AGES.items())
 
-_LEFT_RIGHT = [
-    (INDEX[name], INDEX[name.replace("_left", "_right")]) for name in NAMES if "_left" in name
-]
+GROUPS: dict[str, Group] = {
+    name: Group(name, fields)
+    for name, fields in {
+        "pose_error": _POSE_ERROR, "motion": _MOTION, "drive": _DRIVE, "reference": _REFERENCE,
+        "look_ahead": _LOOK_AHEAD, "action": _ACTION, "age": _AGE,
+    }.items()
+}  # fmt: skip
+VERSIONS = {"v0": tuple(GROUPS)}  # layouts by name; what a name stands for never changes
+
+
+class Layout:
+    """The fields of some groups, in order; see `make_layout`. It is never changed."""
+
+    def __init__(self, groups: tuple[Group, ...]) -> None:
+        self.parts = groups
+        self.groups = tuple(group.name for group in groups)
+        self.fields = tuple(field for group in groups for field in group.fields)
+        self.names = tuple(field.name for field in self.fields)
+        # Registered sensor channels that its groups read.
+        self.channels = tuple(dict.fromkeys(name for group in groups for name in group.channels))
+        self.size = len(self.fields)
+        self.index = {name: column for column, name in enumerate(self.names)}
+        self.scale: NDArray[np.float64] = np.array([field.scale for field in self.fields])
+        self.inverse_scale: NDArray[np.float64] = 1.0 / self.scale
+        bound = [field.bound / field.scale for field in self.fields]
+        self.bound: NDArray[np.float32] = np.array(bound, dtype=np.float32)
+        self.low: NDArray[np.float32] = np.where(
+            [field.signed for field in self.fields], -self.bound, 0.0
+        ).astype(np.float32)
+        self.high = self.bound
+        self.limits = (self.low, self.high)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled by the names of its groups."""
+        return make_layout, (self.groups,)
+
+    def __repr__(self) -> str:
+        return f"Layout{self.groups}"
+
+    def columns(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Columns of the fields `names`. Raises ValueError, which names the missing group."""
+        return columns(self.names, names)
+
+    def pack(self, values: Mapping[str, NDArray[np.float64] | float]) -> NDArray[np.float32]:
+        """Build an observation from SI values by name; shape (size,) or (N, size).
+
+        Raises ValueError when a name is missing or unknown.
+        """
+        wrong = set(values) ^ set(self.names)
+        if wrong:
+            raise ValueError(
+                f"observation fields missing or unknown: {sorted(wrong)}; needed are {self.names}"
+            )
+        stacked = np.stack([np.asarray(values[n], dtype=float) for n in self.names], axis=-1)
+        bound = self.bound.astype(np.float64)
+        return np.clip(stacked * self.inverse_scale, -bound, bound).astype(np.float32)
+
+    def unpack(self, observation: NDArray[np.floating]) -> dict[str, NDArray[np.float64]]:
+        """SI values by name from observations of shape (..., size); each value has shape (...).
+
+        Raises ValueError when the last axis is not `size` long.
+        """
+        observation = np.asarray(observation, dtype=np.float64)
+        if observation.shape[-1:] != (self.size,):
+            raise ValueError(
+                f"observation has shape {observation.shape}; its last axis must be {self.size} "
+                "long. Did a wrapper stack or append to it?"
+            )
+        values = np.moveaxis(observation * self.scale, -1, 0)
+        return dict(zip(self.names, values, strict=True))
+
+    def mirror(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The same situation with left and right exchanged; shape (..., size)."""
+        mirrored = np.array(observation, copy=True)
+        for column, field in enumerate(self.fields):
+            left, right = "_left" in field.name, "_right" in field.name
+            if field.mirrored and not left and not right:
+                mirrored[..., column] *= -1.0
+            elif left or right:
+                sides = ("_left", "_right") if left else ("_right", "_left")
+                mirrored[..., column] = observation[..., self.index[field.name.replace(*sides)]]
+        return mirrored
+
+    def markdown_table(self) -> str:
+        """The layout as a Markdown table, for the documentation."""
+        lines = [
+            "| index | group | name | unit | shown as 1 | clipped at | meaning |",
+            "|--|--|--|--|--|--|--|",
+        ]
+        rows = [(group.name, field) for group in self.parts for field in group.fields]
+        for index, (group, f) in enumerate(rows):
+            lines.append(
+                f"| {index} | `{group}` | `{f.name}` | {f.unit} | {f.scale:g} | {f.bound:g} | "
+                f"{f.meaning} |"
+            )
+        return "\n".join(lines)
+
+
+@lru_cache(maxsize=64)
+def _layout(names: tuple[str, ...]) -> Layout:
+    return Layout(tuple(GROUPS[name] for name in names))
+
+
+def make_layout(spec: Any) -> Layout:
+    """A layout from its version ("v0") or from a sequence of the names of its groups.
+
+    Raises ValueError for an unknown version or group, for a group named twice, and for none.
+    """
+    if isinstance(spec, str):
+        return _layout(VERSIONS[checked_choice("observation", spec, VERSIONS)])
+    if isinstance(spec, Mapping) or not isinstance(spec, Sequence) or not spec:
+        raise ValueError(f"observation = {spec!r}; must be 'v0' or a list of groups: {[*GROUPS]}")
+    names = tuple(checked_choice("observation group", name, GROUPS) for name in spec)
+    if len(set(names)) < len(names):
+        raise ValueError(f"observation = {list(names)}; each group can be shown once")
+    return _layout(names)
+
+
+def register(group: Group) -> Group:
+    """Add a group, from then on a name for `observation=[...]`; returns it.
+
+    Its channels are registered beforehand, with `tracked_env.sensors.register`. Raises ValueError
+    for a name that is taken, a field without a positive scale and bound, and for a left field
+    without its right one.
+    """
+    own = [field.name for field in group.fields]
+    taken = {field.name: other.name for other in GROUPS.values() for field in other.fields}
+    if group.name in GROUPS or not own:
+        raise ValueError(f"observation group {group.name!r} is taken, or has no field")
+    for field in group.fields:
+        if field.name in taken or own.count(field.name) > 1:
+            where = taken.get(field.name, group.name)
+            raise ValueError(f"observation field {field.name!r} is in the group {where!r} already")
+        if not (field.scale > 0.0 and field.bound > 0.0):  # NaN is refused
+            raise ValueError(f"field {field.name!r}: scale and bound must be positive")
+        for sides in (("_left", "_right"), ("_right", "_left")):
+            if sides[0] in field.name and field.name.replace(*sides) not in own:
+                raise ValueError(f"field {field.name!r} is without its {sides[1][1:]} one")
+    channels = tuple(own) if group.values is None else group.channels
+    GROUPS[group.name] = group._replace(channels=channels)
+    return GROUPS[group.name]
+
+
+def columns(names: Sequence[str], wanted: Sequence[str]) -> NDArray[np.int64]:
+    """Columns of the fields `wanted` in an observation with the fields `names`.
+
+    Raises ValueError, which names the missing group.
+    """
+    place = {name: column for column, name in enumerate(names)}
+    lacking = [name for name in wanted if name not in place]
+    if lacking:
+        groups = {f.name: group.name for group in GROUPS.values() for f in group.fields}
+        for name in lacking:
+            if name not in groups:
+                raise unknown("observation field", name, groups)
+        missing: dict[str, list[str]] = {}
+        for name in lacking:
+            missing.setdefault(groups[name], []).append(name)
+        parts = [f"group {group} ({', '.join(names)})" for group, names in missing.items()]
+        shown = list(dict.fromkeys(groups[name] for name in names if name in groups))
+        enough = list(dict.fromkeys((*shown, *missing)))
+        raise ValueError(
+            f"the observation lacks {' and '.join(parts)}; it shows {shown}. Make the environment "
+            f"with observation={enough}"
+        )
+    return np.array([place[name] for name in wanted], dtype=np.int64)
+
+
+V0 = make_layout("v0")
+FIELDS, NAMES, SIZE, INDEX = V0.fields, V0.names, V0.size, V0.index
+SCALE, BOUND, LOW, HIGH = V0.scale, V0.bound, V0.low, V0.high
+pack, unpack, mirror, markdown_table = V0.pack, V0.unpack, V0.mirror, V0.markdown_table
+_INVERSE_SCALE = V0.inverse_scale
+_BOUND64: NDArray[np.float64] = BOUND.astype(np.float64)
 
 
 @formula
 def store(out, row, column, value):
-    """Write an SI value into out[row, column] of a float32 observation: scale and clip."""
-    scaled = value * INVERSE_SCALE[column]
+    """Write an SI value into out[row, column] of an observation of V0: scale and clip."""
+    scaled = value * _INVERSE_SCALE[column]
     bound = _BOUND64[column]
     out[row, column] = min(max(scaled, -bound), bound)
 
 
-def pack(values: dict[str, NDArray[np.float64] | float]) -> NDArray[np.float32]:
-    """Build an observation from SI values by name; shape (SIZE,) or (N, SIZE).
+class View:
+    """Observations with the fields `names` as those of V0; what is not shown there is 0.
 
-    Raises ValueError when a name is missing or unknown.
+    needs: fields of V0 that must be shown. hint: likely cause of another shape. Raises ValueError,
+    which names the missing group.
     """
-    wrong = set(values) ^ set(NAMES)
-    if wrong:
-        raise ValueError(
-            f"observation fields missing or unknown: {sorted(wrong)}; needed are {NAMES}"
-        )
-    stacked = np.stack([np.asarray(values[name], dtype=float) for name in NAMES], axis=-1)
-    scaled = np.clip(stacked * INVERSE_SCALE, -_BOUND64, _BOUND64)
-    return scaled.astype(np.float32)
 
+    def __init__(
+        self,
+        names: Sequence[str] = NAMES,
+        needs: Sequence[str] = NAMES,
+        hint: str = "Did a wrapper stack or append to it?",
+    ) -> None:
+        columns(NAMES, needs)
+        self.size, self.hint = len(names), hint
+        self.same = tuple(names) == NAMES
+        shown = [name for name in NAMES if name in names or name in needs]
+        self._from, self._to = columns(names, shown), columns(NAMES, shown)
 
-def unpack(observation: NDArray[np.floating]) -> dict[str, NDArray[np.float64]]:
-    """SI values by name from observations of shape (..., SIZE); each value has shape (...).
+    def __call__(self, observation: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(N, SIZE) float32, from (size,) or (N, size); the array itself where nothing changes.
 
-    Raises ValueError when the last axis is not SIZE long.
-    """
-    observation = np.asarray(observation, dtype=np.float64)
-    if observation.shape[-1:] != (SIZE,):
-        raise ValueError(
-            f"observation has shape {observation.shape}; its last axis must be {SIZE} long. "
-            "Did a wrapper stack or append to it?"
-        )
-    values = np.moveaxis(observation * SCALE, -1, 0)
-    return dict(zip(NAMES, values, strict=True))
-
-
-def mirror(observation: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The same situation with left and right exchanged; shape (..., SIZE)."""
-    mirrored = np.array(observation, copy=True)
-    for index, field in enumerate(FIELDS):
-        if field.mirrored and "_left" not in field.name and "_right" not in field.name:
-            mirrored[..., index] *= -1.0
-    for left, right in _LEFT_RIGHT:
-        mirrored[..., left], mirrored[..., right] = (
-            observation[..., right].copy(),
-            observation[..., left].copy(),
-        )
-    return mirrored
-
-
-def markdown_table() -> str:
-    """The layout as a Markdown table, for the documentation."""
-    lines = ["| index | name | unit | shown as 1 | clipped at | meaning |", "|--|--|--|--|--|--|"]
-    for index, f in enumerate(FIELDS):
-        lines.append(
-            f"| {index} | `{f.name}` | {f.unit} | {f.scale:g} | {f.bound:g} | {f.meaning} |"
-        )
-    return "\n".join(lines)
+        Raises ValueError for another shape.
+        """
+        batch = np.ascontiguousarray(observation, dtype=np.float32)
+        if batch.ndim == 1:
+            batch = batch.reshape(1, -1)
+        if batch.ndim != 2 or batch.shape[1] != self.size:
+            raise ValueError(
+                f"observation has shape {np.shape(observation)}; must be ({self.size},) or "
+                f"(N, {self.size}). {self.hint}"
+            )
+        if self.same:
+            return batch
+        chosen = np.zeros((len(batch), SIZE), dtype=np.float32)
+        chosen[:, self._to] = batch[:, self._from]
+        return chosen

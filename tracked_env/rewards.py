@@ -25,6 +25,7 @@ WEIGHTS = {
     "effort": -0.05,
     "smoothness": -0.05,
 }
+INFO_KEYS = tuple(f"reward_{name}" for name in WEIGHTS)  # of `info`, one number a term
 _LENGTH = b.PARAMETERS + PARAMETER_INDEX["contact_length"]
 _POSITION, _HEADING, _SPEED, _EFFORT, _SMOOTHNESS = (WEIGHTS[name] for name in b.REWARD_TERMS)
 _WORST = tuple(min(WEIGHTS[name], 0.0) for name in b.REWARD_TERMS)

@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from tracked_env import TORQUE_ID
+from tracked_env.rewards import INFO_KEYS
 from tracked_env.validation import checked_flag
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -24,7 +25,8 @@ class TrackedVehicleVecEnv(VecEnv):
     """An SB3 `VecEnv` over a `TrackedVehicleVectorEnv`, wrapped or not, in SAME_STEP mode.
 
     `infos` are empty dicts except for rows that ended: `terminal_observation`,
-    `TimeLimit.truncated`, `is_success`, `tracking_error` (2,) [m, rad], `reward_terms`.
+    `TimeLimit.truncated`, `is_success`, `tracking_error` (2,) [m, rad] and the terms
+    of the reward, `reward_position` and so on.
     staggered: the first episodes end at different times, see `TrackedVehicleVectorEnv`.
     """
 
@@ -66,14 +68,13 @@ class TrackedVehicleVecEnv(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
             final = info["final_info"]
-            terms = {k: v for k, v in final["reward_terms"].items() if not k.startswith("_")}
             for i in np.flatnonzero(dones):
                 infos[i] = {
                     "terminal_observation": info["final_obs"][i],
                     "TimeLimit.truncated": bool(truncated[i]),
                     "is_success": bool(final["is_success"][i]),
                     "tracking_error": final["tracking_error"][i],
-                    "reward_terms": {name: float(value[i]) for name, value in terms.items()},
+                    **{name: float(final[name][i]) for name in INFO_KEYS},
                 }
         return observations, rewards.astype(np.float32), dones, infos
 

@@ -11,6 +11,7 @@ Laws of the draws, once per episode and vehicle:
     gyro and accelerometer bias     = s b, s = -1 or +1 with equal odds, b the data-sheet bias
     noise, every sample             = N(0, sigma^2)
     dropout, every sample and group : lost with probability p; the last sample stays
+`register` adds a channel: its noise and bias are then fields of the presets like the others.
 """
 
 from collections.abc import Mapping
@@ -21,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUPS
+from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUPS, TABLE, Channel
 from tracked_env.physics.parameters import Range
-from tracked_env.validation import checked_choice, checked_keys, checked_number
+from tracked_env.validation import SIGMA, checked_choice, checked_keys, checked_number
 
 DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
 PERIOD_LIMIT = 10.0  # [s] longest sampling period
@@ -57,6 +58,13 @@ class Sensors(NamedTuple):
     inertial_dropout: float = 0.0  # [-]
     drive_dropout: float = 0.0  # [-]
     velocity_measured: float = 1.0  # [-] 0: v_x and v_y read 0, and velocity_noise is UNMEASURED
+    further: tuple[tuple[str, float], ...] = ()  # (field, value) of registered channels, SI
+
+    def value(self, field: str) -> float:
+        """A field by name, also of a registered channel; 0 where nothing is said of it."""
+        if field in self._fields:
+            return float(getattr(self, field))
+        return dict(self.further).get(field, 0.0)
 
 
 IDEAL = Sensors()
@@ -100,9 +108,8 @@ MOCAP = Sensors(
 )
 PRESETS = {"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA, "mocap": MOCAP}
 
-_SIGMA = Range(0.0, 1e4, "its SI unit", "Did you pass a variance or degrees?")
 _RANGES = {
-    **{name: _SIGMA for name in Sensors._fields if name.endswith(("_noise", "_bias"))},
+    **{name: SIGMA for name in Sensors._fields if name.endswith(("_noise", "_bias"))},
     "cross_coupling": Range(0.0, 1.0, "-", "Did you pass a percentage?"),
     "accelerometer_distance": Range(0.01, 10.0, "m", "Did you pass millimetres?"),
     **{f"{group}_rate": Range(0.0, 1e4, "Hz", "0 means every control step.") for group in GROUPS},
@@ -117,11 +124,9 @@ _RANGES = {
     "velocity_measured": Range(0.0, 1.0, "-", "It is 1, measured, or 0, not measured."),
 }
 
-
-_BIASED = [
-    CHANNELS.index(name)
-    for name in ("acceleration_x", "acceleration_y", "yaw_rate", "yaw_acceleration")
-]
+_BIASED = [column for column, channel in enumerate(TABLE) if channel.bias]
+_FIELDS = tuple(name for name in Sensors._fields if name != "further")
+ADDED: dict[str, Channel] = {}  # registered channels by name
 
 
 class SensorDraw(NamedTuple):
@@ -135,6 +140,49 @@ class SensorDraw(NamedTuple):
     delay: NDArray[np.int64]  # (3,) [control steps]
     noisy: bool  # False: no random number is needed
     velocity: float  # 1, or 0 where v_x and v_y are not measured
+    added: tuple[tuple[str, float, float], ...] = ()  # registered channels: name, sigma, |bias|
+
+
+def register(channel: Channel) -> Channel:
+    """Add a sensor channel, from then on for groups of the observation to show; returns it.
+
+    It shares the clock of its group. Its errors are drawn from a stream of its own, so that
+    nothing else changes. Raises ValueError for a name that is taken, an unknown group or preset,
+    and without a function for its true value.
+    """
+    if channel.name in CHANNELS or channel.name in ADDED:
+        raise ValueError(f"sensor channel {channel.name!r} is registered already")
+    checked_choice(f"group of channel {channel.name!r}", channel.group, GROUPS)
+    if not callable(channel.truth):
+        raise ValueError(f"channel {channel.name!r}: truth = {channel.truth!r}; must be a function")
+    own = [name for name in (channel.noise, channel.bias) if name and name not in _FIELDS]
+    for name in own:
+        if not name.endswith(("_noise", "_bias")):
+            raise ValueError(f"channel {channel.name!r}: {name!r} must end in _noise or _bias")
+    for preset, values in channel.presets.items():
+        checked_choice(f"sensor preset of channel {channel.name!r}", preset, PRESETS)
+        for name, value in checked_keys(f"presets of {channel.name!r}", values, own).items():
+            checked_number(name, value, SIGMA)
+    ADDED[channel.name] = channel
+    _fixed_part.cache_clear()
+    return channel
+
+
+def _added_fields() -> dict[str, Mapping[str, Mapping[str, float]]]:
+    """Fields of the registered channels that are not fields of Sensors, with their presets."""
+    return {
+        name: channel.presets
+        for channel in ADDED.values()
+        for name in (channel.noise, channel.bias)
+        if name and name not in _FIELDS
+    }
+
+
+def _preset(name: str) -> Sensors:
+    """A preset with what registered channels say of it."""
+    preset = PRESETS[checked_choice("sensor preset", name, PRESETS)]
+    further = {field: of.get(name, {}).get(field, 0.0) for field, of in _added_fields().items()}
+    return preset._replace(further=tuple(further.items()))
 
 
 def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -> Sensors:
@@ -146,24 +194,34 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
     preset or field and for a value outside its range.
     """
     if isinstance(spec, Sensors):
-        return _stated(
-            Sensors(*(checked_number(n, v, _RANGES[n]) for n, v in spec._asdict().items()))
-        )
+        fields = {
+            name: checked_number(name, getattr(spec, name), _RANGES[name]) for name in _FIELDS
+        }
+        registered = ((name, checked_number(name, value, SIGMA)) for name, value in spec.further)
+        return _stated(Sensors(**fields, further=tuple(registered)))
     if spec is None:
         raise ValueError(
             "sensors = None; must be a preset by name or a dict. "
             "Did you mean 'ideal', sensors without error?"
         )
     if isinstance(spec, str):
-        return PRESETS[checked_choice("sensor preset", spec, PRESETS)]
-    given = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields)))
+        return _preset(spec)
+    added = _added_fields()
+    # As `Sensors._asdict()` has it, the fields of registered channels may stand together.
+    given = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields, *added)))
+    given = {**checked_keys("sensors", dict(given.pop("further", ())), added), **given}
     if "preset" in given:
-        base = PRESETS[checked_choice("sensor preset", given.pop("preset"), PRESETS)]
-    values = {name: checked_number(name, value, _RANGES[name]) for name, value in given.items()}
+        base = _preset(given.pop("preset"))
+    checked = {
+        name: checked_number(name, value, _RANGES.get(name, SIGMA)) for name, value in given.items()
+    }
+    values = {name: value for name, value in checked.items() if name in _FIELDS}
+    own = {name: value for name, value in checked.items() if name in added}
     again = values.get("velocity_measured", 0.0) > base.velocity_measured
     if again and "velocity_noise" not in values:
         raise ValueError("velocity_measured = 1 again; name its velocity_noise [m/s] as well")
-    return _stated(base._replace(**values))
+    further = tuple({**dict(base.further), **own}.items())
+    return _stated(base._replace(**values, further=further))
 
 
 def _stated(sensors: Sensors) -> Sensors:
@@ -175,18 +233,16 @@ def _stated(sensors: Sensors) -> Sensors:
     return sensors
 
 
-def _sigma(sensors: Sensors) -> NDArray[np.float64]:
-    s = sensors
-    yaw_acceleration = float(np.sqrt(2.0)) * s.acceleration_noise / s.accelerometer_distance
-    return np.array(
-        [s.position_noise] * 2
-        + [s.yaw_noise]
-        + [s.velocity_noise if s.velocity_measured else 0.0] * 2
-        + [s.acceleration_noise] * 2
-        + [s.gyro_noise, yaw_acceleration]
-        + [s.sprocket_speed_noise] * 2
-        + [s.torque_noise] * 2
-    )
+def _error(sensors: Sensors, channel: Channel, field: str) -> float:
+    """Sigma or bias magnitude of a channel, from a field of the sensors.
+
+    Two sensors a distance D apart, each with that error: sqrt(2) times it, over D.
+    """
+    if not field or (channel.switch and not sensors.value(channel.switch)):
+        return 0.0
+    if channel.differential:
+        return float(np.sqrt(2.0)) * sensors.value(field) / sensors.accelerometer_distance
+    return sensors.value(field)
 
 
 def _steps(sensors: Sensors, control_period: float) -> tuple[list[int], list[int]]:
@@ -201,16 +257,20 @@ def _steps(sensors: Sensors, control_period: float) -> tuple[list[int], list[int
 
 
 @lru_cache(maxsize=256)
-def _fixed_part(sensors: Sensors, control_period: float) -> tuple[SensorDraw, NDArray[np.float64]]:
+def _fixed_part(
+    sensors: Sensors, control_period: float, added: tuple[str, ...]
+) -> tuple[SensorDraw, NDArray[np.float64]]:
     """The draw without its biases, and the magnitudes of the four biases that get a sign."""
     probability = np.array([getattr(sensors, f"{group}_dropout") for group in GROUPS])
     periods, delays = _steps(sensors, control_period)
-    sigma = _sigma(sensors)
+    sigma = np.array([_error(sensors, channel, channel.noise) for channel in TABLE])
     # The two accelerometers' biases differ by sqrt(2) of one, in the mean square.
-    angular = np.sqrt(2.0) * sensors.acceleration_bias / sensors.accelerometer_distance
-    magnitudes = np.array(
-        [sensors.acceleration_bias, sensors.acceleration_bias, sensors.gyro_bias, angular]
-    )
+    magnitudes = np.array([_error(sensors, TABLE[c], TABLE[c].bias) for c in _BIASED])
+    further = [
+        (name, _error(sensors, ADDED[name], ADDED[name].noise),
+         _error(sensors, ADDED[name], ADDED[name].bias))
+        for name in added
+    ]  # fmt: skip
     draw = SensorDraw(
         sigma,
         np.zeros(CHANNEL_COUNT),
@@ -220,16 +280,22 @@ def _fixed_part(sensors: Sensors, control_period: float) -> tuple[SensorDraw, ND
         np.array(delays, dtype=np.int64),
         bool(np.any(sigma > 0.0) or np.any(probability > 0.0)),
         sensors.velocity_measured,
+        tuple(further),
     )
     return draw, magnitudes
 
 
-def draw_sensors(sensors: Sensors, control_period: float, rng: np.random.Generator) -> SensorDraw:
-    """Draw biases; turn rates and delays [s] into control steps of `control_period` [s]."""
-    fixed, magnitudes = _fixed_part(sensors, control_period)
+def draw_sensors(
+    sensors: Sensors, control_period: float, rng: np.random.Generator, added: tuple[str, ...] = ()
+) -> SensorDraw:
+    """Draw biases; turn rates and delays [s] into control steps of `control_period` [s].
+
+    added: registered channels that are sampled.
+    """
+    fixed, magnitudes = _fixed_part(sensors, control_period, added)
     bias = np.zeros(CHANNEL_COUNT)
     # Always drawn, also for zero biases: keeps the stream aligned.
-    bias[_BIASED] = np.where(rng.random(4) < 0.5, -magnitudes, magnitudes)
+    bias[_BIASED] = np.where(rng.random(len(_BIASED)) < 0.5, -magnitudes, magnitudes)
     return fixed._replace(bias=bias)
 
 

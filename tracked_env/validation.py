@@ -15,6 +15,10 @@ import numpy as np
 
 from tracked_env.physics.parameters import RANGES, ParametersRead, Range
 
+CONTROL_PERIOD = Range(1e-4, 1.0, "s", "Did you pass a rate or milliseconds?")
+VEHICLES = Range(1, 10**7, "-", "It is the number of vehicles.")
+SIGMA = Range(0.0, 1e4, "its SI unit", "Did you pass a variance or degrees?")
+
 
 def unknown(what: str, name: object, allowed: Iterable[str]) -> ValueError:
     """The error for a name that does not exist, with the nearest ones that do."""
@@ -84,7 +88,7 @@ def checked_flag(what: str, value: object) -> bool:
 
 
 def checked_parameter(name: str, value: object) -> float:
-    """A vehicle, soil or closure parameter inside its physical range."""
+    """A parameter of vehicle, soil or lateral model inside its physical range."""
     if name not in RANGES:
         raise unknown("parameter", name, RANGES)
     return checked_number(name, value, RANGES[name])

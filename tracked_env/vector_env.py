@@ -10,14 +10,15 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from tracked_env import observation as obs
-from tracked_env.engine.columns import REWARD_TERMS, Report
+from tracked_env.engine.columns import Report
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.episode import OPTION_KEYS
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
 from tracked_env.physics.parameters import Range
 from tracked_env.plants import Plant
+from tracked_env.rewards import INFO_KEYS
+from tracked_env.uncertainty import Spec
 from tracked_env.validation import (
     checked_choice,
     checked_flag,
@@ -28,6 +29,7 @@ from tracked_env.validation import (
 Bools = NDArray[np.bool_]
 _STEPS = Range(1, 10**9, "-", "It counts control steps. Did you pass seconds?")
 _KEYS = ("reset_mask", "rows", "staggered")  # of the options, beside those of one environment
+_REWARD_KEYS = tuple((name, f"_{name}") for name in INFO_KEYS)
 
 
 class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArray[Any]]):
@@ -62,7 +64,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self,
         num_envs: int = 1,
         reference: str | Mapping[str, Any] = "random",
-        uncertainty: str | Mapping[str, Any] = "soil-and-mass",
+        uncertainty: Spec = "soil-and-mass",
         sensors: str | Mapping[str, Any] = "rtk",
         duration: float = 30.0,
         control_rate: float = 50.0,
@@ -74,6 +76,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         drive: str = "torque",
         patches: Sequence[int] = (10, 4),
         plant_options: Mapping[str, Any] | None = None,
+        observation: str | Sequence[str] = "v0",
         expose_truth: bool = False,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
@@ -86,13 +89,14 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             checked_choice("render_mode", render_mode, self.metadata["render_modes"])
         config = EnvConfig(
             reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, threads, vehicle, plant, drive, patches, plant_options,
+            time_step, threads, vehicle, plant, drive, patches, plant_options, observation,
         )  # fmt: skip
         if not isinstance(autoreset_mode, AutoresetMode):
             names = [mode.value for mode in AutoresetMode]
             autoreset_mode = checked_choice("autoreset_mode", autoreset_mode, names)
         self.simulation = Simulation(num_envs, config)
         self.num_envs = num_envs = self.simulation.count
+        self.layout = self.simulation.layout
         self.expose_truth = checked_flag("expose_truth", expose_truth)
         self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -101,7 +105,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             "autoreset_mode": self.autoreset_mode,
             "render_fps": round(control_rate),
         }
-        self.single_observation_space = gymnasium.spaces.Box(obs.LOW, obs.HIGH, dtype=np.float32)
+        self.single_observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -168,7 +172,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         return [row or {} for row in rows]
 
     def _seed(self, chosen: NDArray[np.int64], seed: Any) -> None:
-        """Give the chosen rows the streams that `seed` says, or some where they have none."""
+        """Give the chosen rows the random streams of `seed`, or new ones where they have none."""
         one = isinstance(seed, str) or not isinstance(seed, (Sequence, np.ndarray))
         seeds: list[Any] = [seed] if one else list(seed)
         for value in seeds:
@@ -226,7 +230,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self._start(chosen, [None] * len(chosen))
 
     def _final(self, over: Bools) -> dict[str, Any]:
-        """What SAME_STEP would otherwise lose: last observation and info of the ended rows."""
+        """Last observation and info of the ended rows, which SAME_STEP replaces."""
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(over):
             final_obs[i] = self.simulation.observations[i].copy()
@@ -240,17 +244,14 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
 
     def _info(self, mask: Bools, report: Report, success: Bools) -> dict[str, Any]:
         """Info of every row as arrays, each with its mask `_name`, as Gymnasium has it."""
-        terms: dict[str, Any] = {}
-        for name, value in zip(REWARD_TERMS, report.terms, strict=True):
-            terms[name], terms["_" + name] = value, mask
         info: dict[str, Any] = {
             "tracking_error": report.tracking_error,
             "_tracking_error": mask,
-            "reward_terms": terms,
-            "_reward_terms": mask,
             "is_success": success,
             "_is_success": mask,
         }
+        for (name, masked), value in zip(_REWARD_KEYS, report.terms, strict=True):
+            info[name], info[masked] = value, mask
         if self.expose_truth:
             truth: dict[str, Any] = {}
             for name, value in self.simulation.truth().items():

@@ -4,7 +4,9 @@ An observer watches the observations of N vehicles and returns features; the ide
 stack of `baselines` is one:
     IdentifiedObservation(env, IdentificationStack())
     IdentifiedVectorObservation(vector_env, IdentificationStack(count=64))
-It sees what an agent sees, never the truth, and forgets when an episode ends.
+It sees what an agent sees, never the truth, and forgets when an episode ends. Whatever groups the
+environment shows, an observer gets the fields of `observation.V0`, looked up by name; it may
+declare those that it `needs`, else it needs them all.
 """
 
 from typing import Any, Protocol
@@ -14,6 +16,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
+
+from tracked_env.observation import NAMES, View
 
 FEATURE_BOUND = 10.0  # [-] features are clipped to this; they are of order one
 
@@ -45,8 +49,11 @@ class Observer(Protocol):
         """Go on from `memories`, in the rows marked or in all."""
 
 
-def _checked(env: Any, count: int, observer: Observer) -> Any:
-    """The widened space of one vehicle. Raises ValueError when env and observer do not fit."""
+def _checked(env: Any, count: int, observer: Observer) -> tuple[Any, View]:
+    """The widened space of one vehicle, and what the observer sees of its observations.
+
+    Raises ValueError when env and observer do not fit.
+    """
     if observer.count != count:
         raise ValueError(
             f"an observer of {observer.count} vehicles for {count}; pass count={count}"
@@ -62,9 +69,10 @@ def _checked(env: Any, count: int, observer: Observer) -> Any:
         )
     space = getattr(env, "single_observation_space", env.observation_space)
     bound = np.full(len(observer.feature_names), FEATURE_BOUND, dtype=np.float32)
-    return gymnasium.spaces.Box(
+    widened = gymnasium.spaces.Box(
         np.concatenate([space.low, -bound]), np.concatenate([space.high, bound]), dtype=np.float32
     )
+    return widened, View(simulation.layout.names, getattr(observer, "needs", NAMES))
 
 
 def joined(observation: Observations, features: Observations) -> Observations:
@@ -85,7 +93,7 @@ class IdentifiedObservation(
     def __init__(self, env: gymnasium.Env[Observations, NDArray[np.float32]], observer: Observer):
         gymnasium.utils.RecordConstructorArgs.__init__(self, observer=observer)
         gymnasium.ObservationWrapper.__init__(self, env)
-        self.observation_space = _checked(env, 1, observer)
+        self.observation_space, self._view = _checked(env, 1, observer)
         self.observer = observer
         self._start = True
 
@@ -98,7 +106,7 @@ class IdentifiedObservation(
 
     def observation(self, observation: Observations) -> Observations:
         """Observation and features, (D + F,)."""
-        features = self.observer.observe(observation[None], np.array([self._start]))
+        features = self.observer.observe(self._view(observation), np.array([self._start]))
         self._start = False
         return joined(observation, features[0])
 
@@ -111,7 +119,7 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
 
     def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], observer: Observer) -> None:
         super().__init__(env)
-        self.single_observation_space = _checked(env, env.num_envs, observer)
+        self.single_observation_space, self._view = _checked(env, env.num_envs, observer)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self.observer = observer
         self._mode = AutoresetMode(env.metadata["autoreset_mode"])
@@ -145,19 +153,19 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
             last = observation.copy()
             for i in np.flatnonzero(ended):
                 last[i] = info["final_obs"][i]
-            features = self.observer.observe(last, np.zeros_like(ended))
+            features = self.observer.observe(self._view(last), np.zeros_like(ended))
             for i in np.flatnonzero(ended):
                 info["final_obs"][i] = joined(last[i], features[i])
             self._features = features
             self._features = self._only(ended, observation, ended)
         elif self._mode is AutoresetMode.NEXT_STEP:
-            self._features = self.observer.observe(observation, resting)
+            self._features = self.observer.observe(self._view(observation), resting)
             self._over = ended
         elif resting.any():  # DISABLED: ended rows wait for a reset
             self._features = self._only(~resting, observation, np.zeros_like(ended))
             self._over = resting | ended
         else:
-            self._features = self.observer.observe(observation, np.zeros_like(ended))
+            self._features = self.observer.observe(self._view(observation), np.zeros_like(ended))
             self._over = ended if self._mode is AutoresetMode.DISABLED else resting
         return joined(observation, self._features), reward, terminated, truncated, info
 
@@ -166,6 +174,6 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
     ) -> Observations:
         """Features after an observation of the rows marked; the others keep theirs."""
         before = self.observer.memories()
-        features = self.observer.observe(observation, start)
+        features = self.observer.observe(self._view(observation), start)
         self.observer.restore(before, ~rows)
         return np.where(rows[:, None], features, self._features)

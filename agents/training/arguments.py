@@ -90,7 +90,9 @@ def _further(text: str | None, env: str) -> Mapping[str, Any]:
     for name in _OPTIONS:
         if isinstance(given, Mapping) and name in given:
             raise ValueError(f"--env-args: {name} has an option of its own, --{name}")
-    further = checked_keys("--env-args", given, sorted({*EnvConfig._fields} - {*_OPTIONS}))
+    # Recipes do not say which groups an agent has seen, so all are trained on those of v0.
+    allowed = sorted({*EnvConfig._fields} - {*_OPTIONS, "observation"})
+    further = checked_keys("--env-args", given, allowed)
     try:
         control_period(env, further)
     except (TypeError, ValueError) as error:

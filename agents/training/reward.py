@@ -6,8 +6,8 @@
 The environment's own position term, with a scale of 0.5 m for a contact length of 2 m, is worth
 0.7 per cent at 5 cm, less than what exploring costs; with 0.15 m it is 10 per cent. Near the path
 the added term falls with d^2, so its sum over an episode ranks policies as the RMSE does. The
-environment's own price of a change, 0.0125 c, is nothing beside that: an agent that answers each
-sample's noise with torque costs it a thousandth.
+environment's own action-rate penalty, 0.0125 c, is negligible beside that: an agent that
+answers the noise of each sample with torque loses a thousandth by it.
 
 `ScaledReward` then makes values of order one whatever the horizon. A value
 of 100 or 200, as a sum over the horizon is, takes a fresh network longer to reach
@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from tracked_env.rewards import WEIGHTS
 
 PRECISION = 0.075  # [-] over the contact length: distance at which the first term is 1/2
-SMOOTHNESS = 1.0  # [-] price of a change of the whole torque limit on both sides
+SMOOTHNESS = 1.0  # [-] penalty of a change of the whole torque limit on both sides
 _MEAN_SQUARE = 4.0 / WEIGHTS["smoothness"]  # the environment's term is over its largest value, 4
 
 
@@ -58,7 +58,7 @@ class TrainingReward(gymnasium.vector.VectorWrapper):
         if self.precision:
             added += 1.0 / (1.0 + (info["tracking_error"][:, 0] / self.precision) ** 2)
         if self.smoothness:
-            added -= self.smoothness * _MEAN_SQUARE * info["reward_terms"]["smoothness"]
+            added -= self.smoothness * _MEAN_SQUARE * info["reward_smoothness"]
         return np.nan_to_num(added)
 
     def step(

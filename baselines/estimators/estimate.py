@@ -4,17 +4,21 @@
                 units of the prior information: 0 = the data say nothing about some direction of
                 the parameters, 1 = data and prior weigh the same
     condition   ratio of the largest to the smallest eigenvalue of the same matrix
-An estimator keeps everything it remembers in `memory`, float64 (N, columns): whoever copies
-the array can put it back and go on from there.
+An estimator keeps everything it remembers in `memory`, float64 (N, columns): a copy of the array
+can be put back, and the estimator goes on from there. It declares what it provides and what it
+needs; the stack takes names, order and features from these declarations.
 """
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.estimators.sensor_samples import Measurement
+from baselines.estimators.sensor_samples import DataSheet, Measurement
+from tracked_env.physics.parameters import PlantParameters
 
 
 class Status(IntEnum):
@@ -47,11 +51,80 @@ class Estimate(NamedTuple):
         return np.sqrt(self.covariance[:, column, column])
 
 
-class Estimator(Protocol):
-    """The interface of every estimator."""
+Pair = tuple[NDArray[np.float64], NDArray[np.float64]]  # (N,) each
 
-    names: tuple[str, ...]
+
+class Quantity(NamedTuple):
+    """One quantity that an estimator provides, and how it is shown to an agent."""
+
+    name: str
+    unit: str
+    # SI value shown as 1: a parameter by name, or a function (of a module, so that it can be
+    # pickled) of the nominal parameters; empty: 1.
+    nominal: str | Callable[[PlantParameters], float] = ""
+    logarithmic: bool = False  # shown as ln(value / nominal), its deviation over the value
+    inverse_of: str = ""  # the parameter of the Estimate is its inverse, of that name
+
+    def read(self, estimate: Estimate) -> Pair:
+        """(value, standard deviation), SI; of an inverse to first order."""
+        if not self.inverse_of:
+            return estimate.of(self.name), estimate.deviation(self.name)
+        value = 1.0 / estimate.of(self.inverse_of)
+        return value, estimate.deviation(self.inverse_of) * value**2
+
+    def scale(self, nominal: PlantParameters) -> float:
+        """SI value that is shown as 1."""
+        if callable(self.nominal):
+            return self.nominal(nominal)
+        return float(getattr(nominal, self.nominal)) if self.nominal else 1.0
+
+    def shown(self, estimate: Estimate, nominal: PlantParameters) -> Pair:
+        """(value, standard deviation) as numbers of order one."""
+        value, deviation = self.read(estimate)
+        scale = self.scale(nominal)
+        if self.logarithmic:
+            return np.log(value / scale), deviation / value
+        return value / scale, deviation / scale
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What an estimator of the stack is made from."""
+
+    parameters: PlantParameters  # nominal
+    control_period: float  # [s]
+    data_sheet: DataSheet  # noise of the sensors
+    count: int  # vehicles
+    lateral: str = "sliding"  # closure of the nominal model
+    regression: str = "coupled"
+
+
+class Estimator(Protocol):
+    """The interface of every estimator.
+
+    needs: sensor channels, and quantities that estimators before it in the stack provide.
+    paired: it takes inertial and drive samples of one moment, with the filtered velocity; else
+    each group's latest sample.
+    """
+
     memory: NDArray[np.float64]  # (N, columns)
+
+    @property
+    def provides(self) -> tuple[Quantity, ...]:
+        """What it estimates."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of what it reads."""
+
+    @property
+    def paired(self) -> bool:
+        """Which samples it takes."""
+
+    def take_over(
+        self, parts: Mapping[str, "Estimator"], estimates: Mapping[str, Estimate]
+    ) -> None:
+        """Before `update`: take what is needed of the estimators that have run, by name."""
 
     def update(self, measurement: Measurement) -> Estimate:
         """Take one sample of every vehicle."""

@@ -11,12 +11,13 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2, its sug
 """
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
+from baselines.estimators.estimate import Estimate, Quantity, Setting
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet, Measurement
 from baselines.estimators.two_parameters import (
     HOLDING,
     REJECTED,
@@ -30,6 +31,7 @@ from baselines.estimators.two_parameters import (
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
 RESISTANCE_DRIFT = 0.01  # [1/sqrt(s)] random walk of mu_l: 0.02 in a second, more by `changes`
@@ -103,6 +105,11 @@ class LongitudinalEstimator(TwoParameterEstimator):
     """
 
     names = ("inverse_mass", "longitudinal_resistance")
+    provides = (
+        Quantity("mass", "kg", "mass", inverse_of="inverse_mass"),
+        Quantity("longitudinal_resistance", "-"),
+    )
+    needs = ("v_x", "v_y", "yaw_rate", "acceleration_x", "torque_left", "torque_right")
     _kernel = update_all
 
     def __init__(
@@ -111,11 +118,12 @@ class LongitudinalEstimator(TwoParameterEstimator):
         control_period: float = 0.02,
         data_sheet: DataSheet | None = None,
         count: int = 1,
-        regression: Literal["coupled", "paper", "printed"] = "coupled",
+        regression: str = "coupled",
         forgetting: float | None = None,
         drift: float | None = None,
         follows_changes: bool | None = None,
     ) -> None:
+        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         forgetting, drift, follows_changes = tuning(
             regression, forgetting, drift, follows_changes, (FORGETTING, RESISTANCE_DRIFT)
         )
@@ -145,6 +153,17 @@ class LongitudinalEstimator(TwoParameterEstimator):
             regression == "coupled",
         )
 
+    @classmethod
+    def for_stack(cls, setting: Setting) -> "LongitudinalEstimator":
+        """As a part of the identification stack."""
+        s = setting
+        return cls(s.parameters, s.control_period, s.data_sheet, s.count, s.regression)
+
     def known(self) -> tuple[Any, ...]:
         """Constants of the equation."""
         return (self._known,)
+
+    def update(self, measurement: Measurement) -> Estimate:
+        """Take one sample; `jumps_before` (N,) is how often the mass had jumped until then."""
+        self.jumps_before = self.memory[:, ls.JUMPS].copy()
+        return super().update(measurement)

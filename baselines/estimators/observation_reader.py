@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, POSE, Measurement
 from tracked_env import observation as layout
-from tracked_env.physics.channels import CHANNEL_COUNT
+from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUPS
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
+from tracked_env.validation import CONTROL_PERIOD, VEHICLES, checked_number, checked_whole
 
 LONGEST_AGE = 1.0  # [s] older samples are not paired
 DELAY_RISE = 0.2  # [-] slope at which the delay of a group follows ages that stay up
@@ -35,24 +36,17 @@ RINGS = 13
 GROUP_SIZE = 4  # channels of the inertial and of the drive group
 SLOT = 1 + GROUP_SIZE  # step at which it was taken (plus one, 0 = empty), values
 
-_I = layout.INDEX
-_SCALE = layout.SCALE
-_ERROR_X, _ERROR_Y = _I["position_error_x"], _I["position_error_y"]
-_ERROR_YAW, _SPEED, _REF_YAW_RATE = (
-    _I["heading_error"], _I["reference_speed"], _I["reference_yaw_rate"],
-)  # fmt: skip
-_ACCELERATION, _BEND = _I["reference_acceleration"], _I["reference_yaw_acceleration"]
+_I, _SCALE = layout.INDEX, layout.SCALE
+_ERRORS = ("position_error_x", "position_error_y", "heading_error")
+_PATH = ("reference_speed", "reference_acceleration", "reference_yaw_rate",
+         "reference_yaw_acceleration")  # fmt: skip
+_CHANNELS = CHANNELS[COLUMN["v_x"] :]  # taken as they are
+NEEDS = (*_ERRORS, *_CHANNELS, *_PATH, *(f"{group}_age" for group in GROUPS))
+_ERROR_X, _ERROR_Y, _ERROR_YAW = (_I[name] for name in _ERRORS)
+_SPEED, _ACCELERATION, _REF_YAW_RATE, _BEND = (_I[name] for name in _PATH)
 _AGES = _I["pose_age"]
 _OLDEST = float(layout.FIELDS[_AGES].bound)  # [s] at which ages are clipped
-_COPIED = np.array(  # (observation column, channel) of what is taken as it is
-    [
-        (_I[name], COLUMN[name])
-        for name in (
-            "v_x", "v_y", "acceleration_x", "acceleration_y", "yaw_rate", "yaw_acceleration",
-            "sprocket_speed_left", "sprocket_speed_right", "torque_left", "torque_right",
-        )
-    ]
-)  # fmt: skip
+_COPIED = np.array([(_I[name], COLUMN[name]) for name in _CHANNELS])  # observation column, channel
 _FIRST = np.array([0, COLUMN["acceleration_x"], COLUMN["sprocket_speed_left"]])  # of each group
 assert [_I["inertial_age"], _I["drive_age"]] == [_AGES + 1, _AGES + 2]
 
@@ -170,13 +164,8 @@ class ObservationReader:
     """
 
     def __init__(self, control_period: float, count: int = 1) -> None:
-        if not 0.0 < control_period <= 1.0:
-            raise ValueError(
-                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
-            )
-        if count < 1:
-            raise ValueError(f"count = {count} vehicles; must be at least 1")
-        self.control_period = float(control_period)
+        count = checked_whole("count", count, VEHICLES)
+        self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.slots = round(LONGEST_AGE / control_period) + 2
         self.memory = np.zeros((count, RINGS + 2 * self.slots * SLOT))
 

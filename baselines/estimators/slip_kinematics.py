@@ -291,9 +291,3 @@ def factorise(a, root, size, scale):
             else:
                 root[r, c] = rest / root[c, c]
     return definite
-
-
-@formula
-def wrapped(angle):
-    """Angle [rad] in [-pi, pi]."""
-    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)

@@ -6,6 +6,7 @@ rest of a step in slip_step. slip_filterpy is the same observer around the filte
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +15,13 @@ from scipy.stats import chi2
 
 from baselines.estimators import dead_reckoning, slip_kinematics, slip_unscented
 from baselines.estimators import slip_step as step
-from baselines.estimators.estimate import Estimate
+from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
 from baselines.estimators.sensor_samples import DataSheet, Measurement
 from baselines.estimators.slip_kinematics import ROWS, STATES
 from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS
 from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.physics.parameters import RANGES, PlantParameters, Range
+from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
 FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
 
@@ -65,12 +67,8 @@ class Motion(NamedTuple):
     yaw_rate: NDArray[np.float64]  # [rad/s]
 
 
-def _checked(quantity: str, value: float, low: float, high: float, unit: str, hint: str) -> float:
-    if not low <= value <= high:  # NaN is outside
-        raise ValueError(
-            f"{quantity} = {value} {unit}; must be in [{low:g}, {high:g}] {unit}. {hint}"
-        )
-    return float(value)
+_DRIFT = Range(0.0, 10.0, "SI/sqrt(s)", "It is no variance.")
+_DELAY = Range(0.0, 10.0, "s", "Did you pass milliseconds?")
 
 
 class SlipObserver:
@@ -89,6 +87,13 @@ class SlipObserver:
     """
 
     names = slip_kinematics.NAMES
+    provides = (
+        Quantity("slip_left", "-"), Quantity("slip_right", "-"), Quantity("side_slip", "rad"),
+    )  # fmt: skip
+    needs = (
+        "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right"
+    )  # fmt: skip
+    paired = False
 
     def __init__(
         self,
@@ -103,19 +108,16 @@ class SlipObserver:
         side_slip_drift: float = 0.03,
         longest_delay: float = 1.0,
     ) -> None:
-        self.control_period = _checked(
-            "control_period", control_period, 1e-4, 1.0, "s", "Did you pass a rate?"
-        )
-        _checked("count", count, 1, 10**7, "vehicles", "It is the size of the batch.")
+        self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
+        count = checked_whole("count", count, VEHICLES)
         for name in ("track_gauge", "sprocket_radius"):
-            low, high, unit, hint = RANGES[name]
-            _checked(name, getattr(parameters, name), low, high, unit, hint)
+            checked_number(name, getattr(parameters, name), RANGES[name])
         for name, sigma in data_sheet._asdict().items():
-            _checked(name, sigma, 0.0, 1e4, "(SI)", "Sigmas are not negative.")
+            checked_number(name, sigma, SIGMA)
         drifts = (position_drift, yaw_drift, slip_drift, side_slip_drift)
         for name, drift in zip(("position", "yaw", "slip", "side_slip"), drifts, strict=True):
-            _checked(f"{name}_drift", drift, 0.0, 10.0, "SI/sqrt(s)", "It is no variance.")
-        _checked("longest_delay", longest_delay, 0.0, 10.0, "s", "Did you pass milliseconds?")
+            checked_number(f"{name}_drift", drift, _DRIFT)
+        checked_number("longest_delay", longest_delay, _DELAY)
         self.velocity = bool(velocity)
         rows = ROWS if velocity else 3
         gate = float(chi2.isf(FALSE_ALARM, rows))
@@ -126,6 +128,16 @@ class SlipObserver:
         columns = step.RING + dead_reckoning.columns_for(self._slots)
         self.memory = np.zeros((int(count), columns))
         self.reset()
+
+    @classmethod
+    def for_stack(cls, setting: Setting) -> "SlipObserver":
+        """As a part of the identification stack."""
+        return cls(
+            setting.parameters, setting.control_period, setting.data_sheet, setting.count
+        )  # fmt: skip
+
+    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+        """Nothing is needed of other estimators."""
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""

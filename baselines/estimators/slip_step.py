@@ -36,7 +36,7 @@ from baselines.estimators.slip_kinematics import (
     X,
     Y,
 )
-from tracked_env.physics.elementary import signed
+from tracked_env.physics.elementary import signed, wrap_angle
 from tracked_env.physics.jit import formula
 from tracked_env.physics.terramechanics import slip_ratio, track_speed_from_belt
 
@@ -170,7 +170,7 @@ def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
     slip_kinematics.fill_measurement_noise(noise, u, way, gyro, pose, k)
     expected = slip_kinematics.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, way, gyro, k)
     z[0], z[1] = values[i, 0], values[i, 1]
-    z[2] = expected[2] + slip_kinematics.wrapped(values[i, 2] - expected[2])
+    z[2] = expected[2] + wrap_angle(values[i, 2] - expected[2])
     z[3], z[4], z[5] = values[i, 3], values[i, 4], values[i, _YAW_RATE]
     missing = False
     for row in range(3, int(k.rows)):

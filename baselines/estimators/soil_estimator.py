@@ -9,31 +9,34 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.3.
 """
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import soil_regression as sr
-from baselines.estimators.estimate import Estimate
+from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
 from baselines.estimators.sensor_samples import DataSheet, Measurement
+from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_window import DETERMINED, Sensing, update_all
 from tracked_env.physics import terramechanics as soil
+from tracked_env.physics import vehicle
 from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.physics.parameters import RANGES, PlantParameters, Range
+from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
 EFFORT_RANGE = (100.0, 1e6)  # [N] bounds of F_max
 EFFORT_FLOOR = 5.0  # [N] sigma of the model: F is not quite quasi-static
 SLIP_FLOOR = 2e-4  # [-] sigma of the model, likewise
 CLEAR_EFFORT = 5.0  # [-] standard deviations that an effort must be above zero
 TRUSTED = 100.0  # [-] inverse variance of ln F from the data that a controller may rely on
+# The UKF's slip errors hang together over some samples: variance counts that much more.
+SLIP_CORRELATION = 10.0  # [control steps]
 PRIOR_SIGMA = (1.0, 0.7)  # [-] of ln F_max (weak soil to clay: a factor e), ln K (1 to 6 cm)
-
-
-def _inside(name: str, value: float, low: float, high: float, unit: str, hint: str) -> float:
-    """The value, checked; ValueError says what is wrong."""
-    if not low <= value <= high:  # NaN is outside
-        raise ValueError(f"{name} = {value:g} {unit}; must be in [{low:g}, {high:g}]. {hint}")
-    return float(value)
+_WINDOW = Range(2, 10000, "control steps", "Did you pass seconds?")
+_ITERATIONS = Range(1, 1000, "-", "S allows 20.")
+_CORRELATED = Range(1.0, 1e4, "control steps", "1 = white.")
+_CORRELATION = Range(0.0, 1.0, "-", "It is a coefficient.")
 
 
 @loop
@@ -50,6 +53,11 @@ def limits(memory, contact_length, limit, trusted):
         trusted[i] = determinant > 1e-12 * a * c and numerator * TRUSTED <= determinant
 
 
+def nominal_effort_maximum(parameters: PlantParameters) -> float:
+    """F_max of one track [N]."""
+    return float(vehicle.drive_limits(parameters).effort_maximum)
+
+
 class SoilEstimator:
     """Estimates [F_max [N], K [m]] of vehicles on the move.
 
@@ -62,6 +70,15 @@ class SoilEstimator:
     """
 
     names = ("effort_maximum", "shear_deformation_modulus")
+    provides = (
+        Quantity("effort_maximum", "N", nominal_effort_maximum, True),
+        Quantity("shear_deformation_modulus", "m", "shear_deformation_modulus", True),
+    )
+    needs = (
+        "v_x", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right", "torque_left",
+        "torque_right", "slip_left", "slip_right",
+    )  # fmt: skip
+    paired = False
 
     def __init__(
         self,
@@ -78,14 +95,14 @@ class SoilEstimator:
             "mass", "track_width", "track_gauge", "contact_length", "sprocket_radius", "cohesion",
             "friction_angle", "shear_deformation_modulus",
         ):  # fmt: skip
-            _inside(f"nominal {name}", float(getattr(parameters, name)), *RANGES[name])
-        _inside("control_period", control_period, 1e-4, 10.0, "s", "Did you pass Hz or ms?")
-        _inside("count", count, 1, 1e9, "vehicles", "There is at least one.")
-        _inside("window", window, 2, 10000, "control steps", "Did you pass seconds?")
-        _inside("iterations", iterations, 1, 1000, "-", "S allows 20.")
-        _inside("correlation_steps", correlation_steps, 1.0, 1e4, "control steps", "1 = white.")
+            checked_number(f"nominal {name}", getattr(parameters, name), RANGES[name])
+        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
+        count = checked_whole("count", count, VEHICLES)
+        window = checked_whole("window", window, _WINDOW)
+        iterations = checked_whole("iterations", iterations, _ITERATIONS)
+        checked_number("correlation_steps", correlation_steps, _CORRELATED)
         for name in ("torque_noise", "sprocket_speed_noise", "velocity_noise", "gyro_noise"):
-            _inside(name, getattr(data_sheet, name), 0.0, 1e6, "SI", "A standard deviation.")
+            checked_number(name, getattr(data_sheet, name), SIGMA)
         if residual not in ("total", "effort"):
             raise ValueError(f"residual = {residual!r}; must be 'total' or 'effort'")
         p, sheet = parameters, data_sheet
@@ -116,6 +133,20 @@ class SoilEstimator:
         self._scratch = np.zeros((2 * sr.ROWS + 1, samples))
         self.reset()
 
+    @classmethod
+    def for_stack(cls, setting: Setting) -> "SoilEstimator":
+        """As a part of the identification stack."""
+        return cls(
+            setting.parameters, setting.control_period, setting.data_sheet, setting.count,
+            correlation_steps=SLIP_CORRELATION,
+        )  # fmt: skip
+
+    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+        """The slips of the filter."""
+        source = parts["slip"]
+        assert isinstance(source, SlipObserver)
+        self.provide_slip(source.slips, source.slip_variances)
+
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all of the vehicles `rows` (indices or a mask), or of all."""
         where = slice(None) if rows is None else np.asarray(rows)
@@ -138,8 +169,7 @@ class SoilEstimator:
             raise ValueError(f"slip {arrays[0].shape}, variance {arrays[1].shape}; must be {shape}")
         self._given = (
             arrays[0],
-            arrays[1]
-            * (1.0 + _inside("correlation", correlation, 0.0, 1.0, "-", "It is a coefficient.")),
+            arrays[1] * (1.0 + checked_number("correlation", correlation, _CORRELATION)),
         )
 
     def update(self, measurement: Measurement) -> Estimate:

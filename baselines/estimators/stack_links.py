@@ -1,4 +1,4 @@
-"""What passes between the estimators of the stack, as kernels: times, the mass, bad input.
+"""What passes between the estimators of the stack, as kernels: times and bad input.
 
 The time of the slip filter is that of the drive samples, which move it. Where the pose is late
 too, what it knows is that old, and `advance` brings it to the present; where the pose is newer
@@ -7,7 +7,6 @@ than the drive, the filter has already been pulled there.
 
 import math
 
-from baselines.estimators import least_squares as ls
 from baselines.estimators.sensor_samples import COLUMN, POSE
 from tracked_env.observation import INDEX
 from tracked_env.physics.elementary import rotation
@@ -58,19 +57,3 @@ def advance(x, y, yaw, v_x, v_y, yaw_rate, behind, felt):
             yaw[i] += time * (yaw_rate[i] + 0.5 * gain_w)
             v_x[i] += gain_x
             yaw_rate[i] += gain_w
-
-
-@loop
-def hand_on(memory, jumps, value, covariance, mass, variance, resistance, jumped):
-    """What the longitudinal estimator knows, for the turning one: (N,) arrays, the last four out.
-
-    jumps (N,): how often the mass had jumped before this sample. Returns whether any has now.
-    """
-    some = False
-    for i in range(memory.shape[0]):
-        mass[i] = 1.0 / value[i, 0]
-        variance[i] = covariance[i, 0, 0] * mass[i] ** 4
-        resistance[i] = value[i, 1]
-        jumped[i] = memory[i, ls.JUMPS] > jumps[i]
-        some = some or jumped[i]
-    return some

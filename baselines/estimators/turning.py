@@ -17,13 +17,15 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2.
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.estimate import Estimate
+from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
+from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
 from baselines.estimators.two_parameters import (
     HOLDING,
@@ -42,6 +44,7 @@ from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import saturated_sign
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
 FRICTION_DRIFT = 0.02  # [1/sqrt(s)] random walk of m mu_t, of its nominal value
@@ -174,6 +177,22 @@ def update_all(z, fresh, memory, prior, known, mass, resistance, out):
         answer(memory, i, prior, status, nis, out)
 
 
+@loop
+def hand_on(memory, jumps, value, covariance, mass, variance, resistance, jumped):
+    """What the longitudinal estimator knows, for this one: (N,) arrays, the last four out.
+
+    jumps (N,): how often the mass had jumped before this sample. Returns whether any has now.
+    """
+    some = False
+    for i in range(memory.shape[0]):
+        mass[i] = 1.0 / value[i, 0]
+        variance[i] = covariance[i, 0, 0] * mass[i] ** 4
+        resistance[i] = value[i, 1]
+        jumped[i] = memory[i, ls.JUMPS] > jumps[i]
+        some = some or jumped[i]
+    return some
+
+
 class TurningEstimator(TwoParameterEstimator):
     """Estimates [I, mu_t] of N vehicles; see the head of the file.
 
@@ -185,6 +204,14 @@ class TurningEstimator(TwoParameterEstimator):
     """
 
     names = ("inertia", "lateral_resistance")
+    provides = (
+        Quantity("inertia", "kg m^2", "inertia"),
+        Quantity("lateral_resistance", "-"),
+    )
+    needs = (
+        "v_x", "yaw_rate", "acceleration_y", "yaw_acceleration", "torque_left", "torque_right",
+        "mass", "longitudinal_resistance",
+    )  # fmt: skip
     _kernel = update_all
 
     def __init__(
@@ -207,6 +234,7 @@ class TurningEstimator(TwoParameterEstimator):
                 f"regression = 'printed' with lateral = {lateral!r}; must be 'constrained': "
                 "S 7.1.2 knows no lateral motion but that of a fixed ICR"
             )
+        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         forgetting, drift, follows_changes = tuning(
             regression, forgetting, drift, follows_changes, (FORGETTING, FRICTION_DRIFT)
         )
@@ -246,6 +274,25 @@ class TurningEstimator(TwoParameterEstimator):
         self.mass = np.full(count, p.mass)
         self.mass_variance = np.zeros(count)
         self.resistance = np.full(count, p.longitudinal_resistance)
+
+    @classmethod
+    def for_stack(cls, setting: Setting) -> "TurningEstimator":
+        """As a part of the identification stack."""
+        s = setting
+        return cls(
+            s.parameters, s.control_period, s.data_sheet, s.count, s.lateral, s.regression
+        )  # fmt: skip
+
+    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+        """Mass and mu_l; when the mass has jumped, the inertia is let go: payload changes both."""
+        source, known = parts["longitudinal"], estimates["longitudinal"]
+        assert isinstance(source, LongitudinalEstimator)
+        jumped = np.empty(len(self.memory), dtype=bool)
+        if hand_on(
+            source.memory, source.jumps_before, known.value, known.covariance,
+            self.mass, self.mass_variance, self.resistance, jumped,
+        ):  # fmt: skip
+            self.release_inertia(jumped)
 
     def release_inertia(self, rows: NDArray[np.bool_]) -> None:
         """Forget what the data said of the inertia and friction of the vehicles marked (N,)."""

@@ -12,17 +12,18 @@ there. A sample that cannot be used (stale, standstill) holds, one with NaN is c
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.estimate import Estimate
+from baselines.estimators.estimate import Estimate, Estimator, Quantity
 from baselines.estimators.sensor_samples import DataSheet, Measurement
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.validation import VEHICLES, checked_whole
 
 PAPER_FORGETTING = 0.998  # [-] S 8.3.1
 REGRESSIONS = ("coupled", "paper", "printed")
@@ -104,6 +105,9 @@ class TwoParameterEstimator:
     """
 
     names: tuple[str, ...]
+    provides: tuple[Quantity, ...]
+    needs: tuple[str, ...]
+    paired = True
     _kernel: Callable[..., None]
 
     def __init__(
@@ -114,14 +118,9 @@ class TwoParameterEstimator:
         count: int,
         prior: ls.Prior,
     ) -> None:
-        if not 0.0 < control_period <= 1.0:
-            raise ValueError(
-                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
-            )
-        if count < 1:
-            raise ValueError(f"count = {count} vehicles; must be at least 1")
+        count = checked_whole("count", count, VEHICLES)
         self.parameters = PlantParameters(*(float(value) for value in parameters))
-        self.control_period = float(control_period)
+        self.control_period = control_period
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
         numbers = [float(x) for x in prior[:-2]]
         self.prior = ls.Prior._make([*numbers, *(bool(x) for x in prior[-2:])])
@@ -130,6 +129,9 @@ class TwoParameterEstimator:
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
         self.memory[slice(None) if rows is None else np.asarray(rows)] = 0.0
+
+    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+        """Nothing is needed of other estimators."""
 
     def known(self) -> tuple[Any, ...]:
         """What the kernel needs besides the measurement."""

@@ -1,36 +1,37 @@
 """The adaptive policy: the feedback-linearizing controller fed by the identification stack.
 
-Certainty equivalence: at every control step the controller takes the estimates for the truth,
-    mass, mu_l, inertia, mu_t     always: where the data say nothing they stay where they were
-    F_max, K                      where the data determine what the soil carries, else nominal
-and sees the filtered pose and velocity instead of the measured ones. It starts from its nominal
-parameters in every episode, uses observations only, and never sees a true parameter.
+Certainty equivalence: at every control step the controller uses the estimates as if they were true,
+    mass, mu_l, inertia, mu_t     always: without information from the data they stay constant
+    F_max, K                      where the data determine the traction limit, else nominal
+and uses the filtered pose and velocity instead of the measured ones. It starts from its nominal
+parameters in every episode, uses observations only, and no true parameter.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.batch_policy import BatchPolicy
 from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing.linearizing_law import Gains
-from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from baselines.linearizing.linearizing_policy import NEEDS, FeedbackLinearizingController
 from tracked_env import observation as layout
-from tracked_env.physics.elementary import rotation
+from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
 
 _ROW = PARAMETER_INDEX
-_I, _SCALE, _BOUND = layout.INDEX, layout.SCALE, layout.BOUND
+_I, _SCALE = layout.INDEX, layout.SCALE
 _X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
 _V_X, _V_Y, _W = _I["v_x"], _I["v_y"], _I["yaw_rate"]
 _GYRO, _REJECTED = COLUMN["yaw_rate"], int(Status.REJECTED)
-WILD_GYRO = 1.0  # [rad/s] from what the belts say: a refused gyro beyond that is not shown
+WILD_GYRO = 1.0  # [rad/s] from the yaw rate of the belts: a refused gyro beyond that is not used
 # Sensor fields that the controller does not use, but whose NaN would stop it.
 _UNUSED = np.array(
     [_I[name] for name in layout.NAMES if name.startswith(("acc", "yaw_acc", "sprocket", "torque"))]
@@ -42,7 +43,7 @@ _MODULUS = _ROW["shear_deformation_modulus"]
 
 
 class AdaptiveState(NamedTuple):
-    """What the policy remembers between two calls."""
+    """State of the policy between two calls."""
 
     xi: NDArray[np.float64]  # (N,) [m/s^2] compensator of the controller
     memories: Memories  # of the estimators
@@ -63,8 +64,7 @@ def show(observation, reference, x, y, yaw, v_x, v_y, yaw_rate, gyro, filtered):
     for i in range(observation.shape[0]):
         c, s = rotation(yaw[i])
         e_x, e_y = reference[i, 0] - x[i], reference[i, 1] - y[i]
-        turn = reference[i, 2] - yaw[i]
-        turn -= 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
+        turn = wrap_angle(reference[i, 2] - yaw[i])
         _show(observation, i, _X, c * e_x + s * e_y, filtered)
         _show(observation, i, _Y, c * e_y - s * e_x, filtered)
         _show(observation, i, _YAW, turn, filtered)
@@ -92,16 +92,18 @@ def hand_over(parameters, longitudinal, turning, soil, known, nominal, base):
         parameters[_MODULUS, i] = soil[i, 1] if known[i] else nominal[_MODULUS]
 
 
-class AdaptivePolicy:
+class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     """Controller and estimators as one policy, for one vehicle or a batch.
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
-    sensors (default `rtk`). lateral: closure of the nominal model. gains: of the controller.
+    sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller.
     regression: "coupled", "paper" or "printed", slip: "batched" or "filterpy", see the stack.
-    filtered: True shows the controller the filtered motion, False the measured one; None =
-    True unless the data sheet knows no noise at all.
+    filtered: True gives the controller the filtered motion, False the measured one; None =
+    True unless the data sheet has no noise at all.
     uses_soil: whether the estimated traction limits are used. S does not.
-    Raises ValueError for arguments that make no sense.
+    observation: names of the fields that the environment shows.
+    Raises ValueError for arguments that make no sense, and for an observation that lacks what the
+    controller or an estimator needs.
     """
 
     def __init__(
@@ -115,6 +117,7 @@ class AdaptivePolicy:
         slip: str = "batched",
         filtered: bool | None = None,
         uses_soil: bool = True,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
         self.parameters = plant_parameters() if parameters is None else parameters
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
@@ -125,11 +128,12 @@ class AdaptivePolicy:
         self.filtered = noisy if filtered is None else bool(filtered)
         self.uses_soil = bool(uses_soil)
         self._options: dict[str, Any] = {"regression": regression, "slip": slip}
-        # (PARAMETER_ROWS, N) or None: what to control with instead of the estimates.
+        # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates.
         self.given_parameters: NDArray[np.float64] | None = None
         self._given: AdaptiveState | None = None
         self.known: Identification | None = None
         self._build(1)
+        self._view = layout.View(observation, tuple(dict.fromkeys((*NEEDS, *self.stack.needs))))
 
     def _build(self, count: int) -> None:
         """Estimators and parameters of `count` vehicles, all at their nominal values."""
@@ -141,52 +145,34 @@ class AdaptivePolicy:
         self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
         self._nothing_known = np.zeros(count, dtype=bool)
 
-    def predict(
+    def act(
         self,
         observation: NDArray[np.float32],
-        state: AdaptiveState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
+        state: AdaptiveState | None,
+        start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], AdaptiveState]:
-        """Sprocket torques over their limit, and the state to pass to the next call.
+        """Sprocket torques over their limit, and the new state; one call per control step.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None starts
-        from the nominal parameters. episode_start: (N,) or a bool; those rows start anew.
-        deterministic: without effect. One call per control step.
-        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
-        A NaN in a sensor field is skipped. Raises ValueError for a wrong shape, a state of
-        another number of vehicles, or a reference that is not finite; then the state given
-        is still good.
+        Rows that start do so from the nominal parameters. A NaN in a sensor field is skipped.
+        Raises ValueError for a state of another number of vehicles, or a reference that is not
+        finite; then the state given is still good.
         """
-        single = np.ndim(observation) == 1
-        batch = np.array(observation, dtype=np.float32, ndmin=2)
-        count = len(batch)
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
-            )
-        start = np.full(count, state is None)
-        if episode_start is not None:
-            given = np.asarray(episode_start, dtype=bool)
-            if given.shape not in ((), (1,), (count,)):
-                raise ValueError(f"episode_start has shape {given.shape}; must be ({count},)")
-            start |= given
+        count = len(observation)
         if count != self.stack.count:
             self._build(count)
             self._given = None
         if state is not None and state is not self._given:
             self.stack.restore(state.memories)
         self._given = None  # until this call has ended well, `stack` is in no known state
-        known = self.stack.update(batch, start)
+        known = self.stack.update(observation, start)
         self._adapt(known)
         show(
-            batch, known.reading.reference, *known.motion, self._gyro(known), self.filtered,
+            observation, known.reading.reference, *known.motion, self._gyro(known), self.filtered,
         )  # fmt: skip
-        action, xi = self.controller.predict(batch, None if state is None else state.xi, start)
+        action, xi = self.controller.act(observation, None if state is None else state.xi, start)
         self.known = known
         self._given = AdaptiveState(xi, self.stack.memories())
-        return (action[0] if single else action), self._given
+        return action, self._given
 
     def _gyro(self, known: Identification) -> NDArray[np.float64]:
         """The gyro where its sample is new and the filter has not refused it, else NaN, (N,)."""
@@ -198,7 +184,7 @@ class AdaptivePolicy:
         return np.where(stale | outlier, np.nan, gyro)
 
     def _adapt(self, known: Identification) -> None:
-        """Hand the estimates to the controller, or what was given in their place."""
+        """Pass the estimates to the controller, or the parameters given in their place."""
         if self.given_parameters is not None:
             self.controller.parameters = self.given_parameters
             return
@@ -217,14 +203,11 @@ class AdaptivePolicy:
         """Whether the data determine the parameter, by name, (N,)."""
         if self.known is None:
             return {}
-        status = self.known.status()
-        by_parameter = {
-            "mass": "longitudinal", "longitudinal_resistance": "longitudinal",
-            "inertia": "turning", "lateral_resistance": "turning",
-            "slip_left": "slip", "slip_right": "slip", "effort_maximum": "soil",
-            "shear_deformation_modulus": "soil",
-        }  # fmt: skip
-        return {name: status[e] == Status.CONVERGING for name, e in by_parameter.items()}
+        return {
+            quantity: status == Status.CONVERGING
+            for name, status in self.known.status().items()
+            for quantity in self.known.provided[name]
+        }
 
     def nis(self) -> Mapping[str, NDArray[np.float64]]:
         """Normalised innovation squared of each estimator in the last call, (N,)."""

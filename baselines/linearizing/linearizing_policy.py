@@ -11,10 +11,12 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from baselines.batch_policy import BatchPolicy
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env import observation as layout
@@ -28,15 +30,20 @@ from tracked_env.physics.parameters import (
     PlantParameters,
     row_parameters,
 )
+from tracked_env.validation import CONTROL_PERIOD, checked_number, unknown
 
 CLOSURES = ("sliding", "constrained")
 
-_I = layout.INDEX
-_ERROR_X, _ERROR_Y = _I["position_error_x"], _I["position_error_y"]
-_HEADING_ERROR, _V_X, _YAW_RATE = _I["heading_error"], _I["v_x"], _I["yaw_rate"]
-_SPEED, _ACCELERATION = _I["reference_speed"], _I["reference_acceleration"]
-_JERK, _TURN = _I["reference_jerk"], _I["reference_yaw_rate"]
-_TURN_ACCELERATION = _I["reference_yaw_acceleration"]
+# Fields of the observation that the law reads.
+NEEDS = (
+    "position_error_x", "position_error_y", "heading_error", "v_x", "yaw_rate",
+    "reference_speed", "reference_acceleration", "reference_jerk",
+    "reference_yaw_rate", "reference_yaw_acceleration",
+)  # fmt: skip
+(
+    _ERROR_X, _ERROR_Y, _HEADING_ERROR, _V_X, _YAW_RATE,
+    _SPEED, _ACCELERATION, _JERK, _TURN, _TURN_ACCELERATION,
+) = (layout.INDEX[name] for name in NEEDS)  # fmt: skip
 _SCALE = layout.SCALE
 
 
@@ -112,30 +119,28 @@ def _checked(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """A parameter as float64, shape () or (N,), inside its physical range."""
     array = np.asarray(value, dtype=np.float64)
     if name not in RANGES:
-        raise ValueError(f"unknown parameter {name!r}; known are {PARAMETER_NAMES}")
+        raise unknown("parameter", name, PARAMETER_NAMES)
     if array.ndim > 1:
         raise ValueError(f"{name} has shape {array.shape}; must be a number or shape (N,)")
-    low, high, unit, hint = RANGES[name]
-    inside = (array >= low) & (array <= high)  # NaN is outside
-    if not inside.all():
-        worst = float(array[~inside][0]) if array.ndim else float(array)
-        raise ValueError(
-            f"nominal {name} = {worst:g} {unit}; must be in [{low:g}, {high:g}] {unit}. {hint}"
-        )
+    inside = (array >= RANGES[name].low) & (array <= RANGES[name].high)  # NaN is outside
+    for number in array[~inside].reshape(-1):
+        checked_number(f"nominal {name}", number, RANGES[name])
     return array
 
 
-class FeedbackLinearizingController:
+class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
     """Policy that tracks the reference with the corrected law of S section 6.
 
     parameters: nominal PlantParameters, each a number (all vehicles alike) or shape (N,).
     control_period: time [s] between two calls of `predict`.
     gains: of (35); must be positive with k_a k_v > k_p (Hurwitz).
-    lateral: closure of the nominal model, "sliding" or "constrained".
+    lateral: lateral model of the nominal vehicle, "sliding" or "constrained".
+    observation: names of the fields that the environment gives.
 
     The attribute `parameters`, float64 (PARAMETER_ROWS, 1 or N), rows as PARAMETER_NAMES, is
     what the law uses at the next call: write to it, or use `set_parameters` which checks.
-    Raises ValueError for gains, parameters, period or closure that make no sense.
+    Raises ValueError for gains, parameters, period or lateral model that make no sense, and
+    for an observation that lacks a field of NEEDS.
     """
 
     def __init__(
@@ -144,6 +149,7 @@ class FeedbackLinearizingController:
         control_period: float = 0.02,
         gains: Gains | None = None,
         lateral: str = "sliding",
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
         gains = Gains() if gains is None else gains
         self.gains = Gains(*(float(gain) for gain in gains))
@@ -155,13 +161,10 @@ class FeedbackLinearizingController:
                 f"{self.gains}: k_a k_v = {k_a * k_v:g} must exceed k_p = {k_p:g}, or the "
                 "tracking error grows (not Hurwitz). Did you change the order of the gains?"
             )
-        if not 0.0 < control_period <= 1.0:
-            raise ValueError(
-                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
-            )
         if lateral not in CLOSURES:
             raise ValueError(f"lateral = {lateral!r}; must be one of {CLOSURES}")
-        self.control_period = float(control_period)
+        self._view = layout.View(observation, NEEDS)
+        self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.lateral = lateral
         self._constrained = lateral == "constrained"
         self.parameters = np.empty((len(PARAMETER_NAMES), 1))
@@ -186,48 +189,34 @@ class FeedbackLinearizingController:
         for name, array in checked.items():
             self.parameters[PARAMETER_INDEX[name]] = array
 
-    def predict(
+    def act(
         self,
         observation: NDArray[np.float32],
-        state: NDArray[np.float64] | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
+        state: NDArray[np.float64] | None,
+        start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Sprocket torques over their limit, and the state to pass to the next call.
+        """Sprocket torques over their limit and the state xi [m/s^2], (N,); 0 where one starts.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: xi [m/s^2],
-        (N,), N = 1 for one vehicle; None starts at 0. episode_start: (N,) or a bool; those
-        rows start at 0. deterministic: without effect, the law has no randomness.
-        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right; and the new xi.
-        Raises ValueError for a wrong shape or an observation that is not finite.
+        Raises ValueError for a state or parameters of another number of vehicles, or an
+        observation that is not finite.
         """
-        single = np.ndim(observation) == 1
-        batch = np.ascontiguousarray(observation, dtype=np.float32)
-        if single:
-            batch = batch.reshape(1, -1)
-        count = batch.shape[0]
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
-            )
+        count = len(observation)
         if self.parameters.shape[1] not in (1, count):
             raise ValueError(
                 f"{count} observations but parameters of {self.parameters.shape[1]} vehicles"
             )
         xi = np.zeros(count) if state is None else np.array(state, dtype=np.float64).reshape(-1)
-        if xi.shape[0] != count:
-            raise ValueError(f"state of {xi.shape[0]} vehicles for {count} observations")
-        if episode_start is not None:
-            xi[np.broadcast_to(np.asarray(episode_start, dtype=bool), (count,))] = 0.0
+        self.same_count(len(xi), count)
+        xi[start] = 0.0
         action = np.empty((count, 2), dtype=np.float32)
         bad = control_all(
-            batch, self.parameters, xi, self.gains, self.control_period, self._constrained, action
-        )
+            observation, self.parameters, xi, self.gains, self.control_period, self._constrained,
+            action,
+        )  # fmt: skip
         if bad >= 0:
-            column = int(np.argmin(np.isfinite(batch[bad])))
+            column = int(np.argmin(np.isfinite(observation[bad])))
             raise ValueError(
-                f"observation[{bad}]: {layout.NAMES[column]} = {batch[bad, column]}; must be "
+                f"observation[{bad}]: {layout.NAMES[column]} = {observation[bad, column]}; must be "
                 "finite. Did the state diverge, or a wrapper divide by zero?"
             )
-        return (action[0] if single else action), xi
+        return action, xi

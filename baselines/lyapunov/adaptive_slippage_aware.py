@@ -1,42 +1,43 @@
-"""The slippage-aware controller with slip that it identifies under way, or is told.
+"""The slippage-aware controller with identified slip, or with the true one.
 
     AdaptiveSlipPolicy   slip of the friction that is estimated on line (slip_recursive)
-    OracleSlipPolicy     slip of the true friction and shear modulus, as handed to `observe_truth`
-Both drive as SlippageAwarePolicy does; what they know of the slip is all that differs.
+    OracleSlipPolicy     slip of the true friction and shear modulus, from `observe_truth`
+The law is that of SlippageAwarePolicy; only the slip model differs.
 
 References: [F] Focchi et al. (2025), section 5.2.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.batch_policy import BatchPolicy
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
-from baselines.lyapunov.slippage_aware import LyapunovState, SlippageAwarePolicy
+from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_models import Array, SlipFamily
 from baselines.slip.slip_sweep import slip_family, strength_over_weight
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 
-LATE = 0.05  # [s] an older velocity says nothing about the slip of now
+LATE = 0.05  # [s] an older velocity gives no information on the present slip
 MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that the oracle knows
 _SEEN = [layout.INDEX[n] for n in ("v_x", "v_y", "yaw_rate", "pose_age")]
 _SPROCKETS = [layout.INDEX[n] for n in ("sprocket_speed_left", "sprocket_speed_right")]
 
 
 class AdaptiveSlipState(NamedTuple):
-    """What is carried from one call to the next."""
+    """State of the policy between two calls."""
 
     driving: LyapunovState
     memory: NDArray[np.float64]  # of the estimator, (N, columns)
 
 
-class AdaptiveSlipPolicy:
-    """slc on friction that it is not told; arguments as SlippageAwarePolicy, without the model.
+class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
+    """slc with unknown friction; arguments as SlippageAwarePolicy, without the slip model.
 
     parameters: nominal; the friction in them is where the estimate starts.
     """
@@ -47,11 +48,13 @@ class AdaptiveSlipPolicy:
         control_period: float,
         data_sheet: DataSheet,
         gains: LyapunovGains | None = None,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
         self.parameters = parameters
         self.control_period = control_period
         self.nominal_friction = strength_over_weight(parameters)
         self._sheet, self._gains = data_sheet, gains
+        self._view = layout.View(observation, NEEDS)
         self._made(1)
 
     def _made(self, count: int) -> None:
@@ -68,26 +71,22 @@ class AdaptiveSlipPolicy:
         mu, sigma = self.estimator.estimates()["friction"]
         return {"friction_angle": (np.arctan(mu), sigma / (1.0 + mu * mu))}
 
-    def predict(
+    def act(
         self,
         observation: NDArray[np.float32],
-        state: AdaptiveSlipState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
+        state: AdaptiveSlipState | None,
+        start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], AdaptiveSlipState]:
-        """As SlippageAwarePolicy.predict, after a look at what slipped since the last call."""
-        batch = np.array(observation, dtype=np.float64, ndmin=2)
-        count = len(batch)
+        """As SlippageAwarePolicy.act, after the slip since the last call has been identified."""
+        count = len(observation)
+        if state is not None:
+            self.same_count(len(state.memory), count)
         if len(self.estimator.memory) != count:
             self._made(count)
-        if state is None:
-            self.estimator.reset()
-        else:
+        if state is not None:
             self.estimator.memory[:] = state.memory
-        start = np.broadcast_to(np.asarray(bool(state is None)), (count,))
-        if episode_start is not None:
-            start = start | np.asarray(episode_start, dtype=bool)
         self.estimator.reset(np.flatnonzero(start))
+        batch = observation.astype(np.float64)
         v_x, v_y, yaw_rate, age = (batch[:, _SEEN] * layout.SCALE[_SEEN]).T
         known = age <= LATE
         left, right = (batch[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]).T
@@ -95,7 +94,7 @@ class AdaptiveSlipPolicy:
             left, right, np.where(known, v_x, np.nan), np.where(known, v_y, np.nan), yaw_rate
         )
         driving = None if state is None else state.driving
-        action, driving = self._policy.predict(observation, driving, episode_start, deterministic)
+        action, driving = self._policy.act(observation, driving, start)
         return action, AdaptiveSlipState(driving, self.estimator.memory.copy())
 
 
@@ -129,7 +128,7 @@ class KnownSlip:
 
 
 class OracleSlipPolicy(SlippageAwarePolicy):
-    """slc with the slip of the soil that is there; arguments as AdaptiveSlipPolicy."""
+    """slc with the slip of the true soil; arguments as AdaptiveSlipPolicy."""
 
     needs_truth = True
     slip_model: KnownSlip
@@ -140,8 +139,11 @@ class OracleSlipPolicy(SlippageAwarePolicy):
         control_period: float,
         data_sheet: DataSheet,
         gains: LyapunovGains | None = None,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        super().__init__(parameters, control_period, KnownSlip(parameters), gains, data_sheet)
+        super().__init__(
+            parameters, control_period, KnownSlip(parameters), gains, data_sheet, observation
+        )
 
     def observe_truth(self, truth: Mapping[str, Any]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""

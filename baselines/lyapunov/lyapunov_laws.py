@@ -28,11 +28,10 @@ Vehicles (2025), section 5.
 
 from typing import NamedTuple
 
-from tracked_env.physics.elementary import rotation
+from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 
 HALF_COSINE_FLOOR = 0.25  # [-] cos(eps / 2) there: 151 deg; the gain 1 / cos stays below 4.4
-TURN = 6.283185307179586  # [rad] 2 pi
 
 
 class LyapunovGains(NamedTuple):
@@ -59,17 +58,10 @@ class Slip(NamedTuple):
 
 
 class BodyMotion(NamedTuple):
-    """What the tracks are asked to do, or do."""
+    """Motion of the body, demanded or actual."""
 
     speed: float  # [m/s] v_x, forward
     yaw_rate: float  # [rad/s] w, positive to the left
-
-
-@formula
-def wrapped(angle):
-    """The angle [rad] in [-pi, pi), less whole turns; exact, and odd, inside (-pi, pi)."""
-    turns = (angle + 0.5 * TURN) // TURN
-    return angle if turns == 0.0 else angle - TURN * turns
 
 
 @formula
@@ -90,7 +82,7 @@ def turn_towards(along, across, angle):
     along, across [m]: error in axes of the motion; angle [rad]: motion minus reference heading.
     `across` for a small angle; periodic in the angle; bounded at pi.
     """
-    cosine, sine = rotation(0.5 * wrapped(angle))
+    cosine, sine = rotation(0.5 * wrap_angle(angle))
     return (across * cosine + along * sine) * inverse_half_cosine(cosine)
 
 
@@ -120,30 +112,6 @@ def slippage_aware_law(error, speed, yaw_rate, slip, gains):
         (speed - gains.k_p * along) * cosine,
         yaw_rate - steering - gains.k_phi * heading - slip.reference_rate,
     )
-
-
-@formula
-def lyapunov_value(error, reference_slip):
-    """V of (45), or of (38) for reference_slip = 0 [rad]; distances count in metres."""
-    cosine, _sine = rotation(error.heading + reference_slip)
-    return 0.5 * (error.x * error.x + error.y * error.y) + 1.0 - cosine
-
-
-@formula
-def lyapunov_rate(error, speed, slip, gains):
-    """V' [1/s] under `slippage_aware_law`: (48) and the term in alpha - alpha_d missing there.
-
-    Without slip it is (43), for the unicycle law.
-    """
-    cosine, sine = rotation(slip.alpha)
-    along = error.x * cosine + error.y * sine
-    across = error.y * cosine - error.x * sine
-    angle = error.heading + slip.alpha
-    half_cosine, half_sine = rotation(0.5 * wrapped(angle))
-    _cosine, heading = rotation(error.heading + slip.reference)
-    offset = across * half_cosine + along * half_sine
-    left = 2.0 * half_sine - heading * inverse_half_cosine(half_cosine)
-    return speed * offset * left - gains.k_p * along * along - gains.k_phi * heading * heading
 
 
 @formula
@@ -217,3 +185,10 @@ def motions_of(sprockets, beta, half_gauge, radius, motion):
             sprockets[i, 0] * r, sprockets[i, 1] * r, beta[i, 0], beta[i, 1], half_gauge[i]
         )
         motion[i, 0], motion[i, 1] = m.speed, m.yaw_rate
+
+
+@formula
+def lyapunov_value(error, reference_slip):
+    """V of (45), or of (38) for reference_slip = 0 [rad]; distances count in metres."""
+    cosine, _sine = rotation(error.heading + reference_slip)
+    return 0.5 * (error.x * error.x + error.y * error.y) + 1.0 - cosine

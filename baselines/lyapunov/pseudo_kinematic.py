@@ -35,7 +35,6 @@ SLOW = 0.05  # [m/s] below this speed alpha fades out: at standstill it has no s
 DRIFT_TIME = 1.0  # [s] over which such an error keeps its sign
 SPIRAL_SPEED = 0.3  # [m/s] v_d of the spiral of F, figure 10
 SPIRAL_YAW_ACCELERATION = 0.05  # [rad/s^2] its yaw rate over t; F prints 4 t, see `Spiral`
-SPIRAL_START = (0.3, 0.3, 0.2)  # [m, m, rad] the vehicle; the reference starts at the origin
 
 Array = NDArray[np.float64]
 
@@ -57,7 +56,7 @@ class NoSlip:
 
 
 class Geometry(NamedTuple):
-    """What the kinematics need of a vehicle, (N,) each, or (1,) for all alike."""
+    """Lengths and limits of a vehicle for the kinematics, (N,) each, or (1,) for all alike."""
 
     half_gauge: Array  # [m] B / 2
     radius: Array  # [m] r
@@ -118,16 +117,6 @@ def pose_step(x, y, yaw, motion, alpha, duration):
 
 
 @formula
-def pose_error(x, y, yaw, x_d, y_d, yaw_d):
-    """law.PoseError of a pose against its reference, all in the world [m, rad]."""
-    cosine, sine = rotation(yaw)
-    d_x, d_y = x - x_d, y - y_d
-    return law.PoseError(
-        cosine * d_x + sine * d_y, cosine * d_y - sine * d_x, law.wrapped(yaw - yaw_d)
-    )
-
-
-@formula
 def carried(error, v_x, v_y, yaw_rate, speed, turn, duration):
     """PoseError after `duration` [s]: vehicle at (v_x, v_y [m/s], yaw_rate [rad/s]), reference
     at (speed, turn). Midpoint rule; position in the body axes of the end."""
@@ -168,17 +157,6 @@ def step_all(pose, motion, alpha, duration):
             pose[i, 0], pose[i, 1], pose[i, 2],
             law.BodyMotion(motion[i, 0], motion[i, 1]), alpha[i], duration,
         )  # fmt: skip
-
-
-@loop
-def errors_of(pose, reference, error):
-    """`pose_error` of N vehicles: pose, reference (N, 3); error (N, 3) out."""
-    for i in range(pose.shape[0]):
-        e = pose_error(
-            pose[i, 0], pose[i, 1], pose[i, 2],
-            reference[i, 0], reference[i, 1], reference[i, 2],
-        )  # fmt: skip
-        error[i, 0], error[i, 1], error[i, 2] = e.x, e.y, e.heading
 
 
 @loop

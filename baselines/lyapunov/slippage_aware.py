@@ -19,19 +19,23 @@ Vehicles (2025), sections 5 and 7.1.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.batch_policy import BatchPolicy
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pseudo_kinematic as kinematics
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pseudo_kinematic import Array, Geometry, NoSlip, SlipModel
 from tracked_env import observation as layout
+from tracked_env.physics.elementary import wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 PASSES = 3  # evaluations of the slip in the feed-forward; the next step starts where it ended
 PATH_PASSES = 6  # the same for alpha_d, which starts from nothing: 0.4^6 = 0.4 % is left of beta
@@ -39,17 +43,21 @@ LOOK_ASIDE = 0.05  # [s] to both sides, for alpha_d': short against a turn, long
 VELOCITY_NOISE_LIMIT = 1.0  # [m/s] a data sheet above it has no velocity: the belts give it
 BELT_DRIFT = 0.05  # [m/s] slow error of the belts' velocity: slip that the model does not know
 
+# Fields of the observation that the law and its filter read.
+_POSE = ("position_error_x", "position_error_y", "heading_error", "v_x", "v_y", "yaw_rate")
+_BELTS = ("sprocket_speed_left", "sprocket_speed_right")
+_PATH = ("reference_speed", "reference_yaw_rate", "reference_acceleration",
+         "reference_yaw_acceleration")  # fmt: skip
+NEEDS = (*_POSE, "pose_age", *_BELTS, *_PATH)
 _I, _SCALE = layout.INDEX, layout.SCALE
-_X, _Y, _HEADING = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
-_V_X, _V_Y, _YAW_RATE, _AGE = _I["v_x"], _I["v_y"], _I["yaw_rate"], _I["pose_age"]
-_SPROCKETS = [_I["sprocket_speed_left"], _I["sprocket_speed_right"]]
-_REFERENCE = np.array(
-    [_I[f"reference_{name}"] for name in ("speed", "yaw_rate", "acceleration", "yaw_acceleration")]
-)
+_X, _Y, _HEADING, _V_X, _V_Y, _YAW_RATE = (_I[name] for name in _POSE)
+_AGE = _I["pose_age"]
+_SPROCKETS = [_I[name] for name in _BELTS]
+_REFERENCE = np.array([_I[name] for name in _PATH])
 
 
 class LyapunovState(NamedTuple):
-    """What a policy remembers between two calls; never changed in place."""
+    """State of the policy between two calls; never changed in place."""
 
     error: Array  # (N, 3) vehicle minus reference, body axes [m, m, rad]
     age: Array  # (N,) [s] age of the pose sample last seen
@@ -107,7 +115,7 @@ def locate(
                     seen, mean[i, 0], mean[i, 1], mean[i, 2], 0.0, 0.0, old
                 )  # fmt: skip
             share, share_yaw = (gains[0], gains[1]) if located[i] else (1.0, 1.0)
-            turned = e.heading + law.wrapped(seen.heading - e.heading)
+            turned = e.heading + wrap_angle(seen.heading - e.heading)
             e = law.PoseError(
                 _blend(e.x, seen.x, share),
                 _blend(e.y, seen.y, share),
@@ -115,16 +123,18 @@ def locate(
             )
             located[i] = True
         age[i] = old if np.isfinite(old) else age[i] + period
-        error[i, 0], error[i, 1], error[i, 2] = e.x, e.y, law.wrapped(e.heading)
+        error[i, 0], error[i, 1], error[i, 2] = e.x, e.y, wrap_angle(e.heading)
 
 
-class SlippageAwarePolicy:
+class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
     """The slippage-aware controller of F 5.2 (slc) as a policy, for one vehicle or a batch.
 
     parameters: track_gauge, sprocket_radius and sprocket_speed_limit are used, each a number
     or (N,). control_period [s]: between two calls. slip_model: beta and alpha from sprocket
     speeds. gains: of the law. data_sheet: noise of the sensors; it sets the filter of the pose.
-    None: no noise, hence no filter. Raises ValueError for arguments that make no sense.
+    None: no noise, hence no filter. observation: names of the fields that the environment shows.
+    Raises ValueError for arguments that make no sense, and for an observation that lacks a field
+    of NEEDS.
     """
 
     def __init__(
@@ -134,20 +144,19 @@ class SlippageAwarePolicy:
         slip_model: SlipModel,
         gains: LyapunovGains | None = None,
         data_sheet: DataSheet | None = None,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
         gains = LyapunovGains() if gains is None else gains
         self.gains = LyapunovGains(*(float(gain) for gain in gains))
         if not all(0.0 < gain < math.inf for gain in self.gains):
             raise ValueError(f"{self.gains}: both gains must be positive and finite")
-        if not 0.0 < control_period <= 1.0:
-            raise ValueError(
-                f"control_period = {control_period} s; must be in (0, 1] s. Did you pass a rate?"
-            )
+        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         if self.gains.k_p * control_period >= 1.0:
             raise ValueError(
                 f"k_p control_period = {self.gains.k_p * control_period:g}; must be below 1, or "
                 "every step overshoots. Is the controller called too rarely?"
             )
+        self._view = layout.View(observation, NEEDS)
         self.control_period = float(control_period)
         self.slip_model = slip_model
         self.geometry = Geometry.of(parameters)
@@ -162,35 +171,25 @@ class SlippageAwarePolicy:
             ),
         )
 
-    def predict(
+    def act(
         self,
         observation: NDArray[np.float32],
-        state: LyapunovState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
+        state: LyapunovState | None,
+        start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], LyapunovState]:
-        """Sprocket speeds over their limit, and the state to pass to the next call.
+        """Sprocket speeds over their limit, and the new state.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None starts
-        anew. episode_start: (N,) or a bool; those rows start anew. deterministic: unused.
-        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
-        Raises ValueError for a wrong shape or a state of another number of vehicles.
+        Raises ValueError for a state of another number of vehicles.
         """
-        batch = np.array(observation, dtype=np.float32, ndmin=2)
-        count, single = len(batch), np.ndim(observation) == 1
-        if batch.ndim != 2 or batch.shape[1] != layout.SIZE:
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}; must be ({layout.SIZE},) or "
-                f"(N, {layout.SIZE}). Did a wrapper stack or append to it?"
-            )
+        count = len(observation)
         geometry = self.geometry.rows(count)
-        error, age, last, mean, located = self._start(state, episode_start, count)
-        measured = batch[:, _SPROCKETS] * _SCALE[_SPROCKETS]
+        error, age, last, mean, located = self._start(state, start)
+        measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
         beta, alpha, driven = self._slip(actual, geometry)
         reference = np.empty((count, 4))
         locate(
-            batch, driven, alpha, self.velocity_measured, self.filter_gains,
+            observation, driven, alpha, self.velocity_measured, self.filter_gains,
             self.control_period, error, age, mean, located, reference,
         )  # fmt: skip
         moving = located & np.isfinite(reference[:, 0])
@@ -199,28 +198,17 @@ class SlippageAwarePolicy:
         sprockets = self._feed_forward(wanted, beta, geometry)
         sprockets[~moving] = 0.0
         action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
-        return (action[0] if single else action), LyapunovState(
-            error, age, sprockets, mean, located
-        )
+        return action, LyapunovState(error, age, sprockets, mean, located)
 
-    def _start(
-        self,
-        state: LyapunovState | None,
-        episode_start: NDArray[np.bool_] | bool | None,
-        count: int,
-    ) -> LyapunovState:
+    def _start(self, state: LyapunovState | None, start: NDArray[np.bool_]) -> LyapunovState:
         """A copy of the state, its rows new where an episode starts."""
         if state is None:
-            rows, nowhere = np.zeros((count, 3)), np.zeros(count, dtype=bool)
-            state = LyapunovState(rows, rows[:, 0], rows[:, :2], rows, nowhere)
-        if len(state.age) != count:
-            raise ValueError(f"state of {len(state.age)} vehicles for {count} observations")
-        start = np.asarray(False if episode_start is None else episode_start, dtype=bool)
-        if start.shape not in ((), (1,), (count,)):
-            raise ValueError(f"episode_start has shape {start.shape}; must be ({count},)")
+            rows, nowhere = np.zeros((len(start), 3)), np.zeros(len(start), dtype=bool)
+            return LyapunovState(rows, rows[:, 0].copy(), rows[:, :2].copy(), rows.copy(), nowhere)
+        self.same_count(len(state.age), len(start))
         copies = LyapunovState._make(values.copy() for values in state)
         for values in copies:
-            values[np.broadcast_to(start, (count,))] = 0
+            values[start] = 0
         return copies
 
     def _slip(self, sprockets: Array, geometry: Geometry) -> tuple[Array, Array, Array]:
@@ -291,8 +279,9 @@ class UnicyclePolicy(SlippageAwarePolicy):
         control_period: float,
         gains: LyapunovGains | None = None,
         data_sheet: DataSheet | None = None,
+        observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet)
+        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet, observation)
 
     def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
         slip, motion = np.empty((0, 3)), np.empty((len(error), 2))

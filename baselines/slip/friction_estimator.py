@@ -37,6 +37,7 @@ from baselines.slip.slip_sweep import (
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.patch_dynamics import hold_speeds
 from tracked_env.physics.patch_forces import Patches, make_patches
+from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
 PULL = 1.0  # [s] over which the plants are drawn to the measured velocities
 MEMORY_TIME = 5.0  # [s] of turns, over which evidence is forgotten
@@ -68,21 +69,15 @@ class RecursiveSlipEstimator:
         memory_time: float = MEMORY_TIME,
         patches: Patches | None = None,
     ) -> None:
-        if not 1e-4 <= control_period <= 1.0:
-            raise ValueError(
-                f"control_period = {control_period} s; must be in [0.0001, 1] s. "
-                "Did you pass a rate?"
-            )
+        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
+        count = checked_whole("count", count, VEHICLES)
         if not control_period <= memory_time < math.inf:
             raise ValueError(
                 f"memory_time = {memory_time} s; must be one control period or more, finite. "
                 "Did you pass steps?"
             )
-        if count != int(count) or count < 1:
-            raise ValueError(f"count = {count}; must be a whole number, 1 or more")
         for name, sigma in data_sheet._asdict().items():
-            if not 0.0 <= sigma < math.inf:
-                raise ValueError(f"{name} = {sigma}; must be in [0, inf). Sigmas are not negative.")
+            checked_number(name, sigma, SIGMA)
         self.control_period = float(control_period)
         self.family = slip_family(parameters)
         self._patches = make_patches() if patches is None else patches

@@ -36,8 +36,8 @@ from baselines.slip.slip_models import (
 from tracked_env.physics.parameters import RANGES, PlantParameters
 from tracked_env.physics.patch_dynamics import hold_speeds
 from tracked_env.physics.patch_forces import Patches, make_patches
+from tracked_env.physics.terramechanics import GRAVITY
 
-GRAVITY = 9.81  # [m/s^2]
 STEP = 0.65  # [rad/s] between sprocket speeds, F 4.2
 SPACING = 0.1  # [rad/s] of the upsampled grid, F 4.2
 SMOOTHING = 0.1  # [-] of the radial basis functions, F 4.2

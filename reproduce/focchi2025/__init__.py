@@ -3,17 +3,16 @@
     identification  4, 7.2.3   slip over the sprocket speeds: figures 6 to 9, exponential form
     spiral          5.2        the controllers on the pseudo-kinematic model: figure 10
     chicane         7.1        the controllers on the distributed model: figures 12 to 14
-    claims, page               what the paper says, what comes out, as one page
-Identification, slip models and controllers are handed in as `Tools`.
+    runs, loop      the vehicle and its time histories; a closed loop around any plant
+    results         all of them run
+    claims, page    what the paper says, what comes out, as one page
+The vehicle is that of tracked_env; slip models and controllers are those of baselines.
 
 References: [1] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025).
 """
 
-from reproduce.focchi2025.chicane import Case
-from reproduce.focchi2025.results import Results
-from reproduce.focchi2025.results import run_all as run_everything
-from reproduce.focchi2025.runs import Run, vehicle
-from reproduce.focchi2025.tools import Tools
+from reproduce.focchi2025.page import PAGE
+from reproduce.focchi2025.results import run_everything
 
-__all__ = ["Case", "Results", "Run", "Tools", "run_everything", "vehicle"]
+__all__ = ["PAGE", "run_everything"]

@@ -1,8 +1,9 @@
 """Section 7.1: the chicane F (53) on the distributed model, figures 12 to 14.
 
-As printed v starts at -2 v_max; read as a ramp v = v_max t it reaches 2 v_max at t_1 and jumps
-back. Chosen: that ramp, mu = 0.1, actuation noise as sigma of the sprocket speeds, new at every
-control step, ideal sensors. The paper controls at 1 kHz in simulation, its vehicle at 200 Hz.
+As printed the speed starts at -2 v_max; read as a ramp v = v_max t it reaches 2 v_max at t_1 and
+jumps back. Chosen: that ramp, mu = 0.1, actuation noise as the standard deviation of the sprocket
+speeds, drawn anew at every control step, ideal sensors. The paper controls at 1 kHz in simulation
+and its vehicle at 200 Hz.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reproduce.focchi2025.identification import MEASURED_LIMIT, STEP, within
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.slip.slip_models import SlipModel
+from baselines.slip.slip_regression import fit_exponential, train_trees
+from baselines.slip.slip_sweep import identified_slip, sweep, upsample
+from reproduce.focchi2025.identification import MEASURED_LIMIT, within
 from reproduce.focchi2025.loop import follow, patches
 from reproduce.focchi2025.runs import (
     FRICTION,
@@ -22,7 +29,6 @@ from reproduce.focchi2025.runs import (
     Run,
     vehicle,
 )
-from reproduce.focchi2025.tools import Tools
 from tracked_env.engine.columns import columns
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.references import ReferenceProfile, make_reference
@@ -45,13 +51,13 @@ _GOAL = columns(("reference_x", "reference_y", "reference_yaw"))
 
 
 class Case(NamedTuple):
-    """One vehicle and what its controller believes."""
+    """A vehicle, and what its controller assumes."""
 
     kind: str  # uc; slc with the slip of a table or of REGRESSED; online
     length: float = LENGTHS[-1]  # [m]
     rate: int = 200  # [Hz] of control
     friction: float = FRICTION  # [-] true mu
-    believed: float = FRICTION  # [-] mu that the controller is told
+    believed: float = FRICTION  # [-] mu that the controller assumes
     resistance: float = RESISTANCE  # [-] c_r, true
     believed_resistance: float = RESISTANCE
     noise: float = NOISE  # [rad/s]
@@ -62,47 +68,49 @@ KINDS = ("uc", "table")  # of the paper's comparison; the table stands for its r
 PAPER = [Case(kind, length, rate) for rate in RATES for length in LENGTHS for kind in KINDS]
 REGRESSED = ("trees", "exponential", "exponential, slow")
 MODELS = [Case(kind, length) for length in LENGTHS for kind in REGRESSED]
-SOILS = ((0.1, 0.4), (0.4, 0.1))  # (true, told)
+SOILS = ((0.1, 0.4), (0.4, 0.1))  # [-] mu: (true, assumed)
 ONLINE = [
     Case(kind, length, friction=true, believed=believed)
     for length in LENGTHS
-    for true, told in SOILS
-    for kind, believed in (("table", true), ("table", told), ("online", told))
+    for true, assumed in SOILS
+    for kind, believed in (("table", true), ("table", assumed), ("online", assumed))
 ]
 RESISTANCES = [
-    Case(kind, length, resistance=true, believed_resistance=told)
+    Case(kind, length, resistance=true, believed_resistance=assumed)
     for length in LENGTHS
     for kind in KINDS
-    for true, told in ((0.0, 0.0), (0.0, RESISTANCE), (RESISTANCE, 0.0))
-    if kind != "uc" or true == told
+    for true, assumed in ((0.0, 0.0), (0.0, RESISTANCE), (RESISTANCE, 0.0))
+    if kind != "uc" or true == assumed
 ]
 LOUD = [Case(kind, length, noise=0.02**0.5) for length in LENGTHS for kind in KINDS]
 
 
-def slip_model(tools: Tools, parameters: PlantParameters, kind: str) -> Any:
-    """Slip of a vehicle as F has it, by `kind`; "exponential, slow": of slow runs."""
+def slip_model(parameters: PlantParameters, kind: str) -> SlipModel:
+    """Slip of a vehicle on its soil: "table", or one of REGRESSED."""
     if kind == "table":
-        return tools.slip(parameters)
-    runs = tools.sweep(parameters, STEP)
+        return identified_slip(parameters)
+    runs = sweep(parameters)
     if kind == "trees":
-        return tools.regression(tools.upsample(runs, parameters), parameters, kind)[0]
+        return train_trees(upsample(runs, parameters)[0], parameters)[0]
     if kind == "exponential, slow":
         runs = within(runs, MEASURED_LIMIT)
-    return tools.regression(runs, parameters, "exponential")[0]
+    return fit_exponential(runs, parameters)[0]
 
 
-def policy(tools: Tools, case: Case, count: int) -> Any:
-    """What drives `count` vehicles of a case."""
+def policy(case: Case) -> SlippageAwarePolicy | AdaptiveSlipPolicy:
+    """The controller of a case, for any number of vehicles."""
     believed = vehicle(case.length, case.believed, case.believed_resistance)
-    sensors, period = PRESETS[case.sensors], 1.0 / case.rate
+    sheet, period = DataSheet.of(PRESETS[case.sensors]), 1.0 / case.rate
     if case.kind == "online":
-        return tools.online(believed, period, sensors, count)
-    model = None if case.kind == "uc" else slip_model(tools, believed, case.kind)
-    return tools.controller(believed, period, sensors, count, model)
+        return AdaptiveSlipPolicy(believed, period, sheet)
+    if case.kind == "uc":
+        return UnicyclePolicy(believed, period, data_sheet=sheet)
+    model = slip_model(believed, case.kind)
+    return SlippageAwarePolicy(believed, period, model, data_sheet=sheet)
 
 
 def knowledge(case: Case) -> tuple[Any, ...]:
-    """What the controller is made of: cases that agree in it share one."""
+    """What a controller is made from: cases with the same knowledge share one controller."""
     if case.kind == "uc":
         return ("uc", case.sensors)
     return (case.kind, case.length, case.believed, case.believed_resistance, case.sensors)
@@ -125,21 +133,17 @@ def options(case: Case) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def drive(
-    tools: Tools, cases: Sequence[Case], seeds: int = SEEDS, duration: float = DURATION
-) -> dict[Case, Run]:
+def drive(cases: Sequence[Case], seeds: int = SEEDS, duration: float = DURATION) -> dict[Case, Run]:
     """Drive `seeds` vehicles of every case; the noise of seed k is the same for all cases."""
     found: dict[Case, Run] = {}
     for rate in dict.fromkeys(case.rate for case in cases):
         alike = sorted((c for c in cases if c.rate == rate), key=knowledge)
-        found |= _drive(alike, tools, rate, seeds, duration)
+        found |= _drive(alike, rate, seeds, duration)
     return {case: found[case] for case in cases}
 
 
-def _drive(
-    cases: Sequence[Case], tools: Tools, rate: int, seeds: int, duration: float
-) -> dict[Case, Run]:
-    """All of one control rate, as one batch; cases that share a controller are neighbours."""
+def _drive(cases: Sequence[Case], rate: int, seeds: int, duration: float) -> dict[Case, Run]:
+    """All cases of one control rate as one batch; those that share a controller are neighbours."""
     count, steps = seeds * len(cases), round(duration * rate)
     env = TrackedVehicleVectorEnv(
         count, reference=REFERENCE, uncertainty="nominal", sensors="ideal",
@@ -153,7 +157,7 @@ def _drive(
     for _, group in groupby(range(len(cases)), lambda i: knowledge(cases[i])):
         members = list(group)
         shares.append(slice(parts[members[0]].start, parts[members[-1]].stop))
-        policies.append(policy(tools, cases[members[0]], seeds * len(members)))
+        policies.append(policy(cases[members[0]]))
     memories: list[Any] = [None] * len(policies)
     sigma = np.repeat([case.noise for case in cases], seeds)[:, None]
     scale = sigma / vehicle().sprocket_speed_limit
@@ -169,9 +173,9 @@ def _drive(
         for i, (one, share) in enumerate(zip(policies, shares, strict=True)):
             action[share], memories[i] = one.predict(observation[share], memories[i])
             if hasattr(one, "estimates"):
-                told = one.estimates()["friction_angle"][0]
+                angle = one.estimates()["friction_angle"][0]
                 belief.setdefault("friction", np.full((steps, count), np.nan))
-                belief["friction"][k, share] = np.tan(told)
+                belief["friction"][k, share] = np.tan(angle)
         noise = np.tile(rng.standard_normal((seeds, 2)), (len(cases), 1))
         noisy = np.clip(action + scale * noise, -1.0, 1.0).astype(np.float32)
         observation = env.step(noisy)[0]
@@ -201,7 +205,7 @@ def reading(name: str) -> ReferenceProfile:
 
 
 def readings(
-    tools: Tools, rate: int = 50, resistances: Sequence[float] = (RESISTANCE, 0.0)
+    rate: int = 50, resistances: Sequence[float] = (RESISTANCE, 0.0)
 ) -> dict[tuple[str, float, float, str], Numbers]:
     """{(reading, length, c_r, kind): errors}, without noise."""
     found = {}
@@ -211,7 +215,7 @@ def readings(
             for kind in KINDS:
                 case = Case(kind, length, rate, believed_resistance=resistance)
                 true = vehicle(length, FRICTION, resistance)
-                made = policy(tools, case, len(profiles))
+                made = policy(case)
                 plant = patches(true, len(profiles), False, 2.5e-3)
                 run = follow(made, plant, profiles, START, true, rate, DURATION)
                 for i, name in enumerate(READINGS):
@@ -226,13 +230,13 @@ INTEGRATORS = {
 }
 
 
-def integrators(tools: Tools, length: float = LENGTHS[-1]) -> dict[tuple[str, str], Run]:
+def integrators(length: float = LENGTHS[-1]) -> dict[tuple[str, str], Run]:
     """{(integrator, kind): run} without noise, 200 Hz."""
     found = {}
     true, profile = vehicle(length), reading("v_max t")
     for name, (euler, step) in INTEGRATORS.items():
         for kind in KINDS:
             case = Case(kind, length)
-            made, plant = policy(tools, case, 1), patches(true, 1, euler, step)
+            made, plant = policy(case), patches(true, 1, euler, step)
             found[name, kind] = follow(made, plant, [profile], START, true, case.rate, DURATION)
     return found

@@ -7,24 +7,23 @@ import math
 
 import numpy as np
 
+from baselines.slip.slip_regression import Scores
 from reproduce.focchi2025 import chicane, spiral
 from reproduce.focchi2025 import identification as ident
 from reproduce.focchi2025.chicane import Case
 from reproduce.focchi2025.results import Results
 from reproduce.focchi2025.runs import BEGUN, LENGTHS, RESISTANCE, Floats, Run, vehicle
-from reproduce.paper_page import Claim, claims_table, verdict
-
-__all__ = ["claims", "claims_table", "prediction"]
+from reproduce.paper_page import Claim, verdict
 
 RATE = chicane.RATES[0]  # [Hz] of the paper's simulation
 REAL = (0.91, 0.84, 0.961)  # R^2 of F for the real vehicle: beta_left, beta_right, alpha
-GOAL = 0.20  # [-] what may be lost to the wrong friction
+GOAL = 0.20  # [-] largest loss of accuracy that a wrong assumed friction may leave
 TURNS = (slice(2.5, 12.0), slice(13.0, 20.0))  # [s] of the chicane, without its jumps
 
 
-def three(scores: object) -> str:
+def three(scores: Scores) -> str:
     """R^2 of beta_left, beta_right and alpha forward."""
-    return " / ".join(f"{value:.4g}" for value in list(scores)[:3])  # type: ignore[call-overload]
+    return " / ".join(f"{value:.4g}" for value in scores[:3])
 
 
 def cm(value: float) -> str:
@@ -40,7 +39,7 @@ def identification_claims(results: Results) -> list[Claim]:
     low, middle, high = (runs[mu] for mu in ident.FRICTIONS)
     at_low, at_middle = ident.share_above(low, middle), ident.share_above(middle, high)
     claims = []
-    if simulated.trees is None:
+    if simulated.held_out is None or simulated.unseen is None:
         claims.append(Claim("4.2, 4.3", "R^2 of the regressors 0.999 in simulation",
                             "not computed", "-", found.missing))  # fmt: skip
     else:
@@ -64,7 +63,7 @@ def identification_claims(results: Results) -> list[Claim]:
               "stop"),
     )  # fmt: skip
     if real is not None:
-        if real.unseen is not None:
+        if real.held_out is not None and real.unseen is not None:
             agree = [abs(a - b) < 0.05 for a, b in zip(real.unseen[:3], REAL, strict=True)]
             claims.append(
                 Claim("4.2, 4.3, figs 6, 7", "real vehicle: R^2 = 0.91, 0.84, 0.961",
@@ -146,12 +145,12 @@ def prediction(
         jumps |= (time >= jump) & (time < jump + 1.0)
     found = {}
     names = ("beta_left", "beta_right", "alpha")
-    for name, true, told in zip(names, actual, predicted[case], strict=True):
+    for name, true, expected in zip(names, actual, predicted[case], strict=True):
 
         def rms(values: Floats, rows: np.ndarray) -> float:
             return float(np.sqrt(np.nanmean(np.square(values[rows])))) if rows.any() else math.nan
 
-        error = true[:, 0] - told
+        error = true[:, 0] - expected
         found[name] = (rms(true[:, 0], turning), rms(error, turning), rms(error, jumps))
     return found
 
@@ -195,14 +194,14 @@ def chicane_claims(results: Results) -> list[Claim]:
 
 
 def further_claims(results: Results) -> list[Claim]:
-    """What the paper does not say, or leaves open."""
+    """Comparisons that the paper leaves open or does not make."""
     numbers = {case: run.numbers() for case, run in results.chicane.items()}
     loss, wrong = [], []
     for length in LENGTHS:
-        for true, told in chicane.SOILS:
+        for true, assumed in chicane.SOILS:
             known = numbers[Case("table", length, friction=true, believed=true)]
-            guess = numbers[Case("table", length, friction=true, believed=told)]
-            found = numbers[Case("online", length, friction=true, believed=told)]
+            guess = numbers[Case("table", length, friction=true, believed=assumed)]
+            found = numbers[Case("online", length, friction=true, believed=assumed)]
             loss += [found.largest / known.largest - 1.0, found.rmse / known.rmse - 1.0]
             wrong.append(guess.largest / known.largest)
     by_rate = [

@@ -1,9 +1,7 @@
 """Figures 10 and 12 to 14: paths, errors and slip; needs matplotlib."""
 
-from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -12,13 +10,13 @@ from reproduce.focchi2025.chicane import Case
 from reproduce.focchi2025.claims import RATE
 from reproduce.focchi2025.results import Results
 from reproduce.focchi2025.runs import BEGUN, LENGTHS, Run, vehicle
-from reproduce.paper_page import Figures
-from tracked_env.benchmark.drawing import DPI, PALETTE, REFERENCE_COLOUR, STYLE
+from reproduce.paper_figures import REFERENCE, Drawings, panels
+from tracked_env.benchmark.drawing import PALETTE
 
 UC: dict[str, Any] = {"color": PALETTE[1], "linestyle": "--", "linewidth": 1.3, "label": "UC"}
 SLC: dict[str, Any] = {"color": PALETTE[0], "linewidth": 1.3, "label": "SLC"}
 LINES = {"uc": UC, "table": SLC, "slc": SLC}
-TOLD: dict[str, Any] = {"color": PALETTE[3], "linestyle": ":", "linewidth": 1.3}
+ASSUMED: dict[str, Any] = {"color": PALETTE[3], "linestyle": ":", "linewidth": 1.3}
 ONLINE: dict[str, Any] = {"color": PALETTE[2], "linestyle": "-.", "linewidth": 1.3}
 DOTS = 4000  # points of a line at most
 
@@ -31,7 +29,7 @@ def _path(axes: Any, runs: dict[str, Run], title: str) -> None:
     """Reference and driven paths of the first vehicles."""
     first = next(iter(runs.values()))
     x, y = first.reference[:, 0, 0], first.reference[:, 1, 0]
-    axes.plot(x, y, color=REFERENCE_COLOUR, linewidth=4.0, alpha=0.45, label="reference")
+    axes.plot(x, y, **REFERENCE)
     axes.plot(x[0], y[0], "o", color=PALETTE[2], markersize=5)
     axes.plot(x[-1], y[-1], "o", color=PALETTE[3], markersize=5)
     for kind, run in runs.items():
@@ -44,8 +42,7 @@ def _path(axes: Any, runs: dict[str, Run], title: str) -> None:
 
 def spiral(results: Results) -> Figure:
     """Figure 10: paths, Cartesian error, Lyapunov function."""
-    figure = Figure(figsize=(10.0, 3.3), dpi=DPI, layout="constrained")
-    axes = figure.subplots(1, 3)
+    figure, (axes,) = panels((10.0, 3.3), 1, 3)
     _path(axes[0], {kind: one.run for kind, one in results.spiral.items()}, "path")
     for kind, one in results.spiral.items():
         axes[1].plot(one.run.time, 100.0 * one.run.distance[:, 0], **LINES[kind])
@@ -62,8 +59,7 @@ def spiral(results: Results) -> Figure:
 
 def paths(results: Results) -> Figure:
     """Figure 12: the chicane with both contact lengths."""
-    figure = Figure(figsize=(10.0, 4.2), dpi=DPI, layout="constrained")
-    axes = figure.subplots(1, len(LENGTHS))
+    figure, (axes,) = panels((10.0, 4.2), 1, len(LENGTHS))
     for panel, length in zip(axes, LENGTHS, strict=True):
         runs = {k: results.chicane[Case(k, length, RATE)] for k in chicane.KINDS}
         _path(panel, runs, f"contact length {length:g} m")
@@ -73,8 +69,7 @@ def paths(results: Results) -> Figure:
 
 def errors(results: Results) -> Figure:
     """Figure 13: Cartesian and heading error, all vehicles."""
-    figure = Figure(figsize=(10.0, 5.0), dpi=DPI, layout="constrained")
-    axes = figure.subplots(2, len(LENGTHS), sharex=True, sharey="row")
+    figure, axes = panels((10.0, 5.0), 2, len(LENGTHS), sharex=True, sharey="row")
     for column, length in enumerate(LENGTHS):
         for kind in chicane.KINDS:
             run = results.chicane[Case(kind, length, RATE)]
@@ -100,8 +95,7 @@ def errors(results: Results) -> Figure:
 def slip(results: Results) -> Figure:
     """Figure 14: actual slip and what the controller expects, first vehicle."""
     cases = list(results.predicted)
-    figure = Figure(figsize=(10.0, 6.0), dpi=DPI, layout="constrained")
-    axes = figure.subplots(3, len(cases), sharex=True, sharey="row", squeeze=False)
+    figure, axes = panels((10.0, 6.0), 3, len(cases), sharex=True, sharey="row")
     labels = (r"$\beta_L$ [m/s]", r"$\beta_R$ [m/s]", r"$\alpha$ [rad]")
     for column, case in enumerate(cases):
         run = results.chicane[case]
@@ -124,15 +118,14 @@ def slip(results: Results) -> Figure:
 
 
 def online(results: Results) -> Figure:
-    """The chicane with the friction told wrong: error, and the friction believed."""
+    """The chicane with a wrong assumed friction: error, and the friction of the controller."""
     length = LENGTHS[-1]
-    figure = Figure(figsize=(10.0, 5.0), dpi=DPI, layout="constrained")
-    axes = figure.subplots(2, len(chicane.SOILS), sharex=True, squeeze=False)
-    for column, (true, told) in enumerate(chicane.SOILS):
+    figure, axes = panels((10.0, 5.0), 2, len(chicane.SOILS), sharex=True)
+    for column, (true, assumed) in enumerate(chicane.SOILS):
         for kind, believed, line, label in (
             ("table", true, SLC, "slip of the true friction"),
-            ("table", told, TOLD, "slip of the friction told"),
-            ("online", told, ONLINE, "identified on line"),
+            ("table", assumed, ASSUMED, "slip of the friction told"),
+            ("online", assumed, ONLINE, "identified on line"),
         ):
             run = results.chicane[Case(kind, length, friction=true, believed=believed)]
             shown = {**line, "label": label}
@@ -141,7 +134,7 @@ def online(results: Results) -> Figure:
                 len(run.time), believed
             )  # fmt: skip
             axes[1, column].plot(run.time, mu, **shown)
-        axes[0, column].set_title(f"true mu = {true:g}, told {told:g}")
+        axes[0, column].set_title(f"true mu = {true:g}, told {assumed:g}")
         axes[0, column].set_ylim(0.0, 10.0)
         axes[1, column].set_ylim(0.0, 0.5)
         axes[1, column].set_xlabel("time [s]")
@@ -151,23 +144,29 @@ def online(results: Results) -> Figure:
     return figure
 
 
-def save(results: Results, folder: Path) -> Figures:
-    """Write all; {name: (file, caption)}."""
-    drawn: dict[str, tuple[Any, str]] = {}
-    with matplotlib.rc_context(STYLE):
-        drawn["spiral"] = (spiral(results), "Figure 10 of the paper: pseudo-kinematic model, a "
-                           "spiral of v_d = 0.3 m/s, w_d = 0.05 t.")  # fmt: skip
-        drawn["paths"] = (paths(results), "Figure 12 of the paper: chicane (53) on the distributed "
-                          "model, mu = 0.1.")  # fmt: skip
-        drawn["errors"] = (errors(results), "Figure 13 of the paper: errors of all vehicles; "
-                           "dotted: the paper's 10 cm and 3 cm.")  # fmt: skip
-        drawn["slip"] = (slip(results), "Figure 14 of the paper: slip of one vehicle, actual and "
-                         "predicted; drawn up to 1.8 times the largest prediction.")  # fmt: skip
-        drawn["online"] = (online(results), "The chicane with the friction told wrong, contact "
-                           "length 0.7 m.")  # fmt: skip
-        written: Figures = {}
-        for name, (figure, caption) in drawn.items():
-            file = folder / f"focchi2025-{name}.png"
-            figure.savefig(file)
-            written[name] = (file, caption)
-    return written
+def drawings(results: Results) -> Drawings:
+    """All figures of this file."""
+    return {
+        "spiral": (
+            spiral(results),
+            "Figure 10 of the paper: pseudo-kinematic model, a spiral of v_d = 0.3 m/s, "
+            "w_d = 0.05 t.",
+        ),
+        "paths": (
+            paths(results),
+            "Figure 12 of the paper: chicane (53) on the distributed model, mu = 0.1.",
+        ),
+        "errors": (
+            errors(results),
+            "Figure 13 of the paper: errors of all vehicles; dotted: the paper's 10 cm and 3 cm.",
+        ),
+        "slip": (
+            slip(results),
+            "Figure 14 of the paper: slip of one vehicle, actual and predicted; drawn up to 1.8 "
+            "times the largest prediction.",
+        ),
+        "online": (
+            online(results),
+            "The chicane with a wrong assumed friction, contact length 0.7 m.",
+        ),
+    }

@@ -21,7 +21,7 @@ def patches(parameters: PlantParameters, count: int, euler: bool, step: float = 
 
 
 class Kinematic:
-    """The pseudo-kinematic model that `Tools.kinematic` makes, as a `Driven`."""
+    """The pseudo-kinematic model as a `Driven`."""
 
     def __init__(self, model: Any, count: int = 1) -> None:
         self._model = model

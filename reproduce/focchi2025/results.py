@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import chicane, identification, spiral
 from reproduce.focchi2025.chicane import Case
 from reproduce.focchi2025.identification import Identifications
 from reproduce.focchi2025.runs import LENGTHS, Floats, Numbers, Run, vehicle
 from reproduce.focchi2025.spiral import Spiral
-from reproduce.focchi2025.tools import Tools
 
 
 class Results(NamedTuple):
@@ -23,34 +23,37 @@ class Results(NamedTuple):
     predicted: dict[Case, tuple[Floats, Floats, Floats]]  # slip (T,) of the first vehicle
 
 
-def predicted_slip(tools: Tools, case: Case, run: Run) -> tuple[Floats, Floats, Floats]:
+def predicted_slip(case: Case, run: Run) -> tuple[Floats, Floats, Floats]:
     """beta_left, beta_right, alpha that the controller of a case expects of its first vehicle."""
-    model = tools.slip(vehicle(case.length, case.believed, case.believed_resistance))
+    model = identified_slip(vehicle(case.length, case.believed, case.believed_resistance))
     left, right = (run.sprockets[:, side, 0].copy() for side in range(2))
     beta_left, beta_right, alpha = model.slip(left, right)
     return beta_left, beta_right, alpha
 
 
-def run_all(
-    tools: Tools, say: Callable[[str], None] = lambda text: None, measured: Path | None = None
+def run_everything(
+    say: Callable[[str], None] = lambda text: None, measured: Path | None = None
 ) -> Results:
-    """Run all experiments; `say` is told what comes next. measured: runs of the real vehicle."""
+    """Run all experiments; say(text) reports which ones come next.
+
+    measured: file of the runs of the real vehicle, None is `identification.MEASURED`.
+    """
     say("figures 6 to 9: identification of slip")
-    identified = identification.run_all(tools, measured)
+    identified = identification.run_all(measured)
     if identified.missing:
         say(identified.missing)
     if identified.measured is None:
         say("runs of the real vehicle: no file, left out")
     say("figure 10: spiral")
-    spirals = spiral.run_all(tools)
+    spirals = spiral.run_all()
     say("figures 12 to 14: chicane")
     trees = [case for case in chicane.MODELS if case.kind == "trees"]
     cases = [*chicane.PAPER, *chicane.MODELS, *chicane.ONLINE, *chicane.RESISTANCES, *chicane.LOUD]
     if identified.missing:
         cases = [case for case in cases if case not in trees]
-    driven = chicane.drive(tools, list(dict.fromkeys(cases)))
+    driven = chicane.drive(list(dict.fromkeys(cases)))
     say("readings of (53), integrators")
-    read, integrated = chicane.readings(tools), chicane.integrators(tools)
+    read, integrated = chicane.readings(), chicane.integrators()
     shown = [Case("table", length, chicane.RATES[0]) for length in LENGTHS]
-    predicted = {case: predicted_slip(tools, case, driven[case]) for case in shown}
+    predicted = {case: predicted_slip(case, driven[case]) for case in shown}
     return Results(identified, spirals, driven, read, integrated, predicted)

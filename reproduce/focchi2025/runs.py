@@ -1,11 +1,12 @@
-"""The vehicle, and what one run of it gave: F (36) and the numbers of figures 13 and 15."""
+"""The vehicle, and the time histories and errors of its runs: F (36), (37) and figure 13."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.slip.slip_sweep import slip_data
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 Floats = NDArray[np.float64]
@@ -13,6 +14,7 @@ Floats = NDArray[np.float64]
 LENGTHS = (0.5, 0.7)  # [m] contact length: nearest to figure 13, and Table 2
 FRICTION = 0.1  # [-] mu of figures 6, 7, 9, 12 to 14
 RESISTANCE = 0.025  # [-] c_r of Table 2
+SLOWEST = 1e-3  # [m/s] a slower v_x has no alpha
 BEGUN = 3.0  # [s] from here on errors count: the start is 5.8 cm off
 
 
@@ -48,7 +50,7 @@ class Run(NamedTuple):
     state: Floats  # (T, 6, N) x, y [m], yaw [rad], v_x, v_y [m/s], yaw rate [rad/s]
     sprockets: Floats  # (T, 2, N) [rad/s] in force before that time, left and right
     reference: Floats  # (T, 3, N) x, y [m], yaw [rad]
-    belief: dict[str, Floats]  # (T, N) by name, empty when the policy says nothing
+    belief: dict[str, Floats]  # (T, N) estimates by name, empty when the policy has none
 
     @property
     def distance(self) -> Floats:
@@ -72,8 +74,8 @@ class Run(NamedTuple):
             float(np.sqrt(np.mean(distance**2))), float(np.abs(self.heading[late]).max()),
         )  # fmt: skip
 
-    def only(self, rows: Any) -> "Run":
-        """Some of the vehicles, by slice."""
+    def only(self, rows: slice) -> "Run":
+        """Some of the vehicles."""
         return Run(
             self.time, self.state[:, :, rows], self.sprockets[:, :, rows],
             self.reference[:, :, rows],
@@ -81,9 +83,13 @@ class Run(NamedTuple):
         )  # fmt: skip
 
     def slip(self, parameters: PlantParameters) -> tuple[Floats, Floats, Floats]:
-        """What the vehicles do, (T, N): beta_left, beta_right [m/s] of F (31), alpha of (28)."""
-        half, radius = 0.5 * parameters.track_gauge, parameters.sprocket_radius
-        v_x, v_y, turn = self.state[:, 3], self.state[:, 4], self.state[:, 5]
-        alpha = np.arctan(v_y / np.where(np.abs(v_x) > 1e-3, v_x, np.nan))
-        left, right = radius * self.sprockets[:, 0], radius * self.sprockets[:, 1]
-        return left - (v_x - half * turn), right - (v_x + half * turn), alpha
+        """Actual slip of the vehicles, (T, N): beta_left, beta_right [m/s] of F (31), alpha [rad]
+        of (28), nan where |v_x| is below SLOWEST."""
+        left, right = (self.sprockets[:, side].ravel() for side in range(2))
+        motion = self.state[:, 3:].transpose(0, 2, 1).reshape(-1, 3)
+        found = slip_data(parameters, left, right, motion)
+        alpha = np.where(np.abs(found.v_x) > SLOWEST, found.alpha, np.nan)
+        shape = self.state[:, 0].shape
+        return (
+            found.beta_left.reshape(shape), found.beta_right.reshape(shape), alpha.reshape(shape)
+        )  # fmt: skip

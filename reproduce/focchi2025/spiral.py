@@ -9,9 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov.lyapunov_laws import PoseError, lyapunov_value
+from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025.loop import Kinematic, follow
 from reproduce.focchi2025.runs import LENGTHS, Floats, Run, vehicle
-from reproduce.focchi2025.tools import Tools
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.references import ReferenceProfile
 from tracked_env.references.profile import constant, knot_times
@@ -51,24 +55,24 @@ def beyond_after(parameters: PlantParameters, slope: float = PRINTED) -> float:
     return (fastest - SPEED) / (0.5 * parameters.track_gauge * slope)
 
 
-def run_all(tools: Tools, length: float = LENGTHS[-1], duration: float = DURATION) -> dict[
-    str, Spiral
-]:  # fmt: skip
+def run_all(length: float = LENGTHS[-1], duration: float = DURATION) -> dict[str, Spiral]:
     """Both controllers, {"uc", "slc"}; the slippage-aware one knows the slip of the model."""
     parameters = vehicle(length)
-    model = tools.slip(parameters)
+    model = identified_slip(parameters)
+    sheet, period = DataSheet.of(PRESETS["ideal"]), 1.0 / RATE
+    aware = SlippageAwarePolicy(parameters, period, model, data_sheet=sheet)
+    policies = {"uc": UnicyclePolicy(parameters, period, data_sheet=sheet), "slc": aware}
     found = {}
-    for kind, known in (("uc", None), ("slc", model)):
-        policy = tools.controller(parameters, 1.0 / RATE, PRESETS["ideal"], 1, known)
-        plant = Kinematic(tools.kinematic(parameters, model))
+    for kind, policy in policies.items():
+        plant = Kinematic(PseudoKinematicModel(parameters, model))
         run = follow(policy, plant, [profile()], START, parameters, RATE, duration)
         alpha: Floats = np.zeros(len(run.time))
-        if known is not None:
+        if policy is aware:
             rows = np.zeros((len(run.time), 4))
             rows[:, 0], rows[:, 1] = SPEED, YAW_ACCELERATION * run.time
             rows[:, 3] = YAW_ACCELERATION
-            alpha = policy.reference_slip(rows)[0]
-        heading = run.heading[:, 0] + alpha
-        value = 0.5 * run.distance[:, 0] ** 2 + 1.0 - np.cos(heading)
-        found[kind] = Spiral(run, value)
+            alpha = aware.reference_slip(rows)[0]
+        errors = zip(run.distance[:, 0], run.heading[:, 0], alpha, strict=True)
+        value = [lyapunov_value(PoseError(e_xy, 0.0, e_h), slip) for e_xy, e_h, slip in errors]
+        found[kind] = Spiral(run, np.array(value))
     return found

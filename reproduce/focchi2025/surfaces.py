@@ -1,18 +1,17 @@
 """Figures 6 to 9: slip over the sprocket speeds; needs matplotlib."""
 
-from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from reproduce.focchi2025 import identification as ident
 from reproduce.focchi2025.identification import Identifications, Identified
 from reproduce.focchi2025.results import Results
-from reproduce.focchi2025.runs import Floats
-from reproduce.paper_page import Figures
-from tracked_env.benchmark.drawing import DPI, PALETTE, STYLE
+from reproduce.focchi2025.runs import Floats, vehicle
+from reproduce.paper_figures import Drawings
+from tracked_env.benchmark.drawing import DPI, PALETTE
 
 SIMULATED, REAL, POINTS = PALETTE[1], PALETTE[4], PALETTE[0]
 LABELS = (r"$\beta_L$ [m/s]", r"$\beta_R$ [m/s]", r"$\alpha$ [rad], $v_x > 0$")
@@ -53,7 +52,7 @@ def _sheets(found: Identified, reach: Reach, radius: float) -> list[Floats]:
     lines = (np.linspace(*reach[:2], NODES), np.linspace(*reach[2:], NODES))
     left, right = np.meshgrid(*lines, indexing="ij")
     if found.trees is not None:
-        flat = found.trees.slip(left.ravel(), right.ravel())
+        flat: tuple[Floats, ...] = found.trees.slip(left.ravel(), right.ravel())
     else:
         from scipy.interpolate import griddata
 
@@ -131,32 +130,29 @@ def comparison(found: Identifications, radius: float) -> Figure:
         for sheets, colour in ((simulated, SIMULATED), (real, REAL)):
             axes.plot_surface(*sheets[:2], sheets[2 + column], color=colour, alpha=0.7,
                               linewidth=0.0, rcount=NODES, ccount=NODES)  # fmt: skip
-    handles = [matplotlib.patches.Patch(color=c) for c in (SIMULATED, REAL)]
+    handles = [Patch(color=c) for c in (SIMULATED, REAL)]
     figure.legend(handles, ["simulation", "real vehicle"], loc="lower center", ncols=2, fontsize=8)
     return figure
 
 
-def save(results: Results, folder: Path) -> Figures:
-    """Write all; {name: (file, caption)}."""
-    from reproduce.focchi2025.runs import vehicle
-
+def drawings(results: Results) -> Drawings:
+    """All figures of this file; figure 9 where there are runs of the real vehicle."""
     found, radius = results.identification, vehicle().sprocket_radius
-    with matplotlib.rc_context(STYLE):
-        drawn = {
-            "fits": (fits(found, radius), "Figures 6 and 7 of the paper: the regressors (surfaces) "
-                     "and the runs (dots), mu = 0.1, 0.7 m."),
-            "frictions": (frictions(found), "Figure 8 of the paper: alpha of the simulation, "
-                          "driving forward."),
-        }  # fmt: skip
-        if found.measured is not None:
-            drawn["comparison"] = (
-                comparison(found, radius),
-                "Figure 9 of the paper: simulation (0.7 m) and real vehicle in the range of the "
-                "latter.",
-            )
-        written: Figures = {}
-        for name, (figure, caption) in drawn.items():
-            file = folder / f"focchi2025-{name}.png"
-            figure.savefig(file)
-            written[name] = (file, caption)
-    return written
+    drawn = {
+        "fits": (
+            fits(found, radius),
+            "Figures 6 and 7 of the paper: the regressors (surfaces) and the runs (dots), "
+            "mu = 0.1, 0.7 m.",
+        ),
+        "frictions": (
+            frictions(found),
+            "Figure 8 of the paper: alpha of the simulation, driving forward.",
+        ),
+    }
+    if found.measured is not None:
+        drawn["comparison"] = (
+            comparison(found, radius),
+            "Figure 9 of the paper: simulation (0.7 m) and real vehicle in the range of the "
+            "latter.",
+        )
+    return drawn

@@ -1,6 +1,6 @@
 """The tables of the page below the claims: every condition, one line each."""
 
-from typing import Any
+from collections.abc import Iterable
 
 from reproduce.focchi2025 import chicane
 from reproduce.focchi2025 import identification as ident
@@ -36,7 +36,7 @@ def chicane_table(results: Results) -> Rows:
 
 
 def model_table(results: Results) -> Rows:
-    """What the slip model is worth in the loop."""
+    """The closed loop with each slip model."""
     rows = [["controller", *_LENGTH_HEAD, *(f"{n:g} m: RMSE [cm]" for n in LENGTHS)]]
     for kind in ("uc", "table", *chicane.REGRESSED):
         if Case(kind, LENGTHS[0]) not in results.chicane:
@@ -48,13 +48,13 @@ def model_table(results: Results) -> Rows:
 
 
 def online_table(results: Results) -> Rows:
-    """Friction told wrong."""
+    """Wrong assumed friction: with its slip, and with slip identified on line."""
     rows = [["length [m]", "true mu", "told mu", "slip", "max [cm]", "RMSE [cm]",
              "max / known", "RMSE / known", "mu at the end"]]  # fmt: skip
     for length in LENGTHS:
-        for true, told in chicane.SOILS:
+        for true, assumed in chicane.SOILS:
             known = results.chicane[Case("table", length, friction=true, believed=true)].numbers()
-            for kind, believed in (("table", true), ("table", told), ("online", told)):
+            for kind, believed in (("table", true), ("table", assumed), ("online", assumed)):
                 run = results.chicane[Case(kind, length, friction=true, believed=believed)]
                 one = run.numbers()
                 mu = run.belief.get("friction") if kind == "online" else None
@@ -69,21 +69,21 @@ def online_table(results: Results) -> Rows:
 
 
 def resistance_table(results: Results) -> Rows:
-    """Rolling resistance in plant and regressor."""
+    """Rolling resistance of the plant and of the regressor."""
     rows = [["controller", "c_r", "c_r of the regressor", *_LENGTH_HEAD]]
     cases = [("uc", RESISTANCE, RESISTANCE), ("uc", 0.0, 0.0)]
-    cases += [("table", true, told) for true in (RESISTANCE, 0.0)
-              for told in (RESISTANCE, 0.0)]  # fmt: skip
-    for kind, true, told in cases:
-        found = [results.chicane[Case(kind, n, resistance=true, believed_resistance=told)]
+    cases += [("table", true, assumed) for true in (RESISTANCE, 0.0)
+              for assumed in (RESISTANCE, 0.0)]  # fmt: skip
+    for kind, true, assumed in cases:
+        found = [results.chicane[Case(kind, n, resistance=true, believed_resistance=assumed)]
                  for n in LENGTHS]  # fmt: skip
-        rows.append([CONTROLLER[kind], f"{true:g}", "" if kind == "uc" else f"{told:g}",
+        rows.append([CONTROLLER[kind], f"{true:g}", "" if kind == "uc" else f"{assumed:g}",
                      *(run.numbers().text for run in found)])  # fmt: skip
     return rows
 
 
 def open_table(results: Results) -> Rows:
-    """What (53) and the noise leave open."""
+    """The readings of (53)."""
     rows = [["v_d before t_1", "c_r", *(f"{name}, {n:g} m: max [cm]" for name in ("UC", "SLC")
              for n in LENGTHS)]]  # fmt: skip
     for name, text in chicane.READINGS.items():
@@ -136,7 +136,7 @@ def identification_table(results: Results) -> Rows:
     found = results.identification
     rows = [["runs", "regression", "R^2 on", *ident.CHANNELS]]
 
-    def add(name: str, regression: str, on: str, scores: Any) -> None:
+    def add(name: str, regression: str, on: str, scores: Iterable[float] | None) -> None:
         if scores is not None:
             rows.append([name, regression, on, *("-" if s != s else f"{s:.4f}" for s in scores)])
 

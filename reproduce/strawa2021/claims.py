@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reproduce.paper_page import Claim, percent, verdict
-from reproduce.paper_page import claims_table as table
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
@@ -18,8 +17,6 @@ from reproduce.strawa2021.drive import PERIOD, rms
 from reproduce.strawa2021.identification import Condition
 from reproduce.strawa2021.printed_gnr import WINDOW
 from reproduce.strawa2021.results import REGRESSIONS, Results
-
-__all__ = ["claims", "standstill", "table", "verdict"]
 
 STANDS = 0.05  # [m/s] slower than this a vehicle stands
 STARTED = 0.5  # [s] the torques have left the bounds that they start in

@@ -1,9 +1,9 @@
 """Sections 8.1 and 8.2 of Strawa et al. (2021) as scenarios that can be run again.
 
-The paper names neither radius, nor speed, nor where its circle lies; chosen here: R = 10 m around
-the origin of the maps, 2 m/s, start 1 m to the side at 0.3 m/s, ideal sensors, no motor lag, the
-`constrained` closure of S (28). S (20) is run with the factor 2 it prints and with 1, what the
-integral gives.
+The paper states neither the radius, nor the speed, nor the place of its circle; chosen here: R =
+10 m around the origin of the maps, 2 m/s, start 1 m to the side at 0.3 m/s, ideal sensors, no motor
+lag, the lateral constraint of S (28). S (20) is run with the printed factor 2 and with 1, the
+factor of its integral.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187.
 """
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reproduce.strawa2021.tools import Controller
+from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import ClosureParameters, PlantParameters, plant_parameters
 from tracked_env.uncertainty import STRAWA_MAPS
@@ -31,12 +31,12 @@ START = {"offset_x": 0.0, "offset_y": 1.0, "offset_yaw": 0.0, "speed": 0.3, "yaw
 
 
 class Scenario(NamedTuple):
-    """What is true, and what the controller believes of it."""
+    """The true plant, and what the controller assumes of it."""
 
     section: str
     title: str
     options: dict[str, Any]  # of reset(): the truth where it differs from Tables 1 and 2
-    believed: dict[str, float]  # factors on the true parameters of Tables 1 and 2
+    believed: dict[str, float]  # factors of the assumed on the true parameters of Tables 1 and 2
     turning_factors: tuple[float, ...] = (2.0, 1.0)
     lateral: str = "constrained"
 
@@ -70,7 +70,7 @@ class Run(NamedTuple):
 
 
 def believed_parameters(scenario: Scenario, turning_factor: float) -> PlantParameters:
-    """What the controller of a scenario is built from."""
+    """Parameters that the controller of a scenario assumes."""
     closure = ClosureParameters(turning_resistance_factor=turning_factor, icr_forward=ICR_FORWARD)
     nominal = plant_parameters(closure=closure)
     factors = {name: getattr(nominal, name) * f for name, f in scenario.believed.items()}
@@ -78,7 +78,7 @@ def believed_parameters(scenario: Scenario, turning_factor: float) -> PlantParam
 
 
 def closure_options(turning_factor: float, lateral: str) -> dict[str, float]:
-    """Reset options of a closure: `sliding` does not read d, its ICR emerges."""
+    """Options of reset for the turning resistance; d exists with the lateral constraint only."""
     if lateral == "sliding":
         return {"turning_resistance_factor": turning_factor}
     return {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD}
@@ -88,13 +88,9 @@ def run(
     scenario: Scenario,
     path: str,
     turning_factor: float,
-    controller: Controller,
     duration: float = 60.0,
 ) -> Run:
-    """Drive one scenario on "circle" or "straight"; `controller` builds the policy.
-
-    controller: (believed parameters, control period [s], closure) -> object with `predict`.
-    """
+    """Drive one scenario on "circle" or "straight" for `duration` [s]."""
     env = TrackedVehicleEnv(
         reference=PATHS[path],
         uncertainty="nominal",
@@ -111,7 +107,9 @@ def run(
         "closure": closure_options(turning_factor, scenario.lateral),
         "start": START,
     }
-    policy = controller(believed_parameters(scenario, turning_factor), 0.01, scenario.lateral)
+    policy = FeedbackLinearizingController(
+        believed_parameters(scenario, turning_factor), 0.01, lateral=scenario.lateral
+    )
     observation, info = env.reset(seed=0, options=options)
     state: Any = None
     rows, errors, references, demands = [], [], [], []
@@ -139,10 +137,10 @@ def run(
     )
 
 
-def run_all(controller: Controller, duration: float = 60.0) -> dict[tuple[str, str, float], Run]:
+def run_all(duration: float = 60.0) -> dict[tuple[str, str, float], Run]:
     """Every scenario on both paths with each turning factor: {(scenario, path, factor): Run}."""
     return {
-        (name, path, factor): run(scenario, path, factor, controller, duration)
+        (name, path, factor): run(scenario, path, factor, duration)
         for name, scenario in SCENARIOS.items()
         for path in PATHS
         for factor in scenario.turning_factors

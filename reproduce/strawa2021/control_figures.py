@@ -1,15 +1,18 @@
 """Figures 9 to 16 and 18 to 27: paths, speeds, errors, torque and slip; needs matplotlib."""
 
-from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from reproduce.paper_figures import REFERENCE, Drawings, panels
 from reproduce.strawa2021.control import PATHS, SCENARIOS, SETTLED, Run
-from tracked_env.benchmark.drawing import DPI, PALETTE, REFERENCE_COLOUR, STYLE
-from tracked_env.physics.parameter_events import WAVE_HIGH, WAVE_LOW
+from reproduce.strawa2021.results import Results
+from tracked_env.benchmark.drawing import PALETTE, REFERENCE_COLOUR
+from tracked_env.events import encode_schedule
+from tracked_env.physics.parameter_events import changed_value
+from tracked_env.physics.parameters import plant_parameters
+from tracked_env.uncertainty import STRAWA_MAPS
 
 Runs = dict[tuple[str, str, float], Run]
 
@@ -26,7 +29,7 @@ LEAST = 1e-8  # [m] errors are drawn from here on
 def _paths(axes: Any, runs: Runs, name: str, path: str, lines: dict[float, dict[str, Any]]) -> None:
     """Driven paths and the reference."""
     x, y = runs[name, path, 1.0].reference[:, runs[name, path, 1.0].time <= SETTLED]
-    axes.plot(x, y, color=REFERENCE_COLOUR, linewidth=4.0, alpha=0.45, label="reference")
+    axes.plot(x, y, **REFERENCE)
     for factor, line in lines.items():
         result = runs[name, path, factor]
         rows = result.time <= SETTLED
@@ -44,8 +47,7 @@ def _paths(axes: Any, runs: Runs, name: str, path: str, lines: dict[float, dict[
 def scenario(runs: Runs, name: str) -> Figure:
     """Nine panels of one scenario: paths and error, speeds on the circle, drive on the circle."""
     case = SCENARIOS[name]
-    figure = Figure(figsize=(10.0, 8.4), dpi=DPI, layout="constrained")
-    axes = figure.subplots(3, 3)
+    figure, axes = panels((10.0, 8.4), 3, 3)
     lines: dict[float, dict[str, Any]] = {
         factor: {"color": colour, "linestyle": style, "linewidth": 1.2,
                  "label": f"factor {factor:g} in (20)"}
@@ -101,16 +103,15 @@ def scenario(runs: Runs, name: str) -> Figure:
 
 def maps(runs: Runs) -> Figure:
     """Figures 18 and 19: the maps (44), (45) with the circle, and the coefficients on it."""
-    figure = Figure(figsize=(10.0, 3.2), dpi=DPI, layout="constrained")
-    axes = figure.subplots(1, 3)
+    figure, ((*left, right),) = panels((10.0, 3.2), 1, 3)
     x, y = np.meshgrid(np.linspace(-25.0, 25.0, 201), np.linspace(-25.0, 25.0, 201))
-    fields = {
-        r"$\mu_l$ (44)": 0.7 + 0.02 * x * np.cos(0.3 * y),
-        r"$\mu_t$ (45)": 0.6 + 0.03 * x * np.sin(0.2 * x) * np.exp(-0.01 * y),
-    }
+    events = encode_schedule(STRAWA_MAPS)[None]
+    value: Any = np.vectorize(
+        lambda e, x, y: changed_value(0.0, events, 0, e, 0.0, x, y), otypes=[np.float64]
+    )
     result = runs["resistance-maps", "circle", 1.0]
-    for panel, (name, field) in zip(axes, fields.items(), strict=False):
-        drawn = panel.pcolormesh(x, y, np.clip(field, WAVE_LOW, WAVE_HIGH), shading="gouraud")
+    for e, (panel, name) in enumerate(zip(left, (r"$\mu_l$ (44)", r"$\mu_t$ (45)"), strict=True)):
+        drawn = panel.pcolormesh(x, y, value(e, x, y), shading="gouraud")
         figure.colorbar(drawn, ax=panel, shrink=0.85)
         panel.plot(*result.reference, color="white", linewidth=1.2)
         panel.plot([0.0, 0.0], [0.0, 14.0], color="white", linewidth=1.2, linestyle="--")
@@ -119,35 +120,30 @@ def maps(runs: Runs) -> Figure:
         panel.set_xlabel("x [m]")
         panel.set_ylabel("y [m]")
         panel.grid(visible=False)
-    for key, label, colour, believed in (
-        ("longitudinal_resistance", r"$\mu_l$", PALETTE[0], 0.6),
-        ("lateral_resistance", r"$\mu_t$", PALETTE[1], 0.8),
+    nominal = plant_parameters()
+    for label, key, colour, believed in (
+        (r"$\mu_l$", "longitudinal_resistance", PALETTE[0], nominal.longitudinal_resistance),
+        (r"$\mu_t$", "lateral_resistance", PALETTE[1], nominal.lateral_resistance),
     ):
-        axes[2].plot(result.time, result.truth[key], color=colour, label=f"{label}, true")
-        axes[2].axhline(believed, color=colour, linestyle=":", label=f"{label}, controller")
-    axes[2].set_title("on the circle")
-    axes[2].set_xlabel("time [s]")
-    axes[2].set_ylim(0.38, 0.93)
-    axes[2].legend(fontsize=7, ncols=2, loc="lower right")
+        right.plot(result.time, result.truth[key], color=colour, label=f"{label}, true")
+        right.axhline(believed, color=colour, linestyle=":", label=f"{label}, controller")
+    right.set_title("on the circle")
+    right.set_xlabel("time [s]")
+    right.set_ylim(0.38, 0.93)
+    right.legend(fontsize=7, ncols=2, loc="lower right")
     return figure
 
 
-def save(runs: Runs, folder: Path) -> dict[str, tuple[Path, str]]:
-    """Write all; {name: (file, caption)}."""
-    captions = {
-        name: f"Section {SCENARIOS[name].section}, {NUMBERS[name]} of the paper: "
-        f"{SCENARIOS[name].title}. Grey: reference; pale: straight line or left track."
-        for name in SCENARIOS
-    }
-    captions["maps"] = (
-        "Figures 18 and 19 of the paper: the maps (44), (45) with the circle of 8.2.2 (solid) and "
-        "the straight part of 8.3.1 (dashed), and the coefficients on the circle."
-    )
-    found = {}
-    with matplotlib.rc_context(STYLE):
-        for name, caption in captions.items():
-            figure = maps(runs) if name == "maps" else scenario(runs, name)
-            file = folder / f"strawa2021-{name}.png"
-            figure.savefig(file)
-            found[name] = (file, caption)
-    return found
+def drawings(results: Results) -> Drawings:
+    """All figures of this file."""
+    runs, drawn = results.control, {}
+    for name, case in SCENARIOS.items():
+        caption = (
+            f"Section {case.section}, {NUMBERS[name]} of the paper: {case.title}. Grey: reference; "
+            "pale: straight line or left track."
+        )
+        drawn[name] = (scenario(runs, name), caption)
+    drawn["maps"] = (maps(runs), "Figures 18 and 19 of the paper: the maps (44), (45) with the "
+                     "circle of 8.2.2 (solid) and the straight part of 8.3.1 (dashed), and the "
+                     "coefficients on the circle.")  # fmt: skip
+    return drawn

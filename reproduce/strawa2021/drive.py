@@ -1,7 +1,7 @@
-"""A batch of vehicles driven by one policy, with everything that the paper's figures need.
+"""A batch of vehicles driven by one policy, with the time histories that the figures need.
 
-Row k of every history belongs to the time k h: the truth then, and what the policy believed when
-it had seen the observation of that time.
+Row k of every history belongs to the time k h, h the control period: the true state then, and the
+estimates of the policy after the observation of that time.
 """
 
 import math
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.benchmark.policy_interface import Policy
 from tracked_env.engine.columns import columns
 from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS
 from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
@@ -30,7 +31,7 @@ class Drive(NamedTuple):
     truth: dict[str, Floats]  # (T, N) by name of state or parameter
     reference: Floats  # (T, N, 2) [m]
     error: Floats  # (T, N) distance to the reference [m]
-    belief: dict[str, Floats]  # (T, N) by name, empty when the policy says nothing
+    belief: dict[str, Floats]  # (T, N) estimates by name, empty when the policy has none
     observations: NDArray[np.float32]  # (T, N, SIZE), empty unless asked for
 
     def rmse(self, start: float = 0.0) -> Floats:
@@ -40,7 +41,7 @@ class Drive(NamedTuple):
 
 
 def drive(
-    policy: Any,
+    policy: Policy,
     rows: Sequence[Mapping[str, Any]],
     duration: float,
     sensors: str | Mapping[str, Any] = "ideal",
@@ -50,7 +51,7 @@ def drive(
 ) -> Drive:
     """Drive one vehicle per entry of `rows` (options of reset), all by `policy`.
 
-    policy: object with `predict`, perhaps `estimates`. duration [s]. sensors: of all rows, which
+    policy: its `estimates`, where it has them, are kept. duration [s]. sensors: of all rows, which
     their options may change. seed: row i has seed + i. keep: keep the observations.
     Raises ValueError for options that are unknown or out of range.
     """

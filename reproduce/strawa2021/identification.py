@@ -1,4 +1,4 @@
-"""Section 8.3.1: mass, inertia and resistance identified under way, and what the path gains.
+"""Section 8.3.1: mass, inertia and resistance identified on line, and the effect on the path.
 
 The paper says that the error of the mass is below 1 % on the straight line, and that the
 coefficients begin to vary fast at 6 s, when the spiral begins. Both hold if the straight line is
@@ -6,7 +6,7 @@ the Y axis: at X = 0 the maps (44), (45) are constant. So the manoeuvre (figure 
 origin along +Y: 7 s straight, then a spiral. Speed, radius and excitation are not in the paper;
 chosen: 2 m/s +- 0.2 m/s with a period of 4 s, spiral down to R = 6 m at 30 s, start on the path
 at its speed. The controller begins with 55 % of the mass, 110 % of the inertia, mu_l = 0.6 and
-mu_t = 0.8 (8.2), closure and d as in 8.1.
+mu_t = 0.8 (8.2), lateral constraint and d as in 8.1.
 """
 
 import math
@@ -20,8 +20,8 @@ from reproduce.strawa2021.control import (
     believed_parameters,
     closure_options,
 )
-from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
-from reproduce.strawa2021.tools import Tools
+from reproduce.strawa2021.drive import Drive, Floats, drive, rms
+from reproduce.strawa2021.filtered_policies import filtered_policy
 from tracked_env.events import Event, ramp_events
 from tracked_env.sensors import PRESETS, Sensors
 from tracked_env.uncertainty import STRAWA_MAPS
@@ -37,7 +37,7 @@ SEEDS = 6  # vehicles per condition with noise
 KINDS = ("fixed", "printed", "paper", "coupled")
 NAMES = {"fixed": "fixed", "printed": "printed", "paper": "bounded", "coupled": "coupled"}
 
-# The coefficients at X = 0, everywhere: what is left of the error has other causes.
+# The coefficients at X = 0, everywhere: errors on this ground have other causes than the maps.
 UNIFORM: list[Event] = ramp_events(
     {"longitudinal_resistance": 0.7, "lateral_resistance": 0.6}, 0.0, 0.0
 )
@@ -100,7 +100,6 @@ def options(condition: Condition, reference: Event) -> dict[str, Any]:
 
 
 def identify(
-    tools: Tools,
     condition: Condition,
     references: Sequence[Event] | None = None,
     seeds: int | None = None,
@@ -116,7 +115,7 @@ def identify(
     paths = [manoeuvre()] if references is None else list(references)
     rows = [options(condition, path) for path in paths for _ in range(count)]
     believed = believed_parameters(SCENARIOS["mass-inertia"], condition.factor)
-    policy = tools.policy(believed, PERIOD, used, condition.lateral, condition.kind)
+    policy = filtered_policy(believed, used, condition.kind, condition.lateral)
     return drive(policy, rows, duration, used._asdict(), condition.lateral)
 
 
@@ -130,14 +129,14 @@ def conditions(
         for sensors in ("ideal", "strawa")
         for factor in (2.0, 1.0)
         for kind in KINDS
-        if kind != "printed" or lateral == "constrained"  # it knows no other closure
+        if kind != "printed" or lateral == "constrained"  # it supposes the constraint
     ]
 
 
-def run_all(tools: Tools, duration: float = DURATION) -> dict[Condition, Drive]:
-    """The manoeuvre under all conditions; the sliding closure on the maps only."""
+def run_all(duration: float = DURATION) -> dict[Condition, Drive]:
+    """The manoeuvre under all conditions; sliding tracks on the maps only."""
     every = conditions() + conditions("sliding", ("maps",))
-    return {condition: identify(tools, condition, duration=duration) for condition in every}
+    return {condition: identify(condition, duration=duration) for condition in every}
 
 
 def relative_error(result: Drive, name: str) -> Floats:
@@ -206,29 +205,29 @@ AMPLITUDES = (0.05, 0.2, 0.5)  # [m/s]
 STARTS = (0.5, 1.0, 2.0)  # [m/s]
 
 
-def by_path(tools: Tools, kind: str) -> dict[tuple[float, float], Quality]:
+def by_path(kind: str) -> dict[tuple[float, float], Quality]:
     """Over speed [m/s] and final radius [m], ideal sensors, printed factor, maps."""
     cases = [(speed, radius) for speed in SPEEDS for radius in RADII]
-    result = identify(tools, Condition(kind, 2.0, "ideal"), [manoeuvre(*case) for case in cases])
+    result = identify(Condition(kind, 2.0, "ideal"), [manoeuvre(*case) for case in cases])
     return {case: quality(only(result, i, 1)) for i, case in enumerate(cases)}
 
 
-def by_noise(tools: Tools, kind: str) -> dict[tuple[float, float], Quality]:
+def by_noise(kind: str) -> dict[tuple[float, float], Quality]:
     """Over noise (times `strawa`) and amplitude [m/s] of the speed, uniform ground, factor 2."""
     found = {}
     paths = [manoeuvre(amplitude=amplitude) for amplitude in AMPLITUDES]
     for noise in NOISES:
         sensors = scaled(PRESETS["strawa"], noise)
-        result = identify(tools, Condition(kind, 2.0, "strawa", "uniform"), paths, SEEDS, sensors)
+        result = identify(Condition(kind, 2.0, "strawa", "uniform"), paths, SEEDS, sensors)
         for i, amplitude in enumerate(AMPLITUDES):
             found[noise, amplitude] = quality(only(result, i * SEEDS, SEEDS))
     return found
 
 
-def by_start(tools: Tools, kind: str) -> dict[float, Quality]:
+def by_start(kind: str) -> dict[float, Quality]:
     """Over the speed [m/s] at the start, the paper's noise, uniform ground, factor 2."""
     paths = [manoeuvre(start=start) for start in STARTS]
-    result = identify(tools, Condition(kind, 2.0, "strawa", "uniform"), paths)
+    result = identify(Condition(kind, 2.0, "strawa", "uniform"), paths)
     return {start: quality(only(result, i * SEEDS, SEEDS)) for i, start in enumerate(STARTS)}
 
 

@@ -1,12 +1,11 @@
 """Figures 17 and 28 to 36: surface of the RMSE, estimates over time; needs matplotlib."""
 
-from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from reproduce.paper_figures import REFERENCE, Drawings, panels
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021.drive import Drive
@@ -14,7 +13,7 @@ from reproduce.strawa2021.identification import Condition
 from reproduce.strawa2021.results import REGRESSIONS, Results
 from reproduce.strawa2021.soil import CASES, CHANGES, Case
 from reproduce.strawa2021.sweep import Surface
-from tracked_env.benchmark.drawing import DPI, PALETTE, REFERENCE_COLOUR, STYLE
+from tracked_env.benchmark.drawing import DPI, PALETTE
 
 TRUE = {"color": "black", "linewidth": 2.2, "alpha": 0.35, "label": "true"}
 KINDS = {  # of policy: label, colour, line style
@@ -29,14 +28,6 @@ ESTIMATED = {  # label, limits of the value, limits of the relative error [%]
     "longitudinal_resistance": (r"$\mu_l$ [-]", (0.0, 1.4), (-40.0, 40.0)),
     "lateral_resistance": (r"$\mu_t$ [-]", (0.0, 1.4), (-40.0, 40.0)),
 }
-
-
-def _figure(
-    size: tuple[float, float], rows: int, columns: int, **shared: Any
-) -> tuple[Figure, Any]:
-    """Figure and axes (rows, columns)."""
-    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
 
 
 def _kind(kind: str) -> dict[str, Any]:
@@ -70,7 +61,7 @@ def estimates(
 
     zoom: of the errors' axes but for the mass, whose limits the paper names.
     """
-    figure, axes = _figure((10.0, 8.6), len(ESTIMATED), 2, sharex=True)
+    figure, axes = panels((10.0, 8.6), len(ESTIMATED), 2, sharex=True)
     for row, (name, (label, values, errors)) in enumerate(ESTIMATED.items()):
         for kind in REGRESSIONS:
             result = runs[like._replace(kind=kind)]
@@ -96,10 +87,9 @@ def estimates(
 
 def trajectory(runs: dict[Condition, Drive], like: Condition) -> Figure:
     """Figure 32: the paths of the manoeuvre, the distance to the reference, ideal and noisy."""
-    figure, axes = _figure((10.0, 3.6), 1, 3)
+    figure, axes = panels((10.0, 3.6), 1, 3)
     reference = runs[like].reference[:, 0]
-    axes[0, 0].plot(*reference.T, color=REFERENCE_COLOUR, linewidth=4.0, alpha=0.45,
-                    label="reference")  # fmt: skip
+    axes[0, 0].plot(*reference.T, **REFERENCE)
     for kind in KINDS:
         truth = runs[like._replace(kind=kind, sensors="strawa")].truth
         axes[0, 0].plot(truth["x"][:, 0], truth["y"][:, 0], **_kind(kind))
@@ -124,7 +114,7 @@ def slip(result: slips.Slips) -> Figure:
     """Figure 33: true and estimated slip of one vehicle on sandy loam, gentle and brisk."""
     shown = [i for i, case in enumerate(result.cases)
              if case.soil == "sandy loam" and case.rate == slips.RATES[0]]  # fmt: skip
-    figure, axes = _figure((10.0, 2.6 * len(shown) + 0.3), len(shown), 2, sharex=True)
+    figure, axes = panels((10.0, 2.6 * len(shown) + 0.3), len(shown), 2, sharex=True)
     time = result.result.time
     for row, case in enumerate(shown):
         vehicle = case * result.seeds
@@ -158,7 +148,7 @@ def soil(results: Results, way: str = "manoeuvre") -> Figure:
         "rtk": ("this project's, rtk sensors", PALETTE[2], "-."),
     }
     case = CASES.index(Case(way, "changing"))
-    figure, axes = _figure((10.0, 7.2), 3, 2, sharex=True)
+    figure, axes = panels((10.0, 7.2), 3, 2, sharex=True)
     exact = results.soil["printed"]
     rows = (("effort", "true_effort", 1e-3, "$F_{max}$ [kN]", (0.0, 30.0)),
             ("modulus", "true_modulus", 1e3, "K [mm]", (0.0, 60.0)))  # fmt: skip
@@ -191,34 +181,39 @@ def soil(results: Results, way: str = "manoeuvre") -> Figure:
     return figure
 
 
-def save(results: Results, folder: Path) -> dict[str, tuple[Path, str]]:
-    """Write all; {name: (file, caption)}."""
+def drawings(results: Results) -> Drawings:
+    """All figures of this file."""
     like = Condition("paper", 2.0, "strawa")
     identified = results.identification
-    drawn: dict[str, tuple[Any, str]] = {}
-    with matplotlib.rc_context(STYLE):
-        drawn["sweep"] = (sweep(results.sweep), "Figure 17 of the paper: RMSE over the mass and "
-                          "inertia that the controller believes, factor 2 in (20).")  # fmt: skip
-        drawn["estimates"] = (
+    return {
+        "sweep": (
+            sweep(results.sweep),
+            "Figure 17 of the paper: RMSE over the mass and inertia that the controller assumes, "
+            "factor 2 in (20).",
+        ),
+        "estimates": (
             estimates(identified, like, "Noise of the paper, maps (44), (45), factor 2"),
             "Figures 28 to 31 of the paper: mass, inertia and resistance coefficients, one vehicle "
             "with the noise of the paper; the spiral begins at the grey line. Dotted: 1 %, 5 %.",
-        )
-        uniform = like._replace(ground="uniform")
-        drawn["estimates-uniform"] = (
-            estimates(identified, uniform, "Noise of the paper, uniform ground, factor 2", 10.0),
+        ),
+        "estimates-uniform": (
+            estimates(identified, like._replace(ground="uniform"),
+                      "Noise of the paper, uniform ground, factor 2", 10.0),
             "The same on ground whose coefficients are everywhere those of X = 0.",
-        )
-        drawn["trajectory"] = (trajectory(identified, like), "Figure 32 of the paper: the "
-                               "manoeuvre with wrong and with identified parameters, maps (44), "
-                               "(45), factor 2.")  # fmt: skip
-        drawn["slip"] = (slip(results.slip), "Figure 33 of the paper: slip of both tracks on sandy "
-                         "loam with the noise of the paper, one vehicle.")  # fmt: skip
-        drawn["soil"] = (soil(results), "Figures 34 to 36 of the paper: F_max, K and the "
-                         "iterations; the soil changes at the grey lines.")  # fmt: skip
-        found = {}
-        for name, (figure, caption) in drawn.items():
-            file = folder / f"strawa2021-{name}.png"
-            figure.savefig(file)
-            found[name] = (file, caption)
-    return found
+        ),
+        "trajectory": (
+            trajectory(identified, like),
+            "Figure 32 of the paper: the manoeuvre with wrong and with identified parameters, maps "
+            "(44), (45), factor 2.",
+        ),
+        "slip": (
+            slip(results.slip),
+            "Figure 33 of the paper: slip of both tracks on sandy loam with the noise of the "
+            "paper, one vehicle.",
+        ),
+        "soil": (
+            soil(results),
+            "Figures 34 to 36 of the paper: F_max, K and the iterations; the soil changes at the "
+            "grey lines.",
+        ),
+    }  # fmt: skip

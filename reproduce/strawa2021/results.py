@@ -6,7 +6,6 @@ from typing import NamedTuple
 from reproduce.strawa2021 import control, identification, slip, soil, sweep
 from reproduce.strawa2021.drive import Drive
 from reproduce.strawa2021.identification import Condition, Quality
-from reproduce.strawa2021.tools import Tools
 
 REGRESSIONS = ("printed", "paper", "coupled")
 
@@ -26,21 +25,21 @@ class Results(NamedTuple):
     soil_window: dict[int, soil.Soil]  # by window [control steps]
 
 
-def run_all(tools: Tools, say: Callable[[str], None] = lambda text: None) -> Results:
-    """Run all scenarios; `say` is told what comes next."""
+def run_everything(say: Callable[[str], None] = lambda text: None) -> Results:
+    """Run all scenarios; say(text) reports which ones come next."""
     say("sections 8.1, 8.2: controller")
-    controlled = control.run_all(tools.controller)
+    controlled = control.run_all()
     say("figure 17: mass and inertia")
-    surfaces = sweep.run_all(tools)
+    surfaces = sweep.run_all()
     say("section 8.3.1: mass, inertia, resistance")
-    identified = identification.run_all(tools)
-    by_path = {kind: identification.by_path(tools, kind) for kind in REGRESSIONS}
-    by_noise = {kind: identification.by_noise(tools, kind) for kind in REGRESSIONS}
-    by_start = {kind: identification.by_start(tools, kind) for kind in REGRESSIONS}
+    identified = identification.run_all()
+    by_path = {kind: identification.by_path(kind) for kind in REGRESSIONS}
+    by_noise = {kind: identification.by_noise(kind) for kind in REGRESSIONS}
+    by_start = {kind: identification.by_start(kind) for kind in REGRESSIONS}
     say("section 8.3.2: slip")
-    slips = slip.run_all(tools)
+    slips = slip.run_all()
     say("section 8.3.3: soil")
-    soils = soil.run_all(tools)
+    soils = soil.run_all()
     noise = {
         ground: soil.with_noise(soils["ideal"], soil.CASES.index(soil.Case("manoeuvre", ground)))
         for ground in soil.GROUNDS

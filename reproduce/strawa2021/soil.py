@@ -1,4 +1,4 @@
-"""Section 8.3.3: F_max and K of the soil, and what can be known of them on firm ground.
+"""Section 8.3.3: F_max and K of the soil, and their observability on firm ground.
 
 The paper names neither soil nor path. Chosen: circle (R = 10 m, 2 m/s, steady) and manoeuvre
 (8.3.1), turning factor 1, over three grounds that follow each other in time: sandy loam of 8.2.3,
@@ -14,14 +14,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.estimators.observation_reader import ObservationReader
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.soil_estimator import SLIP_CORRELATION, SoilEstimator
 from reproduce.strawa2021.control import ICR_FORWARD, PATHS, SCENARIOS
 from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
+from reproduce.strawa2021.filtered_policies import filtered_policy
 from reproduce.strawa2021.identification import SPEED, manoeuvre
 from reproduce.strawa2021.printed_gnr import WINDOW, printed_gnr
-from reproduce.strawa2021.tools import Tools
+from reproduce.strawa2021.slip import estimated_slips
 from tracked_env.events import Event, ramp_events
 from tracked_env.physics import terramechanics
-from tracked_env.physics.parameters import ClosureParameters, plant_parameters
+from tracked_env.physics.parameters import ClosureParameters, PlantParameters, plant_parameters
 from tracked_env.sensors import PRESETS
 
 DURATION = 30.0  # [s]
@@ -40,7 +44,7 @@ GROUNDS: dict[str, tuple[dict[str, float], list[Event]]] = {
 }
 WAYS = {"circle": PATHS["circle"], "manoeuvre": manoeuvre()}
 SENSORS = ("ideal", "rtk", "strawa")
-FIRST_GUESS = (20e3, 0.015)  # F_max [N], K [m] of every method: right nowhere
+FIRST_GUESS = (20e3, 0.015)  # F_max [N], K [m] of every method, wrong on every ground
 NOISES = (0.0, 1e-5, 1e-4, 1e-3)  # [-] sigma of white noise on the slips
 WINDOWS = (5, 15, 50, 150)  # [control steps] around the fifty of the paper
 WINDOW_NOISE = 1e-4  # [-] sigma of the slips, with which the windows are compared
@@ -57,7 +61,7 @@ CASES = [Case(way, ground) for ground in GROUNDS for way in WAYS]
 
 
 class Soil(NamedTuple):
-    """What one method says of every case."""
+    """Estimates of one method in every case."""
 
     method: str
     time: Floats  # (T,)
@@ -67,12 +71,12 @@ class Soil(NamedTuple):
     modulus: Floats
     iterations: Floats  # (T, N)
     converged: NDArray[np.bool_]
-    ratio_only: NDArray[np.bool_]  # (T, N) the estimator says that F_max is not determined
+    ratio_only: NDArray[np.bool_]  # (T, N) only F_max / K is determined
     slip: Floats  # (T, N, 2) true
     force: Floats  # (T, N, 2) [N] true efforts
 
 
-def _drive(tools: Tools, sensors: str, cases: Sequence[Case], duration: float) -> Drive:
+def _drive(sensors: str, cases: Sequence[Case], duration: float) -> Drive:
     closure = ClosureParameters(turning_resistance_factor=1.0, icr_forward=ICR_FORWARD)
     rows: list[dict[str, Any]] = [
         {
@@ -85,50 +89,79 @@ def _drive(tools: Tools, sensors: str, cases: Sequence[Case], duration: float) -
         }
         for case in cases
     ]
-    parameters = plant_parameters(closure=closure)
-    policy = tools.policy(parameters, PERIOD, PRESETS[sensors], "constrained", "fixed")
+    policy = filtered_policy(plant_parameters(closure=closure), PRESETS[sensors], "fixed")
     return drive(policy, rows, duration, sensors, keep=True)
 
 
 def true_maximum(result: Drive) -> Floats:
     """F_max of one track, (T, N) [N]."""
-    truth = result.truth
-    nominal = plant_parameters()
-    area = nominal.track_width * nominal.contact_length
-    load = 0.5 * truth["mass"] * terramechanics.GRAVITY
-    return np.asarray(truth["cohesion"] * area + load * np.tan(truth["friction_angle"]))
+    truth, nominal = result.truth, plant_parameters()
+    of_each: Any = np.vectorize(terramechanics.maximum_tractive_effort, otypes=[np.float64])
+    return np.asarray(
+        of_each(
+            truth["cohesion"], truth["friction_angle"], nominal.track_width,
+            nominal.contact_length, truth["mass"],
+        )
+    )  # fmt: skip
 
 
-def run_all(
-    tools: Tools, cases: Sequence[Case] = tuple(CASES), duration: float = DURATION
-) -> dict[str, Soil]:
-    """Every method on every case; by name of the method."""
-    found = {}
+def parameters_of_guess() -> PlantParameters:
+    """Nominal parameters, but for a soil with the F_max and K of FIRST_GUESS."""
     nominal = plant_parameters()
-    load = 0.5 * nominal.mass * terramechanics.GRAVITY * math.tan(nominal.friction_angle)
-    parameters = nominal._replace(
-        cohesion=(FIRST_GUESS[0] - load) / (nominal.track_width * nominal.contact_length),
+    of_friction = terramechanics.maximum_tractive_effort(
+        0.0, nominal.friction_angle, nominal.track_width, nominal.contact_length, nominal.mass
+    )
+    return nominal._replace(
+        cohesion=(FIRST_GUESS[0] - of_friction) / (nominal.track_width * nominal.contact_length),
         shear_deformation_modulus=FIRST_GUESS[1],
     )
+
+
+def estimated_soil(
+    result: Drive, slips: Floats, variances: Floats, sensors: str
+) -> dict[str, Floats]:
+    """Estimates of this project's estimator by name, (T, N): F_max [N], K [m], iterations, and the
+    flags `converged` and `ratio_only`, 0 or 1.
+
+    slips, variances: (T, N, 2); with ideal sensors the true ones, else those of the filter, whose
+    errors are correlated in time.
+    """
+    count = slips.shape[1]
+    reader = ObservationReader(PERIOD, count)
+    soil = SoilEstimator(
+        parameters_of_guess(), PERIOD, DataSheet.of(PRESETS[sensors]), count, residual="total",
+        correlation_steps=1.0 if sensors == "ideal" else SLIP_CORRELATION,
+    )  # fmt: skip
+    rows: list[dict[str, Floats]] = []
+    for observation, slip, variance in zip(result.observations, slips, variances, strict=True):
+        soil.provide_slip(slip, variance)
+        estimate = soil.update(reader.read(observation).latest)
+        flags = {"converged": soil.converged, "ratio_only": soil.ratio_only}
+        rows.append(
+            {name: estimate.of(name) for name in estimate.names}
+            | {"iterations": soil.iterations.astype(np.float64)}
+            | {name: flag.astype(np.float64) for name, flag in flags.items()}
+        )
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+def run_all(cases: Sequence[Case] = tuple(CASES), duration: float = DURATION) -> dict[str, Soil]:
+    """Every method on every case; by name of the method."""
+    found = {}
     for sensors in SENSORS:
-        result = _drive(tools, sensors, cases, duration)
-        count = len(cases)
+        result = _drive(sensors, cases, duration)
         slip = np.stack([result.truth["slip_left"], result.truth["slip_right"]], axis=-1)
         force = np.stack([result.truth["effort_left"], result.truth["effort_right"]], axis=-1)
         common = (
             result.time, true_maximum(result), result.truth["shear_deformation_modulus"]
         )  # fmt: skip
         if sensors == "ideal":
-            observed: Any = [(slip[k], np.zeros((count, 2))) for k in range(len(slip))]
+            seen, variances = slip, np.zeros_like(slip)
         else:
-            observer = tools.slip(parameters, PERIOD, PRESETS[sensors], count, True)
-            observed = [observer.observe(seen) for seen in result.observations]
-        tool = tools.soil(parameters, PERIOD, PRESETS[sensors], count, "total", sensors != "ideal")
-        says = [
-            tool.observe(seen, *slips)
-            for seen, slips in zip(result.observations, observed, strict=True)
-        ]
-        rows = {name: np.array([row[name] for row in says]) for name in says[0]}
+            seen, variances = estimated_slips(
+                result.observations, parameters_of_guess(), PRESETS[sensors], velocity=True
+            )
+        rows = estimated_soil(result, seen, variances, sensors)
         found[sensors] = Soil(
             sensors, *common, rows["effort_maximum"], rows["shear_deformation_modulus"],
             rows["iterations"], rows["converged"] > 0.5, rows["ratio_only"] > 0.5, slip, force,

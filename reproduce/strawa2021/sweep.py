@@ -1,14 +1,15 @@
-"""Figure 17: what wrong mass and wrong inertia each cost, on a grid of both.
+"""Figure 17: the tracking error that a wrong mass and a wrong inertia cause, on a grid of both.
 
-RMSE is the distance between the vehicle and the one whose controller knows both, over the run, as
-the paper has it. All grid points are one batch: one plant, a controller with its own parameters per
-vehicle. Run on the circle and the straight line of 8.2.1 and on the manoeuvre of 8.3.1.
+As in the paper the RMSE over a run is that of the distance to the vehicle whose controller knows
+both. All grid points are one batch: one plant, a controller with its own parameters per vehicle.
+Paths are the circle and the straight line of 8.2.1 and the manoeuvre of 8.3.1.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from reproduce.strawa2021.control import (
     ICR_FORWARD,
     PATHS,
@@ -18,7 +19,6 @@ from reproduce.strawa2021.control import (
 )
 from reproduce.strawa2021.drive import PERIOD, Floats, drive
 from reproduce.strawa2021.identification import manoeuvre
-from reproduce.strawa2021.tools import Tools
 
 FACTORS = np.linspace(0.5, 1.5, 11)  # [-] of the true value; the middle one is right
 DURATION = 30.0  # [s]
@@ -26,7 +26,7 @@ WAYS: dict[str, Any] = {**PATHS, "manoeuvre": manoeuvre()}
 
 
 class Surface(NamedTuple):
-    """RMSE [m] over mass (rows) and inertia (columns) that the controller believes, / true."""
+    """RMSE [m] over mass (rows) and inertia (columns): assumed by the controller over true."""
 
     factors: Floats
     rmse: Floats  # (F, F)
@@ -38,17 +38,15 @@ class Surface(NamedTuple):
 
 
 def surface(
-    tools: Tools,
-    way: str,
-    turning_factor: float,
-    factors: Floats = FACTORS,
-    duration: float = DURATION,
+    way: str, turning_factor: float, factors: Floats = FACTORS, duration: float = DURATION
 ) -> Surface:
     """The grid for one path. factors: odd in number, the middle one 1."""
     believed = believed_parameters(SCENARIOS["exact"], turning_factor)
     mass, inertia = (grid.ravel() for grid in np.meshgrid(factors, factors, indexing="ij"))
     arrays: Any = {"mass": believed.mass * mass, "inertia": believed.inertia * inertia}
-    policy = tools.controller(believed._replace(**arrays), PERIOD, "constrained")
+    policy = FeedbackLinearizingController(
+        believed._replace(**arrays), PERIOD, lateral="constrained"
+    )
     row = {
         "reference": WAYS[way],
         "vehicle": {"drive_time_constant": 0.0},
@@ -62,6 +60,6 @@ def surface(
     return Surface(factors, rmse.reshape(len(factors), len(factors)))
 
 
-def run_all(tools: Tools) -> dict[tuple[str, float], Surface]:
+def run_all() -> dict[tuple[str, float], Surface]:
     """Every path with both turning factors."""
-    return {(way, factor): surface(tools, way, factor) for way in WAYS for factor in (2.0, 1.0)}
+    return {(way, factor): surface(way, factor) for way in WAYS for factor in (2.0, 1.0)}

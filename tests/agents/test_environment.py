@@ -108,6 +108,7 @@ def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
     [
         ('{"plnt": "lumped"}', "unknown --env-args key 'plnt'.*Did you mean 'plant'"),
         ('{"expose_truth": true}', "unknown --env-args key 'expose_truth'"),
+        ('{"observation": ["motion"]}', "unknown --env-args key 'observation'"),
         ('{"plant": "distribted"}', "Did you mean 'distributed'"),
         ('{"time_step": 1}', "time_step = 1.0 s; must be a number in"),
         ('{"patches": 5}', '--env-args {"patches": 5}: '),

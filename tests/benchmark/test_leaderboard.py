@@ -12,7 +12,7 @@ import pytest
 
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
-from tracked_env.benchmark import page
+from tracked_env.benchmark import leaderboard_page as page
 from tracked_env.benchmark.report import policy_table, terminal
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import rows_of, summarise
@@ -206,7 +206,12 @@ def test_markdown_and_figures_show_a_strange_name_as_it_is(
     text = lb.markdown(found)
     assert "<script>" not in text
     assert r"&lt;script>\|x $\\foo$" in text
-    published = publishing(repository).table(lb.document(found))
+    publishing = script(repository, "publish")
+    published = publishing.table(lb.document(found))
+    (shown,) = (line for line in publishing.short_table(published).split("\n") if "foo" in line)
+    assert re.fullmatch(
+        r"\| \d \| &lt;script>.* \| - \| \d\S+ \[.*\] \| .* \| .* % \| [a-z ]+ \|", shown
+    )
     assert "<script>" not in published
     assert r"| &lt;script>\|x $\\foo$ |" in published
     pytest.importorskip("matplotlib")
@@ -223,10 +228,9 @@ def test_the_page_without_figures_still_has_the_tables_and_every_cell_of_the_hea
     assert "Learning curves" not in text
 
 
-def publishing(repository: Path) -> Any:
-    """The script that writes the leaderboard into the README."""
-    path = repository / "benchmarks" / "leaderboard.py"
-    spec = importlib.util.spec_from_file_location("publishing", path)
+def script(repository: Path, name: str) -> Any:
+    """A script of benchmarks/ as a module."""
+    spec = importlib.util.spec_from_file_location(name, repository / "benchmarks" / f"{name}.py")
     assert spec
     assert spec.loader
     module = importlib.util.module_from_spec(spec)
@@ -260,7 +264,7 @@ def test_every_table_names_the_unit_of_the_action_rate(
     head, line, _ = lb.cost_table(found)
     assert (head[-2], line[-2]) == (f"action rate [{cost}]", shown[1])
     head_line, _, first, *_ = (
-        publishing(repository).table(json.loads(json.dumps(lb.document(found)))).split("\n")
+        script(repository, "publish").table(json.loads(json.dumps(lb.document(found)))).split("\n")
     )
     column = [cell.strip() for cell in head_line.split("|")].index(f"action rate [{short}]")
     assert first.split("|")[column].strip() == shown[0]

@@ -22,6 +22,7 @@ from tracked_env.benchmark import (
     run,
 )
 from tracked_env.benchmark.benchmark_config import WITHOUT_INFLUENCE
+from tracked_env.benchmark.figure_data import figure_data
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.policy_interface import (
     PolicyContext,
@@ -30,7 +31,6 @@ from tracked_env.benchmark.policy_interface import (
     checked_answer,
 )
 from tracked_env.benchmark.runner import drive, pending
-from tracked_env.benchmark.shown import shown
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.sensors import STRAWA
 from tracked_env.uncertainty import UNCERTAINTY_SETS
@@ -144,7 +144,9 @@ def test_a_policy_is_told_the_data_sheet_of_the_sensors_and_nothing_of_the_truth
     (context,) = told
     assert context.sensors == STRAWA._replace(gyro_noise=0.5)
     assert context == config.context("ood")
-    assert context._fields == ("control_period", "lateral", "sensors", "drive", "vehicle")
+    assert context._fields == (
+        "control_period", "lateral", "sensors", "drive", "vehicle", "observation",
+    )  # fmt: skip
 
 
 def test_no_other_policy_is_handed_the_truth(tmp_path: Path) -> None:
@@ -284,7 +286,7 @@ def test_the_simulation_takes_nothing_but_pictures_from_what_is_without_influenc
     assert taken == {
         ("env.py", "rendering"),
         ("vector_env.py", "rendering"),
-        ("benchmark/runner.py", "benchmark/shown"),
+        ("benchmark/runner.py", "benchmark/figure_data"),
         ("benchmark/runner.py", "benchmark/store"),
         *(
             ("benchmark/__init__.py", f"benchmark/{name}")
@@ -394,7 +396,7 @@ def test_progress_adds_up_to_every_step_of_every_vehicle(tmp_path: Path) -> None
 def test_what_is_kept_for_the_figures_is_small() -> None:
     env = BenchmarkConfig(episodes=8).environment("drift", 8, truth=False)
     trace, _ = drive(Constant(0.0, 0.0), env, range(8), lambda: None)
-    kept = shown(trace)
+    kept = figure_data(trace)
     assert kept["error"].shape == (300, 8)
     assert kept["motion"].shape[1] == 4
     assert sum(array.nbytes for array in kept.values()) < 600_000

@@ -383,7 +383,7 @@ def test_a_process_may_open_its_folder_again(folder: Path) -> None:
 
 
 def motion() -> dict[str, np.ndarray]:
-    """A trace as `shown` makes it."""
+    """A trace as `figure_data` makes it."""
     return {
         "time": np.arange(3.0), "error": np.zeros((3, 2), np.float32),
         "motion": np.zeros((3, 2, len(CHANNELS)), np.float32), "control_period": np.array(0.02),

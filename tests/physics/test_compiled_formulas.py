@@ -58,10 +58,12 @@ ARGUMENTS = {
         "small_rotation": [(x,) for x in (-0.05, 0.0, 0.003)],
         "rotation": [(x,) for x in NUMBERS],
         "regularised_sign": [(x, 0.03) for x in NUMBERS],
+        "wrap_angle": [(x,) for x in NUMBERS],
         "saturated_sign": [(x, 10.0) for x in NUMBERS],
         "signed": [(3.0, x) for x in NUMBERS],
     },
     terramechanics: {
+        "mohr_coulomb": [(70e3, 0.8, 0.6, 7112.0)],
         "maximum_tractive_effort": [(70e3, math.radians(38.4), 0.3, 2.0, 1450.0)],
         "mobilised_shear": [(abs(x),) for x in NUMBERS],
         "mobilised_shear_slope": [(abs(x),) for x in NUMBERS],

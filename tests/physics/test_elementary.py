@@ -12,6 +12,7 @@ from tracked_env.physics.elementary import (
     saturated_sign,
     signed,
     small_rotation,
+    wrap_angle,
 )
 
 SPEEDS = np.concatenate([np.logspace(-12, 6, 400), np.linspace(0.0, 0.2, 401)])
@@ -51,6 +52,20 @@ def test_small_rotation_by_an_opposite_angle_is_the_inverse_bit_for_bit():
     for angle in np.linspace(0.0, 0.1, 101):
         cosine, sine = small_rotation(angle)
         assert small_rotation(-angle) == (cosine, -sine)
+
+
+def test_an_angle_is_wrapped_by_whole_turns_and_not_touched_within_half_a_turn():
+    for angle in (0.0, 1.0, -3.0, 3.14):
+        assert wrap_angle(angle) == angle
+    assert wrap_angle(4.0) == pytest.approx(4.0 - 2.0 * math.pi)
+    angles = np.random.default_rng(0).uniform(-100.0, 100.0, 2000)
+    expected = [math.remainder(angle, 2.0 * math.pi) for angle in angles]
+    assert wrap_angle(angles) == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_wrapped_angle_has_the_opposite_sign_for_the_opposite_angle_bit_for_bit():
+    angles = np.append(np.linspace(0.0, 30.0, 3001), math.pi * np.arange(1, 10))
+    assert np.array_equal(wrap_angle(-angles), -wrap_angle(angles))
 
 
 def _regularised(speed):

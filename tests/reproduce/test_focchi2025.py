@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from reproduce.focchi2025 import Case, Tools, chicane, loop, spiral, vehicle
-from reproduce.focchi2025 import baseline_tools as baseline
+from reproduce.focchi2025 import chicane, loop, spiral
+from reproduce.focchi2025.chicane import Case
 from reproduce.focchi2025.claims import prediction
 from reproduce.focchi2025.results import predicted_slip
-from reproduce.focchi2025.runs import LENGTHS, RESISTANCE
+from reproduce.focchi2025.runs import LENGTHS, RESISTANCE, Run, vehicle
 
-TOOLS = Tools(**baseline.TOOLS)
 RATE = 50  # [Hz] of control
 
 
@@ -26,7 +25,7 @@ def driven():
     for true, told in chicane.SOILS:
         asked += cases("table", "online", friction=true, believed=told)
         asked += cases("table", friction=true, believed=true)
-    runs = chicane.drive(TOOLS, list(dict.fromkeys(asked)), seeds=2)
+    runs = chicane.drive(list(dict.fromkeys(asked)), seeds=2)
     return {case: run.numbers() for case, run in runs.items()}
 
 
@@ -49,8 +48,8 @@ def test_the_unicycle_controller_is_a_tenth_of_a_metre_off_with_a_contact_length
 
 def test_slip_is_predicted_in_the_turns_and_not_after_the_jumps():
     case = Case("table", 0.7, RATE)
-    run = chicane.drive(TOOLS, [case], seeds=1)[case]
-    told = predicted_slip(TOOLS, case, run)
+    run = chicane.drive([case], seeds=1)[case]
+    told = predicted_slip(case, run)
     for size, error, jump in prediction({case: run}, {case: told}, case).values():
         assert error < 0.2 * size
         assert jump > 4.0 * error
@@ -86,7 +85,7 @@ def test_the_exponential_form_of_slow_runs_is_between_the_table_and_no_slip_at_a
 def test_vehicles_of_a_case_differ_by_their_noise_and_cases_share_it():
     quiet = Case("uc", rate=RATE, noise=0.0)
     asked = [quiet, quiet._replace(noise=0.02), quiet._replace(noise=0.04)]
-    runs = chicane.drive(TOOLS, asked, seeds=2, duration=0.1)
+    runs = chicane.drive(asked, seeds=2, duration=0.1)
     assert not np.ptp(runs[quiet].sprockets[1], axis=1).any()
     once, twice = (runs[case].sprockets[1] - runs[quiet].sprockets[1] for case in asked[1:])
     assert np.abs(once).min() > 0.0 and np.ptp(once, axis=1).min() > 0.0
@@ -95,14 +94,26 @@ def test_vehicles_of_a_case_differ_by_their_noise_and_cases_share_it():
 
 def test_the_closed_loop_on_patches_moves_as_the_environment_does():
     case = Case("uc", rate=200, noise=0.0)
-    inside = chicane.drive(TOOLS, [case], seeds=1, duration=4.0)[case]
-    policy = chicane.policy(TOOLS, case, 1)
+    inside = chicane.drive([case], seeds=1, duration=4.0)[case]
+    policy = chicane.policy(case)
     outside = loop.follow(
         policy, loop.patches(vehicle(), 1, False, 2.5e-3), [chicane.reading("v_max t")],
         chicane.START, vehicle(), 200.0, 4.0,
     )  # fmt: skip
     np.testing.assert_allclose(outside.reference, inside.reference, atol=1e-9)
     np.testing.assert_allclose(outside.state, inside.state, atol=1e-4)
+
+
+def test_a_vehicle_at_rest_has_no_slip_angle_and_a_moving_one_that_of_its_velocity():
+    state = np.zeros((2, 6, 1))
+    state[1, 3:, 0] = 0.2, -0.05, 0.3
+    rest = np.zeros((2, 2, 1))
+    run = Run(np.arange(2.0), state, rest, np.zeros((2, 3, 1)), {})
+    left, right, alpha = run.slip(vehicle())
+    half = 0.5 * vehicle().track_gauge
+    np.testing.assert_allclose(left[:, 0], [0.0, -(0.2 - half * 0.3)])
+    np.testing.assert_allclose(right[:, 0], [0.0, -(0.2 + half * 0.3)])
+    np.testing.assert_allclose(alpha[:, 0], [np.nan, np.arctan(-0.25)])
 
 
 @pytest.mark.parametrize(
@@ -118,7 +129,7 @@ def test_the_ramp_of_the_chicane_has_three_readings(name, start, end):
 
 def test_explicit_euler_with_1_ms_drives_the_same_chicane(monkeypatch):
     monkeypatch.setattr(chicane, "DURATION", 8.0)
-    runs = chicane.integrators(TOOLS)
+    runs = chicane.integrators()
     reference = runs["Rosenbrock, 1 ms", "table"].numbers().largest
     for (name, kind), run in runs.items():
         if kind == "table":
@@ -127,7 +138,7 @@ def test_explicit_euler_with_1_ms_drives_the_same_chicane(monkeypatch):
 
 @pytest.fixture(scope="module")
 def spirals():
-    return spiral.run_all(TOOLS, duration=16.0)
+    return spiral.run_all(duration=16.0)
 
 
 def test_on_the_spiral_the_lyapunov_function_falls_for_the_slippage_aware_controller_only(spirals):

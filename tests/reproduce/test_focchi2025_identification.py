@@ -5,17 +5,17 @@ import sys
 import numpy as np
 import pytest
 
-from reproduce.focchi2025 import Tools, vehicle
-from reproduce.focchi2025 import baseline_tools as baseline
+from baselines.slip.slip_regression import fit_exponential, train_trees, validate
+from baselines.slip.slip_sweep import identified_slip, read_measured, sweep, upsample
 from reproduce.focchi2025 import identification as ident
+from reproduce.focchi2025.runs import vehicle
 
-TOOLS = Tools(**baseline.TOOLS)
 COARSE = 1.3  # [rad/s]
 
 
 @pytest.fixture(scope="module")
 def runs():
-    return TOOLS.sweep(vehicle(), ident.STEP)
+    return sweep(vehicle(), ident.STEP)
 
 
 def real_file(runs, path, behind=0.0):
@@ -31,12 +31,12 @@ def real_file(runs, path, behind=0.0):
 def test_trees_predict_the_simulated_slip_with_the_accuracy_of_the_paper(runs):
     pytest.importorskip("sklearn", reason="decision trees need the extra `slip`")
     parameters = vehicle()
-    _model, scores = TOOLS.regression(TOOLS.upsample(runs, parameters), parameters, "trees")
+    _model, scores = train_trees(upsample(runs, parameters)[0], parameters)
     assert min(scores) > 0.999
 
 
 def test_the_exponential_form_explains_three_quarters_of_the_variance_only(runs):
-    _model, scores = TOOLS.regression(runs, vehicle(), "exponential")
+    _model, scores = fit_exponential(runs, vehicle())
     assert min(scores[:3]) > 0.7 and max(scores[:3]) < 0.85
 
 
@@ -54,7 +54,7 @@ def test_two_seconds_from_rest_are_enough_but_for_alpha_in_fast_turns(runs):
 
 
 def test_alpha_grows_on_slippery_ground_and_hardly_differs_between_0_4_and_0_6():
-    low, middle, high = (TOOLS.sweep(vehicle(friction=mu), COARSE) for mu in ident.FRICTIONS)
+    low, middle, high = (sweep(vehicle(friction=mu), COARSE) for mu in ident.FRICTIONS)
     assert ident.share_above(low, middle) > 2.0
     assert 1.0 < ident.share_above(middle, high) < 1.7
 
@@ -69,7 +69,7 @@ def test_the_agreement_of_runs_with_themselves_is_perfect(runs):
 
 
 def test_where_the_markers_sit_is_found_and_explains_the_sign_in_reverse(runs, tmp_path):
-    moved = TOOLS.measured(real_file(runs, tmp_path / "moved.csv", 0.05), vehicle())
+    moved = read_measured(real_file(runs, tmp_path / "moved.csv", 0.05), vehicle())
     predicted = (runs.beta_left, runs.beta_right, runs.alpha)
     plain = ident.agreement(predicted, moved)
     behind, agreement = ident.offset(predicted, moved)
@@ -79,28 +79,32 @@ def test_where_the_markers_sit_is_found_and_explains_the_sign_in_reverse(runs, t
 
 
 def test_a_vehicle_measured_at_its_turning_centre_has_no_offset(runs, tmp_path):
-    real = TOOLS.measured(real_file(runs, tmp_path / "real.csv"), vehicle())
+    real = read_measured(real_file(runs, tmp_path / "real.csv"), vehicle())
     predicted = (runs.beta_left, runs.beta_right, runs.alpha)
     assert ident.offset(predicted, real)[0] == pytest.approx(0.0, abs=1e-6)
     for way in (real.v_x > ident.SLOW, real.v_x < -ident.SLOW):
         assert ident.distance(predicted, real, way) == pytest.approx(0.0, abs=1e-6)
 
 
+def test_the_runs_of_the_real_vehicle_are_looked_for_beside_the_folder_of_the_project(repository):
+    assert ident.MEASURED.parent == repository.parent / "shared" / "data"
+
+
 def test_the_real_vehicle_agrees_with_the_paper():
     if not ident.MEASURED.exists():
         pytest.skip(f"needs the runs of the real vehicle, {ident.MEASURED.name}")
     pytest.importorskip("sklearn", reason="decision trees need the extra `slip`")
-    real = TOOLS.measured(ident.MEASURED, vehicle())
-    scores = TOOLS.validate(real, vehicle())
+    real = read_measured(ident.MEASURED, vehicle())
+    scores = validate(real, vehicle())
     np.testing.assert_allclose(scores[:3], (0.91, 0.84, 0.961), atol=0.05)
-    model = TOOLS.slip(vehicle(0.5))
+    model = identified_slip(vehicle(0.5))
     behind, moved = ident.offset(model.slip(real.sprocket_left, real.sprocket_right), real)
     assert 0.03 < behind < 0.06 and moved.determination[2:].min() > 0.9
 
 
 def test_without_the_file_of_the_real_vehicle_the_simulation_is_identified(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn.tree", None)  # the trees are not the point
-    found = ident.run_all(TOOLS, tmp_path / "none.csv", COARSE)
+    found = ident.run_all(tmp_path / "none.csv", COARSE)
     assert found.measured is None and found.against_measured == {} and found.behind == {}
     assert len(found.simulated.runs.v_x) == 17 * 17
     assert found.simulated.trees is None and "tracked-env[slip]" in found.missing

@@ -6,20 +6,13 @@ import sys
 import numpy as np
 import pytest
 
-from reproduce.focchi2025 import (
-    Results,
-    Tools,
-    chicane,
-    claims,
-    identification,
-    page,
-    results,
-    spiral,
-    vehicle,
-)
-from reproduce.focchi2025 import baseline_tools as baseline
+import reproduce
+from baselines.slip import slip_sweep
+from reproduce.focchi2025 import PAGE, chicane, claims, identification, results, spiral
+from reproduce.focchi2025.results import Results
+from reproduce.focchi2025.runs import vehicle
+from reproduce.paper_page import claims_table, terminal
 
-TOOLS = Tools(**baseline.TOOLS)
 LENGTH = 5.0  # [s] of the drives; numbers of so short ones mean little, the page is what counts
 COARSE = 1.3  # [rad/s]
 
@@ -30,13 +23,13 @@ def module_patch():
         yield patch
 
 
-def short_drive(tools, cases, seeds=chicane.SEEDS, duration=LENGTH):
+def short_drive(cases, seeds=chicane.SEEDS, duration=LENGTH):
     """All cases at 50 Hz, whatever they ask for, but for decision trees, which take long."""
     asked = {
         case: case._replace(rate=50, kind="table" if case.kind == "trees" else case.kind)
         for case in cases
     }
-    driven = drive(tools, list(dict.fromkeys(asked.values())), 2, duration)
+    driven = drive(list(dict.fromkeys(asked.values())), 2, duration)
     return {case: driven[stands] for case, stands in asked.items()}
 
 
@@ -46,29 +39,30 @@ drive = chicane.drive
 @pytest.fixture(scope="module")
 def found(module_patch, tmp_path_factory):
     """All runs, short and few; the real vehicle is a simulated one."""
-    runs = TOOLS.sweep(vehicle(0.5, 0.2), COARSE)
+    runs = slip_sweep.sweep(vehicle(0.5, 0.2), COARSE)
     alpha = np.arctan2(runs.v_y - 0.04 * runs.yaw_rate, runs.v_x)
     file = tmp_path_factory.mktemp("real") / "real.csv"
     table = (34.45 * runs.sprocket_left, 34.45 * runs.sprocket_right, runs.beta_left,
              runs.beta_right, alpha)  # fmt: skip
     np.savetxt(file, np.stack(table, axis=1), delimiter=",")
-    module_patch.setattr(identification, "STEP", COARSE)
+    for module in (identification, chicane):
+        module_patch.setattr(module, "sweep", coarse_sweep)
     module_patch.setattr(chicane, "DURATION", LENGTH)
     module_patch.setattr(chicane, "drive", short_drive)
     module_patch.setattr(spiral, "DURATION", LENGTH)
     said = []
-    made = results.run_all(TOOLS._replace(sweep=coarse_sweep), said.append, file)
+    made = results.run_everything(said.append, file)
     assert len(said) >= 4
     return made
 
 
-def coarse_sweep(parameters, _step):
-    return TOOLS.sweep(parameters, COARSE)
+def coarse_sweep(parameters, _step=None):
+    return slip_sweep.sweep(parameters, COARSE)
 
 
 def test_the_page_is_written_and_all_its_links_resolve(found, tmp_path):
     pytest.importorskip("matplotlib", reason="figures need the extra `render`")
-    files = page.write(found, tmp_path)
+    files = PAGE.write(found, tmp_path)
     text = (tmp_path / "page.md").read_text(encoding="utf-8")
     links = re.findall(r"\]\(([^)]+)\)", text)
     assert len(links) == 8 and all("/" not in link for link in links)
@@ -82,23 +76,23 @@ def test_the_page_is_written_and_all_its_links_resolve(found, tmp_path):
 
 
 def test_without_figures_the_page_links_to_nothing(found, tmp_path):
-    page.write(found, tmp_path, draw=False)
+    PAGE.write(found, tmp_path, draw=False)
     assert not list(tmp_path.glob("*.png"))
     assert "](" not in (tmp_path / "page.md").read_text(encoding="utf-8")
 
 
 def test_without_matplotlib_the_missing_package_is_named(found, tmp_path, monkeypatch):
-    for name in ("figures", "surfaces"):
-        monkeypatch.delitem(sys.modules, f"reproduce.focchi2025.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, "reproduce.paper_figures", raising=False)
+    monkeypatch.delattr(reproduce, "paper_figures", raising=False)  # else it is not imported again
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ImportError, match="matplotlib"):
-        page.write(found, tmp_path)
+        PAGE.write(found, tmp_path)
 
 
 def test_every_table_is_rectangular_and_free_of_bars(found):
-    tables = [claims.claims_table(claims.claims(found))]
-    tables += [table(found) for table, _ in page.CHOICES.values()]
+    tables = [claims_table(claims.claims(found))]
+    tables += [table(found) for table, _ in PAGE.tables.values()]
     for rows in tables:
         assert len(rows) > 1 and {len(row) for row in rows} == {len(rows[0])}
         assert not any("|" in cell or "\n" in cell for row in rows for cell in row)
@@ -115,7 +109,7 @@ def test_the_claims_cover_every_experiment_and_their_verdicts_are_known(found):
 
 
 def test_the_page_names_what_it_does_not_cover():
-    said = page.HEAD.split("Not covered: ")[1]
+    said = PAGE.head.split("Not covered: ")[1]
     assert all(part in said for part in ("figure 15", "neural networks", "actual sprocket speeds"))
 
 
@@ -140,11 +134,11 @@ def test_without_scikit_learn_or_a_real_vehicle_the_claims_say_so(found):
     made = claims.claims(cut)
     assert any(c.ours == "not computed" and c.why == "needs a package" for c in made)
     assert not any("fig. 9" in claim.place for claim in made)
-    assert len(page.markdown(cut, {})) > 5_000
+    assert len(PAGE.markdown(cut, {})) > 5_000
 
 
 def test_the_terminal_s_table_fits(found):
-    text = page.terminal(claims.claims(found), width=118)
+    text = terminal(claims.claims(found), width=118)
     assert max(map(len, text.splitlines())) <= 118
     assert "agrees?" in text and "fig. 13" in text
 

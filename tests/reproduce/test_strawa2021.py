@@ -3,20 +3,13 @@
 import numpy as np
 import pytest
 
-from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
-from reproduce import strawa2021
-from reproduce.strawa2021 import SCENARIOS, SETTLED, run
-
-
-def controller(parameters, control_period, lateral):
-    """The baseline controller."""
-    return FeedbackLinearizingController(parameters, control_period, lateral=lateral)
+from reproduce.strawa2021.control import SCENARIOS, SETTLED, run, table
 
 
 @pytest.mark.parametrize("path", ["circle", "straight"])
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_with_exact_parameters_the_error_vanishes_and_every_state_is_steady(path, factor):
-    result = run(SCENARIOS["exact"], path, factor, controller, duration=40.0)
+    result = run(SCENARIOS["exact"], path, factor, duration=40.0)
     assert result.error[0] > 0.9
     late = result.time >= SETTLED
     assert result.error[late].max() < 1e-6
@@ -27,21 +20,21 @@ def test_with_exact_parameters_the_error_vanishes_and_every_state_is_steady(path
 
 
 def test_wrong_mass_and_inertia_leave_the_steady_offset_of_about_1_4_m():
-    result = run(SCENARIOS["mass-inertia"], "circle", 2.0, controller, duration=40.0)
+    result = run(SCENARIOS["mass-inertia"], "circle", 2.0, duration=40.0)
     assert result.settled_rms == pytest.approx(1.4, abs=0.05)
     late = result.error[result.time >= SETTLED]
     assert np.ptp(late) < 1e-3
 
 
 def test_resistance_maps_keep_the_error_moving_at_a_third_of_a_metre():
-    result = run(SCENARIOS["resistance-maps"], "circle", 2.0, controller)
+    result = run(SCENARIOS["resistance-maps"], "circle", 2.0)
     assert 0.3 < result.settled_rms < 0.45
     assert result.settled_max < 1.0
 
 
 def test_the_paper_s_lost_vehicle_on_sandy_loam_follows_from_the_printed_factor_only():
-    printed = run(SCENARIOS["sandy-loam"], "circle", 2.0, controller, duration=40.0)
-    integral = run(SCENARIOS["sandy-loam"], "circle", 1.0, controller, duration=40.0)
+    printed = run(SCENARIOS["sandy-loam"], "circle", 2.0, duration=40.0)
+    integral = run(SCENARIOS["sandy-loam"], "circle", 1.0, duration=40.0)
     assert printed.settled_rms > 2.0
     assert np.abs(printed.truth["slip_right"]).max() > 0.99
     assert integral.settled_max < 1e-6
@@ -49,7 +42,7 @@ def test_the_paper_s_lost_vehicle_on_sandy_loam_follows_from_the_printed_factor_
 
 
 def test_the_table_has_one_line_per_run():
-    result = run(SCENARIOS["exact"], "circle", 1.0, controller, duration=2.0)
-    lines = strawa2021.table({("exact", "circle", 1.0): result})
+    result = run(SCENARIOS["exact"], "circle", 1.0, duration=2.0)
+    lines = table({("exact", "circle", 1.0): result})
     assert len(lines) == 2 and len(lines[0]) == len(lines[1])
     assert lines[1][3] == "1" and lines[1][4] == "nan"

@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from reproduce.strawa2021 import Tools
-from reproduce.strawa2021 import baseline_tools as baseline
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
@@ -15,7 +13,6 @@ from reproduce.strawa2021.printed_gnr import printed_gnr
 from reproduce.strawa2021.sweep import surface
 from tracked_env.physics import terramechanics
 
-TOOLS = Tools(**baseline.TOOLS)
 PAPER = Condition("paper", 2.0, "strawa")
 
 
@@ -23,7 +20,7 @@ PAPER = Condition("paper", 2.0, "strawa")
 def noisy():
     """The manoeuvre under the paper's noise on the maps, by kind of policy; 16 s, 3 vehicles."""
     return {
-        kind: ident.identify(TOOLS, PAPER._replace(kind=kind), seeds=3, duration=16.0)
+        kind: ident.identify(PAPER._replace(kind=kind), seeds=3, duration=16.0)
         for kind in ident.KINDS
     }
 
@@ -49,17 +46,17 @@ def test_in_the_spiral_a_single_forgetting_factor_takes_resistance_for_mass(nois
 
 
 def test_on_uniform_ground_the_spiral_costs_less_than_5_percent_and_inertia_is_better_than_mass():
-    result = ident.identify(TOOLS, PAPER._replace(ground="uniform"), seeds=3)
+    result = ident.identify(PAPER._replace(ground="uniform"), seeds=3)
     quality = ident.quality(result)
     assert quality.mass_spiral_worst < 0.05
     assert quality.inertia < 0.01 and quality.inertia < quality.mass_spiral
-    printed = ident.identify(TOOLS, PAPER._replace(kind="printed", ground="uniform"), seeds=3)
+    printed = ident.identify(PAPER._replace(kind="printed", ground="uniform"), seeds=3)
     assert ident.quality(printed).mass_spiral_worst == pytest.approx(0.02, abs=0.005)
 
 
 def test_on_the_maps_the_printed_recursion_has_no_bound_and_the_bounded_one_ends_on_its_own():
     found = {
-        kind: ident.identify(TOOLS, PAPER._replace(kind=kind, sensors="ideal"))
+        kind: ident.identify(PAPER._replace(kind=kind, sensors="ideal"))
         for kind in ("printed", "paper")
     }
     worst = {kind: ident.quality(one).mass_spiral_worst for kind, one in found.items()}
@@ -81,7 +78,7 @@ def test_identified_parameters_keep_the_vehicle_closer_to_the_path_than_wrong_on
 
 @pytest.mark.parametrize("way", ["circle", "manoeuvre"])
 def test_a_wrong_mass_costs_more_than_a_wrong_inertia(way):
-    found = surface(TOOLS, way, 2.0, np.array([0.5, 0.75, 1.0, 1.25, 1.5]), duration=15.0)
+    found = surface(way, 2.0, np.array([0.5, 0.75, 1.0, 1.25, 1.5]), duration=15.0)
     assert found.rmse[2, 2] == 0.0
     mass, inertia = found.along()
     assert mass > 1.0 and mass > 50.0 * inertia
@@ -91,7 +88,7 @@ def test_a_wrong_mass_costs_more_than_a_wrong_inertia(way):
 @pytest.fixture(scope="module")
 def filtered():
     cases = [slips.Case(speed, "sandy loam", 100.0) for speed in slips.SPEEDS]
-    return slips.run_all(TOOLS, cases, seeds=6, duration=25.0)
+    return slips.run_all(cases, seeds=6, duration=25.0)
 
 
 @pytest.mark.parametrize("measured", slips.MEASURED)
@@ -110,7 +107,7 @@ def test_the_slip_is_unbiased_in_gentle_motion_and_not_on_rapid_changes_of_speed
 @pytest.fixture(scope="module")
 def ground():
     cases = [soils.Case("circle", "changing"), soils.Case("circle", "heavy clay")]
-    return soils.run_all(TOOLS, cases, duration=24.0)
+    return soils.run_all(cases, duration=24.0)
 
 
 def test_the_printed_method_finds_the_soil_from_true_slips_within_its_window(ground):

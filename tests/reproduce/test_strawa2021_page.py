@@ -5,25 +5,14 @@ import re
 import numpy as np
 import pytest
 
-from reproduce.strawa2021 import (
-    PATHS,
-    SCENARIOS,
-    Results,
-    Tools,
-    claims,
-    control,
-    page,
-    run,
-    sweep,
-    tables,
-)
-from reproduce.strawa2021 import baseline_tools as baseline
+from reproduce.paper_page import claims_table, terminal, verdict
+from reproduce.strawa2021 import PAGE, claims, control, sweep, tables
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.results import REGRESSIONS
+from reproduce.strawa2021.control import PATHS, SCENARIOS, run
+from reproduce.strawa2021.results import REGRESSIONS, Results
 
-TOOLS = Tools(**baseline.TOOLS)
 LENGTH = 9.0  # [s] of the drives; numbers of so short ones mean little, the page is what counts
 
 
@@ -34,24 +23,24 @@ def results(module_patch):
     module_patch.setattr(claims, "SETTLED", 5.0)
     module_patch.setattr(ident, "SETTLED", 8.0)
     controlled = {
-        (name, path, factor): run(scenario, path, factor, TOOLS.controller, LENGTH)
+        (name, path, factor): run(scenario, path, factor, LENGTH)
         for name, scenario in SCENARIOS.items()
         for path in PATHS
         for factor in (2.0, 1.0)
     }
     surfaces = {
-        (way, factor): sweep.surface(TOOLS, way, factor, np.array([0.5, 1.0, 1.5]), LENGTH)
+        (way, factor): sweep.surface(way, factor, np.array([0.5, 1.0, 1.5]), LENGTH)
         for way in sweep.WAYS
         for factor in (2.0, 1.0)
     }
     identified = {
-        condition: ident.identify(TOOLS, condition, seeds=1, duration=LENGTH)
+        condition: ident.identify(condition, seeds=1, duration=LENGTH)
         for condition in ident.conditions()
     }
     qualities = {(2.0, 6.0): ident.quality(next(iter(identified.values())))}
     cases = [case for case in slips.CASES if case.rate == 100.0]
-    slip = slips.run_all(TOOLS, cases, seeds=2, duration=LENGTH)
-    soil = soils.run_all(TOOLS, duration=LENGTH)
+    slip = slips.run_all(cases, seeds=2, duration=LENGTH)
+    soil = soils.run_all(duration=LENGTH)
     noise = {ground: soils.with_noise(soil["ideal"], k) for k, ground in enumerate(soils.GROUNDS)}
     windows = soils.by_window(soil["ideal"], soils.CASES.index(soils.Case("manoeuvre", "changing")))
     by = dict.fromkeys(REGRESSIONS, qualities)
@@ -68,7 +57,7 @@ def module_patch():
 
 def test_the_page_is_written_and_all_its_links_resolve(results, tmp_path):
     pytest.importorskip("matplotlib", reason="figures need the extra `render`")
-    files = page.write(results, tmp_path)
+    files = PAGE.write(results, tmp_path)
     text = (tmp_path / "page.md").read_text(encoding="utf-8")
     links = re.findall(r"\]\(([^)]+)\)", text)
     assert len(links) == 11 and all("/" not in link for link in links)
@@ -82,14 +71,14 @@ def test_the_page_is_written_and_all_its_links_resolve(results, tmp_path):
 
 
 def test_without_figures_the_page_links_to_nothing(results, tmp_path):
-    page.write(results, tmp_path, draw=False)
+    PAGE.write(results, tmp_path, draw=False)
     assert not list(tmp_path.glob("*.png"))
     assert "](" not in (tmp_path / "page.md").read_text(encoding="utf-8")
 
 
 def test_every_table_is_rectangular_and_free_of_bars(results):
-    found = [claims.table(claims.claims(results))]
-    found += [table(results) for table, _ in page.CHOICES.values()]
+    found = [claims_table(claims.claims(results))]
+    found += [table(results) for table, _ in PAGE.tables.values()]
     for rows in found:
         assert len(rows) > 1 and {len(row) for row in rows} == {len(rows[0])}
         assert not any("|" in cell or "\n" in cell for row in rows for cell in row)
@@ -112,17 +101,17 @@ def test_the_row_with_bounds_is_not_called_the_paper_s(results):
 
 
 def test_the_page_names_what_it_does_not_cover(results):
-    assert "Not covered: " in page.HEAD
+    assert "Not covered: " in PAGE.head
 
 
 def test_a_verdict_is_yes_no_or_partly():
-    assert claims.verdict(True, True) == "yes"
-    assert claims.verdict(True, False) == "partly"
-    assert claims.verdict(False, False) == "no"
+    assert verdict(True, True) == "yes"
+    assert verdict(True, False) == "partly"
+    assert verdict(False, False) == "no"
 
 
 def test_the_terminal_s_table_fits(results):
-    text = page.terminal(claims.claims(results), width=118)
+    text = terminal(claims.claims(results), width=118)
     assert max(map(len, text.splitlines())) <= 118
     assert "agrees?" in text and "fig. 28" in text
 

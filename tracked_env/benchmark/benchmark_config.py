@@ -1,12 +1,14 @@
-"""What a benchmark runs: sets, episodes, and what is said differently from the sets."""
+"""Configuration of a benchmark: sets, episodes, and settings that differ from the sets."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
-from tracked_env.benchmark.sets import DEFAULT_SETS, SETS, BenchmarkSet
+from tracked_env.benchmark.sets import DEFAULT_SETS, OF_VERSION, SETS, BenchmarkSet
+from tracked_env.observation import make_layout
 from tracked_env.sensors import make_sensors
+from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -22,11 +24,11 @@ WITHOUT_INFLUENCE = {
     "benchmark/frozen.py": "compares what is drawn with what is kept",
     "benchmark/leaderboard.py": "tables from records",
     "benchmark/policy_lookup.py": "finds policies; each record has its own fingerprint",
-    "benchmark/page.py": "tables from records",
+    "benchmark/leaderboard_page.py": "tables from records",
     "benchmark/records.py": "checks of what is read",
     "benchmark/reliability.py": "statistics of records",
     "benchmark/report.py": "tables from records",
-    "benchmark/shown.py": "the motion that is kept for figures",
+    "benchmark/figure_data.py": "the motion that is kept for figures",
     "benchmark/statistics.py": "statistics of records",
     "benchmark/store.py": "writes and reads records",
     "benchmark/summary.py": "statistics of records",
@@ -36,9 +38,9 @@ WITHOUT_INFLUENCE = {
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """What is run. All but `sets`, `episodes` and `chunk` is part of a result's identity.
+    """Episodes to be run. All but `sets`, `episodes` and `chunk` is part of a result's identity.
 
-    None for reference, sensors, duration or error_limit: what each set, or its environment, says.
+    None for reference, sensors, duration or error_limit: the value of each set or its environment.
     All sets are of one environment id.
     """
 
@@ -75,7 +77,16 @@ class BenchmarkConfig:
         fields = asdict(self)
         for name in ("sets", "episodes", "chunk"):
             del fields[name]
-        return {**fields, "source": source_fingerprint("tracked_env", WITHOUT_INFLUENCE)}
+        own = {
+            name: [
+                repr(part) if field != "uncertainty" else fingerprint(make_uncertainty(part))
+                for field, part in sorted(SETS[name]._asdict().items())
+            ]
+            for name in self.sets
+            if name not in OF_VERSION
+        }
+        identity = {**fields, "source": source_fingerprint("tracked_env", WITHOUT_INFLUENCE)}
+        return {**identity, "own_sets": own} if own else identity
 
     @property
     def env(self) -> str:
@@ -83,16 +94,18 @@ class BenchmarkConfig:
         return SETS[self.sets[0]].env
 
     def evaluation_set(self, name: str) -> BenchmarkSet:
-        """A set, with what this configuration says differently."""
+        """A set, with the settings of this configuration in place of its own."""
         given = {key: getattr(self, key) for key in ("reference", "sensors", "duration")}
         return SETS[name]._replace(**{k: v for k, v in given.items() if v is not None})
 
     def context(self, name: str) -> PolicyContext:
-        """What a policy may know of the environment of a set."""
+        """Information on the environment of a set that a policy may use."""
         chosen = self.evaluation_set(name)
         known = {k: v for k, v in chosen.arguments.items() if k in ("drive", "vehicle")}
+        shown = make_layout(chosen.arguments.get("observation", "v0")).names
         sensors = make_sensors(chosen.sensors)
-        return PolicyContext(1.0 / self.control_rate, self.lateral, sensors, **known)
+        period = 1.0 / self.control_rate
+        return PolicyContext(period, self.lateral, sensors, **known, observation=shown)
 
     def arguments(self, name: str, truth: bool) -> dict[str, Any]:
         """Arguments of an environment for a set; truth: whether it exposes it."""

@@ -1,4 +1,4 @@
-"""What all figures of the benchmark share: colours, sizes, title and legend.
+"""Common parts of all figures of the benchmark: colours, sizes, title and legend.
 
 Colours are those of Okabe and Ito, distinguishable with any colour vision; every policy has a
 line style and a marker of its own as well.
@@ -39,7 +39,7 @@ class Look(NamedTuple):
 
 
 def looks(policies: Sequence[str]) -> dict[str, Look]:
-    """A look per policy, the same in every figure; no two alike among 36."""
+    """Line style of each policy, the same in every figure; 36 different ones."""
     return {
         name: Look(PALETTE[i % 6], LINE_STYLES[(i + i // 6) % 6], MARKERS[(i + i // 6) % 6])
         for i, name in enumerate(policies)

@@ -1,7 +1,8 @@
-"""Files that are there whole or not at all, names that no two things share, and locks.
+"""Atomic writing of files, unique file names, and locks.
 
-A file is written beside its place under a temporary name and then moved there. What a kill leaves
-under such a name is removed by `sweep`, which whoever holds the lock of the folder may call.
+A file is written beside its place under a temporary name and then moved there. Files that a
+killed process leaves under such a name are removed by `sweep`; call it only while the lock of the
+folder is held.
 """
 
 import hashlib
@@ -36,6 +37,19 @@ def write_atomically(path: Path, data: bytes) -> None:
         with suppress(OSError):
             partial.unlink()
         raise
+
+
+def replace_block(path: Path, name: str, content: str) -> None:
+    """Replace what stands between `<!-- name: begin -->` and `<!-- name: end -->` in a page.
+
+    Raises ValueError where the page has no such block, or more than one; then it stays as it is.
+    """
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    text = path.read_text(encoding="utf-8")
+    if text.count(begin) != 1 or text.count(end) != 1 or text.index(end) < text.index(begin):
+        raise ValueError(f"{path} has no block between {begin} and {end}. Was it edited by hand?")
+    before, after = text[: text.index(begin)], text[text.index(end) :]
+    write_atomically(path, f"{before}{begin}\n{content}\n{after}".encode())
 
 
 def sweep(folder: Path) -> None:

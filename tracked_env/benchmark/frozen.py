@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.sets import EPISODES, SEED, SETS, VERSION, of_version
+from tracked_env.benchmark.sets import EPISODES, OF_VERSION, SEED, VERSION, of_version
 
 FILE = f"sets_{VERSION}.json"
 DRIVEN = 8  # episodes
@@ -61,7 +61,7 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def look(name: str, config: BenchmarkConfig | None = None) -> dict[str, Any]:
-    """What the episodes of a set are now: {"hash": digest, "driven": numbers}."""
+    """Digest of the episodes of a set as drawn now: {"hash": digest, "driven": numbers}."""
     config = BenchmarkConfig(sets=(name,)) if config is None else config
     env = config.environment(name, EPISODES, truth=False)
     simulation = env.simulation
@@ -95,12 +95,13 @@ def kept() -> dict[str, Any]:
 
 
 def _deviations(config: BenchmarkConfig) -> list[str]:
-    """What the configuration says differently, in words."""
-    return [
+    """Settings that differ from those of the sets, in words."""
+    said = [
         f"{name} = {getattr(config, name)!r}"
         for name, fixed in FIXED.items()
         if getattr(config, name) != fixed
     ]
+    return said + [f"set {name}" for name in config.sets if name not in OF_VERSION]
 
 
 def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
@@ -144,8 +145,8 @@ def check(config: BenchmarkConfig) -> Check:
 
 
 def document() -> dict[str, Any]:
-    """What is kept of a version, from what is drawn now."""
-    found = {name: look(name) for name in SETS}
+    """The stored record of a version, from the episodes as drawn now."""
+    found = {name: look(name) for name in OF_VERSION}
     return {
         "version": VERSION, "hash": total(found), "numpy": np.__version__, "episodes": EPISODES,
         "seed": SEED, "sets": found,

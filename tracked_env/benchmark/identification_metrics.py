@@ -1,4 +1,4 @@
-"""How good the estimates of a policy are: its beliefs beside the truth, and numbers from them.
+"""Accuracy of the estimates of a policy: its estimates, the true values, and metrics from both.
 
 A policy with the hook `estimates` is asked after each `predict`. Row k holds its estimate x_k and
 standard deviation sigma_k at time k h, when it has seen k + 1 observations, and the true value
@@ -13,8 +13,8 @@ nominal value), 1 for the slips, and the K rows of the time driven:
     in three sigma       part of the rows with |x_k - p_k| <= 3 sigma_k; 0.997 expected
     diverged             the last estimate is not finite, or |r| > DIVERGED and |r| is larger than
                          that of the nominal value
-What is not in KNOWN is not judged. Rows whose estimate is not finite count as outside every band,
-and not in the RMSE.
+Estimates of parameters outside KNOWN are not evaluated. Rows whose estimate is not finite count as
+outside every band, and not in the RMSE.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,14 +51,14 @@ ESTIMATION_METRICS = {
 
 
 class Beliefs(NamedTuple):
-    """What a policy believed of n vehicles over T control steps, and what was true."""
+    """Estimates of a policy for n vehicles over T control steps, and the true values."""
 
     names: tuple[str, ...]  # (P,)
     value: NDArray[np.float32]  # (T, P, n) SI
     deviation: NDArray[np.float32]  # (T, P, n)
     truth: NDArray[np.float32]  # (T, P, n)
     excited: NDArray[np.bool_]  # (T, P, n)
-    judged: tuple[bool, ...]  # (P,) whether `excited` is known
+    reports_excitation: tuple[bool, ...]  # (P,) whether `excited` is known
     nis: dict[str, NDArray[np.float32]]  # (T, n) by filter
 
 
@@ -69,7 +69,7 @@ class Recorder:
         self.count, self.max_steps = count, max_steps
         self.rows = 0
         self.names: tuple[str, ...] = ()
-        self.judged: tuple[bool, ...] = ()
+        self.reports_excitation: tuple[bool, ...] = ()
         self._columns: list[int] = []
 
     def _allocate(self, estimates: Mapping[str, Any], excited: Mapping[str, Any]) -> None:
@@ -84,7 +84,7 @@ class Recorder:
                     f"estimate of {name} has shapes {[np.shape(part) for part in answer]}; must be "
                     f"(value, standard deviation), each ({self.count},): one number per vehicle"
                 )
-        self.judged = tuple(name in excited for name in self.names)
+        self.reports_excitation = tuple(name in excited for name in self.names)
         self._columns = columns(self.names)
         shape = (self.max_steps, len(self.names), self.count)
         self.value, self.deviation, self.truth = (np.empty(shape, np.float32) for _ in range(3))
@@ -103,7 +103,7 @@ class Recorder:
             self._allocate(estimates, excited)
         for j, name in enumerate(self.names):
             self.value[k, j], self.deviation[k, j] = estimates[name]
-            if self.judged[j]:
+            if self.reports_excitation[j]:
                 self.excited[k, j] = excited[name]
         self.truth[k] = floats[:, self._columns].T
         for name, nis in (policy.nis() if hasattr(policy, "nis") else {}).items():
@@ -117,13 +117,16 @@ class Recorder:
         n = self.rows
         parts = (self.value[:n], self.deviation[:n], self.truth[:n], self.excited[:n])
         return Beliefs(
-            self.names, *parts, self.judged, {name: nis[:n] for name, nis in self.nis.items()}
+            self.names,
+            *parts,
+            self.reports_excitation,
+            {name: nis[:n] for name, nis in self.nis.items()},
         )
 
 
 @lru_cache
 def nominal_values(nominal: PlantParameters = VEHICLES["strawa"]) -> dict[str, float]:
-    """What a policy that identifies nothing believes of each of KNOWN, of a nominal vehicle."""
+    """The nominal value of each of KNOWN: the estimate of a policy that identifies nothing."""
     effort = float(drive_limits(nominal).effort_maximum)
     return {**nominal._asdict(), "effort_maximum": effort, **dict.fromkeys(_SLIPS, 0.0)}
 
@@ -131,7 +134,7 @@ def nominal_values(nominal: PlantParameters = VEHICLES["strawa"]) -> dict[str, f
 def scales(
     names: Sequence[str], truth: NDArray[np.float64], known: Mapping[str, float]
 ) -> NDArray[np.float64]:
-    """What an error is measured in, (P, K): the true value, not too close to 0; 1 for slips.
+    """Scale of a relative error, (P, K): the true value, not too close to 0; 1 for slips.
 
     known: the nominal values.
     """
@@ -216,7 +219,7 @@ def _episode(
         "settled": np.where(seen, (~never).astype(np.float64), np.nan),
         "nees": _mean((error / np.where(claimed, deviation, 1.0)) ** 2, claimed),
         "in_three_sigma": (np.abs(error) <= 3.0 * deviation).mean(axis=-1),
-        "excited": np.where(beliefs.judged, excited.mean(axis=-1), np.nan),
+        "excited": np.where(beliefs.reports_excitation, excited.mean(axis=-1), np.nan),
         "diverged": (~np.isfinite(value[:, -1]) | ((last > DIVERGED) & (last > others))).astype(
             np.float64
         ),

@@ -1,13 +1,14 @@
-"""The leaderboard: every agent by its score over all sets, with what each set says.
+"""The leaderboard: every agent by its score over all sets, and its result in each set.
 
 The score over all sets comes from the pooled episodes; agents without one (nominal or oracle are
-missing, or not told apart) are ordered by the IQM of their RMSE. Every agent is also compared with
-the adaptive baseline on the same episodes: the probability that it is better in an episode, and
-the difference of the IQMs. `better` and `worse` mean that the interval of that difference excludes
-0; where the mean, which lost vehicles decide, says the opposite, that is said too. Of an agent
-with one seed no interval and no verdict is given: there is nothing to tell luck by.
+missing, or their difference is not certain) are ordered by the IQM of their RMSE. Every agent is
+also compared with the adaptive baseline on the same episodes: the probability that it is better in
+an episode, and the difference of the IQMs. `better` and `worse` mean that the interval of that
+difference excludes 0. Where the mean, which is decided by lost vehicles, gives the opposite result,
+the verdict adds it. An agent with one seed has no interval and no verdict: chance cannot be
+separated from quality.
 
-Written as terminal table, Markdown, JSON and one HTML page (see `page`).
+Written as terminal table, Markdown, JSON and one HTML page (see `leaderboard_page`).
 """
 
 import json
@@ -108,7 +109,7 @@ def _said(e: Estimate) -> str:
 
 
 def verdict(place: Place) -> str:
-    """What the differences to the reference say, in a word."""
+    """The verdict of the differences to the reference, in a word."""
     if place.against is None:
         return "reference"
     if place.seeds == 1:
@@ -172,7 +173,7 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
 
 
 def explanation(board: Leaderboard) -> str:
-    """What the columns mean."""
+    """Meaning of the columns."""
     few = any(0 < place.seeds <= FEW_SEEDS for place in board.places)
     than = board.reference
     return (

@@ -1,4 +1,4 @@
-"""What one episode is worth: numbers from the recorded true motion.
+"""Metrics of one episode, from the recorded true motion.
 
 With e_k the distance to the reference after control step k, h the control period, T the length
 of the episode, E the error limit, tau and omega of the two sprockets:

@@ -32,6 +32,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.observation import NAMES
 from tracked_env.sensors import RTK, Sensors
 from tracked_env.validation import unknown
 
@@ -61,6 +62,7 @@ class PolicyContext(NamedTuple):
     sensors: Sensors = RTK  # their data sheet; the signs of the biases are not in it
     drive: str = "torque"  # what the actions are, torques or speeds of the sprockets
     vehicle: str = "strawa"  # nominal vehicle and soil, a key of physics.parameters.VEHICLES
+    observation: tuple[str, ...] = NAMES  # its fields; `tracked_env.observation` finds columns
 
 
 PolicyFactory = Callable[[PolicyContext], Policy]

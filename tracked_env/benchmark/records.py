@@ -1,4 +1,4 @@
-"""What the lines of stored results must be; damaged or edited ones are refused when read.
+"""Checks of the lines of stored results: damaged or edited ones are refused when read.
 
     header   {format, hash, identity, versions, machine}
     chunk    {policy, fingerprint, set, predict_time, episodes: [record, ...]}

@@ -191,7 +191,7 @@ def rule(summary: Summary) -> str:
 
 
 def legend(summary: Summary) -> str:
-    """What the numbers of the first table are."""
+    """Meaning of the numbers of the first table."""
     first = next(iter(summary.policies.values()))
     few = any(0 < p.seeds <= FEW_SEEDS for p in first.values())
     return (
@@ -214,7 +214,7 @@ IDENTIFICATION_LEGEND = (
 
 
 def _parts(summary: Summary) -> list[tuple[list[list[str]], int, str]]:
-    """Tables that have something to say, how many of their columns are names, their legends."""
+    """Tables that are not empty, how many of their columns are names, their legends."""
     tables = [
         (policy_table(summary), 2, legend(summary)),
         (comparison_table(summary), 2, rule(summary)),

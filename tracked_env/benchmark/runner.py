@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark import identification_metrics, metrics
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.figure_data import figure_data
 from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
@@ -27,7 +28,6 @@ from tracked_env.benchmark.policy_interface import (
     needs_truth,
 )
 from tracked_env.benchmark.sets import of_version
-from tracked_env.benchmark.shown import shown
 from tracked_env.benchmark.store import Record, Store
 from tracked_env.engine.columns import columns
 from tracked_env.engine.episode import Episode
@@ -190,7 +190,7 @@ def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progre
         }
         episodes.append({**known, "ended": endings[row], **values, **believed[row]})
     if task.episodes[0] == 0:
-        store.save_trace(task.policy.name, task.uncertainty_set, shown(trace, beliefs))
+        store.save_trace(task.policy.name, task.uncertainty_set, figure_data(trace, beliefs))
     chunk = {
         "policy": task.policy.name,
         "fingerprint": task.policy.fingerprint,
@@ -234,7 +234,7 @@ def run(
 def chosen_records(
     config: BenchmarkConfig, policies: Sequence[PolicyEntry], store: Store
 ) -> list[Record]:
-    """The finished records that config and policies ask for, ordered as they are."""
+    """The finished records of the sets and policies of a configuration, in their order."""
     sets = {name: i for i, name in enumerate(config.sets)}
     order = {entry.name: i for i, entry in enumerate(policies)}
     wanted = [

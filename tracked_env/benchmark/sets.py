@@ -1,12 +1,13 @@
-"""The evaluation sets, version by version the same episodes for everyone.
+"""The evaluation sets, in each version the same episodes for every policy.
 
 A set is a law of vehicles, soils and changes (`tracked_env.uncertainty`), with the environment id,
 the sensors, the reference and the duration of its episodes; episode i is drawn from seed SEED + i.
-What the first EPISODES of them are is kept in `sets_v2.json`, and `frozen` compares. A set belongs
-here if it separates policies: nominal from oracle, and, in those about memory, one observation from
-many.
+Digests of the first EPISODES are kept in `sets_v2.json`, and `frozen` compares with them. A set
+belongs here if it separates policies: nominal from oracle or, in the sets that need memory,
+policies of one observation from policies of many.
 
-To change anything here, or in what is drawn, is to make a new version.
+To change anything here, or in what is drawn, is to make a new version. `register` adds a set of
+one's own, which is run where it is named and belongs to no version.
 """
 
 from collections.abc import Mapping
@@ -15,6 +16,7 @@ from typing import Any, NamedTuple
 
 from tracked_env import SPEED, SPEED_ID, TORQUE_ID
 from tracked_env.engine.episode import Episode
+from tracked_env.uncertainty import Spec
 
 VERSION = "v2"
 EPISODES = 100  # of each set, that are compared with those of the version
@@ -28,10 +30,10 @@ STATE_FIELDS = (
 
 
 class BenchmarkSet(NamedTuple):
-    """What the episodes of one set are drawn from."""
+    """Law, sensors and reference from which the episodes of one set are drawn."""
 
     name: str
-    uncertainty: str  # name of the law
+    uncertainty: Spec  # name of the law, or a law
     about: str  # what it asks of a policy
     sensors: str | Mapping[str, Any] = "rtk"
     reference: str | Mapping[str, Any] = "random"
@@ -61,7 +63,7 @@ _ALL = (
     BenchmarkSet("drift", "drift", "everything slides away slowly"),
     BenchmarkSet("mixed", "mixed", "several changes at once"),
     BenchmarkSet("ood", "ood", "outside the ranges of all other sets"),
-    # Memory: one observation does not tell where the vehicle is or how fast it goes.
+    # One observation does not determine the position or the velocity of the vehicle.
     BenchmarkSet(
         "late-pose", "soil-and-mass", "position, heading, velocity come 0.2 s late",
         {"preset": "rtk", "pose_delay": 0.2},
@@ -89,13 +91,25 @@ _ALL = (
     ),
 )  # fmt: skip
 SETS = {entry.name: entry for entry in _ALL}
+OF_VERSION = tuple(SETS)  # names; those that are registered come on top
 # In `nominal` a controller with nominal parameters knows everything: it separates nothing.
 _KNOWN = ("nominal", "floor")
 
 
 def default_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
     """Names of the sets of an environment id that are run where none is named."""
-    return tuple(name for name, of in SETS.items() if of.env == env and name not in _KNOWN)
+    return tuple(n for n in OF_VERSION if SETS[n].env == env and n not in _KNOWN)
+
+
+def register(entry: BenchmarkSet) -> BenchmarkSet:
+    """Add a set, from then on a name for `BenchmarkConfig(sets=...)`; returns it.
+
+    Raises ValueError for a name that is taken.
+    """
+    if entry.name in SETS:
+        raise ValueError(f"evaluation set {entry.name!r} is registered already")
+    SETS[entry.name] = entry
+    return entry
 
 
 DEFAULT_SETS = default_sets()

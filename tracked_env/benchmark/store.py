@@ -27,9 +27,9 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.benchmark.figure_data import checked_trace
 from tracked_env.benchmark.files import Lock, file_name, sweep, write_atomically
 from tracked_env.benchmark.records import Record, checked_chunk, checked_header
-from tracked_env.benchmark.shown import checked_trace
 
 FORMAT = 2  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"

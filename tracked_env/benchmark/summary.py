@@ -53,7 +53,7 @@ class PolicySummary(NamedTuple):
     predict_time: float  # [s] per vehicle and step
     changed: int = 0  # episodes with an abrupt change of the parameters, of all seeds
     seeds: int = 0  # trainings; 0 for a policy that is not trained
-    score: Estimate | None = None  # [-] 0 as nominal, 1 as oracle; None if they are not told apart
+    score: Estimate | None = None  # [-] 0 as nominal, 1 as oracle; None if these do not differ
 
 
 def action_rate(means: Mapping[str, float]) -> tuple[float, str]:
@@ -75,7 +75,7 @@ class Comparison(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What a benchmark says: {set: {agent: ...}}, sets and agents in their order."""
+    """Results of a benchmark: {set: {agent: ...}}, sets and agents in their order."""
 
     baseline: str
     policies: dict[str, dict[str, PolicySummary]]
@@ -176,7 +176,7 @@ class Row:
         return rel.gap_closed(*three)
 
     def summary(self, name: str) -> PolicySummary:
-        """What one agent is worth on these sets."""
+        """Statistics of one agent on these sets."""
         redrawn, settled, records = self.redrawn[name], self.settled[name], self.pooled(name)
         flat, after = redrawn.values.ravel(), settled.values.ravel()
         seeds = rel.fewest(redrawn)

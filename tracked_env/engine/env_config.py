@@ -8,6 +8,7 @@ import numpy as np
 from tracked_env.physics.parameters import VEHICLES, ParametersRead, PlantParameters, Range
 from tracked_env.plants import DRIVES, PLANTS, Drive, Plant, Prepared, find, prepared
 from tracked_env.sensors import Sensors
+from tracked_env.uncertainty import Spec
 from tracked_env.validation import checked_choice, checked_keys, checked_number, checked_whole
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
@@ -17,7 +18,7 @@ class EnvConfig(NamedTuple):
     """Arguments of the environments, as `TrackedVehicleEnv` documents them."""
 
     reference: str | Mapping[str, Any] = "random"
-    uncertainty: str | Mapping[str, Any] = "soil-and-mass"
+    uncertainty: Spec = "soil-and-mass"
     sensors: str | Mapping[str, Any] | Sensors = "rtk"
     duration: float = 30.0  # [s]
     control_rate: float = 50.0  # [Hz]
@@ -30,6 +31,7 @@ class EnvConfig(NamedTuple):
     drive: str = "torque"
     patches: Sequence[int] = (10, 4)
     plant_options: Mapping[str, Any] | None = None
+    observation: str | Sequence[str] = "v0"
 
 
 class Solver(NamedTuple):

@@ -31,7 +31,7 @@ from tracked_env.physics.parameters import (
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile, make_reference
 from tracked_env.sensors import SensorDraw, Sensors, draw_sensors, make_sensors
-from tracked_env.uncertainty import Law, make_uncertainty
+from tracked_env.uncertainty import CheckedLaw, Law, Spec, make_uncertainty
 from tracked_env.validation import checked_effect, checked_keys, checked_number, checked_parameter
 
 # Option -> group of parameters; `closure` is the former name of `lateral_model`.
@@ -58,6 +58,7 @@ class EpisodeSettings(NamedTuple):
     duration: float  # [s]
     control_period: float  # [s]
     reads: ParametersRead  # by the plant
+    channels: tuple[str, ...] = ()  # registered sensor channels that are sampled
 
     @property
     def max_steps(self) -> int:
@@ -78,20 +79,23 @@ class Episode(NamedTuple):
 
 def make_settings(
     reference: str | Mapping[str, Any],
-    uncertainty: str | Mapping[str, Any],
+    uncertainty: Spec,
     sensors: str | Mapping[str, Any] | Sensors,
     duration: float,
     control_period: float,
     nominal: PlantParameters,
     reads: ParametersRead,
+    channels: tuple[str, ...] = (),
 ) -> EpisodeSettings:
     """Check everything that an environment is built from. Raises ValueError."""
     length = checked_number("duration", duration, DURATION_RANGE)
-    make_reference(reference, length, np.random.default_rng(0))
+    profile = make_reference(reference, length, np.random.default_rng(0))
+    law = make_uncertainty(uncertainty, reads)
+    if isinstance(law, CheckedLaw):  # somebody's own: an error in it shows here, not in an episode
+        law(np.random.default_rng(0), nominal, profile, length)
     return EpisodeSettings(
-        reference, make_uncertainty(uncertainty, reads), nominal, make_sensors(sensors), length,
-        control_period, reads,
-    )  # fmt: skip
+        reference, law, nominal, make_sensors(sensors), length, control_period, reads, channels
+    )
 
 
 def _overridden(
@@ -172,7 +176,7 @@ def draw_episode(
         _overridden(truth.parameters, options, settings.reads),
         _schedule(options, truth.events, settings.reads),
         profile,
-        draw_sensors(sensors, settings.control_period, rng),
+        draw_sensors(sensors, settings.control_period, rng, settings.channels),
         _start(profile, start_draws, options, settings.nominal.contact_length),
         noise_seed,
     )

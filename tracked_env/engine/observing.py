@@ -14,30 +14,33 @@ from tracked_env.engine import columns as b
 from tracked_env.physics import channels, reference_profile
 from tracked_env.physics import state as s
 from tracked_env.physics.channels import GROUP_START
-from tracked_env.physics.elementary import rotation
+from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import PARAMETER_INDEX
 
 _RADIUS = b.PARAMETERS + PARAMETER_INDEX["sprocket_radius"]
 _AHEAD_TIMES = np.array(obs.LOOK_AHEAD)
-TWO_PI = 2.0 * math.pi
 
-# Columns of the observation that are delivered channels, in the order of the channels.
-_CHANNEL_COLUMN = np.array([obs.INDEX.get(name, -1) for name in channels.CHANNELS], dtype=np.int64)
-_POSITION_ERROR_X = obs.INDEX["position_error_x"]
+# Channels that are shown as they are: (channel, column of the observation).
+_SHOWN = np.array(
+    [(c, obs.INDEX[name]) for c, name in enumerate(channels.CHANNELS) if name in obs.INDEX]
+)
+_X, _Y, _YAW = (channels.CHANNELS.index(name) for name in ("x", "y", "yaw"))
+_ERROR_X, _ERROR_Y = obs.INDEX["position_error_x"], obs.INDEX["position_error_y"]
 _HEADING_ERROR = obs.INDEX["heading_error"]
-_REFERENCE = obs.INDEX["reference_speed"]
-_AHEAD_SPEED = obs.INDEX[f"reference_speed_ahead_{obs.LOOK_AHEAD[0]:g}"]
-_AHEAD_YAW_RATE = obs.INDEX[f"reference_yaw_rate_ahead_{obs.LOOK_AHEAD[0]:g}"]
-_PREVIOUS_ACTION = obs.INDEX["previous_action_left"]
-_AGE = obs.INDEX["pose_age"]
-_FIRST_VELOCITY = channels.CHANNELS.index("v_x")
-
-
-@formula
-def wrapped(angle):
-    """The angle [rad] in [-pi, pi]. Exactly odd: symmetric situations stay symmetric."""
-    return angle - TWO_PI * np.rint(angle / TWO_PI)
+# Columns of v, dv/dt, d2v/dt2, w, dw/dt of the reference, in the order of `reference_profile`.
+_REFERENCE = np.array(
+    [
+        obs.INDEX[f"reference_{name}"]
+        for name in ("speed", "acceleration", "jerk", "yaw_rate", "yaw_acceleration")
+    ]
+)
+_AHEAD_SPEED, _AHEAD_YAW_RATE = (
+    np.array([obs.INDEX[f"reference_{kind}_ahead_{time:g}"] for time in obs.LOOK_AHEAD])
+    for kind in ("speed", "yaw_rate")
+)
+_ACTION = np.array([obs.INDEX[f"previous_action_{side}"] for side in ("left", "right")])
+_AGE = np.array([obs.INDEX[f"{group}_age"] for group in channels.GROUPS])
 
 
 @formula
@@ -77,7 +80,7 @@ def deliver(floats, counters, history, i, step):
     """Pass on the samples that have arrived after each group's delay: returns the column
     where they start."""
     slots = history.shape[1]
-    if slots == 1:  # nobody in this batch has a delayed sensor
+    if slots == 1:  # no sensor of this batch is delayed
         return b.SAMPLE
     slot = step % slots
     for row in range(b.DELIVERED_COUNT):
@@ -97,35 +100,35 @@ def tracking_error(floats, i):
     yaw = floats[i, b.STATE + s.YAW]
     dx = floats[i, b.REFERENCE_X] - floats[i, b.STATE + s.X]
     dy = floats[i, b.REFERENCE_Y] - floats[i, b.STATE + s.Y]
-    floats[i, b.ERROR_YAW] = wrapped(floats[i, b.REFERENCE_YAW] - yaw)
+    floats[i, b.ERROR_YAW] = wrap_angle(floats[i, b.REFERENCE_YAW] - yaw)
     floats[i, b.ERROR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
 
 
 @formula
 def write_observation(floats, i, step, control_period, arrived, out):
-    """Pack what vehicle i sees into out[i] by the layout of `tracked_env.observation`.
+    """Pack what vehicle i sees into out[i] by the layout `V0` of `tracked_env.observation`.
 
     arrived: column of `floats` where the delivered samples start.
     """
-    yaw = floats[i, arrived + 2]
+    yaw = floats[i, arrived + _YAW]
     cosine, sine = rotation(yaw)
-    dx = floats[i, b.REFERENCE_X] - floats[i, arrived]
-    dy = floats[i, b.REFERENCE_Y] - floats[i, arrived + 1]
-    obs.store(out, i, _POSITION_ERROR_X, cosine * dx + sine * dy)
-    obs.store(out, i, _POSITION_ERROR_X + 1, cosine * dy - sine * dx)
-    obs.store(out, i, _HEADING_ERROR, wrapped(floats[i, b.REFERENCE_YAW] - yaw))
-    for c in range(_FIRST_VELOCITY, channels.CHANNEL_COUNT):
-        obs.store(out, i, _CHANNEL_COLUMN[c], floats[i, arrived + c])
+    dx = floats[i, b.REFERENCE_X] - floats[i, arrived + _X]
+    dy = floats[i, b.REFERENCE_Y] - floats[i, arrived + _Y]
+    obs.store(out, i, _ERROR_X, cosine * dx + sine * dy)
+    obs.store(out, i, _ERROR_Y, cosine * dy - sine * dx)
+    obs.store(out, i, _HEADING_ERROR, wrap_angle(floats[i, b.REFERENCE_YAW] - yaw))
+    for k in range(_SHOWN.shape[0]):
+        obs.store(out, i, _SHOWN[k, 1], floats[i, arrived + _SHOWN[k, 0]])
     for row in range(5):
-        obs.store(out, i, _REFERENCE + row, floats[i, b.REFERENCE_MOTION + row])
+        obs.store(out, i, _REFERENCE[row], floats[i, b.REFERENCE_MOTION + row])
     for j in range(b.AHEAD):
-        obs.store(out, i, _AHEAD_SPEED + j, floats[i, b.AHEAD_SPEED + j])
-        obs.store(out, i, _AHEAD_YAW_RATE + j, floats[i, b.AHEAD_YAW_RATE + j])
-    obs.store(out, i, _PREVIOUS_ACTION, floats[i, b.ACTION])
-    obs.store(out, i, _PREVIOUS_ACTION + 1, floats[i, b.ACTION + 1])
+        obs.store(out, i, _AHEAD_SPEED[j], floats[i, b.AHEAD_SPEED + j])
+        obs.store(out, i, _AHEAD_YAW_RATE[j], floats[i, b.AHEAD_YAW_RATE + j])
+    for side in range(2):
+        obs.store(out, i, _ACTION[side], floats[i, b.ACTION + side])
     for g in range(b.GROUP_COUNT):
         taken = floats[i, arrived + channels.CHANNEL_COUNT + g]
-        obs.store(out, i, _AGE + g, (step - taken) * control_period)
+        obs.store(out, i, _AGE[g], (step - taken) * control_period)
 
 
 @formula

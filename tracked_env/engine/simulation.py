@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
+from tracked_env.engine.composing import Composer
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
 from tracked_env.engine.kernels import SOME_ENDED, Clock
@@ -33,7 +34,7 @@ from tracked_env.validation import checked_whole
 SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
 _RUNNING = (  # attributes that change while episodes run
     "batch", "observations", "rngs", "_noise_rngs", "episodes", "_noisy", "_until_refill",
-    "some_ended",
+    "some_ended", "composer",
 )  # fmt: skip
 
 
@@ -46,13 +47,18 @@ class Simulation:
         self.config = config = copy.deepcopy(config)  # what the caller changes later stays outside
         self.solver = make_solver(config)
         solver = self.solver
+        self.layout = obs.make_layout(config.observation)
         self.settings = make_settings(
             config.reference, config.uncertainty, config.sensors, config.duration,
-            solver.control_period, solver.nominal, solver.reads,
+            solver.control_period, solver.nominal, solver.reads, self.layout.channels,
         )  # fmt: skip
         segments = number_of_segments(self.settings.duration)
         self.batch = b.allocate(count, segments, solver.plant.columns)
-        self.observations: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
+        self.observations: NDArray[np.float32] = np.zeros((count, self.layout.size), np.float32)
+        # Where the layout is not the one that the kernels write:
+        self.composer: Composer | None = None
+        if self.layout.groups != obs.V0.groups:
+            self.composer = Composer(self.layout, count, solver.control_period)
         self.rngs: list[np.random.Generator | None] = [None] * count
         self._noise_rngs: list[np.random.Generator | None] = [None] * count
         self.episodes: list[Episode | None] = [None] * count
@@ -81,9 +87,9 @@ class Simulation:
     ) -> NDArray[np.float32]:
         """Start an episode on the chosen vehicles; options: one entry per chosen vehicle.
 
-        Returns all observations (N, SIZE). Everything is drawn and checked before any vehicle
-        is touched, so a wrong option loses nothing, no random number either. Raises ValueError
-        as `draw_episode` does.
+        Returns all observations (N, D) in the layout of the config. Everything is drawn and checked
+        before any vehicle is touched, so a wrong option loses nothing, no random number either.
+        Raises ValueError as `draw_episode` does.
         """
         drawn: list[Episode] = []
         before = []
@@ -102,7 +108,10 @@ class Simulation:
         for i, episode in zip(chosen, drawn, strict=True):
             self._load(int(i), episode)
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
-        self._advance(self._idle, np.asarray(chosen, dtype=np.int64), 0, len(drawn), False)
+        chosen = np.asarray(chosen, dtype=np.int64)
+        self._advance(self._idle, chosen, 0, len(drawn), False)
+        if self.composer is not None:
+            self.composer.start(self.batch, self.observations, chosen, drawn)
         return self.observations
 
     def _load(self, i: int, episode: Episode) -> None:
@@ -163,7 +172,7 @@ class Simulation:
         actions: (N, 2) float32, left and right sprocket torque over the torque limit, or speed
         over the speed limit, clipped to [-1, 1]. Raises ValueError for a wrong shape or a
         non-finite value, and ResetNeeded for a vehicle that was never reset, before moving.
-        Returns all observations (N, SIZE).
+        Returns all observations (N, D) in the layout of the config.
         """
         actions = np.asarray(actions, dtype=np.float32)
         if actions.shape != self._action_shape:
@@ -194,6 +203,8 @@ class Simulation:
                 f"action[{result}] = {actions[result].tolist()}; must be finite, in [-1, 1]. "
                 "Did the policy diverge, or divide by zero? No vehicle was moved."
             )
+        if self.composer is not None:
+            self.composer.write(self.batch, self.observations, chosen)
         return self.observations
 
     def _check_started(self, chosen: NDArray[np.int64]) -> None:
@@ -215,9 +226,8 @@ class Simulation:
         stop: int,
         moving: bool,
     ) -> int:
-        return self._kernel(
-            *self.batch, chosen, actions, self.observations, start, stop, moving, *self._tail
-        )
+        out = self.observations if self.composer is None else self.composer.written
+        return self._kernel(*self.batch, chosen, actions, out, start, stop, moving, *self._tail)
 
     def _step_threaded(
         self, actions: NDArray[np.float32], chosen: NDArray[np.int64], refill: bool

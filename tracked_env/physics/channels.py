@@ -7,21 +7,61 @@ Channels, in the order of `CHANNELS`, in three groups that share a sampling cloc
 The yaw acceleration is the difference of two lateral accelerometers a distance D apart:
     dw/dt = (a_1 - a_2) / D, so its noise is sqrt(2) sigma_a / D      S section 5.2.1
 Model of one channel: measured = true + coupling (other axis) + bias + sigma n, n ~ N(0, 1).
+`TABLE` says all of a channel but its true value, which `signals` computes. Channels that are
+registered (`tracked_env.sensors.register`) carry their true value as a function.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187, section 5.2.
 """
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
 from tracked_env.physics import state as rows
 from tracked_env.physics.jit import formula
 
-CHANNELS = (
-    "x", "y", "yaw", "v_x", "v_y",
-    "acceleration_x", "acceleration_y", "yaw_rate", "yaw_acceleration",
-    "sprocket_speed_left", "sprocket_speed_right", "torque_left", "torque_right",
-)  # fmt: skip
-CHANNEL_COUNT = len(CHANNELS)
+
+class Channel(NamedTuple):
+    """One sensor channel: what it measures, when, and how it errs."""
+
+    name: str
+    group: str  # one of GROUPS: sampling clock, delay and dropouts
+    unit: str
+    noise: str = ""  # field of the sensor presets: sigma [unit] of its white noise; "" = none
+    bias: str = ""  # likewise, the magnitude [unit] of its bias
+    differential: bool = False  # the difference of two sensors over their distance
+    switch: str = ""  # field of the presets that is 0 where the channel is not measured
+    # Of a registered channel: true value [unit], (N,), from true state and parameters by name,
+    # and {preset: {field: value}}; what a preset does not name is 0.
+    truth: Callable[[Mapping[str, Any]], Any] | None = None
+    presets: Mapping[str, Mapping[str, float]] = MappingProxyType({})
+
+
 GROUPS = ("pose", "inertial", "drive")
-GROUP_START = (0, 5, 9, CHANNEL_COUNT)  # channels of group g: GROUP_START[g] .. GROUP_START[g+1]
+TABLE = (
+    Channel("x", "pose", "m", "position_noise"),
+    Channel("y", "pose", "m", "position_noise"),
+    Channel("yaw", "pose", "rad", "yaw_noise"),
+    Channel("v_x", "pose", "m/s", "velocity_noise", switch="velocity_measured"),
+    Channel("v_y", "pose", "m/s", "velocity_noise", switch="velocity_measured"),
+    Channel("acceleration_x", "inertial", "m/s^2", "acceleration_noise", "acceleration_bias"),
+    Channel("acceleration_y", "inertial", "m/s^2", "acceleration_noise", "acceleration_bias"),
+    Channel("yaw_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias"),
+    Channel(
+        "yaw_acceleration", "inertial", "rad/s^2", "acceleration_noise", "acceleration_bias",
+        differential=True,
+    ),
+    Channel("sprocket_speed_left", "drive", "rad/s", "sprocket_speed_noise"),
+    Channel("sprocket_speed_right", "drive", "rad/s", "sprocket_speed_noise"),
+    Channel("torque_left", "drive", "N m", "torque_noise"),
+    Channel("torque_right", "drive", "N m", "torque_noise"),
+)  # fmt: skip
+CHANNELS = tuple(channel.name for channel in TABLE)
+CHANNEL_COUNT = len(CHANNELS)
+# Channels of group g: GROUP_START[g] .. GROUP_START[g + 1]; the table is sorted by group.
+GROUP_START = (
+    *([channel.group for channel in TABLE].index(group) for group in GROUPS), CHANNEL_COUNT,
+)  # fmt: skip
 NOISE_COUNT = CHANNEL_COUNT + len(GROUPS)  # normal numbers per step: channels, then dropouts
 
 

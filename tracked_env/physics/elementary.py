@@ -23,6 +23,7 @@ LN2_LOW = 1.90821492927058770002e-10  # [-] ln 2 - LN2_HIGH
 ROUND_MAGIC = 6755399441055744.0  # [-] 1.5 * 2**52: adding it rounds to the nearest integer
 EXP_ARGUMENT_LIMIT = 700.0  # [-] |x| is clipped here: exp(700) is still finite
 
+TWO_PI = 2.0 * math.pi  # [rad] one turn
 TWO_OVER_PI = 2.0 / math.pi  # [1/rad]
 HALF_PI_HIGH = 1.57079632673412561417e00  # [rad] pi/2, upper 33 bits: k * it is exact
 HALF_PI_MIDDLE = 6.07710050630396597660e-11  # [rad] the next 33 bits
@@ -91,6 +92,15 @@ def rotation(angle):
     cosine = -cosine if (quadrant + 1) & 2 else cosine
     sine = -sine if quadrant & 2 else sine
     return cosine, sine
+
+
+@formula
+def wrap_angle(angle):
+    """Return the angle [rad] less whole turns, in [-pi, pi]; of one angle or an array.
+
+    Exact within half a turn, and odd: symmetric situations stay symmetric.
+    """
+    return angle - TWO_PI * np.rint(angle / TWO_PI)
 
 
 @formula

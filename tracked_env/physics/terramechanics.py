@@ -31,13 +31,24 @@ SERIES_LIMIT = 0.125  # [-] below it power series replace closed forms that woul
 
 
 @formula
+def mohr_coulomb(cohesion, tangent, area, load):
+    """Largest shear force [N] on `area` [m^2] under a normal `load` [N]: A c + N tan(phi), S (2).
+
+    cohesion c [Pa], tangent tan(phi) [-]; single values or arrays. Limits: c = 0 gives dry sand,
+    tan(phi) = 0 saturated clay.
+    """
+    return area * cohesion + load * tangent
+
+
+@formula
 def maximum_tractive_effort(cohesion, friction_angle, track_width, contact_length, mass):
     """F_max [N] of one track: A c + (W / 2) tan(phi), S (2) with W = m g on two tracks.
 
     cohesion c [Pa], friction_angle phi [rad], track_width w [m], contact_length l [m],
-    mass m [kg]. Limits: F_max >= 0; c = 0 gives dry sand, phi = 0 saturated clay.
+    mass m [kg]. F_max >= 0.
     """
-    return track_width * contact_length * cohesion + 0.5 * mass * GRAVITY * math.tan(friction_angle)
+    area, load = track_width * contact_length, 0.5 * mass * GRAVITY
+    return mohr_coulomb(cohesion, math.tan(friction_angle), area, load)
 
 
 @formula

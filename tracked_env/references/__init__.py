@@ -1,4 +1,4 @@
-"""Reference motions: what the vehicle is asked to follow.
+"""Reference motions for the vehicle to follow.
 
 A reference is a profile of speed and yaw rate with a start pose; its path follows from them.
 `make_reference` builds one from a name or a JSON-able dictionary, `sample` tabulates it.

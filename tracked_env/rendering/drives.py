@@ -1,4 +1,4 @@
-"""What the panel tells of the two drives: what is demanded of them, what they give, slip."""
+"""The part of the panel for the two drives: demand, actual value and slip."""
 
 from typing import NamedTuple
 

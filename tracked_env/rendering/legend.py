@@ -1,4 +1,4 @@
-"""What is written over the scene: key, scales, coordinates of the grid, notices."""
+"""Texts over the scene: key, scales, coordinates of the grid, notices."""
 
 import math
 
@@ -60,7 +60,7 @@ def draw(
 
 
 def _key(picture: pygame.Surface, text: Text) -> None:
-    """What lines, outlines and arrows mean."""
+    """Key of lines, outlines and arrows."""
     entries: tuple[tuple[str, Colour, str], ...] = (
         ("line", canvas.BLUE, "reference"),
         ("line", canvas.PALE_BLUE, "past"),
@@ -130,7 +130,7 @@ def _slip_bar(picture: pygame.Surface, text: Text, y: int) -> None:
 
 
 def _notices(picture: pygame.Surface, text: Text, lines: list[str]) -> None:
-    """What has just changed, in the upper middle."""
+    """Notices of the latest changes, in the upper middle."""
     if not lines:
         return
     width = max(text.image(line, 13, True, canvas.WHITE).get_width() for line in lines) + 28

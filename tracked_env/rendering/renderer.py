@@ -26,7 +26,7 @@ MODES = ("human", "rgb_array")
 
 
 class _Stage:
-    """What belongs to one episode."""
+    """Data of one episode."""
 
     def __init__(
         self, shot: Snapshot, text: canvas.Text, pixels_per_metre: int | None, soil: str | None
@@ -130,7 +130,7 @@ class Renderer:
         return picture
 
     def _things(self, ground: pygame.Surface, stage: _Stage, shot: Snapshot) -> None:
-        """What stands and lies on the ground, from below to above."""
+        """Objects on the ground, from the lowest to the highest."""
         width, height = ground.get_size()
         camera = Camera(shot.state.x, shot.state.y, stage.zoom, 0.5 * width, 0.5 * height)
         now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])

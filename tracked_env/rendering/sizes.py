@@ -46,7 +46,7 @@ def sizes_of(vehicle: PlantParameters) -> Sizes:
 
 
 def _usual_resistance(p: PlantParameters) -> float:
-    """What the soil does against sliding ahead and aside, over g [kg]."""
+    """Resistance of the soil to sliding ahead and aside, over g [kg]."""
     return p.mass * (p.longitudinal_resistance + p.lateral_resistance)
 
 

@@ -4,10 +4,11 @@ A set draws the true parameters of one vehicle for one episode around the nomina
 vehicle (`tracked_env.physics.parameters.VEHICLES`) and a schedule of changes that act inside the
 episode. Notation of the laws: U(a, b) uniform; `=` replaces the nominal value, `*` multiplies it.
 A controller that trusts the nominal parameters is right in the set `nominal` only. `soils` are the
-sets of a heavy vehicle in the field, `floors` those of a light one indoors.
+sets of a heavy vehicle in the field, `floors` those of a light one indoors; `register` adds one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from tracked_env.physics.parameters import PARAMETER_INDEX, ParametersRead, PlantParameters
 from tracked_env.references import ReferenceProfile
 from tracked_env.uncertainty import floors, soils
-from tracked_env.uncertainty.law import Draw, Law
+from tracked_env.uncertainty.law import CheckedLaw, Draw, Law, checked, fingerprint
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
 from tracked_env.validation import (
     checked_choice,
@@ -23,6 +24,9 @@ from tracked_env.validation import (
     checked_keys,
     checked_parameter,
 )
+
+# What `uncertainty=` takes: a name, ranges, a list of these, or a law.
+Spec = str | Mapping[str, Any] | Sequence[Any] | Callable[..., Draw]
 
 
 def _nominal(
@@ -33,43 +37,77 @@ def _nominal(
 
 
 UNCERTAINTY_SETS: dict[str, Law] = {"nominal": _nominal, **soils.LAWS, **floors.LAWS}
+DESCRIPTIONS: dict[str, str] = {}  # of the sets that were registered
 
 
-def _one_of(laws: Sequence[Law]) -> Law:
+def register(name: str, law: Law, description: str = "") -> None:
+    """Add a set, from then on a name for `uncertainty=` and for the sets of the benchmark.
+
+    Raises ValueError for a name that is taken, and for a law with another signature.
+    """
+    if name in UNCERTAINTY_SETS or not name.isprintable() or not name:
+        raise ValueError(f"uncertainty set {name!r} is taken, or no name")
+    UNCERTAINTY_SETS[name] = checked(law)
+    DESCRIPTIONS[name] = description or (law.__doc__ or "").partition("\n")[0]
+
+
+@dataclass(frozen=True)
+class _Mixture:
     """Each episode follows one of `laws`, all with the same odds."""
 
-    def law(
+    laws: tuple[Law, ...]
+
+    def __call__(
+        self,
         rng: np.random.Generator,
         nominal: PlantParameters,
         profile: ReferenceProfile,
         duration: float,
     ) -> Draw:
-        return laws[int(rng.integers(len(laws)))](rng, nominal, profile, duration)
+        law = self.laws[int(rng.integers(len(self.laws)))]
+        return law(rng, nominal, profile, duration)
 
-    return law
+
+@dataclass(frozen=True)
+class _Ranges:
+    """Each parameter of `bounds` is drawn = U(low, high), no change."""
+
+    bounds: dict[str, tuple[float, float]]
+
+    def __call__(
+        self,
+        rng: np.random.Generator,
+        nominal: PlantParameters,
+        profile: ReferenceProfile,
+        duration: float,
+    ) -> Draw:
+        drawn = {name: rng.uniform(*bounds) for name, bounds in self.bounds.items()}
+        return Draw(nominal._replace(**drawn), [])
 
 
-def make_uncertainty(
-    spec: str | Mapping[str, Any] | Sequence[Any], reads: ParametersRead | None = None
-) -> Law:
+def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
     """A set by name, or {parameter: [low, high]}: each drawn = U(low, high), no change.
 
-    A list of those is a mixture: every episode draws one of them, all with the same odds.
-    reads: what the plant reads, or None for any plant. A set by name may draw what the plant does
-    not read; ranges of it are refused.
+    A list of those is a mixture: every episode draws one of them, all with the same odds. A
+    function is a law of one's own; its draws are checked.
+    reads: what the plant reads, or None for any plant. A law may draw what the plant does not read;
+    ranges of it are refused.
 
-    Raises ValueError for an unknown set or parameter, for a value outside its range, and for a
-    range of a parameter that the plant does not read.
+    Raises ValueError for an unknown set or parameter, for a value outside its range, for a range of
+    a parameter that the plant does not read, and for a function that takes other arguments than a
+    law.
     """
     if isinstance(spec, str):
         return UNCERTAINTY_SETS[checked_choice("uncertainty set", spec, UNCERTAINTY_SETS)]
+    if callable(spec):
+        return checked(spec)
     if isinstance(spec, (list, tuple)):
         if not spec:
             raise ValueError("uncertainty = []; a mixture needs at least one set")
-        return _one_of([make_uncertainty(part, reads) for part in spec])
+        return _Mixture(tuple(make_uncertainty(part, reads) for part in spec))
     if spec is None:
         raise ValueError(
-            "uncertainty = None; must be a set by name, a dict or a list of them. "
+            "uncertainty = None; must be a set by name, a dict, a function or a list of them. "
             "Did you mean 'nominal', where nothing is uncertain?"
         )
     ranges: dict[str, tuple[float, float]] = {}
@@ -82,17 +120,10 @@ def make_uncertainty(
         if reads is not None:
             checked_effect("uncertainty of", name, bounds, reads)
         ranges[name] = (low, high)
-
-    def law(
-        rng: np.random.Generator,
-        nominal: PlantParameters,
-        profile: ReferenceProfile,
-        duration: float,
-    ) -> Draw:
-        drawn = {name: rng.uniform(*bounds) for name, bounds in ranges.items()}
-        return Draw(nominal._replace(**drawn), [])
-
-    return law
+    return _Ranges(ranges)
 
 
-__all__ = ["SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "Draw", "Law", "make_uncertainty"]
+__all__ = [
+    "DESCRIPTIONS", "SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "CheckedLaw", "Draw", "Law", "Spec",
+    "fingerprint", "make_uncertainty", "register",
+]  # fmt: skip

@@ -177,7 +177,7 @@ def test_provided_slips_are_used_once_and_their_correlation_costs_information():
         ({"iterations": 0}, "iterations = 0"),
         ({"residual": "slip"}, "'slip'"),
         ({"correlation_steps": 0.5}, "correlation_steps = 0.5"),
-        ({"control_period": 50.0}, "Hz or ms"),
+        ({"control_period": 50.0}, "rate or milliseconds"),
         ({"parameters": CLAY._replace(shear_deformation_modulus=2.0)}, "centimetres"),
         ({"data_sheet": RTK._replace(torque_noise=-1.0)}, "torque_noise = -1"),
     ],

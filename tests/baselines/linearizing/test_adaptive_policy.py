@@ -111,7 +111,7 @@ def test_a_call_that_was_interrupted_can_be_repeated(recorded, monkeypatch):
     whole, _ = replay(policy, recorded)
     _, state = replay(policy, recorded[:80])
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(policy.controller, "predict", interrupt)
+        patch.setattr(policy.controller, "act", interrupt)
         policy.predict(recorded[80], state)
     assert np.array_equal(replay(policy, recorded[80:], state)[0], whole[80:])
 
@@ -279,9 +279,12 @@ def test_wrong_shapes_and_foreign_states_are_refused(recorded):
     ("options", "says"),
     [
         ({"slip": "ekf"}, "slip = 'ekf'; must be 'batched' or 'filterpy'"),
-        ({"regression": "ols"}, "regression = 'ols'; must be 'coupled' or 'paper'"),
+        ({"regression": "ols"}, "regression = 'ols'; must be one of coupled, paper, printed"),
         ({"lateral": "skid"}, "lateral = 'skid'; must be one of"),
-        ({"control_period": 50.0}, r"control_period = 50.0 s; must be in \(0, 1\] s.*rate"),
+        (
+            {"control_period": 50.0},
+            r"control_period = 50.0 s; must be a number in \[0.0001, 1\] s.*rate",
+        ),
         ({"gains": Gains(1.0, -1.0, 1.0)}, "gains must be positive"),
         ({"data_sheet": DataSheet.of(RTK)._replace(gyro_noise=-1.0)}, "gyro_noise = -1"),
     ],

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov.lyapunov_laws import BodyMotion, LyapunovGains, PoseError, Slip
-from baselines.lyapunov.pseudo_kinematic import pose_error, pose_rate
+from baselines.lyapunov.lyapunov_laws import (
+    BodyMotion,
+    LyapunovGains,
+    PoseError,
+    Slip,
+    lyapunov_value,
+)
+from baselines.lyapunov.pseudo_kinematic import pose_rate
+from tests.baselines.lyapunov.lyapunov_function import lyapunov_rate, pose_error
 
 GAINS = LyapunovGains()
 NO_SLIP = Slip(0.0, 0.0, 0.0)
@@ -54,7 +61,7 @@ def rate_along_the_model(error, speed, yaw_rate, slip, motion):
             x + v_x * t, y + v_y * t, yaw + motion.yaw_rate * t,
             speed * math.cos(yaw_d) * t, speed * math.sin(yaw_d) * t, yaw_d + yaw_rate * t,
         )  # fmt: skip
-        values.append(law.lyapunov_value(error_then, slip.reference + slip.reference_rate * t))
+        values.append(lyapunov_value(error_then, slip.reference + slip.reference_rate * t))
     return (values[1] - values[0]) / (2.0 * h)
 
 
@@ -68,7 +75,7 @@ def test_the_unicycle_law_decreases_v_as_in_43():
         expected = -GAINS.k_p * error.x**2 - GAINS.k_phi * math.sin(error.heading) ** 2
         assert rate == pytest.approx(expected, abs=1e-6)
         assert expected <= 0.0
-        assert law.lyapunov_rate(error, speed, NO_SLIP, GAINS) == pytest.approx(expected, abs=1e-12)
+        assert lyapunov_rate(error, speed, NO_SLIP, GAINS) == pytest.approx(expected, abs=1e-12)
 
 
 def test_the_slippage_aware_law_decreases_v_as_in_48_when_the_slip_is_that_of_the_reference():
@@ -89,7 +96,7 @@ def test_another_slip_than_the_reference_has_leaves_a_term_that_48_lacks():
     for error, speed, yaw_rate, slip in situations(3000):
         motion = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
         rate = rate_along_the_model(error, speed, yaw_rate, slip, motion)
-        assert rate == pytest.approx(law.lyapunov_rate(error, speed, slip, GAINS), abs=1e-6)
+        assert rate == pytest.approx(lyapunov_rate(error, speed, slip, GAINS), abs=1e-6)
         along = error.x * math.cos(slip.alpha) + error.y * math.sin(slip.alpha)
         across = error.y * math.cos(slip.alpha) - error.x * math.sin(slip.alpha)
         half = 0.5 * (error.heading + slip.alpha)
@@ -212,13 +219,6 @@ def test_facing_backwards_the_steering_is_bounded_and_without_a_jump():
     for angle in (0.3, -2.0, 3.1):
         turned = law.turn_towards(0.3, 0.2, angle + 2.0 * math.pi)
         assert turned == pytest.approx(law.turn_towards(0.3, 0.2, angle), abs=1e-9)
-
-
-def test_angles_are_wrapped_to_half_a_turn_and_not_touched_within_it():
-    for angle in (0.0, 1.0, -3.0, 3.14):
-        assert law.wrapped(angle) == angle
-    assert law.wrapped(4.0) == pytest.approx(4.0 - 2.0 * math.pi)
-    assert law.wrapped(-40.0) == pytest.approx(math.remainder(-40.0, 2.0 * math.pi))
 
 
 # --- belts ----------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pseudo_kinematic as kinematics
 from baselines.lyapunov.lyapunov_laws import BodyMotion, PoseError
 from baselines.lyapunov.pseudo_kinematic import Geometry, NoSlip, PseudoKinematicModel, Spiral
+from tests.baselines.lyapunov.lyapunov_function import pose_error
 from tracked_env.physics.parameters import plant_parameters
 
 MAXXII = plant_parameters()._replace(
@@ -92,12 +93,12 @@ def test_the_spiral_is_the_clothoid_of_its_yaw_rate():
 
 
 def test_the_error_is_in_body_axes_and_carried_along_with_both_motions():
-    error = kinematics.pose_error(1.0, 3.0, 0.5 * math.pi, 1.0, 1.0, 0.0)
+    error = pose_error(1.0, 3.0, 0.5 * math.pi, 1.0, 1.0, 0.0)
     assert tuple(error) == pytest.approx((2.0, 0.0, 0.5 * math.pi))
     speed, turn, v_x, v_y, w, h = 0.3, 0.4, 0.25, -0.04, -0.5, 1e-2
     pose, reference = (0.2, -0.1, 0.4), (0.0, 0.1, 0.1)
-    start = kinematics.pose_error(*pose, *reference)
-    after = kinematics.pose_error(
+    start = pose_error(*pose, *reference)
+    after = pose_error(
         *kinematics.pose_step(*pose, BodyMotion(v_x, w), math.atan(v_y / v_x), h),
         *kinematics.pose_step(*reference, BodyMotion(speed, turn), 0.0, h),
     )

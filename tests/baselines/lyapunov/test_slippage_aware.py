@@ -11,6 +11,7 @@ from baselines.lyapunov import pseudo_kinematic as kinematics
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pseudo_kinematic import NoSlip, PseudoKinematicModel, Spiral
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from tests.baselines.lyapunov.lyapunov_function import pose_error
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import plant_parameters
 
@@ -64,8 +65,7 @@ def drive(
         motion, alpha = model.motion(sprockets)
         seen.append(pose + rng.normal(size=pose.shape) * sigma)
         taken = max(k - k % rate - delay, 0)
-        error = np.empty((count, 3))
-        kinematics.errors_of(seen[taken], np.tile(goal, (count, 1)), error)
+        error = np.array([pose_error(*at, *goal) for at in seen[taken]])
         values = dict.fromkeys(layout.NAMES, np.zeros(count)) | {
             "position_error_x": -error[:, 0],
             "position_error_y": -error[:, 1],

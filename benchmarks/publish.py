@@ -1,11 +1,12 @@
-"""Publish a leaderboard: from the results of evaluate.py into the README and agents/pretrained.
+"""Publish a leaderboard: from the results of evaluate.py into the documentation.
 
     python evaluate.py                                    # all controllers and shipped agents
-    python benchmarks/leaderboard.py results/v2-seed0-*   # README.md and scores.json
+    python benchmarks/publish.py results/v2-seed0-*   # tables and scores.json
 
-Likewise with `--env tracked_env/Speed-v0` and results/speed-v0-v2-*. The README gets the table
-between the two markers of that environment, with what each agent cost to train, read from the
-curve.csv beside it. `agents/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE
+Likewise with `--env tracked_env/Speed-v0` and results/speed-v0-v2-*. docs/results.md gets the whole
+table between the two markers of that environment, with the cost of training each agent, read from
+the curve.csv beside it, and README.md the columns SHORT of it. `agents/pretrained/ENV/scores.json`
+gets the interquartile mean of the RMSE
 per seed or controller and set with a 95 % bootstrap interval over the episodes; tests run some of
 them again, and ask whether each set separates the policies that it should.
 """
@@ -22,6 +23,7 @@ import numpy as np
 
 from tracked_env.benchmark import SETS
 from tracked_env.benchmark import statistics as stats
+from tracked_env.benchmark.files import replace_block
 from tracked_env.benchmark.leaderboard import between
 from tracked_env.benchmark.report import escaped, rate_unit
 from tracked_env.benchmark.statistics import Estimate
@@ -29,7 +31,7 @@ from tracked_env.benchmark.summary import action_rate
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "agents" / "pretrained"
-MARKERS = ("<!-- leaderboard of {}: begin -->", "<!-- leaderboard of {}: end -->")
+SHORT = ("", "policy", "seeds", "RMSE, all sets [m]", "after 5 s [m]", "success")  # and the verdict
 
 
 def track_of(board: dict[str, Any]) -> str:
@@ -93,6 +95,15 @@ def table(board: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def short_table(full: str) -> str:
+    """The columns SHORT and the verdict of the first table in `full`, which `table` has made."""
+    overall, _, _ = full.partition("\n\n")
+    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in overall.split("\n")]
+    names = [cell.strip() for cell in rows[0]]
+    kept = [i for i, name in enumerate(names) if name in SHORT or name.startswith("than ")]
+    return "\n".join("|" + "|".join(row[i] for i in kept) + "|" for row in rows)
+
+
 def scores(results: dict[str, Any]) -> dict[str, Any]:
     """IQM of the RMSE on each set, of every seed of every agent and of every controller.
 
@@ -121,7 +132,7 @@ def scores(results: dict[str, Any]) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Write both files; returns the exit status."""
+    """Write the tables and the scores; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("results", type=Path, help="folder that evaluate.py has written")
     folder = parser.parse_args().results
@@ -130,21 +141,17 @@ def main() -> int:
         return 2
     board = json.loads((folder / "leaderboard.json").read_text(encoding="utf-8"))
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    readme = ROOT / "README.md"
-    track = track_of(board)
-    begin, end = (mark.format(track) for mark in MARKERS)
-    block = f"{begin}\n{table(board)}\n{end}"
-    text, found = re.subn(
-        f"{begin}.*?{end}", lambda _: block, readme.read_text("utf-8"), flags=re.DOTALL
-    )
-    if not found:
-        print(f"README.md has no {begin}", file=sys.stderr)
+    track, full = track_of(board), table(board)
+    try:
+        replace_block(ROOT / "docs" / "results.md", f"leaderboard of {track}", full)
+        replace_block(ROOT / "README.md", f"short leaderboard of {track}", short_table(full))
+    except ValueError as error:
+        print(error, file=sys.stderr)
         return 2
-    readme.write_text(text, encoding="utf-8")
     target = PRETRAINED / track / "scores.json"
     target.parent.mkdir(exist_ok=True)
     target.write_text(json.dumps(scores(results), indent=1) + "\n", encoding="utf-8")
-    print(f"README.md and {target} written")
+    print(f"docs/results.md, README.md and {target} written")
     return 0
 
 

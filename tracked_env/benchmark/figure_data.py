@@ -1,7 +1,7 @@
-"""What of a chunk of episodes is kept for the figures: little, in a file of arrays.
+"""The part of a chunk of episodes that is kept for the figures, in a file of arrays.
 
-time, error                  error of all episodes at SHOWN_POINTS times
-motion                       every channel of the first SHOWN_EPISODES, NaN after their end
+time, error                  error of all episodes at FIGURE_POINTS times
+motion                       every channel of the first FIGURE_EPISODES, NaN after their end
 believed_time, _names,       of a policy that estimates: value, standard deviation and truth
   _value, _deviation, _truth (points, parameters, episodes) of the same episodes
 control_period               [s]
@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 from tracked_env.benchmark.identification_metrics import Beliefs
 from tracked_env.benchmark.metrics import CHANNELS, Trace, counted_error
 
-SHOWN_EPISODES = 4  # whose motion is kept in full
-SHOWN_POINTS = 300  # times at which error and beliefs are kept
+FIGURE_EPISODES = 4  # whose motion is kept in full
+FIGURE_POINTS = 300  # times at which error and beliefs are kept
 
 
 def _thinned(steps: int) -> NDArray[np.int64]:
-    """At most SHOWN_POINTS of `steps` rows, first and last among them."""
-    return np.unique(np.linspace(0, steps - 1, SHOWN_POINTS).astype(np.int64))
+    """At most FIGURE_POINTS of `steps` rows, first and last among them."""
+    return np.unique(np.linspace(0, steps - 1, FIGURE_POINTS).astype(np.int64))
 
 
-def shown(trace: Trace, beliefs: Beliefs | None = None) -> dict[str, NDArray[Any]]:
+def figure_data(trace: Trace, beliefs: Beliefs | None = None) -> dict[str, NDArray[Any]]:
     """The arrays of the head of this file, from a whole chunk."""
     error = counted_error(trace)
     times = _thinned(len(error))
-    few = trace.values[:, :SHOWN_EPISODES].astype(np.float32)
-    few[~trace.driven()[:, :SHOWN_EPISODES]] = np.nan
+    few = trace.values[:, :FIGURE_EPISODES].astype(np.float32)
+    few[~trace.driven()[:, :FIGURE_EPISODES]] = np.nan
     return {
         "time": (times + 1) * trace.control_period,
         "error": error[times].astype(np.float32),
@@ -42,10 +42,10 @@ def shown(trace: Trace, beliefs: Beliefs | None = None) -> dict[str, NDArray[Any
 def _believed(trace: Trace, beliefs: Beliefs) -> dict[str, NDArray[Any]]:
     """The beliefs of the first episodes, NaN after their end."""
     times = _thinned(len(beliefs.value))
-    void = (times[:, None] >= trace.steps[:SHOWN_EPISODES])[:, None]
+    void = (times[:, None] >= trace.steps[:FIGURE_EPISODES])[:, None]
 
     def kept(array: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.where(void, np.float32(np.nan), array[times, :, :SHOWN_EPISODES])
+        return np.where(void, np.float32(np.nan), array[times, :, :FIGURE_EPISODES])
 
     return {
         "believed_time": times * trace.control_period,
@@ -57,7 +57,10 @@ def _believed(trace: Trace, beliefs: Beliefs) -> dict[str, NDArray[Any]]:
 
 
 def checked_trace(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The arrays of `shown`, seen to fit together. Raises ValueError, or KeyError for a name."""
+    """The arrays of `figure_data`, whose shapes must agree.
+
+    Raises ValueError for a shape, KeyError for a missing array.
+    """
     shapes = {"time": 1, "error": 2, "motion": 3, "control_period": 0}
     if "believed_names" in arrays:
         shapes |= {"believed_time": 1, "believed_names": 1}

@@ -1,0 +1,67 @@
+"""Base class of the controllers: `predict` for one vehicle or a batch, with its checks.
+
+A subclass implements `act` for a batch. The signature of `predict` is that of
+Stable-Baselines3, so that the benchmark drives controllers and trained agents alike.
+"""
+
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env import observation as layout
+
+State = TypeVar("State")
+
+
+class BatchPolicy(Generic[State]):
+    """A policy for one vehicle or a batch of N; its state belongs to the caller.
+
+    `_view` finds the fields of the observation; a subclass sets one for the fields that its
+    environment gives and those that it needs.
+    """
+
+    _view = layout.View()
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: State | None = None,
+        episode_start: NDArray[np.bool_] | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], State]:
+        """The action, and the state to pass to the next call.
+
+        observation: (D,) or (N, D), in the layout of the environment. state: that of the last
+        call, None begins. episode_start: (N,) or a bool; those rows begin an episode.
+        deterministic: without effect on controllers, which have no randomness.
+        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
+        Raises ValueError for a wrong shape, and then nothing has changed.
+        """
+        batch = np.array(self._view(observation))
+        count = len(batch)
+        start = np.full(count, state is None)
+        if episode_start is not None:
+            given = np.asarray(episode_start, dtype=bool)
+            if given.shape not in ((), (1,), (count,)):
+                raise ValueError(f"episode_start has shape {given.shape}; must be ({count},)")
+            start |= given
+        action, carried = self.act(batch, state, start)
+        return (action[0] if np.ndim(observation) == 1 else action), carried
+
+    def act(
+        self, observation: NDArray[np.float32], state: State | None, start: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float32], State]:
+        """Action (N, 2) and state of N vehicles; `start` (N,) is True everywhere without a state.
+
+        observation (N, SIZE), layout v0, is a copy of its own, C-contiguous float32: it may be
+        written to.
+        """
+        raise NotImplementedError
+
+    def same_count(self, known: int, count: int) -> None:
+        """Raises ValueError where a state of `known` vehicles comes with `count` observations."""
+        if known != count:
+            raise ValueError(
+                f"state of {known} vehicles for {count} observations. Is it that of another batch?"
+            )

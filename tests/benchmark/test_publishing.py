@@ -1,0 +1,108 @@
+"""The tables of README.md, docs/results.md and docs/speed.md come from scripts and agree."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.benchmark.test_leaderboard import ALL, board, script
+from tests.benchmark.test_report import records
+from tracked_env.benchmark import leaderboard as lb
+from tracked_env.benchmark.files import replace_block
+
+TRACKS = ("Torque-v0", "Speed-v0")
+
+
+def block(path: Path, name: str) -> str:
+    """What stands between the markers `name` of a page."""
+    (found,) = re.findall(
+        f"<!-- {name}: begin -->\n(.*?)\n<!-- {name}: end -->", path.read_text(), flags=re.DOTALL
+    )
+    return str(found)
+
+
+def pages(root: Path) -> None:
+    """Pages with empty blocks, and the folder of the agents."""
+    for name, prefix in (("docs/results.md", ""), ("README.md", "short ")):
+        (root / name).parent.mkdir(exist_ok=True)
+        marks = [f"<!-- {prefix}leaderboard of {t}: {{}} -->" for t in TRACKS]
+        (root / name).write_text("\n".join(f"{m.format('begin')}{m.format('end')}" for m in marks))
+    (root / "agents" / "pretrained").mkdir(parents=True)
+
+
+def test_the_readme_is_at_most_150_lines_long(repository: Path) -> None:
+    assert (repository / "README.md").read_text().count("\n") <= 150
+
+
+@pytest.mark.parametrize("track", TRACKS)
+def test_the_table_of_the_readme_is_the_one_of_the_results_page_with_few_columns(
+    track: str, repository: Path
+) -> None:
+    full = block(repository / "docs" / "results.md", f"leaderboard of {track}")
+    shown = block(repository / "README.md", f"short leaderboard of {track}")
+    assert shown == script(repository, "publish").short_table(full)
+    head, _, first, *_ = shown.split("\n")
+    assert head.count("|") == 8 and "policy" in head and "| than " in head
+    assert "**" not in shown and first.startswith("| 1 |")
+
+
+def test_publishing_writes_one_table_into_two_pages_and_leaves_the_rest(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publishing = script(repository, "publish")
+    monkeypatch.setattr(publishing, "ROOT", tmp_path)
+    monkeypatch.setattr(publishing, "PRETRAINED", tmp_path / "agents" / "pretrained")
+    pages(tmp_path)
+    found, _ = board("payload", **ALL)
+    (tmp_path / "leaderboard.json").write_text(json.dumps(lb.document(found)))
+    (tmp_path / "results.json").write_text(json.dumps({"episodes": records("payload", **ALL)}))
+    monkeypatch.setattr(sys, "argv", ["publish.py", str(tmp_path)])
+    assert publishing.main() == 0
+    full = block(tmp_path / "docs" / "results.md", "leaderboard of Torque-v0")
+    assert "| 1 | ppo | 5 |" in full and "| `payload` |" in full
+    shown = block(tmp_path / "README.md", "short leaderboard of Torque-v0")
+    assert shown == publishing.short_table(full) and "payload" not in shown
+    text = (tmp_path / "README.md").read_text()
+    assert "<!-- short leaderboard of Speed-v0: begin --><!-- short leaderboard of Spe" in text
+    assert publishing.main() == 0
+    assert (tmp_path / "README.md").read_text() == text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "nothing",
+        "<!-- x: begin -->",
+        "<!-- x: end --> <!-- x: begin -->",
+        2 * "<!-- x: begin --><!-- x: end -->",
+    ],
+)
+def test_a_page_without_its_block_is_refused_and_stays(text: str, tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(text)
+    with pytest.raises(ValueError, match=r"page.md has no block between <!-- x: begin"):
+        replace_block(page, "x", "new")
+    assert page.read_text() == text
+
+
+def test_measured_speeds_are_published_between_the_markers(
+    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    speed = script(repository, "speed")
+    block(repository / "docs" / "speed.md", "speed table")  # the page has one
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "speed.md"
+    page.write_text("before\n<!-- speed table: begin -->\nold\n<!-- speed table: end -->\nafter\n")
+    monkeypatch.setattr(speed, "ROOT", tmp_path)
+    monkeypatch.setattr(speed, "start_up", lambda: (10.0, 1.0))
+    monkeypatch.setattr(speed, "measure", lambda seconds: [speed.Row("a", 2.0, 1, "a")])
+    monkeypatch.setattr(speed, "training_rows", lambda steps: [])
+    monkeypatch.setattr(sys, "argv", ["speed.py"])
+    speed.main()
+    assert "\nold\n" in page.read_text()
+    monkeypatch.setattr(sys, "argv", ["speed.py", "--publish"])
+    speed.main()
+    assert "| a | 2.00 | 500,000 | 1.00 | a |" in block(page, "speed table")
+    assert page.read_text().startswith("before\n") and page.read_text().endswith("\nafter\n")

@@ -1,0 +1,115 @@
+"""The command that runs a paper: progress, claims and page, with a made-up paper of one claim."""
+
+import runpy
+import subprocess
+import sys
+import types
+import typing
+
+import pytest
+
+import evaluate
+from reproduce import command
+from reproduce.paper_page import Claim, PaperPage
+
+PNG = b"\x89PNG"
+
+
+def save_figures(results, folder):
+    """One figure, drawn without matplotlib."""
+    (folder / "made-up-line.png").write_bytes(PNG)
+    return {"line": (folder / "made-up-line.png", "A line.")}
+
+
+def no_figures(results, folder):
+    raise ImportError("No module named 'matplotlib'")
+
+
+@pytest.fixture
+def paper(monkeypatch):
+    """A paper whose result is the number 3."""
+    module: typing.Any = types.ModuleType("reproduce.made_up")
+
+    def run_everything(say):
+        say("section 1: counting")
+        return 3
+
+    def claims(results):
+        return [Claim("1", "two and one", f"{results}", "yes", "counted")]
+
+    def numbers(results):
+        return [["number"], [f"{results}"]]
+
+    module.run_everything = run_everything
+    module.PAGE = PaperPage("# Made up\n", claims, {"Numbers": (numbers, "All.")}, save_figures)
+    monkeypatch.setitem(sys.modules, "reproduce.made_up", module)
+    return module
+
+
+def test_a_paper_is_run_its_claims_printed_and_its_page_written(paper, tmp_path, capsys):
+    assert command.main("made_up", tmp_path) == 0
+    said = capsys.readouterr().out
+    assert said.index("section 1: counting") < said.index("two and one") < said.index("1 figures")
+    text = (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
+    assert "| 1 | two and one | 3 | yes | counted |" in text
+    assert text.startswith("# Made up\n")
+    assert text.index("![line](made-up-line.png)") < text.index("### Numbers")
+    assert (tmp_path / "made_up" / "made-up-line.png").read_bytes() == PNG
+
+
+def test_without_figures_nothing_is_drawn(paper, tmp_path, capsys):
+    assert command.main("made_up", tmp_path, figures=False) == 0
+    assert "0 figures" in capsys.readouterr().out
+    assert not list(tmp_path.rglob("*.png"))
+    assert "## Figures" not in (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
+
+
+def test_without_matplotlib_the_page_is_written_all_the_same_and_the_package_named(
+    paper, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(
+        paper, "PAGE", PaperPage(*(vars(paper.PAGE) | {"save_figures": no_figures}).values())
+    )
+    assert command.main("made_up", tmp_path) == 0
+    said = capsys.readouterr()
+    assert "matplotlib" in said.err and "0 figures" in said.out
+    assert "two and one" in (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
+
+
+def test_evaluate_and_the_folders_offer_the_same_papers(repository):
+    offered = typing.get_args(typing.get_type_hints(evaluate.Config)["paper"])
+    folders = {path.parent.name for path in (repository / "reproduce").glob("*/page.py")}
+    assert set(offered) - {"none"} == set(command.PAPERS) == folders
+
+
+def test_evaluate_hands_a_paper_to_the_command(monkeypatch, tmp_path):
+    calls = []
+    monkeypatch.setattr(evaluate, "run_paper", lambda *given: calls.append(given) or 0)
+    assert evaluate.main(evaluate.Config(paper="focchi2025", output=tmp_path, figures=False)) == 0
+    assert calls == [("focchi2025", tmp_path, False)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["strawa2021"], ("strawa2021", "results", True)),
+        (["focchi2025", "--output", "there", "--no-figures"], ("focchi2025", "there", False)),
+    ],
+)
+def test_python_m_reproduce_takes_a_paper_a_folder_and_no_figures(monkeypatch, arguments, expected):
+    calls = []
+    monkeypatch.setattr(command, "main", lambda *given: calls.append(given) or 0)
+    monkeypatch.setattr(sys, "argv", ["reproduce", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("reproduce", run_name="__main__")
+    assert ended.value.code == 0
+    assert [(paper, str(output), figures) for paper, output, figures in calls] == [expected]
+
+
+def test_a_paper_that_is_not_there_is_refused_with_the_names_of_those_that_are(repository):
+    done = subprocess.run(
+        [sys.executable, "-m", "reproduce", "nobody1999"],
+        cwd=repository, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert all(paper in done.stderr for paper in ("nobody1999", *command.PAPERS))

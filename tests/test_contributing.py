@@ -1,0 +1,41 @@
+"""CONTRIBUTING.md can be followed: each section's file and its use run in an own folder."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from tests.test_documentation import python_blocks
+
+# Section -> what its last block prints, besides that it runs.
+SECTIONS = {
+    "a sensor channel": r"^-?\d+\.\d+",
+    "an uncertainty set": r"(payload (nominal|adaptive) 0\.\d+\n){4}(falling-load .*\n?){4}$",
+    "an estimator": r"'belt_advance': .*'belt_advance_deviation': .*'belts_excitation': ",
+    "a controller": r"^\[0\.\d+, 0\.\d+\]",
+}
+
+
+def sections(text):
+    """Text below each heading `## How to add ...`."""
+    parts = re.split(r"^## How to add (.*)$", text, flags=re.MULTILINE)[1:]
+    return dict(zip(parts[::2], parts[1::2], strict=True))
+
+
+@pytest.mark.parametrize("what", SECTIONS)
+def test_what_a_section_says_works_in_a_folder_of_ones_own(what, repository, tmp_path):
+    blocks = python_blocks(sections((repository / "CONTRIBUTING.md").read_text())[what])
+    files = [block for block in blocks if block.startswith("# ")]
+    assert len(files) == 1 and len(blocks) == 2  # one file with its registration, and its use
+    (tmp_path / files[0].split()[1]).write_text(files[0])
+    (tmp_path / "use.py").write_text(blocks[1])
+    path = os.pathsep.join([str(tmp_path), str(repository)])
+    done = subprocess.run(
+        [sys.executable, "use.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300,
+        env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert re.search(SECTIONS[what], done.stdout), done.stdout
+    assert "Warning" not in done.stderr

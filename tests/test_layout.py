@@ -1,0 +1,130 @@
+"""The tree: file names that stand once, and definitions that something other than a test uses."""
+
+import ast
+import re
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import pytest
+
+PROGRAM = ("tracked_env", "baselines", "agents", "reproduce", "benchmarks", "docs")
+SCRIPTS = ("train.py", "evaluate.py")
+ANYWHERE = ("__init__.py", "__main__.py", "conftest.py")
+PARALLEL = ("strawa2021", "focchi2025")  # folders of reproduce/ whose files may have equal names
+# What other projects call, and hooks that a tool calls by name.
+PUBLIC = {
+    "create_dataset", "env_creator", "unpack", "IdentifiedObservation", "setup", "__all__",
+    "author", "copyright", "extensions", "myst_enable_extensions", "myst_heading_anchors",
+    "exclude_patterns", "nitpicky", "html_theme", "html_title", "release",
+}  # fmt: skip
+# Equations of the model that the plants use in another form; tests compare the two.
+MODEL = {"tractive_effort", "regularised_sign", "kinetic_energy", "DYNAMIC_ROWS"}
+
+
+def program_files(root: Path) -> list[Path]:
+    """Python files of the program, without the tests."""
+    found = [path for name in PROGRAM for path in sorted((root / name).rglob("*.py"))]
+    return found + [root / name for name in SCRIPTS if (root / name).exists()]
+
+
+def repeated_names(root: Path) -> dict[str, list[str]]:
+    """File name -> the files that have it, where these are several."""
+    by_name = defaultdict(list)
+    for path in program_files(root) + sorted((root / "tests").rglob("*.py")):
+        where = path.relative_to(root)
+        if path.name not in ANYWHERE and not set(where.parts) & set(PARALLEL):
+            by_name[path.name].append(str(where))
+    for name in PARALLEL:
+        for path in sorted((root / "reproduce" / name).glob("*.py")):
+            if path.name in by_name:
+                by_name[path.name].append(str(path.relative_to(root)))
+    return {name: files for name, files in by_name.items() if len(files) > 1}
+
+
+def top_level(tree: ast.Module) -> list[tuple[str, int]]:
+    """(name, line) of the functions, classes and constants of a module."""
+    found: list[tuple[str, int]] = []
+    for node in tree.body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            found.append((node.name, node.lineno))
+        targets = node.targets if isinstance(node, ast.Assign) else []
+        if isinstance(node, ast.AnnAssign):
+            targets = [node.target]
+        for target in targets:
+            if isinstance(target, ast.Name):  # an unpacked tuple may leave some names unused
+                found.append((target.id, node.lineno))
+    return found
+
+
+def used(tree: ast.Module) -> Counter[str]:
+    """Names that a module reads, as variable, attribute or in a short string (a look-up)."""
+    names: Counter[str] = Counter()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+            names[node.id] += 1
+        elif isinstance(node, ast.Attribute):
+            names[node.attr] += 1
+        elif isinstance(node, ast.Constant) and len(str(node.value)) < 80:
+            names.update(re.findall(r"\w+", str(node.value)))
+    return names
+
+
+def unused_definitions(root: Path) -> list[str]:
+    """Module-level definitions that nothing in the program reads, as 'file:line name'."""
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in program_files(root)}
+    names: Counter[str] = Counter()
+    for tree in trees.values():
+        names.update(used(tree))
+    return [
+        f"{path.relative_to(root)}:{line} {name}"
+        for path, tree in trees.items()
+        for name, line in top_level(tree)
+        if not names[name] and name not in PUBLIC | MODEL
+    ]
+
+
+def test_a_file_name_stands_once_in_the_tree(repository: Path) -> None:
+    assert repeated_names(repository) == {}
+
+
+def test_every_definition_is_used_by_something_other_than_a_test(repository: Path) -> None:
+    assert unused_definitions(repository) == []
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "found"),
+    [
+        ("tracked_env/a.py", "baselines/a.py", True),
+        ("tracked_env/a.py", "tests/agents/a.py", True),
+        ("reproduce/strawa2021/a.py", "reproduce/focchi2025/a.py", False),
+        ("reproduce/strawa2021/a.py", "tracked_env/a.py", True),
+        ("tracked_env/__init__.py", "baselines/__init__.py", False),
+    ],
+)
+def test_a_name_that_stands_twice_is_found(
+    first: str, second: str, found: bool, tmp_path: Path
+) -> None:
+    for name in (first, second):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    assert bool(repeated_names(tmp_path)) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "unused"),
+    [
+        ("A = 1\n", ["A"]),
+        ("A: int = 1\nB = A\nprint(B)\n", []),
+        ("def f():\n    return 1\n", ["f"]),
+        ("def f():\n    return 1\n\nx = globals()['f']()\nprint(x)\n", []),
+        ("class C:\n    pass\n\nimport other\nother.C()\n", []),
+    ],
+)
+def test_a_definition_that_nothing_reads_is_found(
+    text: str, unused: list[str], tmp_path: Path
+) -> None:
+    (tmp_path / "tracked_env").mkdir()
+    (tmp_path / "tracked_env" / "a.py").write_text(text)
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_a.py").write_text("from tracked_env.a import *\nprint(A, f, C)\n")
+    assert [line.split()[1] for line in unused_definitions(tmp_path)] == unused

@@ -1,0 +1,188 @@
+"""The layout of the observation: groups, versions, columns by name."""
+
+import copy
+import json
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from tracked_env import observation as obs
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+ID = "tracked_env:tracked_env/Torque-v0"
+ACTION = np.array([0.3, 0.2], dtype=np.float32)
+# Of v0, for good: agents and data sets rely on it.
+V0 = {
+    "pose_error": "position_error_x position_error_y heading_error",
+    "motion": "v_x v_y yaw_rate acceleration_x acceleration_y yaw_acceleration",
+    "drive": "sprocket_speed_left sprocket_speed_right torque_left torque_right",
+    "reference": "reference_speed reference_acceleration reference_jerk reference_yaw_rate "
+    "reference_yaw_acceleration",
+    "look_ahead": "reference_speed_ahead_0.25 reference_speed_ahead_0.5 reference_speed_ahead_1 "
+    "reference_speed_ahead_2 reference_yaw_rate_ahead_0.25 reference_yaw_rate_ahead_0.5 "
+    "reference_yaw_rate_ahead_1 reference_yaw_rate_ahead_2",
+    "action": "previous_action_left previous_action_right",
+    "age": "pose_age inertial_age drive_age",
+}
+SCALES = [
+    1, 1, 0.5, 2, 0.5, 0.5, 2, 2, 2, 6, 6, 4000, 4000, 2, 2, 4, 0.5, 1, *[2] * 4, *[0.5] * 4, 1, 1,
+    1, 1, 1,
+]  # fmt: skip
+BOUNDS = [
+    20, 20, 4, 40, 40, 20, 200, 200, 400, 200, 200, 40000, 40000, 40, 100, 400, 20, 100, *[40] * 4,
+    *[20] * 4, 1, 1, 60, 60, 60,
+]  # fmt: skip
+
+
+def drive(env, steps=60, seed=3):
+    """Observations of an episode under a constant action."""
+    seen = [env.reset(seed=seed)[0]]
+    seen += [env.step(ACTION)[0] for _ in range(steps)]
+    return np.array(seen)
+
+
+def test_the_layout_v0_is_what_it_has_always_been():
+    assert {group.name: " ".join(f.name for f in group.fields) for group in obs.V0.parts} == V0
+    assert obs.V0.groups == obs.VERSIONS["v0"]
+    assert obs.SCALE.tolist() == SCALES
+    assert [field.bound for field in obs.FIELDS] == BOUNDS
+    high = (np.array(BOUNDS) / np.array(SCALES)).astype(np.float32)
+    assert obs.HIGH.tobytes() == high.tobytes()
+    assert obs.LOW.tobytes() == np.concatenate([-high[:28], [0, 0, 0]]).astype(np.float32).tobytes()
+
+
+@pytest.mark.parametrize("env_id", ["Torque-v0", "Speed-v0"])
+def test_an_environment_of_some_groups_shows_their_columns_bit_for_bit(env_id):
+    groups = ["motion", "pose_error", "age", "reference"]
+    whole = gymnasium.make(f"tracked_env:tracked_env/{env_id}")
+    part = gymnasium.make(f"tracked_env:tracked_env/{env_id}", observation=groups)
+    layout = part.unwrapped.layout
+    assert layout.groups == tuple(groups)
+    assert part.observation_space.shape == (layout.size,) == (17,)
+    seen, shown = drive(whole), drive(part)
+    assert np.array_equal(shown, seen[:, obs.V0.columns(layout.names)])
+    assert all(part.observation_space.contains(row) for row in shown)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+def test_a_vector_of_some_groups_shows_the_same_in_every_autoreset_mode(mode):
+    given = {
+        "duration": 0.3,
+        "autoreset_mode": mode,
+        "sensors": {"preset": "rtk", "pose_delay": 0.1},
+    }
+    whole = TrackedVehicleVectorEnv(3, **given)
+    part = TrackedVehicleVectorEnv(3, observation=("action", "motion"), **given)
+    columns = obs.V0.columns(part.layout.names)
+    actions = np.tile(ACTION, (3, 1))
+    assert np.array_equal(part.reset(seed=5)[0], whole.reset(seed=5)[0][:, columns])
+    ended = 0
+    for _ in range(40):
+        seen, _, terminated, truncated, info = whole.step(actions)
+        shown, *_, about = part.step(actions)
+        assert np.array_equal(shown, seen[:, columns])
+        if mode == "SameStep" and truncated.any():
+            ended += 1
+            for row in np.flatnonzero(truncated):
+                last = info["final_obs"][row][columns]
+                assert np.array_equal(about["final_obs"][row], last)
+        if mode == "Disabled" and (terminated | truncated).all():
+            break
+    assert ended == (2 if mode == "SameStep" else 0)
+
+
+def test_a_composed_environment_passes_the_check_of_gymnasium_and_its_arguments_are_json():
+    env = gymnasium.make(ID, observation=["look_ahead", "action"])
+    check_env(env.unwrapped, skip_render_check=True)
+    assert json.loads(json.dumps(env.spec.kwargs))["observation"] == ["look_ahead", "action"]
+
+
+def test_a_copy_or_pickle_of_a_composed_environment_goes_on_bit_for_bit():
+    env = TrackedVehicleEnv(observation=["motion", "drive"])
+    drive(env, 10)
+    twins = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    after = np.array([env.step(ACTION)[0] for _ in range(5)])
+    for twin in twins:
+        assert twin.layout.groups == ("motion", "drive")
+        assert np.array_equal([twin.step(ACTION)[0] for _ in range(5)], after)
+
+
+def test_a_part_of_a_layout_packs_unpacks_and_mirrors_as_the_whole():
+    layout = obs.make_layout(["drive", "pose_error", "look_ahead"])
+    values = np.random.default_rng(0).normal(size=(4, obs.SIZE))
+    whole = obs.pack(dict(zip(obs.NAMES, values.T, strict=True)))
+    columns = obs.V0.columns(layout.names)
+    known = obs.unpack(whole)
+    part = layout.pack({name: known[name] for name in layout.names})
+    assert np.array_equal(part, whole[:, columns])
+    assert np.array_equal(layout.unpack(part)["torque_left"], known["torque_left"])
+    assert np.array_equal(layout.mirror(part), obs.mirror(whole)[:, columns])
+    assert np.array_equal(layout.mirror(layout.mirror(part)), part)
+    assert not np.array_equal(layout.mirror(part), part)
+    assert layout.markdown_table().count("\n") == layout.size + 1
+
+
+def test_a_missing_group_is_named_with_what_to_make_the_environment_with():
+    shown = obs.make_layout(["motion", "drive"]).names
+    with pytest.raises(ValueError, match=r"lacks group age \(pose_age\); .*'drive', 'age'\]"):
+        obs.columns(shown, ["v_x", "pose_age"])
+    with pytest.raises(ValueError, match=r"unknown observation field 'v_z'.*Did you mean 'v_"):
+        obs.columns(shown, ["v_z"])
+    with pytest.raises(ValueError, match=r"lacks group reference \(reference_speed\)"):
+        obs.View(shown, ["v_x", "reference_speed"])
+
+
+def test_a_view_finds_fields_by_name_and_shows_0_for_what_nobody_needs():
+    layout = obs.make_layout(["age", "motion"])
+    seen = np.arange(2 * layout.size, dtype=np.float32).reshape(2, -1) + 1.0
+    view = obs.View(layout.names, ["v_x", "pose_age"])
+    given = view(seen)
+    assert given.shape == (2, obs.SIZE)
+    assert given[1, obs.INDEX["v_x"]] == seen[1, layout.index["v_x"]]
+    assert given[0, obs.INDEX["pose_age"]] == seen[0, 0]
+    assert not given[:, obs.INDEX["reference_speed"]].any()
+    assert np.count_nonzero(given) == seen.size
+    same = obs.View()
+    whole = np.zeros((3, obs.SIZE), dtype=np.float32)
+    assert same(whole) is whole
+    for wrong in (seen[:, :-1], np.zeros((1, 1, layout.size)), whole):
+        with pytest.raises(ValueError, match=r"shape .* must be \(9,\) or \(N, 9\)"):
+            view(wrong)
+
+
+@pytest.mark.parametrize(
+    ("spec", "says"),
+    [
+        ("v9", "unknown observation 'v9'"),
+        ([], "must be 'v0' or a list of groups"),
+        ({"motion": 1}, "must be 'v0' or a list of groups"),
+        (3, "must be 'v0' or a list of groups"),
+        (["motion", "moton"], "unknown observation group 'moton'.* Did you mean 'motion'"),
+        (["motion", "age", "motion"], "each group can be shown once"),
+    ],
+)
+def test_a_wrong_layout_is_refused_when_the_environment_is_made(spec, says):
+    with pytest.raises(ValueError, match=says):
+        TrackedVehicleEnv(observation=spec)
+
+
+@pytest.mark.parametrize(
+    ("group", "says"),
+    [
+        (obs.Group("motion", (obs.Field("a", "-", 1.0, 1.0, ""),)), "'motion' is taken"),
+        (obs.Group("empty", ()), "has no field"),
+        (obs.Group("new", (obs.Field("v_x", "-", 1.0, 1.0, ""),)), "in the group 'motion' already"),
+        (obs.Group("new", 2 * (obs.Field("a", "-", 1.0, 1.0, ""),)), "in the group 'new' already"),
+        (obs.Group("new", (obs.Field("a", "-", 0.0, 1.0, ""),)), "must be positive"),
+        (obs.Group("new", (obs.Field("a_left", "-", 1.0, 1.0, ""),)), "without its right one"),
+    ],
+)
+def test_a_group_that_does_not_fit_is_not_registered(group, says, registries):
+    before = dict(obs.GROUPS)
+    with pytest.raises(ValueError, match=says):
+        obs.register(group)
+    assert before == obs.GROUPS

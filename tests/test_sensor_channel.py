@@ -1,0 +1,301 @@
+"""A sensor channel and its group are added in one file; nothing else changes, and agents drive."""
+
+import copy
+import json
+import pickle
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from baselines.estimators.stack import IdentificationStack
+from baselines.registry import POLICIES
+from tracked_env import observation as obs
+from tracked_env import sensors
+from tracked_env.benchmark import BenchmarkConfig, BenchmarkSet, PolicyContext, Store, run, sets
+from tracked_env.benchmark.policy_interface import PolicyEntry
+from tracked_env.benchmark.runner import episode_digest
+from tracked_env.physics.channels import Channel
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+from tracked_env.wrappers import IdentifiedVectorObservation
+
+ACTION = np.array([0.3, 0.2], dtype=np.float32)
+GROUPS = (*obs.VERSIONS["v0"], "wheel")
+SIGMA, BIAS = 0.05, 0.02  # [m/s]
+
+
+def wheel_speed(truth):
+    """A fifth wheel on the left side of the hull."""
+    return truth["v_x"] - 0.5 * truth["track_gauge"] * truth["yaw_rate"]
+
+
+def sliding(known):
+    """Belt minus wheel on the left: the slip velocity, from what is measured."""
+    belt = 0.3 * known["sprocket_speed_left"]
+    return {"wheel_speed": known["wheel_speed"], "left_sliding": belt - known["wheel_speed"]}
+
+
+WHEEL = Channel(
+    "wheel_speed", "drive", "m/s", "wheel_noise", "wheel_bias", truth=wheel_speed,
+    presets={"rtk": {"wheel_noise": SIGMA, "wheel_bias": BIAS}},
+)  # fmt: skip
+GROUP = obs.Group(
+    "wheel",
+    (
+        obs.Field("wheel_speed", "m/s", 2.0, 40.0, "fifth wheel on the left"),
+        obs.Field("left_sliding", "m/s", 0.5, 40.0, "left belt over that wheel"),
+    ),
+    channels=("wheel_speed",),
+    values=sliding,
+)
+
+
+@pytest.fixture(autouse=True)
+def wheel(registries):
+    """The two registrations; see the functions above for the rest."""
+    sensors.register(WHEEL)
+    obs.register(GROUP)
+
+
+def vehicles(count, **given):
+    return TrackedVehicleVectorEnv(count, **{"observation": GROUPS, "expose_truth": True, **given})
+
+
+def driven(env, steps, seed=0):
+    """Wheel speed as shown and as it is, (steps + 1, N) each."""
+    column = env.layout.index["wheel_speed"]
+    observation, info = env.reset(seed=seed)
+    shown, true = [observation[:, column] * 2.0], [wheel_speed(info["truth"])]
+    for _ in range(steps):
+        observation, *_, info = env.step(np.tile(ACTION, (env.num_envs, 1)))
+        shown.append(observation[:, column] * 2.0)
+        true.append(wheel_speed(info["truth"]))
+    return np.array(shown), np.array(true)
+
+
+def test_the_channel_has_the_noise_and_bias_of_the_preset():
+    shown, true = driven(vehicles(200, error_limit=1e6), 150)
+    error = shown - true
+    quiet = vehicles(200, sensors={"preset": "rtk", "wheel_noise": 0.0}, error_limit=1e6)
+    bias = np.subtract(*driven(quiet, 150))
+    assert np.allclose(np.abs(bias), BIAS, atol=1e-5)
+    assert np.ptp(bias, axis=0).max() < 1e-5  # the same for the whole episode
+    assert 70 < (bias[0] > 0.0).sum() < 130  # 4 standard deviations of a coin to either side
+    noise = error - bias
+    assert noise.std() == pytest.approx(SIGMA, rel=0.02)
+    products = (noise[1:] * noise[:-1]).mean(), (noise[:, 1:] * noise[:, :-1]).mean()
+    assert np.abs(products).max() < 0.05 * SIGMA**2  # neither steps nor vehicles share it
+    repeated = (noise[64:128] * noise[:64]).mean()
+    assert abs(repeated) < 0.05 * SIGMA**2  # nor the blocks in which it is drawn
+
+
+def test_two_channels_do_not_share_their_noise():
+    sensors.register(WHEEL._replace(name="second_wheel"))
+    obs.register(obs.Group("second", (obs.Field("second_wheel", "m/s", 2.0, 40.0, ""),)))
+    env = vehicles(200, observation=("wheel", "second"), error_limit=1e6)
+    seen = [env.reset(seed=0)[0]]
+    seen += [env.step(np.tile(ACTION, (200, 1)))[0] for _ in range(50)]
+    difference = np.ptp([[row[:, 0] - row[:, 2]] for row in seen], axis=0)
+    assert (difference * 2.0 > SIGMA).all()
+
+
+def test_other_presets_and_fields_give_other_errors():
+    assert np.allclose(*driven(vehicles(3, sensors="ideal"), 40), atol=1e-6)
+    loud = vehicles(50, sensors={"preset": "ideal", "wheel_noise": 0.5})
+    shown, true = driven(loud, 60)
+    assert (shown - true).std() == pytest.approx(0.5, rel=0.05)
+    loud.reset(seed=1, options={"sensors": {"wheel_noise": 0.0}})
+    shown = loud.step(np.tile(ACTION, (50, 1)))
+    true = wheel_speed(shown[-1]["truth"])
+    assert np.allclose(shown[0][:, loud.layout.index["wheel_speed"]] * 2.0, true, atol=1e-6)
+    known = sensors.make_sensors({"preset": "rtk", "wheel_noise": 0.5})
+    assert known.value("wheel_noise") == 0.5 and known.value("wheel_bias") == BIAS
+    assert known.value("gyro_noise") == sensors.RTK.gyro_noise
+    assert sensors.make_sensors(known._asdict()) == known
+    assert sensors.make_sensors(json.loads(json.dumps(known._asdict()))) == known
+    with pytest.raises(ValueError, match=r"wheel_noise = -1\.0 .*must be a number in"):
+        vehicles(1, sensors={"wheel_noise": -1.0})
+    with pytest.raises(ValueError, match=r"unknown sensors key 'whel_noise'.*'wheel_noise'"):
+        vehicles(1, sensors={"whel_noise": 1.0})
+
+
+def test_the_channel_comes_late_and_seldom_as_its_group_does():
+    late = {"preset": "ideal", "drive_delay": 0.1, "drive_rate": 10.0}
+    env = vehicles(2, sensors=late)
+    shown, true = driven(env, 60)
+    sampled = true[[max((k - 5) // 5 * 5, 0) for k in range(61)]]  # every 5 steps, 5 steps late
+    assert np.allclose(shown, sampled, atol=1e-6)
+
+
+def test_a_lost_sample_of_the_group_is_lost_for_the_channel():
+    env = vehicles(4, sensors={"preset": "ideal", "drive_dropout": 0.5})
+    shown, _true = driven(env, 0)
+    age, wheel = env.layout.index["drive_age"], env.layout.index["wheel_speed"]
+    kept = 0
+    for _ in range(60):
+        observation, *_, info = env.step(np.tile(ACTION, (4, 1)))
+        new, old = wheel_speed(info["truth"]), shown[-1]
+        fresh = observation[:, age] == 0.0
+        shown = np.array([np.where(fresh, new, old)])
+        assert np.allclose(observation[:, wheel] * 2.0, shown[-1], atol=1e-6)
+        kept += int(fresh.sum())
+    assert 80 < kept < 160
+
+
+def test_a_field_that_is_computed_from_samples_follows_them():
+    env = vehicles(2)
+    observation, _ = env.reset(seed=4)
+    known = env.layout.unpack(observation)
+    left = 0.3 * known["sprocket_speed_left"] - known["wheel_speed"]
+    assert known["left_sliding"] == pytest.approx(left, abs=1e-5)
+
+
+def test_all_that_was_there_before_stays_bit_for_bit():
+    given = {
+        "uncertainty": "mixed",
+        "sensors": {"preset": "rtk", "pose_delay": 0.1},
+        "duration": 1.0,
+    }
+    plain = TrackedVehicleVectorEnv(3, autoreset_mode="SameStep", **given)
+    more = vehicles(3, autoreset_mode="SameStep", **given)
+    actions = np.tile(ACTION, (3, 1))
+    before, after = plain.reset(seed=2)[0], more.reset(seed=2)[0]
+    for _ in range(120):  # the next episodes too
+        assert np.array_equal(after[:, : obs.SIZE], before)
+        before, after = plain.step(actions)[0], more.step(actions)[0]
+    digests = [episode_digest(episode) for episode in plain.simulation.episodes]
+    sensors.ADDED.clear()
+    again = TrackedVehicleVectorEnv(3, autoreset_mode="SameStep", **given)
+    again.reset(seed=2)
+    for _ in range(120):
+        again.step(actions)
+    assert digests == [episode_digest(episode) for episode in again.simulation.episodes]
+
+
+def test_a_row_of_the_vector_is_the_single_environment_and_a_copy_goes_on():
+    env = vehicles(3)
+    single = gymnasium.make("tracked_env:tracked_env/Torque-v0", observation=GROUPS).unwrapped
+    actions = np.tile(ACTION, (3, 1))
+    rows, one = env.reset(seed=6)[0], single.reset(seed=8)[0]
+    for _ in range(70):  # beyond a block of noise
+        assert np.array_equal(rows[2], one)
+        rows, one = env.step(actions)[0], single.step(ACTION)[0]
+    twins = [copy.deepcopy(single), pickle.loads(pickle.dumps(single))]
+    snapshot = env.simulation.snapshot()
+    going = np.array([single.step(ACTION)[0] for _ in range(70)])
+    for twin in twins:
+        assert np.array_equal([twin.step(ACTION)[0] for _ in range(70)], going)
+    first = np.array([env.step(actions)[0] for _ in range(70)])
+    env.simulation.resume(snapshot)
+    assert np.array_equal([env.step(actions)[0] for _ in range(70)], first)
+
+
+@pytest.mark.parametrize("name", ["nominal", "adaptive"])
+def test_a_controller_drives_where_more_is_shown_or_what_it_does_not_need_is_left_out(name):
+    """In any order of the groups, with the same actions bit for bit."""
+    shuffled = ("wheel", "age", "reference", "motion", "drive", "pose_error")  # no look_ahead
+    envs = [TrackedVehicleVectorEnv(2), vehicles(2), vehicles(2, observation=shuffled)]
+    contexts = [PolicyContext(0.02, "sliding", observation=env.layout.names) for env in envs]
+    policies = [POLICIES[name](context) for context in contexts]
+    seen, states = [env.reset(seed=1)[0] for env in envs], [None] * 3
+    for _ in range(80):
+        actions = []
+        for k, policy in enumerate(policies):
+            action, states[k] = policy.predict(seen[k], states[k])
+            actions.append(action)
+        assert np.array_equal(actions[0], actions[1]) and np.array_equal(actions[0], actions[2])
+        seen = [env.step(action)[0] for env, action in zip(envs, actions, strict=True)]
+    with pytest.raises(ValueError, match=r"lacks group pose_error \(.*reference \("):
+        POLICIES[name](PolicyContext(0.02, "sliding", observation=("v_x", "pose_age")))
+
+
+@pytest.mark.parametrize("name", ["uc", "slc-adaptive"])
+def test_a_controller_of_speeds_drives_there_too(name):
+    make = "tracked_env:tracked_env/Speed-v0"
+    whole = gymnasium.make(make)
+    more = gymnasium.make(
+        make, observation=("wheel", *(g for g in GROUPS[:-1] if g != "look_ahead"))
+    )
+    known = {"sensors": sensors.MOCAP, "drive": "speed", "vehicle": "focchi"}
+    policies = [
+        POLICIES[name](
+            PolicyContext(0.02, "sliding", observation=e.unwrapped.layout.names, **known)
+        )
+        for e in (whole, more)
+    ]
+    seen, states = [whole.reset(seed=1)[0], more.reset(seed=1)[0]], [None, None]
+    for _ in range(30):
+        (one, states[0]), (other, states[1]) = (
+            policy.predict(o, s) for policy, o, s in zip(policies, seen, states, strict=True)
+        )
+        assert one.shape == (2,) and np.array_equal(one, other)
+        seen = [whole.step(one)[0], more.step(other)[0]]
+
+
+def test_an_observer_in_a_wrapper_finds_its_fields_by_name():
+    plain = IdentifiedVectorObservation(TrackedVehicleVectorEnv(2), IdentificationStack(count=2))
+    groups = ("wheel", "age", "reference", "motion", "drive", "pose_error")
+    more = IdentifiedVectorObservation(
+        vehicles(2, observation=groups), IdentificationStack(count=2)
+    )
+    width = len(IdentificationStack().feature_names)
+    one, other = plain.reset(seed=1)[0], more.reset(seed=1)[0]
+    for _ in range(40):
+        assert np.array_equal(one[:, -width:], other[:, -width:])
+        one, other = (env.step(np.tile(ACTION, (2, 1)))[0] for env in (plain, more))
+    assert other.shape[1] == sum(len(obs.GROUPS[name].fields) for name in groups) + width
+    with pytest.raises(ValueError, match=r"lacks group age \(pose_age, .*it shows"):
+        IdentifiedVectorObservation(
+            vehicles(2, observation=("pose_error", "motion", "drive", "reference")),
+            IdentificationStack(count=2),
+        )
+
+
+def test_a_shipped_agent_drives_the_benchmark_where_more_is_shown(tmp_path):
+    pytest.importorskip("torch", reason="agents need the extra `rl`")
+    from agents.loading import agent_entry
+
+    folder = Path(__file__).resolve().parents[1] / "agents" / "pretrained" / "Torque-v0"
+    entry = agent_entry(next(folder.glob("ppo-blind-*/agent.zip")))
+    assert isinstance(entry, PolicyEntry)
+    arguments = {"observation": GROUPS[::-1]}
+    sets.register(BenchmarkSet("plain", "payload", "what v0 shows"))
+    sets.register(BenchmarkSet("wheeled", "payload", "a fifth wheel", arguments=arguments))
+    config = BenchmarkConfig(sets=("plain", "wheeled"), episodes=2, duration=1.0)
+    records = run(config, [entry], Store(tmp_path, config.identity()))
+    rmse = [record["tracking_rmse"] for record in records]
+    assert rmse[:2] == rmse[2:]
+
+
+@pytest.mark.parametrize(
+    ("channel", "says"),
+    [
+        (WHEEL, "'wheel_speed' is registered already"),
+        (WHEEL._replace(name="v_x"), "'v_x' is registered already"),
+        (WHEEL._replace(name="a", group="lidar"), "unknown group of channel 'a' 'lidar'"),
+        (WHEEL._replace(name="a", truth=None), "truth = None; must be a function"),
+        (WHEEL._replace(name="a", noise="loudness"), "'loudness' must end in _noise or _bias"),
+        (WHEEL._replace(name="a", presets={"gps": {}}), "unknown sensor preset of channel 'a'"),
+        (WHEEL._replace(name="a", presets={"rtk": {"x_noise": 1.0}}), "unknown presets of 'a' key"),
+    ],
+)
+def test_a_channel_that_does_not_fit_is_refused(channel, says):
+    with pytest.raises(ValueError, match=says):
+        sensors.register(channel)
+    assert list(sensors.ADDED) == ["wheel_speed"]
+
+
+def test_a_truth_or_a_field_of_the_wrong_shape_says_whose_it_is():
+    sensors.register(WHEEL._replace(name="odd", truth=lambda truth: np.zeros(7)))
+    obs.register(obs.Group("odd", (obs.Field("odd", "-", 1.0, 1.0, ""),)))
+    env = TrackedVehicleVectorEnv(2, observation=["odd"])
+    with pytest.raises(ValueError, match=r"truth of 'odd' has shape \(7,\); must be \(2,\)"):
+        env.reset(seed=0)
+    nothing = obs.Group("none", (obs.Field("none", "-", 1.0, 1.0, ""),), values=lambda known: {})
+    obs.register(nothing)
+    with pytest.raises(ValueError, match="none: no value of 'none'"):
+        TrackedVehicleVectorEnv(2, observation=["none"]).reset(seed=0)
+    obs.register(obs.Group("missing", (obs.Field("missing", "-", 1.0, 1.0, ""),)))
+    with pytest.raises(ValueError, match="no sensor channel 'missing'; registered are"):
+        TrackedVehicleVectorEnv(2, observation=["missing"])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from stable_baselines3 import PPO
 
-from agents.algorithms.algorithm import Algorithm, register
+from agents.algorithms.algorithm import Algorithm
 from agents.algorithms.stable_baselines import OnPolicySettings, learner_of, maker
 from agents.training.reward import SMOOTHNESS
 
@@ -17,10 +17,7 @@ class PPOSettings(OnPolicySettings):
     """Settings of PPO."""
 
 
-register(
-    "ppo",
-    Algorithm(
-        PPO, PPOSettings, learner_of, steps=2_000_000, network="ppo", make=maker(PPO),
-        smoothness=SMOOTHNESS, scaled=True, checkpoint_every=0,
-    ),
+ALGORITHM = Algorithm(
+    PPO, PPOSettings, learner_of, steps=2_000_000, network="ppo", make=maker(PPO),
+    smoothness=SMOOTHNESS, scaled=True, checkpoint_every=0,
 )  # fmt: skip

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sb3_contrib import RecurrentPPO
 
-from agents.algorithms.algorithm import Algorithm, register
+from agents.algorithms.algorithm import Algorithm
 from agents.algorithms.stable_baselines import OnPolicySettings, learner_of, maker
 from agents.recurrent import BypassedLstmPolicy
 from agents.training.reward import SMOOTHNESS
@@ -30,11 +30,8 @@ class RecurrentPPOSettings(OnPolicySettings):
     """Units of the action's LSTM; the value has none. A dozen hidden parameters need no more."""
 
 
-register(
-    "recurrent-ppo",
-    Algorithm(
-        RecurrentPPO, RecurrentPPOSettings, learner_of, steps=1_000_000, network="recurrent-ppo",
-        make=maker(RecurrentPPO, BypassedLstmPolicy), smoothness=SMOOTHNESS, scaled=True,
-        checkpoint_every=0,
-    ),
+ALGORITHM = Algorithm(
+    RecurrentPPO, RecurrentPPOSettings, learner_of, steps=1_000_000, network="recurrent-ppo",
+    make=maker(RecurrentPPO, BypassedLstmPolicy), smoothness=SMOOTHNESS, scaled=True,
+    checkpoint_every=0,
 )  # fmt: skip

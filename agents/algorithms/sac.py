@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from stable_baselines3 import SAC
 
-from agents.algorithms.algorithm import Algorithm, register
+from agents.algorithms.algorithm import Algorithm
 from agents.algorithms.stable_baselines import (
     OFF_POLICY_STEPS,
     OffPolicySettings,
@@ -27,7 +27,6 @@ class SACSettings(OffPolicySettings):
     """Weight of the entropy: learned, from this value on."""
 
 
-register(
-    "sac",
-    Algorithm(SAC, SACSettings, learner_of, OFF_POLICY_STEPS, network="sac", make=maker(SAC)),
+ALGORITHM = Algorithm(
+    SAC, SACSettings, learner_of, OFF_POLICY_STEPS, network="sac", make=maker(SAC)
 )

@@ -12,7 +12,7 @@ import numpy as np
 from stable_baselines3 import TD3
 from stable_baselines3.common.noise import NormalActionNoise
 
-from agents.algorithms.algorithm import Algorithm, register
+from agents.algorithms.algorithm import Algorithm
 from agents.algorithms.stable_baselines import (
     OFF_POLICY_STEPS,
     OffPolicySettings,
@@ -34,10 +34,7 @@ def noise(settings: TD3Settings) -> NormalActionNoise:
     return NormalActionNoise(np.zeros(2), np.full(2, settings.action_noise))
 
 
-register(
-    "td3",
-    Algorithm(
-        TD3, TD3Settings, learner_of, OFF_POLICY_STEPS, network="td3",
-        make=maker(TD3, action_noise=noise),
-    ),
+ALGORITHM = Algorithm(
+    TD3, TD3Settings, learner_of, OFF_POLICY_STEPS, network="td3",
+    make=maker(TD3, action_noise=noise),
 )  # fmt: skip

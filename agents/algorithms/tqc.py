@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sb3_contrib import TQC
 
-from agents.algorithms.algorithm import Algorithm, register
+from agents.algorithms.algorithm import Algorithm
 from agents.algorithms.stable_baselines import (
     OFF_POLICY_STEPS,
     OffPolicySettings,
@@ -30,9 +30,6 @@ class TQCSettings(OffPolicySettings):
     """Of 25: more makes the values more careful."""
 
 
-register(
-    "tqc",
-    Algorithm(
-        TQC, TQCSettings, learner_of, OFF_POLICY_STEPS, network="tqc", make=maker(TQC), scaled=True
-    ),
+ALGORITHM = Algorithm(
+    TQC, TQCSettings, learner_of, OFF_POLICY_STEPS, network="tqc", make=maker(TQC), scaled=True
 )

@@ -1,6 +1,7 @@
 """The options of train.py: one dataclass, whose docstrings are its help."""
 
 from dataclasses import dataclass, field, make_dataclass
+from dataclasses import fields as dataclass_fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -34,21 +35,21 @@ Folder = Annotated[
 
 @dataclass(frozen=True)
 class Options:
-    """What to train, on what, and where it goes."""
+    """Agent, environment and folder of a training."""
 
     agent: str | None = None
     """Algorithm, by default ppo; its settings are the options that start with its name."""
 
     memory: Literal["blind", "history", "estimates", "residual", "teacher", "student"] = "blind"
-    """What the agent has besides the present observation.
-    blind: nothing (recurrent-ppo remembers by itself).
+    """Observation augmentation: inputs besides the present observation.
+    blind: none (recurrent-ppo has a memory of its own).
     history: past samples. estimates: the identified parameters.
     residual: corrects the action of the adaptive controller.
     teacher: the true parameters. student: drives with TEACHER's network,
-    and infers from past samples what that was told."""
+    and infers the true parameters from past samples."""
 
     teacher: Path | None = None
-    """Of memory student: agent.zip of the teacher."""
+    """Of augmentation student: agent.zip of the teacher."""
 
     trust: bool = False
     """Open a teacher of a former version too. It is unpickled, which runs any
@@ -86,11 +87,11 @@ class Options:
     """Length of an episode [s]."""
 
     staggered: bool = True
-    """First episodes end at different times: else all vehicles are beside their
-    path at once, and settled at once, for the whole training."""
+    """First episodes end at different times: otherwise all vehicles are at the same
+    time of their episodes for the whole training."""
 
     lateral: Literal["sliding", "constrained"] = "sliding"
-    """Lateral closure of the plant."""
+    """Lateral model of the lumped plant."""
 
     env_args: str | None = None
     """Further arguments of the environment, as JSON:
@@ -120,23 +121,23 @@ class Options:
     or 20 000 for students and agents with a replay buffer."""
 
     normalise: bool = False
-    """Normalise what the network sees by its running mean and
-    deviation. It is of order one already."""
+    """Normalise the inputs of the network by their running mean and
+    deviation. They are of order one already."""
 
     precision: float | None = None
-    """Distance of a sharper reward term that only the training sees,
+    """Distance of an additional reward term, steeper near the path, in training only,
     over the contact length; 0 leaves it out. Default: 0.075."""
 
     smoothness: float | None = None
-    """Price of a change of the action, only in training: times its mean
-    square per control step. More drives calmer, less accurately; 0 leaves it out.
-    Default: 1 for PPO, 0 for agents with a replay buffer, which it keeps from learning."""
+    """Weight of the action-rate penalty, the mean square of the change of the action per
+    control step, in training only; 0 leaves it out. Default: 1 for PPO, 0 for agents with
+    a replay buffer, which hardly learn with it."""
 
     lags: tuple[int, ...] = LAGS
-    """Of memory history and student: ages of the samples [control steps]."""
+    """Of augmentation history and student: ages of the samples [control steps]."""
 
     residual_scale: float = RESIDUAL_SCALE
-    """Of memory residual: largest correction, over the torque limit."""
+    """Of augmentation residual: largest correction, over the torque limit."""
 
     tensorboard: bool = False
     """Also write TensorBoard logs to OUTPUT."""
@@ -148,7 +149,7 @@ class Options:
     """Show no progress bar."""
 
     student: StudentSettings = field(default_factory=StudentSettings)
-    """Settings of memory student."""
+    """Settings of augmentation student."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -193,7 +194,14 @@ class Options:
 
 
 def options_of_train() -> type[Options]:
-    """`Options` with a choice of, and the settings of, every algorithm that is registered now."""
+    """`Options` with a choice of, and the settings of, every algorithm that is registered now.
+
+    Raises ValueError for an algorithm that is called like another option.
+    """
+    taken = {option.name for option in dataclass_fields(Options)}
+    for name in ALGORITHMS:
+        if name.replace("-", "_") in taken:
+            raise ValueError(f"algorithm {name!r}: --{name} is another option; rename it")
     choice: Any = Literal[tuple(ALGORITHMS)]
     fields = [("agent", choice | None, None)]
     fields += [

@@ -26,24 +26,24 @@ ALL = [*(made.settings for made in ALGORITHMS.values()), StudentSettings, Config
 
 
 @pytest.mark.parametrize(
-    ("changes", "steps"),
+    ("changes", "steps", "checkpoint"),
     [
-        ({}, 2_000_000),
-        ({"memory": "teacher"}, 2_000_000),
-        ({"agent": "recurrent-ppo"}, 1_000_000),
-        ({"agent": "sac"}, 300_000),
-        ({"agent": "td3"}, 300_000),
-        ({"agent": "tqc"}, 300_000),
-        ({"memory": "student"}, 500_000),
+        ({}, 2_000_000, 0),
+        ({"memory": "teacher"}, 2_000_000, 0),
+        ({"agent": "recurrent-ppo"}, 1_000_000, 0),
+        ({"agent": "sac"}, 300_000, 20_000),
+        ({"agent": "td3"}, 300_000, 20_000),
+        ({"agent": "tqc"}, 300_000, 20_000),
+        ({"memory": "student"}, 500_000, 20_000),
     ],
 )
-def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, steps):
+def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, steps, checkpoint):
     config = Config(**changes)
-    assert resolve(config).schedule[:2] == (steps, steps // 10)
+    assert resolve(config).schedule == (steps, steps // 10, checkpoint)
     kept = configuration(config)
     assert (kept["steps"], kept["evaluate_every"]) == (steps, steps // 10)
-    given = Config(**changes, steps=5, evaluate_every=3)
-    assert resolve(given).schedule[:2] == (5, 3)
+    given = Config(**changes, steps=5, evaluate_every=3, checkpoint_every=2)
+    assert resolve(given).schedule == (5, 3, 2)
     assert resolve(Config(**changes, steps=5)).schedule.evaluate_every == 1
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import train
+from agents import ending
 from agents.algorithms import ALGORITHMS, settings
 from agents.training import checkpoints
 from agents.training.folder import PRODUCTS
@@ -152,6 +153,23 @@ def test_an_interruption_later_says_how_to_go_on(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(StudentLearner, "collect", interrupt)
     assert train.main(small(tmp_path)) == 130
     assert one_line(capsys) == f"interrupted; go on with --resume --output {tmp_path}\n"
+
+
+def test_ctrl_c_that_the_shell_has_switched_off_stays_so():
+    """As for a process in the background."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        ending.stop_at_once("never")
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+        ending.raise_again()
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        ending.stop_at_once("now")
+        assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+        ending.raise_again()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.parametrize("delay", [0.3, 1.0, 2.0])

@@ -138,9 +138,17 @@ def test_a_name_that_is_taken_or_no_option_is_refused():
     for name in ("My Own", "a_b", "", "3a"):
         with pytest.raises(ValueError, match="must be lower-case letters"):
             register(name, record)
-    assert list(ALGORITHMS) == ["ppo", "recurrent-ppo", "sac", "td3", "tqc"]
+    assert list(ALGORITHMS) == ["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
 
 
 def test_an_algorithm_that_is_not_registered_is_refused_with_those_that_are():
-    with pytest.raises(ValueError, match="agent = 'dqn'; must be one of ppo, recurrent-ppo, sac"):
+    with pytest.raises(
+        ValueError, match="agent = 'dqn'; must be one of ppo, sac, td3, tqc, recurrent-ppo"
+    ):
         options_of_train()(agent="dqn")
+
+
+def test_an_algorithm_that_is_called_like_an_option_is_refused(monkeypatch):
+    monkeypatch.setitem(ALGORITHMS, "residual-scale", ALGORITHMS["ppo"])
+    with pytest.raises(ValueError, match="--residual-scale is another option; rename it"):
+        options_of_train()

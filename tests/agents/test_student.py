@@ -1,6 +1,7 @@
 """Teacher and student: who sees the truth, what the student learns, and that it drives alone."""
 
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from agents.loading import agent_entry, read_recipe
 from agents.memory import AgentVectorEnv, History
 from agents.policy import Normalisation
 from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, privileged
+from agents.training import checkpoints
 from agents.training.progress import Progress
 from agents.training.run import resolve
 from agents.training.sb3_learner import RolloutCallback
@@ -262,6 +264,27 @@ def test_a_student_goes_on_after_an_interruption_as_if_nothing_had_been(
     for column in ("steps", "loss", "held_out_rmse"):
         np.testing.assert_array_equal(curves[0][column], curves[1][column])
     assert not list((tmp_path / "parts").glob("*checkpoint*"))
+
+
+@pytest.mark.parametrize("name", ["_filled", "_observation", "_start", "steps"])
+def test_a_checkpoint_of_another_shape_is_one_line(name, teacher, tmp_path, monkeypatch, capsys):
+    config = student_config(tmp_path, teacher, steps=1024, checkpoint_every=128)
+    between = Progress.between
+
+    def interrupted(progress, value):
+        between(progress, value)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Progress, "between", interrupted)
+        assert main(config) == 130
+    state = checkpoints.read(tmp_path)[0]
+    state["learner"][name] = np.zeros((3, 5), np.float32)
+    checkpoints.write(tmp_path, state)
+    capsys.readouterr()
+    assert main(replace(config, resume=True)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "does not fit this training" in line and name in line
 
 
 def test_another_seed_gives_another_student_of_the_same_teacher(teacher, tmp_path):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tracked_env.physics.jit import formula
 
 LOOK_AHEAD = (0.25, 0.5, 1.0, 2.0)  # [s] times at which the coming reference is shown
+FEATURE_BOUND = 10.0  # [-] features that are appended are clipped to this; they are of order one
 
 
 class Field(NamedTuple):
@@ -108,6 +109,12 @@ def pack(values: dict[str, NDArray[np.float64] | float]) -> NDArray[np.float32]:
     stacked = np.stack([np.asarray(values[name], dtype=float) for name in NAMES], axis=-1)
     scaled = np.clip(stacked * INVERSE_SCALE, -_BOUND64, _BOUND64)
     return scaled.astype(np.float32)
+
+
+def joined(observation: NDArray[np.float32], features: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Observation (..., D) and features (..., F), those finite and clipped, as one."""
+    bounded = np.clip(np.nan_to_num(features), -FEATURE_BOUND, FEATURE_BOUND)
+    return np.concatenate([observation, bounded], axis=-1, dtype=np.float32)
 
 
 def unpack(observation: NDArray[np.floating]) -> dict[str, NDArray[np.float64]]:

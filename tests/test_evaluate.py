@@ -20,8 +20,6 @@ from tracked_env.benchmark.report import SEPARATION_RATIO
 from tracked_env.benchmark.sets import EPISODES, SETS, VERSION, default_sets
 from tracked_env.observation import SIZE
 
-pytest.importorskip("tyro", reason="the command line needs the extra `cli`")
-
 import evaluate as evaluate_module
 
 TINY = ("--sets", "payload", "--episodes", "2", "--duration", "1", "--no-figures")

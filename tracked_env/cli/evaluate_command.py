@@ -165,7 +165,7 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     began = time.perf_counter()
     try:
         benchmark = benchmark_config(config)
-        drive = DRIVES[config.env]
+        drive = DRIVES[benchmark.env]
         policies = registered_policies()
         registry, trained = by_name(policies, drive)
         specs = config.policies or default_names(policies, drive)

@@ -132,15 +132,14 @@ def open_trusted(path: Path) -> TrainedAgent:
     algorithms = _TRIED if recipe is None else (recipe["algorithm"],)
     model = unpickled(path, algorithms).policy
     shown = getattr(model.observation_space, "shape", None)
-    if getattr(model.action_space, "shape", None) != (2,):
-        raise ValueError(f"agent {path} acts {model.action_space}; must act (2,)")
     if recipe is not None:
         opened = agent_of(path, recipe, model, shown)
         return opened._replace(sources=(*opened.sources, PACKAGE))
-    if shown != (layout.SIZE,):
+    if shown != (layout.SIZE,) or getattr(model.action_space, "shape", None) != (2,):
         raise ValueError(
-            f"agent {path} sees {shown}; must see ({layout.SIZE},). Was it trained on another "
-            "environment, or inside a wrapper? Then pass it as module:function."
+            f"agent {path} sees {shown} and acts {model.action_space}; must see ({layout.SIZE},) "
+            "and act (2,). Was it trained on another environment, or inside a wrapper? Then pass "
+            "it as module:function."
         )
     _check_plain(path)
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.archive import WEIGHTS, read_entry
 from agents.configs import PPOConfig, RecurrentPPOConfig, SACConfig, TD3Config, TQCConfig
-from agents.networks import from_npz
+from baselines.learned.agent_archive import WEIGHTS, from_npz, read_entry, read_recipe
+from baselines.learned.forward_pass import Actor
 from train import Config
 
 OFF_POLICY = {"buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "hidden": (16,)}
@@ -35,3 +35,10 @@ def same_parameters(one: Path, other: Path) -> bool:
     first, second = parameters(one), parameters(other)
     assert list(first) == list(second)
     return all(np.array_equal(first[name], second[name]) for name in first)
+
+
+def actor(path: Path) -> Actor:
+    """The network in an archive, as it drives."""
+    recipe = read_recipe(path)
+    assert recipe is not None
+    return Actor(recipe["algorithm"], recipe["network"], parameters(path))

@@ -147,14 +147,13 @@ def _from_module(spec: str) -> PolicyEntry:
             if not hasattr(found, part):
                 raise PolicyError(f"policy {spec!r}: {module_name} has no attribute {attribute!r}")
             found = getattr(found, part)
-        fingerprint = source_fingerprint(module_name)
+        return PolicyEntry(spec, as_factory(spec, found), source_fingerprint(module_name))
     except ModuleNotFoundError as error:
         raise ValueError(
             f"policy {spec!r}: {error}. Is the module installed, or in the current folder?"
         ) from error
     except (Exception, SystemExit) as error:
         raise blamed(error, spec, f"when {module_name or 'it'} was imported") from error
-    return PolicyEntry(spec, as_factory(spec, found), fingerprint)
 
 
 def as_factory(spec: str, found: Any) -> PolicyFactory:

@@ -110,12 +110,16 @@ def _policies_of(entry: EntryPoint, found: Any) -> list[tuple[str, str | None, A
         drive = getattr(found, "drive", None)
         if drive is not None and drive not in DRIVES:
             raise ValueError(f"its drive is {drive!r}; must be one of {', '.join(DRIVES)}")
-        as_factory(entry.value, found)
-        return [(entry.name, drive, found)]
-    many: Mapping[str, Mapping[str, Any]] = found.policies()
-    if set(many) - {*DRIVES}:
-        raise ValueError(f"it has policies of drives {sorted(many)}; known are {DRIVES}")
-    return [(name, drive, one) for drive, of in many.items() for name, one in of.items()]
+        policies = [(entry.name, drive, found)]
+    else:
+        many: Mapping[str, Mapping[str, Any]] = found.policies()
+        if set(many) - {*DRIVES}:
+            raise ValueError(f"it has policies of drives {sorted(many)}; known are {DRIVES}")
+        policies = [(name, drive, one) for drive, of in many.items() for name, one in of.items()]
+    for name, _, one in policies:
+        if not isinstance(one, list):
+            as_factory(name, one)
+    return policies
 
 
 def _to_stderr(text: str) -> None:

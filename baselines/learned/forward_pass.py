@@ -39,7 +39,7 @@ _LSTM = "lstm_actor."
 
 
 def _elu(x: Floats) -> Floats:
-    return np.maximum(x, 0.0) + (np.exp(np.minimum(x, 0.0)) - 1.0)
+    return np.maximum(x, 0.0) + (np.exp(np.minimum(x, 0.0)) - np.float32(1.0))
 
 
 def _relu(x: Floats) -> Floats:

@@ -1,7 +1,6 @@
 """Policies by entry point: ours, another package's, broken ones, and a clone without any."""
 
-import sys
-from collections.abc import Callable
+from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import pytest
 
 from baselines.learned.shipped import PRETRAINED, shipped_agents
 from baselines.registry import BY_DRIVE
+from tests.benchmark.plugin_package import Install, install
 from tracked_env.benchmark import PolicyContext, registered_policies
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import (
@@ -19,50 +19,11 @@ from tracked_env.benchmark.registered_policies import (
     open_archive,
 )
 
-PLUGIN = """
-import numpy as np
-
-class Coast:
-    '''Lets the vehicle coast.'''
-    drive = "torque"
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.zeros((len(observation), 2), dtype=np.float32), state
-
-class Anywhere(Coast):
-    drive = None
-
-class Lost(Coast):
-    drive = "wheels"
-
-NOTHING = 3
-
-class Several:
-    @staticmethod
-    def policies():
-        return {"torque": {"coast-too": Coast}, "speed": {"coast": Coast()}}
-"""
-
 
 @pytest.fixture
-def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Install a package with these entries, as pip would."""
-
-    def install(name: str = "other-package", **entries: str) -> None:
-        folder = tmp_path / name
-        information = folder / f"{name.replace('-', '_')}-1.0.dist-info"
-        information.mkdir(parents=True)
-        (folder / "plugin_policies.py").write_text(PLUGIN)
-        (folder / "broken_policies.py").write_text("import not_installed_anywhere")
-        (information / "METADATA").write_text(
-            f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n"
-        )
-        lines = [f"{key.replace('_', '-')} = {value}" for key, value in entries.items()]
-        text = "\n".join(["[tracked_env.policies]", *lines]) + "\n"
-        (information / "entry_points.txt").write_text(text)
-        monkeypatch.syspath_prepend(folder)
-        monkeypatch.delitem(sys.modules, "plugin_policies", raising=False)
-
-    return install
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
+    """Installs a package with entries of its own."""
+    return partial(install, tmp_path, monkeypatch)
 
 
 def registered() -> tuple[list[Registered], list[str]]:
@@ -93,7 +54,7 @@ def test_every_shipped_archive_is_registered() -> None:
 
 
 def test_a_policy_of_an_installed_package_is_known_by_its_name(
-    plugin: Callable[..., None],
+    plugin: Install,
 ) -> None:
     plugin(coast="plugin_policies:Coast", anywhere="plugin_policies:Anywhere")
     policies, said = registered()
@@ -111,7 +72,7 @@ def test_a_policy_of_an_installed_package_is_known_by_its_name(
     assert entry.name == "coast" and second.name == "anywhere"
 
 
-def test_one_entry_can_register_many_policies(plugin: Callable[..., None]) -> None:
+def test_one_entry_can_register_many_policies(plugin: Install) -> None:
     plugin(all_of_them="plugin_policies:Several")
     policies, said = registered()
     assert said == []
@@ -129,7 +90,7 @@ def test_one_entry_can_register_many_policies(plugin: Callable[..., None]) -> No
     ],
 )
 def test_a_broken_package_is_one_line_that_names_it_and_the_others_work(
-    value: str, message: str, plugin: Callable[..., None]
+    value: str, message: str, plugin: Install
 ) -> None:
     plugin(broken=value, coast="plugin_policies:Coast")
     policies, (said,) = registered()
@@ -138,7 +99,7 @@ def test_a_broken_package_is_one_line_that_names_it_and_the_others_work(
     assert {name for name, _ in ours()} | {"coast"} == {policy.name for policy in policies}
 
 
-def test_a_name_that_we_have_stays_ours(plugin: Callable[..., None]) -> None:
+def test_a_name_that_we_have_stays_ours(plugin: Install) -> None:
     plugin(nominal="plugin_policies:Coast")
     policies, (said,) = registered()
     assert said == "policy 'nominal' of other-package is left out: tracked-env has it"
@@ -152,7 +113,7 @@ def test_in_a_clone_that_is_not_installed_nothing_is_lost(monkeypatch: pytest.Mo
 
 
 def test_installed_without_a_clone_the_entries_of_the_distribution_count(
-    plugin: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plugin: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(registered_policies, "_PACKAGES", tmp_path)
     plugin("tracked-env", baselines="baselines.registry")

@@ -31,7 +31,10 @@ FORMATS = {".mp4": 1, ".gif": 5, ".png": 5}
 def record(
     config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int, folder: Path
 ) -> Path:
-    """Record one episode of the benchmark as MP4 in a folder; returns the file. Raises as `draw`"""
+    """Record one episode of the benchmark as MP4 in a folder.
+
+    Returns the file. Raises as `draw`.
+    """
     name = file_name(uncertainty_set, entry.name)
     path = folder / f"{name}--seed-{config.seed + episode}.mp4"
     draw(config, entry, uncertainty_set, episode, path)
@@ -62,7 +65,9 @@ def draw(
             drawn = _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, steps)
             _write(new, drawn, config.control_rate / steps)
         except (ImportError, gymnasium.error.DependencyNotInstalled) as error:
-            raise ImportError(f"{error}. Videos need: pip install 'tracked-env[render]'") from error
+            raise ImportError(
+                f"{error}; pictures need pip install 'tracked-env[render]'"
+            ) from error
         os.replace(new, path)
 
 

@@ -4,6 +4,7 @@ Each command is a module with `main(arguments, program) -> exit status`, importe
 """
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -37,7 +38,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     end_at_interrupt(program)
     sys.path.insert(0, "")  # so that `module:attribute` finds modules of the current folder
     module = import_module(f"tracked_env.cli.{COMMANDS[given.command][0]}")
-    status: int = module.main(given.arguments, program)
+    try:
+        status: int = module.main(given.arguments, program)
+        sys.stdout.flush()
+    except BrokenPipeError:  # as `tracked-env policies | head` has it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141  # as shells have it for a closed pipe
     return status
 
 

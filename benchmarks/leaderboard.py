@@ -1,13 +1,13 @@
-"""Publish a leaderboard: from the results of evaluate.py into the README and agents/pretrained.
+"""Publish a leaderboard: from the results of evaluate.py into the README and the shipped agents.
 
     python evaluate.py                                    # all controllers and shipped agents
     python benchmarks/leaderboard.py results/v2-seed0-*   # README.md and scores.json
 
 Likewise with `--env tracked_env/Speed-v0` and results/speed-v0-v2-*. The README gets the table
 between the two markers of that environment, with what each agent cost to train, read from the
-curve.csv beside it. `agents/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE
-per seed or controller and set with a 95 % bootstrap interval over the episodes; tests run some of
-them again, and ask whether each set separates the policies that it should.
+curve.csv beside it. `baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of
+the RMSE per seed or controller and set with a 95 % bootstrap interval over the episodes; tests run
+some of them again, and ask whether each set separates the policies that it should.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import action_rate
 
 ROOT = Path(__file__).resolve().parent.parent
-PRETRAINED = ROOT / "agents" / "pretrained"
+PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"
 MARKERS = ("<!-- leaderboard of {}: begin -->", "<!-- leaderboard of {}: end -->")
 
 

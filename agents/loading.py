@@ -1,47 +1,32 @@
-"""A trained agent as a policy of the benchmark, from its archive.
+"""What an archive of train.py says of its training, and archives of strangers as policies.
 
-Archives of train.py are plain data (`agents.archive`). Those of `model.save` of
-Stable-Baselines3, and of train.py of the version before, hold pickled objects: opening one runs
-whatever its author put there, so it takes `trust`. One without a recipe, of any of the algorithms
-on the plain environment, is loaded as a blind agent, with a notice.
+Archives of train.py are plain data and need neither PyTorch nor this package
+(`baselines.learned.trained_agent`). Those of `model.save` of Stable-Baselines3, and of train.py of
+the version before, hold pickled objects: opening one runs whatever its author put there, so it
+takes `trust`. One without a recipe, of any of the algorithms on the plain environment, is loaded as
+a blind agent, with a notice.
 """
 
-import hashlib
 import sys
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from agents import memory
 from agents.algorithms import ALGORITHMS
-from agents.archive import (
-    PICKLED,
-    load_network,
-    normalisation_of,
-    read_entry,
-    read_recipe,
-    untrusted,
-)
-from agents.inference import STUDENT, WEIGHTS, load_student
-from agents.policy import AgentPolicy, Predictor
-from agents.privileged import PRIVILEGED, TEACHER, TeacherPolicy, policy_of
-from agents.training.arguments import driven
-from tracked_env import TORQUE_ID
+from agents.archive import load_network
+from baselines.learned.agent_archive import read_recipe
+from baselines.learned.agent_policy import AgentPolicy, TeacherPolicy, policy_of
+from baselines.learned.privileged_inputs import TEACHER
+from baselines.learned.recipe import PICKLED, STUDENT, normalisation_of
+from baselines.learned.trained_agent import TrainedAgent, agent_of, open_agent
+from baselines.registry import Context
 from tracked_env import observation as layout
-from tracked_env.benchmark import PolicyContext, PolicyEntry
-from tracked_env.benchmark.policy_interface import source_fingerprint
+from tracked_env.benchmark import PolicyEntry
+from tracked_env.benchmark.policy_lookup import archive_entry
 
-PACKAGE = Path(__file__).parent
-# Files of this package that no action of a trained agent depends on; all others are in its
-# fingerprint. Each with the reason.
-WITHOUT_INFLUENCE = {
-    "algorithms/": "settings of trainings; an archive holds the network that came of them",
-    "ending.py": "how commands end early",
-    "training/": "how agents are trained; they drive by the files around it",
-}
+PACKAGE = Path(__file__).resolve().parent
 # Order in which an archive without a recipe is tried: who is the pickiest comes first.
 _TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
 
@@ -64,22 +49,11 @@ def unpickled(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
     raise ValueError(f"agent {path} cannot be loaded as {'; '.join(errors)}")
 
 
-def load_predictor(path: Path, recipe: Mapping[str, Any] | None, trust: bool) -> Any:
-    """What acts in an archive: a policy of Stable-Baselines3, or a whole model of it.
-
-    recipe: of `read_recipe`. Raises ValueError, also for a pickled one without `trust`.
-    """
-    if recipe is None:
-        if not trust:
-            raise ValueError(untrusted(path, "has no recipe of train.py"))
-        return unpickled(path, _TRIED)
-    if recipe["format"] == PICKLED and trust:
-        return unpickled(path, (recipe["algorithm"],)).policy
-    return load_network(path, recipe)
-
-
 def load_teacher(path: Path | None, trust: bool = False) -> tuple[Any, dict[str, Any]]:
-    """Network and recipe of a teacher; trust: as `agent_entry`. Raises ValueError."""
+    """Network and recipe of a teacher, to learn from; trust: as `open_trusted`.
+
+    Raises ValueError.
+    """
     if path is None:
         raise ValueError("a student needs --teacher, an agent.zip of --memory teacher")
     recipe = read_recipe(path)
@@ -87,34 +61,13 @@ def load_teacher(path: Path | None, trust: bool = False) -> tuple[Any, dict[str,
         kind = "blind" if recipe is None else recipe["memory"]
         raise ValueError(f"agent {path} has memory {kind!r}; a student needs a teacher")
     agent_entry(path, trust)  # checks what it sees
-    return load_predictor(path, recipe, trust), recipe
+    if recipe["format"] == PICKLED:
+        return unpickled(path, (recipe["algorithm"],)).policy, recipe
+    return load_network(path, recipe), recipe
 
 
-def agent_name(path: Path) -> str:
-    """What tables call an agent: its file, or the folder of a file that train.py has named."""
-    return path.resolve().parent.name if path.stem in ("agent", "last") else path.stem
-
-
-def code_around(package: Path) -> list[Path]:
-    """The files of this package that an agent's action may depend on, relative to it."""
-    files = sorted(file.relative_to(package) for file in package.rglob("*.py"))
-    left_out = tuple(WITHOUT_INFLUENCE)
-    return [file for file in files if not file.as_posix().startswith(left_out)]
-
-
-def _fingerprint(path: Path, kind: str) -> str:
-    """Digest of the archive and of the code around its network."""
-    digest = hashlib.sha256(path.read_bytes())
-    for file in code_around(PACKAGE):
-        content = (PACKAGE / file).read_bytes()
-        digest.update(f"{file.as_posix()} {len(content)}\n".encode() + content)
-    if kind in ("estimates", "residual"):
-        digest.update(source_fingerprint("baselines").encode())
-    return digest.hexdigest()[:12]
-
-
-def _plain_recipe(path: Path) -> dict[str, Any]:
-    """What is taken for the recipe of an archive without one; says so on stderr.
+def _check_plain(path: Path) -> None:
+    """Say on stderr what an archive without a recipe is taken for.
 
     Raises ValueError where the statistics of a normalisation lie beside it.
     """
@@ -131,59 +84,47 @@ def _plain_recipe(path: Path) -> dict[str, Any]:
         "normalised",
         file=sys.stderr,
     )
-    return {"memory": "blind", "memory_options": {}, "normalisation": None}
+
+
+def open_trusted(path: Path) -> TrainedAgent:
+    """An agent in an archive of train.py, or in one that may hold pickled objects.
+
+    Opening the latter runs any code of its author. Raises ValueError for a missing, damaged or
+    foreign file, and for an agent that sees or does something else than this environment offers.
+    """
+    path = Path(path)
+    recipe = read_recipe(path)
+    if recipe is not None and recipe["format"] != PICKLED:
+        return open_agent(path)
+    algorithms = _TRIED if recipe is None else (recipe["algorithm"],)
+    model = unpickled(path, algorithms).policy
+    shown = getattr(model.observation_space, "shape", None)
+    if recipe is not None:
+        opened = agent_of(path, recipe, model, shown)
+        return opened._replace(sources=(*opened.sources, PACKAGE))
+    if shown != (layout.SIZE,) or getattr(model.action_space, "shape", None) != (2,):
+        raise ValueError(
+            f"agent {path} sees {shown} and acts {model.action_space}; must see ({layout.SIZE},) "
+            "and act (2,). Was it trained on another environment, or inside a wrapper? Then pass "
+            "it as module:function."
+        )
+    _check_plain(path)
+
+    def make(context: Context) -> AgentPolicy | TeacherPolicy:
+        return policy_of(model, "blind", {}, context)
+
+    return TrainedAgent(make, (PACKAGE, PACKAGE.parent / "baselines" / "learned"))
 
 
 def agent_entry(path: Path, trust: bool = False) -> PolicyEntry:
     """A trained agent as a policy of the benchmark.
 
-    trust: open an archive that holds pickled objects too, which runs its author's code.
-    Raises ValueError for a missing, damaged or foreign file, and for an agent that sees or does
-    something else than this environment offers.
+    trust: open an archive that holds pickled objects too, as `open_trusted`. Raises ValueError.
     """
-    path = Path(path)
-    recipe = read_recipe(path)
-    plain = recipe is None
-    model = load_predictor(path, recipe, trust)
-    if recipe is None:
-        recipe = _plain_recipe(path)
-    kind, options = recipe["memory"], recipe["memory_options"]
-    normalisation = normalisation_of(recipe)
-    shown = getattr(model.observation_space, "shape", None)
-    arguments = recipe.get("environment", {})
-    known = driven(arguments.get("id", TORQUE_ID), arguments)
-    context = PolicyContext(recipe.get("control_period", 0.02), "sliding", **known)
-    names = PRIVILEGED  # which a student hands to its teacher's network
-    if kind not in (TEACHER, STUDENT):
-        names = memory.make_memory(kind, options, context, 1).feature_names
-    expected = (layout.SIZE + len(names),)
-    if shown != expected or getattr(model.action_space, "shape", None) != (2,):
-        raise ValueError(
-            f"agent {path} sees {shown} and acts {model.action_space}; must see {expected} "
-            f"(memory {kind!r}) and act (2,). Was it trained on another environment, or inside "
-            "a wrapper? Then pass it as module:function."
-        )
+    return archive_entry(Path(path), open_trusted if trust else open_agent)
 
-    driver: Predictor = model
-    if kind == STUDENT:
-        try:
-            driver = load_student(read_entry(path, WEIGHTS), options, model, normalisation)
-        except ValueError as error:
-            raise ValueError(f"agent {path} cannot be loaded as a student: {error}") from error
-        kind, options, normalisation = "history", {"lags": options["lags"]}, None
 
-    def make(context: PolicyContext) -> AgentPolicy | TeacherPolicy:
-        period = recipe.get("control_period")
-        if period is not None and abs(period - context.control_period) > 1e-9:
-            raise ValueError(
-                f"agent {path} was trained with a control period of {period:g} s; this "
-                f"environment has {context.control_period:g} s"
-            )
-        if not plain and context.drive != known.get("drive", "torque"):
-            raise ValueError(
-                f"agent {path} was trained to command each sprocket's "
-                f"{known.get('drive', 'torque')}; this environment takes its {context.drive}"
-            )
-        return policy_of(driver, kind, options, context, normalisation)
-
-    return PolicyEntry(agent_name(path), make, _fingerprint(path, recipe["memory"]))
+__all__ = [
+    "STUDENT", "agent_entry", "load_teacher", "normalisation_of", "open_trusted",
+    "read_recipe", "unpickled",
+]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The network of an agent as plain data: its architecture for JSON, its weights for an npz file.
+"""The network of a training as plain data: its architecture for JSON, its weights for an npz file.
 
     {"inputs": 31, "hidden": [64, 64], "activation": "tanh", "lstm_hidden": null}
 The policy of Stable-Baselines3 is built from the architecture, then given the weights: nothing is
@@ -18,12 +18,9 @@ from torch import nn
 
 from agents.algorithms import ALGORITHMS
 from agents.recurrent import BypassedLstmPolicy
+from baselines.learned.forward_pass import RECURRENT, Arrays, check_weights
 
-Arrays = dict[str, NDArray[Any]]
-
-RECURRENT = "recurrent-ppo"
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
-MOST_UNITS, MOST_LAYERS = 4096, 16  # of a network that is built from a file
 # Prefixes of parameters that only learning needs: values, their targets, the target of the action.
 _VALUES = (
     "value_net.", "mlp_extractor.value_net.", "critic.", "critic_target.", "actor_target.",
@@ -52,36 +49,6 @@ def weights_of(policy: BasePolicy) -> Arrays:
     }
 
 
-def _is_size(value: Any) -> bool:
-    return type(value) is int and 1 <= value <= MOST_UNITS
-
-
-def are_sizes(value: Any) -> bool:
-    """Whether a value of JSON is a list of sizes of layers."""
-    return isinstance(value, list) and len(value) <= MOST_LAYERS and all(map(_is_size, value))
-
-
-def checked_network(given: Any, algorithm: str) -> dict[str, Any]:
-    """An architecture from JSON. Raises ValueError for one that cannot be built."""
-    network = given if isinstance(given, dict) else {}
-    recurrent = algorithm == RECURRENT
-    lstm = network.get("lstm_hidden")
-    activation = network.get("activation")
-    if not (
-        _is_size(network.get("inputs"))
-        and are_sizes(network.get("hidden"))
-        and isinstance(activation, str)
-        and activation in ACTIVATIONS
-        and (_is_size(lstm) if recurrent else lstm is None)
-    ):
-        raise ValueError(
-            f"network = {str(given)[:200]!r}; must have `inputs`, a list `hidden` of at most "
-            f"{MOST_LAYERS} sizes, `lstm_hidden` (null without LSTM), all within "
-            f"[1, {MOST_UNITS}], and `activation`, one of {', '.join(ACTIVATIONS)}"
-        )
-    return network
-
-
 def build(algorithm: str, network: Mapping[str, Any], weights: Mapping[str, Any]) -> BasePolicy:
     """The policy with this architecture and these weights. Raises ValueError where they differ.
 
@@ -105,22 +72,11 @@ def build(algorithm: str, network: Mapping[str, Any], weights: Mapping[str, Any]
 
 
 def fill(module: nn.Module, weights: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-    """Put weights into a network; expected: arrays as they must be, in name, shape and type.
+    """Put weights into a network; expected: arrays as they must be, in name and shape.
 
     Raises ValueError for others, and for one that is not finite.
     """
-    if set(weights) != set(expected):
-        changed = sorted(set(weights) ^ set(expected))
-        raise ValueError(f"its weights lack or have too much: {', '.join(changed)[:200]}")
-    for name, value in weights.items():
-        wanted = expected[name]
-        if value.shape != wanted.shape or value.dtype != wanted.dtype:
-            raise ValueError(
-                f"weights {name} are {value.dtype} {value.shape}; must be {wanted.dtype} "
-                f"{wanted.shape}, as its recipe says"
-            )
-        if not np.isfinite(value).all():
-            raise ValueError(f"weights {name} are not finite. Did its training diverge?")
+    check_weights(weights, {name: value.shape for name, value in expected.items()})
     state = {name: torch.from_numpy(np.array(value)) for name, value in weights.items()}
     module.load_state_dict(state, strict=False)
 
@@ -131,14 +87,3 @@ def to_npz(weights: Mapping[str, NDArray[Any]]) -> bytes:
     arrays: Any = weights
     np.savez(buffer, **arrays)
     return buffer.getvalue()
-
-
-def from_npz(content: bytes, name: str) -> Arrays:
-    """The arrays of an npz file of that name. Raises ValueError for others, pickled ones too."""
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            if not hasattr(stored, "files"):
-                raise ValueError("it is a single array")
-            return {entry: stored[entry] for entry in stored.files}
-    except Exception as error:  # a damaged file raises what happens to go wrong
-        raise ValueError(f"{name} is no npz file of plain arrays ({str(error)[:200]})") from error

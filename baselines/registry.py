@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators.sensor_samples import DataSheet
+from baselines.learned.shipped import shipped_agents
 from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
@@ -185,3 +186,11 @@ BY_DRIVE = {
     "torque": ("nominal", "adaptive", "oracle"),
     "speed": ("uc", "slc", "slc-adaptive", "slc-oracle"),
 }
+
+
+def policies() -> dict[str, dict[str, Any]]:
+    """Controllers and shipped agents per drive, as the entry point registers them."""
+    return {
+        drive: {**{name: POLICIES[name] for name in names}, **shipped_agents(drive)}
+        for drive, names in BY_DRIVE.items()
+    }

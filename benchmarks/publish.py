@@ -5,10 +5,10 @@
 
 Likewise with `--env tracked_env/Speed-v0` and results/speed-v0-v2-*. docs/results.md gets the whole
 table between the two markers of that environment, with the cost of training each agent, read from
-the curve.csv beside it, and README.md the columns SHORT of it. `agents/pretrained/ENV/scores.json`
-gets the interquartile mean of the RMSE
-per seed or controller and set with a 95 % bootstrap interval over the episodes; tests run some of
-them again, and ask whether each set separates the policies that it should.
+the curve.csv beside it, and README.md the columns SHORT of it.
+`baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE per seed or
+controller and set with a 95 % bootstrap interval over the episodes; tests run some of them again,
+and ask whether each set separates the policies that it should.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import action_rate
 
 ROOT = Path(__file__).resolve().parent.parent
-PRETRAINED = ROOT / "agents" / "pretrained"
+PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"
 SHORT = ("", "policy", "seeds", "RMSE, all sets [m]", "after 5 s [m]", "success")  # and the verdict
 
 

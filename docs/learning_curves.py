@@ -23,7 +23,9 @@ TARGET = ROOT / "docs" / "_static" / "learning_curves.png"
 def curves() -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
     """{agent: [(steps, held-out RMSE [m]) of a seed]}, where it was evaluated."""
     found = defaultdict(list)
-    for path in sorted((ROOT / "agents" / "pretrained" / "Torque-v0").glob("*-seed*/curve.csv")):
+    for path in sorted(
+        (ROOT / "baselines" / "learned" / "pretrained" / "Torque-v0").glob("*-seed*/curve.csv")
+    ):
         curve = np.genfromtxt(path, delimiter=",", names=True)
         known = np.isfinite(curve["held_out_rmse"])
         agent = path.parent.name.rpartition("-seed")[0]

@@ -13,16 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import evaluate as evaluate_module
 from baselines.registry import POLICIES
 from tracked_env import SPEED_ID
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.report import SEPARATION_RATIO
 from tracked_env.benchmark.sets import EPISODES, SETS, VERSION, default_sets
 from tracked_env.observation import SIZE
-
-pytest.importorskip("tyro", reason="the command line needs the extra `cli`")
-
-import evaluate as evaluate_module
 
 TINY = ("--sets", "payload", "--episodes", "2", "--duration", "1", "--no-figures")
 THREE = ("--policies", "nominal", "adaptive", "oracle")

@@ -21,6 +21,7 @@ from tracked_env.physics.jit import formula
 from tracked_env.validation import checked_choice, unknown
 
 LOOK_AHEAD = (0.25, 0.5, 1.0, 2.0)  # [s] times at which the coming reference is shown
+FEATURE_BOUND = 10.0  # [-] features that are appended are clipped to this; they are of order one
 
 Known = Mapping[str, NDArray[np.float64]]
 
@@ -288,6 +289,12 @@ def store(out, row, column, value):
     scaled = value * _INVERSE_SCALE[column]
     bound = _BOUND64[column]
     out[row, column] = min(max(scaled, -bound), bound)
+
+
+def joined(observation: NDArray[np.float32], features: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Observation (..., D) and features (..., F), those finite and clipped, as one."""
+    bounded = np.clip(np.nan_to_num(features), -FEATURE_BOUND, FEATURE_BOUND)
+    return np.concatenate([observation, bounded], axis=-1, dtype=np.float32)
 
 
 class View:

@@ -17,9 +17,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from tracked_env.observation import NAMES, View
-
-FEATURE_BOUND = 10.0  # [-] features are clipped to this; they are of order one
+from tracked_env.observation import FEATURE_BOUND, NAMES, View, joined
 
 Observations = NDArray[np.float32]
 
@@ -73,12 +71,6 @@ def _checked(env: Any, count: int, observer: Observer) -> tuple[Any, View]:
         np.concatenate([space.low, -bound]), np.concatenate([space.high, bound]), dtype=np.float32
     )
     return widened, View(simulation.layout.names, getattr(observer, "needs", NAMES))
-
-
-def joined(observation: Observations, features: Observations) -> Observations:
-    """Observation (..., D) and features (..., F), those finite and clipped, as one."""
-    bounded = np.clip(np.nan_to_num(features), -FEATURE_BOUND, FEATURE_BOUND)
-    return np.concatenate([observation, bounded], axis=-1, dtype=np.float32)
 
 
 class IdentifiedObservation(

@@ -15,10 +15,12 @@ from typing import Any, NamedTuple
 from agents.algorithms import ALGORITHMS, Algorithm
 from agents.algorithms.student import STUDENT_ALGORITHM
 from agents.inference import STUDENT
-from agents.training.arguments import Part, control_period, environment_arguments, parts_of
+from agents.training.arguments import Part, control_period, driven, environment_arguments, parts_of
 from agents.training.options import Options
 from agents.training.reward import PRECISION
+from baselines.learned.recipe import Driven
 from tracked_env.benchmark.store import machine, versions
+from tracked_env.engine.env_config import EnvConfig
 
 FIRST_SEED, ROWS, TRAININGS = 2**24, 2**16, 2**15  # of trainings, and how far apart they are
 
@@ -141,6 +143,12 @@ def configuration(options: Options) -> dict[str, Any]:
     return dict(json.loads(json.dumps(kept, default=str)))
 
 
+def _driven(env: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Drive and vehicle, written out: an archive is read where the id may not be registered."""
+    usual = {name: EnvConfig._field_defaults[name] for name in Driven._fields}
+    return {**usual, **driven(env, arguments)}
+
+
 def resolve(options: Options) -> Run:
     """The training that options describe. Raises ValueError, and errors of gymnasium."""
     name, algorithm, settings = _algorithm(options)
@@ -151,7 +159,7 @@ def resolve(options: Options) -> Run:
         "memory": augmentation.kind,
         "memory_options": augmentation.options,
         "control_period": control_period(options.env, arguments),
-        "environment": {"id": options.env, **arguments},
+        "environment": {"id": options.env, **_driven(options.env, arguments), **arguments},
         "config": configuration(options),
         "versions": versions(),
         "machine": machine(),

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from agents.algorithms import ppo, recurrent_ppo, sac, td3, tqc
-from agents.archive import WEIGHTS, read_entry
-from agents.networks import from_npz
 from agents.training.options import Options, options_of_train
+from baselines.learned.agent_archive import WEIGHTS, from_npz, read_entry, read_recipe
+from baselines.learned.forward_pass import Actor
 
 Config = options_of_train()  # as the command line has it
 
@@ -38,3 +38,10 @@ def same_parameters(one: Path, other: Path) -> bool:
     first, second = parameters(one), parameters(other)
     assert list(first) == list(second)
     return all(np.array_equal(first[name], second[name]) for name in first)
+
+
+def actor(path: Path) -> Actor:
+    """The network in an archive, as it drives."""
+    recipe = read_recipe(path)
+    assert recipe is not None
+    return Actor(recipe["algorithm"], recipe["network"], parameters(path))

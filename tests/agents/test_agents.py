@@ -8,11 +8,10 @@ import pytest
 from gymnasium.vector import VectorWrapper
 
 from agents.algorithms import ALGORITHMS
-from agents.archive import load_network
 from agents.loading import agent_entry, normalisation_of, read_recipe
 from agents.memory import KINDS, AgentVectorEnv, make_memory
 from agents.training.held_out import HELD_OUT_SEED
-from tests.agents.agent_cases import small
+from tests.agents.agent_cases import actor, small
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -45,7 +44,7 @@ def vehicles(count=3):
 def as_trained(path):
     """Commands of the agent inside the wrapper of its training."""
     recipe = read_recipe(path)
-    model = load_network(path, recipe)
+    model = actor(path)
     normalise = normalisation_of(recipe) or (lambda values: values)
     inner = vehicles()
     memory = make_memory(recipe["memory"], recipe["memory_options"], CONTEXT, 3)
@@ -119,7 +118,7 @@ def test_an_agent_drives_one_vehicle_or_many(tmp_path):
     for row, observation in zip(together, batch, strict=True):
         alone, _ = entry.make(CONTEXT).predict(observation)
         assert alone.shape == (2,)
-        np.testing.assert_allclose(alone, row, atol=1e-6)
+        np.testing.assert_array_equal(alone, row)
     with pytest.raises(ValueError, match="widens it by itself"):
         entry.make(CONTEXT).predict(np.zeros((4, obs.SIZE + 1), np.float32))
 

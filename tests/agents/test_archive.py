@@ -13,13 +13,14 @@ import pytest
 
 import evaluate
 import train
-from agents.archive import LONGEST_LAG, RECIPE, WEIGHTS, read_recipe
-from agents.inference import WEIGHTS as INFERENCE
 from agents.loading import agent_entry, load_teacher
-from agents.networks import from_npz, to_npz
+from agents.networks import to_npz
+from baselines.learned.agent_archive import INFERENCE, RECIPE, WEIGHTS, from_npz, read_recipe
+from baselines.learned.recipe import LONGEST_LAG
 from tests.agents.agent_cases import parameters, small
 from tests.agents.test_student import SETTINGS
 from tracked_env import TORQUE_ID
+from tracked_env.benchmark import PolicyContext
 
 
 class Harm:
@@ -139,10 +140,13 @@ def test_no_module_that_a_recipe_names_is_imported(teacher, tmp_path, monkeypatc
     files = entries(teacher)
     recipe = json.loads(files[RECIPE])
     for name in ("harmful_module:tracked_env/Torque-v0", f"harmful_module:{TORQUE_ID}"):
-        recipe["environment"]["id"] = name
+        recipe["environment"] = {"id": name}
         path = packed(tmp_path / "agent.zip", {**files, RECIPE: json.dumps(recipe)})
-        with pytest.raises(ValueError, match="is not registered"):
+        with pytest.raises(ValueError, match=r"is none of this project, and there is no .*drive"):
             agent_entry(path)
+        recipe["environment"] |= {"drive": "torque", "vehicle": "strawa"}
+        path = packed(tmp_path / "agent.zip", {**files, RECIPE: json.dumps(recipe)})
+        agent_entry(path).make(PolicyContext(0.02, "sliding"))  # says enough of itself
     assert not (tmp_path / "harm").exists()
 
 
@@ -242,7 +246,8 @@ def test_no_value_in_a_recipe_is_a_traceback(kind, field, teacher, student, tmp_
         (("normalisation",), {}, "normalisation = {}; must be null, or have finite numbers"),
         (("normalisation", "mean"), [0.0], "40 of each"),
         (("environment",), "Torque", "must be an id and arguments"),
-        (("environment", "id"), "tracked_env/Nothing-v0", "is not registered"),
+        (("environment",), {"id": "tracked_env/Nothing-v0"}, "Nothing-v0' is none of this project"),
+        (("environment", "drive"), "wheels", "drive = 'wheels'; must be one of torque, speed"),
         (("environment", "vehicle"), [], "vehicle = \\[\\]; must be one of strawa"),
         (("control_period",), "20 ms", "control_period = '20 ms'; must be in s"),
         (("network", "hidden"), [10**9], "within"),

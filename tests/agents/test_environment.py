@@ -64,7 +64,7 @@ def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
     assert main(config) == 0
     entry = agent_entry(tmp_path / "agent.zip")
     policy = entry.make(part.context)
-    assert policy.memory.policy.parameters == VEHICLES["focchi"]
+    assert policy.augmentation.policy.parameters == VEHICLES["focchi"]
     with pytest.raises(ValueError, match="trained to command each sprocket's speed"):
         entry.make(CONTEXT)
 
@@ -75,7 +75,7 @@ def test_controllers_inside_an_agent_know_the_nominal_vehicle(kind, tmp_path):
     assert main(config) == 0
     run = resolve(config)
     (part,) = run.parts
-    memory = agent_entry(tmp_path / "agent.zip").make(part.context).memory
+    memory = agent_entry(tmp_path / "agent.zip").make(part.context).augmentation
     known = memory.parameters if kind == "estimates" else memory.policy.parameters
     assert known == VEHICLES["focchi"]
 

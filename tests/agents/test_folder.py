@@ -136,7 +136,8 @@ def test_a_strangers_file_among_those_of_a_finished_training_stays(
 
 def test_what_comes_with_the_project_is_recognised_as_written_by_a_training():
     folders = [
-        path.parent for path in Path(__file__).parents[2].glob("agents/pretrained/*/*/*.csv")
+        path.parent
+        for path in Path(__file__).parents[2].glob("baselines/learned/pretrained/*/*/*.csv")
     ]
     assert len(folders) >= 60
     for path in folders[::6]:

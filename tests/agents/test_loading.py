@@ -11,12 +11,14 @@ import torch
 from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 
-from agents import loading
 from agents.algorithms import ALGORITHMS, make_model
 from agents.archive import load_network, read_recipe
-from agents.loading import PACKAGE, WITHOUT_INFLUENCE, agent_entry, unpickled
+from agents.loading import agent_entry, unpickled
 from agents.training.environments import make_environment
 from agents.training.run import resolve
+from baselines.learned import trained_agent
+from baselines.learned.forward_pass import Actor
+from baselines.learned.shipped import shipped_agents
 from tests.agents.agent_cases import parameters, small
 from tracked_env import TORQUE_ID
 from tracked_env import observation as obs
@@ -168,27 +170,23 @@ def test_agents_are_called_after_their_folder_and_told_apart(trained, tmp_path):
     assert agent_entry(tmp_path / "other" / "agent.zip").fingerprint != entry.fingerprint
 
 
-def test_every_file_without_influence_is_there_and_has_its_reason():
-    names = {path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py")}
-    for left_out in WITHOUT_INFLUENCE:
-        assert any(name.startswith(left_out) for name in names), left_out
-    assert all(len(reason) > 10 for reason in WITHOUT_INFLUENCE.values())
+SOURCES = sorted(path.name for path in trained_agent.HERE.glob("*.py"))
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in PACKAGE.glob("*.py")))
+@pytest.mark.parametrize("name", SOURCES)
 def test_a_changed_byte_of_a_file_around_the_network_changes_the_fingerprint(
     name, trained, tmp_path, monkeypatch
 ):
-    for path in PACKAGE.glob("*.py"):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    monkeypatch.setattr(loading, "PACKAGE", tmp_path)
+    for source in SOURCES:
+        (tmp_path / source).write_bytes((trained_agent.HERE / source).read_bytes())
+    monkeypatch.setattr(trained_agent, "HERE", tmp_path)
     before = agent_entry(trained).fingerprint
     (tmp_path / name).write_bytes((tmp_path / name).read_bytes() + b"#")
-    assert (agent_entry(trained).fingerprint == before) == (name in WITHOUT_INFLUENCE)
+    assert agent_entry(trained).fingerprint != before
 
 
 def test_a_line_that_moves_to_another_file_changes_the_fingerprint(trained, tmp_path, monkeypatch):
-    monkeypatch.setattr(loading, "PACKAGE", tmp_path)
+    monkeypatch.setattr(trained_agent, "HERE", tmp_path)
     found = set()
     for first, second in (("x\n", ""), ("", "x\n")):
         (tmp_path / "a.py").write_text(first)
@@ -198,3 +196,21 @@ def test_a_line_that_moves_to_another_file_changes_the_fingerprint(trained, tmp_
     (tmp_path / "b.py").rename(tmp_path / "folder" / "b.py")
     found.add(agent_entry(trained).fingerprint)
     assert len(found) == 3
+
+
+def test_an_agent_with_estimators_changes_with_any_baseline_and_a_blind_one_does_not(
+    trained, tmp_path, monkeypatch
+):
+    estimates = shipped_agents("torque")["ppo-estimates"][0]
+    here = tmp_path / "learned"
+    here.mkdir()
+    monkeypatch.setattr(trained_agent, "HERE", here)
+    before = agent_entry(trained).fingerprint, agent_entry(estimates).fingerprint
+    (tmp_path / "estimator.py").write_text("x")
+    after = agent_entry(trained).fingerprint, agent_entry(estimates).fingerprint
+    assert (after[0] == before[0], after[1] == before[1]) == (True, False)
+
+
+def test_an_agent_that_is_plain_data_is_opened_without_pytorch_with_trust_too(trained):
+    for opened in (agent_entry(trained), agent_entry(trained, trust=True)):
+        assert isinstance(opened.make(CONTEXT).model, Actor)

@@ -2,15 +2,13 @@
 
 import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents.algorithms.student import StudentSettings
-from agents.archive import load_network, read_entry
-from agents.inference import WEIGHTS, StudentModel, load_student, make_inference
-from agents.loading import agent_entry, read_recipe
+from agents.inference import WEIGHTS, StudentModel, make_inference, weights
+from agents.loading import agent_entry
 from agents.memory import AgentVectorEnv, History
 from agents.policy import Normalisation
 from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, privileged
@@ -19,7 +17,10 @@ from agents.training.progress import Progress
 from agents.training.run import resolve
 from agents.training.sb3_learner import RolloutCallback
 from agents.training.student_learner import StudentLearner
-from tests.agents.agent_cases import same_parameters, small
+from baselines.learned.agent_archive import read_entry, read_recipe
+from baselines.learned.shipped import shipped_agents
+from baselines.learned.student import read_student
+from tests.agents.agent_cases import actor, same_parameters, small
 from tests.agents.test_agents import STEPS, Recorded, as_evaluated
 from tracked_env import SPEED_ID
 from tracked_env import observation as obs
@@ -69,8 +70,7 @@ def test_a_teacher_is_declared_privileged_and_refuses_to_drive_without_the_truth
 
 
 def test_a_teacher_acts_in_the_benchmark_as_in_training(teacher):
-    recipe = read_recipe(teacher)
-    model = load_network(teacher, recipe)
+    model = actor(teacher)
     memory, inner = Privileged(3, 0.02, VEHICLES["strawa"]), Recorded(vehicles(expose_truth=True))
     env = AgentVectorEnv(TruthfulVectorEnv(inner, memory), memory)
     observation, _ = env.reset(seed=5)
@@ -164,17 +164,17 @@ def test_a_normalised_inference_of_the_former_scale_is_refused(student):
     width = obs.SIZE + len(PRIVILEGED)
     scaling = Normalisation(np.zeros(width), np.ones(width), 1e-8, 10.0)
     content = read_entry(path, WEIGHTS)
-    load_student(content, options, None, scaling)
+    read_student(content, options, None, scaling)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.inference.FORMAT", 3)
+        patch.setattr("baselines.learned.student.INFERENCE_FORMAT", 3)
         with pytest.raises(ValueError, match="inference of format 2; must be 3"):
-            load_student(content, options, None, scaling)
-    shipped = next(Path(__file__).parents[2].glob("agents/pretrained/*/ppo-student-seed0/*.zip"))
+            read_student(content, options, None, scaling)
+    shipped = shipped_agents("torque")["ppo-student"][0]
     options = read_recipe(shipped)["memory_options"]
     content = read_entry(shipped, WEIGHTS)
-    load_student(content, options, None, None)  # of format 1, without normalisation
+    read_student(content, options, None, None)  # of format 1, without normalisation
     with pytest.raises(ValueError, match="inference of format 1; must be 2"):
-        load_student(content, options, None, scaling)
+        read_student(content, options, None, scaling)
 
 
 @pytest.mark.parametrize(
@@ -198,9 +198,16 @@ def test_a_saved_student_acts_as_in_training(teacher, tmp_path):
     student.learn(Progress(run, student))
     inner = Recorded(vehicles())
     env = AgentVectorEnv(inner, History(3, 0.02))
+    content = weights(student.model.inference)
+    model = read_student(
+        content, config.memory_options, actor(teacher), student.model.normalisation
+    )
     observation, _ = env.reset(seed=5)
     for _ in range(STEPS):
-        observation = env.step(student.model.predict(observation, deterministic=True)[0])[0]
+        command, _ = model.predict(observation)
+        in_training, _ = student.model.predict(observation, deterministic=True)
+        np.testing.assert_allclose(command, in_training, rtol=0.0, atol=1e-6)
+        observation = env.step(command)[0]
     assert np.abs(student.model.infer(observation)).max() > 0.0
     np.testing.assert_array_equal(inner.commands, as_evaluated(tmp_path / "last.zip"))
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env.benchmark.policy_interface import PolicyEntry
-from tracked_env.benchmark.policy_lookup import archives, load_policies, shipped_agents
+from tracked_env.benchmark.policy_lookup import archives, load_policies
 
 REGISTRY = {"nominal": lambda context: Constant()}
 
@@ -49,14 +49,13 @@ def test_files_without_a_number_are_counted(tmp_path: Path) -> None:
     assert names([f"{tmp_path}/x7.zip"]) == ["x7@7"]
 
 
-def test_a_shipped_agent_is_known_by_its_name_with_all_its_seeds(tmp_path: Path) -> None:
-    made(tmp_path, "ppo@0/agent.zip", "ppo@1/agent.zip", "tqc/agent.zip", "notes/readme.md")
-    shipped = shipped_agents(tmp_path)
-    assert {name: len(paths) for name, paths in shipped.items()} == {"ppo": 2, "tqc": 1}
+def test_a_registered_agent_is_known_by_its_name_with_all_its_seeds(tmp_path: Path) -> None:
+    first, second, other = made(tmp_path, "ppo-seed0/agent.zip", "ppo-seed1/agent.zip",
+                                "tqc/agent.zip")  # fmt: skip
+    shipped = {"ppo": [first, second], "tqc": [other]}
     assert names(["tqc", "ppo"], shipped=shipped) == ["tqc@0", "ppo@0", "ppo@1"]
     assert names(["new=ppo"], shipped=shipped) == ["new@0", "new@1"]
     assert archives("new=ppo", shipped) == [("new", path) for path in shipped["ppo"]]
-    assert shipped_agents(tmp_path / "nothing") == {}
 
 
 def test_any_policy_can_be_renamed() -> None:

@@ -84,7 +84,7 @@ def test_evaluate_and_the_folders_offer_the_same_papers(repository):
 
 def test_evaluate_hands_a_paper_to_the_command(monkeypatch, tmp_path):
     calls = []
-    monkeypatch.setattr(evaluate, "run_paper", lambda *given: calls.append(given) or 0)
+    monkeypatch.setattr(command, "main", lambda *given: calls.append(given) or 0)
     assert evaluate.main(evaluate.Config(paper="focchi2025", output=tmp_path, figures=False)) == 0
     assert calls == [("focchi2025", tmp_path, False)]
 

@@ -16,6 +16,7 @@ CHUNK = 64  # [episodes] run as one batch; has no influence on results
 # What a result's identity leaves out: files and folders of the package that draw, report or adapt
 # to other libraries. Everything else counts, so a new file counts until it is named here.
 WITHOUT_INFLUENCE = {
+    "cli/": "command lines",
     "rendering/": "pictures of a state",
     "sb3.py": "another interface to the vector environment",
     "benchmark/drawing.py": "figures from records",
@@ -25,6 +26,7 @@ WITHOUT_INFLUENCE = {
     "benchmark/leaderboard.py": "tables from records",
     "benchmark/policy_lookup.py": "finds policies; each record has its own fingerprint",
     "benchmark/leaderboard_page.py": "tables from records",
+    "benchmark/registered_policies.py": "finds policies; each record has its own fingerprint",
     "benchmark/records.py": "checks of what is read",
     "benchmark/reliability.py": "statistics of records",
     "benchmark/report.py": "tables from records",

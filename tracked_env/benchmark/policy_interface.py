@@ -149,20 +149,26 @@ def _from_module(spec: str) -> PolicyEntry:
             if not hasattr(found, part):
                 raise PolicyError(f"policy {spec!r}: {module_name} has no attribute {attribute!r}")
             found = getattr(found, part)
-        fingerprint = source_fingerprint(module_name)
-        ready = not isinstance(found, type) and hasattr(found, "predict")
+        return PolicyEntry(spec, as_factory(spec, found), source_fingerprint(module_name))
     except ModuleNotFoundError as error:
         raise ValueError(
             f"policy {spec!r}: {error}. Is the module installed, or in the current folder?"
         ) from error
     except (Exception, SystemExit) as error:
         raise blamed(error, spec, f"when {module_name or 'it'} was imported") from error
-    if ready:
-        return PolicyEntry(spec, lambda context: found, fingerprint)
+
+
+def as_factory(spec: str, found: Any) -> PolicyFactory:
+    """What a specification names, as a factory: a policy, or a class or function that makes one.
+
+    Raises PolicyError for anything else.
+    """
+    if not isinstance(found, type) and hasattr(found, "predict"):
+        return lambda context: found
     if not callable(found):
         said = " ".join(repr(found).split())[:200]
         raise PolicyError(f"policy {spec!r} is {said}; it has no `predict` and is no factory")
-    return PolicyEntry(spec, _factory(found), fingerprint)
+    return _factory(found)
 
 
 def _factory(found: Callable[..., Any]) -> PolicyFactory:
@@ -175,7 +181,7 @@ def _factory(found: Callable[..., Any]) -> PolicyFactory:
     return lambda context: found()
 
 
-def load_policy(spec: str, registry: Mapping[str, PolicyFactory]) -> PolicyEntry:
+def load_policy(spec: str, registry: Mapping[str, PolicyFactory | PolicyEntry]) -> PolicyEntry:
     """The policy that a command line names.
 
     spec: a name of the registry, or `module:attribute`: an object with `predict`, or a class
@@ -184,6 +190,8 @@ def load_policy(spec: str, registry: Mapping[str, PolicyFactory]) -> PolicyEntry
     """
     if spec in registry:
         make = registry[spec]
+        if isinstance(make, PolicyEntry):
+            return make
         return PolicyEntry(spec, make, source_fingerprint(make.__module__))
     if spec.endswith(".zip"):
         raise ValueError(

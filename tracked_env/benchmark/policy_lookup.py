@@ -1,6 +1,6 @@
 """Policies from what a command line says: names, modules, archives of agents, several seeds.
 
-    name                  of the registry, or of a shipped agent
+    name                  that a package registers (`registered_policies`)
     module:attribute      an object with `predict`, or a class or function that makes one
     path/to/agent.zip     a trained agent; opened by a function that the caller passes in
     NAME=any of these     under another name; the path may be a pattern: every file that matches
@@ -13,15 +13,18 @@ counted.
 """
 
 import glob
+import hashlib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyContext,
     PolicyEntry,
     PolicyFactory,
+    folder_digest,
     load_policy,
 )
 from tracked_env.benchmark.summary import SEED_MARK
@@ -34,12 +37,28 @@ Opener = Callable[[Path], PolicyEntry]
 _SEEDED = re.compile(rf"(.+?)[-_ ]?(?:seed|{SEED_MARK})[-_ ]?(\d+)")
 
 
-def shipped_agents(folder: Path) -> dict[str, list[Path]]:
-    """Agents in folder/NAME/agent.zip, and seeds in folder/NAME@SEED or NAME-seedN: by name."""
-    found: dict[str, list[Path]] = {}
-    for path in sorted(folder.glob("*/agent.zip")):
-        found.setdefault(_parts(path.parent.name)[0], []).append(path)
-    return found
+class OpenedArchive(Protocol):
+    """An archive of an agent that has been opened."""
+
+    @property
+    def make(self) -> PolicyFactory:
+        """Makes a fresh policy of it."""
+
+    @property
+    def sources(self) -> tuple[Path, ...]:
+        """Folders whose code its actions depend on."""
+
+
+def archive_entry(path: Path, open_one: Callable[[Path], OpenedArchive]) -> PolicyEntry:
+    """An archive as a policy, named after its file or folder. Raises ValueError.
+
+    The fingerprint changes with the archive, and with the code that turns it into actions.
+    """
+    opened = open_one(path)
+    digest = hashlib.sha256(path.read_bytes())
+    for folder in opened.sources:
+        digest.update(folder_digest(folder).encode())
+    return PolicyEntry(own_name(path), opened.make, digest.hexdigest()[:12])
 
 
 def _parts(name: str) -> tuple[str, str | None]:
@@ -50,7 +69,7 @@ def _parts(name: str) -> tuple[str, str | None]:
 
 def _label(path: Path) -> str | None:
     """The number at the end of the name of an archive."""
-    match = re.search(r"(\d+)$", _own_name(path))
+    match = re.search(r"(\d+)$", own_name(path))
     return str(int(match[1])) if match else None
 
 
@@ -62,10 +81,10 @@ def archives(spec: str, shipped: Mapping[str, Sequence[Path]]) -> list[tuple[str
     if not source.endswith(ARCHIVE):
         return []
     paths = [Path(found) for found in sorted(glob.glob(source))] or [Path(source)]
-    return [(given or _parts(_own_name(path))[0], path) for path in paths]
+    return [(given or _parts(own_name(path))[0], path) for path in paths]
 
 
-def _own_name(path: Path) -> str:
+def own_name(path: Path) -> str:
     """What an archive is called: its file, or the folder of one that train.py has named."""
     return path.resolve().parent.name if path.stem in GENERIC else path.stem
 
@@ -80,7 +99,7 @@ def _seeds(paths: Sequence[Path]) -> list[str]:
 
 def load_policies(
     specs: Sequence[str],
-    registry: Mapping[str, PolicyFactory],
+    registry: Mapping[str, PolicyFactory | PolicyEntry],
     shipped: Mapping[str, Sequence[Path]] | None = None,
     opener: Opener | None = None,
 ) -> list[PolicyEntry]:

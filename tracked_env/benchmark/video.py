@@ -1,12 +1,14 @@
-"""A video of one episode per policy; needs pygame and moviepy (extra `render`)."""
+"""Pictures of one episode of a policy: MP4, GIF or PNG; needs the extra `render`."""
 
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.files import file_name
@@ -20,63 +22,109 @@ from tracked_env.benchmark.policy_interface import (
 )
 from tracked_env.env import TrackedVehicleEnv
 
+Picture = NDArray[np.uint8]  # (height, width, 3)
+
+# Suffix of a file: one picture in this many control steps is drawn.
+FORMATS = {".mp4": 1, ".gif": 5, ".png": 5}
+
 
 def record(
     config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int, folder: Path
 ) -> Path:
-    """Record one episode of the benchmark, the same vehicle, soil, reference and noise.
+    """Record one episode of the benchmark as MP4 in a folder.
 
-    Returns the file. Raises ImportError that names the extra to install.
+    Returns the file. Raises as `draw`.
     """
-    policy = checked_policy(entry, config.context(uncertainty_set))
     name = file_name(uncertainty_set, entry.name)
     path = folder / f"{name}--seed-{config.seed + episode}.mp4"
-    folder.mkdir(parents=True, exist_ok=True)
-    ours = f".{os.getpid()}.tmp"  # as `files.temporary` has it: a later run removes what is left
-    with tempfile.TemporaryDirectory(prefix=".video", suffix=ours, dir=folder) as place:
-        _record(config, policy, entry.name, uncertainty_set, config.seed + episode, f"{place}/new")
-        os.replace(next(Path(place).glob("new/*.mp4")), path)
+    draw(config, entry, uncertainty_set, episode, path)
     return path
 
 
-def _record(
-    config: BenchmarkConfig,
-    policy: Policy,
-    name: str,
-    uncertainty_set: str,
-    seed: int,
-    folder: str,
+def draw(
+    config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int, path: Path
 ) -> None:
-    """Run one episode under RecordVideo, which writes one file into `folder`."""
-    try:
-        env = gymnasium.wrappers.RecordVideo(
-            TrackedVehicleEnv(
+    """Draw one episode of the benchmark, the same vehicle, soil, reference and noise.
+
+    path: with a suffix of FORMATS; a PNG shows the end. Raises ImportError that names the extra to
+    install, ValueError for another suffix.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise ValueError(f"file {path}: must end in {', '.join(FORMATS)}")
+    policy = checked_policy(entry, config.context(uncertainty_set))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    ours = f".{os.getpid()}.tmp"  # as `files.temporary` has it: a later run removes what is left
+    with tempfile.TemporaryDirectory(prefix=".video", suffix=ours, dir=path.parent) as place:
+        new = Path(place) / f"new{suffix}"
+        try:
+            env = TrackedVehicleEnv(
                 **config.arguments(uncertainty_set, needs_truth(policy)), render_mode="rgb_array"
-            ),
-            video_folder=folder,
-            episode_trigger=lambda number: True,
-            disable_logger=True,
-        )
-        observation, info = env.reset(seed=seed)
-    except (ImportError, gymnasium.error.DependencyNotInstalled) as error:
-        raise ImportError(f"{error}. Videos need: pip install 'tracked-env[render]'") from error
-    try:
-        _drive(env, policy, observation, info)
-    except (Exception, SystemExit) as error:
-        raise blamed(error, name, f"video of set {uncertainty_set!r}") from error
-    finally:
-        env.close()  # writes the file
-
-
-def _drive(env: Any, policy: Policy, observation: Any, info: dict[str, Any]) -> None:
-    state, start, over = None, np.ones(1, dtype=bool), False
-    while not over:
-        if needs_truth(policy):
-            policy.observe_truth(  # type: ignore[attr-defined]
-                {key: np.array([value]) for key, value in info["truth"].items()}
             )
-        answer = policy.predict(observation[None], state, start, deterministic=True)
-        action, state = checked_answer(answer, 1)
-        start = np.zeros(1, dtype=bool)
-        observation, _, terminated, truncated, info = env.step(action[0])
-        over = terminated or truncated
+            steps = FORMATS[suffix]
+            drawn = _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, steps)
+            _write(new, drawn, config.control_rate / steps)
+        except (ImportError, gymnasium.error.DependencyNotInstalled) as error:
+            raise ImportError(
+                f"{error}; pictures need pip install 'tracked-env[render]'"
+            ) from error
+        os.replace(new, path)
+
+
+def _write(path: Path, pictures: Iterator[Picture], rate: float) -> None:
+    """Write pictures, `rate` a second, in the format of the suffix."""
+    if path.suffix == ".mp4":
+        from moviepy import ImageSequenceClip
+
+        ImageSequenceClip(list(pictures), fps=rate).write_videofile(str(path), logger=None)
+        return
+    from PIL import Image
+
+    if path.suffix == ".png":
+        *_, last = pictures
+        Image.fromarray(last).save(path)
+        return
+    first, *others = [Image.fromarray(picture).quantize(128) for picture in pictures]
+    duration = round(1000.0 / rate)  # [ms]
+    first.save(path, save_all=True, append_images=others, duration=duration, loop=0)
+
+
+def _driven(
+    env: TrackedVehicleEnv, policy: Policy, name: str, uncertainty_set: str, seed: int, steps: int
+) -> Iterator[Picture]:
+    """One episode: the first picture, one in `steps` control steps, and the last one."""
+    observation, info = env.reset(seed=seed)
+    try:
+        yield _picture(env)
+        state, start, over, done = None, np.ones(1, dtype=bool), False, 0
+        while not over:
+            try:
+                action, state = _acted(policy, observation, info, state, start)
+            except (Exception, SystemExit) as error:
+                raise blamed(error, name, f"video of set {uncertainty_set!r}") from error
+            start = np.zeros(1, dtype=bool)
+            observation, _, terminated, truncated, info = env.step(action)
+            over, done = terminated or truncated, done + 1
+            if over or done % steps == 0:
+                yield _picture(env)
+    finally:
+        env.close()
+
+
+def _picture(env: TrackedVehicleEnv) -> Picture:
+    picture = env.render()
+    assert isinstance(picture, np.ndarray)
+    return picture
+
+
+def _acted(
+    policy: Policy, observation: Any, info: dict[str, Any], state: Any, start: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], Any]:
+    """Action (2,) and the policy's state."""
+    if needs_truth(policy):
+        policy.observe_truth(  # type: ignore[attr-defined]
+            {key: np.array([value]) for key, value in info["truth"].items()}
+        )
+    answer = policy.predict(observation[None], state, start, deterministic=True)
+    action, state = checked_answer(answer, 1)
+    return action[0], state

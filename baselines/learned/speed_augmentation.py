@@ -1,8 +1,8 @@
-"""Memory and help for vehicles that are driven by their sprocket speeds.
+"""Observation augmentation for vehicles that are driven by their sprocket speeds.
 
     estimates   the filtered errors, the friction and slip that the slippage-aware controller knows
     residual    the same and that controller's action; the agent only corrects it
-The kinds are those of `agents.memory`, after another controller.
+As `baselines.learned.torque_augmentation`, of another controller.
 """
 
 from typing import Any
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.held import HeldState
+from baselines.learned.held_policy import HeldState, checked_scale, corrected
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from tracked_env import observation as layout
 
@@ -67,10 +67,8 @@ class SlipResidual(SlipEstimates):
 
     def __init__(self, policy: AdaptiveSlipPolicy, count: int, scale: float) -> None:
         """Raises ValueError for a scale outside (0, 2]."""
-        if not 0.0 < scale <= 2.0:
-            raise ValueError(f"residual scale = {scale}; must be in (0, 2]: actions lie in [-1, 1]")
         super().__init__(policy, count)
-        self.scale = scale
+        self.scale = checked_scale(scale)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """The controller's action, then KNOWN, (N, F)."""
@@ -79,4 +77,4 @@ class SlipResidual(SlipEstimates):
 
     def command(self, action: Floats, features: Floats) -> Floats:
         """The controller's action plus the agent's, scaled, within [-1, 1]."""
-        return np.clip(features[:, :2] + np.float32(self.scale) * action, -1.0, 1.0)
+        return corrected(features[:, :2], self.scale, action)

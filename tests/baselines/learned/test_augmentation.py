@@ -1,9 +1,10 @@
-"""Kinds of memory: closed forms, forgetting, going on from a state, and the residual."""
+"""Observation augmentation: closed forms, forgetting, going on from a state, the residual."""
 
 import numpy as np
 import pytest
 
-from agents.memory import KINDS, LAGS, REMEMBERED, AgentVectorEnv, make_memory, seen
+from baselines.learned.augmentation import KINDS, make_augmentation, seen
+from baselines.learned.history_augmentation import LAGS, REMEMBERED
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
@@ -31,7 +32,7 @@ def past_speeds(features):
 
 
 def test_history_holds_the_samples_at_its_lags():
-    history = make_memory("history", {}, CONTEXT, 2)
+    history = make_augmentation("history", {}, CONTEXT, 2)
     for step, batch in enumerate(observations(50)):
         features = history.observe(batch, ALWAYS if step == 0 else NEVER)
         expected = np.maximum(step - np.array(LAGS), 0)
@@ -41,7 +42,7 @@ def test_history_holds_the_samples_at_its_lags():
 
 
 def test_history_forgets_the_rows_that_start_and_no_others():
-    history = make_memory("history", {"lags": [1, 3]}, CONTEXT, 2)
+    history = make_augmentation("history", {"lags": [1, 3]}, CONTEXT, 2)
     for step, batch in enumerate(observations(10)):
         features = history.observe(batch, np.array([step == 0, step in (0, 9)]))
     speeds = features.reshape(2, 2, -1)[:, :, REMEMBERED.index("v_x")]
@@ -51,8 +52,8 @@ def test_history_forgets_the_rows_that_start_and_no_others():
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_row_remembers_the_same_alone_and_in_a_batch(kind):
     env = TrackedVehicleVectorEnv(3, uncertainty="payload", duration=1.0)
-    batch = make_memory(kind, {}, CONTEXT, 3)
-    alone = make_memory(kind, {}, CONTEXT, 1)
+    batch = make_augmentation(kind, {}, CONTEXT, 3)
+    alone = make_augmentation(kind, {}, CONTEXT, 1)
     observation, _ = env.reset(seed=0)
     for step in range(20):
         start = np.full(3, step == 0)
@@ -65,7 +66,7 @@ def test_a_row_remembers_the_same_alone_and_in_a_batch(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_memories_put_back_in_some_rows_leave_the_others(kind):
     env = TrackedVehicleVectorEnv(3, uncertainty="payload")
-    one, other = make_memory(kind, {}, CONTEXT, 3), make_memory(kind, {}, CONTEXT, 3)
+    one, other = make_augmentation(kind, {}, CONTEXT, 3), make_augmentation(kind, {}, CONTEXT, 3)
     observation, _ = env.reset(seed=0)
     for step in range(10):
         start = np.full(3, step == 0)
@@ -78,7 +79,7 @@ def test_memories_put_back_in_some_rows_leave_the_others(kind):
         one.observe(stranger, np.zeros(3, bool)), other.observe(stranger, np.zeros(3, bool))
     )
     one.restore(kept, np.array([True, False, True]))
-    expected = make_memory(kind, {}, CONTEXT, 3)
+    expected = make_augmentation(kind, {}, CONTEXT, 3)
     expected.restore(kept)
     last = expected.observe(observation, np.zeros(3, bool))
     moved = other.observe(observation, np.zeros(3, bool))
@@ -89,8 +90,9 @@ def test_memories_put_back_in_some_rows_leave_the_others(kind):
 
 
 def test_the_residual_of_zero_is_the_adaptive_policy():
+    memory = pytest.importorskip("agents.memory", reason="its wrapper needs the extra `rl`")
     inner = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
-    env = AgentVectorEnv(inner, make_memory("residual", {}, CONTEXT, 2))
+    env = memory.AgentVectorEnv(inner, make_augmentation("residual", {}, CONTEXT, 2))
     plain = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
     env.reset(seed=0)
     observation, _ = plain.reset(seed=0)
@@ -104,7 +106,7 @@ def test_the_residual_of_zero_is_the_adaptive_policy():
 
 
 def test_the_residual_is_scaled_and_stays_within_the_limits():
-    memory = make_memory("residual", {"scale": 0.5}, CONTEXT, 2)
+    memory = make_augmentation("residual", {"scale": 0.5}, CONTEXT, 2)
     features = np.zeros((2, len(memory.feature_names)), np.float32)
     features[:, :2] = [[0.1, -0.2], [0.9, -0.9]]
     command = memory.command(np.array([[1.0, -0.4], [1.0, -1.0]], np.float32), features)
@@ -130,13 +132,15 @@ def test_the_network_sees_zero_for_what_is_not_measured_and_bounded_features():
 )
 def test_wrong_kinds_and_options_are_clear_errors(kind, options, message):
     with pytest.raises(ValueError, match=message):
-        make_memory(kind, options, CONTEXT, 2)
+        make_augmentation(kind, options, CONTEXT, 2)
 
 
 def test_the_filtered_errors_are_the_true_ones_with_ideal_sensors():
     """In their scales: position error 0.2 m, heading 0.1 rad, speed 0.2 m/s, yaw rate 0.1."""
     env = TrackedVehicleVectorEnv(2, uncertainty="nominal", sensors="ideal")
-    memory = make_memory("residual", {}, PolicyContext(0.02, "sliding", make_sensors("ideal")), 2)
+    memory = make_augmentation(
+        "residual", {}, PolicyContext(0.02, "sliding", make_sensors("ideal")), 2
+    )
     observation, _ = env.reset(seed=0)
     for step in range(20):
         features = memory.observe(observation, np.full(2, step == 0))
@@ -162,7 +166,7 @@ def test_the_network_sees_how_far_the_filtered_pose_can_be_trusted():
     for name in ("rtk", "strawa"):
         sensors = make_sensors(name)
         env = TrackedVehicleVectorEnv(32, sensors=sensors, expose_truth=True)
-        memory = make_memory("residual", {}, CONTEXT._replace(sensors=sensors), 32)
+        memory = make_augmentation("residual", {}, CONTEXT._replace(sensors=sensors), 32)
         observation, info = env.reset(seed=0)
         ratios = []
         for step in range(150):

@@ -1,5 +1,6 @@
 """The shipped agents are what their table says: files, recipes, a score that comes out again."""
 
+import importlib
 import json
 import shlex
 from pathlib import Path
@@ -7,19 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("torch", reason="agents need the extra `rl`")
-
-import tyro
-
-from agents.loading import agent_entry, read_recipe
-from agents.training.run import configuration
-from tests.agents.agent_cases import Config
+from baselines.learned.agent_archive import read_recipe
+from baselines.learned.shipped import PRETRAINED as FOLDER
 from tracked_env.benchmark import BenchmarkConfig, Store
+from tracked_env.benchmark.registered_policies import open_archive
 from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.sets import default_sets
 from tracked_env.benchmark.statistics import interquartile_mean
 
-FOLDER = Path(__file__).resolve().parents[2] / "agents" / "pretrained"
 AGENTS = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
 AGAIN = [
     ("Torque-v0", "ppo-residual-seed0", "soil-and-mass"),
@@ -49,8 +45,13 @@ def test_an_agent_comes_with_the_command_that_made_it_and_its_learning_curve(fol
 @pytest.mark.parametrize("folder", AGENTS, ids=["-".join(folder.parts[-2:]) for folder in AGENTS])
 def test_the_command_of_an_agent_says_its_whole_configuration(folder: Path) -> None:
     """Defaults may have changed since; then the command makes another agent today."""
+    tyro = pytest.importorskip("tyro", reason="train.py needs the extra `cli`")
+    options = pytest.importorskip("agents.training.options", reason="needs the extra `rl`")
+    configuration = importlib.import_module("agents.training.run").configuration
     recipe = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-    today = configuration(tyro.cli(Config, args=shlex.split(recipe["command"])[2:]))
+    today = configuration(
+        tyro.cli(options.options_of_train(), args=shlex.split(recipe["command"])[2:])
+    )
     for name in set(recipe["config"]) - {"output"}:
         assert today[name] == recipe["config"][name], name
 
@@ -79,7 +80,7 @@ def test_a_score_that_was_published_comes_out_again(
     track: str, name: str, of_set: str, tmp_path: Path
 ) -> None:
     scores = json.loads((FOLDER / track / "scores.json").read_text(encoding="utf-8"))
-    entry = agent_entry(FOLDER / track / name / "agent.zip")._replace(name=name)
+    entry = open_archive(FOLDER / track / name / "agent.zip")._replace(name=name)
     config = BenchmarkConfig(sets=(of_set,), episodes=scores["episodes"])
     records = run(config, [entry], Store(tmp_path, config.identity()))
     found = interquartile_mean(np.array([record["tracking_rmse"] for record in records]))

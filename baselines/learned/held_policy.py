@@ -1,4 +1,4 @@
-"""The state of a policy that a memory drives along: handed out, and put back in some rows."""
+"""A controller that runs beside an agent: its state, put back in some rows, and its correction."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ def chosen(old: Any, new: Any, rows: NDArray[np.bool_]) -> Any:
 
 
 class HeldState:
-    """A memory whose memories are the state of its policy; it is never changed in place."""
+    """An augmentation that remembers the state of its policy, which never changes in place."""
 
     _state: Any = None
 
@@ -30,3 +30,17 @@ class HeldState:
         elif rows.any():
             known = self._state is not None and memories is not None
             self._state = chosen(memories, self._state, rows) if known else memories
+
+
+def checked_scale(scale: float) -> float:
+    """How far an agent may correct an action. Raises ValueError for one outside (0, 2]."""
+    if not 0.0 < scale <= 2.0:
+        raise ValueError(f"residual scale = {scale}; must be in (0, 2]: actions lie in [-1, 1]")
+    return scale
+
+
+def corrected(
+    action: NDArray[np.float32], scale: float, correction: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """The controller's action plus the agent's, scaled, within [-1, 1]; (N, 2) each."""
+    return np.clip(action + np.float32(scale) * correction, -1.0, 1.0)

@@ -1,0 +1,175 @@
+"""A trained agent as a policy: everything it remembers is in its state.
+
+    action, state = policy.predict(observation (N, SIZE), state, episode_start)
+Observation augmentation, running normalisation and network are those of the training.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.learned.augmentation import Augmentation, make_augmentation, seen
+from baselines.learned.privileged_inputs import TEACHER, Truth, privileged
+from baselines.registry import Context
+from tracked_env import observation as layout
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
+
+Floats = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+
+
+class Normalisation(NamedTuple):
+    """Running mean and variance of what the network sees, as VecNormalize of SB3 applies them."""
+
+    mean: NDArray[np.float64]  # (D,)
+    variance: NDArray[np.float64]  # (D,)
+    epsilon: float
+    clip: float
+
+    def __call__(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Values (N, D) less their mean, over their standard deviation, clipped."""
+        scaled = (values - self.mean) / np.sqrt(self.variance + self.epsilon)
+        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+
+
+class Predictor(Protocol):
+    """A network: `forward_pass.Actor`, a student, or a model of Stable-Baselines3."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:  # fmt: skip
+        """Action and the state of the recurrent network."""
+        ...
+
+
+class AgentState(NamedTuple):
+    """What the policy remembers between two calls."""
+
+    memories: Any  # of the augmentation
+    recurrent: Any  # hidden and cell values of the LSTM, or None
+
+
+class AgentPolicy:
+    """Network, augmentation and normalisation as one policy, for one vehicle or a batch.
+
+    model: a network, for the fields of `observation.V0`; they are looked up by name in what the
+    environment of `context` gives. kind, options: of `make_augmentation`. Raises ValueError where
+    it does not give them all.
+    """
+
+    def __init__(
+        self,
+        model: Predictor,
+        kind: str,
+        options: Mapping[str, Any],
+        context: Context,
+        normalisation: Normalisation | None = None,
+    ) -> None:
+        self.model = model
+        self.normalisation = normalisation
+        self._recipe = (kind, dict(options), context)
+        self._view = layout.View(context.observation, hint="The agent widens it by itself.")
+        self._given: AgentState | None = None
+        self.augmentation: Augmentation = make_augmentation(*self._recipe, 1)
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AgentState | None = None,
+        episode_start: NDArray[np.bool_] | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AgentState]:
+        """Sprocket torques over their limit, and the state to pass to the next call.
+
+        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None begins.
+        episode_start: (N,) or a bool; those rows forget. deterministic: the mean action.
+        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
+        Raises ValueError for a wrong shape.
+        """
+        batch = self._view(observation)
+        count = len(batch)
+        start = np.full(count, state is None)
+        if episode_start is not None:
+            start |= np.asarray(episode_start, dtype=bool)
+        if state is None or count != self.augmentation.count:
+            self.augmentation = make_augmentation(*self._recipe, count)
+        if state is not None and state is not self._given:
+            self.augmentation.restore(state.memories)
+        self._given = None  # until this call has ended well, `augmentation` is in no known state
+        features = self.augmentation.observe(batch, start)
+        shown = seen(batch, features)
+        if self.normalisation is not None:
+            shown = self.normalisation(shown)
+        action, recurrent = self.model.predict(
+            shown, None if state is None else state.recurrent, start, deterministic
+        )
+        commands = self.augmentation.command(np.asarray(action, np.float32), features)
+        self._given = AgentState(self.augmentation.memories(), recurrent)
+        return (commands[0] if np.ndim(observation) == 1 else commands), self._given
+
+
+class TeacherPolicy:
+    """A teacher as a policy of the benchmark, which must be handed the truth.
+
+    model: a network that sees observation and privileged inputs. nominal: the vehicle and soil
+    that these are relative to. normalisation: of both.
+    """
+
+    needs_truth = True
+
+    def __init__(
+        self,
+        model: Predictor,
+        nominal: PlantParameters,
+        normalisation: Normalisation | None = None,
+    ) -> None:
+        self.model, self.nominal, self.normalisation = model, nominal, normalisation
+        self._inputs: Floats | None = None
+
+    def observe_truth(self, truth: Truth) -> None:
+        """Take over the truth, {name: number or (N,)}; other names are ignored."""
+        values = {name: np.atleast_1d(value) for name, value in truth.items() if name[0] != "_"}
+        self._inputs = privileged(values, self.nominal)
+
+    def predict(
+        self,
+        observation: Floats,
+        state: AgentState | None = None,
+        episode_start: Bools | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[Floats, AgentState]:
+        """Action and state as AgentPolicy. Raises ValueError for a wrong shape or no truth."""
+        batch = np.array(observation, dtype=np.float32, ndmin=2)
+        if self._inputs is None or batch.shape != (len(self._inputs), layout.SIZE):
+            raise ValueError(
+                f"observation has shape {np.shape(observation)}, but the truth of "
+                f"{0 if self._inputs is None else len(self._inputs)} vehicles was observed; a "
+                "teacher needs `observe_truth` before each `predict`. A student drives without."
+            )
+        start = np.full(len(batch), state is None)
+        if episode_start is not None:
+            start |= np.asarray(episode_start, dtype=bool)
+        shown = seen(batch, self._inputs)
+        if self.normalisation is not None:
+            shown = self.normalisation(shown)
+        action, recurrent = self.model.predict(
+            shown, None if state is None else state.recurrent, start, deterministic
+        )
+        commands = np.asarray(action, np.float32)
+        return (commands[0] if np.ndim(observation) == 1 else commands), AgentState((), recurrent)
+
+
+def policy_of(
+    model: Predictor,
+    kind: str,
+    options: Mapping[str, Any],
+    context: Context,
+    normalisation: Normalisation | None = None,
+) -> AgentPolicy | TeacherPolicy:
+    """A model as the policy that its kind makes of it; arguments as AgentPolicy."""
+    if kind == TEACHER:
+        return TeacherPolicy(model, VEHICLES[context.vehicle], normalisation)
+    return AgentPolicy(model, kind, options, context, normalisation)

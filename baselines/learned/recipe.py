@@ -1,0 +1,198 @@
+"""The recipe of a trained agent: what an archive says of itself in JSON, checked.
+
+    algorithm, network            layers, sizes and activation of the network
+    memory, memory_options        observation augmentation: its kind, and `lags` or `scale`
+    normalisation                 running mean and variance of the inputs, or null
+    control_period [s]
+    environment                   id and arguments of the training, with `drive` and `vehicle`
+    config, versions, ...         how it came about; nothing is read from there
+Everything is checked before it is used, and what is wrong is a ValueError of one line.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from baselines.learned.agent_policy import Normalisation
+from baselines.learned.augmentation import KINDS
+from baselines.learned.forward_pass import ALGORITHMS, RECURRENT
+from baselines.learned.privileged_inputs import TEACHER
+from tracked_env.physics.parameters import VEHICLES
+
+FORMAT = 2  # of the recipe
+PICKLED = 1  # format of the version before, whose networks lie beside it as SB3 pickles them
+LONGEST_LAG = 4096  # [control steps]
+MOST_UNITS, MOST_LAYERS = 4096, 16  # of a network that is built from a file
+STUDENT = "student"  # kind of an agent that infers what its teacher sees
+LAYER_ACTIVATIONS = ("tanh", "relu")  # of forward_pass.ACTIVATIONS, those of an actor
+
+_NEEDED = ("format", "algorithm", "memory", "memory_options", "normalisation", "control_period")
+_DRIVES = ("torque", "speed")
+
+
+class Driven(NamedTuple):
+    """What an agent commands and drives."""
+
+    drive: str  # torques or speeds of the sprockets
+    vehicle: str  # nominal vehicle and soil, a key of VEHICLES
+
+
+# Of recipes that name an environment of this project and leave these to its registration.
+_REGISTERED = {
+    "tracked_env/Torque-v0": Driven("torque", "strawa"),
+    "tracked_env/Speed-v0": Driven("speed", "focchi"),
+}
+
+
+def check_recipe(recipe: Any) -> None:
+    """Raises ValueError for a recipe that no agent can be made of."""
+    if not isinstance(recipe, dict) or recipe.get("format") not in (FORMAT, PICKLED):
+        raise ValueError(
+            f"its recipe is of another format; must be {FORMAT}. Is it of another version of this "
+            "project?"
+        )
+    missing = [name for name in _NEEDED if name not in recipe]
+    if missing:
+        raise ValueError(f"its recipe lacks {', '.join(missing)}")
+    try:
+        _check(recipe)
+    except ValueError as error:
+        raise ValueError(f"in its recipe {error}") from error
+
+
+def _is_number(value: Any, low: float = -math.inf) -> bool:
+    """Whether a value of JSON is a finite number above `low`."""
+    return type(value) in (int, float) and low < value and abs(value) < 1e300
+
+
+def _check(recipe: Mapping[str, Any]) -> None:
+    """Raises ValueError for a recipe that no agent can be made of."""
+    kinds = (*KINDS, TEACHER, STUDENT)
+    for name, known in (("algorithm", ALGORITHMS), ("memory", kinds)):
+        if recipe[name] not in known:
+            raise ValueError(f"{name} = {_short(recipe[name])}; must be one of {', '.join(known)}")
+    if not _is_number(recipe["control_period"], 0.0):
+        raise ValueError(f"control_period = {_short(recipe['control_period'])}; must be in s, > 0")
+    _check_options(recipe["memory"], recipe["memory_options"])
+    driven(recipe)
+    inputs = None
+    if recipe["format"] != PICKLED:
+        inputs = checked_network(recipe.get("network"), recipe["algorithm"])["inputs"]
+    _check_normalisation(recipe["normalisation"], inputs)
+
+
+def _short(value: Any) -> str:
+    return repr(value)[:100]
+
+
+def _check_options(kind: str, options: Any) -> None:
+    """Options of a kind of memory. Raises ValueError."""
+    names = {"history": ("lags",), "residual": ("scale",), STUDENT: ("lags", "hidden")}
+    known = names.get(kind, ())
+    if not isinstance(options, dict) or not set(options) <= set(known):
+        raise ValueError(
+            f"memory_options = {_short(options)}; of memory {kind!r} must have "
+            f"{' and '.join(known) or 'nothing'}"
+        )
+    if kind == STUDENT and set(options) != set(known):
+        raise ValueError(f"memory_options = {_short(options)}; a student needs lags and hidden")
+    lags = options.get("lags", [1])
+    integers = isinstance(lags, list) and all(type(lag) is int for lag in lags)
+    if not (integers and lags and lags == sorted(set(lags)) and lags[0] >= 1):
+        raise ValueError(f"lags = {_short(lags)}; must rise, from 1 control step on")
+    if lags[-1] > LONGEST_LAG:
+        raise ValueError(f"lags = {_short(lags)}; must be at most {LONGEST_LAG} control steps")
+    if not are_sizes(options.get("hidden", [])):
+        raise ValueError(f"hidden = {_short(options['hidden'])}; must be a list of sizes")
+    scale = options.get("scale", 1.0)
+    if not (_is_number(scale, 0.0) and scale <= 2.0):
+        raise ValueError(f"scale = {_short(scale)}; must be in (0, 2]")
+
+
+def driven(recipe: Mapping[str, Any]) -> Driven:
+    """Drive and nominal vehicle of the training. Raises ValueError."""
+    arguments = recipe.get("environment", {})
+    if not isinstance(arguments, dict):
+        raise ValueError(f"environment = {_short(arguments)}; must be an id and arguments")
+    name = arguments.get("id", "tracked_env/Torque-v0")
+    usual = _REGISTERED.get(name) if isinstance(name, str) else None
+    found = []
+    for key, known in (("drive", _DRIVES), ("vehicle", tuple(VEHICLES))):
+        value = arguments.get(key, None if usual is None else getattr(usual, key))
+        if key not in arguments and usual is None:
+            raise ValueError(
+                f"environment.id = {_short(name)} is none of this project, and there is no "
+                f"environment.{key}; must be one of {', '.join(known)}"
+            )
+        if value not in known:
+            raise ValueError(
+                f"environment.{key} = {_short(value)}; must be one of {', '.join(known)}"
+            )
+        found.append(value)
+    return Driven(*found)
+
+
+def _check_normalisation(stored: Any, inputs: int | None) -> None:
+    """A running normalisation of `inputs` quantities. Raises ValueError."""
+    if stored is None:
+        return
+    given = stored if isinstance(stored, dict) else {}
+    mean, variance = given.get("mean"), given.get("variance")
+    if not (
+        isinstance(mean, list)
+        and isinstance(variance, list)
+        and len(mean) == len(variance)
+        and (inputs is None or len(mean) == inputs)
+        and all(map(_is_number, mean))
+        and all(_is_number(value) and value >= 0.0 for value in variance)
+        and _is_number(given.get("epsilon"), 0.0)
+        and _is_number(given.get("clip"), 0.0)
+    ):
+        raise ValueError(
+            f"normalisation = {_short(stored)}; must be null, or have finite numbers `mean` and "
+            f"`variance`, {inputs or 'as many as inputs'} of each, `epsilon` and `clip` > 0"
+        )
+
+
+def normalisation_of(recipe: Mapping[str, Any]) -> Normalisation | None:
+    """The running normalisation that a checked recipe holds."""
+    stored = recipe["normalisation"]
+    if stored is None:
+        return None
+    return Normalisation(
+        np.array(stored["mean"], dtype=np.float64),
+        np.array(stored["variance"], dtype=np.float64),
+        stored["epsilon"],
+        stored["clip"],
+    )
+
+
+def _is_size(value: Any) -> bool:
+    return type(value) is int and 1 <= value <= MOST_UNITS
+
+
+def are_sizes(value: Any) -> bool:
+    """Whether a value of JSON is a list of sizes of layers."""
+    return isinstance(value, list) and len(value) <= MOST_LAYERS and all(map(_is_size, value))
+
+
+def checked_network(given: Any, algorithm: str) -> dict[str, Any]:
+    """An architecture from JSON. Raises ValueError for one that cannot be built."""
+    network = given if isinstance(given, dict) else {}
+    recurrent = algorithm == RECURRENT
+    lstm = network.get("lstm_hidden")
+    activation = network.get("activation")
+    if not (
+        _is_size(network.get("inputs"))
+        and are_sizes(network.get("hidden"))
+        and activation in LAYER_ACTIVATIONS
+        and (_is_size(lstm) if recurrent else lstm is None)
+    ):
+        raise ValueError(
+            f"network = {str(given)[:200]!r}; must have `inputs`, a list `hidden` of at most "
+            f"{MOST_LAYERS} sizes, `lstm_hidden` (null without LSTM), all within "
+            f"[1, {MOST_UNITS}], and `activation`, one of {', '.join(LAYER_ACTIVATIONS)}"
+        )
+    return network

@@ -1,0 +1,18 @@
+"""The agents that come with this package, per drive: DRIVE -> name -> archives, one per seed."""
+
+import re
+from pathlib import Path
+
+PRETRAINED = Path(__file__).resolve().parent / "pretrained"
+FOLDERS = {"torque": "Torque-v0", "speed": "Speed-v0"}
+
+_SEEDED = re.compile(r"(.+)-seed(\d+)")
+
+
+def shipped_agents(drive: str) -> dict[str, list[Path]]:
+    """Archives of PRETRAINED for vehicles of this drive, by the name of the agent."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted((PRETRAINED / FOLDERS[drive]).glob("*/agent.zip")):
+        match = _SEEDED.fullmatch(path.parent.name)
+        found.setdefault(match[1] if match else path.parent.name, []).append(path)
+    return found

@@ -1,0 +1,90 @@
+"""A student: infers what its teacher would see, then drives as the teacher does.
+
+    inputs = inference(observation, past samples)       (N, F), for what the teacher's network sees
+    action = teacher(observation, inputs)               of `privileged_inputs`
+It sees what any agent with a history sees, and no truth. Where the teacher's inputs are normalised
+and clipped, the inference is of the normalised and clipped values.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.learned.agent_archive import INFERENCE, from_npz
+from baselines.learned.agent_policy import Normalisation, Predictor
+from baselines.learned.forward_pass import Perceptron, check_weights, linear_shapes
+from baselines.learned.history_augmentation import REMEMBERED
+from baselines.learned.privileged_inputs import PRIVILEGED
+from tracked_env import observation as layout
+
+Floats = NDArray[np.float32]
+
+INFERENCE_FORMAT = 2  # of its file; 1, without it, inferred values before their normalisation
+
+
+class Student:
+    """Inference and teacher as one network, for observations widened by a history.
+
+    inference: from those (N, D) to what the teacher's network sees of the privileged inputs (N, F).
+    teacher: network that sees observation and privileged inputs. normalisation: of those.
+    """
+
+    def __init__(
+        self,
+        inference: Callable[[Floats], Floats],
+        teacher: Predictor,
+        normalisation: Normalisation | None,
+    ) -> None:
+        self.infer, self.teacher, self.normalisation = inference, teacher, normalisation
+
+    def _shown(self, values: Floats, columns: slice) -> Floats:
+        """What the teacher's network sees of some of its columns."""
+        if self.normalisation is None:
+            return values
+        mean, variance, *rest = self.normalisation
+        return Normalisation(mean[columns], variance[columns], *rest)(values)
+
+    def told(self, truth: Floats) -> Floats:
+        """What the teacher's network sees of the privileged inputs (N, F): the right inference."""
+        return self._shown(truth, slice(layout.SIZE, None))
+
+    def predict(
+        self, observation: Floats, state: Any = None, episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:  # fmt: skip
+        """Action (N, 2) and the state of a recurrent teacher."""
+        present = self._shown(observation[:, : layout.SIZE], slice(layout.SIZE))
+        widened = np.concatenate([present, self.infer(observation)], axis=1, dtype=np.float32)
+        return self.teacher.predict(widened, state, episode_start, deterministic)
+
+
+def inference_sizes(lags: Sequence[int], hidden: Sequence[int]) -> tuple[int, ...]:
+    """Inputs, hidden layers and outputs of an inference network."""
+    return (layout.SIZE + len(lags) * len(REMEMBERED), *hidden, len(PRIVILEGED))
+
+
+def inference_layers(hidden: Sequence[int]) -> list[str]:
+    """Names of its layers, as torch.nn.Sequential counts them; ELUs stand between."""
+    return [str(2 * number) for number in range(len(hidden) + 1)]
+
+
+def read_student(
+    content: bytes, options: Mapping[str, Any], teacher: Predictor, scaling: Normalisation | None
+) -> Student:
+    """The student in the file INFERENCE of an archive. options: `lags` and `hidden`.
+
+    Raises ValueError for weights that are damaged, not finite, or not those of the options.
+    """
+    stored = from_npz(content, INFERENCE)
+    written = stored.pop("format", np.array(1)).tolist()
+    if written != INFERENCE_FORMAT and (written != 1 or scaling is not None):
+        raise ValueError(
+            f"{INFERENCE} holds an inference of format {written}; must be {INFERENCE_FORMAT}: what "
+            "it infers has another scale. Train the student again"
+        )
+    names = inference_layers(options["hidden"])
+    shapes = linear_shapes(names, inference_sizes(options["lags"], options["hidden"]))
+    check_weights(stored, shapes)
+    return Student(Perceptron(stored, names, "elu"), teacher, scaling)

@@ -1,0 +1,115 @@
+"""A trained agent as a policy, from the archive that its training has written.
+
+    policy = open_agent(Path("runs/ppo-blind-seed0/agent.zip")).make(context)
+Nothing of the library that trained it is needed.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.learned.agent_archive import (
+    INFERENCE,
+    WEIGHTS,
+    from_npz,
+    read_entry,
+    read_recipe,
+    untrusted,
+)
+from baselines.learned.agent_policy import AgentPolicy, Predictor, TeacherPolicy, policy_of
+from baselines.learned.augmentation import make_augmentation
+from baselines.learned.forward_pass import Actor
+from baselines.learned.privileged_inputs import PRIVILEGED, TEACHER
+from baselines.learned.recipe import PICKLED, STUDENT, Driven, driven, normalisation_of
+from baselines.learned.student import read_student
+from baselines.registry import Context
+from tracked_env import observation as layout
+
+HERE = Path(__file__).resolve().parent
+
+
+class TrainedAgent(NamedTuple):
+    """An archive that has been opened."""
+
+    make: Callable[[Context], AgentPolicy | TeacherPolicy]  # a fresh policy for an environment
+    sources: tuple[Path, ...]  # folders whose code its actions depend on, besides the archive
+
+
+def open_agent(path: Path) -> TrainedAgent:
+    """A trained agent.
+
+    Raises ValueError for a missing, damaged or foreign file, for one that holds pickled objects,
+    and for an agent that sees something else than this project's environments offer.
+    """
+    path = Path(path)
+    recipe = read_recipe(path)
+    if recipe is None:
+        raise ValueError(untrusted(path, "has no recipe of train.py"))
+    if recipe["format"] == PICKLED:
+        raise ValueError(untrusted(path, "is of a former version of train.py"))
+    try:
+        weights = from_npz(read_entry(path, WEIGHTS), WEIGHTS)
+        actor = Actor(recipe["algorithm"], recipe["network"], weights)
+    except ValueError as error:
+        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
+    return agent_of(path, recipe, actor, (recipe["network"]["inputs"],))
+
+
+def agent_of(
+    path: Path, recipe: Mapping[str, Any], model: Predictor, shown: tuple[int, ...] | None
+) -> TrainedAgent:
+    """The agent with this checked recipe and network, which sees inputs of the shape `shown`.
+
+    Raises ValueError for a network that sees something else, and for a damaged student.
+    """
+    kind, options = recipe["memory"], recipe["memory_options"]
+    known = driven(recipe)
+    expected = (layout.SIZE + _features(kind, options, known),)
+    if shown != expected:
+        raise ValueError(
+            f"agent {path} sees {shown}; must see {expected} (memory {kind!r}). Was it trained on "
+            "another environment, or inside a wrapper? Then pass it as module:function."
+        )
+    normalisation = normalisation_of(recipe)
+    if kind == STUDENT:
+        try:
+            model = read_student(read_entry(path, INFERENCE), options, model, normalisation)
+        except ValueError as error:
+            raise ValueError(f"agent {path} cannot be loaded as a student: {error}") from error
+        kind, options, normalisation = "history", {"lags": options["lags"]}, None
+
+    def make(context: Context) -> AgentPolicy | TeacherPolicy:
+        period = recipe["control_period"]
+        if abs(period - context.control_period) > 1e-9:
+            raise ValueError(
+                f"agent {path} was trained with a control period of {period:g} s; this "
+                f"environment has {context.control_period:g} s"
+            )
+        if context.drive != known.drive:
+            raise ValueError(
+                f"agent {path} was trained to command each sprocket's {known.drive}; this "
+                f"environment takes its {context.drive}"
+            )
+        return policy_of(model, kind, options, context, normalisation)
+
+    whole = recipe["memory"] in ("estimates", "residual")  # estimators and controllers too
+    return TrainedAgent(make, (HERE.parent if whole else HERE,))
+
+
+class _Nominal(NamedTuple):
+    """A context that names the features of an augmentation."""
+
+    drive: str
+    vehicle: str
+    control_period: float = 0.02
+    lateral: str = "sliding"
+    sensors: Any = DataSheet()
+    observation: Sequence[str] = layout.NAMES
+
+
+def _features(kind: str, options: Mapping[str, Any], known: Driven) -> int:
+    """Number of features that an agent of this kind sees besides the observation."""
+    if kind in (TEACHER, STUDENT):  # a student hands them to its teacher's network
+        return len(PRIVILEGED)
+    return len(make_augmentation(kind, options, _Nominal(*known), 1).feature_names)

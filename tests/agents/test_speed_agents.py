@@ -1,0 +1,31 @@
+"""Agents that drive by sprocket speeds are trained and drive."""
+
+import numpy as np
+import pytest
+
+import train
+from agents.loading import agent_entry
+from tests.agents.agent_cases import small
+from tracked_env import SPEED, SPEED_ID
+from tracked_env import observation as obs
+from tracked_env.benchmark import PolicyContext
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.sensors import MOCAP
+
+CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
+
+
+@pytest.mark.parametrize("kind", ["blind", "history", "estimates", "residual", "teacher"])
+def test_every_kind_of_agent_trains_on_speed_v0(kind, tmp_path):
+    config = small(tmp_path, env=SPEED_ID, memory=kind, uncertainty=("mixture",))
+    assert train.main(config) == 0
+    if kind == "teacher":
+        return
+    policy = agent_entry(tmp_path / "agent.zip").make(CONTEXT)
+    observation, _ = TrackedVehicleEnv(**SPEED).reset(seed=0)
+    action, _ = policy.predict(observation)
+    assert action.shape == (2,)
+    assert np.isfinite(action).all()
+    assert observation.shape == (obs.SIZE,)
+    with pytest.raises(ValueError, match="trained to command"):
+        agent_entry(tmp_path / "agent.zip").make(CONTEXT._replace(drive="torque"))

@@ -1,0 +1,179 @@
+"""Networks in NumPy: the actions of PyTorch, the same bits in any batch, bounds and forgetting."""
+
+import numpy as np
+import pytest
+
+from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
+from baselines.learned.agent_policy import policy_of
+from baselines.learned.forward_pass import ALGORITHMS, Actor, Perceptron, actor_shapes
+from baselines.learned.recipe import STUDENT, normalisation_of
+from baselines.learned.shipped import shipped_agents
+from baselines.learned.student import inference_layers
+from baselines.learned.trained_agent import open_agent
+from tracked_env import SPEED
+from tracked_env.benchmark import PolicyContext
+from tracked_env.sensors import MOCAP
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+CONTEXTS = {
+    "torque": PolicyContext(0.02, "sliding"),
+    "speed": PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi"),
+}
+FAMILIES = [(drive, name) for drive in CONTEXTS for name in shipped_agents(drive)]
+NETWORKS = [
+    {"inputs": 31, "hidden": [64, 64], "activation": "tanh"},
+    {"inputs": 40, "hidden": [16, 8, 24], "activation": "relu"},
+    {"inputs": 5, "hidden": [], "activation": "tanh"},
+]
+
+
+def made(algorithm, network, seed=0):
+    """Architecture and random weights of the size that training gives them."""
+    network = {**network, "lstm_hidden": 12 if algorithm == "recurrent-ppo" else None}
+    random = np.random.default_rng(seed)
+    shapes = actor_shapes(algorithm, network)
+    weights = {
+        name: (random.normal(size=shape) / np.sqrt(shape[-1])).astype(np.float32)
+        for name, shape in shapes.items()
+    }
+    return network, weights
+
+
+def inputs(network, steps=40, count=4, seed=1):
+    """A sequence (T, N, D) of observations and the rows whose episodes start (T, N)."""
+    random = np.random.default_rng(seed)
+    shown = 2.0 * random.normal(size=(steps, count, network["inputs"])).astype(np.float32)
+    return shown, random.random((steps, count)) < 0.1
+
+
+def actions(model, shown, starts):
+    state, found = None, []
+    for observation, start in zip(shown, starts, strict=True):
+        action, state = model.predict(observation, state, start, deterministic=True)
+        found.append(np.array(action))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("network", NETWORKS, ids=["two-layers", "three-layers", "no-layer"])
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_an_actor_acts_as_the_policy_of_stable_baselines3(algorithm, network):
+    networks = pytest.importorskip("agents.networks", reason="the reference needs the extra `rl`")
+    network, weights = made(algorithm, network)
+    theirs = networks.build(algorithm, network, weights)
+    assert {name: value.shape for name, value in networks.weights_of(theirs).items()} == (
+        actor_shapes(algorithm, network)
+    )
+    shown, starts = inputs(network)
+    expected = actions(theirs, shown, starts)
+    assert np.ptp(expected) > 0.5
+    found = actions(Actor(algorithm, network, weights), shown, starts)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-5)
+
+
+def with_torch(path, context):
+    """The agent of an archive with networks of PyTorch."""
+    torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
+    from agents.archive import load_network
+    from agents.inference import StudentModel, make_inference
+
+    recipe = read_recipe(path)
+    kind, options, normalisation = (
+        recipe["memory"], recipe["memory_options"], normalisation_of(recipe)
+    )  # fmt: skip
+    model = load_network(path, recipe)
+    if kind == STUDENT:
+        inference = make_inference(tuple(options["lags"]), tuple(options["hidden"]))
+        stored = from_npz(read_entry(path, INFERENCE), INFERENCE)
+        stored.pop("format", None)
+        inference.load_state_dict({name: torch.from_numpy(v) for name, v in stored.items()})
+        model = StudentModel(inference, model, normalisation)
+        kind, options, normalisation = "history", {"lags": options["lags"]}, None
+    return policy_of(model, kind, options, context, normalisation)
+
+
+@pytest.mark.parametrize(("drive", "name"), FAMILIES)
+def test_a_shipped_agent_acts_over_an_episode_as_with_pytorch(drive, name):
+    path, context = shipped_agents(drive)[name][0], CONTEXTS[drive]
+    ours, theirs = open_agent(path).make(context), with_torch(path, context)
+    options = SPEED if drive == "speed" else {"uncertainty": "mixed"}
+    env = TrackedVehicleVectorEnv(3, **options, duration=12.0, autoreset_mode="SameStep")
+    observation, _ = env.reset(seed=11)
+    start, state, their_state = np.ones(3, dtype=bool), None, None
+    largest = 0.0
+    for _ in range(610):  # an episode, and the start of the next one
+        action, state = ours.predict(observation, state, start)
+        expected, their_state = theirs.predict(observation, their_state, start)
+        largest = max(largest, float(np.abs(action - expected).max()))
+        observation, _, terminated, truncated, _ = env.step(action)
+        start = terminated | truncated
+    assert largest < 1e-5
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_row_of_a_batch_has_the_bits_of_the_row_alone(algorithm):
+    network, weights = made(algorithm, NETWORKS[0])
+    shown, starts = inputs(network, count=37)
+    together = actions(Actor(algorithm, network, weights), shown, starts)
+    for row in (0, 1, 19, 36):
+        alone = actions(
+            Actor(algorithm, network, weights), shown[:, row : row + 1], starts[:, row : row + 1]
+        )
+        np.testing.assert_array_equal(together[:, row : row + 1], alone)
+
+
+@pytest.mark.parametrize(("drive", "name"), FAMILIES)
+def test_a_shipped_agent_drives_a_row_of_a_batch_as_one_vehicle(drive, name):
+    path = shipped_agents(drive)[name][0]
+    options = SPEED if drive == "speed" else {"uncertainty": "mixed"}
+
+    def commands(count, seed):
+        env = TrackedVehicleVectorEnv(count, **options)
+        policy = open_agent(path).make(CONTEXTS[drive])
+        observation, _ = env.reset(seed=seed)
+        state, found = None, []
+        for _ in range(100):
+            action, state = policy.predict(observation, state)
+            found.append(action)
+            observation = env.step(action)[0]
+        return np.array(found)
+
+    together = commands(3, 5)
+    np.testing.assert_array_equal(together[:, 1:2], commands(1, 6))
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_actions_stay_within_their_bounds(algorithm):
+    network, weights = made(algorithm, NETWORKS[0])
+    strong = {name: 50.0 * value for name, value in weights.items()}
+    shown, starts = inputs(network)
+    found = actions(Actor(algorithm, network, strong), 100.0 * shown, starts)
+    assert np.isfinite(found).all()
+    assert np.abs(found).max() == 1.0
+
+
+def test_a_row_that_starts_forgets_and_the_others_do_not():
+    network, weights = made("recurrent-ppo", NETWORKS[0])
+    actor = Actor("recurrent-ppo", network, weights)
+    shown, _ = inputs(network, steps=6, count=2)
+    _, state = actor.predict(shown[0], None, np.ones(2, dtype=bool))
+    action, _ = actor.predict(shown[1], state, np.array([True, False]))
+    fresh, _ = actor.predict(shown[1])
+    carried, _ = actor.predict(shown[1], state, np.zeros(2, dtype=bool))
+    np.testing.assert_array_equal(action, [fresh[0], carried[1]])
+    assert (fresh[1] != carried[1]).any()
+
+
+def test_the_elu_of_an_inference_is_that_of_pytorch():
+    torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
+    random = np.random.default_rng(0)
+    modules = torch.nn.Sequential(
+        torch.nn.Linear(7, 20), torch.nn.ELU(), torch.nn.Linear(20, 9), torch.nn.ELU(),
+        torch.nn.Linear(9, 3),
+    )  # fmt: skip
+    stored = {name: value.numpy() for name, value in modules.state_dict().items()}
+    shown = 30.0 * random.normal(size=(50, 7)).astype(np.float32)
+    with torch.no_grad():
+        expected = modules(torch.from_numpy(shown)).numpy()
+    found = Perceptron(stored, inference_layers((20, 9)), "elu")(shown)
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)

@@ -1,0 +1,139 @@
+"""Policies by entry point: ours, another package's, broken ones, and a clone without any."""
+
+from functools import partial
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines.learned.shipped import PRETRAINED, shipped_agents
+from baselines.registry import BY_DRIVE
+from tests.benchmark.plugin_package import Install, install
+from tracked_env.benchmark import PolicyContext, registered_policies
+from tracked_env.benchmark.policy_lookup import load_policies
+from tracked_env.benchmark.registered_policies import (
+    Registered,
+    by_name,
+    default_names,
+    open_archive,
+)
+
+
+@pytest.fixture
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
+    """Installs a package with entries of its own."""
+    return partial(install, tmp_path, monkeypatch)
+
+
+def registered() -> tuple[list[Registered], list[str]]:
+    """What is registered, and what is said to be left out."""
+    said: list[str] = []
+    return registered_policies.registered_policies(said.append), said
+
+
+def ours() -> list[tuple[str, str | None]]:
+    return [
+        (name, drive) for drive in BY_DRIVE for name in (*BY_DRIVE[drive], *shipped_agents(drive))
+    ]
+
+
+def test_controllers_and_shipped_agents_are_registered_per_drive_in_their_order() -> None:
+    policies, said = registered()
+    assert [(policy.name, policy.drive) for policy in policies[: len(ours())]] == ours()
+    assert said == []
+    assert default_names(policies, "torque")[:3] == ("nominal", "adaptive", "oracle")
+    assert "ppo-student" in default_names(policies, "torque")
+    assert "ppo-student" not in default_names(policies, "speed")
+    assert all(policy.summary and "\n" not in policy.summary for policy in policies)
+
+
+def test_every_shipped_archive_is_registered() -> None:
+    found = {path for policy in registered()[0] if policy.is_trained for path in policy.found}
+    assert found == set(PRETRAINED.glob("*/*/agent.zip"))
+
+
+def test_a_policy_of_an_installed_package_is_known_by_its_name(
+    plugin: Install,
+) -> None:
+    plugin(coast="plugin_policies:Coast", anywhere="plugin_policies:Anywhere")
+    policies, said = registered()
+    assert said == []
+    (coast,) = [policy for policy in policies if policy.name == "coast"]
+    assert (coast.drive, coast.distribution) == ("torque", "other-package")
+    assert coast.summary == "Lets the vehicle coast."
+    assert default_names(policies, "torque")[-1] == "coast"  # behind ours
+    assert "anywhere" not in default_names(policies, "torque")  # only by its name
+    registry, trained = by_name(policies, "torque")
+    entry, second = load_policies(["coast", "anywhere"], registry, trained, open_archive)
+    policy = entry.make(PolicyContext(0.02, "sliding"))
+    action, _ = policy.predict(np.zeros((2, 31), dtype=np.float32))
+    assert action.shape == (2, 2)
+    assert entry.name == "coast" and second.name == "anywhere"
+
+
+def test_one_entry_can_register_many_policies(plugin: Install) -> None:
+    plugin(all_of_them="plugin_policies:Several")
+    policies, said = registered()
+    assert said == []
+    found = [(p.name, p.drive) for p in policies if p.distribution == "other-package"]
+    assert found == [("coast-too", "torque"), ("coast", "speed")]
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("broken_policies:Policy", "ModuleNotFoundError: No module named 'not_installed_anywhere'"),
+        ("plugin_policies:Absent", "AttributeError"),
+        ("plugin_policies:Lost", "its drive is 'wheels'; must be one of torque, speed"),
+        ("plugin_policies:NOTHING", "no `predict` and is no factory"),
+    ],
+)
+def test_a_broken_package_is_one_line_that_names_it_and_the_others_work(
+    value: str, message: str, plugin: Install
+) -> None:
+    plugin(broken=value, coast="plugin_policies:Coast")
+    policies, (said,) = registered()
+    assert said.startswith(f"policies 'broken' of other-package ({value}) are left out: ")
+    assert message in said and "\n" not in said
+    assert {name for name, _ in ours()} | {"coast"} == {policy.name for policy in policies}
+
+
+def test_a_name_that_we_have_stays_ours(plugin: Install) -> None:
+    plugin(nominal="plugin_policies:Coast")
+    policies, (said,) = registered()
+    assert said == "policy 'nominal' of other-package is left out: tracked-env has it"
+    assert [p.distribution for p in policies if p.name == "nominal"] == ["tracked-env"]
+
+
+def test_in_a_clone_that_is_not_installed_nothing_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registered_policies, "entry_points", lambda group: ())
+    assert [(policy.name, policy.drive) for policy in registered()[0]] == ours()
+    assert open_archive(shipped_agents("speed")["ppo-blind"][0]).name == "ppo-blind-seed0"
+
+
+def test_installed_without_a_clone_the_entries_of_the_distribution_count(
+    plugin: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registered_policies, "_PACKAGES", tmp_path)
+    plugin("tracked-env", baselines="baselines.registry")
+    policies, said = registered()
+    assert said == []
+    assert [(policy.name, policy.drive) for policy in policies] == ours()
+
+
+def test_of_two_agents_of_one_name_the_one_for_the_drive_is_taken() -> None:
+    for drive in BY_DRIVE:
+        _, trained = by_name(registered()[0], drive)
+        assert trained["ppo-blind"] == shipped_agents(drive)["ppo-blind"]
+
+
+def test_an_archive_that_nothing_opens_is_a_clear_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def entries(group: str) -> list[tuple[str, EntryPoint]]:
+        return []
+
+    monkeypatch.setattr(registered_policies, "_declared", entries)
+    with pytest.raises(ValueError, match="no installed package opens archives"):
+        open_archive(tmp_path / "agent.zip")

@@ -1,0 +1,224 @@
+"""The command `tracked-env`: comparisons, lists, pictures, and what only a clone has."""
+
+import json
+import os
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from baselines.learned.shipped import shipped_agents
+from baselines.registry import POLICIES
+from tests.benchmark.plugin_package import Install, install
+from tracked_env.benchmark.sets import SETS
+from tracked_env.cli import clone, evaluate_command
+from tracked_env.cli.evaluate_options import Config, parsed
+from tracked_env.cli.main import COMMANDS, main
+
+TINY = ("--sets", "payload", "--episodes", "1", "--duration", "0.5")
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands change the path of imports and what Ctrl-C does; both are put back."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+
+
+@pytest.fixture
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
+    """Installs a package with policies of its own."""
+    return partial(install, tmp_path, monkeypatch)
+
+
+def test_evaluate_compares_and_writes_what_evaluate_py_writes(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert (
+        main(["evaluate", *TINY, "--policies", "nominal,oracle", "ppo-blind", "--no-figures"]) == 0
+    )
+    assert "Leaderboard" in capsys.readouterr().out
+    (file,) = Path("results").glob("*/results.json")
+    found = {record["policy"] for record in json.loads(file.read_text())["episodes"]}
+    assert found == {"nominal", "oracle", *(f"ppo-blind@{seed}" for seed in range(5))}
+    assert "ppo-blind" in (file.parent / "leaderboard.html").read_text()
+
+
+def test_a_wrong_argument_is_one_line_that_names_the_command(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["evaluate", *TINY, "--policies", "nominl"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("tracked-env evaluate: unknown policy") and error.count("\n") == 1
+    with pytest.raises(SystemExit, match="2"):
+        main(["evaluat"])
+    assert "invalid choice: 'evaluat'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], {}),
+        (["--policies", "a,b", "c"], {"policies": ("a", "b", "c")}),
+        (["--policies", "a,,b", "a"], {"policies": ("a", "b")}),
+        (["--sets", "payload", "ood"], {"sets": ("payload", "ood")}),
+        (["--env", "Speed-v0"], {"env": "tracked_env/Speed-v0"}),
+        (["--env", "tracked_env/Speed-v0"], {"env": "tracked_env/Speed-v0"}),
+        (["--no-figures", "--video"], {"figures": False, "video": True}),
+        (["--sensors", '{"preset": "rtk", "pose_delay": 0.1}'],
+         {"sensors": '{"preset": "rtk", "pose_delay": 0.1}'}),
+        (["--seed", "3", "--duration", "2.5", "--output", "x"],
+         {"seed": 3, "duration": 2.5, "output": Path("x")}),
+    ],
+)  # fmt: skip
+def test_a_command_line_is_the_configuration_that_it_says(
+    arguments: list[str], expected: dict[str, Any]
+) -> None:
+    assert parsed(arguments, "test") == Config(**expected)
+
+
+def test_a_file_with_a_comma_in_its_name_is_one_policy() -> None:
+    Path("a,b.zip").write_bytes(b"")
+    assert parsed(["--policies", "a,b.zip", "mine=a,b.zip"], "test").policies == (
+        "a,b.zip", "mine=a,b.zip",
+    )  # fmt: skip
+
+
+def test_no_option_is_understood_from_its_beginning_alone() -> None:
+    with pytest.raises(SystemExit, match="2"):
+        parsed(["--episode", "3"], "test")
+
+
+def test_policies_lists_controllers_agents_and_those_of_other_packages(
+    plugin: Install,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    plugin(coast="plugin_policies:Coast", broken="broken_policies:Policy")
+    assert main(["policies"]) == 0
+    shown = capsys.readouterr()
+    lines = shown.out.splitlines()
+    names = [line.split()[0] for line in lines if line.startswith("  ")]
+    agents = [name for drive in ("torque", "speed") for name in shipped_agents(drive)]
+    assert sorted(names) == sorted([*POLICIES, *agents, "coast"])
+    assert "Lets the vehicle coast.  [other-package]" in next(li for li in lines if " coast " in li)
+    assert shown.err.startswith("warning: policies 'broken' of other-package")
+    assert shown.err.count("\n") == 1
+    assert main(["policies", "--env", "Speed-v0"]) == 0
+    assert "tracked_env/Torque-v0" not in capsys.readouterr().out
+
+
+def test_a_policy_of_another_package_is_evaluated_by_its_name(plugin: Install) -> None:
+    plugin(coast="plugin_policies:Coast")
+    assert main(["evaluate", *TINY, "--policies", "oracle", "coast", "--no-figures"]) == 0
+    (file,) = Path("results").glob("*/results.json")
+    found = {record["policy"] for record in json.loads(file.read_text())["episodes"]}
+    assert found == {"oracle", "coast"}
+
+
+def test_envs_lists_every_environment_and_evaluation_set(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["envs"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines if line.startswith("  ")] == list(SETS)
+    heads = [line.split()[0] for line in lines if not line.startswith("  ")]
+    assert heads == ["tracked_env/Torque-v0", "tracked_env/Speed-v0"]
+
+
+def test_leaderboard_evaluates_everything_on_both_environments(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[Config] = []
+    monkeypatch.setattr(
+        "tracked_env.cli.leaderboard_command.run_config",
+        lambda config, program: asked.append(config) or 0,
+    )
+    assert main(["leaderboard", "--episodes", "3", "--output", "board"]) == 0
+    shown = {"episodes": 3, "output": Path("board"), "figures": False}
+    assert asked == [Config(**shown), Config(env="tracked_env/Speed-v0", **shown)]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4", ".png"])
+def test_render_writes_the_episode_in_the_format_of_the_file(suffix: str) -> None:
+    pytest.importorskip("pygame", reason="pictures need the extra `render`")
+    image = pytest.importorskip("PIL.Image")
+    moviepy = pytest.importorskip("moviepy")
+    file = Path("folder") / f"one{suffix}"
+    arguments = ["ppo-blind", "--set", "drift", "--duration", "1", "--file", str(file)]
+    assert main(["render", *arguments]) == 0
+    assert list(file.parent.iterdir()) == [file]
+    if suffix == ".mp4":
+        with moviepy.VideoFileClip(str(file)) as clip:
+            assert clip.fps == 50
+            assert len(list(clip.iter_frames())) == pytest.approx(51, abs=1)
+        return
+    with image.open(file) as picture:
+        assert picture.size == (960, 640)
+        frames = getattr(picture, "n_frames", 1)
+        assert frames == (11 if suffix == ".gif" else 1)
+        assert picture.convert("L").getextrema() != (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nominal", "--file", "one.bmp"], "file one.bmp: must end in .mp4, .gif, .png"),
+        (["nominal", "--set", "mud"], "unknown evaluation set 'mud'"),
+        (["uc"], "this policy commands each sprocket's speed"),
+        (["nothing"], "unknown policy"),
+    ],
+)
+def test_what_cannot_be_rendered_is_one_line(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["render", *arguments]) in (1, 2)
+    error = capsys.readouterr().err
+    assert error.startswith("tracked-env render: ") and error.count("\n") == 1
+    assert message in error
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["train", "--memory", "estimates"], "training is not part of the installed package"),
+        (["evaluate", "--paper", "strawa2021"], "needs the package `reproduce`"),
+        (["evaluate", "--trust"], "needs PyTorch and the package `agents`"),
+    ],
+)
+def test_what_only_a_clone_has_is_one_line_that_says_how_to_get_it(
+    arguments: list[str],
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(clone, "ROOT", tmp_path)
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error and "Clone the repository" in error and error.count("\n") == 1
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_a_help(command: str, repository: Path) -> None:
+    pytest.importorskip("tyro", reason="train.py needs the extra `cli`")
+    pytest.importorskip("torch", reason="train.py needs the extra `rl`")
+    environment = {**os.environ, "PYTHONPATH": str(repository), "COLUMNS": "100"}
+    done = subprocess.run(
+        [sys.executable, "-m", "tracked_env.cli.main", command, "--help"],
+        env=environment, capture_output=True, text=True, timeout=120, check=True,
+    )  # fmt: skip
+    assert "usage:" in done.stdout
+    assert len(done.stdout.splitlines()) > 5
+
+
+def test_the_options_of_the_front_and_of_the_command_are_the_same() -> None:
+    import evaluate
+
+    assert evaluate.Config is Config
+    assert evaluate_command.INSTALLED == (None, None)

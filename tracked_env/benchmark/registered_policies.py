@@ -1,0 +1,178 @@
+"""Policies that packages register by entry point, so that a command line knows them by name.
+
+    [project.entry-points."tracked_env.policies"]
+    mine = "my_package.policies:Mine"
+The object is what `module:attribute` of a command line may name: a policy, or a class or function
+that makes one. Its attribute `drive` ("torque" or "speed"), if it has one, says which environments
+it is for; those are then compared with it by default. One entry may also register many: an object
+with a function
+    policies() -> {drive: {name: policy, or a list of archives, one per training seed}}
+
+Archives of agents are opened by the entries of the group `tracked_env.archives`, functions that
+take a path and return an object with `make(context)` and `sources`, the folders whose code its
+actions depend on, or raise ValueError.
+
+A clone that is not installed registers what its pyproject.toml says.
+"""
+
+import re
+import sys
+import tomllib
+from collections.abc import Callable, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tracked_env.benchmark.policy_interface import (
+    PolicyEntry,
+    PolicyFactory,
+    as_factory,
+    source_fingerprint,
+)
+from tracked_env.benchmark.policy_lookup import OpenedArchive, archive_entry
+
+POLICIES, ARCHIVES = "tracked_env.policies", "tracked_env.archives"  # groups of entry points
+OURS = "tracked-env"  # our distribution, whose policies come first
+DRIVES = ("torque", "speed")
+_PACKAGES = Path(__file__).resolve().parents[2]  # where this package lies
+
+
+class Registered(NamedTuple):
+    """A policy under its name."""
+
+    name: str
+    drive: str | None  # None: for any
+    found: Any  # what `module:attribute` names, or a list of archives
+    module: str  # whose package is its source
+    distribution: str  # that registers it
+
+    @property
+    def is_trained(self) -> bool:
+        """Whether it is a list of archives."""
+        return isinstance(self.found, list)
+
+    @property
+    def summary(self) -> str:
+        """One line for a list."""
+        if self.is_trained:
+            seeds = len(self.found)
+            return f"trained agent, {seeds} seed{'s' * (seeds > 1)}"
+        text = getattr(self.found, "__doc__", None) or ""
+        return text.strip().partition("\n")[0]
+
+
+def _name(distribution: str) -> str:
+    return re.sub(r"[-_.]+", "-", distribution).lower()
+
+
+def _of_clone(group: str) -> list[EntryPoint]:
+    """What the pyproject.toml beside this package says, nothing where there is none."""
+    try:
+        project = tomllib.loads((_PACKAGES / "pyproject.toml").read_text(encoding="utf-8"))
+        if _name(project["project"]["name"]) != OURS:
+            return []
+        known = project["project"]["entry-points"].get(group, {})
+    except (OSError, KeyError, tomllib.TOMLDecodeError):
+        return []
+    return [EntryPoint(name, value, group) for name, value in known.items()]
+
+
+def _declared(group: str) -> list[tuple[str, EntryPoint]]:
+    """Distribution and entry, ours first, then by name."""
+    own = _of_clone(group)
+    found = [(OURS, entry) for entry in own]
+    for entry in entry_points(group=group):
+        distribution = _name(entry.dist.name) if entry.dist else "?"
+        if not (own and distribution == OURS):
+            found.append((distribution, entry))
+    return sorted(found, key=lambda each: (each[0] != OURS, each[0], each[1].name))
+
+
+def _loaded(group: str, warn: Callable[[str], None]) -> list[tuple[str, EntryPoint, Any]]:
+    """What can be imported; the others are left out with a warning."""
+    loaded = []
+    for distribution, entry in _declared(group):
+        try:
+            loaded.append((distribution, entry, entry.load()))
+        except (Exception, SystemExit) as error:
+            warn(_left_out(distribution, entry, error))
+    return loaded
+
+
+def _left_out(distribution: str, entry: EntryPoint, error: BaseException) -> str:
+    said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    return f"policies {entry.name!r} of {distribution} ({entry.value}) are left out: {said}"
+
+
+def _policies_of(entry: EntryPoint, found: Any) -> list[tuple[str, str | None, Any]]:
+    """Name, drive and policy of everything that an entry registers."""
+    if not callable(getattr(found, "policies", None)):
+        drive = getattr(found, "drive", None)
+        if drive is not None and drive not in DRIVES:
+            raise ValueError(f"its drive is {drive!r}; must be one of {', '.join(DRIVES)}")
+        policies = [(entry.name, drive, found)]
+    else:
+        many: Mapping[str, Mapping[str, Any]] = found.policies()
+        if set(many) - {*DRIVES}:
+            raise ValueError(f"it has policies of drives {sorted(many)}; known are {DRIVES}")
+        policies = [(name, drive, one) for drive, of in many.items() for name, one in of.items()]
+    for name, _, one in policies:
+        if not isinstance(one, list):
+            as_factory(name, one)
+    return policies
+
+
+def _to_stderr(text: str) -> None:
+    print(f"warning: {text}", file=sys.stderr)
+
+
+def registered_policies(warn: Callable[[str], None] = _to_stderr) -> list[Registered]:
+    """Everything that is registered. warn: is told what is left out, and why."""
+    known: dict[tuple[str, str | None], Registered] = {}
+    for distribution, entry, found in _loaded(POLICIES, warn):
+        try:
+            of_entry = _policies_of(entry, found)
+        except (Exception, SystemExit) as error:
+            warn(_left_out(distribution, entry, error))
+            continue
+        for name, drive, one in of_entry:
+            new = Registered(name, drive, one, entry.module, distribution)
+            other = known.setdefault((name, drive), new)
+            if other is not new:
+                warn(f"policy {name!r} of {distribution} is left out: {other.distribution} has it")
+    return list(known.values())
+
+
+def default_names(policies: list[Registered], drive: str) -> tuple[str, ...]:
+    """Names of all that are for this drive."""
+    return tuple(policy.name for policy in policies if policy.drive == drive)
+
+
+def by_name(
+    policies: list[Registered], drive: str
+) -> tuple[dict[str, PolicyFactory | PolicyEntry], dict[str, list[Path]]]:
+    """Policies and archives for `load_policies`; of one name, the one for this drive.
+
+    The others are there too: they say themselves that they are for another drive.
+    """
+    chosen: dict[str, Registered] = {}
+    for policy in sorted(policies, key=lambda each: (each.drive != drive, each.drive is not None)):
+        chosen.setdefault(policy.name, policy)
+    registry: dict[str, PolicyFactory | PolicyEntry] = {
+        name: PolicyEntry(name, as_factory(name, of.found), source_fingerprint(of.module))
+        for name, of in chosen.items()
+        if not of.is_trained
+    }
+    return registry, {name: of.found for name, of in chosen.items() if of.is_trained}
+
+
+def open_archive(path: Path) -> PolicyEntry:
+    """A trained agent, by the first registered function that can open it. Raises ValueError."""
+    first: ValueError | None = None
+    for _, _, opened in _loaded(ARCHIVES, _to_stderr):
+        open_one: Callable[[Path], OpenedArchive] = opened
+        try:
+            return archive_entry(path, open_one)
+        except ValueError as error:
+            first = first or error
+    raise first or ValueError(f"agent {path}: no installed package opens archives of agents")

@@ -1,0 +1,1 @@
+"""The command `tracked-env`; needs the core dependencies only."""

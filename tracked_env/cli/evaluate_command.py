@@ -1,0 +1,209 @@
+"""`tracked-env evaluate`: the paired comparison of policies, from options to files and tables."""
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tracked_env import SPEED_ID
+from tracked_env.benchmark import (
+    BenchmarkConfig,
+    Store,
+    Summary,
+    check,
+    default_sets,
+    leaderboard,
+    leaderboard_page,
+    report,
+)
+from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
+from tracked_env.benchmark.policy_lookup import archives, load_policies
+from tracked_env.benchmark.registered_policies import (
+    by_name,
+    default_names,
+    open_archive,
+    registered_policies,
+)
+from tracked_env.benchmark.runner import pending, progress_bar, run
+from tracked_env.benchmark.sets import VERSION
+from tracked_env.benchmark.store import identity_hash
+from tracked_env.benchmark.summary import Row, rows_of
+from tracked_env.cli import clone
+from tracked_env.cli.evaluate_options import DRIVES, Config, parsed
+from tracked_env.validation import checked_choice, name_or_json
+
+
+class Extras(NamedTuple):
+    """What only a clone can do; None where it cannot."""
+
+    open_trusted: Callable[[Path], PolicyEntry] | None = None  # an archive with pickled objects
+    reproduce: Callable[[Config], int] | None = None  # a paper's experiments
+
+
+INSTALLED = Extras()
+
+
+def benchmark_config(config: Config) -> BenchmarkConfig:
+    """The part of the command line that the benchmark knows. Raises ValueError."""
+    checked_choice("environment", config.env, DRIVES)
+    return BenchmarkConfig(
+        sets=config.sets or default_sets(config.env),
+        episodes=config.episodes,
+        seed=config.seed,
+        reference=name_or_json(config.reference, "reference"),
+        sensors=name_or_json(config.sensors, "sensors"),
+        duration=config.duration,
+        lateral=config.lateral,
+        chunk=config.chunk,
+    )
+
+
+def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
+    """One folder per configuration: the readable part of it, and the hash of all of it."""
+    labels = [
+        spec if isinstance(spec, str) else spec.get(key, "custom")
+        for spec, key in ((benchmark.reference, "kind"), (benchmark.sensors, "preset"))
+        if spec is not None
+    ]
+    if benchmark.duration is not None:
+        labels.append(f"{benchmark.duration:g}s")
+    track = [benchmark.env.partition("/")[2].lower()] if benchmark.env == SPEED_ID else []
+    name = "-".join([*track, *(labels or [VERSION]), f"seed{benchmark.seed}"])
+    return output / f"{name}-{identity_hash(benchmark.identity())[:8]}"
+
+
+def draw(
+    config: Config,
+    benchmark: BenchmarkConfig,
+    entries: list[PolicyEntry],
+    store: Store,
+    records: list[dict[str, Any]],
+) -> None:
+    """Figures and videos, as far as they are asked for and their packages are installed."""
+    folder = store.folder
+    try:
+        if config.figures:
+            from tracked_env.benchmark import episode_figures
+
+            files = episode_figures.save_all(
+                folder / "figures", store, records, benchmark.sets, benchmark.seed
+            )
+            print(f"{len(files)} figures in {folder / 'figures'}")
+        if config.video:
+            from tracked_env.benchmark import video
+
+            for entry in entries:
+                path = video.record(benchmark, entry, benchmark.sets[0], 0, folder / "videos")
+                print(f"video {path}")
+    except ImportError as error:
+        print(f"not drawn: {error}", file=sys.stderr)
+
+
+def write_leaderboard(
+    config: Config,
+    store: Store,
+    summary: Summary,
+    rows: Mapping[str, Row],
+    conditions: str,
+    folders: Mapping[str, Sequence[Path]],
+) -> str:
+    """Write the leaderboard as JSON, Markdown and HTML; returns it as text.
+
+    folders: of the archives of an agent, which may have learning curves.
+    """
+    board = leaderboard.leaderboard(summary, rows, conditions)
+    leaderboard.write(store.folder, board)
+    curves = leaderboard.read_curves(folders)
+    leaderboard_page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
+    return leaderboard.terminal(board)
+
+
+def open_with(config: Config, extras: Extras) -> Callable[[Path], PolicyEntry]:
+    """What opens archives. Raises ValueError where `--trust` cannot be followed."""
+    if config.trust and extras.open_trusted is None:
+        raise ValueError(
+            "--trust needs PyTorch and the package `agents`, which is not part of the installed "
+            "package. Clone the repository, run `make install` there, then `python evaluate.py`"
+        )
+    return extras.open_trusted if config.trust and extras.open_trusted else open_archive
+
+
+def run_config(config: Config, program: str, extras: Extras = INSTALLED) -> int:
+    """Run what a configuration says; returns the exit status.
+
+    program: begins the line on stderr that says what failed.
+    """
+    try:
+        if config.paper == "none":
+            return compare(config, program, extras)
+        if extras.reproduce is None:
+            raise ValueError(
+                f"--paper {config.paper} needs the package `reproduce`, which is not part of the "
+                "installed package. Clone the repository, run `make install` there, then "
+                "`make paper`"
+            )
+        return extras.reproduce(config)
+    except (PolicyError, OSError) as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 1
+    except ValueError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 2
+
+
+def main(arguments: Sequence[str], program: str) -> int:
+    """`tracked-env evaluate`; returns the exit status."""
+    config = parsed(arguments, program)
+    if (config.trust or config.paper != "none") and clone.script("evaluate.py"):
+        clone.run_script("evaluate.py", arguments)
+    return run_config(config, program)
+
+
+def compare(config: Config, program: str, extras: Extras) -> int:
+    """The benchmark: run, print the summary, write the results; returns the exit status."""
+    began = time.perf_counter()
+    try:
+        benchmark = benchmark_config(config)
+        drive = DRIVES[benchmark.env]
+        policies = registered_policies()
+        registry, trained = by_name(policies, drive)
+        specs = config.policies or default_names(policies, drive)
+        entries = load_policies(specs, registry, trained, open_with(config, extras))
+        for entry in entries:  # reject incompatible policies first
+            checked_policy(entry, benchmark.context(benchmark.sets[0]))
+        store = Store(result_folder(config.output, benchmark), benchmark.identity())
+    except ValueError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 2
+    checked = check(benchmark)
+    for notice in (*store.notices, checked.message):
+        print(notice)
+    known = len(store.notices)
+    tasks = list(pending(benchmark, entries, store))
+    asked = len(entries) * len(benchmark.sets) * benchmark.episodes
+    missing = sum(len(task.episodes) for task in tasks)
+    if missing < asked:
+        print(f"{asked - missing} of {asked} episodes are already in {store.folder}")
+    steps = sum(len(task.episodes) * benchmark.max_steps(task.uncertainty_set) for task in tasks)
+    with progress_bar(steps) as progress:
+        records = run(benchmark, entries, store, progress)
+    try:
+        rows = rows_of(records)
+    except ValueError as error:  # stored episodes that contradict each other
+        print(f"{program}: {error}", file=sys.stderr)
+        return 1
+    summary = report.summarise(records, rows)
+    report.write(store.folder, {**store.header, "benchmark": checked._asdict()}, records, summary)
+    conditions = f"{checked.message}; source {benchmark.identity()['source']}"
+    folders: dict[str, list[Path]] = {}
+    for name, path in (found for spec in specs for found in archives(spec, trained)):
+        folders.setdefault(name, []).append(path.parent)
+    board = write_leaderboard(config, store, summary, rows, conditions, folders)
+    print(f"\n{report.terminal(summary)}\n\n\nLeaderboard\n\n{board}\n")
+    print(f"results.json, episodes.csv, summary.md and leaderboard.html in {store.folder}")
+    draw(config, benchmark, entries, store, records)
+    for notice in store.notices[known:]:
+        print(notice)
+    print(f"done in {time.perf_counter() - began:.1f} s")
+    return 0

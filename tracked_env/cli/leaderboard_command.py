@@ -1,0 +1,33 @@
+"""`tracked-env leaderboard`: evaluation of everything that is registered, and the tables."""
+
+import argparse
+from collections.abc import Sequence
+
+from tracked_env.cli.evaluate_command import run_config
+from tracked_env.cli.evaluate_options import DRIVES, add_options, config_of, short_env
+
+# What a leaderboard has in its own way; everything else is as in `tracked-env evaluate`.
+_FIXED = ("env", "policies", "trust", "sets", "sensors", "reference", "duration", "lateral",
+          "figures", "video", "paper")  # fmt: skip
+
+
+def main(arguments: Sequence[str], program: str) -> int:
+    """Evaluate on the environments one after the other; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        prog=program,
+        allow_abbrev=False,
+        description="Evaluate all registered policies on all sets, and write leaderboard.json, "
+        "leaderboard.md and leaderboard.html.",
+    )
+    parser.add_argument(
+        "--env", type=short_env, choices=tuple(DRIVES), help="this environment alone"
+    )
+    add_options(parser, without=_FIXED)
+    given = parser.parse_args(arguments)
+    chosen = [given.env] if given.env else list(DRIVES)
+    for env in chosen:
+        given.env, given.figures = env, False
+        status = run_config(config_of(given), program)
+        if status != 0:
+            return status
+    return 0

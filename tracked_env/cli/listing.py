@@ -1,0 +1,66 @@
+"""`tracked-env policies` and `tracked-env envs`: one line each."""
+
+import argparse
+from collections.abc import Sequence
+
+import gymnasium
+
+from tracked_env.benchmark.registered_policies import OURS, registered_policies
+from tracked_env.benchmark.sets import SETS, default_sets
+from tracked_env.cli.evaluate_options import DRIVES, short_env
+from tracked_env.engine.env_config import EnvConfig
+
+
+def policies(envs: Sequence[str]) -> list[str]:
+    """The policies that are registered for these environments, and for any."""
+    lines = []
+    known = registered_policies()
+    width = max((len(policy.name) for policy in known), default=0)
+    for env, drive in [(env, DRIVES[env]) for env in envs] + [("any environment", None)]:
+        found = [policy for policy in known if policy.drive == drive]
+        if not found:
+            continue
+        lines.append(env)
+        for policy in found:
+            origin = "" if policy.distribution == OURS else f"  [{policy.distribution}]"
+            lines.append(f"  {policy.name:<{width}}  {policy.summary}{origin}")
+    return lines
+
+
+def environments(envs: Sequence[str]) -> list[str]:
+    """The environments with their drive, vehicle and plant, and their evaluation sets."""
+    lines = []
+    for env in envs:
+        made = {**EnvConfig._field_defaults, **gymnasium.spec(env).kwargs}
+        lines.append(
+            f"{env}  actions: sprocket {made['drive']}s; vehicle {made['vehicle']}; "
+            f"{made['plant']} plant; sensors {made['sensors']}"
+        )
+        default = default_sets(env)
+        width = max(len(name) for name in SETS)
+        for each in SETS.values():
+            if each.env == env:
+                known = "" if each.name in default else "  [not by default]"
+                sensors = each.sensors if isinstance(each.sensors, str) else dict(each.sensors)
+                lines.append(
+                    f"  {each.name:<{width}}  {each.uncertainty}, sensors {sensors}{known}"
+                )
+    return lines
+
+
+def main(arguments: Sequence[str], program: str) -> int:
+    """Either command; returns the exit status."""
+    lists_policies = program.endswith("policies")
+    parser = argparse.ArgumentParser(
+        prog=program,
+        description="List the policies that are registered, with all their seeds."
+        if lists_policies
+        else "List the environments and their evaluation sets.",
+    )
+    parser.add_argument(
+        "--env", type=short_env, choices=tuple(DRIVES), help="of this environment alone"
+    )
+    chosen = parser.parse_args(arguments).env
+    envs = tuple(DRIVES) if chosen is None else (chosen,)
+    print("\n".join(policies(envs) if lists_policies else environments(envs)))
+    return 0

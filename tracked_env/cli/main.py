@@ -1,0 +1,51 @@
+"""`tracked-env COMMAND ...`: compare, list and draw policies; train from a clone.
+
+Each command is a module with `main(arguments, program) -> exit status`, imported when it is run.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from tracked_env.cli.interruption import end_at_interrupt
+
+COMMANDS = {
+    "evaluate": ("evaluate_command", "compare policies on the same randomized episodes"),
+    "leaderboard": ("leaderboard_command", "evaluate everything that is registered, and rank it"),
+    "policies": ("listing", "list the policies that are registered"),
+    "envs": ("listing", "list the environments and their evaluation sets"),
+    "render": ("render_command", "write a GIF, MP4 or PNG of a policy on an evaluation set"),
+    "train": ("clone", "train an agent; needs a clone of the repository"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit status."""
+    width = max(map(len, COMMANDS))
+    parser = argparse.ArgumentParser(
+        prog="tracked-env",
+        description="Benchmark of policies for tracked vehicles on unknown soil.",
+        epilog="\n".join(f"  {name:<{width}}  {text}" for name, (_, text) in COMMANDS.items())
+        + "\n\n`tracked-env COMMAND --help` lists the options of a command.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="of the command")
+    given = parser.parse_args(arguments)
+    program = f"tracked-env {given.command}"
+    end_at_interrupt(program)
+    sys.path.insert(0, "")  # so that `module:attribute` finds modules of the current folder
+    module = import_module(f"tracked_env.cli.{COMMANDS[given.command][0]}")
+    try:
+        status: int = module.main(given.arguments, program)
+        sys.stdout.flush()
+    except BrokenPipeError:  # as `tracked-env policies | head` has it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141  # as shells have it for a closed pipe
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -112,6 +112,13 @@ def test_in_a_clone_that_is_not_installed_nothing_is_lost(monkeypatch: pytest.Mo
     assert open_archive(shipped_agents("speed")["ppo-blind"][0]).name == "ppo-blind-seed0"
 
 
+def test_in_a_clone_that_is_installed_too_everything_is_there_once(plugin: Install) -> None:
+    plugin("Tracked_Env", baselines="baselines.registry")
+    policies, said = registered()
+    assert said == []
+    assert [(policy.name, policy.drive) for policy in policies] == ours()
+
+
 def test_installed_without_a_clone_the_entries_of_the_distribution_count(
     plugin: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

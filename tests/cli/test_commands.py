@@ -2,8 +2,10 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -215,6 +217,31 @@ def test_every_command_has_a_help(command: str, repository: Path) -> None:
     )  # fmt: skip
     assert "usage:" in done.stdout
     assert len(done.stdout.splitlines()) > 5
+
+
+def test_an_interruption_is_one_line_that_names_the_command(
+    repository: Path, tmp_path: Path
+) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(repository), "NUMBA_CACHE_DIR": str(tmp_path)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tracked_env.cli.main", "evaluate", "--policies", "adaptive"],
+        env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    time.sleep(9.0)  # it compiles
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    lines = [line for line in error.splitlines() if line.strip() and "steps/s" not in line]
+    assert lines == ["tracked-env evaluate: interrupted; finished episodes are kept, run it again"]
+
+
+def test_a_list_that_is_not_read_to_its_end_is_no_error(repository: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(repository)}
+    done = subprocess.run(
+        f"{sys.executable} -m tracked_env.cli.main policies | head -c 1",
+        env=environment, shell=True, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert (len(done.stdout), done.stderr) == (1, "")
 
 
 def test_the_options_of_the_front_and_of_the_command_are_the_same() -> None:

@@ -11,7 +11,7 @@ from agents.networks import to_npz
 from baselines.learned.agent_archive import INFERENCE as WEIGHTS
 from baselines.learned.agent_policy import Normalisation, Predictor
 from baselines.learned.recipe import STUDENT
-from baselines.learned.student import INFERENCE_FORMAT, Student, inference_sizes
+from baselines.learned.student_network import INFERENCE_FORMAT, Student, inference_sizes
 
 Floats = NDArray[np.float32]
 

@@ -2,7 +2,7 @@
 
     recipe.json    what it is and how it came about (`baselines.learned.recipe`)
     weights.npz    of the network, under the names of PyTorch (`baselines.learned.forward_pass`)
-    student.npz    of a student: its inference (`baselines.learned.student`)
+    student.npz    of a student: its inference (`baselines.learned.student_network`)
 Reading one runs no code of its author: there is no pickle in it. What is wrong is a ValueError of
 one line.
 """

@@ -22,7 +22,7 @@ from baselines.learned.augmentation import make_augmentation
 from baselines.learned.forward_pass import Actor
 from baselines.learned.privileged_inputs import PRIVILEGED, TEACHER
 from baselines.learned.recipe import PICKLED, STUDENT, Driven, driven, normalisation_of
-from baselines.learned.student import read_student
+from baselines.learned.student_network import read_student
 from baselines.registry import Context
 from tracked_env import observation as layout
 

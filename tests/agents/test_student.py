@@ -19,7 +19,7 @@ from agents.training.sb3_learner import RolloutCallback
 from agents.training.student_learner import StudentLearner
 from baselines.learned.agent_archive import read_entry, read_recipe
 from baselines.learned.shipped import shipped_agents
-from baselines.learned.student import read_student
+from baselines.learned.student_network import read_student
 from tests.agents.agent_cases import actor, same_parameters, small
 from tests.agents.test_agents import STEPS, Recorded, as_evaluated
 from tracked_env import SPEED_ID
@@ -166,7 +166,7 @@ def test_a_normalised_inference_of_the_former_scale_is_refused(student):
     content = read_entry(path, WEIGHTS)
     read_student(content, options, None, scaling)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.learned.student.INFERENCE_FORMAT", 3)
+        patch.setattr("baselines.learned.student_network.INFERENCE_FORMAT", 3)
         with pytest.raises(ValueError, match="inference of format 2; must be 3"):
             read_student(content, options, None, scaling)
     shipped = shipped_agents("torque")["ppo-student"][0]

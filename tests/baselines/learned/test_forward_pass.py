@@ -8,7 +8,7 @@ from baselines.learned.agent_policy import policy_of
 from baselines.learned.forward_pass import ALGORITHMS, Actor, Perceptron, actor_shapes
 from baselines.learned.recipe import STUDENT, normalisation_of
 from baselines.learned.shipped import shipped_agents
-from baselines.learned.student import inference_layers
+from baselines.learned.student_network import inference_layers
 from baselines.learned.trained_agent import open_agent
 from tracked_env import SPEED
 from tracked_env.benchmark import PolicyContext

@@ -18,10 +18,9 @@ from baselines.learned.agent_archive import (
     WEIGHTS,
     from_npz,
     read_entry,
-    read_recipe,
     untrusted,
 )
-from baselines.learned.recipe import FORMAT, LONGEST_LAG, PICKLED, normalisation_of
+from baselines.learned.recipe import FORMAT, PICKLED
 from tracked_env.benchmark.store import write_atomically
 
 
@@ -56,9 +55,3 @@ def load_network(path: Path, recipe: Mapping[str, Any]) -> BasePolicy:
         return build(recipe["algorithm"], recipe["network"], weights)
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
-
-
-__all__ = [
-    "LONGEST_LAG", "RECIPE", "WEIGHTS", "load_network", "normalisation_of", "read_entry",
-    "read_recipe", "save_agent",
-]  # fmt: skip

@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from agents.networks import to_npz
-from baselines.learned.agent_archive import INFERENCE as WEIGHTS
 from baselines.learned.agent_policy import Normalisation, Predictor
-from baselines.learned.recipe import STUDENT
 from baselines.learned.student_network import INFERENCE_FORMAT, Student, inference_sizes
 
 Floats = NDArray[np.float32]
@@ -50,6 +48,3 @@ def weights(inference: nn.Sequential) -> bytes:
     """The parameters of an inference network as an npz file."""
     values = {name: value.numpy() for name, value in inference.state_dict().items()}
     return to_npz({"format": np.array(INFERENCE_FORMAT), **values})
-
-
-__all__ = ["STUDENT", "WEIGHTS", "StudentModel", "make_inference", "weights"]

@@ -19,7 +19,7 @@ from agents.archive import load_network
 from baselines.learned.agent_archive import read_recipe
 from baselines.learned.agent_policy import AgentPolicy, TeacherPolicy, policy_of
 from baselines.learned.privileged_inputs import TEACHER
-from baselines.learned.recipe import PICKLED, STUDENT, normalisation_of
+from baselines.learned.recipe import PICKLED
 from baselines.learned.trained_agent import TrainedAgent, agent_of, open_agent
 from baselines.registry import Context
 from tracked_env import observation as layout
@@ -122,9 +122,3 @@ def agent_entry(path: Path, trust: bool = False) -> PolicyEntry:
     trust: open an archive that holds pickled objects too, as `open_trusted`. Raises ValueError.
     """
     return archive_entry(Path(path), open_trusted if trust else open_agent)
-
-
-__all__ = [
-    "STUDENT", "agent_entry", "load_teacher", "normalisation_of", "open_trusted",
-    "read_recipe", "unpickled",
-]  # fmt: skip

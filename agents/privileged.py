@@ -9,9 +9,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.learned.agent_policy import TeacherPolicy, policy_of
 from baselines.learned.history_augmentation import Blind
-from baselines.learned.privileged_inputs import PRIVILEGED, TEACHER, privileged
+from baselines.learned.privileged_inputs import PRIVILEGED, privileged
 from tracked_env.physics.parameters import PlantParameters
 
 Floats = NDArray[np.float32]
@@ -76,9 +75,3 @@ class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
             final = privileged(info["final_info"]["truth"], memory.nominal)
             memory.last = np.where(info["_final_info"][:, None], final, memory.present)
         return observation, reward, terminated, truncated, info
-
-
-__all__ = [
-    "PRIVILEGED", "TEACHER", "Privileged", "TeacherPolicy", "TruthfulVectorEnv", "policy_of",
-    "privileged",
-]  # fmt: skip

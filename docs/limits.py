@@ -15,9 +15,9 @@ import numpy as np
 from scipy.optimize import brentq, root
 
 from tracked_env.physics import patch_forces, terramechanics
-from tracked_env.physics.lumped_forces import Motion, coefficients, drive_limits
 from tracked_env.physics.parameters import plant_parameters
 from tracked_env.physics.patch_dynamics import Belts, contact_of, loads_of, rates_of
+from tracked_env.physics.vehicle import Motion, coefficients, drive_limits
 from tracked_env.uncertainty import SOILS
 
 G = terramechanics.GRAVITY

@@ -283,6 +283,8 @@ def test_an_interruption_while_it_starts_is_one_line(
     process = subprocess.Popen(
         [sys.executable, str(repository / "evaluate.py"), *TINY, "--policies", "adaptive"],
         cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        # In the background of a shell SIGINT is ignored, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     time.sleep(delay)
     process.send_signal(signal.SIGINT)

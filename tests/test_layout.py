@@ -18,7 +18,7 @@ PUBLIC = {
     "exclude_patterns", "nitpicky", "html_theme", "html_title", "release",
 }  # fmt: skip
 # Equations of the model that the plants use in another form; tests compare the two.
-MODEL = {"tractive_effort", "regularised_sign", "kinetic_energy", "DYNAMIC_ROWS"}
+MODEL = {"tractive_effort", "regularised_sign", "kinetic_energy"}
 
 
 def program_files(root: Path) -> list[Path]:

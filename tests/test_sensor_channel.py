@@ -3,18 +3,19 @@
 import copy
 import json
 import pickle
-from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 
 from baselines.estimators.stack import IdentificationStack
+from baselines.learned.shipped import shipped_agents
 from baselines.registry import POLICIES
 from tracked_env import observation as obs
 from tracked_env import sensors
 from tracked_env.benchmark import BenchmarkConfig, BenchmarkSet, PolicyContext, Store, run, sets
 from tracked_env.benchmark.policy_interface import PolicyEntry
+from tracked_env.benchmark.registered_policies import open_archive
 from tracked_env.benchmark.runner import episode_digest
 from tracked_env.physics.channels import Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -253,11 +254,8 @@ def test_an_observer_in_a_wrapper_finds_its_fields_by_name():
 
 
 def test_a_shipped_agent_drives_the_benchmark_where_more_is_shown(tmp_path):
-    pytest.importorskip("torch", reason="agents need the extra `rl`")
-    from agents.loading import agent_entry
 
-    folder = Path(__file__).resolve().parents[1] / "agents" / "pretrained" / "Torque-v0"
-    entry = agent_entry(next(folder.glob("ppo-blind-*/agent.zip")))
+    entry = open_archive(shipped_agents("torque")["ppo-blind"][0])
     assert isinstance(entry, PolicyEntry)
     arguments = {"observation": GROUPS[::-1]}
     sets.register(BenchmarkSet("plain", "payload", "what v0 shows"))

@@ -8,7 +8,7 @@ from typing import Any
 
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
-from agents.memory import AgentVectorEnv
+from agents.agent_vector_env import AgentVectorEnv
 from agents.privileged import TruthfulVectorEnv
 from agents.training import checkpoint_fit
 from agents.training.joined import JoinedVecEnv

@@ -6,13 +6,16 @@ from typing import Any
 import gymnasium
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
-from agents.memory import AgentVectorEnv, History, Memory, make_memory
-from agents.privileged import TEACHER, Privileged, TruthfulVectorEnv
+from agents.agent_vector_env import AgentVectorEnv
+from agents.privileged import Privileged, TruthfulVectorEnv
 from agents.training.arguments import Part
 from agents.training.held_out import HeldOut
 from agents.training.joined import JoinedVecEnv
 from agents.training.reward import ScaledReward, TrainingReward
 from agents.training.run import Run
+from baselines.learned.augmentation import Augmentation, make_augmentation
+from baselines.learned.history_augmentation import History
+from baselines.learned.privileged_inputs import TEACHER
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sb3 import make_vec_env
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -35,13 +38,13 @@ def make_privileged(part: Part) -> Privileged:
 
 def make_part(run: Run, part: Part) -> VecEnv:
     """The vehicles of one kind of sensors as the agent sees them. Raises ValueError."""
-    memory: Memory
+    memory: Augmentation
     arguments, (kind, options) = part.arguments, run.augmentation
     if kind == TEACHER:
         memory = make_privileged(part)
         arguments = {**arguments, "expose_truth": True}
     else:
-        memory = make_memory(kind, options, part.context, part.rows)
+        memory = make_augmentation(kind, options, part.context, part.rows)
 
     def wrapper(env: Vehicles) -> AgentVectorEnv:
         if isinstance(memory, Privileged):

@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.archive import read_recipe
 from agents.training import checkpoints
+from baselines.learned.agent_archive import read_recipe
 from tracked_env.benchmark.store import write_atomically
 
 CONFIG = "config.json"

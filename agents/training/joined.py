@@ -1,8 +1,8 @@
 """Several vector environments as one, for Stable-Baselines3: a part of the vehicles for each.
 
-An environment of this project has one kind of sensors, and the memories that weigh measurements
-(`agents.memory`) have one data sheet. An agent that is to cope with several gets an environment
-with a memory for each, joined here row by row.
+An environment of this project has one kind of sensors, and the augmentations that weigh
+measurements (`baselines.learned.augmentation`) have one data sheet. An agent that is to cope with
+several gets an environment with an augmentation for each, joined here row by row.
 """
 
 from collections.abc import Sequence

@@ -10,8 +10,9 @@ from tyro.constructors import PrimitiveConstructorSpec
 from agents.algorithms import ALGORITHMS
 from agents.algorithms.settings import check
 from agents.algorithms.student import StudentSettings
-from agents.inference import STUDENT
-from agents.memory import LAGS, RESIDUAL_SCALE
+from baselines.learned.augmentation import RESIDUAL_SCALE
+from baselines.learned.history_augmentation import LAGS
+from baselines.learned.recipe import STUDENT
 from tracked_env import TORQUE_ID
 
 DEFAULT = "ppo"  # the algorithm where --agent is not given

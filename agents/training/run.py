@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 
 from agents.algorithms import ALGORITHMS, Algorithm
 from agents.algorithms.student import STUDENT_ALGORITHM
-from agents.inference import STUDENT
 from agents.training.arguments import Part, control_period, driven, environment_arguments, parts_of
 from agents.training.options import Options
 from agents.training.reward import PRECISION
-from baselines.learned.recipe import Driven
+from baselines.learned.recipe import STUDENT, Driven
 from tracked_env.benchmark.store import machine, versions
 from tracked_env.engine.env_config import EnvConfig
 
@@ -36,7 +35,7 @@ class Schedule(NamedTuple):
 class Augmentation(NamedTuple):
     """What the network has besides the present observation."""
 
-    kind: str  # of agents.memory, or teacher or student
+    kind: str  # of baselines.learned.augmentation, or teacher or student
     options: Mapping[str, Any]
 
 

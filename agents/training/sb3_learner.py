@@ -8,13 +8,12 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.algorithms import make_model
-from agents.policy import AgentPolicy, Normalisation
-from agents.privileged import TeacherPolicy, policy_of
 from agents.training import sb3_state
 from agents.training.environments import make_environment
 from agents.training.learner import Diverged, Trained, check_finite
 from agents.training.progress import Progress
 from agents.training.run import Run
+from baselines.learned.agent_policy import AgentPolicy, Normalisation, TeacherPolicy, policy_of
 from tracked_env.benchmark import PolicyContext
 
 

@@ -16,11 +16,8 @@ import torch
 from torch import nn
 
 from agents.algorithms.settings import check_buffer
-from agents.archive import normalisation_of
-from agents.inference import WEIGHTS, StudentModel, make_inference, weights
+from agents.inference import StudentModel, make_inference, weights
 from agents.loading import load_teacher
-from agents.policy import AgentPolicy
-from agents.privileged import PRIVILEGED
 from agents.training import checkpoint_fit
 from agents.training.arguments import control_period, driven
 from agents.training.environment_state import capture_environment, resume_environment
@@ -28,6 +25,10 @@ from agents.training.environments import make_taught
 from agents.training.learner import Trained, check_finite
 from agents.training.progress import Progress
 from agents.training.run import Run
+from baselines.learned.agent_archive import INFERENCE
+from baselines.learned.agent_policy import AgentPolicy
+from baselines.learned.privileged_inputs import PRIVILEGED
+from baselines.learned.recipe import normalisation_of
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.engine.env_config import EnvConfig
@@ -127,7 +128,7 @@ class StudentLearner:
 
     def trained(self) -> Trained:
         """The network of the teacher, and what infers its inputs."""
-        return Trained(self.teacher, {}, {WEIGHTS: weights(self.model.inference)})
+        return Trained(self.teacher, {}, {INFERENCE: weights(self.model.inference)})
 
     def capture(self) -> dict[str, Any]:
         """Everything that the next samples and regressions depend on."""

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from gymnasium.vector import VectorWrapper
 
+from agents.agent_vector_env import AgentVectorEnv
 from agents.algorithms import ALGORITHMS
-from agents.loading import agent_entry, normalisation_of, read_recipe
-from agents.memory import KINDS, AgentVectorEnv, make_memory
+from agents.loading import agent_entry
 from agents.training.held_out import HELD_OUT_SEED
+from baselines.learned.agent_archive import read_recipe
+from baselines.learned.augmentation import KINDS, make_augmentation
+from baselines.learned.recipe import normalisation_of
 from tests.agents.agent_cases import actor, small
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
@@ -47,7 +50,7 @@ def as_trained(path):
     model = actor(path)
     normalise = normalisation_of(recipe) or (lambda values: values)
     inner = vehicles()
-    memory = make_memory(recipe["memory"], recipe["memory_options"], CONTEXT, 3)
+    memory = make_augmentation(recipe["memory"], recipe["memory_options"], CONTEXT, 3)
     env = AgentVectorEnv(inner, memory)
     observation, _ = env.reset(seed=5)
     recurrent, start = None, np.ones(3, dtype=bool)

@@ -12,11 +12,12 @@ from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 
 from agents.algorithms import ALGORITHMS, make_model
-from agents.archive import load_network, read_recipe
+from agents.archive import load_network
 from agents.loading import agent_entry, unpickled
 from agents.training.environments import make_environment
 from agents.training.run import resolve
 from baselines.learned import trained_agent
+from baselines.learned.agent_archive import read_recipe
 from baselines.learned.forward_pass import Actor
 from baselines.learned.shipped import shipped_agents
 from tests.agents.agent_cases import parameters, small

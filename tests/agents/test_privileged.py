@@ -6,12 +6,14 @@ import gymnasium
 import numpy as np
 import pytest
 
-from agents.memory import AgentVectorEnv
-from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, policy_of, privileged
+from agents.agent_vector_env import AgentVectorEnv
+from agents.privileged import Privileged, TruthfulVectorEnv
 from agents.training.arguments import MIXTURE
 from agents.training.environment_state import layers
 from agents.training.environments import make_part, make_taught
 from agents.training.run import Augmentation, resolve
+from baselines.learned.agent_policy import policy_of
+from baselines.learned.privileged_inputs import PRIVILEGED, privileged
 from tests.agents.agent_cases import small
 from tests.agents.test_agents import STEPS
 from tracked_env import SPEED_ID, TORQUE_ID

@@ -14,12 +14,12 @@ from numpy.lib import format as npy
 
 import train
 from agents.algorithms import make_model
-from agents.memory import KINDS
 from agents.training import checkpoints
 from agents.training.environments import make_environment
 from agents.training.run import resolve
 from agents.training.sb3_state import capture
 from agents.training.state_file import GENERATORS, STATE, TYPES, read_state, write_state
+from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import small
 from tests.agents.test_archive import WRONG, Harm, branches, entries, packed, put
 from tests.agents.test_checkpoints import killed_after

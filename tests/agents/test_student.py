@@ -6,18 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from agents.agent_vector_env import AgentVectorEnv
 from agents.algorithms.student import StudentSettings
-from agents.inference import WEIGHTS, StudentModel, make_inference, weights
+from agents.inference import StudentModel, make_inference, weights
 from agents.loading import agent_entry
-from agents.memory import AgentVectorEnv, History
-from agents.policy import Normalisation
-from agents.privileged import PRIVILEGED, Privileged, TruthfulVectorEnv, privileged
+from agents.privileged import Privileged, TruthfulVectorEnv
 from agents.training import checkpoints
 from agents.training.progress import Progress
 from agents.training.run import resolve
 from agents.training.sb3_learner import RolloutCallback
 from agents.training.student_learner import StudentLearner
-from baselines.learned.agent_archive import read_entry, read_recipe
+from baselines.learned.agent_archive import INFERENCE, read_entry, read_recipe
+from baselines.learned.agent_policy import Normalisation
+from baselines.learned.history_augmentation import History
+from baselines.learned.privileged_inputs import PRIVILEGED, privileged
 from baselines.learned.shipped import shipped_agents
 from baselines.learned.student_network import read_student
 from tests.agents.agent_cases import actor, same_parameters, small
@@ -163,7 +165,7 @@ def test_a_normalised_inference_of_the_former_scale_is_refused(student):
     options, path = recipe["memory_options"], student / "agent.zip"
     width = obs.SIZE + len(PRIVILEGED)
     scaling = Normalisation(np.zeros(width), np.ones(width), 1e-8, 10.0)
-    content = read_entry(path, WEIGHTS)
+    content = read_entry(path, INFERENCE)
     read_student(content, options, None, scaling)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("baselines.learned.student_network.INFERENCE_FORMAT", 3)
@@ -171,7 +173,7 @@ def test_a_normalised_inference_of_the_former_scale_is_refused(student):
             read_student(content, options, None, scaling)
     shipped = shipped_agents("torque")["ppo-student"][0]
     options = read_recipe(shipped)["memory_options"]
-    content = read_entry(shipped, WEIGHTS)
+    content = read_entry(shipped, INFERENCE)
     read_student(content, options, None, None)  # of format 1, without normalisation
     with pytest.raises(ValueError, match="inference of format 1; must be 2"):
         read_student(content, options, None, scaling)
@@ -200,7 +202,7 @@ def test_a_saved_student_acts_as_in_training(teacher, tmp_path):
     env = AgentVectorEnv(inner, History(3, 0.02))
     content = weights(student.model.inference)
     model = read_student(
-        content, config.memory_options, actor(teacher), student.model.normalisation
+        content, dict(run.augmentation.options), actor(teacher), student.model.normalisation
     )
     observation, _ = env.reset(seed=5)
     for _ in range(STEPS):
@@ -230,7 +232,7 @@ def test_a_student_drives_without_truth_and_remembers_all_in_its_state(student):
 
 def stored(path):
     """The parameters of the inference in an archive."""
-    with zipfile.ZipFile(path) as archive, np.load(archive.open(WEIGHTS)) as file:
+    with zipfile.ZipFile(path) as archive, np.load(archive.open(INFERENCE)) as file:
         return {name: file[name] for name in file}
 
 
@@ -338,7 +340,7 @@ def test_a_student_without_its_weights_is_refused(student, tmp_path):
         zipfile.ZipFile(path, "w") as archive,
     ):
         for name in whole.namelist():
-            if name != WEIGHTS:
+            if name != INFERENCE:
                 archive.writestr(name, whole.read(name))
     with pytest.raises(ValueError, match=r"as a student: student\.npz in it is missing"):
         agent_entry(path)

@@ -226,6 +226,8 @@ def test_an_interruption_is_one_line_that_names_the_command(
     process = subprocess.Popen(
         [sys.executable, "-m", "tracked_env.cli.main", "evaluate", "--policies", "adaptive"],
         env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        # In the background of a shell SIGINT is ignored, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     time.sleep(9.0)  # it compiles
     process.send_signal(signal.SIGINT)

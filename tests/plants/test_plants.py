@@ -19,7 +19,14 @@ SHIPPED = ("lumped", "distributed")
 STILL = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
 NO_NAMES = {"distributed", "lumped", "constrained", "by_torque"}
 # Files that may write a plant's name: defaults of ids and arguments, and the evaluation sets.
-DEFAULTS = ("__init__.py", "env.py", "vector_env.py", "engine/env_config.py", "benchmark/sets.py")
+DEFAULTS = (
+    "__init__.py",
+    "env.py",
+    "vector_env.py",
+    "engine/env_config.py",
+    "benchmark/sets.py",
+    "cli/evaluate_options.py",
+)
 
 
 def names_of_plants(path):

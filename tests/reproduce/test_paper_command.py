@@ -11,6 +11,7 @@ import pytest
 import evaluate
 from reproduce import command
 from reproduce.paper_page import Claim, PaperPage
+from tracked_env.cli import evaluate_options
 
 PNG = b"\x89PNG"
 
@@ -77,7 +78,7 @@ def test_without_matplotlib_the_page_is_written_all_the_same_and_the_package_nam
 
 
 def test_evaluate_and_the_folders_offer_the_same_papers(repository):
-    offered = typing.get_args(typing.get_type_hints(evaluate.Config)["paper"])
+    offered = evaluate_options.PAPERS
     folders = {path.parent.name for path in (repository / "reproduce").glob("*/page.py")}
     assert set(offered) - {"none"} == set(command.PAPERS) == folders
 

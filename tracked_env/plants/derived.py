@@ -6,7 +6,6 @@ from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import row_parameters
 from tracked_env.physics.vehicle import Coefficients, DriveLimits
 
-HALF_GAUGE = b.COEFFICIENTS + Coefficients._fields.index("half_gauge")
 RESISTANCE = b.COEFFICIENTS + Coefficients._fields.index("resistance")
 REST = 1e-12  # [m/s, rad/s] slower is rest: decaying velocities would end as slow denormals
 

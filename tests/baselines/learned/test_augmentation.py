@@ -90,7 +90,9 @@ def test_memories_put_back_in_some_rows_leave_the_others(kind):
 
 
 def test_the_residual_of_zero_is_the_adaptive_policy():
-    memory = pytest.importorskip("agents.memory", reason="its wrapper needs the extra `rl`")
+    memory = pytest.importorskip(
+        "agents.agent_vector_env", reason="its wrapper needs the extra `rl`"
+    )
     inner = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
     env = memory.AgentVectorEnv(inner, make_augmentation("residual", {}, CONTEXT, 2))
     plain = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")

@@ -1,14 +1,11 @@
-"""A vector environment as the agent lives in it, and the kinds of observation augmentation."""
+"""A vector environment with the observations of an agent and commands from its actions."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.learned.augmentation import KINDS, RESIDUAL_SCALE, Augmentation, seen
-from baselines.learned.augmentation import Augmentation as Memory
-from baselines.learned.augmentation import make_augmentation as make_memory
-from baselines.learned.history_augmentation import LAGS, REMEMBERED, Blind, History
+from baselines.learned.augmentation import Augmentation
 from tracked_env.wrappers import IdentifiedVectorObservation
 
 Floats = NDArray[np.float32]
@@ -44,9 +41,3 @@ class AgentVectorEnv(IdentifiedVectorObservation):
         """Go on from what `snapshot` returned."""
         memories, self._features, self._over = snapshot
         self.observer.restore(memories)
-
-
-__all__ = [
-    "KINDS", "LAGS", "REMEMBERED", "RESIDUAL_SCALE", "AgentVectorEnv", "Blind", "History",
-    "Memory", "make_memory", "seen",
-]  # fmt: skip

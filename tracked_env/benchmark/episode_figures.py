@@ -266,6 +266,6 @@ def save_all(
         files = []
         for title, figure in drawn.items():
             path = folder / f"{title}.png"
-            figure.savefig(path)
+            figure.savefig(path, bbox_inches="tight", pad_inches=0.1)  # labels stay whole
             files.append(path)
     return files

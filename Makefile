@@ -44,7 +44,7 @@ train: $(STAMP) ## train a PPO agent into runs/ppo-blind-seed0
 test: $(STAMP) ## run the whole test suite
 	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
 
-lint: $(STAMP) ## ruff (rules and format) and mypy on the public packages
+lint: $(STAMP) ## ruff (rules and format) and mypy
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy

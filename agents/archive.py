@@ -32,10 +32,10 @@ def save_agent(
 ) -> None:
     """Write recipe, network and further files as one archive, whole or not at all."""
     policy: BasePolicy = model.policy if isinstance(model, BaseAlgorithm) else model
-    told = {**recipe, "format": FORMAT, "network": network_of(policy)}
+    recorded = {**recipe, "format": FORMAT, "network": network_of(policy)}
     buffer = BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(RECIPE, json.dumps(told, indent=1))
+        archive.writestr(RECIPE, json.dumps(recorded, indent=1))
         archive.writestr(WEIGHTS, to_npz(weights_of(policy)))
         for name, content in (files or {}).items():
             archive.writestr(name, content)

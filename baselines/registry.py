@@ -9,7 +9,7 @@ For vehicles driven by their sprocket speeds:
     slc           the slippage-aware one, slip identified beforehand on the nominal soil
     slc-adaptive  the same controller with the slip of the friction that it identifies under way
     slc-oracle    the same controller with the slip of the true soil
-A factory takes a context with `control_period` [s], `lateral` (closure), `sensors` (data sheet:
+A factory takes a context with `control_period` [s], `lateral` (its model), `sensors` (data sheet:
 the noise of the sensors, which every policy may use), `drive`, `vehicle`, and `observation` (names
 of its fields). `register` adds a controller.
 """
@@ -39,7 +39,7 @@ class Context(Protocol):
 
     @property
     def lateral(self) -> str:
-        """Lateral closure of the plant."""
+        """Lateral model of the plant."""
 
     @property
     def sensors(self) -> Any:

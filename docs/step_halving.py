@@ -188,14 +188,14 @@ def errors(command, p, start, constrained=False, counts=SUBSTEPS):
 def main():
     """Print the table: position error in mm / heading error in mrad."""
     lengths = [f"{1e3 * CONTROL_PERIOD / n:g} ms" for n in SUBSTEPS]
-    print("| manoeuvre | closure | " + " | ".join(lengths) + " |")
+    print("| manoeuvre | lateral model | " + " | ".join(lengths) + " |")
     print("|---|---" + "|---:" * len(lengths) + "|")
     for name, (command, p, start) in MANOEUVRES.items():
         for constrained in (False, True):
             found = errors(command, p, start, constrained)
             cells = [f"{1e3 * distance:.2g} / {1e3 * turn:.2g}" for distance, turn in found]
-            closure = "constrained" if constrained else "sliding"
-            print(f"| {name} | {closure} | " + " | ".join(cells) + " |")
+            lateral_model = "constrained" if constrained else "sliding"
+            print(f"| {name} | {lateral_model} | " + " | ".join(cells) + " |")
     print(f"\n| {RANDOM_RUNS} random runs | " + " | ".join(lengths) + " |")
     print("|---" + "|---:" * len(lengths) + "|")
     for soil, resistance in RANDOM_SOILS.items():

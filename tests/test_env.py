@@ -81,11 +81,11 @@ def test_the_class_docstring_lists_every_field_of_the_observation():
 
 @pytest.mark.parametrize("group, name", [(g, n) for g, names in GROUPS.items() for n in names])
 def test_every_parameter_set_by_options_reaches_the_physics(group, name):
-    # Full torque on weak ground, with a turn, in the closure where the parameter matters.
-    closure = "constrained" if name == "icr_forward" else "sliding"
+    # Full torque on weak ground, with a turn, in the lateral model where the parameter matters.
+    lateral_model = "constrained" if name == "icr_forward" else "sliding"
     arguments = {"uncertainty": "nominal", "sensors": "ideal", "expose_truth": True}
     plant = "distributed" if name == "sprocket_inertia" else "lumped"
-    env = make(lateral=closure, plant=plant, error_limit=1e3, **arguments)
+    env = make(lateral=lateral_model, plant=plant, error_limit=1e3, **arguments)
     soil = {"cohesion": 2000.0, "friction_angle": 0.5, "longitudinal_resistance": 0.2}
     actions = np.tile([0.15, 0.6], (100, 1))
     base, _, before = run(env, 100, actions, options={"soil": soil, "vehicle": {"mass": 1000.0}})

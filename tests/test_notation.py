@@ -11,7 +11,7 @@ from tracked_env.physics import parameters, state
 ROOT = Path(__file__).resolve().parent.parent
 PHYSICS = ROOT / "tracked_env" / "physics"
 DOCUMENTED = {
-    "parameters.py": ("VehicleParameters", "SoilParameters", "ClosureParameters"),
+    "parameters.py": ("VehicleParameters", "SoilParameters", "LateralModelParameters"),
     "state.py": ("VehicleState",),
 }
 

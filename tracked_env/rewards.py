@@ -56,7 +56,7 @@ def reward_terms(distance, heading_error, speed_error, left, right, left_before,
 
 
 @formula
-def judge(floats, counters, i, error_limit, diverged):
+def reward_and_ending(floats, counters, i, error_limit, diverged):
     """Reward, and whether the episode of vehicle i ends; diverged: its state is not finite."""
     distance = floats[i, b.ERROR_DISTANCE]
     left, right = floats[i, b.ACTION], floats[i, b.ACTION + 1]

@@ -16,7 +16,7 @@ class Algorithm(NamedTuple):
     """The record of an algorithm.
 
     settings: a frozen dataclass whose docstrings become the help of `--NAME.FIELD`. One that has
-    `learning_rate` is told to lower it when a training diverges.
+    `learning_rate` should be lowered when a training diverges.
     """
 
     model: Any  # class of Stable-Baselines3, None for any other algorithm

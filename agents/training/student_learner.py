@@ -74,7 +74,7 @@ class StudentLearner:
     @property
     def truth(self) -> Any:
         """What the teacher would see beside the present observation, (N, F) of all rows."""
-        return self.model.told(np.concatenate([memory.present for memory in self.truths]))
+        return self.model.privileged(np.concatenate([memory.present for memory in self.truths]))
 
     def policy(self, context: PolicyContext) -> AgentPolicy:
         """The student as the benchmark has it."""

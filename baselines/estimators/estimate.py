@@ -78,7 +78,7 @@ class Quantity(NamedTuple):
             return self.nominal(nominal)
         return float(getattr(nominal, self.nominal)) if self.nominal else 1.0
 
-    def shown(self, estimate: Estimate, nominal: PlantParameters) -> Pair:
+    def normalized(self, estimate: Estimate, nominal: PlantParameters) -> Pair:
         """(value, standard deviation) as numbers of order one."""
         value, deviation = self.read(estimate)
         scale = self.scale(nominal)
@@ -95,7 +95,7 @@ class Setting:
     control_period: float  # [s]
     data_sheet: DataSheet  # noise of the sensors
     count: int  # vehicles
-    lateral: str = "sliding"  # closure of the nominal model
+    lateral: str = "sliding"  # lateral model of the nominal model
     regression: str = "coupled"
 
 

@@ -237,7 +237,7 @@ def _branch(memory, i, prior):
 
 
 @formula
-def _judge(memory, i, sample, prior, error, total):
+def _compare_hypotheses(memory, i, sample, prior, error, total):
     """Follow the hypothesis on trial and decide when the evidence is clear."""
     other, gain = _innovation(memory, i, SIZE, sample, prior)
     spread = gain + sample.variance
@@ -284,7 +284,7 @@ def step(memory, i, sample, prior):
             hold_1 = _noise_alone(memory, i, sample, prior)
             _learn(memory, i, 0, sample, prior, error, hold_1)
             if memory[i, TRIAL_LEFT] > 0.0:
-                _judge(memory, i, sample, prior, error, total)
+                _compare_hypotheses(memory, i, sample, prior, error, total)
             smallest, _largest = eigenvalues(memory, i)
             status = 0 if smallest >= EXCITED and not hold_1 else 1
     return status, nis

@@ -115,9 +115,9 @@ def look(memory, i, slots, yaw, values, fresh, age, constants, link, x, p, z, no
 
 
 @loop
-def judge(memory, i, nis, constants):
-    """As slip_step.judge."""
-    return step.judge(memory, i, nis, _constants(constants))
+def innovation_verdict(memory, i, nis, constants):
+    """As slip_step.innovation_verdict."""
+    return step.innovation_verdict(memory, i, nis, _constants(constants))
 
 
 @loop
@@ -211,7 +211,7 @@ class FilterpySlipObserver(SlipObserver):
         x, p = ukf.x, ukf.P
         ukf.update(z, R=noise, **inner)
         nis = float(ukf.y @ ukf.SI @ ukf.y)
-        verdict = judge(self.memory, i, nis, self._numbers)
+        verdict = innovation_verdict(self.memory, i, nis, self._numbers)
         if verdict == 1:
             ukf.x, ukf.P = x, p
             self._link[_OUTCOME] = 2.0

@@ -6,7 +6,7 @@ Order of one step, for whatever does the filtering between:
     (predict)
     reckon        the step's way into the ring of dead_reckoning
     take_pose     sample, its R and how old it is; rows that are missing get a huge variance
-    start, or judge and (update)
+    start, or innovation_verdict and (update)
                   NIS above the gate is an outlier; PATIENCE of them in a row are a change: then
                   `inflate` frees what the innovation contradicts, and the sample is used
     finish        slips and alpha into their bounds, covariance symmetric and bounded
@@ -206,7 +206,7 @@ def start(memory, i, x, p, z, noise, way):
 
 
 @formula
-def judge(memory, i, nis, k):
+def innovation_verdict(memory, i, nis, k):
     """0 = use the sample, 1 = outlier, 2 = one too many outliers: follow it."""
     if nis <= k.gate:
         memory[i, OUTLIERS] = 0.0

@@ -168,7 +168,7 @@ def update_all(values, fresh, age, k, slots, memory, value, covariance, summary,
                 pose_nis, nis = compare(
                     x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e
                 )
-                verdict = step.judge(memory, i, nis, k)
+                verdict = step.innovation_verdict(memory, i, nis, k)
                 used = verdict != 1
                 if verdict == 1:
                     outcome = 2

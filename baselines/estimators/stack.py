@@ -142,7 +142,7 @@ class IdentificationStack:
     """The estimators of N vehicles, fed with observations.
 
     parameters: nominal ones; the start of every estimate. control_period [s]: between two
-    observations. data_sheet: noise of the sensors (default: `rtk`). lateral: closure of the
+    observations. data_sheet: noise of the sensors (default: `rtk`). lateral: lateral model of the
     nominal model. regression: "coupled" (default), "paper" or "printed" least squares, see
     two_parameters. slip: "batched" or "filterpy", the same filter, slower, one vehicle after the
     other. further: registered estimators that run after the others, in this order.
@@ -305,7 +305,7 @@ def features(known: Identification, nominal: PlantParameters) -> NDArray[np.floa
     columns: list[NDArray[np.float64]] = []
     for block in _blocks([name for name in known.quantities if name not in _OWN]):
         shown = [
-            quantity.shown(known.parts[name], nominal)
+            quantity.normalized(known.parts[name], nominal)
             for name in block
             for quantity in known.quantities[name]
         ]

@@ -69,7 +69,7 @@ class Known(NamedTuple):
     half_gauge: float  # [m] B/2
     contact_length: float  # [m] l
     turning_resistance_factor: float  # [-] f
-    icr_forward: float  # [m] d, of the constrained closure
+    icr_forward: float  # [m] d, of the constrained lateral model
     moment_variance: float  # [N^2 m^2] torque sensors and model
     bend_variance: float  # [rad^2/s^4] of dw/dt
     turn_variance: float  # [rad^2/s^2] of w
@@ -103,7 +103,7 @@ def lever(v_y, half):
 
 @formula
 def sideways(a_y, w, weight_share, known):
-    """(v_y [m/s], C dS/dC, what the noise of a_y does to S) g of the sliding closure.
+    """(v_y [m/s], C dS/dC, what the noise of a_y does to S) g of the sliding lateral model.
 
     a_y [m/s^2] as measured, weight_share m / C = 1 / mu_t [-].
     """
@@ -197,10 +197,10 @@ class TurningEstimator(TwoParameterEstimator):
     """Estimates [I, mu_t] of N vehicles; see the head of the file.
 
     mass, mass_variance, resistance: arrays (N,) that the owner keeps up to date; they start
-    at the nominal values with variance 0. lateral: closure, "sliding" or "constrained".
+    at the nominal values with variance 0. lateral: lateral model, "sliding" or "constrained".
     forgetting: factor per sample. drift [1/sqrt(s)]: random walk of m mu_t. None takes the
     defaults of the regression; "paper" and "printed" have lambda = 0.998, no walk, and search no
-    changes; "printed" has the constrained closure alone.
+    changes; "printed" has the constrained lateral model alone.
     """
 
     names = ("inertia", "lateral_resistance")

@@ -46,7 +46,7 @@ class Student:
         mean, variance, *rest = self.normalisation
         return Normalisation(mean[columns], variance[columns], *rest)(values)
 
-    def told(self, truth: Floats) -> Floats:
+    def privileged(self, truth: Floats) -> Floats:
         """What the teacher's network sees of the privileged inputs (N, F): the right inference."""
         return self._shown(truth, slice(layout.SIZE, None))
 

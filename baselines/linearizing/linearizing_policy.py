@@ -32,7 +32,7 @@ from tracked_env.physics.parameters import (
 )
 from tracked_env.validation import CONTROL_PERIOD, checked_number, unknown
 
-CLOSURES = ("sliding", "constrained")
+LATERAL_MODELS = ("sliding", "constrained")
 
 # Fields of the observation that the law reads.
 NEEDS = (
@@ -161,8 +161,8 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
                 f"{self.gains}: k_a k_v = {k_a * k_v:g} must exceed k_p = {k_p:g}, or the "
                 "tracking error grows (not Hurwitz). Did you change the order of the gains?"
             )
-        if lateral not in CLOSURES:
-            raise ValueError(f"lateral = {lateral!r}; must be one of {CLOSURES}")
+        if lateral not in LATERAL_MODELS:
+            raise ValueError(f"lateral = {lateral!r}; must be one of {LATERAL_MODELS}")
         self._view = layout.View(observation, NEEDS)
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.lateral = lateral

@@ -230,8 +230,8 @@ def further_claims(results: Results) -> list[Claim]:
                         for n in LENGTHS)),
               "slip depends on speed as well, as 4.2 says: c_1 of fast runs overstates it at "
               "0.2 m/s; and rolling resistance loads the outer track, which (54) cannot say"),
-        Claim("7.1", "(not in the paper) friction told wrong, 0.4 for 0.1 or 0.1 for 0.4: on-line "
-              "identification loses at most 20 %",
+        Claim("7.1", "(not in the paper) wrong friction assumed, 0.4 for 0.1 or 0.1 for 0.4: "
+              "on-line identification loses at most 20 %",
               f"on-line: at most {100 * max(loss):+.1f} % (max and RMSE, both lengths); without "
               f"it the error is {min(wrong):.1f} to {max(wrong):.1f} times as large",
               verdict(max(loss) < GOAL),

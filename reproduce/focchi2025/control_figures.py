@@ -124,7 +124,7 @@ def online(results: Results) -> Figure:
     for column, (true, assumed) in enumerate(chicane.SOILS):
         for kind, believed, line, label in (
             ("table", true, SLC, "slip of the true friction"),
-            ("table", assumed, ASSUMED, "slip of the friction told"),
+            ("table", assumed, ASSUMED, "slip of the assumed friction"),
             ("online", assumed, ONLINE, "identified on line"),
         ):
             run = results.chicane[Case(kind, length, friction=true, believed=believed)]
@@ -134,7 +134,7 @@ def online(results: Results) -> Figure:
                 len(run.time), believed
             )  # fmt: skip
             axes[1, column].plot(run.time, mu, **shown)
-        axes[0, column].set_title(f"true mu = {true:g}, told {assumed:g}")
+        axes[0, column].set_title(f"true mu = {true:g}, assumed {assumed:g}")
         axes[0, column].set_ylim(0.0, 10.0)
         axes[1, column].set_ylim(0.0, 0.5)
         axes[1, column].set_xlabel("time [s]")

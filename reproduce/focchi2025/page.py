@@ -37,8 +37,8 @@ TABLES = {
     ),
     "Wrong assumed friction": (
         tables.online_table,
-        "Control at 200 Hz, ideal sensors. Told mu: assumed by the controller. Known: the slip of "
-        "the true friction.",
+        "Control at 200 Hz, ideal sensors. Assumed mu: the friction that the controller assumes. "
+        "Known: the slip of the true friction.",
     ),
     "Rolling resistance": (tables.resistance_table, "Control at 200 Hz."),
     "Readings of (53)": (

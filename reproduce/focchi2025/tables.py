@@ -49,7 +49,7 @@ def model_table(results: Results) -> Rows:
 
 def online_table(results: Results) -> Rows:
     """Wrong assumed friction: with its slip, and with slip identified on line."""
-    rows = [["length [m]", "true mu", "told mu", "slip", "max [cm]", "RMSE [cm]",
+    rows = [["length [m]", "true mu", "assumed mu", "slip", "max [cm]", "RMSE [cm]",
              "max / known", "RMSE / known", "mu at the end"]]  # fmt: skip
     for length in LENGTHS:
         for true, assumed in chicane.SOILS:
@@ -60,7 +60,7 @@ def online_table(results: Results) -> Rows:
                 mu = run.belief.get("friction") if kind == "online" else None
                 rows.append(
                     [f"{length:g}", f"{true:g}", f"{believed:g}",
-                     "on line" if kind == "online" else "as told", one.text,
+                     "on line" if kind == "online" else "as assumed", one.text,
                      f"{100 * one.rmse:.2f}", f"{one.largest / known.largest:.2f}",
                      f"{one.rmse / known.rmse:.2f}",
                      "" if mu is None else f"{mu[-1].mean():.3f}"],

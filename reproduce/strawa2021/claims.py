@@ -198,8 +198,8 @@ def identification_claims(results: Results) -> list[Claim]:
               f"RMSE wrong / printed / bounded / coupled: {path('ideal')} m ideal, "
               f"{path('strawa')} m noise",
               verdict(min(gains) > 1.0),
-              f"at least {min(gains):.0f} times, both factors, both closures; also where the mass "
-              "is lost: the error is the missing force over the believed mass, and that is large"),
+              f"at least {min(gains):.0f} times, both factors and lateral models; also where the "
+              "mass is lost: the error is the missing force over the believed mass, which is large"),
     ]  # fmt: skip
 
 

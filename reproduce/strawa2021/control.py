@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.physics.parameters import ClosureParameters, PlantParameters, plant_parameters
+from tracked_env.physics.parameters import LateralModelParameters, PlantParameters, plant_parameters
 from tracked_env.uncertainty import STRAWA_MAPS
 
 ICR_FORWARD = 0.2  # [m] d of the constrained runs; the paper names none
@@ -71,13 +71,15 @@ class Run(NamedTuple):
 
 def believed_parameters(scenario: Scenario, turning_factor: float) -> PlantParameters:
     """Parameters that the controller of a scenario assumes."""
-    closure = ClosureParameters(turning_resistance_factor=turning_factor, icr_forward=ICR_FORWARD)
-    nominal = plant_parameters(closure=closure)
+    lateral_model = LateralModelParameters(
+        turning_resistance_factor=turning_factor, icr_forward=ICR_FORWARD
+    )
+    nominal = plant_parameters(lateral_model=lateral_model)
     factors = {name: getattr(nominal, name) * f for name, f in scenario.believed.items()}
     return nominal._replace(**factors)
 
 
-def closure_options(turning_factor: float, lateral: str) -> dict[str, float]:
+def lateral_model_options(turning_factor: float, lateral: str) -> dict[str, float]:
     """Options of reset for the turning resistance; d exists with the lateral constraint only."""
     if lateral == "sliding":
         return {"turning_resistance_factor": turning_factor}
@@ -104,7 +106,7 @@ def run(
     options = {
         **scenario.options,
         "vehicle": {"drive_time_constant": 0.0},
-        "closure": closure_options(turning_factor, scenario.lateral),
+        "lateral_model": lateral_model_options(turning_factor, scenario.lateral),
         "start": START,
     }
     policy = FeedbackLinearizingController(

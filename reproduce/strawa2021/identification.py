@@ -18,7 +18,7 @@ import numpy as np
 from reproduce.strawa2021.control import (
     SCENARIOS,
     believed_parameters,
-    closure_options,
+    lateral_model_options,
 )
 from reproduce.strawa2021.drive import Drive, Floats, drive, rms
 from reproduce.strawa2021.filtered_policies import filtered_policy
@@ -91,7 +91,7 @@ def options(condition: Condition, reference: Event) -> dict[str, Any]:
         "reference": reference,
         "schedule": GROUNDS[condition.ground],
         "vehicle": {"drive_time_constant": 0.0},
-        "closure": closure_options(condition.factor, condition.lateral),
+        "lateral_model": lateral_model_options(condition.factor, condition.lateral),
         "start": {
             "offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0,
             "speed": reference["initial_speed"], "yaw_rate": 0.0,

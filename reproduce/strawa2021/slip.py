@@ -21,7 +21,7 @@ from reproduce.strawa2021.control import ICR_FORWARD, SCENARIOS
 from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
 from reproduce.strawa2021.filtered_policies import filtered_policy
 from reproduce.strawa2021.identification import SPEED, manoeuvre
-from tracked_env.physics.parameters import ClosureParameters, PlantParameters, plant_parameters
+from tracked_env.physics.parameters import LateralModelParameters, PlantParameters, plant_parameters
 from tracked_env.sensors import PRESETS, Sensors
 
 DURATION = 30.0  # [s]
@@ -88,14 +88,14 @@ def run_all(
 ) -> Slips:
     """Drive every case and filter what was observed."""
     chosen = CASES if cases is None else cases
-    closure = ClosureParameters(turning_resistance_factor=1.0, icr_forward=ICR_FORWARD)
-    parameters = plant_parameters(closure=closure)
+    lateral_model = LateralModelParameters(turning_resistance_factor=1.0, icr_forward=ICR_FORWARD)
+    parameters = plant_parameters(lateral_model=lateral_model)
     rows = [
         {
             "reference": manoeuvre(**SPEEDS[case.speed]),
             "soil": SOILS[case.soil],
             "vehicle": {"drive_time_constant": 0.0},
-            "closure": closure._asdict(),
+            "lateral_model": lateral_model._asdict(),
             "sensors": {"pose_rate": case.rate},
             "start": {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": SPEED},
         }

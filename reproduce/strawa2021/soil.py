@@ -25,7 +25,7 @@ from reproduce.strawa2021.printed_gnr import WINDOW, printed_gnr
 from reproduce.strawa2021.slip import estimated_slips
 from tracked_env.events import Event, ramp_events
 from tracked_env.physics import terramechanics
-from tracked_env.physics.parameters import ClosureParameters, PlantParameters, plant_parameters
+from tracked_env.physics.parameters import LateralModelParameters, PlantParameters, plant_parameters
 from tracked_env.sensors import PRESETS
 
 DURATION = 30.0  # [s]
@@ -77,19 +77,21 @@ class Soil(NamedTuple):
 
 
 def _drive(sensors: str, cases: Sequence[Case], duration: float) -> Drive:
-    closure = ClosureParameters(turning_resistance_factor=1.0, icr_forward=ICR_FORWARD)
+    lateral_model = LateralModelParameters(turning_resistance_factor=1.0, icr_forward=ICR_FORWARD)
     rows: list[dict[str, Any]] = [
         {
             "reference": WAYS[case.way],
             "soil": GROUNDS[case.ground][0],
             "schedule": GROUNDS[case.ground][1],
             "vehicle": {"drive_time_constant": 0.0},
-            "closure": closure._asdict(),
+            "lateral_model": lateral_model._asdict(),
             "start": {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": SPEED},
         }
         for case in cases
     ]
-    policy = filtered_policy(plant_parameters(closure=closure), PRESETS[sensors], "fixed")
+    policy = filtered_policy(
+        plant_parameters(lateral_model=lateral_model), PRESETS[sensors], "fixed"
+    )
     return drive(policy, rows, duration, sensors, keep=True)
 
 

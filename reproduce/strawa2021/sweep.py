@@ -50,7 +50,7 @@ def surface(
     row = {
         "reference": WAYS[way],
         "vehicle": {"drive_time_constant": 0.0},
-        "closure": {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD},
+        "lateral_model": {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD},
         "start": START,
     }
     truth = drive(policy, [row] * mass.size, duration).truth

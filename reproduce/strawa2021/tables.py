@@ -28,7 +28,8 @@ def sweep_table(results: Results) -> Rows:
 def identification_table(results: Results) -> Rows:
     """Section 8.3.1, one line per condition."""
     rows = [
-        ["ground", "closure", "sensors", "factor of (20)", "regression", "mass, straight: worst",
+        ["ground", "lateral model", "sensors", "factor of (20)", "regression",
+         "mass, straight: worst",
          "mass, spiral: rms", "worst", "leaves 5 % at", "inertia: rms", "mu_l: mean error", "rms",
          "mu_t: mean error", "rms", "path RMSE [m]"],
     ]  # fmt: skip

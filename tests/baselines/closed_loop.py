@@ -111,7 +111,7 @@ class Run(NamedTuple):
     state: np.ndarray  # (8, N) at the end
 
 
-def drive(controller, p, path, state, duration, closure="sliding", noise=None):
+def drive(controller, p, path, state, duration, lateral_model="sliding", noise=None):
     """Close the loop for `duration` [s] on the plant with true parameters p."""
     rate = round(1.0 / controller.control_period)
     count = round(controller.control_period / SUB_STEP)
@@ -124,5 +124,5 @@ def drive(controller, p, path, state, duration, closure="sliding", noise=None):
         observation = observe(state, path, step / rate, rng, noise)
         action, memory = controller.predict(observation, memory)
         actions.append(action)
-        STEP[closure](state, p, action.astype(np.float64), count)
+        STEP[lateral_model](state, p, action.astype(np.float64), count)
     return Run(np.array(errors), np.array(actions), state)

@@ -16,7 +16,7 @@ OFFSET = starts(y=-1.0, v_x=0.3)  # the start of S 8.1: 1 m off, slow
 @pytest.mark.parametrize("lag", [0.0, 0.05])
 @pytest.mark.parametrize("d", [0.05, 0.2])
 @pytest.mark.parametrize("path", [CIRCLE, LINE], ids=["circle", "line"])
-def test_perfect_knowledge_leaves_no_error_in_the_constrained_closure(path, d, lag):
+def test_perfect_knowledge_leaves_no_error_in_the_constrained_lateral_model(path, d, lag):
     p = PRINTED._replace(icr_forward=d, drive_time_constant=lag)
     run = drive(
         FeedbackLinearizingController(p, lateral="constrained"), p, path, OFFSET, 30.0,
@@ -39,7 +39,7 @@ def test_wrong_mass_and_inertia_leave_the_steady_error_of_the_paper():
 
 @pytest.mark.parametrize("d", [0.05, 0.2])
 @pytest.mark.parametrize("rate", [100, 50, 20])
-def test_the_sliding_closure_is_tracked_to_a_millimetre_whatever_d_and_rate(rate, d):
+def test_the_sliding_lateral_model_is_tracked_to_a_millimetre_whatever_d_and_rate(rate, d):
     p = CLAY._replace(icr_forward=d)
     run = drive(FeedbackLinearizingController(p, 1.0 / rate), p, CIRCLE, OFFSET, 25.0)
     assert run.error[-rate:].max() < 1e-4

@@ -44,7 +44,7 @@ def test_a_registered_name_makes_a_fresh_policy_each_time() -> None:
 
 
 @pytest.mark.parametrize("name", BY_DRIVE["torque"])
-def test_named_policies_get_clock_and_closure_of_the_environment(name: str) -> None:
+def test_named_policies_get_clock_and_lateral_model_of_the_environment(name: str) -> None:
     policy = made(name)
     controller = getattr(policy, "controller", policy)
     assert (controller.control_period, controller.lateral) == (0.05, "constrained")

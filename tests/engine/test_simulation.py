@@ -295,7 +295,7 @@ def test_soil_presets_stay_in_range_and_sensor_presets_are_those_of_the_paper():
 
 
 def golden_run():
-    """State after 3 s of a fixed drive over a schedule, both closures."""
+    """State after 3 s of a fixed drive over a schedule, both lateral models."""
     schedule = [
         {"parameter": "mass", "kind": "ramp", "target": 1900.0, "start": 0.7, "duration": 0.5},
         {"parameter": "lateral_resistance", "kind": "line", "target": 0.5, "x": 3.0, "y": 0.0,

@@ -16,13 +16,13 @@ from tracked_env.physics.vehicle import Motion, coefficients, drive_limits
 
 CLAY = plant_parameters()
 SANDY_LOAM = SoilParameters(cohesion=9.65e3, friction_angle=math.radians(35.0))
-CLOSURES = ["sliding", "constrained"]
+LATERAL_MODELS = ["sliding", "constrained"]
 REST = Motion(0.0, 0.0, 0.0)
 
 
-def model(closure, p):
+def model(lateral_model, p):
     """(loads, accelerations) as functions of motion and torques, traction limits included."""
-    constrained = closure == "constrained"
+    constrained = lateral_model == "constrained"
     k, drive = coefficients(p, constrained), drive_limits(p)
     loads = constrained_loads if constrained else sliding_loads
     rates = constrained_accelerations if constrained else sliding_accelerations
@@ -37,7 +37,7 @@ def model(closure, p):
     return limited(loads), limited(rates)
 
 
-def random_cases(closure, count=400, seed=5):
+def random_cases(lateral_model, count=400, seed=5):
     """Random parameters, motions and torques: (p, motion, torque left, torque right)."""
     draws = np.random.default_rng(seed)
     for _ in range(count):
@@ -54,6 +54,6 @@ def random_cases(closure, count=400, seed=5):
         )
         scale = 10.0 ** draws.uniform(-3.0, 0.7)
         v_x, v_y, yaw_rate = (float(v) for v in scale * draws.uniform(-1.0, 1.0, 3))
-        v_y = -p.icr_forward * yaw_rate if closure == "constrained" else v_y
+        v_y = -p.icr_forward * yaw_rate if lateral_model == "constrained" else v_y
         left, right = (float(t) for t in draws.uniform(-8e3, 8e3, 2))
         yield p, Motion(v_x, v_y, yaw_rate), left, right

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tests.physics.plant_cases import CLAY, CLOSURES, REST, model, random_cases
+from tests.physics.plant_cases import CLAY, LATERAL_MODELS, REST, model, random_cases
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.lumped_forces import safe_effort, track_limits, track_slip, traction_limits
 from tracked_env.physics.parameters import RANGES
@@ -22,10 +22,12 @@ from tracked_env.physics.vehicle import (
 # --- power ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_sprocket_power_is_kinetic_energy_rate_plus_slip_rolling_and_lateral_dissipation(closure):
-    for p, motion, left, right in random_cases(closure):
-        loads, rates = model(closure, p)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_sprocket_power_is_kinetic_energy_rate_plus_slip_rolling_and_lateral_dissipation(
+    lateral_model,
+):
+    for p, motion, left, right in random_cases(lateral_model):
+        loads, rates = model(lateral_model, p)
         f, rate = loads(motion, left, right), rates(motion, left, right)
         drive = drive_limits(p)
         speeds = track_speeds(motion, 0.5 * p.track_gauge)
@@ -48,7 +50,7 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_slip_rolling_and_lateral_dis
         trace = 0.0842 * p.mass * soil.GRAVITY
         width = soil.MOTION_RESISTANCE_REGULARISATION
         assert rolling >= -trace * p.longitudinal_resistance * width
-        if closure == "sliding":
+        if lateral_model == "sliding":
             assert lateral >= 0.0
         else:
             length = 0.25 * p.contact_length * p.turning_resistance_factor
@@ -56,10 +58,10 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_slip_rolling_and_lateral_dis
             assert lateral >= -trace * p.lateral_resistance * length * width
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_kinetic_energy_changes_as_the_accelerations_say(closure):
-    for p, motion, left, right in random_cases(closure, 50):
-        rate = model(closure, p)[1](motion, left, right)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_kinetic_energy_changes_as_the_accelerations_say(lateral_model):
+    for p, motion, left, right in random_cases(lateral_model, 50):
+        rate = model(lateral_model, p)[1](motion, left, right)
         step = 1e-4
 
         def energy(t, motion=motion, rate=rate, p=p):
@@ -76,28 +78,28 @@ def test_kinetic_energy_changes_as_the_accelerations_say(closure):
 # --- symmetry -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_left_and_right_are_mirror_images_bit_for_bit(closure):
-    for p, motion, left, right in random_cases(closure):
-        rates = model(closure, p)[1]
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_left_and_right_are_mirror_images_bit_for_bit(lateral_model):
+    for p, motion, left, right in random_cases(lateral_model):
+        rates = model(lateral_model, p)[1]
         a_x, a_y, a_w = rates(motion, left, right)
         mirrored = rates(Motion(motion.v_x, -motion.v_y, -motion.yaw_rate), right, left)
         assert mirrored == (a_x, -a_y, -a_w)
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_reverse_is_forward_seen_from_behind_bit_for_bit(closure):
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_reverse_is_forward_seen_from_behind_bit_for_bit(lateral_model):
     # Turned by half a turn: left and right change places, and the ICR changes its sign.
-    for p, motion, left, right in random_cases(closure):
-        a_x, a_y, a_w = model(closure, p)[1](motion, left, right)
+    for p, motion, left, right in random_cases(lateral_model):
+        a_x, a_y, a_w = model(lateral_model, p)[1](motion, left, right)
         turned = p._replace(icr_forward=-p.icr_forward)
         back = Motion(-motion.v_x, -motion.v_y, motion.yaw_rate)
-        assert model(closure, turned)[1](back, -right, -left) == (-a_x, -a_y, a_w)
+        assert model(lateral_model, turned)[1](back, -right, -left) == (-a_x, -a_y, a_w)
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_the_faster_right_track_turns_the_vehicle_to_the_left(closure):
-    a_x, _, a_w = model(closure, CLAY)[1](REST, -6000.0, 6000.0)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_the_faster_right_track_turns_the_vehicle_to_the_left(lateral_model):
+    a_x, _, a_w = model(lateral_model, CLAY)[1](REST, -6000.0, 6000.0)
     assert a_w > 0.0
     assert abs(a_x) < 1e-6
     left, right = track_speeds(Motion(1.0, 0.0, 0.2), 0.85)
@@ -107,9 +109,9 @@ def test_the_faster_right_track_turns_the_vehicle_to_the_left(closure):
 # --- rest, drive ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_a_vehicle_at_rest_stays_at_rest_below_its_resistances(closure):
-    rates = model(closure, CLAY)[1]
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_a_vehicle_at_rest_stays_at_rest_below_its_resistances(lateral_model):
+    rates = model(lateral_model, CLAY)[1]
     for left, right in [(0.0, 0.0), (1000.0, 1000.0), (-1200.0, 1200.0), (0.0, -1270.0)]:
         assert rates(REST, left, right) == (0.0, 0.0, 0.0)
     assert rates(REST, 1400.0, 1400.0)[0] == pytest.approx(
@@ -117,10 +119,10 @@ def test_a_vehicle_at_rest_stays_at_rest_below_its_resistances(closure):
     )
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_no_effort_exceeds_the_limit_of_the_soil(closure):
-    for p, motion, left, right in random_cases(closure):
-        f = model(closure, p)[0](motion, 50.0 * left, 50.0 * right)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_no_effort_exceeds_the_limit_of_the_soil(lateral_model):
+    for p, motion, left, right in random_cases(lateral_model):
+        f = model(lateral_model, p)[0](motion, 50.0 * left, 50.0 * right)
         limit = drive_limits(p).effort_limit
         assert abs(f.effort_left) <= limit
         assert abs(f.effort_right) <= limit
@@ -174,8 +176,8 @@ def test_every_extreme_of_the_allowed_parameters_gives_finite_accelerations():
     for name, bounds in RANGES.items():
         for value in (bounds.low, bounds.high):
             p = CLAY._replace(**{name: float(value)})
-            for closure in CLOSURES:
-                rates = model(closure, p)[1](Motion(1.0, -0.01, 0.2), 500.0, 900.0)
+            for lateral_model in LATERAL_MODELS:
+                rates = model(lateral_model, p)[1](Motion(1.0, -0.01, 0.2), 500.0, 900.0)
                 assert np.all(np.isfinite(rates)), (name, value)
 
 

@@ -22,7 +22,7 @@ from tracked_env.physics.lumped_forces import (
     sliding_accelerations,
     traction_limits,
 )
-from tracked_env.physics.parameters import ClosureParameters, SoilParameters, plant_parameters
+from tracked_env.physics.parameters import LateralModelParameters, SoilParameters, plant_parameters
 from tracked_env.physics.vehicle import Motion, coefficients, drive_limits
 
 CLAY = plant_parameters()
@@ -131,7 +131,7 @@ def test_the_icr_of_a_driven_circle_emerges_at_five_centimetres():
     assert expected == pytest.approx(0.05, rel=0.06)
 
 
-def test_the_constrained_closure_keeps_its_icr_through_a_manoeuvre():
+def test_the_constrained_lateral_model_keeps_its_icr_through_a_manoeuvre():
     trajectory = run(circle_entry(), SUBSTEPS, CLAY, True)
     assert trajectory[:, V_Y] == pytest.approx(-0.05 * trajectory[:, YAW_RATE], abs=1e-14)
 
@@ -145,7 +145,7 @@ def _jerkiness(values):
 def test_a_pivot_turn_from_rest_is_stable_at_the_default_step_on_rough_ground(factor, torque):
     p = plant_parameters(
         soil=SoilParameters(lateral_resistance=1.0),
-        closure=ClosureParameters(turning_resistance_factor=factor),
+        lateral_model=LateralModelParameters(turning_resistance_factor=factor),
     )
     # One control period per sub-step shows every sub-step.
     command = constant(-torque, torque, steps=400)

@@ -15,8 +15,7 @@ and, if it likes,
     excited()   -> {name: (N,) bool}   whether the data say something about that parameter now
     nis()       -> {filter: (N,)}      normalised innovation squared of its filters, NaN = no sample
 The names are the same in every call; estimates of what is not in `identification.KNOWN` are not
-judged. The answers must
-not change what the policy does.
+evaluated. The answers must not change what the policy does.
 """
 
 import hashlib
@@ -58,7 +57,7 @@ class PolicyContext(NamedTuple):
     """What a factory may know of the environment that its policy will meet."""
 
     control_period: float  # [s]
-    lateral: str  # lateral closure
+    lateral: str  # lateral model
     sensors: Sensors = RTK  # their data sheet; the signs of the biases are not in it
     drive: str = "torque"  # what the actions are, torques or speeds of the sprockets
     vehicle: str = "strawa"  # nominal vehicle and soil, a key of physics.parameters.VEHICLES
@@ -173,10 +172,10 @@ def as_factory(spec: str, found: Any) -> PolicyFactory:
 
 def _factory(found: Callable[..., Any]) -> PolicyFactory:
     try:
-        told = "context" in inspect.signature(found).parameters
+        takes_context = "context" in inspect.signature(found).parameters
     except ValueError:  # some built-in functions have no signature
-        told = False
-    if told:
+        takes_context = False
+    if takes_context:
         return lambda context: found(context=context)
     return lambda context: found()
 

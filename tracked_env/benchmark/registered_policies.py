@@ -127,7 +127,7 @@ def _to_stderr(text: str) -> None:
 
 
 def registered_policies(warn: Callable[[str], None] = _to_stderr) -> list[Registered]:
-    """Everything that is registered. warn: is told what is left out, and why."""
+    """Everything that is registered. warn: called with what is left out, and why."""
     known: dict[tuple[str, str | None], Registered] = {}
     for distribution, entry, found in _loaded(POLICIES, warn):
         try:

@@ -1,4 +1,4 @@
-"""What `tracked-env evaluate` and evaluate.py can be told: the options, and a configuration."""
+"""Options of `tracked-env evaluate` and evaluate.py, and a configuration from them."""
 
 import argparse
 from collections.abc import Sequence

@@ -35,7 +35,7 @@ from tracked_env.uncertainty import CheckedLaw, Law, Spec, make_uncertainty
 from tracked_env.validation import checked_effect, checked_keys, checked_number, checked_parameter
 
 # Option -> group of parameters; `closure` is the former name of `lateral_model`.
-PARAMETER_KEYS = {**{group: group for group in GROUPS}, "lateral_model": "closure"}
+PARAMETER_KEYS = {**{group: group for group in GROUPS}, "closure": "lateral_model"}
 OPTION_KEYS = (*PARAMETER_KEYS, "reference", "sensors", "schedule", "start")
 START_OFFSET = 0.15  # [-] of the nominal contact length, to either side
 DURATION_RANGE = Range(0.1, 3600.0, "s", "Did you pass control steps?")

@@ -35,7 +35,7 @@ from tracked_env.engine.columns import Batch
 from tracked_env.physics import reference_profile
 from tracked_env.physics import state as s
 from tracked_env.physics.jit import formula
-from tracked_env.rewards import judge
+from tracked_env.rewards import reward_and_ending
 from tracked_env.terrain import ground
 
 DIVERGED = 1e15  # [SI] no motion of a vehicle has such numbers; their squares are still finite
@@ -136,7 +136,7 @@ def _finish(batch, observations, i, moving, period, error_limit):
         period, observations, diverged,
     )  # fmt: skip
     if moving:
-        judge(floats, counters, i, error_limit, diverged)
+        reward_and_ending(floats, counters, i, error_limit, diverged)
         if counters[i, b.TERMINATED] + counters[i, b.TRUNCATED] > 0:
             return SOME_ENDED
     return CALM

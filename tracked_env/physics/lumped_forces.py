@@ -6,8 +6,8 @@ Equations (S = Strawa et al. 2021 section 4, in ISO axes; symbols in NOTATION.md
     I dw/dt             = (B/2) [(F_R - R_R) - (F_L - R_L)] + f M
     F_k                 = clip(torque_k / r, traction limits),   k = L, R
     dtorque/dt          = (demand - torque) / T
-`sliding` closure: as above, F_y and M from the sliding contact; x_ICR = -v_y / w emerges.
-`constrained` closure: S (28), v_y = -d w holds at all times and F_y follows from it:
+`sliding` lateral model: as above, F_y and M from the sliding contact; x_ICR = -v_y / w emerges.
+`constrained` lateral model: S (28), v_y = -d w holds at all times and F_y follows from it:
     m (dv_x/dt + d w^2)          = F_L + F_R - R_L - R_R
     (I + m d^2) dw/dt - m d w v_x = (B/2) [(F_R - R_R) - (F_L - R_L)] - (F_y d + M_r)
 Assumptions: planar motion, no track inertia, ideal transmission, parameters constant over
@@ -80,7 +80,7 @@ def _longitudinal(motion, torque_left, torque_right, k, limits):
 
 @formula
 def sliding_loads(motion, torque_left, torque_right, k, limits):
-    """Loads of the `sliding` closure; torques [N m] are those of the drives."""
+    """Loads of the `sliding` lateral model; torques [N m] are those of the drives."""
     fl, fr, rl, rr = _longitudinal(motion, torque_left, torque_right, k, limits)
     force, moment = soil.lateral_friction(
         motion.v_y, motion.yaw_rate, k.friction_intensity, k.contact_length
@@ -90,7 +90,7 @@ def sliding_loads(motion, torque_left, torque_right, k, limits):
 
 @formula
 def constrained_loads(motion, torque_left, torque_right, k, limits):
-    """Loads of the `constrained` closure: S 4.1.2 and S (20), (21) with x_ICR = d."""
+    """Loads of the `constrained` lateral model: S 4.1.2 and S (20), (21) with x_ICR = d."""
     fl, fr, rl, rr = _longitudinal(motion, torque_left, torque_right, k, limits)
     length, d = k.contact_length, k.icr_forward
     inverse_width = 1.0 / soil.YAW_FRICTION_REGULARISATION

@@ -1,4 +1,4 @@
-"""Parameters of vehicle, soil and model closure: names, units, physical ranges, presets.
+"""Parameters of vehicle, soil and lateral model: names, units, physical ranges, presets.
 
 The physics takes every parameter per vehicle and per step. A batch keeps one vehicle per row and
 one parameter per column, in the order of `PARAMETER_NAMES`, shape (N, PARAMETER_ROWS).
@@ -38,11 +38,11 @@ class SoilParameters(NamedTuple):
     lateral_resistance: float = 0.8  # [-] mu_t, lateral friction over weight
 
 
-class ClosureParameters(NamedTuple):
+class LateralModelParameters(NamedTuple):
     """Choices of the lateral model that are numbers."""
 
     turning_resistance_factor: float = 1.0  # [-] 1 = integral; 2 = as printed in S (20)
-    icr_forward: float = 0.05  # [m] d, x_ICR in the `constrained` closure
+    icr_forward: float = 0.05  # [m] d, x_ICR in the `constrained` lateral model
 
 
 class PlantParameters(NamedTuple):
@@ -94,7 +94,7 @@ PARAMETER_INDEX = {name: row for row, name in enumerate(PARAMETER_NAMES)}
 GROUPS = {
     "vehicle": VehicleParameters._fields,
     "soil": SoilParameters._fields,
-    "closure": ClosureParameters._fields,
+    "lateral_model": LateralModelParameters._fields,
 }
 
 STRAWA_VEHICLE = VehicleParameters()
@@ -145,11 +145,11 @@ RANGES = {
 def plant_parameters(
     vehicle: VehicleParameters = STRAWA_VEHICLE,
     soil: SoilParameters = HEAVY_CLAY,
-    closure: ClosureParameters | None = None,
+    lateral_model: LateralModelParameters | None = None,
 ) -> PlantParameters:
-    """Join vehicle, soil and closure into the flat tuple that the kernels take."""
-    closure = ClosureParameters() if closure is None else closure
-    values = (*vehicle, *soil, *closure)
+    """Join vehicle, soil and lateral model into the flat tuple that the kernels take."""
+    lateral_model = LateralModelParameters() if lateral_model is None else lateral_model
+    values = (*vehicle, *soil, *lateral_model)
     return PlantParameters(*(float(value) for value in values))
 
 

@@ -9,7 +9,7 @@ F_k, F_y and M are sums over the patches (`track_patches`); driven by speeds, b_
 prints the sum of R_R and R_L in the yaw equation, and F (22) a resistance along the motion.
 
 Two integrators:
-    rosenbrock  linearly implicit, second order (`implicit_step`): no chatter.
+    rosenbrock  linearly implicit, second order (`physics/rosenbrock.py`): no chatter.
     euler       explicit, the pose with the new velocities, as published simulators do: velocities
                 chatter by up to strength h / m near rolling. Here to be compared with them.
 

@@ -282,7 +282,7 @@ def _start_constrained(parameters: PlantParameters, state: VehicleState) -> Vehi
 
 
 def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
-    if checked_choice("lateral closure", options["lateral"], LATERAL) == "constrained":
+    if checked_choice("lateral model", options["lateral"], LATERAL) == "constrained":
         return Prepared(
             advance_constrained, hold_constrained, (), _start_constrained,
             variant=" with constrained tracks",

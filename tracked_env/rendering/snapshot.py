@@ -77,17 +77,17 @@ def take(simulation: Simulation, row: int) -> Snapshot:
         raise gymnasium.error.ResetNeeded("nothing to draw: call reset() before render()")
     batch, solver = simulation.batch, simulation.solver
 
-    def shown(values: NDArray[np.float64]) -> list[float]:
+    def finite_list(values: NDArray[np.float64]) -> list[float]:
         return np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).tolist()
 
     names = (
         "reference_x", "reference_y", "reference_yaw", "reference_speed", "reference_yaw_rate",
         "distance", "heading_error", "reward", "action_left", "action_right",
     )  # fmt: skip
-    number = dict(zip(names, shown(batch.floats[row, columns(names)]), strict=True))
+    number = dict(zip(names, finite_list(batch.floats[row, columns(names)]), strict=True))
     finite = bool(np.isfinite(batch.state()[row]).all())
-    state = VehicleState(*shown(batch.state()[row]))
-    parameters = PlantParameters(*shown(batch.parameters()[row]))
+    state = VehicleState(*finite_list(batch.state()[row]))
+    parameters = PlantParameters(*finite_list(batch.parameters()[row]))
     resistances = solver.plant.motion_resistances(batch.floats, row)
     return Snapshot(
         episode=episode,
@@ -96,7 +96,7 @@ def take(simulation: Simulation, row: int) -> Snapshot:
         duration=simulation.settings.duration,
         state=state,
         parameters=parameters,
-        parameters_at_start=PlantParameters(*shown(batch.base()[row])),
+        parameters_at_start=PlantParameters(*finite_list(batch.base()[row])),
         reference=Pose(number["reference_x"], number["reference_y"], number["reference_yaw"]),
         reference_speed=number["reference_speed"],
         reference_yaw_rate=number["reference_yaw_rate"],

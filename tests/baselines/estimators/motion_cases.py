@@ -60,10 +60,10 @@ def mirrored(measurement: Measurement) -> Measurement:
     return measurement._replace(values=values)
 
 
-def measurements(p, kind, closure="sliding", sheet=EXACT, count=1, seed=0, steps=1000):
+def measurements(p, kind, lateral_model="sliding", sheet=EXACT, count=1, seed=0, steps=1000):
     """A list of measurements of `count` vehicles with parameters p: the plant's accelerations
     at every moment of a motion, with the sensors' noise (no bias)."""
-    constrained = closure == "constrained"
+    constrained = lateral_model == "constrained"
     k = vehicle.coefficients(p, constrained)
     rates = plant.constrained_accelerations if constrained else plant.sliding_accelerations
     rng = np.random.default_rng(seed + 1000)

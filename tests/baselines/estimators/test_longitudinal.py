@@ -33,18 +33,18 @@ def relative_error(estimate, p):
 # --- exact where the model is ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closure", ["sliding", "constrained"])
+@pytest.mark.parametrize("lateral_model", ["sliding", "constrained"])
 @pytest.mark.parametrize("kind", ["straight", "curves", "reverse"])
-def test_without_noise_the_coupled_regression_finds_mass_and_resistance(kind, closure):
-    samples = measurements(TRUTH._replace(icr_forward=0.2), kind, closure)
+def test_without_noise_the_coupled_regression_finds_mass_and_resistance(kind, lateral_model):
+    samples = measurements(TRUTH._replace(icr_forward=0.2), kind, lateral_model)
     last = follow(estimator(), samples)[-1]
     assert np.abs(relative_error(last, TRUTH)).max() < 1e-4  # what is left of the prior
     assert last.status[0] == Status.CONVERGING
 
 
-@pytest.mark.parametrize("closure", ["sliding", "constrained"])
-def test_on_the_spot_the_resistances_cancel_and_the_mass_is_found_alone(closure):
-    last = follow(estimator(), measurements(TRUTH, "pivot", closure))[-1]
+@pytest.mark.parametrize("lateral_model", ["sliding", "constrained"])
+def test_on_the_spot_the_resistances_cancel_and_the_mass_is_found_alone(lateral_model):
+    last = follow(estimator(), measurements(TRUTH, "pivot", lateral_model))[-1]
     assert abs(relative_error(last, TRUTH)[0, 0]) < 1e-5
     assert last.of("longitudinal_resistance") == CLAY.longitudinal_resistance
     assert last.deviation("longitudinal_resistance") == pytest.approx(0.3, rel=1e-6)

@@ -14,10 +14,10 @@ from tracked_env.physics import terramechanics as soil
 TRUTH = CLAY._replace(
     mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0, lateral_resistance=0.65
 )
-CLOSURES = ("sliding", "constrained")
+LATERAL_MODELS = ("sliding", "constrained")
 
 
-def with_closure(p, factor=1.0, icr=0.2):
+def with_lateral_model(p, factor=1.0, icr=0.2):
     return p._replace(turning_resistance_factor=factor, icr_forward=icr)
 
 
@@ -45,28 +45,28 @@ def relative_error(estimate, p):
 # --- exact where the model is ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 @pytest.mark.parametrize("kind", ["curves", "reverse", "pivot"])
-def test_without_noise_inertia_and_lateral_resistance_are_found(kind, factor, closure):
-    truth, nominal = with_closure(TRUTH, factor), with_closure(CLAY, factor)
-    found = estimator(nominal=nominal, lateral=closure)
-    last = follow(found, measurements(truth, kind, closure))[-1]
+def test_without_noise_inertia_and_lateral_resistance_are_found(kind, factor, lateral_model):
+    truth, nominal = with_lateral_model(TRUTH, factor), with_lateral_model(CLAY, factor)
+    found = estimator(nominal=nominal, lateral=lateral_model)
+    last = follow(found, measurements(truth, kind, lateral_model))[-1]
     assert np.abs(relative_error(last, truth)).max() < 2e-4  # what is left of the prior
     assert last.status[0] == Status.CONVERGING
     assert found.memory[0, ls.CHANGES] == 0
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_the_paper_s_settings_find_them_too(closure):
-    truth, nominal = with_closure(TRUTH), with_closure(CLAY)
-    found = estimator(nominal=nominal, lateral=closure, regression="paper")
-    last = follow(found, measurements(truth, "curves", closure))[-1]
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_the_paper_s_settings_find_them_too(lateral_model):
+    truth, nominal = with_lateral_model(TRUTH), with_lateral_model(CLAY)
+    found = estimator(nominal=nominal, lateral=lateral_model, regression="paper")
+    last = follow(found, measurements(truth, "curves", lateral_model))[-1]
     assert np.abs(relative_error(last, truth)).max() < 2e-4
 
 
 def test_as_printed_they_are_found_however_far_they_are():
-    truth, nominal = with_closure(TRUTH), with_closure(CLAY)
+    truth, nominal = with_lateral_model(TRUTH), with_lateral_model(CLAY)
     far = truth._replace(inertia=20.0 * CLAY.inertia, lateral_resistance=0.05)
     found = estimator(nominal=nominal, truth=far, lateral="constrained", regression="printed")
     last = follow(found, measurements(far, "curves", "constrained"))[-1]
@@ -108,14 +108,16 @@ def test_with_opposite_tracks_the_motion_resistance_enters():
 # --- noise ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 @pytest.mark.parametrize("kind", ["curves", "reverse", "pivot"])
-def test_with_the_noise_of_the_sensors_errors_are_small_and_as_large_as_said(kind, factor, closure):
+def test_with_the_noise_of_the_sensors_errors_are_small_and_as_large_as_said(
+    kind, factor, lateral_model
+):
     count = 100
-    truth, nominal = with_closure(TRUTH, factor), with_closure(CLAY, factor)
-    found = estimator(RTK, count, nominal, lateral=closure)
-    results = follow(found, measurements(truth, kind, closure, RTK, count))
+    truth, nominal = with_lateral_model(TRUTH, factor), with_lateral_model(CLAY, factor)
+    found = estimator(RTK, count, nominal, lateral=lateral_model)
+    results = follow(found, measurements(truth, kind, lateral_model, RTK, count))
     error = relative_error(results[-1], truth)
     assert np.sqrt((error**2).mean(0)).max() < 0.02
     assert found.memory[:, ls.CHANGES].mean() < 0.2
@@ -128,18 +130,18 @@ def test_with_the_noise_of_the_sensors_errors_are_small_and_as_large_as_said(kin
     assert 0.6 < np.nanmean([result.nis for result in results[50:]]) < 1.2
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
 @pytest.mark.parametrize("sheet", [EXACT, RTK], ids=["exact", "rtk"])
-def test_on_the_straight_it_holds_however_long(sheet, closure):
+def test_on_the_straight_it_holds_however_long(sheet, lateral_model):
     count = 10
-    found = estimator(sheet, count, lateral=closure)
-    fresh = follow(found, measurements(TRUTH, "straight", closure, sheet, count))[-1]
+    found = estimator(sheet, count, lateral=lateral_model)
+    fresh = follow(found, measurements(TRUTH, "straight", lateral_model, sheet, count))[-1]
     assert not found.memory.any()
     assert (fresh.excitation == 0.0).all()
     assert (fresh.status == Status.HOLDING).all()
-    follow(found, measurements(TRUTH, "curves", closure, sheet, count))
+    follow(found, measurements(TRUTH, "curves", lateral_model, sheet, count))
     memory = found.memory.copy()
-    after = follow(found, measurements(TRUTH, "straight", closure, sheet, count))[-1]
+    after = follow(found, measurements(TRUTH, "straight", lateral_model, sheet, count))[-1]
     assert np.array_equal(found.memory, memory)
     assert np.abs(relative_error(after, TRUTH)).max() < 0.1
 
@@ -198,10 +200,10 @@ def test_releasing_the_inertia_keeps_the_values_and_forgets_how_sure_they_were()
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_exchanging_left_and_right_changes_nothing(kind, closure):
-    samples = measurements(TRUTH, kind, closure, sheet=RTK, steps=300)
-    one, other = estimator(RTK, lateral=closure), estimator(RTK, lateral=closure)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_exchanging_left_and_right_changes_nothing(kind, lateral_model):
+    samples = measurements(TRUTH, kind, lateral_model, sheet=RTK, steps=300)
+    one, other = estimator(RTK, lateral=lateral_model), estimator(RTK, lateral=lateral_model)
     follow(one, samples)
     follow(other, [mirrored(sample) for sample in samples])
     signed = [ls.CUSUM_UP, ls.CUSUM_DOWN]  # the innovation changes its sign
@@ -252,13 +254,13 @@ def test_a_torque_that_no_drive_has_is_refused():
     assert np.array_equal(found.memory, memory)
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_bounds_hold_under_dropouts_outliers_and_reversals(closure):
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_bounds_hold_under_dropouts_outliers_and_reversals(lateral_model):
     rng = np.random.default_rng(6)
-    found = estimator(RTK, 20, lateral=closure)
+    found = estimator(RTK, 20, lateral=lateral_model)
     samples = []
     for seed, kind in enumerate(("curves", "reverse", "pivot", "straight", "curves")):
-        samples += measurements(TRUTH, kind, closure, RTK, count=20, seed=seed, steps=300)
+        samples += measurements(TRUTH, kind, lateral_model, RTK, count=20, seed=seed, steps=300)
     for sample in samples:
         wild = rng.random(sample.values.shape) < 0.01
         sample.values[wild] *= rng.choice([-50.0, 0.0, 50.0, np.nan], wild.sum())
@@ -268,13 +270,13 @@ def test_bounds_hold_under_dropouts_outliers_and_reversals(closure):
         assert (np.linalg.eigvalsh(estimate.covariance * [[1e-6, 1e-3], [1e-3, 1.0]]) > 0.0).all()
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_a_batch_equals_single_vehicles_and_a_copied_memory_goes_on(closure):
-    samples = measurements(TRUTH, "curves", closure, sheet=RTK, count=4, steps=200)
-    batch = estimator(RTK, 4, lateral=closure)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_a_batch_equals_single_vehicles_and_a_copied_memory_goes_on(lateral_model):
+    samples = measurements(TRUTH, "curves", lateral_model, sheet=RTK, count=4, steps=200)
+    batch = estimator(RTK, 4, lateral=lateral_model)
     last = follow(batch, samples)[-1]
     for i in range(4):
-        alone, other = estimator(RTK, lateral=closure), estimator(RTK, lateral=closure)
+        alone, other = estimator(RTK, lateral=lateral_model), estimator(RTK, lateral=lateral_model)
         mine = [Measurement(*(part[i : i + 1] for part in sample)) for sample in samples]
         follow(alone, mine[:90])
         other.memory[:] = alone.memory.copy()

@@ -124,11 +124,11 @@ def test_beside_a_resting_reference_it_comes_to_rest():
         assert np.isfinite(value + deviation).all()
 
 
-def test_the_closure_of_the_paper_with_its_factor_is_identified_as_well():
+def test_the_lateral_model_of_the_paper_with_its_factor_is_identified_as_well():
     p = plant_parameters()._replace(turning_resistance_factor=2.0)
     options = {
         "lateral": "constrained",
-        "reset": {"closure": {"turning_resistance_factor": 2.0}},
+        "reset": {"lateral_model": {"turning_resistance_factor": 2.0}},
     }
     mine = run(AdaptivePolicy(p, lateral="constrained"), "soil-and-mass", 16, **options)
     trusting, knowing = (

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
-from baselines.linearizing.linearizing_policy import CLOSURES, FeedbackLinearizingController
+from baselines.linearizing.linearizing_policy import LATERAL_MODELS, FeedbackLinearizingController
 from tracked_env import observation as layout
 from tracked_env.physics import lumped_forces as plant
 from tracked_env.physics import terramechanics as soil
@@ -105,7 +105,7 @@ def test_the_derivatives_of_the_demanded_point_are_consistent_while_speed_and_tu
 
 
 @pytest.mark.parametrize("speed", [2.0, -1.0])
-def test_the_demand_of_the_constrained_closure_moves_along_the_heading_to_come(speed):
+def test_the_demand_of_the_constrained_lateral_model_moves_along_the_heading_to_come(speed):
     d, yaw_rate = 0.2, 0.3
     demand = demanded_point(1.0, speed, yaw_rate, d, -d * yaw_rate, True)
     arm = demand[0] - demanded_point(1.0, speed, yaw_rate, 0.0, 0.0, True)[0] + [d, 0.0]
@@ -116,9 +116,9 @@ def test_the_demand_of_the_constrained_closure_moves_along_the_heading_to_come(s
     assert np.sign(along) == np.sign(speed)
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_the_static_feedback_gives_the_demanded_accelerations(closure):
-    constrained = closure == "constrained"
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_the_static_feedback_gives_the_demanded_accelerations(lateral_model):
+    constrained = lateral_model == "constrained"
     p = PRINTED._replace(icr_forward=0.2)
     k = vehicle.coefficients(p, constrained)
     rates = plant.constrained_accelerations if constrained else plant.sliding_accelerations
@@ -146,9 +146,9 @@ def test_the_effort_limit_keeps_the_sum_before_the_difference():
 # --- the policy -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_exchanging_left_and_right_exchanges_the_torques_exactly(closure):
-    controller = FeedbackLinearizingController(CLAY, lateral=closure)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_exchanging_left_and_right_exchanges_the_torques_exactly(lateral_model):
+    controller = FeedbackLinearizingController(CLAY, lateral=lateral_model)
     seen, xi = observations(200), RNG.normal(size=200)
     seen[:, layout.INDEX["heading_error"]] *= 4.0  # some face backwards
     action, state = controller.predict(seen, xi)
@@ -159,14 +159,14 @@ def test_exchanging_left_and_right_exchanges_the_torques_exactly(closure):
     assert np.std(action) > 0.1
 
 
-@pytest.mark.parametrize("closure", CLOSURES)
-def test_a_row_of_a_batch_equals_one_vehicle_with_its_own_parameters(closure):
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_a_row_of_a_batch_equals_one_vehicle_with_its_own_parameters(lateral_model):
     masses = RNG.uniform(800.0, 2000.0, 9)
-    batch = FeedbackLinearizingController(CLAY._replace(mass=masses), lateral=closure)
+    batch = FeedbackLinearizingController(CLAY._replace(mass=masses), lateral=lateral_model)
     seen, xi = observations(9), RNG.normal(size=9)
     action, state = batch.predict(seen, xi)
     for i, mass in enumerate(masses):
-        one = FeedbackLinearizingController(CLAY._replace(mass=float(mass)), lateral=closure)
+        one = FeedbackLinearizingController(CLAY._replace(mass=float(mass)), lateral=lateral_model)
         own_action, own_state = one.predict(seen[i], xi[i : i + 1])
         assert own_action.shape == (2,)
         assert own_action.dtype == np.float32

@@ -1,4 +1,4 @@
-"""The two lateral closures: the ICR that emerges, and the ICR that is imposed."""
+"""The two lateral models: the ICR that emerges, and the ICR that is imposed."""
 
 import math
 
@@ -8,10 +8,10 @@ from scipy.optimize import fsolve
 
 from tests.physics.plant_cases import CLAY, SANDY_LOAM, model, random_cases
 from tracked_env.physics.lumped_forces import track_slip
-from tracked_env.physics.parameters import ClosureParameters, plant_parameters
+from tracked_env.physics.parameters import LateralModelParameters, plant_parameters
 from tracked_env.physics.vehicle import Motion, drive_limits, track_speeds
 
-# --- sliding closure ------------------------------------------------------------------------
+# --- sliding lateral model ------------------------------------------------------------------------
 
 
 def _steady_circle(p, radius=10.0, speed=2.0):
@@ -47,7 +47,7 @@ def test_only_the_misprinted_factor_makes_sandy_loam_too_weak_for_the_paper_circ
     # plus M_r / B: 7.6 kN with the integral, 11.0 kN with the factor 2; the soil gives 10.7 kN.
     needed = {}
     for factor in (1.0, 2.0):
-        p = plant_parameters(closure=ClosureParameters(turning_resistance_factor=factor))
+        p = plant_parameters(lateral_model=LateralModelParameters(turning_resistance_factor=factor))
         needed[factor] = _steady_circle(p)[2] / p.sprocket_radius
     limit = drive_limits(plant_parameters(soil=SANDY_LOAM)).effort_limit
     assert limit == pytest.approx(10.66e3, rel=1e-3)
@@ -55,7 +55,7 @@ def test_only_the_misprinted_factor_makes_sandy_loam_too_weak_for_the_paper_circ
     assert needed[2.0] > limit
 
 
-# --- constrained closure --------------------------------------------------------------------
+# --- constrained lateral model --------------------------------------------------------------------
 
 
 def _with_multiplier(p, motion, loads, yaw=0.7):
@@ -85,7 +85,7 @@ def _with_multiplier(p, motion, loads, yaw=0.7):
     )
 
 
-def test_the_constrained_closure_agrees_with_the_lagrange_multiplier():
+def test_the_constrained_lateral_model_agrees_with_the_lagrange_multiplier():
     for p, motion, left, right in random_cases("constrained"):
         loads, rates = model("constrained", p)
         expected = _with_multiplier(p, motion, loads(motion, left, right))
@@ -93,14 +93,14 @@ def test_the_constrained_closure_agrees_with_the_lagrange_multiplier():
         assert rates(motion, left, right) == pytest.approx(expected, rel=1e-9, abs=1e-11 * scale)
 
 
-def test_the_constrained_closure_keeps_the_icr_where_it_is():
+def test_the_constrained_lateral_model_keeps_the_icr_where_it_is():
     for p, motion, left, right in random_cases("constrained"):
         _, a_y, a_w = model("constrained", p)[1](motion, left, right)
         assert a_y == -p.icr_forward * a_w
 
 
 def test_constrained_friction_is_sliding_friction_at_the_same_icr():
-    # Far above both regularisations the two closures see the same contact.
+    # Far above both regularisations the two lateral models see the same contact.
     for d in (-0.3, -0.05, 0.05, 0.4):
         p = CLAY._replace(icr_forward=d)
         for w in (-300.0, 300.0):

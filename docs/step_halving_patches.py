@@ -89,9 +89,13 @@ TORQUE_REFERENCE = 5e-5  # [s]
 def driven_by_torque(h, soil, resistance):
     """Poses (n, RANDOM_RUNS, 3) every PERIOD of the strawa vehicle under `random_torques`."""
     config = EnvConfig(
-        uncertainty="nominal", sensors="ideal", reference="straight", plant="distributed",
-        time_step=h, error_limit=1e6,
-    )  # fmt: skip
+        uncertainty="nominal",
+        sensors="ideal",
+        reference="straight",
+        plant="distributed",
+        time_step=h,
+        error_limit=1e6,
+    )
     simulation = Simulation(RANDOM_RUNS, config)
     simulation.rngs = [np.random.default_rng(i) for i in range(RANDOM_RUNS)]
     ground = SOILS[soil]._replace(longitudinal_resistance=resistance)._asdict()

@@ -13,7 +13,8 @@ if __name__ == "__main__":
     parser.add_argument("paper", choices=PAPERS, help="the paper whose experiments are run")
     parser.add_argument("--output", type=Path, default=Path("results"), metavar="FOLDER",
                         help="the page goes to FOLDER/PAPER (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--no-figures", dest="figures", action="store_false",
-                        help="write the page without figures")  # fmt: skip
+    parser.add_argument(
+        "--no-figures", dest="figures", action="store_false", help="write the page without figures"
+    )
     arguments = parser.parse_args()
     sys.exit(main(arguments.paper, arguments.output, arguments.figures))

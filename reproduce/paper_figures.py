@@ -14,8 +14,11 @@ Drawings = dict[str, tuple[Figure, str]]  # {name: (figure, caption)}
 R = TypeVar("R")  # results of all experiments of one paper
 
 REFERENCE: dict[str, Any] = {
-    "color": REFERENCE_COLOUR, "linewidth": 4.0, "alpha": 0.45, "label": "reference",
-}  # fmt: skip
+    "color": REFERENCE_COLOUR,
+    "linewidth": 4.0,
+    "alpha": 0.45,
+    "label": "reference",
+}
 
 
 def panels(size: tuple[float, float], rows: int, columns: int, **shared: Any) -> tuple[Figure, Any]:

@@ -50,8 +50,10 @@ def verdict(*agreed: bool) -> str:
 
 def claims_table(found: Sequence[Claim]) -> Rows:
     """One line per claim."""
-    return [["place", "claim of the paper", "our number", "agrees?", "why / conditions"],
-            *(list(claim) for claim in found)]  # fmt: skip
+    return [
+        ["place", "claim of the paper", "our number", "agrees?", "why / conditions"],
+        *(list(claim) for claim in found),
+    ]
 
 
 def html(text: str) -> str | None:
@@ -78,8 +80,10 @@ class PaperPage(Generic[R]):
         parts = [self.head, "## Claims\n", markdown_rows(rows, names=len(rows[0])) + "\n"]
         if figures:
             parts.append("## Figures\n")
-            parts += [f"![{name}]({file.name})\n\n{caption}\n" for name, (file, caption)
-                      in figures.items()]  # fmt: skip
+            parts += [
+                f"![{name}]({file.name})\n\n{caption}\n"
+                for name, (file, caption) in figures.items()
+            ]
         parts.append("## Tables\n")
         for title, (table, text) in self.tables.items():
             parts.append(f"### {title}\n\n{text}\n\n{markdown_rows(table(results))}\n")

@@ -87,8 +87,9 @@ def test_patches_have_no_lateral_constraint():
     for arguments in ({"plant": "distributed"}, SPEED):
         refused(
             lambda given=arguments: TrackedVehicleEnv(**given, lateral="constrained"),
-            'lateral = "constrained"', '"sliding"',
-        )  # fmt: skip
+            'lateral = "constrained"',
+            '"sliding"',
+        )
 
 
 @pytest.mark.parametrize(

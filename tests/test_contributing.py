@@ -33,9 +33,13 @@ def test_what_a_section_says_works_in_a_folder_of_ones_own(what, repository, tmp
     (tmp_path / "use.py").write_text(blocks[1])
     path = os.pathsep.join([str(tmp_path), str(repository)])
     done = subprocess.run(
-        [sys.executable, "use.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300,
+        [sys.executable, "use.py"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
         env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     assert re.search(SECTIONS[what], done.stdout), done.stdout
     assert "Warning" not in done.stderr

@@ -87,9 +87,12 @@ def test_every_mode_of_make_vec_gives_the_same_numbers():
 
 def test_wrappers_of_single_environments_go_into_make_vec():
     env = gymnasium.make_vec(
-        ID, num_envs=2, vectorization_mode="sync", duration=0.2,
+        ID,
+        num_envs=2,
+        vectorization_mode="sync",
+        duration=0.2,
         wrappers=[partial(gymnasium.wrappers.RescaleAction, min_action=0.0, max_action=1.0)],
-    )  # fmt: skip
+    )
     twin = gymnasium.make_vec(ID, num_envs=2, duration=0.2)
     assert np.array_equal(env.reset(seed=0)[0], twin.reset(seed=0)[0])
     half = env.step(np.full((2, 2), 0.75, np.float32))[0]
@@ -225,8 +228,11 @@ print(json.dumps([spec.id in registered, "tracked_env:" + spec.id in registered,
     assert result.returncode == 0, result.stderr
     # The form with the module in front is no registered id: rl-zoo would refuse it.
     assert json.loads(result.stdout) == [
-        True, False, "tracked_env.env:TrackedVehicleEnv", [1, 31],
-    ]  # fmt: skip
+        True,
+        False,
+        "tracked_env.env:TrackedVehicleEnv",
+        [1, 31],
+    ]
 
 
 class EnvContext(dict):

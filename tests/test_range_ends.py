@@ -92,13 +92,15 @@ def accepted(ends, probe):
 def actions_of(rng, steps):
     """Random, extreme, constant, tiny and oversized actions (steps, ROWS, 2), a kind per row."""
     shape = (steps, ROWS, 2)
-    kinds = np.stack([
-        rng.uniform(-1.0, 1.0, shape),
-        rng.choice([-1.0, 1.0], shape),
-        np.broadcast_to(rng.choice([-1.0, 0.0, 0.3, 1.0], (1, ROWS, 2)), shape),
-        rng.choice([0.0, 1e-30, -1e-7], shape),
-        rng.choice([-1e30, 2.0, 1e38], shape),
-    ])  # fmt: skip
+    kinds = np.stack(
+        [
+            rng.uniform(-1.0, 1.0, shape),
+            rng.choice([-1.0, 1.0], shape),
+            np.broadcast_to(rng.choice([-1.0, 0.0, 0.3, 1.0], (1, ROWS, 2)), shape),
+            rng.choice([0.0, 1e-30, -1e-7], shape),
+            rng.choice([-1e30, 2.0, 1e38], shape),
+        ]
+    )
     return kinds[np.arange(ROWS) % len(kinds), :, np.arange(ROWS)].transpose(1, 0, 2).astype("f4")
 
 

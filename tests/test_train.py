@@ -47,8 +47,11 @@ def test_the_agent_comes_with_its_configuration_and_learning_curve(trained):
     evaluated = ~np.isnan(curve["held_out_rmse"])
     assert curve["steps"][evaluated].tolist() == [1024, 2048, 3072, 4096]
     assert {path.name for path in trained.iterdir()} == {
-        "agent.zip", "last.zip", "config.json", "curve.csv",
-    }  # fmt: skip
+        "agent.zip",
+        "last.zip",
+        "config.json",
+        "curve.csv",
+    }
 
 
 def test_a_killed_training_goes_on_to_the_same_agent(trained, repository, tmp_path):

@@ -79,7 +79,7 @@ def test_stable_baselines3_and_mixtures_take_a_law_too():
 @pytest.mark.parametrize(
     "spec",
     [heavy_then_light, Heavier(1.5), {"mass": [1000.0, 2000.0]}, ["payload", Heavier(2.0)]],
-)  # fmt: skip
+)
 def test_an_environment_with_a_law_is_copied_and_pickled(spec):
     env = TrackedVehicleEnv(uncertainty=spec, duration=0.5)
     env.reset(seed=1)

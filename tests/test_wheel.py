@@ -72,8 +72,9 @@ def test_the_wheel_holds_the_two_packages_and_the_shipped_agents(
     with zipfile.ZipFile(wheel) as archive:
         files = set(archive.namelist())
     assert {name.partition("/")[0].partition("-")[0] for name in files} == {
-        "tracked_env", "baselines",
-    }  # fmt: skip
+        "tracked_env",
+        "baselines",
+    }
     agents = {
         path.relative_to(repository).as_posix()
         for path in (repository / "baselines" / "learned" / "pretrained").glob("*/*/agent.zip")
@@ -120,9 +121,13 @@ def test_the_wheel_alone_evaluates_as_the_clone_does(
     ],
 )
 def test_the_wheel_alone_says_what_it_has_and_what_it_lacks(
-    arguments: list[str], status: int, message: str, unpacked: Path, repository: Path,
+    arguments: list[str],
+    status: int,
+    message: str,
+    unpacked: Path,
+    repository: Path,
     tmp_path: Path,
-) -> None:  # fmt: skip
+) -> None:
     done = run([sys.executable, "-c", ALONE, str(unpacked), str(repository), *arguments], tmp_path)
     assert done.returncode == status, done.stderr
     assert message in done.stdout + done.stderr

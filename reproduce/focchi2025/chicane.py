@@ -42,9 +42,12 @@ NOISE = 0.02  # [rad/s] sigma on the sprocket speeds
 SEEDS = 4  # vehicles per case
 RATES = (1000, 200, 50)  # [Hz]
 REFERENCE: dict[str, Any] = {
-    "kind": "chicane", "speed": SPEED, "yaw_rate": TURN, "turn_time": TURN_TIME,
+    "kind": "chicane",
+    "speed": SPEED,
+    "yaw_rate": TURN,
+    "turn_time": TURN_TIME,
     "switch_time": SWITCH_TIME,
-}  # fmt: skip
+}
 _STATES = columns(("x", "y", "yaw", "v_x", "v_y", "yaw_rate"))
 _SPROCKETS = columns(("sprocket_speed_left", "sprocket_speed_right"))
 _GOAL = columns(("reference_x", "reference_y", "reference_yaw"))
@@ -127,10 +130,13 @@ def options(case: Case) -> dict[str, Any]:
         },
         "sensors": case.sensors,
         "start": {
-            "offset_x": START[0], "offset_y": START[1], "offset_yaw": START[2],
-            "speed": 0.0, "yaw_rate": 0.0,
+            "offset_x": START[0],
+            "offset_y": START[1],
+            "offset_yaw": START[2],
+            "speed": 0.0,
+            "yaw_rate": 0.0,
         },
-    }  # fmt: skip
+    }
 
 
 def drive(cases: Sequence[Case], seeds: int = SEEDS, duration: float = DURATION) -> dict[Case, Run]:

@@ -44,34 +44,42 @@ def identification_claims(results: Results) -> list[Claim]:
                             "not computed", "-", found.missing))  # fmt: skip
     else:
         claims.append(
-            Claim("4.2, 4.3, figs 6, 7", "simulation, mu = 0.1: R^2 = 0.999 for beta_L, beta_R, "
-                  "alpha",
-                  f"{three(simulated.held_out)} on held-out points, {three(simulated.unseen)} on "
-                  "runs not seen before the upsampling",
-                  verdict(min(simulated.held_out[:3]) > 0.999, min(simulated.unseen[:3]) > 0.999),
-                  f"{len(low.v_x)} runs held until steady, upsampled to 0.1 rad/s"),
-        )  # fmt: skip
+            Claim(
+                "4.2, 4.3, figs 6, 7",
+                "simulation, mu = 0.1: R^2 = 0.999 for beta_L, beta_R, alpha",
+                f"{three(simulated.held_out)} on held-out points, {three(simulated.unseen)} on "
+                "runs not seen before the upsampling",
+                verdict(min(simulated.held_out[:3]) > 0.999, min(simulated.unseen[:3]) > 0.999),
+                f"{len(low.v_x)} runs held until steady, upsampled to 0.1 rad/s",
+            ),
+        )
     brief = found.brief
     claims.append(
-        Claim("4.2", "2 s of constant speed reach a steady state",
-              f"beta after 2 s from rest: R^2 {brief.determination[0]:.3f} against the steady one; "
-              f"alpha: {brief.determination[2]:.2f}, size {brief.slope[2]:.2f} times; within "
-              f"±4.6 rad/s {found.brief_slow.determination[0]:.4f} and "
-              f"{found.brief_slow.determination[2]:.4f}",
-              verdict(brief.determination[0] > 0.98, brief.determination[2] > 0.98),
-              "at mu = 0.1 fast turns need longer; F may go from one pair to the next without a "
-              "stop"),
-    )  # fmt: skip
+        Claim(
+            "4.2",
+            "2 s of constant speed reach a steady state",
+            f"beta after 2 s from rest: R^2 {brief.determination[0]:.3f} against the steady one; "
+            f"alpha: {brief.determination[2]:.2f}, size {brief.slope[2]:.2f} times; within "
+            f"±4.6 rad/s {found.brief_slow.determination[0]:.4f} and "
+            f"{found.brief_slow.determination[2]:.4f}",
+            verdict(brief.determination[0] > 0.98, brief.determination[2] > 0.98),
+            "at mu = 0.1 fast turns need longer; F may go from one pair to the next without a stop",
+        ),
+    )
     if real is not None:
         if real.held_out is not None and real.unseen is not None:
             agree = [abs(a - b) < 0.05 for a, b in zip(real.unseen[:3], REAL, strict=True)]
             claims.append(
-                Claim("4.2, 4.3, figs 6, 7", "real vehicle: R^2 = 0.91, 0.84, 0.961",
-                      f"{three(real.unseen)} on runs not seen; {three(real.held_out)} on held-out "
-                      "upsampled points", verdict(*agree),
-                      "a test set split off after the upsampling has neighbours 0.1 rad/s away in "
-                      "the training set; the paper's numbers look like those of unseen runs"),
-            )  # fmt: skip
+                Claim(
+                    "4.2, 4.3, figs 6, 7",
+                    "real vehicle: R^2 = 0.91, 0.84, 0.961",
+                    f"{three(real.unseen)} on runs not seen; {three(real.held_out)} on held-out "
+                    "upsampled points",
+                    verdict(*agree),
+                    "a test set split off after the upsampling has neighbours 0.1 rad/s away in "
+                    "the training set; the paper's numbers look like those of unseen runs",
+                ),
+            )
         beta = {n: (a.correlation[:2], a.slope[:2]) for n, a in found.against_measured.items()}
         claims.append(
             Claim("4.4, fig. 9", "good quantitative match of beta within ±4.6 rad/s",
@@ -85,24 +93,30 @@ def identification_claims(results: Results) -> list[Claim]:
         alpha = found.against_measured[LENGTHS[-1]]
         behind, moved = found.behind[LENGTHS[-1]]
         claims.append(
-            Claim("4.4, fig. 9", "only a qualitative match of alpha, perhaps for rubber on floor",
-                  f"forward real / simulated {alpha.slope[2]:.1f}, reverse {alpha.slope[3]:.1f}: "
-                  f"the sign of the reverse is another. A point {cm(behind)} behind the turning "
-                  f"centre would have R^2 {moved.determination[2]:.2f} / "
-                  f"{moved.determination[3]:.2f} instead of "
-                  f"{alpha.determination[2]:.2f} / {alpha.determination[3]:.2f}; fitted forward "
-                  f"alone it is {cm(found.behind_each[0])}, in reverse alone "
-                  f"{cm(found.behind_each[1])}",
-                  "yes",
-                  "-w d / v_x has one sign forward and in reverse, slip has two: a hypothesis, "
-                  "which neither the paper nor other runs support"),
-        )  # fmt: skip
+            Claim(
+                "4.4, fig. 9",
+                "only a qualitative match of alpha, perhaps for rubber on floor",
+                f"forward real / simulated {alpha.slope[2]:.1f}, reverse {alpha.slope[3]:.1f}: "
+                f"the sign of the reverse is another. A point {cm(behind)} behind the turning "
+                f"centre would have R^2 {moved.determination[2]:.2f} / "
+                f"{moved.determination[3]:.2f} instead of "
+                f"{alpha.determination[2]:.2f} / {alpha.determination[3]:.2f}; fitted forward "
+                f"alone it is {cm(found.behind_each[0])}, in reverse alone "
+                f"{cm(found.behind_each[1])}",
+                "yes",
+                "-w d / v_x has one sign forward and in reverse, slip has two: a hypothesis, "
+                "which neither the paper nor other runs support",
+            ),
+        )
     claims += [
-        Claim("4.3, fig. 8", "alpha grows on slippery ground; mu = 0.4 and 0.6 are very similar",
-              f"0.1 against 0.4: {at_low:.1f} times; 0.4 against 0.6: {at_middle:.2f} times (rms)",
-              verdict(at_low > 1.5, at_middle < 0.5 * (1.0 + at_low)),
-              "mu = 0.1, 0.4, 0.6, forward"),
-    ]  # fmt: skip
+        Claim(
+            "4.3, fig. 8",
+            "alpha grows on slippery ground; mu = 0.4 and 0.6 are very similar",
+            f"0.1 against 0.4: {at_low:.1f} times; 0.4 against 0.6: {at_middle:.2f} times (rms)",
+            verdict(at_low > 1.5, at_middle < 0.5 * (1.0 + at_low)),
+            "mu = 0.1, 0.4, 0.6, forward",
+        ),
+    ]
     return claims
 
 
@@ -207,16 +221,23 @@ def further_claims(results: Results) -> list[Claim]:
     by_rate = [
         max(numbers[Case(kind, n, rate)].largest for rate in chicane.RATES)
         / min(numbers[Case(kind, n, rate)].largest for rate in chicane.RATES)
-        for kind in chicane.KINDS for n in LENGTHS
-    ]  # fmt: skip
-    c_r = {n: (numbers[Case("uc", n)].largest,
-               numbers[Case("uc", n, resistance=0.0, believed_resistance=0.0)].largest,
-               numbers[Case("table", n)].largest,
-               numbers[Case("table", n, resistance=0.0, believed_resistance=0.0)].largest)
-           for n in LENGTHS}  # fmt: skip
+        for kind in chicane.KINDS
+        for n in LENGTHS
+    ]
+    c_r = {
+        n: (
+            numbers[Case("uc", n)].largest,
+            numbers[Case("uc", n, resistance=0.0, believed_resistance=0.0)].largest,
+            numbers[Case("table", n)].largest,
+            numbers[Case("table", n, resistance=0.0, believed_resistance=0.0)].largest,
+        )
+        for n in LENGTHS
+    }
     integrated = {key: run.numbers().largest for key, run in results.integrators.items()}
-    apart = max(abs(integrated[name, kind] - integrated["Rosenbrock, 1 ms", kind])
-                for name, kind in integrated)  # fmt: skip
+    apart = max(
+        abs(integrated[name, kind] - integrated["Rosenbrock, 1 ms", kind])
+        for name, kind in integrated
+    )
     slow = {n: numbers[Case("exponential, slow", n)].largest for n in LENGTHS}
     blind = {n: c_r[n][0] for n in LENGTHS}
     fast = {n: numbers[Case("exponential", n)].largest for n in LENGTHS}

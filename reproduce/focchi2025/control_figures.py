@@ -130,9 +130,11 @@ def online(results: Results) -> Figure:
             run = results.chicane[Case(kind, length, friction=true, believed=believed)]
             shown = {**line, "label": label}
             axes[0, column].plot(run.time, 100.0 * run.distance[:, 0], **shown)
-            mu = run.belief["friction"][:, 0] if kind == "online" else np.full(
-                len(run.time), believed
-            )  # fmt: skip
+            mu = (
+                run.belief["friction"][:, 0]
+                if kind == "online"
+                else np.full(len(run.time), believed)
+            )
             axes[1, column].plot(run.time, mu, **shown)
         axes[0, column].set_title(f"true mu = {true:g}, assumed {assumed:g}")
         axes[0, column].set_ylim(0.0, 10.0)

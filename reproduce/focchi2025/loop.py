@@ -47,9 +47,12 @@ def _observations(
         "position_error_x": cosine * ahead_x + sine * ahead_y,
         "position_error_y": cosine * ahead_y - sine * ahead_x,
         "heading_error": (turn + np.pi) % (2.0 * np.pi) - np.pi,
-        "v_x": state[:, 3], "v_y": state[:, 4], "yaw_rate": state[:, 5],
-        "sprocket_speed_left": sprockets[:, 0], "sprocket_speed_right": sprockets[:, 1],
-    }  # fmt: skip
+        "v_x": state[:, 3],
+        "v_y": state[:, 4],
+        "yaw_rate": state[:, 5],
+        "sprocket_speed_left": sprockets[:, 0],
+        "sprocket_speed_right": sprockets[:, 1],
+    }
     for name in ("speed", "acceleration", "jerk", "yaw_rate", "yaw_acceleration"):
         values[f"reference_{name}"] = reference[name][k]
     return layout.pack(values)

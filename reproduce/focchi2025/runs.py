@@ -70,17 +70,21 @@ class Run(NamedTuple):
         distance = self.distance[late]
         largest = distance.max(axis=0)
         return Numbers(
-            float(largest.mean()), float(largest.std()),
-            float(np.sqrt(np.mean(distance**2))), float(np.abs(self.heading[late]).max()),
-        )  # fmt: skip
+            float(largest.mean()),
+            float(largest.std()),
+            float(np.sqrt(np.mean(distance**2))),
+            float(np.abs(self.heading[late]).max()),
+        )
 
     def only(self, rows: slice) -> "Run":
         """Some of the vehicles."""
         return Run(
-            self.time, self.state[:, :, rows], self.sprockets[:, :, rows],
+            self.time,
+            self.state[:, :, rows],
+            self.sprockets[:, :, rows],
             self.reference[:, :, rows],
             {name: values[:, rows] for name, values in self.belief.items()},
-        )  # fmt: skip
+        )
 
     def slip(self, parameters: PlantParameters) -> tuple[Floats, Floats, Floats]:
         """Actual slip of the vehicles, (T, N): beta_left, beta_right [m/s] of F (31), alpha [rad]
@@ -91,5 +95,7 @@ class Run(NamedTuple):
         alpha = np.where(np.abs(found.v_x) > SLOWEST, found.alpha, np.nan)
         shape = self.state[:, 0].shape
         return (
-            found.beta_left.reshape(shape), found.beta_right.reshape(shape), alpha.reshape(shape)
-        )  # fmt: skip
+            found.beta_left.reshape(shape),
+            found.beta_right.reshape(shape),
+            alpha.reshape(shape),
+        )

@@ -58,8 +58,10 @@ def _sheets(found: Identified, reach: Reach, radius: float) -> list[Floats]:
 
         dense = found.dense
         points = (dense.sprocket_left, dense.sprocket_right)
-        flat = tuple(griddata(points, values, (left.ravel(), right.ravel()), method="nearest")
-                     for values in (dense.beta_left, dense.beta_right, dense.alpha))  # fmt: skip
+        flat = tuple(
+            griddata(points, values, (left.ravel(), right.ravel()), method="nearest")
+            for values in (dense.beta_left, dense.beta_right, dense.alpha)
+        )
     beta_left, beta_right, alpha = (values.reshape(left.shape) for values in flat)
     v_x = 0.5 * (radius * (left + right) - beta_left - beta_right)
     return [left, right, beta_left, beta_right, _forward(alpha, v_x)]
@@ -83,9 +85,13 @@ def fits(found: Identifications, radius: float) -> Figure:
                 rcount=NODES, ccount=NODES,
             )  # fmt: skip
             axes.scatter(
-                runs.sprocket_left[some], runs.sprocket_right[some], dots[column][some], s=1.5,
-                color=POINTS, depthshade=False,
-            )  # fmt: skip
+                runs.sprocket_left[some],
+                runs.sprocket_right[some],
+                dots[column][some],
+                s=1.5,
+                color=POINTS,
+                depthshade=False,
+            )
     return figure
 
 
@@ -100,8 +106,9 @@ def frictions(found: Identifications) -> Figure:
         side = round(len(runs.v_x) ** 0.5)
         left, right = (c.reshape(side, side) for c in (runs.sprocket_left, runs.sprocket_right))
         alpha = _forward(runs.alpha, runs.v_x).reshape(side, side)
-        surface.plot_surface(left, right, alpha, color=colour, alpha=0.55, linewidth=0.0,
-                             rcount=side, ccount=side)  # fmt: skip
+        surface.plot_surface(
+            left, right, alpha, color=colour, alpha=0.55, linewidth=0.0, rcount=side, ccount=side
+        )
         # Nodes with i + j constant: the same mean speed, the turn grows along them.
         i = np.arange(side)
         j = 2 * (side // 2) + 2 * (side // 6) - i

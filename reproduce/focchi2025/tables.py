@@ -11,10 +11,13 @@ from reproduce.focchi2025.runs import LENGTHS, RESISTANCE
 from reproduce.paper_page import Rows
 
 CONTROLLER = {
-    "uc": "UC", "table": "SLC", "trees": "SLC, decision trees",
-    "exponential": "SLC, (54) of all runs", "exponential, slow": "SLC, (54) within 4.6 rad/s",
+    "uc": "UC",
+    "table": "SLC",
+    "trees": "SLC, decision trees",
+    "exponential": "SLC, (54) of all runs",
+    "exponential, slow": "SLC, (54) within 4.6 rad/s",
     "online": "SLC, on line",
-}  # fmt: skip
+}
 PRINTED = {"uc": "10", "table": "below 3"}  # [cm] figure 13
 _LENGTH_HEAD = [f"{n:g} m: max [cm]" for n in LENGTHS]
 
@@ -72,11 +75,14 @@ def resistance_table(results: Results) -> Rows:
     """Rolling resistance of the plant and of the regressor."""
     rows = [["controller", "c_r", "c_r of the regressor", *_LENGTH_HEAD]]
     cases = [("uc", RESISTANCE, RESISTANCE), ("uc", 0.0, 0.0)]
-    cases += [("table", true, assumed) for true in (RESISTANCE, 0.0)
-              for assumed in (RESISTANCE, 0.0)]  # fmt: skip
+    cases += [
+        ("table", true, assumed) for true in (RESISTANCE, 0.0) for assumed in (RESISTANCE, 0.0)
+    ]
     for kind, true, assumed in cases:
-        found = [results.chicane[Case(kind, n, resistance=true, believed_resistance=assumed)]
-                 for n in LENGTHS]  # fmt: skip
+        found = [
+            results.chicane[Case(kind, n, resistance=true, believed_resistance=assumed)]
+            for n in LENGTHS
+        ]
         rows.append([CONTROLLER[kind], f"{true:g}", "" if kind == "uc" else f"{assumed:g}",
                      *(run.numbers().text for run in found)])  # fmt: skip
     return rows
@@ -88,8 +94,11 @@ def open_table(results: Results) -> Rows:
              for n in LENGTHS)]]  # fmt: skip
     for name, text in chicane.READINGS.items():
         for resistance in (RESISTANCE, 0.0):
-            found = [results.readings.get((name, n, resistance, kind))
-                     for kind in chicane.KINDS for n in LENGTHS]  # fmt: skip
+            found = [
+                results.readings.get((name, n, resistance, kind))
+                for kind in chicane.KINDS
+                for n in LENGTHS
+            ]
             if any(one is None for one in found):
                 continue
             rows.append([f"{name}: {text}", f"{resistance:g}",
@@ -112,8 +121,9 @@ def integrator_table(results: Results) -> Rows:
     rows = [["integrator", "UC: max [cm]", "SLC: max [cm]", "SLC: RMSE [cm]"]]
     for name in chicane.INTEGRATORS:
         uc, slc = (results.integrators[name, kind].numbers() for kind in chicane.KINDS)
-        rows.append([name, f"{100 * uc.largest:.3f}", f"{100 * slc.largest:.3f}",
-                     f"{100 * slc.rmse:.3f}"])  # fmt: skip
+        rows.append(
+            [name, f"{100 * uc.largest:.3f}", f"{100 * slc.largest:.3f}", f"{100 * slc.rmse:.3f}"]
+        )
     return rows
 
 
@@ -150,8 +160,12 @@ def identification_table(results: Results) -> Rows:
     for length, agreement in found.against_measured.items():
         add("real vehicle", f"simulation, {length:g} m", "all runs", agreement.determination)
     for length, (behind, agreement) in found.behind.items():
-        add("real vehicle", f"simulation, {length:g} m, point {100 * behind:.1f} cm behind",
-            "all runs", agreement.determination)  # fmt: skip
+        add(
+            "real vehicle",
+            f"simulation, {length:g} m, point {100 * behind:.1f} cm behind",
+            "all runs",
+            agreement.determination,
+        )
     return rows
 
 

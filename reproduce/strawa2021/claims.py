@@ -50,10 +50,12 @@ def controller_claims(results: Results) -> list[Claim]:
     stop, again = standstill(lost.time, lost.truth["v_x"])
     misprint = lost.settled_rms > 1.0 and fine.settled_rms < 0.01
     like = min(alike(run, side) for run in exact for side in ("left", "right"))
-    belts = apart_from(runs["exact", "circle", 2.0], runs["mass-inertia", "circle", 2.0],
-                       "sprocket_speed")  # fmt: skip
-    torques = apart_from(runs["exact", "circle", 2.0], runs["mass-inertia", "circle", 2.0],
-                         "torque")  # fmt: skip
+    belts = apart_from(
+        runs["exact", "circle", 2.0], runs["mass-inertia", "circle", 2.0], "sprocket_speed"
+    )
+    torques = apart_from(
+        runs["exact", "circle", 2.0], runs["mass-inertia", "circle", 2.0], "torque"
+    )
     largest = max(float(np.abs(circle[f"torque_{side}"]).max()) for side in ("left", "right"))
     return [
         Claim("8.1, figs 9-11", "with all parameters known no error remains",
@@ -112,9 +114,11 @@ def alike(run: Run, side: str) -> float:
 def apart_from(right: Run, wrong: Run, name: str) -> tuple[float, float]:
     """Largest difference of a quantity of both tracks: before EARLY, and after SETTLED."""
     apart = np.maximum(
-        *(np.abs(wrong.truth[f"{name}_{side}"] - right.truth[f"{name}_{side}"])
-          for side in ("left", "right"))
-    )  # fmt: skip
+        *(
+            np.abs(wrong.truth[f"{name}_{side}"] - right.truth[f"{name}_{side}"])
+            for side in ("left", "right")
+        )
+    )
     return float(apart[right.time < EARLY].max()), float(apart[right.time >= SETTLED].max())
 
 
@@ -142,13 +146,15 @@ def _both(found: dict[Condition, ident.Quality], field: str, like: Condition) ->
 
 def identification_claims(results: Results) -> list[Claim]:
     """Section 8.3.1."""
-    found = {c: ident.quality(run) for c, run in results.identification.items()
-             if c.kind != "fixed"}  # fmt: skip
+    found = {
+        c: ident.quality(run) for c, run in results.identification.items() if c.kind != "fixed"
+    }
     maps = Condition("printed", 2.0, "strawa")
     uniform = maps._replace(ground="uniform")
     rmse = {c: rms(run.error) for c, run in results.identification.items()}
-    gains = [rmse[c._replace(kind="fixed")] / value for c, value in rmse.items()
-             if c.kind != "fixed"]  # fmt: skip
+    gains = [
+        rmse[c._replace(kind="fixed")] / value for c, value in rmse.items() if c.kind != "fixed"
+    ]
     noisy, plain = found[maps], found[uniform]
     ideal = found[maps._replace(sensors="ideal")]
     less = [q.inertia < q.mass_spiral for c, q in found.items() if c.kind == "printed"
@@ -156,8 +162,7 @@ def identification_claims(results: Results) -> list[Claim]:
     on_maps = {kind: found[maps._replace(kind=kind)] for kind in REGRESSIONS}
 
     def means(field: str) -> str:
-        return ", ".join(f"{ident.NAMES[k]} {getattr(q, field):+.2g}"
-                         for k, q in on_maps.items())  # fmt: skip
+        return ", ".join(f"{ident.NAMES[k]} {getattr(q, field):+.2g}" for k, q in on_maps.items())
 
     def path(sensors: str) -> str:
         return " / ".join(
@@ -198,8 +203,9 @@ def identification_claims(results: Results) -> list[Claim]:
               f"RMSE wrong / printed / bounded / coupled: {path('ideal')} m ideal, "
               f"{path('strawa')} m noise",
               verdict(min(gains) > 1.0),
-              f"at least {min(gains):.0f} times, both factors and lateral models; also where the "
-              "mass is lost: the error is the missing force over the believed mass, which is large"),
+              f"at least {min(gains):.0f} times, both factors, both lateral models; also "
+              "where the mass is lost: the error is the missing force over the believed mass, and "
+              "that is large"),
     ]  # fmt: skip
 
 
@@ -207,8 +213,9 @@ def slip_claims(results: Results) -> list[Claim]:
     """Section 8.3.2."""
     slip = results.slip
     gentle = [i for i, c in enumerate(slip.cases) if c.speed == "gentle" and c.rate == 100.0]
-    brisk = next(i for i, c in enumerate(slip.cases)
-                 if c.speed == "brisk" and c.soil == "sandy loam")  # fmt: skip
+    brisk = next(
+        i for i, c in enumerate(slip.cases) if c.speed == "brisk" and c.soil == "sandy loam"
+    )
     calm, rapid = {}, {}
     for name in slips.MEASURED:
         calm[name] = [slips.quality(slip, i, name, side, False)

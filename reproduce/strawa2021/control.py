@@ -44,17 +44,21 @@ class Scenario(NamedTuple):
 SCENARIOS: dict[str, Scenario] = {
     "exact": Scenario("8.1", "all parameters known", {}, {}),
     "mass-inertia": Scenario(
-        "8.2.1", "controller has 55 % of the mass, 110 % of the inertia", {},
+        "8.2.1",
+        "controller has 55 % of the mass, 110 % of the inertia",
+        {},
         {"mass": 0.55, "inertia": 1.10},
     ),
     "resistance-maps": Scenario(
         "8.2.2", "resistance maps (44), (45)", {"schedule": STRAWA_MAPS}, {}
     ),
     "sandy-loam": Scenario(
-        "8.2.3", "controller expects heavy clay, soil is sandy loam",
-        {"soil": {"cohesion": 9650.0, "friction_angle": math.radians(35.0)}}, {},
+        "8.2.3",
+        "controller expects heavy clay, soil is sandy loam",
+        {"soil": {"cohesion": 9650.0, "friction_angle": math.radians(35.0)}},
+        {},
     ),
-}  # fmt: skip
+}
 
 
 class Run(NamedTuple):

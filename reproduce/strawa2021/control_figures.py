@@ -49,10 +49,14 @@ def scenario(runs: Runs, name: str) -> Figure:
     case = SCENARIOS[name]
     figure, axes = panels((10.0, 8.4), 3, 3)
     lines: dict[float, dict[str, Any]] = {
-        factor: {"color": colour, "linestyle": style, "linewidth": 1.2,
-                 "label": f"factor {factor:g} in (20)"}
+        factor: {
+            "color": colour,
+            "linestyle": style,
+            "linewidth": 1.2,
+            "label": f"factor {factor:g} in (20)",
+        }
         for factor, colour, style in zip((2.0, 1.0), PALETTE, ("--", "-"), strict=False)
-    }  # fmt: skip
+    }
     for column, path in enumerate(PATHS):
         _paths(axes[0, column], runs, name, path, lines)
     speed = PATHS["circle"]["speed"]
@@ -77,11 +81,14 @@ def scenario(runs: Runs, name: str) -> Figure:
     for panel, key in zip(axes[1], ("v_x", "yaw_rate"), strict=False):
         panel.axhline(wanted[key], color=REFERENCE_COLOUR, linewidth=3.0, alpha=0.45, zorder=0)
     titles = (
-        (axes[0, 2], "distance to the reference", "[m]"), (axes[1, 0], "forward speed", "[m/s]"),
-        (axes[1, 1], "yaw rate", "[rad/s]"), (axes[1, 2], "acceleration error", "[m/s$^2$]"),
-        (axes[2, 0], "transmitted torque", "[kN m]"), (axes[2, 1], "sprocket speed", "[rad/s]"),
+        (axes[0, 2], "distance to the reference", "[m]"),
+        (axes[1, 0], "forward speed", "[m/s]"),
+        (axes[1, 1], "yaw rate", "[rad/s]"),
+        (axes[1, 2], "acceleration error", "[m/s$^2$]"),
+        (axes[2, 0], "transmitted torque", "[kN m]"),
+        (axes[2, 1], "sprocket speed", "[rad/s]"),
         (axes[2, 2], "slip", "[%]"),
-    )  # fmt: skip
+    )
     for panel, title, unit in titles:
         panel.set_title(title if panel is axes[0, 2] else f"{title}, circle")
         panel.set_ylabel(unit)
@@ -94,9 +101,12 @@ def scenario(runs: Runs, name: str) -> Figure:
         axes[2, 2].set_ylim(min(0.0, 1.3 * slip.min()), 1.3 * slip.max())
     for panel in (axes[0, 0], axes[0, 2], axes[2, 0]):
         panel.legend(
-            fontsize=7, loc="center" if panel is axes[0, 0] else "best",
-            frameon=True, framealpha=0.85, edgecolor="none",
-        )  # fmt: skip
+            fontsize=7,
+            loc="center" if panel is axes[0, 0] else "best",
+            frameon=True,
+            framealpha=0.85,
+            edgecolor="none",
+        )
     figure.suptitle(f"Section {case.section}: {case.title} ({NUMBERS[name]} of the paper)")
     return figure
 
@@ -143,7 +153,10 @@ def drawings(results: Results) -> Drawings:
             "pale: straight line or left track."
         )
         drawn[name] = (scenario(runs, name), caption)
-    drawn["maps"] = (maps(runs), "Figures 18 and 19 of the paper: the maps (44), (45) with the "
-                     "circle of 8.2.2 (solid) and the straight part of 8.3.1 (dashed), and the "
-                     "coefficients on the circle.")  # fmt: skip
+    drawn["maps"] = (
+        maps(runs),
+        "Figures 18 and 19 of the paper: the maps (44), (45) with the "
+        "circle of 8.2.2 (solid) and the straight part of 8.3.1 (dashed), and the "
+        "coefficients on the circle.",
+    )
     return drawn

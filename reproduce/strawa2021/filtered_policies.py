@@ -36,6 +36,10 @@ def filtered_policy(
     """
     made = FilteringPolicy if kind == "fixed" else AdaptivePolicy
     return made(
-        parameters, PERIOD, DataSheet.of(sensors), lateral,
-        regression="coupled" if kind == "fixed" else kind, uses_soil=False,
-    )  # fmt: skip
+        parameters,
+        PERIOD,
+        DataSheet.of(sensors),
+        lateral,
+        regression="coupled" if kind == "fixed" else kind,
+        uses_soil=False,
+    )

@@ -93,10 +93,13 @@ def options(condition: Condition, reference: Event) -> dict[str, Any]:
         "vehicle": {"drive_time_constant": 0.0},
         "lateral_model": lateral_model_options(condition.factor, condition.lateral),
         "start": {
-            "offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0,
-            "speed": reference["initial_speed"], "yaw_rate": 0.0,
+            "offset_x": 0.0,
+            "offset_y": 0.0,
+            "offset_yaw": 0.0,
+            "speed": reference["initial_speed"],
+            "yaw_rate": 0.0,
         },
-    }  # fmt: skip
+    }
 
 
 def identify(

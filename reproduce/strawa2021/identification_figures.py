@@ -112,8 +112,11 @@ def trajectory(runs: dict[Condition, Drive], like: Condition) -> Figure:
 
 def slip(result: slips.Slips) -> Figure:
     """Figure 33: true and estimated slip of one vehicle on sandy loam, gentle and brisk."""
-    shown = [i for i, case in enumerate(result.cases)
-             if case.soil == "sandy loam" and case.rate == slips.RATES[0]]  # fmt: skip
+    shown = [
+        i
+        for i, case in enumerate(result.cases)
+        if case.soil == "sandy loam" and case.rate == slips.RATES[0]
+    ]
     figure, axes = panels((10.0, 2.6 * len(shown) + 0.3), len(shown), 2, sharex=True)
     time = result.result.time
     for row, case in enumerate(shown):
@@ -150,8 +153,10 @@ def soil(results: Results, way: str = "manoeuvre") -> Figure:
     case = CASES.index(Case(way, "changing"))
     figure, axes = panels((10.0, 7.2), 3, 2, sharex=True)
     exact = results.soil["printed"]
-    rows = (("effort", "true_effort", 1e-3, "$F_{max}$ [kN]", (0.0, 30.0)),
-            ("modulus", "true_modulus", 1e3, "K [mm]", (0.0, 60.0)))  # fmt: skip
+    rows = (
+        ("effort", "true_effort", 1e-3, "$F_{max}$ [kN]", (0.0, 30.0)),
+        ("modulus", "true_modulus", 1e3, "K [mm]", (0.0, 60.0)),
+    )
     for row, (name, true, scale, label, limits) in enumerate(rows):
         axes[row, 0].plot(exact.time, scale * getattr(exact, true)[:, case], **TRUE)
         for method, (text, colour, style) in methods.items():
@@ -197,8 +202,12 @@ def drawings(results: Results) -> Drawings:
             "with the noise of the paper; the spiral begins at the grey line. Dotted: 1 %, 5 %.",
         ),
         "estimates-uniform": (
-            estimates(identified, like._replace(ground="uniform"),
-                      "Noise of the paper, uniform ground, factor 2", 10.0),
+            estimates(
+                identified,
+                like._replace(ground="uniform"),
+                "Noise of the paper, uniform ground, factor 2",
+                10.0,
+            ),
             "The same on ground whose coefficients are everywhere those of X = 0.",
         ),
         "trajectory": (
@@ -216,4 +225,4 @@ def drawings(results: Results) -> Drawings:
             "Figures 34 to 36 of the paper: F_max, K and the iterations; the soil changes at the "
             "grey lines.",
         ),
-    }  # fmt: skip
+    }

@@ -101,10 +101,13 @@ def true_maximum(result: Drive) -> Floats:
     of_each: Any = np.vectorize(terramechanics.maximum_tractive_effort, otypes=[np.float64])
     return np.asarray(
         of_each(
-            truth["cohesion"], truth["friction_angle"], nominal.track_width,
-            nominal.contact_length, truth["mass"],
+            truth["cohesion"],
+            truth["friction_angle"],
+            nominal.track_width,
+            nominal.contact_length,
+            truth["mass"],
         )
-    )  # fmt: skip
+    )
 
 
 def parameters_of_guess() -> PlantParameters:
@@ -131,9 +134,13 @@ def estimated_soil(
     count = slips.shape[1]
     reader = ObservationReader(PERIOD, count)
     soil = SoilEstimator(
-        parameters_of_guess(), PERIOD, DataSheet.of(PRESETS[sensors]), count, residual="total",
+        parameters_of_guess(),
+        PERIOD,
+        DataSheet.of(PRESETS[sensors]),
+        count,
+        residual="total",
         correlation_steps=1.0 if sensors == "ideal" else SLIP_CORRELATION,
-    )  # fmt: skip
+    )
     rows: list[dict[str, Floats]] = []
     for observation, slip, variance in zip(result.observations, slips, variances, strict=True):
         soil.provide_slip(slip, variance)
@@ -154,9 +161,7 @@ def run_all(cases: Sequence[Case] = tuple(CASES), duration: float = DURATION) ->
         result = _drive(sensors, cases, duration)
         slip = np.stack([result.truth["slip_left"], result.truth["slip_right"]], axis=-1)
         force = np.stack([result.truth["effort_left"], result.truth["effort_right"]], axis=-1)
-        common = (
-            result.time, true_maximum(result), result.truth["shear_deformation_modulus"]
-        )  # fmt: skip
+        common = (result.time, true_maximum(result), result.truth["shear_deformation_modulus"])
         if sensors == "ideal":
             seen, variances = slip, np.zeros_like(slip)
         else:

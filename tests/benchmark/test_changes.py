@@ -66,8 +66,9 @@ def test_a_small_change_is_not_felt() -> None:
 def test_a_border_that_is_crossed_twice_is_two_changes_and_one_with_a_halt_on_it_one() -> None:
     there_and_back = ramp(300, 320) + ramp(600, 620, 0.0, -1.0)
     assert abrupt_changes(history(mass=there_and_back), PERIOD) == [
-        Change(300, 320), Change(600, 620)
-    ]  # fmt: skip
+        Change(300, 320),
+        Change(600, 620),
+    ]
     halting = ramp(300, 310, 1.0, 1.5) + ramp(330, 340, 0.0, 0.5)
     assert abrupt_changes(history(mass=halting), PERIOD) == [Change(300, 340)]
 

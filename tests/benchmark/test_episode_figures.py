@@ -45,8 +45,11 @@ def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(
     store, records = finished
     files = episode_figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
     assert sorted(path.name for path in files) == [
-        "drive-payload.png", "errors.png", "overview.png", "paths-payload.png"
-    ]  # fmt: skip
+        "drive-payload.png",
+        "errors.png",
+        "overview.png",
+        "paths-payload.png",
+    ]
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in files)
 
 

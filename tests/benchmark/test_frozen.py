@@ -97,9 +97,12 @@ def test_the_command_that_makes_a_version_prints_what_is_kept_on_every_kind_of_p
 ) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tracked_env.benchmark.frozen"],
-        cwd=repository, capture_output=True, text=True, check=True,
+        cwd=repository,
+        capture_output=True,
+        text=True,
+        check=True,
         env={**os.environ, "OPENBLAS_CORETYPE": kernels},  # read by x86-64 builds of NumPy
-    )  # fmt: skip
+    )
     made, kept = json.loads(done.stdout), frozen.kept()
     assert list(made) == list(kept)
     assert made["hash"] == kept["hash"]
@@ -144,9 +147,12 @@ def test_an_unmeasured_velocity_reads_zero_and_its_data_sheet_says_so() -> None:
 
 @pytest.mark.parametrize(
     ("base", "given"),
-    [("rtk", {"velocity_measured": 0.5}), ("rtk", {"velocity_measured": 2}),
-     ({"velocity_measured": 0}, {"velocity_measured": 1})],
-)  # fmt: skip
+    [
+        ("rtk", {"velocity_measured": 0.5}),
+        ("rtk", {"velocity_measured": 2}),
+        ({"velocity_measured": 0}, {"velocity_measured": 1}),
+    ],
+)
 def test_a_velocity_is_measured_or_not_and_nothing_in_between(base: Any, given: Any) -> None:
     with pytest.raises(ValueError, match="velocity_measured"):
         make_sensors(given, base=make_sensors(base))

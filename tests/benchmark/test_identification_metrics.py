@@ -275,8 +275,11 @@ def test_every_parameter_of_the_plant_may_be_estimated(tmp_path: Path) -> None:
     policy = entry("all", lambda context: Believing(dict.fromkeys(ident.KNOWN, (1.0, 1.0))))
     records = run(CONFIG, [policy], Store(tmp_path, CONFIG.identity()))
     assert set(records[0]["identification"]) == {
-        *PARAMETER_NAMES, "effort_maximum", "slip_left", "slip_right"
-    }  # fmt: skip
+        *PARAMETER_NAMES,
+        "effort_maximum",
+        "slip_left",
+        "slip_right",
+    }
 
 
 def test_a_light_vehicle_is_judged_by_its_own_nominal_values(tmp_path: Path) -> None:

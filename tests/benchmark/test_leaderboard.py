@@ -274,8 +274,9 @@ def test_figures_are_drawn_for_what_there_is() -> None:
     pytest.importorskip("matplotlib")
     found, rows = board(**ALL)
     assert list(page.figures(found, rows["all sets"], {})) == [
-        "Tracking error", "Performance profile",
-    ]  # fmt: skip
+        "Tracking error",
+        "Performance profile",
+    ]
     axes = page.figures(found, rows["all sets"], {})["Performance profile"].axes[0]
     assert {text.get_text() for text in axes.get_legend().get_texts()} == {
         place.agent for place in found.places

@@ -136,10 +136,13 @@ def test_rows_past_the_end_of_an_episode_are_void() -> None:
     values = np.zeros((STEPS, 2, len(metrics.CHANNELS)))
     values[100:, 1] = 1e9  # whatever lies there
     pair = both._replace(
-        values=values, steps=np.array([STEPS, 100]), terminated=np.array([False, True]),
-        success=np.array([True, False]), demand_limit=np.full(2, 8000.0),
+        values=values,
+        steps=np.array([STEPS, 100]),
+        terminated=np.array([False, True]),
+        success=np.array([True, False]),
+        demand_limit=np.full(2, 8000.0),
         contact_length=np.full(2, 2.0),
-    )  # fmt: skip
+    )
     alone = metrics.evaluate(trace(100))
     for name, column in metrics.evaluate(pair).items():
         assert column[1] == alone[name][0] or np.isnan([column[1], alone[name][0]]).all()

@@ -50,8 +50,9 @@ def test_files_without_a_number_are_counted(tmp_path: Path) -> None:
 
 
 def test_a_registered_agent_is_known_by_its_name_with_all_its_seeds(tmp_path: Path) -> None:
-    first, second, other = made(tmp_path, "ppo-seed0/agent.zip", "ppo-seed1/agent.zip",
-                                "tqc/agent.zip")  # fmt: skip
+    first, second, other = made(
+        tmp_path, "ppo-seed0/agent.zip", "ppo-seed1/agent.zip", "tqc/agent.zip"
+    )
     shipped = {"ppo": [first, second], "tqc": [other]}
     assert names(["tqc", "ppo"], shipped=shipped) == ["tqc@0", "ppo@0", "ppo@1"]
     assert names(["new=ppo"], shipped=shipped) == ["new@0", "new@1"]

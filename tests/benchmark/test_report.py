@@ -218,8 +218,11 @@ def test_the_terminal_table_is_aligned_fits_and_names_its_units() -> None:
     assert "[m]" in table[0]
     assert "[kJ]" in table[0]
     assert [line.split()[0] for line in table[2:6]] == [
-        "terrain-transition", "oracle", "ood", "oracle"
-    ]  # fmt: skip
+        "terrain-transition",
+        "oracle",
+        "ood",
+        "oracle",
+    ]
 
 
 def test_the_markdown_has_as_many_cells_in_every_row() -> None:

@@ -71,12 +71,16 @@ def test_a_wrong_argument_is_one_line_that_names_the_command(
         (["--env", "Speed-v0"], {"env": "tracked_env/Speed-v0"}),
         (["--env", "tracked_env/Speed-v0"], {"env": "tracked_env/Speed-v0"}),
         (["--no-figures", "--video"], {"figures": False, "video": True}),
-        (["--sensors", '{"preset": "rtk", "pose_delay": 0.1}'],
-         {"sensors": '{"preset": "rtk", "pose_delay": 0.1}'}),
-        (["--seed", "3", "--duration", "2.5", "--output", "x"],
-         {"seed": 3, "duration": 2.5, "output": Path("x")}),
+        (
+            ["--sensors", '{"preset": "rtk", "pose_delay": 0.1}'],
+            {"sensors": '{"preset": "rtk", "pose_delay": 0.1}'},
+        ),
+        (
+            ["--seed", "3", "--duration", "2.5", "--output", "x"],
+            {"seed": 3, "duration": 2.5, "output": Path("x")},
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_command_line_is_the_configuration_that_it_says(
     arguments: list[str], expected: dict[str, Any]
 ) -> None:
@@ -86,8 +90,9 @@ def test_a_command_line_is_the_configuration_that_it_says(
 def test_a_file_with_a_comma_in_its_name_is_one_policy() -> None:
     Path("a,b.zip").write_bytes(b"")
     assert parsed(["--policies", "a,b.zip", "mine=a,b.zip"], "test").policies == (
-        "a,b.zip", "mine=a,b.zip",
-    )  # fmt: skip
+        "a,b.zip",
+        "mine=a,b.zip",
+    )
 
 
 def test_no_option_is_understood_from_its_beginning_alone() -> None:
@@ -213,8 +218,12 @@ def test_every_command_has_a_help(command: str, repository: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(repository), "COLUMNS": "100"}
     done = subprocess.run(
         [sys.executable, "-m", "tracked_env.cli.main", command, "--help"],
-        env=environment, capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
     assert "usage:" in done.stdout
     assert len(done.stdout.splitlines()) > 5
 
@@ -225,10 +234,13 @@ def test_an_interruption_is_one_line_that_names_the_command(
     environment = {**os.environ, "PYTHONPATH": str(repository), "NUMBA_CACHE_DIR": str(tmp_path)}
     process = subprocess.Popen(
         [sys.executable, "-m", "tracked_env.cli.main", "evaluate", "--policies", "adaptive"],
-        env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
         # In the background of a shell SIGINT is ignored, and children inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    )
     time.sleep(9.0)  # it compiles
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
@@ -241,8 +253,12 @@ def test_a_list_that_is_not_read_to_its_end_is_no_error(repository: Path) -> Non
     environment = {**os.environ, "PYTHONPATH": str(repository)}
     done = subprocess.run(
         f"{sys.executable} -m tracked_env.cli.main policies | head -c 1",
-        env=environment, shell=True, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+        env=environment,
+        shell=True,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
     assert (len(done.stdout), done.stderr) == (1, "")
 
 

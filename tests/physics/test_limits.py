@@ -82,8 +82,11 @@ def test_drives_with_inertia_slow_the_distributed_plant_by_their_share_of_the_ma
     def gained(plant):
         config = EnvConfig(
             uncertainty={"longitudinal_resistance": [0.0, 0.0], "drive_time_constant": [0.0, 0.0]},
-            sensors="ideal", reference="straight", error_limit=1e6, plant=plant,
-        )  # fmt: skip
+            sensors="ideal",
+            reference="straight",
+            error_limit=1e6,
+            plant=plant,
+        )
         simulation = Simulation(1, config)
         simulation.rngs = [np.random.default_rng(0)]
         start = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 1.0}

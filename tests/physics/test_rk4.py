@@ -77,9 +77,13 @@ def test_the_loop_solves_the_equations_of_motion_that_an_independent_solver_solv
     command.torque[1:] = demand
     first = run(Command(command.torque[:1], command.speed[:1]), 64, CLAY, constrained, start)[-1]
     solution = solve_ivp(
-        rate, (0.0, 29 * CONTROL_PERIOD), first[:TORQUE_LEFT], method="DOP853",
-        rtol=1e-11, atol=1e-12,
-    )  # fmt: skip
+        rate,
+        (0.0, 29 * CONTROL_PERIOD),
+        first[:TORQUE_LEFT],
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-12,
+    )
     found = run(command, 64, CLAY, constrained, start)[-1]
     assert found[:TORQUE_LEFT] == pytest.approx(solution.y[:, -1], abs=1e-8)
     decay = math.exp(-29 * CONTROL_PERIOD / CLAY.drive_time_constant)

@@ -14,9 +14,11 @@ from tracked_env.uncertainty import UNCERTAINTY_SETS
 
 # In the order of the columns of the table in docs/uncertainty.md.
 VARIANTS = (
-    {}, {"lateral": "constrained"}, {"plant": "distributed"},
+    {},
+    {"lateral": "constrained"},
+    {"plant": "distributed"},
     {"plant": "distributed", "drive": "speed"},
-)  # fmt: skip
+)
 ARGUMENTS = {make_solver(EnvConfig(**given)).reads.plant: given for given in VARIANTS}
 READS = {plant: make_solver(EnvConfig(**given)).reads.names for plant, given in ARGUMENTS.items()}
 SLIDING, CONSTRAINED, BY_TORQUE, BY_SPEED = ARGUMENTS
@@ -28,9 +30,12 @@ ACTIONS = np.repeat(np.float32([[1, 1], [0.2, 0.9], [-1, 1], [-1, -0.6]]), 40, a
 def motion(plant, changed=None):
     """All rows of the state (T, STATE_ROWS), with one parameter of the truth overwritten."""
     config = EnvConfig(
-        uncertainty="nominal", sensors="ideal", reference="straight", error_limit=1e6,
+        uncertainty="nominal",
+        sensors="ideal",
+        reference="straight",
+        error_limit=1e6,
         **ARGUMENTS[plant],
-    )  # fmt: skip
+    )
     simulation = Simulation(1, config)
     simulation.rngs = [np.random.default_rng(0)]
     # Past the check of the options, which is what this measurement is about.
@@ -116,9 +121,13 @@ def test_a_set_draws_the_same_for_every_plant_and_changes_what_the_plant_reads(n
 
 def test_a_resistance_map_on_patches_varies_the_motion_resistance_alone():
     env = TrackedVehicleEnv(
-        uncertainty="resistance-map", plant="distributed", sensors="ideal", reference="straight",
-        expose_truth=True, error_limit=1e3,
-    )  # fmt: skip
+        uncertainty="resistance-map",
+        plant="distributed",
+        sensors="ideal",
+        reference="straight",
+        expose_truth=True,
+        error_limit=1e3,
+    )
     seen = []
     for count in (1, 150):
         truth = run(env, count, np.full((count, 2), 0.3))[2]["truth"]

@@ -26,8 +26,11 @@ from tracked_env.plants.standalone import Rig
 
 DECAY = b.PLANT  # [-] what the lag leaves of a difference after one sub-step
 RADIUS, GAUGE, LIMIT, LAG = (
-    "sprocket_radius", "track_gauge", "sprocket_speed_limit", "drive_time_constant",
-)  # fmt: skip
+    "sprocket_radius",
+    "track_gauge",
+    "sprocket_speed_limit",
+    "drive_time_constant",
+)
 
 
 @formula
@@ -193,8 +196,9 @@ def test_its_sensors_and_its_picture_show_its_motion():
 
 def test_the_benchmark_drives_it(tmp_path, monkeypatch):
     arguments = {"plant": UNICYCLE.name, "drive": "speed", "vehicle": "focchi"}
-    given = BenchmarkSet("unicycle", "friction", "no slip", "mocap", "straight", 1.0, SPEED_ID,
-                         arguments)  # fmt: skip
+    given = BenchmarkSet(
+        "unicycle", "friction", "no slip", "mocap", "straight", 1.0, SPEED_ID, arguments
+    )
     monkeypatch.setitem(SETS, "unicycle", given)
     config = BenchmarkConfig(sets=("unicycle",), episodes=2, duration=1.0)
     policy = entry("ahead", lambda context: Constant(0.2, 0.2))

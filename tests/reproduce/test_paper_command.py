@@ -110,7 +110,10 @@ def test_python_m_reproduce_takes_a_paper_a_folder_and_no_figures(monkeypatch, a
 def test_a_paper_that_is_not_there_is_refused_with_the_names_of_those_that_are(repository):
     done = subprocess.run(
         [sys.executable, "-m", "reproduce", "nobody1999"],
-        cwd=repository, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        cwd=repository,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 2
     assert all(paper in done.stderr for paper in ("nobody1999", *command.PAPERS))

@@ -45,8 +45,7 @@ def results(module_patch):
     windows = soils.by_window(soil["ideal"], soils.CASES.index(soils.Case("manoeuvre", "changing")))
     by = dict.fromkeys(REGRESSIONS, qualities)
     starts = {kind: {2.0: qualities[2.0, 6.0]} for kind in by}
-    return Results(controlled, surfaces, identified, by, by, starts, slip, soil, noise,
-                   windows)  # fmt: skip
+    return Results(controlled, surfaces, identified, by, by, starts, slip, soil, noise, windows)
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +86,10 @@ def test_every_table_is_rectangular_and_free_of_bars(results):
 def test_the_claims_cover_every_section_and_their_verdicts_are_known(results):
     found = claims.claims(results)
     places = " ".join(claim.place for claim in found)
-    assert all(section in places for section in
-               ("8.1", "8.2.1", "8.2.2", "8.2.3", "8.3.1", "8.3.2", "8.3.3"))  # fmt: skip
+    assert all(
+        section in places
+        for section in ("8.1", "8.2.1", "8.2.2", "8.2.3", "8.3.1", "8.3.2", "8.3.3")
+    )
     assert {claim.agrees for claim in found} <= {"yes", "partly", "no", "only with the misprint",
                                                  "-"}  # fmt: skip
     assert all("nan" not in claim.ours for claim in found if claim.place.startswith("8.1"))

@@ -23,8 +23,12 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 CHANGING = (
-    "mass", "inertia", "longitudinal_resistance", "lateral_resistance", "friction_angle",
-)  # fmt: skip
+    "mass",
+    "inertia",
+    "longitudinal_resistance",
+    "lateral_resistance",
+    "friction_angle",
+)
 RESOLUTION = 1e-9  # [-] smaller relative changes are rounding
 ABRUPT_TIME = 2.0  # [s] a change that takes longer is a drift, which a policy can follow
 ABRUPT_CHANGE = 0.02  # [-] less is not felt: a graze of a border

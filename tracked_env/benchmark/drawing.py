@@ -66,9 +66,13 @@ def new_figure(
     height = bottom + rows * panel[1] + (rows - 1) * gap[1] + top
     figure = Figure(figsize=(width, height), dpi=DPI)
     grid = {
-        "left": left / width, "right": 1.0 - right / width, "wspace": gap[0] / panel[0],
-        "bottom": bottom / height, "top": 1.0 - top / height, "hspace": gap[1] / panel[1],
-    }  # fmt: skip
+        "left": left / width,
+        "right": 1.0 - right / width,
+        "wspace": gap[0] / panel[0],
+        "bottom": bottom / height,
+        "top": 1.0 - top / height,
+        "hspace": gap[1] / panel[1],
+    }
     return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **shared)
 
 
@@ -79,9 +83,12 @@ def head(figure: "Figure", axes: "Axes", title: str, style: dict[str, Look]) -> 
     by_label = dict(zip(labels, handles, strict=True))
     order = [label for label in ("reference", "true", *style) if label in by_label]
     figure.legend(
-        [by_label[label] for label in order], order,
-        loc="upper left", bbox_to_anchor=(0.0, 1.0 - 0.3 / height), ncols=len(labels),
-    )  # fmt: skip
+        [by_label[label] for label in order],
+        order,
+        loc="upper left",
+        bbox_to_anchor=(0.0, 1.0 - 0.3 / height),
+        ncols=len(labels),
+    )
     figure.suptitle(title, x=0.12 / width, y=1.0 - 0.12 / height, ha="left", va="top", fontsize=11)
 
 

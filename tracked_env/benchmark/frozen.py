@@ -148,9 +148,13 @@ def document() -> dict[str, Any]:
     """The stored record of a version, from the episodes as drawn now."""
     found = {name: look(name) for name in OF_VERSION}
     return {
-        "version": VERSION, "hash": total(found), "numpy": np.__version__, "episodes": EPISODES,
-        "seed": SEED, "sets": found,
-    }  # fmt: skip
+        "version": VERSION,
+        "hash": total(found),
+        "numpy": np.__version__,
+        "episodes": EPISODES,
+        "seed": SEED,
+        "sets": found,
+    }
 
 
 if __name__ == "__main__":

@@ -48,20 +48,25 @@ TABLE = (
     Channel("acceleration_y", "inertial", "m/s^2", "acceleration_noise", "acceleration_bias"),
     Channel("yaw_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias"),
     Channel(
-        "yaw_acceleration", "inertial", "rad/s^2", "acceleration_noise", "acceleration_bias",
+        "yaw_acceleration",
+        "inertial",
+        "rad/s^2",
+        "acceleration_noise",
+        "acceleration_bias",
         differential=True,
     ),
     Channel("sprocket_speed_left", "drive", "rad/s", "sprocket_speed_noise"),
     Channel("sprocket_speed_right", "drive", "rad/s", "sprocket_speed_noise"),
     Channel("torque_left", "drive", "N m", "torque_noise"),
     Channel("torque_right", "drive", "N m", "torque_noise"),
-)  # fmt: skip
+)
 CHANNELS = tuple(channel.name for channel in TABLE)
 CHANNEL_COUNT = len(CHANNELS)
 # Channels of group g: GROUP_START[g] .. GROUP_START[g + 1]; the table is sorted by group.
 GROUP_START = (
-    *([channel.group for channel in TABLE].index(group) for group in GROUPS), CHANNEL_COUNT,
-)  # fmt: skip
+    *([channel.group for channel in TABLE].index(group) for group in GROUPS),
+    CHANNEL_COUNT,
+)
 NOISE_COUNT = CHANNEL_COUNT + len(GROUPS)  # normal numbers per step: channels, then dropouts
 
 

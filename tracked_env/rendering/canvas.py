@@ -43,7 +43,7 @@ def colour_scale(*stops: Colour) -> Bytes:
 SOIL_SCALE = colour_scale((253, 251, 246), (240, 231, 212), (219, 199, 166), (189, 161, 120))
 SLIP_SCALE = colour_scale(  # cividis
     (0, 34, 78), (53, 69, 108), (102, 105, 112), (148, 142, 119), (200, 184, 102), (254, 232, 56)
-)  # fmt: skip
+)
 SLIP_LOW, SLIP_DECADES = 1e-3, 3.0  # [-] the slip scale is logarithmic, 0.1 % to 100 %
 
 

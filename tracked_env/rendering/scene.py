@@ -153,9 +153,7 @@ def vehicle(
     """Hull and tracks to scale, with the forces on them; travel [m] of both belts."""
     p, length = shot.parameters, shot.sizes.length
     size = math.hypot(0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width))
-    drawn = (
-        shot.state.effort_left, shot.state.effort_right, *shot.resistance, shot.lateral_force
-    )  # fmt: skip
+    drawn = (shot.state.effort_left, shot.state.effort_right, *shot.resistance, shot.lateral_force)
     longest = shot.sizes.force_scale * max(abs(force) for force in drawn)
     side = 0.5 * (p.track_gauge + p.track_width) + BESIDE * length
     reach = max(size, math.hypot(longest, side)) + MARGIN * length

@@ -38,6 +38,7 @@ FREE_STEPS = 12  # [-] iterations of `total` without damping, see fit
 FIRST_DAMPING = 0.1  # [-] mu after the first step that did not lower the cost
 LARGEST_DAMPING = 1e8  # [-] beyond it no step lowers the cost
 SMALLEST_SLIP = 1e-9  # [-] fitted slips stay positive
+TRUSTED = 100.0  # [-] inverse variance of ln F from the data that a controller may rely on
 SHRINK = 0.2  # [-] a step leaves at least this share of a fitted slip
 
 # What is remembered of one vehicle ahead of its window, the columns of `memory`.
@@ -263,3 +264,23 @@ def eigen(ff, fk, kk):
     smallest = max((ff * kk - fk * fk) / max(mean + root, 1e-300), 0.0)
     angle = 0.5 * math.atan2(fk, half)
     return smallest, mean + root, math.cos(angle), math.sin(angle)
+
+
+@formula
+def effort_limit(memory, i, contact_length):
+    """F(i = 1) [N] of one track of vehicle i, and whether the data of the window determine it."""
+    u = contact_length * math.exp(-memory[i, LOG_K])
+    share = mobilised_shear(u)
+    twist = -u * mobilised_shear_slope(u) / share
+    a, b, c = memory[i, J_FF], memory[i, J_FK], memory[i, J_KK]
+    determinant = a * c - b * b
+    numerator = c - 2.0 * b * twist + a * twist * twist
+    limit = math.exp(memory[i, LOG_F]) * share
+    return limit, determinant > 1e-12 * a * c and numerator * TRUSTED <= determinant
+
+
+@loop
+def limits(memory, contact_length, limit, trusted):
+    """`effort_limit` of every vehicle, (N,) each."""
+    for i in range(memory.shape[0]):
+        limit[i], trusted[i] = effort_limit(memory, i, contact_length)

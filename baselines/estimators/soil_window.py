@@ -264,9 +264,10 @@ def _step(memory, i, left, right, scratch, sensing, model):
 @loop
 def update_all(
     memory, values, fresh, given, slips, variances, sensing, model, scratch,
-    value, covariance, excitation, condition, status, nis,
+    value, covariance, summary, status, known,
 ):  # fmt: skip
-    """One sample of every vehicle; the last six arrays are written."""
+    """One sample of every vehicle; the last five arrays are written: summary (N, 4) excitation,
+    condition, NIS, skipped; known (N,) whether the data determine the effort limit."""
     for i in range(memory.shape[0]):
         refused, innovation = False, math.nan
         memory[i, sr.ITERATIONS] = 0.0
@@ -287,7 +288,9 @@ def update_all(
         covariance[i, 1, 0] = fk * maximum * modulus
         covariance[i, 1, 1] = kk * modulus * modulus
         smallest, largest = _excitation(memory, i, model)
-        excitation[i] = smallest
-        condition[i] = largest / smallest if smallest > 0.0 else math.inf
+        summary[i, 0] = smallest
+        summary[i, 1] = largest / smallest if smallest > 0.0 else math.inf
+        summary[i, 2] = innovation
+        summary[i, 3] = memory[i, sr.SKIPPED]
         status[i] = 2 if refused else (0 if smallest > DETERMINED else 1)
-        nis[i] = innovation
+        _limit, known[i] = sr.effort_limit(memory, i, model.contact_length)

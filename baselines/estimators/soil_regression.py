@@ -108,16 +108,27 @@ def residual(slip, effort, variance, star, maximum, shear_length, model):
 
 
 @formula
-def sample_slip(slip, effort, variance, log_f, log_k, model):
-    """Fitted slip i* of a new sample with effort > 0 [N]: four Newton steps."""
-    maximum, shear_length = math.exp(log_f), model.contact_length * math.exp(-log_k)
+def _first_slip(slip, effort, variance, maximum, shear_length, model):
+    """Where the search for the fitted slip of a new sample begins."""
     reach = 3.0 * math.sqrt(variance)
     guess = slip_from_effort(effort, maximum, shear_length)
     guess = min(max(guess, slip - reach), slip + reach)
-    star = min(max(guess, SMALLEST_SLIP), 1.0) if model.total else slip
+    return min(max(guess, SMALLEST_SLIP), 1.0) if model.total else slip
+
+
+@formula
+def sample_slips(left, right, log_f, log_k, model):
+    """Fitted slips i* of two new samples (slip, effort > 0 [N], variance): four Newton steps.
+
+    Both in one loop: neither waits for the other's divisions, which takes half the time.
+    """
+    maximum, shear_length = math.exp(log_f), model.contact_length * math.exp(-log_k)
+    a = _first_slip(left[0], left[1], left[2], maximum, shear_length, model)
+    b = _first_slip(right[0], right[1], right[2], maximum, shear_length, model)
     for _ in range(4):
-        star = residual(slip, effort, variance, star, maximum, shear_length, model)[4]
-    return star
+        a = residual(left[0], left[1], left[2], a, maximum, shear_length, model)[4]
+        b = residual(right[0], right[1], right[2], b, maximum, shear_length, model)[4]
+    return a, b
 
 
 @formula

@@ -152,6 +152,21 @@ def test_restoring_some_rows_leaves_the_others(drive):
         assert not np.array_equal(old[rows], new[rows])
 
 
+@pytest.mark.parametrize("slip", ["batched", "filterpy"])
+def test_what_was_known_after_a_step_stays_so_however_late_it_is_read(drive, slip):
+    seen = drive[0][:40, :2]
+    early, late = (IdentificationStack(count=2, slip=slip) for _ in range(2))
+    at_once, kept = [], []
+    for observation in seen:
+        known = early.update(observation)
+        at_once.append((outputs(known), np.array(known.motion), known.traction_known.copy()))
+        kept.append(late.update(observation))
+    for (estimates, motion, limit), known in zip(at_once, kept, strict=True):
+        assert np.array_equal(outputs(known), estimates)
+        assert np.array_equal(np.array(known.motion), motion)
+        assert np.array_equal(known.traction_known, limit)
+
+
 @pytest.mark.parametrize("how", ["reset", "start"])
 def test_forgotten_rows_are_as_new_and_the_others_go_on(drive, how):
     stack, whole, fresh = (IdentificationStack(count=COUNT) for _ in range(3))

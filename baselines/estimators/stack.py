@@ -20,18 +20,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import stack_links as links
 from baselines.estimators.estimate import AnsweringEstimator, Estimator, Setting, Status
-from baselines.estimators.identification import (
+from baselines.estimators.longitudinal import LongitudinalEstimator
+from baselines.estimators.observation_reader import NEEDS, ObservationReader
+from baselines.estimators.sensor_samples import DataSheet, WiderMeasurement
+from baselines.estimators.slip_observer import SlipObserver
+from baselines.estimators.soil_estimator import SoilEstimator
+from baselines.estimators.stack_identification import (
     ESTIMATORS,
     Estimates,
     Identification,
     feature_names,
     features,
 )
-from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.observation_reader import NEEDS, ObservationReader
-from baselines.estimators.sensor_samples import DataSheet, WiderMeasurement
-from baselines.estimators.slip_observer import SlipObserver
-from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
 from tracked_env import observation as layout
 from tracked_env.physics.channels import CHANNELS

@@ -38,9 +38,9 @@ class BatchPolicy(Generic[State]):
         Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
         Raises ValueError for a wrong shape, and then nothing has changed.
         """
-        batch = np.array(self._view(observation))
+        batch = self._view(observation).copy()
         count = len(batch)
-        start = np.full(count, state is None)
+        start = np.ones(count, dtype=bool) if state is None else np.zeros(count, dtype=bool)
         if episode_start is not None:
             given = np.asarray(episode_start, dtype=bool)
             if given.shape not in ((), (1,), (count,)):

@@ -300,8 +300,8 @@ def joined(observation: NDArray[np.float32], features: NDArray[np.float32]) -> N
 class View:
     """Observations with the fields `names` as those of V0; what is not shown there is 0.
 
-    needs: fields of V0 that must be shown. hint: likely cause of another shape. Raises ValueError,
-    which names the missing group.
+    needs: fields that must be shown; registered ones stand behind those of V0, in this order.
+    hint: likely cause of another shape. Raises ValueError, which names the missing group.
     """
 
     def __init__(
@@ -310,14 +310,18 @@ class View:
         needs: Sequence[str] = NAMES,
         hint: str = "Did a wrapper stack or append to it?",
     ) -> None:
-        columns(NAMES, needs)
         self.size, self.hint = len(names), hint
-        self.same = tuple(names) == NAMES
+        added = [name for name in dict.fromkeys(needs) if name not in INDEX]
+        self.same = tuple(names) == NAMES and not added
         shown = [name for name in NAMES if name in names or name in needs]
-        self._from, self._to = columns(names, shown), columns(NAMES, shown)
+        given = (*NAMES, *added)
+        self._from = columns(names, (*shown, *added))
+        self._to = columns(given, (*shown, *added))
+        self._width = len(given)
 
     def __call__(self, observation: NDArray[np.floating]) -> NDArray[np.float32]:
-        """(N, SIZE) float32, from (size,) or (N, size); the array itself where nothing changes.
+        """(N, SIZE + registered fields) float32, from (size,) or (N, size); the array itself where
+        nothing changes.
 
         Raises ValueError for another shape.
         """
@@ -331,6 +335,6 @@ class View:
             )
         if self.same:
             return batch
-        chosen = np.zeros((len(batch), SIZE), dtype=np.float32)
+        chosen = np.zeros((len(batch), self._width), dtype=np.float32)
         chosen[:, self._to] = batch[:, self._from]
         return chosen

@@ -12,7 +12,7 @@ needs; the stack takes names, order and features from these declarations.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -131,3 +131,18 @@ class Estimator(Protocol):
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
+
+
+class AnsweringEstimator:
+    """An estimator that answers with bare arrays; the Estimate is made of them where it is read.
+
+    Faster than `update` where few read the Estimate. `update` is `estimate(compute(...))`.
+    """
+
+    def compute(self, measurement: Measurement) -> Any:
+        """Take one sample of every vehicle; an answer that the next call leaves as it is."""
+        raise NotImplementedError
+
+    def estimate(self, answer: Any) -> Estimate:
+        """The Estimate that `answer` says; depends on nothing else that changes."""
+        raise NotImplementedError

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.estimate import Estimate, Quantity, Setting
-from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet, Measurement
+from baselines.estimators.estimate import Quantity, Setting
+from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
 from baselines.estimators.two_parameters import (
     HOLDING,
     REJECTED,
@@ -81,7 +81,7 @@ def equation(z, i, known):
 def update_all(z, fresh, memory, prior, known, out):
     """One sample of every vehicle: z (N, 13), fresh (N, 3), memory (N, MEMORY) in and out."""
     for i in range(z.shape[0]):
-        status, nis = HOLDING, np.nan
+        status, nis, jumps = HOLDING, np.nan, memory[i, ls.JUMPS]
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
             sample, moving = equation(z, i, known)
             seen = sample.y + sample.phi_1 + sample.phi_2 + z[i, _V_X] + z[i, _W]
@@ -92,7 +92,7 @@ def update_all(z, fresh, memory, prior, known, out):
                 status = REJECTED
             elif moving:
                 status, nis = ls.step(memory, i, sample, prior)
-        answer(memory, i, prior, status, nis, out)
+        answer(memory, i, prior, status, nis, jumps, out)
 
 
 class LongitudinalEstimator(TwoParameterEstimator):
@@ -162,8 +162,3 @@ class LongitudinalEstimator(TwoParameterEstimator):
     def known(self) -> tuple[Any, ...]:
         """Constants of the equation."""
         return (self._known,)
-
-    def update(self, measurement: Measurement) -> Estimate:
-        """Take one sample; `jumps_before` (N,) is how often the mass had jumped until then."""
-        self.jumps_before = self.memory[:, ls.JUMPS].copy()
-        return super().update(measurement)

@@ -104,9 +104,10 @@ def _pair(memory, i, taken_inertial, taken_drive, slots, paired):
 
 @loop
 def read_all(
-    observation, memory, start, period, slots, latest, paired, fresh, pair, age, pair_age, ref
+    observation, memory, start, period, slots, latest, paired, fresh, pair, age, pair_age, ref,
+    delay,
 ):  # fmt: skip
-    """Read every row: observation (N, SIZE), start (N,) bool; the others are written."""
+    """Read every row: observation (N, >= SIZE), start (N,) bool; the others are written."""
     for i in range(observation.shape[0]):
         if start[i]:
             memory[i, :] = 0.0
@@ -125,7 +126,7 @@ def read_all(
             fresh[i, g] = step == 0 or age[i, g] < newest
             memory[i, AGE + g] = age[i, g]
         risen = memory[i, DELAY] + DELAY_RISE * period
-        memory[i, DELAY] = min(age[i, DRIVE], risen)
+        memory[i, DELAY] = delay[i] = min(age[i, DRIVE], risen)
         for k in range(_COPIED.shape[0]):
             latest[i, _COPIED[k, 1]] = observation[i, _COPIED[k, 0]] * _SCALE[_COPIED[k, 0]]
         yaw = memory[i, REF_YAW] - observation[i, _ERROR_YAW] * _SCALE[_ERROR_YAW]
@@ -168,6 +169,7 @@ class ObservationReader:
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.slots = round(LONGEST_AGE / control_period) + 2
         self.memory = np.zeros((count, RINGS + 2 * self.slots * SLOT))
+        self._none = np.zeros(count, dtype=bool)
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
@@ -186,17 +188,26 @@ class ObservationReader:
                 f"observation has shape {observation.shape}; must be ({count}, {layout.SIZE}). "
                 "Did a wrapper stack or append to it?"
             )
-        start = np.zeros(count, dtype=bool) if start is None else start
-        latest, paired = np.empty((2, count, CHANNEL_COUNT))
-        fresh, pair = np.empty((2, count, 3), dtype=bool)
-        age, pair_age, reference = np.empty((3, count, 3))
+        return self.take(observation, self._none if start is None else start)
+
+    def take(
+        self,
+        observation: NDArray[np.float32],
+        start: NDArray[np.bool_],
+    ) -> Reading:
+        """`read` without its check, of observations (N, >= SIZE)."""
+        count = len(self.memory)
+        latest, paired = np.empty((count, CHANNEL_COUNT)), np.empty((count, CHANNEL_COUNT))
+        fresh, pair = np.empty((count, 3), dtype=bool), np.empty((count, 3), dtype=bool)
+        age, pair_age = np.empty((count, 3)), np.empty((count, 3))
+        reference, delay = np.empty((count, 3)), np.empty(count)
         read_all(
             observation, self.memory, start, self.control_period, self.slots,
-            latest, paired, fresh, pair, age, pair_age, reference,
+            latest, paired, fresh, pair, age, pair_age, reference, delay,
         )  # fmt: skip
         return Reading(
             Measurement(latest, fresh, age),
             Measurement(paired, pair, pair_age),
             reference,
-            self.memory[:, DELAY].copy(),
+            delay,
         )

@@ -10,6 +10,7 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 5.2.
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,6 +60,28 @@ class Measurement(NamedTuple):
     def channel(self, name: str) -> NDArray[np.float64]:
         """One channel, (N,)."""
         return self.values[:, COLUMN[name]]
+
+
+class WiderMeasurement(Measurement):
+    """A Measurement with fields of registered observation groups, such as registered channels.
+
+    added: by name, (N,) SI each; the last sample, also where the others are of one moment.
+    """
+
+    added: Mapping[str, NDArray[np.float64]]
+
+    @classmethod
+    def of(
+        cls, measurement: Measurement, added: Mapping[str, NDArray[np.float64]]
+    ) -> "WiderMeasurement":
+        """`measurement` with the fields `added`."""
+        wider = cls(*measurement)
+        wider.added = added
+        return wider
+
+    def channel(self, name: str) -> NDArray[np.float64]:
+        """One channel or one registered field, (N,)."""
+        return self.added[name] if name in self.added else super().channel(name)
 
 
 def make_measurement(

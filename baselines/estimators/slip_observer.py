@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from baselines.estimators import dead_reckoning, slip_kinematics, slip_unscented
 from baselines.estimators import slip_step as step
-from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
+from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity, Setting
 from baselines.estimators.sensor_samples import DataSheet, Measurement
 from baselines.estimators.slip_kinematics import ROWS, STATES
 from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS
@@ -23,6 +23,8 @@ from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import RANGES, PlantParameters, Range
 from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
+# Value, covariance, (N, 4) excitation, condition, NIS, skipped, and status.
+Answer = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
 FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
 
 
@@ -56,6 +58,16 @@ def motion_all(memory, k, motion):
             motion[i, 3 + a] = velocity[a]
 
 
+@loop
+def read_slips(memory, slips, variances):
+    """i_L, i_R and their variances of all vehicles, (N, 2) each."""
+    for i in range(memory.shape[0]):
+        for side in range(2):
+            state = slip_kinematics.SLIP_LEFT + side
+            slips[i, side] = memory[i, step.STATE + state]
+            variances[i, side] = memory[i, step.COVARIANCE + (STATES + 1) * state]
+
+
 class Motion(NamedTuple):
     """Filtered pose and velocities of N vehicles, each (N,)."""
 
@@ -71,7 +83,7 @@ _DRIFT = Range(0.0, 10.0, "SI/sqrt(s)", "It is no variance.")
 _DELAY = Range(0.0, 10.0, "s", "Did you pass milliseconds?")
 
 
-class SlipObserver:
+class SlipObserver(AnsweringEstimator):
     """Slip ratios, side slip angle and pose of N vehicles from pose and sprocket speeds.
 
     parameters: nominal; only track gauge and sprocket radius are used. control_period [s]:
@@ -144,6 +156,22 @@ class SlipObserver:
         every = np.arange(len(self.memory))
         forget(self.memory, every if rows is None else np.atleast_1d(every[np.asarray(rows)]))
 
+    def compute(self, measurement: Measurement) -> Answer:
+        """Take one sample; returns the bare answer: value, covariance, summary, status."""
+        n = len(self.memory)
+        value, covariance = np.empty((n, STATES)), np.empty((n, STATES, STATES))
+        summary, status = np.empty((n, 4)), np.empty(n, dtype=np.int64)
+        self._advance(measurement, value, covariance, summary, status)
+        return value, covariance, summary, status
+
+    def estimate(self, answer: Answer) -> Estimate:
+        """The bare answer as an Estimate."""
+        value, covariance, summary, status = answer
+        return Estimate(
+            self.names, value, covariance, summary[:, 0], summary[:, 1], status,
+            summary[:, 2], summary[:, 3].astype(np.int64),
+        )  # fmt: skip
+
     def update(self, measurement: Measurement) -> Estimate:
         """Take one sample of every vehicle. NIS is NaN without a new pose sample.
 
@@ -157,13 +185,7 @@ class SlipObserver:
                     f"measurement.{name} has shape {array.shape}; must be {shape}. "
                     f"Is the observer made for count = {n} vehicles?"
                 )
-        value, covariance = np.empty((n, STATES)), np.empty((n, STATES, STATES))
-        summary, status = np.empty((n, 4)), np.empty(n, dtype=np.int64)
-        self._advance(measurement, value, covariance, summary, status)
-        return Estimate(
-            self.names, value, covariance, summary[:, 0], summary[:, 1], status,
-            summary[:, 2], summary[:, 3].astype(np.int64),
-        )  # fmt: skip
+        return self.estimate(self.compute(measurement))
 
     def _advance(
         self,
@@ -175,24 +197,33 @@ class SlipObserver:
     ) -> None:
         """The filter itself: writes its results into the arrays, all but the first out."""
         slip_unscented.update_all(
-            *measurement, self._constants, self._slots, self.memory,
-            value, covariance, summary, status,
+            measurement.values, measurement.fresh, measurement.age, self._constants, self._slots,
+            self.memory, value, covariance, summary, status,
         )  # fmt: skip
+
+    def motion_rows(self) -> NDArray[np.float64]:
+        """The columns of a Motion, (N, 6)."""
+        columns = np.empty((len(self.memory), 6))
+        motion_all(self.memory, self._constants, columns)
+        return columns
 
     def motion(self) -> Motion:
         """Filtered pose; velocities by the model from the last belt speeds and the slips."""
-        columns = np.empty((len(self.memory), 6))
-        motion_all(self.memory, self._constants, columns)
-        return Motion(*columns.T)
+        return Motion(*self.motion_rows().T)
 
     @property
     def slips(self) -> NDArray[np.float64]:
         """(N, 2) i_L, i_R [-]."""
-        return self.memory[:, step.STATE + slip_kinematics.SLIP_LEFT :][:, :2].copy()
+        return self.slips_and_variances()[0]
 
     @property
     def slip_variances(self) -> NDArray[np.float64]:
         """(N, 2) variances of i_L, i_R [-]."""
-        left = step.COVARIANCE + (STATES + 1) * slip_kinematics.SLIP_LEFT
-        right = step.COVARIANCE + (STATES + 1) * slip_kinematics.SLIP_RIGHT
-        return self.memory[:, [left, right]]
+        return self.slips_and_variances()[1]
+
+    def slips_and_variances(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """`slips` and `slip_variances`."""
+        count = len(self.memory)
+        slips, variances = np.empty((count, 2)), np.empty((count, 2))
+        read_slips(self.memory, slips, variances)
+        return slips, variances

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import soil_regression as sr
-from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
+from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity, Setting
 from baselines.estimators.sensor_samples import DataSheet, Measurement
-from baselines.estimators.slip_observer import SlipObserver
+from baselines.estimators.slip_observer import Answer, SlipObserver
 from baselines.estimators.soil_window import DETERMINED, Sensing, update_all
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics import vehicle
-from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import RANGES, PlantParameters, Range
 from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
@@ -29,7 +28,6 @@ EFFORT_RANGE = (100.0, 1e6)  # [N] bounds of F_max
 EFFORT_FLOOR = 5.0  # [N] sigma of the model: F is not quite quasi-static
 SLIP_FLOOR = 2e-4  # [-] sigma of the model, likewise
 CLEAR_EFFORT = 5.0  # [-] standard deviations that an effort must be above zero
-TRUSTED = 100.0  # [-] inverse variance of ln F from the data that a controller may rely on
 # The UKF's slip errors hang together over some samples: variance counts that much more.
 SLIP_CORRELATION = 10.0  # [control steps]
 PRIOR_SIGMA = (1.0, 0.7)  # [-] of ln F_max (weak soil to clay: a factor e), ln K (1 to 6 cm)
@@ -39,26 +37,12 @@ _CORRELATED = Range(1.0, 1e4, "control steps", "1 = white.")
 _CORRELATION = Range(0.0, 1.0, "-", "It is a coefficient.")
 
 
-@loop
-def limits(memory, contact_length, limit, trusted):
-    """F(i = 1) [N] of one track, and whether the data of the window determine it, (N,) each."""
-    for i in range(memory.shape[0]):
-        u = contact_length * math.exp(-memory[i, sr.LOG_K])
-        share = soil.mobilised_shear(u)
-        twist = -u * soil.mobilised_shear_slope(u) / share
-        a, b, c = memory[i, sr.J_FF], memory[i, sr.J_FK], memory[i, sr.J_KK]
-        determinant = a * c - b * b
-        numerator = c - 2.0 * b * twist + a * twist * twist
-        limit[i] = math.exp(memory[i, sr.LOG_F]) * share
-        trusted[i] = determinant > 1e-12 * a * c and numerator * TRUSTED <= determinant
-
-
 def nominal_effort_maximum(parameters: PlantParameters) -> float:
     """F_max of one track [N]."""
     return float(vehicle.drive_limits(parameters).effort_maximum)
 
 
-class SoilEstimator:
+class SoilEstimator(AnsweringEstimator):
     """Estimates [F_max [N], K [m]] of vehicles on the move.
 
     parameters: nominal; its soil is the first guess. count: vehicles N.
@@ -128,6 +112,8 @@ class SoilEstimator:
         self._nominal = np.log([maximum, p.shear_deformation_modulus])
         self._given: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._nothing = np.zeros((count, 2))
+        # (N,) whether the data determined the effort limit after the last sample
+        self.limit_known = np.zeros(count, dtype=bool)
         samples = 2 * int(window)
         self.memory = np.zeros((count, sr.HEADER + sr.BLOCKS * samples))
         self._scratch = np.zeros((2 * sr.ROWS + 1, samples))
@@ -145,7 +131,7 @@ class SoilEstimator:
         """The slips of the filter."""
         source = parts["slip"]
         assert isinstance(source, SlipObserver)
-        self.provide_slip(source.slips, source.slip_variances)
+        self._given = source.slips_and_variances()
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all of the vehicles `rows` (indices or a mask), or of all."""
@@ -179,18 +165,30 @@ class SoilEstimator:
             raise ValueError(
                 f"measurement of {measurement.values.shape[0]} vehicles; this estimates {count}"
             )
+        return self.estimate(self.compute(measurement))
+
+    def compute(self, measurement: Measurement) -> Answer:
+        """Take one sample; returns the bare answer: value, covariance, summary, status."""
+        count = len(self.memory)
         slips, variances = self._given or (self._nothing, self._nothing)
         value, covariance = np.empty((count, 2)), np.empty((count, 2, 2))
-        excitation, condition, nis = np.empty(count), np.empty(count), np.empty(count)
-        status = np.empty(count, dtype=np.int64)
+        summary, status = np.empty((count, 4)), np.empty(count, dtype=np.int64)
+        self.limit_known = np.empty(count, dtype=bool)
         update_all(
             self.memory, measurement.values, measurement.fresh, self._given is not None, slips,
-            variances, self._sensing, self._model, self._scratch, value, covariance, excitation,
-            condition, status, nis,
+            variances, self._sensing, self._model, self._scratch, value, covariance, summary,
+            status, self.limit_known,
         )  # fmt: skip
         self._given = None
-        skipped = self.memory[:, sr.SKIPPED].astype(np.int64)
-        return Estimate(self.names, value, covariance, excitation, condition, status, nis, skipped)
+        return value, covariance, summary, status
+
+    def estimate(self, answer: Answer) -> Estimate:
+        """The bare answer as an Estimate."""
+        value, covariance, summary, status = answer
+        return Estimate(
+            self.names, value, covariance, summary[:, 0], summary[:, 1], status,
+            summary[:, 2], summary[:, 3].astype(np.int64),
+        )  # fmt: skip
 
     @property
     def iterations(self) -> NDArray[np.int64]:
@@ -240,5 +238,5 @@ class SoilEstimator:
         """(F(i = 1) [N] of one track, whether the data of the window determine it to 10 %)."""
         count = len(self.memory)
         limit, trusted = np.empty(count), np.empty(count, dtype=bool)
-        limits(self.memory, self._model.contact_length, limit, trusted)
+        sr.limits(self.memory, self._model.contact_length, limit, trusted)
         return limit, trusted

@@ -108,10 +108,9 @@ def _covariance(memory, i, model):
 
 
 @formula
-def _innovation(memory, i, sample, model):
-    """Squared innovation of a sample over its expected variance [-]."""
+def _innovation(memory, i, sample, star, model):
+    """Squared innovation of a sample with fitted slip `star` over its expected variance [-]."""
     log_f, log_k = memory[i, sr.LOG_F], memory[i, sr.LOG_K]
-    star = sr.sample_slip(sample.slip, sample.effort, sample.variance, log_f, log_k, model)
     force, twist, error, weight, _star, _gain = sr.residual(
         sample.slip, sample.effort, sample.variance, star,
         math.exp(log_f), model.contact_length * math.exp(-log_k), model,
@@ -122,20 +121,14 @@ def _innovation(memory, i, sample, model):
 
 
 @formula
-def _insert(memory, i, slot, sample, model, samples):
-    """Write a sample, or an empty one, into the ring."""
+def _insert(memory, i, slot, sample, star, samples):
+    """Write a sample with fitted slip `star`, or an empty one, into the ring."""
     base = sr.HEADER + slot
-    star = 0.0
-    if sample.effort > 0.0:
-        star = sr.sample_slip(
-            sample.slip, sample.effort, sample.variance,
-            memory[i, sr.LOG_F], memory[i, sr.LOG_K], model,
-        )  # fmt: skip
     used = sample.effort > 0.0
     memory[i, base] = sample.slip if used else 0.0
     memory[i, base + samples] = sample.effort if used else 0.0
     memory[i, base + 2 * samples] = sample.variance if used else 0.0
-    memory[i, base + 3 * samples] = star
+    memory[i, base + 3 * samples] = star if used else 0.0
 
 
 @formula
@@ -180,11 +173,14 @@ def _start(memory, i, window, n, model):
             largest = max(largest, window[1, k])
         log_f = min(math.log(START_SHARE * largest), model.high_f)
         log_k = memory[i, sr.ANCHOR_K]
-        for k in range(n):
-            if window[1, k] > 0.0:
-                window[3, k] = sr.sample_slip(
-                    window[0, k], window[1, k], window[2, k], log_f, log_k, model
-                )
+        for k in range(0, n, 2):  # both tracks of a step
+            left = Sample(window[0, k], window[1, k], window[2, k])
+            right = Sample(window[0, k + 1], window[1, k + 1], window[2, k + 1])
+            star_left, star_right = sr.sample_slips(left, right, log_f, log_k, model)
+            if left.effort > 0.0:
+                window[3, k] = star_left
+            if right.effort > 0.0:
+                window[3, k + 1] = star_right
     return log_f, log_k
 
 
@@ -230,10 +226,14 @@ def _excitation(memory, i, model):
 def _step(memory, i, left, right, scratch, sensing, model):
     """Take the samples of both tracks. Returns (refused, mean innovation squared or NaN)."""
     count, total, worst = 0.0, 0.0, 0.0
+    star_left, star_right = sr.sample_slips(
+        left, right, memory[i, sr.LOG_F], memory[i, sr.LOG_K], model
+    )
     for side in range(2):
         sample = left if side == 0 else right
         if sample.effort > 0.0:
-            nis = _innovation(memory, i, sample, model)
+            star = star_left if side == 0 else star_right
+            nis = _innovation(memory, i, sample, star, model)
             count += 1.0
             total += nis
             worst = max(worst, nis)
@@ -248,8 +248,8 @@ def _step(memory, i, left, right, scratch, sensing, model):
         if not refused:
             samples = 2 * sensing.window
             slot = 2 * int(memory[i, sr.NEXT])
-            _insert(memory, i, slot, left, model, samples)
-            _insert(memory, i, slot + 1, right, model, samples)
+            _insert(memory, i, slot, left, star_left, samples)
+            _insert(memory, i, slot + 1, right, star_right, samples)
             memory[i, sr.NEXT] = (memory[i, sr.NEXT] + 1.0) % sensing.window
             full = memory[i, sr.FILLED] >= sensing.window
             memory[i, sr.FILLED] = min(memory[i, sr.FILLED] + 1.0, float(sensing.window))
@@ -264,9 +264,10 @@ def _step(memory, i, left, right, scratch, sensing, model):
 @loop
 def update_all(
     memory, values, fresh, given, slips, variances, sensing, model, scratch,
-    value, covariance, excitation, condition, status, nis,
+    value, covariance, summary, status, known,
 ):  # fmt: skip
-    """One sample of every vehicle; the last six arrays are written."""
+    """One sample of every vehicle; the last five arrays are written: summary (N, 4) excitation,
+    condition, NIS, skipped; known (N,) whether the data determine the effort limit."""
     for i in range(memory.shape[0]):
         refused, innovation = False, math.nan
         memory[i, sr.ITERATIONS] = 0.0
@@ -287,7 +288,9 @@ def update_all(
         covariance[i, 1, 0] = fk * maximum * modulus
         covariance[i, 1, 1] = kk * modulus * modulus
         smallest, largest = _excitation(memory, i, model)
-        excitation[i] = smallest
-        condition[i] = largest / smallest if smallest > 0.0 else math.inf
+        summary[i, 0] = smallest
+        summary[i, 1] = largest / smallest if smallest > 0.0 else math.inf
+        summary[i, 2] = innovation
+        summary[i, 3] = memory[i, sr.SKIPPED]
         status[i] = 2 if refused else (0 if smallest > DETERMINED else 1)
-        nis[i] = innovation
+        _limit, known[i] = sr.effort_limit(memory, i, model.contact_length)

@@ -13,24 +13,29 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import stack_links as links
-from baselines.estimators.estimate import Estimate, Estimator, Pair, Quantity, Setting, Status
+from baselines.estimators.estimate import AnsweringEstimator, Estimator, Setting, Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.observation_reader import NEEDS, ObservationReader, Reading
-from baselines.estimators.sensor_samples import COLUMN, DataSheet
-from baselines.estimators.slip_observer import Motion, SlipObserver
+from baselines.estimators.observation_reader import NEEDS, ObservationReader
+from baselines.estimators.sensor_samples import DataSheet, WiderMeasurement
+from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
+from baselines.estimators.stack_identification import (
+    ESTIMATORS,
+    Estimates,
+    Identification,
+    feature_names,
+    features,
+)
 from baselines.estimators.turning import TurningEstimator
 from tracked_env import observation as layout
 from tracked_env.physics.channels import CHANNELS
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
-
-_V_X, _V_Y = COLUMN["v_x"], COLUMN["v_y"]
 
 Memories = tuple[NDArray[np.float64], ...]
 Factory = Callable[[Setting], Estimator]
@@ -39,8 +44,8 @@ _OWN: dict[str, Any] = {
     "longitudinal": LongitudinalEstimator, "turning": TurningEstimator, "slip": SlipObserver,
     "soil": SoilEstimator,
 }  # fmt: skip
-ESTIMATORS = tuple(_OWN)
 QUANTITIES = tuple(quantity.name for part in _OWN.values() for quantity in part.provides)
+FEATURES = feature_names({name: part.provides for name, part in _OWN.items()})
 REGISTERED: dict[str, Factory] = {}  # further estimators, by name
 
 
@@ -52,90 +57,6 @@ def register(name: str, factory: Factory) -> None:
     if name in _OWN or name in REGISTERED:
         raise ValueError(f"estimator {name!r} is registered already")
     REGISTERED[name] = factory
-
-
-def _blocks(further: Sequence[str]) -> list[tuple[str, ...]]:
-    """Estimators whose features stand together: those of every stack, then one by one."""
-    return [ESTIMATORS, *((name,) for name in further)]
-
-
-def _names(quantities: Mapping[str, tuple[Quantity, ...]]) -> tuple[str, ...]:
-    """Names of features: of each block estimates, their deviations, then excitations."""
-    names: list[str] = []
-    for block in _blocks([name for name in quantities if name not in _OWN]):
-        own = [quantity.name for name in block for quantity in quantities[name]]
-        names += [*own, *(f"{name}_deviation" for name in own)]
-        names += [f"{name}_excitation" for name in block]
-    return tuple(names)
-
-
-FEATURES = _names({name: part.provides for name, part in _OWN.items()})
-
-
-class Identification(NamedTuple):
-    """What is known after a control step."""
-
-    reading: Reading
-    motion: Motion  # filtered
-    parts: Mapping[str, Estimate]  # by estimator
-    # That each provides, in order: the four of ESTIMATORS, then further ones.
-    quantities: Mapping[str, tuple[Quantity, ...]]
-    traction_known: NDArray[np.bool_]  # (N,) the data determine what effort the soil carries
-
-    @property
-    def longitudinal(self) -> Estimate:
-        """1/m, mu_l."""
-        return self.parts["longitudinal"]
-
-    @property
-    def turning(self) -> Estimate:
-        """I, mu_t."""
-        return self.parts["turning"]
-
-    @property
-    def slip(self) -> Estimate:
-        """Pose, slips, side slip."""
-        return self.parts["slip"]
-
-    @property
-    def soil(self) -> Estimate:
-        """F_max, K."""
-        return self.parts["soil"]
-
-    @property
-    def provided(self) -> dict[str, tuple[str, ...]]:
-        """Names of the quantities that each estimator provides."""
-        return {name: tuple(q.name for q in own) for name, own in self.quantities.items()}
-
-    @property
-    def mass(self) -> NDArray[np.float64]:
-        """Mass [kg], (N,)."""
-        return self.estimates()["mass"][0]
-
-    @property
-    def mass_deviation(self) -> NDArray[np.float64]:
-        """Its standard deviation [kg], to first order, (N,)."""
-        return self.estimates()["mass"][1]
-
-    def estimates(self) -> dict[str, Pair]:
-        """(value, standard deviation) by name, each (N,), SI."""
-        return {
-            quantity.name: quantity.read(self.parts[name])
-            for name, own in self.quantities.items()
-            for quantity in own
-        }
-
-    def excitation(self) -> dict[str, NDArray[np.float64]]:
-        """Excitation [-] of each estimator, (N,)."""
-        return {name: self.parts[name].excitation for name in self.quantities}
-
-    def nis(self) -> dict[str, NDArray[np.float64]]:
-        """Normalised innovation squared of each estimator, NaN without a sample, (N,)."""
-        return {name: self.parts[name].nis for name in self.quantities}
-
-    def status(self) -> dict[str, NDArray[np.int64]]:
-        """Status of each estimator, (N,)."""
-        return {name: self.parts[name].status for name in self.quantities}
 
 
 class IdentificationStack:
@@ -189,30 +110,40 @@ class IdentificationStack:
             self.parts[name] = REGISTERED[name](setting)
         # The filter comes first: its velocities are what the regressions see.
         self._after = [(name, part) for name, part in self.parts.items() if name != "slip"]
+        self._added: list[str] = []  # registered fields that are needed, behind those of v0
         self._check_needs(("slip", *(name for name, _ in self._after)))
         self.quantities = {name: part.provides for name, part in self.parts.items()}
-        self._features = _names(self.quantities)
+        self._features = feature_names(self.quantities)
+        scales = {f.name: f.scale for group in layout.GROUPS.values() for f in group.fields}
+        self._scales = [scales[name] for name in self._added]
+        self._shape = (self.reader.memory.shape[0], layout.SIZE + len(self._added))
+        self._none = np.zeros(self._shape[0], dtype=bool)
+        self._behind = np.empty(self._shape[0])
         self._remembering: tuple[Any, ...] = (self.reader, *self.parts.values())
 
     def _check_needs(self, order: Sequence[str]) -> None:
         """Raise ValueError unless all that an estimator needs is there when it runs."""
-        given = set(CHANNELS)
+        shown = {field.name for group in layout.GROUPS.values() for field in group.fields}
+        registered = shown - set(layout.NAMES)
+        given = set(CHANNELS) | registered
         for name in order:
             part = self.parts[name]
             own = {quantity.name for quantity in part.provides}
             if lacking := sorted(set(part.needs) - given):
                 raise ValueError(
-                    f"estimator {name!r} needs {lacking}; that is no sensor channel, and no "
-                    f"estimator before it provides it. Given are {sorted(given)}"
+                    f"estimator {name!r} needs {lacking}; that is no sensor channel, no registered "
+                    "field of the observation, and no estimator before it provides it. Given are "
+                    f"{sorted(given)}"
                 )
+            self._added += [need for need in part.needs if need in registered - {*self._added}]
             if twice := sorted(own & given):
                 raise ValueError(f"estimator {name!r} provides {twice}, which is known already")
             given |= own
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Fields of the observation that are read."""
-        return NEEDS
+        """Fields of the observation that are read; registered ones come last."""
+        return (*NEEDS, *self._added)
 
     @property
     def feature_names(self) -> tuple[str, ...]:
@@ -259,60 +190,58 @@ class IdentificationStack:
     def update(
         self, observation: NDArray[np.float32], start: NDArray[np.bool_] | None = None
     ) -> Identification:
-        """Take one observation of every vehicle, (N, SIZE); rows with `start` begin anew.
+        """Take one observation of every vehicle; rows with `start` begin anew.
 
-        NaN of a sensor is skipped. Raises ValueError for a wrong shape, and for a reference,
-        action or age that is not finite; then nothing has been remembered.
+        observation: (N, SIZE), then a column for each registered field of `needs`, as
+        `observation.View` gives it. NaN of a sensor is skipped. Raises ValueError for a wrong
+        shape, and for a reference, action or age that is not finite; then nothing has been
+        remembered.
         """
-        self._check(observation)
-        if start is not None and start.any():
+        start = self._none if start is None else start
+        if self._check(observation, start):
             self.reset(start)
-        reading = self.reader.read(observation)
-        latest, paired = reading.latest, reading.paired
-        behind = np.empty(self.count)
+        reading = self.reader.take(observation, start)
+        latest, paired, behind = reading.latest, reading.paired, self._behind
         links.date(latest.age, reading.drive_delay, behind)
-        estimates = {"slip": self.slip.update(latest)}
-        motion = self.slip.motion()
-        paired.values[:, _V_X], paired.values[:, _V_Y] = motion.v_x, motion.v_y
+        estimates = Estimates()
+        estimates.add("slip", self.slip.compute(latest), self.slip.estimate)
+        motion = self.slip.motion_rows()
+        links.put_velocity(motion, paired.values)
+        if self._added:
+            added = self._samples(observation)
+            latest, paired = (WiderMeasurement.of(one, added) for one in (latest, paired))
         for name, part in self._after:
             part.take_over(self.parts, estimates)
-            estimates[name] = part.update(paired if part.paired else latest)
-        _limit, traction_known = self.soil.effort_limit()
-        links.advance(*motion, behind, paired.values)
-        return Identification(reading, motion, estimates, self.quantities, traction_known)
+            measurement = paired if part.paired else latest
+            if isinstance(part, AnsweringEstimator):
+                estimates.add(name, part.compute(measurement), part.estimate)
+            else:
+                estimates.add_made(name, part.update(measurement))
+        links.advance(motion, behind, paired.values)
+        return Identification(reading, motion, estimates, self.quantities, self.soil.limit_known)
 
-    def _check(self, observation: NDArray[np.float32]) -> None:
-        """Raise ValueError for what `update` cannot take."""
-        if observation.shape != (self.count, layout.SIZE):
+    def _samples(self, observation: NDArray[np.float32]) -> Mapping[str, NDArray[np.float64]]:
+        """The registered fields by name, (N,) SI."""
+        return {
+            name: observation[:, layout.SIZE + k].astype(np.float64) * scale
+            for k, (name, scale) in enumerate(zip(self._added, self._scales, strict=True))
+        }
+
+    def _check(self, observation: NDArray[np.float32], start: NDArray[np.bool_]) -> bool:
+        """Whether any row starts. Raises ValueError for what `update` cannot take."""
+        if observation.shape != self._shape:
+            behind = f" (the last for {', '.join(self._added)})" if self._added else ""
             raise ValueError(
-                f"observation has shape {observation.shape}; must be ({self.count}, "
-                f"{layout.SIZE}). Is the stack made for another count?"
+                f"observation has shape {observation.shape}; must be {self._shape}{behind}. "
+                "Is the stack made for another count?"
             )
-        row, column = links.first_bad(observation)
+        row, column, starts = links.inspect(observation, start)
         if row >= 0:
             raise ValueError(
                 f"observation[{row}]: {layout.NAMES[column]} = {observation[row, column]}; must be "
                 "finite. Only sensors may be NaN. Did a wrapper divide by zero?"
             )
-
-
-def features(known: Identification, nominal: PlantParameters) -> NDArray[np.float32]:
-    """Estimates, standard deviations and excitations as numbers of order one, (N, F) float32.
-
-    Each estimator says how its quantities are shown: over the nominal value, as the logarithm of
-    that, or as they are. Excitation e is shown as e / (1 + e).
-    """
-    columns: list[NDArray[np.float64]] = []
-    for block in _blocks([name for name in known.quantities if name not in _OWN]):
-        shown = [
-            quantity.normalized(known.parts[name], nominal)
-            for name in block
-            for quantity in known.quantities[name]
-        ]
-        columns += [value for value, _ in shown] + [deviation for _, deviation in shown]
-        excitation = [known.parts[name].excitation for name in block]
-        columns += [e / (1.0 + e) for e in excitation]
-    return np.stack(columns, axis=-1).astype(np.float32)
+        return bool(starts)
 
 
 __all__ = [

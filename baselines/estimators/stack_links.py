@@ -8,23 +8,26 @@ than the drive, the filter has already been pulled there.
 import math
 
 from baselines.estimators.sensor_samples import COLUMN, POSE
-from tracked_env.observation import INDEX
+from tracked_env.observation import INDEX, SIZE
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import loop
 
 _AFTER_SENSORS = INDEX["reference_speed"]  # from here on: reference, action, ages
-_A_X, _BEND = COLUMN["acceleration_x"], COLUMN["yaw_acceleration"]
+_V_X, _A_X, _BEND = COLUMN["v_x"], COLUMN["acceleration_x"], COLUMN["yaw_acceleration"]
 
 
 @loop
-def first_bad(observation):
-    """(row, column) of the first reference, action or age of observation (N, SIZE) that is not
-    finite, or (-1, -1). Sensors may be NaN: those samples are skipped."""
+def inspect(observation, start):
+    """(row, column, starts): the first reference, action or age of observation (N, >= SIZE) that
+    is not finite, or (-1, -1), and whether any row of start (N,) is marked. Sensors may be NaN:
+    those samples are skipped."""
+    starts = False
     for i in range(observation.shape[0]):
-        for column in range(_AFTER_SENSORS, observation.shape[1]):
+        starts = starts or start[i]
+        for column in range(_AFTER_SENSORS, SIZE):
             if not math.isfinite(observation[i, column]):
-                return i, column
-    return -1, -1
+                return i, column, starts
+    return -1, -1, starts
 
 
 @loop
@@ -39,21 +42,29 @@ def date(age, delay, behind):
 
 
 @loop
-def advance(x, y, yaw, v_x, v_y, yaw_rate, behind, felt):
-    """Move a motion, (N,) arrays that are `behind` (N,) [s], to the present, in place.
+def put_velocity(motion, values):
+    """The filtered v_x and v_y of motion (N, 6) in place of those of values (N, CHANNELS)."""
+    for i in range(motion.shape[0]):
+        values[i, _V_X], values[i, _V_X + 1] = motion[i, 3], motion[i, 4]
+
+
+@loop
+def advance(motion, behind, felt):
+    """Move a motion, (N, 6), that is `behind` (N,) [s], to the present, in place.
 
     Acceleration and yaw acceleration, felt (N, CHANNELS) at that time, stay what they are.
     """
-    for i in range(x.shape[0]):
+    for i in range(motion.shape[0]):
         time = behind[i]
         if time > 0.0:
-            forward, bend = felt[i, _A_X] + yaw_rate[i] * v_y[i], felt[i, _BEND]
+            yaw, v_x, v_y, yaw_rate = motion[i, 2], motion[i, 3], motion[i, 4], motion[i, 5]
+            forward, bend = felt[i, _A_X] + yaw_rate * v_y, felt[i, _BEND]
             gain_x = forward * time if math.isfinite(forward) else 0.0
             gain_w = bend * time if math.isfinite(bend) else 0.0
-            along, across = time * (v_x[i] + 0.5 * gain_x), time * v_y[i]
-            c, s = rotation(yaw[i] + 0.5 * time * (yaw_rate[i] + 0.25 * gain_w))
-            x[i] += c * along - s * across
-            y[i] += s * along + c * across
-            yaw[i] += time * (yaw_rate[i] + 0.5 * gain_w)
-            v_x[i] += gain_x
-            yaw_rate[i] += gain_w
+            along, across = time * (v_x + 0.5 * gain_x), time * v_y
+            c, s = rotation(yaw + 0.5 * time * (yaw_rate + 0.25 * gain_w))
+            motion[i, 0] += c * along - s * across
+            motion[i, 1] += s * along + c * across
+            motion[i, 2] += time * (yaw_rate + 0.5 * gain_w)
+            motion[i, 3] += gain_x
+            motion[i, 5] += gain_w

@@ -1,39 +1,33 @@
 """Yaw inertia and lateral resistance from the turning motion.
 
-    M = I dw/dt + C g f S(v_y, w),    C = m mu_t,   M = (B/2) [(F_R - R_R) - (F_L - R_L)]
-S is the moment of the lateral friction per weight and mu_t, f the turning resistance factor. The
-soil's resistance grows with m mu_t, hence that product is estimated and handed out divided by
-the mass in use. R_L, R_R cancel unless the tracks move in opposite directions.
-    sliding      S from the closed form of the friction (terramechanics); v_y from the lateral
-                 accelerometer, a_y = -mu_t g v_y / (|w| l / 2) inside the contact. That v_y
-                 depends on mu_t: the regressor is d(C S)/dC, and y is shifted to match
-    constrained  S = sign(w) (l^2/4 - d^2) / l, and the terms of S (28): I + m d^2, m d w v_x, F_y d
-The regressor of S 7.1.2 has the wrong sign and the factor 2; here it has f.
-Variance of the equation: torque sensors, yaw acceleration, gyro and lateral accelerometer times
-the slopes of S. On the straight S is steep, and its friction not that of a turning vehicle:
-samples below a least yaw rate are left out, or noise would be taken for turning.
+    M = I dw/dt + C g f S(v_y, w),    C = m mu_t
+The equation, its regressors and its variance are in turning_equation. The soil's resistance grows
+with m mu_t, hence that product is estimated and handed out divided by the mass in use.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2.
 """
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
+from baselines.estimators.turning_equation import Known, equation
 from baselines.estimators.two_parameters import (
     HOLDING,
+    JUMPED,
+    P_11,
     P_12,
     P_22,
     REJECTED,
     SLOWEST,
     TORQUE_MARGIN,
+    VALUE_1,
     VALUE_2,
     TwoParameterEstimator,
     answer,
@@ -41,7 +35,6 @@ from baselines.estimators.two_parameters import (
     tuning,
 )
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.elementary import saturated_sign
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, checked_number
@@ -53,116 +46,33 @@ FRICTION_SIGMA = 0.4  # [-] of the nominal m mu_t
 INERTIA_FACTOR = 6.0  # [-] inertia is sought between nominal / factor and nominal * factor
 MODEL_NOISE = 20.0  # [N m] of the equation itself
 SAME_WEIGHT = 1e6  # [N^2 m^2] variance of every sample, regression "printed": any number will do
-ITERATIONS = 3  # [-] for v_y; the first is exact in fast turns
-EPS2 = soil.LATERAL_FRICTION_REGULARISATION**2  # [m^2/s^2]
-LEAST_FRICTION = 0.1  # [-] mu_t of which v_y is still found
-INSIDE = 0.8  # [-] of the half contact: the ICR is sought inside it
 
-_V_X, _W = COLUMN["v_x"], COLUMN["yaw_rate"]
-_A_Y, _BEND, _TORQUE = COLUMN["acceleration_y"], COLUMN["yaw_acceleration"], COLUMN["torque_left"]
-
-
-class Known(NamedTuple):
-    """Constants of the yaw equation."""
-
-    inverse_radius: float  # [1/m] 1/r
-    half_gauge: float  # [m] B/2
-    contact_length: float  # [m] l
-    turning_resistance_factor: float  # [-] f
-    icr_forward: float  # [m] d, of the constrained lateral model
-    moment_variance: float  # [N^2 m^2] torque sensors and model
-    bend_variance: float  # [rad^2/s^4] of dw/dt
-    turn_variance: float  # [rad^2/s^2] of w
-    side_noise: float  # [m/s^2] sigma of the lateral accelerometer
-    least_turn: float  # [rad/s] slower turns are left out
-    slowest: float  # [m/s] slower tracks are left out
-    largest_torque: float  # [N m] that can be
-    constrained: bool
+_V_X, _TORQUE = COLUMN["v_x"], COLUMN["torque_left"]
 
 
 @formula
-def unit_moment(v_y, w, known):
-    """S(v_y, w) g [m^2/s^2], positive for w > 0: friction moment per m mu_t, factor apart."""
-    length = known.contact_length
-    if known.constrained:
-        d = known.icr_forward
-        arm = max(0.25 * length * length - d * d, 0.0)
-        sign = saturated_sign(w, 1.0 / soil.YAW_FRICTION_REGULARISATION)
-        return soil.GRAVITY / length * arm * sign
-    _force, moment = soil.lateral_friction(v_y, w, soil.GRAVITY / length, length)
-    return -moment
+def release(memory, i):
+    """Forget what the data said of inertia and friction of vehicle i."""
+    memory[i, ls.J_11] = memory[i, ls.J_12] = memory[i, ls.J_22] = 0.0
 
 
 @formula
-def lever(v_y, half):
-    """-v_y mu_t g / a_y [m/s] of the regularised friction; half = w l / 2 [m/s]."""
-    rear, front = v_y - half, v_y + half
-    e_rear, e_front = math.sqrt(rear * rear + EPS2), math.sqrt(front * front + EPS2)
-    return (e_rear + e_front) / (2.0 + EPS2 / (e_rear * e_front))
-
-
-@formula
-def sideways(a_y, w, weight_share, known):
-    """(v_y [m/s], C dS/dC, what the noise of a_y does to S) g of the sliding lateral model.
-
-    a_y [m/s^2] as measured, weight_share m / C = 1 / mu_t [-].
-    """
-    half = 0.5 * known.contact_length * w
-    share = weight_share / soil.GRAVITY
-    inside = INSIDE * math.sqrt(half * half + EPS2)
-    v_y, free, per_acceleration = 0.0, 0.0, 0.0
-    for _ in range(ITERATIONS):
-        per_acceleration = share * lever(v_y, half)
-        free = -a_y * per_acceleration
-        v_y = min(max(free, -inside), inside)
-    step = max(known.side_noise * per_acceleration, 1e-3 * inside)
-    change = 0.5 * (unit_moment(v_y + step, w, known) - unit_moment(v_y - step, w, known))
-    return v_y, -change * v_y / step if abs(free) < inside else 0.0, change
-
-
-@formula
-def equation(z, i, known, mass, resistance, friction, inertia):
-    """The Sample of vehicle i, and whether it moves and turns.
-
-    mass m [kg], resistance mu_l [-], friction m mu_t [kg] and inertia [kg m^2] as known so far.
-    """
-    v_x, w = z[i, _V_X], z[i, _W]
-    left, right = v_x - w * known.half_gauge, v_x + w * known.half_gauge
-    # Both tracks forward: the resistances cancel.
-    opposite = 0.5 * (math.copysign(1.0, right) - math.copysign(1.0, left))
-    rolling = opposite * resistance * mass * soil.GRAVITY
-    y = known.half_gauge * ((z[i, _TORQUE + 1] - z[i, _TORQUE]) * known.inverse_radius - rolling)
-    v_y, shift, side, across = 0.0, 0.0, 0.0, 0.0
-    if known.constrained:
-        d = known.icr_forward
-        y += mass * d * (w * v_x - d * z[i, _BEND])
-        sign = saturated_sign(w, 1.0 / soil.YAW_FRICTION_REGULARISATION)
-        across = 2.0 * soil.GRAVITY / known.contact_length * d * d * sign
-    else:
-        weight_share = mass / max(friction, LEAST_FRICTION * mass)
-        v_y, shift, side = sideways(z[i, _A_Y], w, weight_share, known)
-    factor = known.turning_resistance_factor
-    turn = math.sqrt(known.turn_variance)
-    slope = 0.5 * (unit_moment(v_y, w + turn, known) - unit_moment(v_y, w - turn, known))
-    spread = factor * friction
-    variance = (
-        known.moment_variance
-        + inertia * inertia * known.bend_variance
-        + spread * spread * (slope * slope + side * side)
-    )
-    usable = min(abs(left), abs(right)) > known.slowest and abs(w) > known.least_turn
-    regressor = factor * (unit_moment(v_y, w, known) + shift) + across
-    return ls.Sample(
-        y + factor * shift * friction, z[i, _BEND], regressor, variance, known.bend_variance
-    ), usable
+def per_mass(out, i, mass, variance, known):
+    """m mu_t of vehicle i becomes mu_t; the variance [kg^2] of the mass adds to its own."""
+    square = mass[i] * mass[i]
+    friction = min(max(out[i, VALUE_2] / mass[i], known.low), known.high)
+    out[i, VALUE_2] = friction
+    out[i, P_12] /= mass[i]
+    relative = variance[i] / square
+    out[i, P_22] = out[i, P_22] / square + friction * friction * relative
 
 
 @loop
-def update_all(z, fresh, memory, prior, known, mass, resistance, out):
+def update_all(z, fresh, memory, prior, known, mass, variance, resistance, out):
     """One sample of every vehicle: z (N, 13), fresh (N, 3), memory (N, MEMORY) in and out,
-    mass and mu_l (N,) as known."""
+    mass, its variance and mu_l (N,) as known."""
     for i in range(z.shape[0]):
-        status, nis = HOLDING, np.nan
+        status, nis, jumps = HOLDING, np.nan, memory[i, ls.JUMPS]
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
             inertia, friction = ls.values(memory, i, prior)
             sample, moving = equation(z, i, known, mass[i], resistance[i], friction, inertia)
@@ -174,23 +84,29 @@ def update_all(z, fresh, memory, prior, known, mass, resistance, out):
                 status = REJECTED
             elif moving:
                 status, nis = ls.step(memory, i, sample, prior)
-        answer(memory, i, prior, status, nis, out)
+        answer(memory, i, prior, status, nis, jumps, out)
+        per_mass(out, i, mass, variance, known)
 
 
 @loop
-def hand_on(memory, jumps, value, covariance, mass, variance, resistance, jumped):
-    """What the longitudinal estimator knows, for this one: (N,) arrays, the last four out.
+def per_mass_all(out, mass, variance, known):
+    """`per_mass` of every vehicle."""
+    for i in range(out.shape[0]):
+        per_mass(out, i, mass, variance, known)
 
-    jumps (N,): how often the mass had jumped before this sample. Returns whether any has now.
+
+@loop
+def hand_on(answer, memory, mass, variance, resistance):
+    """What the longitudinal estimator answers, for this one: mass, its variance and mu_l (N,).
+
+    Where the mass has jumped, the inertia in `memory` is released: payload changes both.
     """
-    some = False
     for i in range(memory.shape[0]):
-        mass[i] = 1.0 / value[i, 0]
-        variance[i] = covariance[i, 0, 0] * mass[i] ** 4
-        resistance[i] = value[i, 1]
-        jumped[i] = memory[i, ls.JUMPS] > jumps[i]
-        some = some or jumped[i]
-    return some
+        mass[i] = 1.0 / answer[i, VALUE_1]
+        variance[i] = answer[i, P_11] * mass[i] ** 4
+        resistance[i] = answer[i, VALUE_2]
+        if answer[i, JUMPED] > 0.0:
+            release(memory, i)
 
 
 class TurningEstimator(TwoParameterEstimator):
@@ -269,8 +185,9 @@ class TurningEstimator(TwoParameterEstimator):
             -1.0 if printed else SLOWEST,
             math.inf if printed else TORQUE_MARGIN * p.torque_limit,
             lateral == "constrained",
+            -math.inf if printed else 0.0,
+            math.inf if printed else limit,
         )
-        self._bounds = (-math.inf, math.inf) if printed else (0.0, limit)
         self.mass = np.full(count, p.mass)
         self.mass_variance = np.zeros(count)
         self.resistance = np.full(count, p.longitudinal_resistance)
@@ -285,28 +202,16 @@ class TurningEstimator(TwoParameterEstimator):
 
     def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
         """Mass and mu_l; when the mass has jumped, the inertia is let go: payload changes both."""
-        source, known = parts["longitudinal"], estimates["longitudinal"]
+        source = parts["longitudinal"]
         assert isinstance(source, LongitudinalEstimator)
-        jumped = np.empty(len(self.memory), dtype=bool)
-        if hand_on(
-            source.memory, source.jumps_before, known.value, known.covariance,
-            self.mass, self.mass_variance, self.resistance, jumped,
-        ):  # fmt: skip
-            self.release_inertia(jumped)
-
-    def release_inertia(self, rows: NDArray[np.bool_]) -> None:
-        """Forget what the data said of the inertia and friction of the vehicles marked (N,)."""
-        for column in (ls.J_11, ls.J_12, ls.J_22):
-            self.memory[rows, column] = 0.0
+        hand_on(source.answer, self.memory, self.mass, self.mass_variance, self.resistance)
 
     def known(self) -> tuple[Any, ...]:
         """Constants of the equation, and what the longitudinal estimator knows."""
-        return self._known, self.mass, self.resistance
+        return self._known, self.mass, self.mass_variance, self.resistance
 
-    def estimate(self, out: NDArray[np.float64]) -> Estimate:
-        """Divide m mu_t by the mass in use; the mass' uncertainty adds to that of mu_t."""
-        out[:, VALUE_2] = np.clip(out[:, VALUE_2] / self.mass, *self._bounds)
-        out[:, P_12] /= self.mass
-        relative = self.mass_variance / self.mass**2
-        out[:, P_22] = out[:, P_22] / self.mass**2 + out[:, VALUE_2] ** 2 * relative
-        return super().estimate(out)
+    def read(self) -> Estimate:
+        """What is known now, without a sample; mu_t by the mass in use."""
+        out = self.answer_now()
+        per_mass_all(out, self.mass, self.mass_variance, self._known)
+        return self.estimate(out)

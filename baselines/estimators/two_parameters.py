@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.estimate import Estimate, Estimator, Quantity
+from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity
 from baselines.estimators.sensor_samples import DataSheet, Measurement
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
@@ -32,13 +32,18 @@ CONVERGING, HOLDING, REJECTED = 0, 1, 2  # of estimate.Status, as plain numbers 
 TORQUE_MARGIN = 1.5  # [-] of the drives' limit: a larger torque is not one, and would weigh much
 SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing about it
 # Columns of the answer of a kernel, per vehicle.
-VALUE_1, VALUE_2, P_11, P_12, P_22, EXCITATION, CONDITION, STATUS, NIS = range(9)
-ANSWER = 9
+(
+    VALUE_1, VALUE_2, P_11, P_12, P_22, EXCITATION, CONDITION, STATUS, NIS, SKIPPED, JUMPED,
+) = range(11)  # fmt: skip
+ANSWER = 11
 
 
 @formula
-def answer(memory, i, prior, status, nis, out):
-    """Write what is known of vehicle i into out (N, ANSWER)."""
+def answer(memory, i, prior, status, nis, jumps, out):
+    """Write what is known of vehicle i into out (N, ANSWER).
+
+    jumps: how often parameter 1 had jumped before this sample.
+    """
     out[i, VALUE_1], out[i, VALUE_2] = ls.values(memory, i, prior)
     out[i, P_11], out[i, P_12], out[i, P_22] = ls.covariance(memory, i, prior)
     smallest, largest = ls.eigenvalues(memory, i)
@@ -46,13 +51,15 @@ def answer(memory, i, prior, status, nis, out):
     out[i, CONDITION] = largest / smallest if smallest > 0.0 else np.inf
     out[i, STATUS] = status
     out[i, NIS] = nis
+    out[i, SKIPPED] = memory[i, ls.SKIPPED]
+    out[i, JUMPED] = memory[i, ls.JUMPS] - jumps
 
 
 @loop
 def read_all(memory, prior, out):
     """The present answer of every vehicle, without a sample."""
     for i in range(memory.shape[0]):
-        answer(memory, i, prior, HOLDING, np.nan, out)
+        answer(memory, i, prior, HOLDING, np.nan, memory[i, ls.JUMPS], out)
 
 
 def checked_forgetting(name: str, value: float) -> float:
@@ -96,7 +103,7 @@ def as_printed(prior: ls.Prior) -> ls.Prior:
     )  # fmt: skip
 
 
-class TwoParameterEstimator:
+class TwoParameterEstimator(AnsweringEstimator):
     """Forgetting least squares for two parameters of N vehicles.
 
     parameters: nominal ones, the prior mean. control_period [s]. data_sheet: noise of the
@@ -125,6 +132,7 @@ class TwoParameterEstimator:
         numbers = [float(x) for x in prior[:-2]]
         self.prior = ls.Prior._make([*numbers, *(bool(x) for x in prior[-2:])])
         self.memory = np.zeros((count, ls.MEMORY))
+        self.answer = np.empty((0, ANSWER))  # of the last sample
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
@@ -138,8 +146,8 @@ class TwoParameterEstimator:
         return ()
 
     def compute(self, measurement: Measurement) -> NDArray[np.float64]:
-        """Take one sample; returns the bare answer (N, ANSWER)."""
-        out = np.empty((len(self.memory), ANSWER))
+        """Take one sample; returns the bare answer (N, ANSWER), which is kept in `answer` too."""
+        self.answer = out = np.empty((len(self.memory), ANSWER))
         type(self)._kernel(
             measurement.values, measurement.fresh, self.memory, self.prior, *self.known(), out
         )
@@ -159,12 +167,17 @@ class TwoParameterEstimator:
 
     def read(self) -> Estimate:
         """What is known now, without a sample."""
+        return self.estimate(self.answer_now())
+
+    def answer_now(self) -> NDArray[np.float64]:
+        """The bare answer (N, ANSWER) without a sample."""
         out = np.empty((len(self.memory), ANSWER))
         read_all(self.memory, self.prior, out)
-        return self.estimate(out)
+        return out
 
-    def estimate(self, out: NDArray[np.float64]) -> Estimate:
+    def estimate(self, answer: NDArray[np.float64]) -> Estimate:
         """The answer of the kernel as an Estimate."""
+        out = answer
         covariance = out[:, [P_11, P_12, P_12, P_22]].reshape(-1, 2, 2)
         return Estimate(
             self.names,
@@ -174,5 +187,5 @@ class TwoParameterEstimator:
             out[:, CONDITION],
             out[:, STATUS].astype(np.int64),
             out[:, NIS],
-            self.memory[:, ls.SKIPPED].astype(np.int64),
+            out[:, SKIPPED].astype(np.int64),
         )

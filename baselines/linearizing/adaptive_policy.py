@@ -56,21 +56,35 @@ def _show(observation, i, column, value, always):
         layout.store(observation, i, column, value)
 
 
+@formula
+def _yaw_rate(i, yaw_rate, values, age, summary, status, stale):
+    """The gyro [rad/s] where its sample is new and the filter has not refused it, else yaw_rate."""
+    gyro = values[i, _GYRO]
+    wild = abs(gyro - yaw_rate) > WILD_GYRO
+    outlier = status[i] == _REJECTED and np.isfinite(summary[i, 2]) and wild
+    usable = np.isfinite(gyro) and not (age[i, INERTIAL] > stale or outlier)
+    return gyro if usable else yaw_rate
+
+
 @loop
-def show(observation, reference, x, y, yaw, v_x, v_y, yaw_rate, gyro, filtered):
-    """Put the filtered motion, (N,) each, into observation (N, SIZE), in one frame with
-    reference (N, 3); not filtered: only where NaN. gyro (N,) [rad/s] goes before yaw_rate where
-    it is finite."""
+def show(observation, reference, motion, values, age, summary, status, stale, filtered):
+    """Put the filtered motion (N, 6) into observation (N, SIZE), in one frame with reference
+    (N, 3); not filtered: only where NaN.
+
+    values, age: of the latest samples; stale [s]: an older gyro is not used. summary, status: of
+    the slip observer's answer.
+    """
     for i in range(observation.shape[0]):
-        c, s = rotation(yaw[i])
-        e_x, e_y = reference[i, 0] - x[i], reference[i, 1] - y[i]
-        turn = wrap_angle(reference[i, 2] - yaw[i])
+        c, s = rotation(motion[i, 2])
+        e_x, e_y = reference[i, 0] - motion[i, 0], reference[i, 1] - motion[i, 1]
+        turn = wrap_angle(reference[i, 2] - motion[i, 2])
+        yaw_rate = _yaw_rate(i, motion[i, 5], values, age, summary, status, stale)
         _show(observation, i, _X, c * e_x + s * e_y, filtered)
         _show(observation, i, _Y, c * e_y - s * e_x, filtered)
         _show(observation, i, _YAW, turn, filtered)
-        _show(observation, i, _V_X, v_x[i], filtered)
-        _show(observation, i, _V_Y, v_y[i], filtered)
-        _show(observation, i, _W, gyro[i] if np.isfinite(gyro[i]) else yaw_rate[i], filtered)
+        _show(observation, i, _V_X, motion[i, 3], filtered)
+        _show(observation, i, _V_Y, motion[i, 4], filtered)
+        _show(observation, i, _W, yaw_rate, filtered)
         for k in range(_UNUSED.shape[0]):
             _show(observation, i, _UNUSED[k], 0.0, False)
 
@@ -79,7 +93,7 @@ def show(observation, reference, x, y, yaw, v_x, v_y, yaw_rate, gyro, filtered):
 def hand_over(parameters, longitudinal, turning, soil, known, nominal, base):
     """Estimates into the controller's parameters (PARAMETER_ROWS, N).
 
-    longitudinal (N, 2) 1/m, mu_l; turning (N, 2) I, mu_t; soil (N, 2) F_max, K, where known
+    longitudinal (N, >= 2) 1/m, mu_l; turning (N, >= 2) I, mu_t; soil (N, 2) F_max, K, where known
     (N,) and else nominal (PARAMETER_ROWS,). base [m^2] of a track.
     """
     for i in range(parameters.shape[1]):
@@ -141,7 +155,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             self.parameters, self.controller.control_period, self.data_sheet, count,
             self.controller.lateral, **self._options,
         )  # fmt: skip
-        self._nominal = np.array(self.parameters, dtype=np.float64)
+        p = self.parameters
+        self._nominal = np.array(p, dtype=np.float64)
+        self._base = float(p.track_width * p.contact_length)
         self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
         self._nothing_known = np.zeros(count, dtype=bool)
 
@@ -166,33 +182,27 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self._given = None  # until this call has ended well, `stack` is in no known state
         known = self.stack.update(observation, start)
         self._adapt(known)
+        latest, answers = known.reading.latest, known.parts.answers
+        _value, _covariance, summary, status = answers["slip"]
         show(
-            observation, known.reading.reference, *known.motion, self._gyro(known), self.filtered,
+            observation, known.reading.reference, known.motion_rows, latest.values, latest.age,
+            summary, status, 0.5 * self.controller.control_period, self.filtered,
         )  # fmt: skip
         action, xi = self.controller.act(observation, None if state is None else state.xi, start)
         self.known = known
         self._given = AdaptiveState(xi, self.stack.memories())
         return action, self._given
 
-    def _gyro(self, known: Identification) -> NDArray[np.float64]:
-        """The gyro where its sample is new and the filter has not refused it, else NaN, (N,)."""
-        latest, slip = known.reading.latest, known.slip
-        stale = latest.age[:, INERTIAL] > 0.5 * self.controller.control_period
-        gyro = latest.values[:, _GYRO]
-        wild = np.abs(gyro - known.motion.yaw_rate) > WILD_GYRO
-        outlier = (slip.status == _REJECTED) & np.isfinite(slip.nis) & wild
-        return np.where(stale | outlier, np.nan, gyro)
-
     def _adapt(self, known: Identification) -> None:
         """Pass the estimates to the controller, or the parameters given in their place."""
         if self.given_parameters is not None:
             self.controller.parameters = self.given_parameters
             return
-        p = self.parameters
+        answers = known.parts.answers
         hand_over(
-            self.controller.parameters, known.longitudinal.value, known.turning.value,
-            known.soil.value, known.traction_known if self.uses_soil else self._nothing_known,
-            self._nominal, float(p.track_width * p.contact_length),
+            self.controller.parameters, answers["longitudinal"], answers["turning"],
+            answers["soil"][0], known.traction_known if self.uses_soil else self._nothing_known,
+            self._nominal, self._base,
         )  # fmt: skip
 
     def estimates(self) -> Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:

@@ -93,6 +93,8 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         self.estimator.update(
             left, right, np.where(known, v_x, np.nan), np.where(known, v_y, np.nan), yaw_rate
         )
+        # The friction is worked out once; the controller asks for the slip many times.
+        self._policy.slip_model = self.estimator.family.at(self.estimator.friction)
         driving = None if state is None else state.driving
         action, driving = self._policy.act(observation, driving, start)
         return action, AdaptiveSlipState(driving, self.estimator.memory.copy())
@@ -117,13 +119,15 @@ class KnownSlip:
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
         """(beta_left, beta_right [m/s], alpha [rad]), (N,), or a multiple of N."""
         times = len(sprocket_left) // len(self.friction)
-        friction = np.tile(self.friction, times)
-        place = np.interp(np.tile(self.modulus, times), self.moduli, np.arange(len(self.moduli)))
+        place = np.interp(self.modulus, self.moduli, np.arange(len(self.moduli)))
         total = np.zeros((3, len(sprocket_left)))
         for number, family in enumerate(self.families):
             share = np.maximum(1.0 - np.abs(place - number), 0.0)
             if share.any():
-                total += share * np.array(family.slip(sprocket_left, sprocket_right, friction))
+                slip = family.slip(sprocket_left, sprocket_right, self.friction)
+                share = np.concatenate([share] * times)
+                for channel in range(3):
+                    total[channel] += share * slip[channel]
         return total[0], total[1], total[2]
 
 

@@ -160,10 +160,18 @@ def step_all(pose, motion, alpha, duration):
 
 
 @loop
-def fade(alpha, speed, faded_alpha):
-    """`faded` of (N,) slip angles at (N,) speeds; (N,) out."""
-    for i in range(alpha.shape[0]):
-        faded_alpha[i] = faded(alpha[i], speed[i])
+def settle(sprockets, slip, half_gauge, radius, beta, alpha, motion):
+    """What sprockets (N, 2) [rad/s] and a model's slip (N, 3) mean: (N, 2) beta, (N,) alpha faded,
+    (N, 2) motion, all out; beta is 0 where the model knows none."""
+    for i in range(sprockets.shape[0]):
+        for side in range(2):
+            beta[i, side] = slip[i, side] if math.isfinite(slip[i, side]) else 0.0
+        r = radius[i]
+        m = law.body_motion(
+            sprockets[i, 0] * r, sprockets[i, 1] * r, beta[i, 0], beta[i, 1], half_gauge[i]
+        )
+        motion[i, 0], motion[i, 1] = m.speed, m.yaw_rate
+        alpha[i] = faded(slip[i, 2], m.speed)
 
 
 @loop

@@ -160,6 +160,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self.control_period = float(control_period)
         self.slip_model = slip_model
         self.geometry = Geometry.of(parameters)
+        nothing = Geometry(*(np.empty(0) for _ in Geometry._fields))
+        self._repeated = nothing, nothing  # for the number of vehicles last seen
         none = DataSheet(*(0.0 for _ in DataSheet._fields))
         sheet = none if data_sheet is None else data_sheet
         self.velocity_measured = sheet.velocity_noise <= VELOCITY_NOISE_LIMIT
@@ -182,7 +184,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         Raises ValueError for a state of another number of vehicles.
         """
         count = len(observation)
-        geometry = self.geometry.rows(count)
+        geometry, _thrice = self._rows(count)
         error, age, last, mean, located = self._start(state, start)
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
@@ -200,6 +202,13 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
         return action, LyapunovState(error, age, sprockets, mean, located)
 
+    def _rows(self, count: int) -> tuple[Geometry, Geometry]:
+        """Geometry of `count` vehicles, and the same three times over."""
+        if len(self._repeated[0].radius) != count:
+            rows = self.geometry.rows(count)
+            self._repeated = rows, Geometry(*(np.tile(value, 3) for value in rows))
+        return self._repeated
+
     def _start(self, state: LyapunovState | None, start: NDArray[np.bool_]) -> LyapunovState:
         """A copy of the state, its rows new where an episode starts."""
         if state is None:
@@ -213,13 +222,16 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
 
     def _slip(self, sprockets: Array, geometry: Geometry) -> tuple[Array, Array, Array]:
         """beta (N, 2) [m/s], alpha (N,) [rad] and motion (N, 2) at sprockets (N, 2)."""
-        left, right, alpha = self.slip_model.slip(sprockets[:, 0].copy(), sprockets[:, 1].copy())
-        beta = np.stack([left, right], axis=1).astype(np.float64)
-        beta[~np.isfinite(beta)] = 0.0
-        motion, angle = np.empty_like(beta), np.empty(len(beta))
-        law.motions_of(sprockets, beta, geometry.half_gauge, geometry.radius, motion)
-        kinematics.fade(np.asarray(alpha, dtype=np.float64), motion[:, 0], angle)
-        return beta, angle, motion
+        count = len(sprockets)
+        slip, beta, motion = np.empty((count, 3)), np.empty((count, 2)), np.empty((count, 2))
+        slip[:, 0], slip[:, 1], slip[:, 2] = self.slip_model.slip(
+            sprockets[:, 0].copy(), sprockets[:, 1].copy()
+        )
+        alpha = np.empty(count)
+        kinematics.settle(
+            sprockets, slip, geometry.half_gauge, geometry.radius, beta, alpha, motion
+        )  # fmt: skip
+        return beta, alpha, motion
 
     def _sprockets(self, motion: Array, beta: Array, geometry: Geometry) -> Array:
         """Sprocket speeds (N, 2) within their limit for motion and beta, (N, 2) each."""
@@ -247,10 +259,12 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
 
     def reference_slip(self, reference: Array) -> tuple[Array, Array]:
         """alpha_d [rad] and its rate [rad/s], (N,), of reference (N, 4) v_d, w_d, v_d', w_d'."""
-        count, geometry = len(reference), self.geometry.rows(len(reference))
+        count = len(reference)
+        geometry, thrice = self._rows(count)
         change = LOOK_ASIDE * reference[:, 2:]
-        rows = np.concatenate([reference[:, :2] + sign * change for sign in (0.0, -1.0, 1.0)])
-        thrice = Geometry(*(np.tile(value, 3) for value in geometry))
+        rows = np.empty((3 * count, 2))
+        for k, sign in enumerate((0.0, -1.0, 1.0)):
+            rows[k * count : (k + 1) * count] = reference[:, :2] + sign * change
         none = np.zeros(3 * count)
         beta, alpha = self._on_the_path(rows, none, thrice, np.zeros((3 * count, 2)), none)
         rate = (alpha[2 * count :] - alpha[count : 2 * count]) / (2.0 * LOOK_ASIDE)
@@ -261,8 +275,9 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
 
     def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
         """Motion demanded (N, 2)."""
-        slip = np.stack([alpha, *self.reference_slip(reference)], axis=1)
-        motion = np.empty((len(error), 2))
+        slip, motion = np.empty((len(error), 3)), np.empty((len(error), 2))
+        slip[:, 0] = alpha
+        slip[:, 1], slip[:, 2] = self.reference_slip(reference)
         law.laws(error, reference, slip, True, self.gains, motion)
         return motion
 

@@ -24,15 +24,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.lyapunov.pseudo_kinematic import NoSlip, SlipModel
-from baselines.slip.slip_tables import CHANNELS, Grid, descend, exponentials, look_up
+from baselines.slip.slip_tables import CHANNELS, Grid, descend, exponentials, layers, look_up
 
 Array = NDArray[np.float64]
 
 
 def _speeds(sprocket_left: ArrayLike, sprocket_right: ArrayLike) -> tuple[Array, Array]:
     """Both sprocket speeds as arrays (N,). Raises ValueError for shapes that differ."""
-    left = np.atleast_1d(np.asarray(sprocket_left, dtype=np.float64))
-    right = np.atleast_1d(np.asarray(sprocket_right, dtype=np.float64))
+    left = np.asarray(sprocket_left, dtype=np.float64)
+    right = np.asarray(sprocket_right, dtype=np.float64)
+    if not left.ndim or not right.ndim:
+        left, right = np.atleast_1d(left), np.atleast_1d(right)
     if left.ndim != 1 or left.shape != right.shape:
         raise ValueError(
             f"sprocket speeds have shapes {left.shape} and {right.shape}; must be one (N,). "
@@ -107,13 +109,17 @@ class SlipFamily:
         self, sprocket_left: Array, sprocket_right: Array, friction: ArrayLike
     ) -> tuple[Array, Array, Array]:
         """(beta_left, beta_right [m/s], alpha [rad]), (N,) each; friction [-]: mu, a number or
-        (N,), brought into the range of the family."""
+        (n,), brought into the range of the family. N may be a multiple of n: mu repeats, as where a
+        controller asks for several speeds of each vehicle. Raises ValueError for another n."""
         left, right = _speeds(sprocket_left, sprocket_right)
-        mu = np.broadcast_to(np.asarray(friction, dtype=np.float64), left.shape)
-        mu = np.clip(mu, self.frictions[0], self.frictions[-1])
-        layer = np.clip(np.searchsorted(self.frictions, mu) - 1, 0, len(self.frictions) - 2)
-        low, high = self.frictions[layer], self.frictions[layer + 1]
-        share = (1.0 / low - 1.0 / mu) / (1.0 / low - 1.0 / high)
+        mu = np.asarray(friction, dtype=np.float64).reshape(-1)
+        if len(left) % len(mu):
+            raise ValueError(
+                f"{len(left)} sprocket speeds for {len(mu)} frictions; must be as many or a "
+                "multiple. Is the model made for another number of vehicles?"
+            )
+        layer, share = np.empty(len(left), dtype=np.int64), np.empty(len(left))
+        layers(self.frictions, mu, layer, share)
         out = np.empty((len(left), 3))
         look_up(self.table, self.grid, self.sprocket_radius, left, right, layer, share, out)
         return out[:, 0], out[:, 1], out[:, 2]
@@ -130,16 +136,8 @@ class FrictionSlipModel(NamedTuple):
     friction: Array  # [-] mu, () or (N,)
 
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s]. More rows than
-        frictions: these repeat, as where a controller asks for several speeds of each vehicle."""
-        rows, known = len(np.atleast_1d(sprocket_left)), self.friction.size
-        if rows % known:
-            raise ValueError(
-                f"{rows} sprocket speeds for {known} frictions; must be as many or a multiple. "
-                "Is the model made for another number of vehicles?"
-            )
-        friction = np.tile(self.friction, rows // known) if known > 1 else self.friction
-        return self.family.slip(sprocket_left, sprocket_right, friction)
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s]."""
+        return self.family.slip(sprocket_left, sprocket_right, self.friction)
 
 
 class TreeSlipModel:

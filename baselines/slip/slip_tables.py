@@ -76,6 +76,24 @@ def look_up(table, grid, radius, left, right, layer, share, out):
 
 
 @loop
+def layers(frictions, friction, layer, share):
+    """Where a friction [-] lies among `frictions` (M,), rising, both (N,) out: share of the way in
+    1 / mu from `layer` to the next. friction (n,) repeats; beyond the ends it is theirs."""
+    last = frictions.size - 1
+    for n in range(layer.size):
+        mu = friction[n % friction.size]
+        mu = (
+            frictions[0] if mu < frictions[0] else (frictions[last] if mu > frictions[last] else mu)
+        )
+        k = 0
+        while k < last - 1 and not frictions[k + 1] >= mu:
+            k += 1
+        low, high = 1.0 / frictions[k], 1.0 / frictions[k + 1]
+        layer[n] = k
+        share[n] = (low - 1.0 / mu) / (low - high)
+
+
+@loop
 def descend(trees, radius, left, right, out):
     """Slip of N vehicles by four trees (roots, feature, threshold, below, above, value); out
     (N, 3). Speeds are compared in single precision, as scikit-learn does."""

@@ -74,7 +74,7 @@ def window_of(soil, slips, model, guess):
     window = np.zeros((sr.BLOCKS, len(slips)))
     window[0], window[1], window[2] = slips, effort(slips, *soil), 1e-8
     for k in range(len(slips)):
-        window[3, k] = sr.sample_slip(*window[:3, k], *guess, model)
+        window[3, k] = sr.sample_slips(window[:3, k], window[:3, k], *guess, model)[0]
     return window, np.zeros((2 * sr.ROWS + 1, len(slips)))
 
 

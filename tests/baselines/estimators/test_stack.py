@@ -152,6 +152,21 @@ def test_restoring_some_rows_leaves_the_others(drive):
         assert not np.array_equal(old[rows], new[rows])
 
 
+@pytest.mark.parametrize("slip", ["batched", "filterpy"])
+def test_what_was_known_after_a_step_stays_so_however_late_it_is_read(drive, slip):
+    seen = drive[0][:40, :2]
+    early, late = (IdentificationStack(count=2, slip=slip) for _ in range(2))
+    at_once, kept = [], []
+    for observation in seen:
+        known = early.update(observation)
+        at_once.append((outputs(known), np.array(known.motion), known.traction_known.copy()))
+        kept.append(late.update(observation))
+    for (estimates, motion, limit), known in zip(at_once, kept, strict=True):
+        assert np.array_equal(outputs(known), estimates)
+        assert np.array_equal(np.array(known.motion), motion)
+        assert np.array_equal(known.traction_known, limit)
+
+
 @pytest.mark.parametrize("how", ["reset", "start"])
 def test_forgotten_rows_are_as_new_and_the_others_go_on(drive, how):
     stack, whole, fresh = (IdentificationStack(count=COUNT) for _ in range(3))
@@ -205,15 +220,15 @@ def test_a_filter_that_is_behind_is_brought_to_the_present():
     speed, turn, acceleration, behind = 2.0, 0.3, 0.5, 0.1
     felt = np.zeros((2, 13))
     felt[:, links._A_X] = acceleration
-    motion = [np.full(2, value) for value in (1.0, 2.0, 0.5, speed, 0.0, turn)]
-    links.advance(*motion, np.array([behind, 0.0]), felt)
-    x, y, yaw, v_x, v_y, w = motion
+    motion = np.tile([1.0, 2.0, 0.5, speed, 0.0, turn], (2, 1))
+    links.advance(motion, np.array([behind, 0.0]), felt)
+    x, y, yaw, v_x, v_y, w = motion.T
     t = np.linspace(0.0, behind, 2001)
     v, heading = speed + acceleration * t, 0.5 + turn * t
     assert x[0] == pytest.approx(1.0 + np.trapezoid(v * np.cos(heading), t), abs=1e-4)
     assert y[0] == pytest.approx(2.0 + np.trapezoid(v * np.sin(heading), t), abs=1e-4)
     assert (yaw[0], v_x[0], v_y[0], w[0]) == pytest.approx((0.53, 2.05, 0.0, 0.3))
-    assert [column[1] for column in motion] == [1.0, 2.0, 0.5, 2.0, 0.0, 0.3]
+    assert motion[1].tolist() == [1.0, 2.0, 0.5, 2.0, 0.0, 0.3]
 
 
 def test_the_filter_is_behind_only_where_pose_and_drive_are_both_late():

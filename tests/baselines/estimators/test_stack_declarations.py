@@ -5,12 +5,16 @@ import pytest
 
 from baselines.estimators import stack as stacks
 from baselines.estimators.estimate import Estimate, Quantity, Status
+from baselines.estimators.sensor_samples import DRIVE
 from baselines.estimators.stack import ESTIMATORS, FEATURES, QUANTITIES, IdentificationStack
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from tracked_env import observation as layout
+from tracked_env import sensors
 from tracked_env.physics import vehicle
-from tracked_env.physics.channels import CHANNELS
+from tracked_env.physics.channels import CHANNELS, Channel
 from tracked_env.physics.parameters import RANGES, VEHICLES
 from tracked_env.vector_env import TrackedVehicleVectorEnv
+from tracked_env.wrappers import IdentifiedVectorObservation
 
 NOMINAL = VEHICLES["strawa"]
 COUNT = 4
@@ -178,3 +182,101 @@ def test_an_estimator_that_does_not_fit_is_refused(changes, further, says, regis
     for taken in ("belts", "slip"):
         with pytest.raises(ValueError, match=f"estimator '{taken}' is registered already"):
             stacks.register(taken, BeltAdvance)
+
+
+# --- what a registered sensor channel gives ---------------------------------------------------
+
+
+class WheelSlip:
+    """Latest slip of the left belt against a fifth wheel beside it."""
+
+    provides = (Quantity("wheel_slip", "-"),)
+    needs = ("wheel_speed", "sprocket_speed_left")
+    paired = False
+
+    def __init__(self, setting):
+        self.radius = setting.parameters.sprocket_radius
+        self.memory = np.zeros((setting.count, 1))
+
+    def take_over(self, parts, estimates):
+        """Nothing is needed of other estimators."""
+
+    def update(self, measurement):
+        wheel = measurement.channel("wheel_speed")
+        belt = self.radius * measurement.channel("sprocket_speed_left")
+        new = measurement.fresh[:, DRIVE] & np.isfinite(wheel)
+        self.memory[new, 0] = 1.0 - (wheel / np.where(np.abs(belt) > 0.1, belt, np.inf))[new]
+        ones, status = np.ones(len(new)), np.where(new, Status.CONVERGING, Status.REJECTED)
+        return Estimate(
+            ("wheel_slip",), self.memory.copy(), ones[:, None, None], ones, ones, status,
+            np.full(len(new), np.nan), np.zeros(len(new), dtype=np.int64),
+        )  # fmt: skip
+
+    def reset(self, rows=None):
+        self.memory[slice(None) if rows is None else rows] = 0.0
+
+
+def left_side_speed(truth):
+    """Speed over ground of the left side of the hull."""
+    return truth["v_x"] - 0.5 * truth["track_gauge"] * truth["yaw_rate"]
+
+
+@pytest.fixture
+def wheel(registries):
+    """A channel of the drive clock without noise, its group, and an estimator that needs it."""
+    sensors.register(Channel("wheel_speed", "drive", "m/s", truth=left_side_speed))
+    layout.register(
+        layout.Group("wheel", (layout.Field("wheel_speed", "m/s", 2.0, 40.0, "left wheel"),))
+    )
+    stacks.register("wheel", WheelSlip)
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_an_estimator_reads_a_registered_channel_in_si_units_wherever_its_group_stands(
+    paired, wheel, monkeypatch
+):
+    monkeypatch.setattr(WheelSlip, "paired", paired)
+    groups = ("wheel", *layout.VERSIONS["v0"])
+    plain = IdentifiedVectorObservation(
+        TrackedVehicleVectorEnv(COUNT, sensors="ideal"), IdentificationStack(count=COUNT)
+    )
+    env = IdentifiedVectorObservation(
+        TrackedVehicleVectorEnv(COUNT, sensors="ideal", observation=groups, expose_truth=True),
+        IdentificationStack(count=COUNT, further=["wheel"]),
+    )
+    one, (other, _info) = plain.reset(seed=0)[0], env.reset(seed=0)
+    for k in range(60):
+        given = len(layout.NAMES) + len(FEATURES)
+        assert np.array_equal(other[:, 1 : 1 + given], one)
+        action = np.tile(np.float32([0.3 + 0.001 * k, 0.2]), (COUNT, 1))
+        one, (other, *_, info) = plain.step(action)[0], env.step(action)
+    truth = info["truth"]
+    belt = truth["sprocket_radius"] * truth["sprocket_speed_left"]
+    slip = other[:, -3]  # before its deviation and excitation
+    assert slip == pytest.approx(1.0 - left_side_speed(truth) / belt, abs=1e-5)
+    assert (slip > 5e-4).all()
+
+
+def test_where_the_channel_is_not_shown_the_group_that_is_missing_is_named(wheel):
+    stack = IdentificationStack(count=COUNT, further=["wheel"])
+    assert stack.needs[-1] == "wheel_speed"
+    with pytest.raises(ValueError, match=r"lacks group wheel \(wheel_speed\).*observation=\["):
+        IdentifiedVectorObservation(TrackedVehicleVectorEnv(COUNT), stack)
+    with pytest.raises(ValueError, match=r"must be \(4, 32\) \(the last for wheel_speed\)"):
+        stack.update(np.zeros((COUNT, layout.SIZE), dtype=np.float32))
+
+
+def test_a_missing_sample_of_a_registered_channel_is_no_error(wheel):
+    stack = IdentificationStack(count=COUNT, further=["wheel"])
+    observation = np.zeros((COUNT, layout.SIZE + 1), dtype=np.float32)
+    observation[1, -1] = np.nan
+    known = stack.update(observation, START)
+    rejected = np.arange(COUNT) == 1
+    assert np.array_equal(known.status()["wheel"] == Status.REJECTED, rejected)
+
+
+def test_a_channel_without_a_field_of_its_name_is_not_known(registries):
+    sensors.register(Channel("wheel_speed", "drive", "m/s", truth=left_side_speed))
+    stacks.register("wheel", WheelSlip)
+    with pytest.raises(ValueError, match=r"needs \['wheel_speed'\]; .*no registered field"):
+        IdentificationStack(further=["wheel"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators import turning
+from baselines.estimators import turning, turning_equation
 from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, Measurement
 from baselines.estimators.turning import TurningEstimator
@@ -80,7 +80,7 @@ def test_the_lateral_velocity_is_found_from_the_lateral_acceleration():
             v_y = share * np.hypot(0.5 * CLAY.contact_length * w, 0.03)
             intensity = 0.7 * soil.GRAVITY / CLAY.contact_length
             a_y, _moment = soil.lateral_friction(v_y, w, intensity, CLAY.contact_length)
-            found, _shift, _noise = turning.sideways(a_y, w, 1.0 / 0.7, known)
+            found, _shift, _noise = turning_equation.sideways(a_y, w, 1.0 / 0.7, known)
             assert found == pytest.approx(v_y, rel=0.01, abs=1e-9)
 
 
@@ -189,7 +189,7 @@ def test_another_mass_rescales_the_lateral_resistance_so_that_the_friction_stays
 def test_releasing_the_inertia_keeps_the_values_and_forgets_how_sure_they_were():
     found = estimator(RTK, 2)
     before = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
-    found.release_inertia(np.array([True, False]))
+    turning.release(found.memory, 0)
     after = found.read()
     assert np.array_equal(after.value, before.value)
     assert after.deviation("inertia")[0] == pytest.approx(0.4 * CLAY.inertia)

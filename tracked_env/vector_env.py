@@ -200,22 +200,21 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         Raises ResetNeeded when a row was never reset, ValueError for an action that is not finite.
         """
         simulation = self.simulation
-        ended = simulation.ended.copy()
-        resting = ended.any()
-        simulation.step(actions, np.flatnonzero(~ended) if resting else None)
+        resting = simulation.resting()
+        simulation.step(actions, None if resting is None else np.flatnonzero(~resting))
         report = simulation.report()
-        rewards = report.reward.copy()
-        if not simulation.some_ended and not resting:  # nearly always: nothing to look up
+        rewards = report.reward
+        if not simulation.some_ended and resting is None:  # nearly always: nothing to look up
             terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
             info = self._info(self._every, report, success)
             return simulation.observations.copy(), rewards, terminated, truncated, info
         terminated, truncated = simulation.terminated, simulation.truncated
-        if resting:
-            rewards[ended] = 0.0
+        if resting is not None:
+            rewards[resting] = 0.0
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
-                self._restart(ended)
-                terminated[ended] = False
-                truncated[ended] = False
+                self._restart(resting)
+                terminated[resting] = False
+                truncated[resting] = False
         over = terminated | truncated
         final: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and simulation.some_ended:

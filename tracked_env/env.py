@@ -1,6 +1,5 @@
 """One tracked vehicle behind the Gymnasium interface: the simulation core with N = 1."""
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -9,10 +8,8 @@ from numpy.typing import NDArray
 
 from tracked_env import observation as obs
 from tracked_env.engine.columns import RowReport
-from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.env_config import EnvConfig, environment_arguments
 from tracked_env.engine.simulation import Simulation
-from tracked_env.plants import Plant
-from tracked_env.uncertainty import Spec
 from tracked_env.validation import checked_choice, checked_flag
 
 RENDER_MODES = ("human", "rgb_array")
@@ -123,36 +120,15 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         "render_fps": 50,
     }
 
-    def __init__(
-        self,
-        reference: str | Mapping[str, Any] = "random",
-        uncertainty: Spec = "soil-and-mass",
-        sensors: str | Mapping[str, Any] = "rtk",
-        duration: float = 30.0,
-        control_rate: float = 50.0,
-        lateral: str = "sliding",
-        error_limit: float = 5.0,
-        time_step: float = 0.0025,
-        vehicle: str = "strawa",
-        plant: str | Plant = "lumped",
-        drive: str = "torque",
-        patches: Sequence[int] = (10, 4),
-        plant_options: Mapping[str, Any] | None = None,
-        observation: str | Sequence[str] = "v0",
-        expose_truth: bool = False,
-        render_mode: str | None = None,
-    ) -> None:
-        if render_mode is not None:
-            checked_choice("render_mode", render_mode, RENDER_MODES)
-        config = EnvConfig(
-            reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, 1, vehicle, plant, drive, patches, plant_options, observation,
-        )  # fmt: skip
+    @environment_arguments
+    def __init__(self, config: EnvConfig) -> None:
+        if config.render_mode is not None:
+            checked_choice("render_mode", config.render_mode, RENDER_MODES)
         self.simulation = Simulation(1, config)
         self.layout = self.simulation.layout
-        self.expose_truth = checked_flag("expose_truth", expose_truth)
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": round(control_rate)}
+        self.expose_truth = checked_flag("expose_truth", config.expose_truth)
+        self.render_mode = config.render_mode
+        self.metadata = {**self.metadata, "render_fps": round(config.control_rate)}
         self.observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Any = None

@@ -1,6 +1,5 @@
 """One tracked vehicle behind the Gymnasium interface: the simulation core with N = 1."""
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -8,16 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import observation as obs
-from tracked_env.engine import columns as b
-from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.columns import RowReport
+from tracked_env.engine.env_config import EnvConfig, environment_arguments
 from tracked_env.engine.simulation import Simulation
-from tracked_env.plants import Plant
-from tracked_env.rewards import INFO_KEYS
-from tracked_env.uncertainty import Spec
 from tracked_env.validation import checked_choice, checked_flag
 
 RENDER_MODES = ("human", "rgb_array")
 ObsType = NDArray[np.float32]
+_ACTION_SHAPE = (2,)
+
+
+def _checked_action(action: Any) -> NDArray[Any]:
+    """The action as an array. Raises ValueError for another shape than (2,)."""
+    action = np.asarray(action)
+    if action.shape != _ACTION_SHAPE:
+        raise ValueError(
+            f"action has shape {action.shape}; must be {_ACTION_SHAPE}: sprocket torque (or "
+            "speed) left, right over its limit, in [-1, 1]"
+        )
+    return action
 
 
 class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
@@ -112,36 +120,15 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         "render_fps": 50,
     }
 
-    def __init__(
-        self,
-        reference: str | Mapping[str, Any] = "random",
-        uncertainty: Spec = "soil-and-mass",
-        sensors: str | Mapping[str, Any] = "rtk",
-        duration: float = 30.0,
-        control_rate: float = 50.0,
-        lateral: str = "sliding",
-        error_limit: float = 5.0,
-        time_step: float = 0.0025,
-        vehicle: str = "strawa",
-        plant: str | Plant = "lumped",
-        drive: str = "torque",
-        patches: Sequence[int] = (10, 4),
-        plant_options: Mapping[str, Any] | None = None,
-        observation: str | Sequence[str] = "v0",
-        expose_truth: bool = False,
-        render_mode: str | None = None,
-    ) -> None:
-        if render_mode is not None:
-            checked_choice("render_mode", render_mode, RENDER_MODES)
-        config = EnvConfig(
-            reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, 1, vehicle, plant, drive, patches, plant_options, observation,
-        )  # fmt: skip
+    @environment_arguments
+    def __init__(self, config: EnvConfig) -> None:
+        if config.render_mode is not None:
+            checked_choice("render_mode", config.render_mode, RENDER_MODES)
         self.simulation = Simulation(1, config)
         self.layout = self.simulation.layout
-        self.expose_truth = checked_flag("expose_truth", expose_truth)
-        self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": round(control_rate)}
+        self.expose_truth = checked_flag("expose_truth", config.expose_truth)
+        self.render_mode = config.render_mode
+        self.metadata = {**self.metadata, "render_fps": round(config.control_rate)}
         self.observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Any = None
@@ -164,36 +151,43 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         observation = self.simulation.reset(self.simulation.all, [options])[0].copy()
         if self.render_mode == "human":
             self.render()
-        return observation, self._info()
+        return observation, self._reward_and_info(self.simulation.batch.row_report(0), False)[1]
 
     def step(self, action: ObsType) -> tuple[ObsType, float, bool, bool, dict[str, Any]]:
         """Hold the two demands, sprocket torques or speeds, for one control period.
 
         Raises ResetNeeded before the first reset, ValueError for an action that is not finite.
         """
-        observation = self.simulation.step(np.asarray(action, dtype=np.float32)[None])[0].copy()
-        counters = self.simulation.batch.counters[0]
+        simulation = self.simulation
+        if type(action) is not np.ndarray or action.shape != _ACTION_SHAPE:
+            action = _checked_action(action)
+        simulation.actions[0] = action
+        simulation.advance()
         if self.render_mode == "human":
             self.render()
-        return (
-            observation,
-            float(self.simulation.batch.floats[0, b.REWARD]),
-            bool(counters[b.TERMINATED]),
-            bool(counters[b.TRUNCATED]),
-            self._info(),
-        )
+        report = simulation.first_report
+        terminated = truncated = is_success = False
+        if simulation.some_ended:
+            terminated, truncated = map(bool, report.flags.tolist())
+            is_success = truncated and bool(simulation.success[0])
+        reward, info = self._reward_and_info(report, is_success)
+        return simulation.first_observation.copy(), reward, terminated, truncated, info
 
-    def _info(self) -> dict[str, Any]:
-        floats = self.simulation.batch.floats[0]
-        terms = floats[b.TERMS : b.TERMS + len(b.REWARD_TERMS)].tolist()
-        ended = self.simulation.batch.counters[0, b.TRUNCATED] != 0
-        info: dict[str, Any] = dict(zip(INFO_KEYS, terms, strict=True))
-        info["tracking_error"] = floats[b.ERROR_DISTANCE : b.ERROR_YAW + 1].copy()
-        info["is_success"] = bool(ended and self.simulation.success[0])
+    def _reward_and_info(self, report: RowReport, is_success: bool) -> tuple[float, dict[str, Any]]:
+        reward, position, heading, speed, effort, smoothness = report.rewards.tolist()
+        info: dict[str, Any] = {  # written out: `INFO_KEYS` in a loop takes three times as long
+            "reward_position": position,
+            "reward_heading": heading,
+            "reward_speed": speed,
+            "reward_effort": effort,
+            "reward_smoothness": smoothness,
+            "tracking_error": report.tracking_error.copy(),
+            "is_success": is_success,
+        }
         if self.expose_truth:
             truth = self.simulation.truth()
             info["truth"] = {name: float(value[0]) for name, value in truth.items()}
-        return info
+        return reward, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the scene: an RGB array (height, width, 3), or a window in `human` mode.

@@ -11,14 +11,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from tracked_env.engine.columns import Report
-from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.env_config import EnvConfig, environment_arguments
 from tracked_env.engine.episode import OPTION_KEYS
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
 from tracked_env.physics.parameters import Range
-from tracked_env.plants import Plant
 from tracked_env.rewards import INFO_KEYS
-from tracked_env.uncertainty import Spec
 from tracked_env.validation import (
     checked_choice,
     checked_flag,
@@ -60,50 +58,33 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
+    @environment_arguments
     def __init__(
         self,
         num_envs: int = 1,
-        reference: str | Mapping[str, Any] = "random",
-        uncertainty: Spec = "soil-and-mass",
-        sensors: str | Mapping[str, Any] = "rtk",
-        duration: float = 30.0,
-        control_rate: float = 50.0,
-        lateral: str = "sliding",
-        error_limit: float = 5.0,
-        time_step: float = 0.0025,
-        vehicle: str = "strawa",
-        plant: str | Plant = "lumped",
-        drive: str = "torque",
-        patches: Sequence[int] = (10, 4),
-        plant_options: Mapping[str, Any] | None = None,
-        observation: str | Sequence[str] = "v0",
-        expose_truth: bool = False,
-        render_mode: str | None = None,
+        *,
+        config: EnvConfig,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int = 2,
         max_episode_steps: int | None = None,
     ) -> None:
         if max_episode_steps is not None:
             max_episode_steps = checked_whole("max_episode_steps", max_episode_steps, _STEPS)
-        if render_mode is not None:
-            checked_choice("render_mode", render_mode, self.metadata["render_modes"])
-        config = EnvConfig(
-            reference, uncertainty, sensors, duration, control_rate, lateral, error_limit,
-            time_step, threads, vehicle, plant, drive, patches, plant_options, observation,
-        )  # fmt: skip
+        if config.render_mode is not None:
+            checked_choice("render_mode", config.render_mode, self.metadata["render_modes"])
         if not isinstance(autoreset_mode, AutoresetMode):
             names = [mode.value for mode in AutoresetMode]
             autoreset_mode = checked_choice("autoreset_mode", autoreset_mode, names)
-        self.simulation = Simulation(num_envs, config)
+        self.simulation = Simulation(num_envs, config._replace(threads=threads))
         self.num_envs = num_envs = self.simulation.count
         self.layout = self.simulation.layout
-        self.expose_truth = checked_flag("expose_truth", expose_truth)
-        self.render_mode = render_mode
+        self.expose_truth = checked_flag("expose_truth", config.expose_truth)
+        self.render_mode = config.render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
             **self.metadata,
             "autoreset_mode": self.autoreset_mode,
-            "render_fps": round(control_rate),
+            "render_fps": round(config.control_rate),
         }
         self.single_observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -200,22 +181,21 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         Raises ResetNeeded when a row was never reset, ValueError for an action that is not finite.
         """
         simulation = self.simulation
-        ended = simulation.ended.copy()
-        resting = ended.any()
-        simulation.step(actions, np.flatnonzero(~ended) if resting else None)
+        resting = simulation.resting()
+        simulation.step(actions, None if resting is None else np.flatnonzero(~resting))
         report = simulation.report()
-        rewards = report.reward.copy()
-        if not simulation.some_ended and not resting:  # nearly always: nothing to look up
+        rewards = report.reward
+        if not simulation.some_ended and resting is None:  # nearly always: nothing to look up
             terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
             info = self._info(self._every, report, success)
             return simulation.observations.copy(), rewards, terminated, truncated, info
         terminated, truncated = simulation.terminated, simulation.truncated
-        if resting:
-            rewards[ended] = 0.0
+        if resting is not None:
+            rewards[resting] = 0.0
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
-                self._restart(ended)
-                terminated[ended] = False
-                truncated[ended] = False
+                self._restart(resting)
+                terminated[resting] = False
+                truncated[resting] = False
         over = terminated | truncated
         final: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and simulation.some_ended:

@@ -14,7 +14,7 @@ from gymnasium.envs.registration import load_env_creator
 from agents.training.joined import shares
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import PolicyContext
-from tracked_env.engine.env_config import EnvConfig, make_solver
+from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_keys, name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -41,7 +41,9 @@ SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
     SPEED_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}),
 }
 # What an environment draws from where its registration does not say so.
-_DEFAULTS = {"uncertainty": "soil-and-mass", "sensors": "rtk", "reference": "random"}
+_DEFAULTS = {
+    name: EnvConfig._field_defaults[name] for name in ("uncertainty", "sensors", "reference")
+}
 _OPTIONS = ("uncertainty", "sensors", "reference", "duration", "lateral")  # of train.py
 
 
@@ -91,7 +93,7 @@ def _further(text: str | None, env: str) -> Mapping[str, Any]:
         if isinstance(given, Mapping) and name in given:
             raise ValueError(f"--env-args: {name} has an option of its own, --{name}")
     # Recipes do not name the groups of the observation, so all agents are trained on those of v0.
-    allowed = sorted({*EnvConfig._fields} - {*_OPTIONS, "observation"})
+    allowed = sorted({*EnvConfig._fields} - {*_OPTIONS, *SHOWN, "observation"})
     further = checked_keys("--env-args", given, allowed)
     try:
         control_period(env, further)

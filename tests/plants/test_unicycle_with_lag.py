@@ -92,11 +92,13 @@ def move_held(batch, scratch, block, pace, options):
 
 @loop
 def advance(
-    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
-):
+    floats, counters, profile, events, noise, history, chosen, actions, observations,
+    start, stop, moving, substeps, substep, error_limit,
+):  # fmt: skip
     """Kernel of the control step."""
     batch = Batch(floats, counters, profile, events, noise, history)
     given = (chosen, actions, observations)
+    rest = (start, stop, moving, substeps, substep, error_limit)
     return advance_blocks(derive, move, 1, np.empty((1, 1)), batch, given, rest)
 
 

@@ -122,6 +122,14 @@ class Report(NamedTuple):
     terms: RewardTerms  # (N,) each
 
 
+class RowReport(NamedTuple):
+    """The same of one vehicle, as views: they change with its next step."""
+
+    tracking_error: NDArray[np.float64]  # (2,)
+    rewards: NDArray[np.float64]  # (1 + terms,) the reward, then its terms
+    flags: NDArray[np.int64]  # (2,) terminated, truncated
+
+
 class Batch(NamedTuple):
     """The arrays of N vehicles."""
 
@@ -154,8 +162,17 @@ class Batch(NamedTuple):
 
     def report(self) -> Report:
         """A copy of what the last step reports."""
-        values = self.floats[:, ERROR_DISTANCE : TERMS + len(REWARD_TERMS)].copy()
-        return Report(values[:, :2], values[:, 2], RewardTerms(*values.T[3:]))
+        values = self.floats.T[ERROR_DISTANCE : TERMS + len(REWARD_TERMS)].copy()
+        return Report(values[:2].T, values[2], RewardTerms(*values[3:]))
+
+    def row_report(self, i: int) -> RowReport:
+        """Views of what the last step reports of vehicle i."""
+        row = self.floats[i]
+        return RowReport(
+            row[ERROR_DISTANCE : ERROR_YAW + 1],
+            row[REWARD : TERMS + len(REWARD_TERMS)],
+            self.counters[i, TERMINATED : TRUNCATED + 1],
+        )
 
 
 def columns(names: Iterable[str]) -> list[int]:

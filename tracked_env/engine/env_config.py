@@ -1,6 +1,12 @@
-"""What an environment is built from: its arguments, and the solver that follows from them."""
+"""What an environment is built from: its arguments, and the solver that follows from them.
 
-from collections.abc import Mapping, Sequence
+`EnvConfig` is the one list of the arguments: the constructors of the single and of the vector
+environment take theirs from it, with `environment_arguments`.
+"""
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +15,13 @@ from tracked_env.physics.parameters import VEHICLES, ParametersRead, PlantParame
 from tracked_env.plants import DRIVES, PLANTS, Drive, Plant, Prepared, find, prepared
 from tracked_env.sensors import Sensors
 from tracked_env.uncertainty import Spec
-from tracked_env.validation import checked_choice, checked_keys, checked_number, checked_whole
+from tracked_env.validation import (
+    checked_choice,
+    checked_keys,
+    checked_number,
+    checked_whole,
+    unknown,
+)
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
 
@@ -25,13 +37,58 @@ class EnvConfig(NamedTuple):
     lateral: str = "sliding"
     error_limit: float = 5.0  # [m]
     time_step: float = SUBSTEP  # [s]
-    threads: int = 1
     vehicle: str = "strawa"
     plant: str | Plant = "lumped"
     drive: str = "torque"
     patches: Sequence[int] = (10, 4)
     plant_options: Mapping[str, Any] | None = None
     observation: str | Sequence[str] = "v0"
+    expose_truth: bool = False
+    render_mode: str | None = None
+    threads: int = 1  # an argument of the vector environment alone
+
+
+SHOWN = ("expose_truth", "render_mode")  # what is returned and drawn: nothing moves by them
+_Constructor = Callable[..., None]
+
+
+def environment_arguments(constructor: _Constructor) -> _Constructor:
+    """`constructor` with the arguments of `EnvConfig` in place of its parameter `config`.
+
+    A field that the constructor has as a parameter of its own is left to it. The signature lists
+    all; an unknown argument is a TypeError that names the nearest one.
+    """
+    own = dict(inspect.signature(constructor).parameters)
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    fields = {
+        name: inspect.Parameter(
+            name, kind, default=EnvConfig._field_defaults[name], annotation=annotation
+        )
+        for name, annotation in EnvConfig.__annotations__.items()
+        if name not in own and name != "threads"
+    }
+    listed: list[inspect.Parameter] = []
+    for name, parameter in own.items():
+        listed += fields.values() if name == "config" else [parameter.replace(kind=kind)]
+    signature = inspect.Signature(listed, return_annotation=None)
+    names = [parameter.name for parameter in listed[1:]]
+
+    @functools.wraps(constructor)
+    def construct(self: Any, *positional: Any, **named: Any) -> None:
+        function = type(self).__name__
+        for name in named:
+            if name not in names:
+                raise TypeError(f"{function}(): {unknown('argument', name, names)}")
+        try:
+            given = signature.bind(self, *positional, **named).arguments
+        except TypeError as error:
+            raise TypeError(f"{function}(): {error}") from None
+        config = EnvConfig(**{name: given.pop(name) for name in fields if name in given})
+        constructor(**given, config=config)
+
+    construct.__signature__ = signature  # type: ignore[attr-defined]
+    construct.__annotations__ = {p.name: p.annotation for p in listed[1:]} | {"return": None}
+    return construct
 
 
 class Solver(NamedTuple):

@@ -8,10 +8,12 @@ A plant's file makes its kernels by handing its own functions to the templates:
 
     @loop
     def advance(
-        floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
+        floats, counters, profile, events, noise, history, chosen, actions, observations,
+        start, stop, moving, substeps, substep, error_limit,
     ):
         batch = Batch(floats, counters, profile, events, noise, history)
         given = (chosen, actions, observations)
+        rest = (start, stop, moving, substeps, substep, error_limit)
         return advance_blocks(derive, move, LANES, np.empty((ROWS, LANES)), batch, given, rest)
 
     @loop
@@ -19,8 +21,9 @@ A plant's file makes its kernels by handing its own functions to the templates:
         return hold_blocks(derive, move_held, LANES, np.empty((ROWS, LANES)), call)
 
 They stand at module level, because numba's disk cache finds those again in a new process, but not
-closures. Kernels are called with plain arrays and numbers: a tuple with names costs microseconds at
-the boundary from Python, and nothing inside.
+closures. A plant's options are further arguments of `advance`, and follow in `rest`. Kernels are
+called with plain arrays and numbers: a tuple with names costs microseconds at the boundary from
+Python, and nothing inside, and `*rest` instead of the numbers' names a twentieth of one.
 """
 
 import math

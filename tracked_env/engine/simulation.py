@@ -25,6 +25,7 @@ from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
 from tracked_env.engine.kernels import SOME_ENDED, Clock
 from tracked_env.physics.channels import NOISE_COUNT
+from tracked_env.physics.jit import bound
 from tracked_env.physics.parameters import PARAMETER_NAMES, Range
 from tracked_env.physics.state import STATE_NAMES
 from tracked_env.references import number_of_segments
@@ -65,12 +66,17 @@ class Simulation:
         self.all = np.arange(count)
         self._action_shape = (count, 2)
         self._idle: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
+        # Of the coming step. A kernel is compiled for the type and order of this one array.
+        self.actions: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
         self._kernel = solver.prepared.advance
         self._threads = solver.threads
         clock = Clock(solver.substeps, solver.substep, solver.error_limit)
         self._tail: tuple[Any, ...] = (*clock, *solver.prepared.options)
         self._noisy = np.zeros(count, dtype=bool)
-        self.ended = np.zeros(count, dtype=bool)  # and not started anew; not to be stepped
+        self._ended = np.zeros(count, dtype=bool)
+        self._ended_known, self._some_resting = True, True
+        self._threaded = solver.threads > 1 and count >= solver.plant.threads_from
+        self._bound: b.Batch | None = None  # that `_call` holds
         self._all_started = False
         self._pool: ThreadPoolExecutor | None = None
         self._until_refill = 0
@@ -78,8 +84,19 @@ class Simulation:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles are built anew, without threads, and go on bit for bit."""
-        running = {name: getattr(self, name) for name in (*_RUNNING, "ended")}
-        return type(self), (self.count, self.config), running
+        running = {name: getattr(self, name) for name in _RUNNING}
+        return type(self), (self.count, self.config), {**running, "_ended": self.ended}
+
+    def _bind(self) -> None:
+        """Prepare the call that moves every vehicle, and the views of what it reports of the first.
+
+        Anew whenever `batch` is another one: after a copy, `resume`, and where arrays have grown.
+        """
+        out = self.observations if self.composer is None else self.composer.written
+        self._call = (*self.batch, self.all, self.actions, out, 0, self.count, True, *self._tail)
+        self._call_kernel = bound(self._kernel, self._call)
+        self.first_report, self.first_observation = self.batch.row_report(0), self.observations[0]
+        self._bound = self.batch
 
     # --- an episode starts ----------------------------------------------------------------
     def reset(
@@ -174,38 +191,71 @@ class Simulation:
         non-finite value, and ResetNeeded for a vehicle that was never reset, before moving.
         Returns all observations (N, D) in the layout of the config.
         """
-        actions = np.asarray(actions, dtype=np.float32)
+        actions = np.asarray(actions)
         if actions.shape != self._action_shape:
             raise ValueError(
                 f"action has shape {actions.shape}; must be {self._action_shape}: sprocket torque "
                 "(or speed) left, right over its limit, in [-1, 1]"
             )
-        chosen = self.all if chosen is None else chosen
+        self.actions[:] = actions
+        return self.advance(chosen)
+
+    def advance(self, chosen: NDArray[np.int64] | None = None) -> NDArray[np.float32]:
+        """The same with the actions that stand in `actions` (N, 2) float32."""
         if not self._all_started:
-            self._check_started(chosen)
-        size = chosen.size
+            self._check_started(self.all if chosen is None else chosen)
+        if self.batch is not self._bound:
+            self._bind()
         refill = self._until_refill <= 0
+        if chosen is None and not refill and not self._threaded:
+            result = self._call_kernel(*self._call)
+            self._until_refill -= 1
+        else:
+            result = self._advance_chosen(self.all if chosen is None else chosen, refill)
+        self.some_ended = result == SOME_ENDED
+        if self.some_ended:
+            self._ended_known, self._some_resting = False, True
+        elif result >= 0:
+            raise ValueError(
+                f"action[{result}] = {self.actions[result].tolist()}; must be finite, in [-1, 1]. "
+                "Did the policy diverge, or divide by zero? No vehicle was moved."
+            )
+        if self.composer is not None:
+            rows = self.all if chosen is None else chosen
+            self.composer.write(self.batch, self.observations, rows)
+        return self.observations
+
+    def _advance_chosen(self, chosen: NDArray[np.int64], refill: bool) -> int:
+        """Some of the vehicles, on one thread or several, with new noise where it is due."""
+        size = chosen.size
         if self._threads > 1 and size >= self.solver.plant.threads_from:
-            result = self._step_threaded(actions, chosen, refill)
+            result = self._step_threaded(self.actions, chosen, refill)
         else:
             if refill:
                 self._refill(chosen)
-            result = self._advance(actions, chosen, 0, size, True)
+            result = self._advance(self.actions, chosen, 0, size, True)
         self._until_refill -= 1
         if refill and size:
             last = self.batch.counter("noise_cursor")[chosen].max()
             self._until_refill = b.NOISE_BLOCK - 1 - int(last)
-        self.some_ended = result == SOME_ENDED
-        if self.some_ended:
-            self.ended = self.terminated | self.truncated
-        if result >= 0:
-            raise ValueError(
-                f"action[{result}] = {actions[result].tolist()}; must be finite, in [-1, 1]. "
-                "Did the policy diverge, or divide by zero? No vehicle was moved."
-            )
-        if self.composer is not None:
-            self.composer.write(self.batch, self.observations, chosen)
-        return self.observations
+        return result
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """(N,) the episode has ended, and none was started since; such rows are not to be stepped.
+
+        The array itself, which a reset changes.
+        """
+        if not self._ended_known:
+            self._ended, self._ended_known = self.terminated | self.truncated, True
+        return self._ended
+
+    def resting(self) -> NDArray[np.bool_] | None:
+        """A copy of `ended`, or None where no episode has ended."""
+        if not self._some_resting:
+            return None
+        self._some_resting = bool(self.ended.any())
+        return self.ended.copy() if self._some_resting else None
 
     def _check_started(self, chosen: NDArray[np.int64]) -> None:
         """Raise ResetNeeded when one of the chosen vehicles has no episode."""
@@ -279,7 +329,7 @@ class Simulation:
             )
         for name, value in copy.deepcopy(dict(snapshot)).items():
             setattr(self, name, value)
-        self.ended = self.terminated | self.truncated
+        self._ended_known, self._some_resting = False, True
         self._all_started = False  # to be looked up
 
     # --- what can be read -----------------------------------------------------------------

@@ -185,23 +185,27 @@ def _hold_on_one_soil(batch, w, block, pace, options):
 
 @loop
 def advance(
-    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
-):
+    floats, counters, profile, events, noise, history, chosen, actions, observations,
+    start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler,
+):  # fmt: skip
     """Kernel of the control step, see `engine.kernels`."""
     scratch = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
     batch = Batch(floats, counters, profile, events, noise, history)
     given = (chosen, actions, observations)
+    rest = (start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler)
     return advance_blocks(derive_free, _move_on_one_soil, 1, scratch, batch, given, rest)
 
 
 @loop
 def advance_on_two_soils(
-    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
-):
+    floats, counters, profile, events, noise, history, chosen, actions, observations,
+    start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler,
+):  # fmt: skip
     """The same with a soil under each track."""
     scratch = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
     batch = Batch(floats, counters, profile, events, noise, history)
     given = (chosen, actions, observations)
+    rest = (start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler)
     return advance_blocks(derive_free, _move_on_two_soils, 1, scratch, batch, given, rest)
 
 

@@ -226,23 +226,27 @@ def _derive_constrained(floats, i, substep):
 
 @loop
 def advance_sliding(
-    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
-):
+    floats, counters, profile, events, noise, history, chosen, actions, observations,
+    start, stop, moving, substeps, substep, error_limit,
+):  # fmt: skip
     """Kernel of the control step, see `engine.kernels`."""
     scratch = np.empty((SCRATCH_ROWS, LANES))
     batch = Batch(floats, counters, profile, events, noise, history)
     given = (chosen, actions, observations)
+    rest = (start, stop, moving, substeps, substep, error_limit)
     return advance_blocks(derive_free, _move_sliding, LANES, scratch, batch, given, rest)
 
 
 @loop
 def advance_constrained(
-    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
-):
+    floats, counters, profile, events, noise, history, chosen, actions, observations,
+    start, stop, moving, substeps, substep, error_limit,
+):  # fmt: skip
     """The same with the lateral motion constrained."""
     scratch = np.empty((SCRATCH_ROWS, LANES))
     batch = Batch(floats, counters, profile, events, noise, history)
     given = (chosen, actions, observations)
+    rest = (start, stop, moving, substeps, substep, error_limit)
     return advance_blocks(
         _derive_constrained, _move_constrained, LANES, scratch, batch, given, rest
     )

@@ -16,6 +16,7 @@ from typing import Any
 
 from tracked_env.benchmark.executors import Failure, Function, lost, outcome
 
+PATIENCE = 5.0  # [s] for a process that has nothing left to do
 _SPAWN = multiprocessing.get_context("spawn")
 # One thread of BLAS per process, as the processes share the processor.
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -75,10 +76,12 @@ class _Worker:
             self.connection.send(job)
 
     def end(self) -> None:
-        """End the process, in the middle of a job too."""
+        """End the process: one that waits for a job by itself, another one at once."""
+        self.connection.close()
+        if self.job is None:
+            self.process.join(PATIENCE)
         self.process.kill()
         self.process.join()
-        self.connection.close()
 
     def ended(self) -> str:
         """How it ended."""

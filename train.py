@@ -5,17 +5,37 @@ episodes), last.zip, config.json and curve.csv. Killed? The same command with --
 from the last checkpoint. Compare the agent with the controllers afterwards:
 
     python evaluate.py --policies nominal adaptive oracle runs/ppo-blind-seed0/agent.zip
+
+Several trainings, on the processors of this machine or of others:
+
+    python train.py --seeds 0:5 --workers 2
 """
 
+import io
+import os
+import platform
 import sys
+import threading
+import time
 
-from agents.ending import Refused, failed, interrupted, raise_again, refusing, stop_at_once
+from agents.ending import (
+    INTERRUPTED,
+    Refused,
+    failed,
+    interrupted,
+    raise_again,
+    refusing,
+    stop_at_once,
+)
 
 if __name__ == "__main__":
     stop_at_once("train.py: interrupted before the training began")  # the imports take seconds
 
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, redirect_stdout
+from dataclasses import make_dataclass
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 try:
@@ -24,6 +44,8 @@ try:
     import tyro
     from tqdm import tqdm
 
+    from agents import sweep
+    from agents.sweep_table import compared
     from agents.training import checkpoints
     from agents.training.environments import make_held_out
     from agents.training.folder import AlreadyFinished, begin, finish, going_on
@@ -34,8 +56,10 @@ try:
 except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl,cli]'")
 
+from baselines.learned.agent_archive import read_recipe
 from tracked_env.benchmark.files import locked
 
+LINGERS = 150.0  # [s] for which a training that was given up on may still hold its folder
 FREE = ("resume", "overwrite", "output", "tensorboard", "quiet", "trust")  # may differ
 WRONG = (ValueError, OSError, gymnasium.error.Error)  # what wrong settings raise
 
@@ -113,14 +137,103 @@ def main(options: Options) -> int:
     return 0
 
 
+def train_one(place: sweep.Place, job: sweep.Job) -> sweep.Trained:
+    """One training of several, in a process of its own: begun, or gone on with."""
+    options = options_of_train()(**job.options)
+    folder = options.folder
+    sys.argv = list(place.command)  # the recipe says what the user asked for
+    if not Path(place.folder, folder).is_dir():
+        return sweep.Trained(
+            f"{Path(place.folder, folder)} is not there on {platform.node()}; --output must be on "
+            "a disk that all nodes share, and the working directory too", failed=True,
+        )  # fmt: skip
+    os.chdir(place.folder)
+    torch.set_num_threads(options.threads)
+    tqdm.set_lock(threading.RLock())  # the usual one is a semaphore, which a kill would leave
+    with ExitStack() as held, redirect_stdout(io.StringIO()):
+        try:
+            with refusing(ValueError):
+                hold(held, folder)
+            train(options)
+        except AlreadyFinished:
+            pass
+        except (Refused, OSError) as error:
+            return sweep.Trained(" ".join(str(error).split()), failed=True)
+        except Diverged as error:
+            return sweep.Trained(diverged(error, options), failed=True)
+    recipe = read_recipe(folder / "agent.zip") or {}
+    best = recipe.get("held_out_rmse")
+    score = "" if best is None else f", best {best:.4f} m held out"
+    return sweep.Trained(f"done{score}; {folder / 'agent.zip'}", failed=False)
+
+
+def hold(held: ExitStack, folder: Path) -> None:
+    """Lock a folder, when a process that was given up on has let go of it. Raises ValueError."""
+    until = time.monotonic() + LINGERS
+    while True:
+        try:
+            held.enter_context(locked(folder, "a training"))
+            return
+        except ValueError:
+            if time.monotonic() > until:
+                raise
+        time.sleep(0.5)
+
+
+def prepared(options: Options) -> None:
+    """Make the folder of a training, emptied if that is asked for. Raises Refused."""
+    with refusing(*WRONG):
+        run = resolve(options)
+        try:
+            going_on(run.folder, run.recipe["config"], FREE, options.resume, options.overwrite)
+        except AlreadyFinished:
+            return
+        run.folder.mkdir(parents=True, exist_ok=True)
+        if options.overwrite:
+            with locked(run.folder, "a training"):
+                begin(run.folder, run.recipe, 0)
+
+
+def main_of_several(options: Any, kind: type[Options]) -> int:
+    """Several trainings, then the table of a sweep; returns the exit status."""
+    try:
+        with refusing(ValueError):
+            executor, shard = sweep.executor_of(options)
+            trainings, plan = sweep.planned(options, kind)
+        trainings = sweep.part_of(trainings, shard)
+        for each in trainings.values():
+            prepared(each)
+        # By the name of this module, which other processes can import.
+        failures = sweep.train_all(
+            trainings, executor, import_module("train").train_one, options.quiet
+        )
+        if plan is not None and shard is None:
+            with refusing(ValueError):
+                print(f"\n{compared(plan, executor)}")
+    except KeyboardInterrupt:
+        again = "run it again" if options.sweep else "go on with --resume"
+        print(f"interrupted; checkpoints are kept, {again}", file=sys.stderr)
+        return INTERRUPTED
+    except (Refused, OSError) as error:
+        return failed(error)
+    return failed(f"{failures} of {len(trainings)} trainings failed") if failures else 0
+
+
 def command(arguments: Sequence[str] | None = None) -> int:
     """Train as the command line says; returns the exit status.
 
     It has the algorithms that are registered when it is called.
     """
-    options = tyro.cli(options_of_train(), args=arguments, description=__doc__)
+    kind = options_of_train()
+    both: Any = make_dataclass("Config", [], bases=(sweep.Several, kind), frozen=True)
+    both.__doc__ = kind.__doc__
+    options: Any = tyro.cli(both, args=arguments, description=__doc__)
     raise_again()
-    return main(options)
+    try:
+        several = sweep.asked(options)
+    except ValueError as error:
+        return failed(error)
+    return main_of_several(options, kind) if several else main(sweep.one(options, kind))
 
 
 if __name__ == "__main__":

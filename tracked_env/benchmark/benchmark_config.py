@@ -13,6 +13,7 @@ from tracked_env.validation import checked_choice
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
+CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its time in 64
 # What a result's identity leaves out: files and folders of the package that draw, report or adapt
 # to other libraries. Everything else counts, so a new file counts until it is named here.
 WITHOUT_INFLUENCE = {
@@ -20,6 +21,7 @@ WITHOUT_INFLUENCE = {
     "rendering/": "pictures of a state",
     "sb3.py": "another interface to the vector environment",
     "benchmark/drawing.py": "figures from records",
+    "benchmark/executors/": "where chunks of episodes run",
     "benchmark/files.py": "writes records",
     "benchmark/episode_figures.py": "figures from records",
     "benchmark/frozen.py": "compares what is drawn with what is kept",

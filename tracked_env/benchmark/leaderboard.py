@@ -32,7 +32,8 @@ REFERENCES = ("adaptive", "slc-adaptive")
 COSTS = (
     "Means over all sets, seeds and episodes. Peak: largest distance after an abrupt change. "
     "Effort: mean square of the\ndemand over its limit. Saturated: part of the time at the limit. "
-    "Predict: per vehicle and step, in the batch that was run."
+    "Predict: per vehicle and step, in the batch that was run;\n~ with other processes at the "
+    "same time, not comparable."
 )
 
 
@@ -167,7 +168,7 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
             [place.agent, f"{m['success']:.1%}", f"{m['terminated']:.1%}",
              *(change if o.changed else ["-", "-"]), f"{m['energy'] / 1e3:.4g}",
              f"{m['effort']:.4f}", f"{m['saturation_share']:.1%}", f"{action_rate(m)[0]:.4g}",
-             f"{o.predict_time * 1e6:.1f}"]
+             f"{'' if o.timed_alone else '~'}{o.predict_time * 1e6:.1f}"]
         )  # fmt: skip
     return cells
 

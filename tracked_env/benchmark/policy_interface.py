@@ -73,6 +73,8 @@ class PolicyEntry(NamedTuple):
     name: str
     make: PolicyFactory
     fingerprint: str  # changes with its source, so that old results are not mistaken for new
+    # How another process finds it: a function of a module, and arguments, that return an entry.
+    source: tuple[Callable[..., Any], tuple[Any, ...]] | None = None
 
 
 class PolicyError(ValueError):
@@ -148,7 +150,8 @@ def _from_module(spec: str) -> PolicyEntry:
             if not hasattr(found, part):
                 raise PolicyError(f"policy {spec!r}: {module_name} has no attribute {attribute!r}")
             found = getattr(found, part)
-        return PolicyEntry(spec, as_factory(spec, found), source_fingerprint(module_name))
+        fingerprint = source_fingerprint(module_name)
+        return PolicyEntry(spec, as_factory(spec, found), fingerprint, (_from_module, (spec,)))
     except ModuleNotFoundError as error:
         raise ValueError(
             f"policy {spec!r}: {error}. Is the module installed, or in the current folder?"

@@ -15,6 +15,7 @@ counted.
 import glob
 import hashlib
 import re
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
@@ -55,10 +56,22 @@ def archive_entry(path: Path, open_one: Callable[[Path], OpenedArchive]) -> Poli
     The fingerprint changes with the archive, and with the code that turns it into actions.
     """
     opened = open_one(path)
-    digest = hashlib.sha256(path.read_bytes())
+    data = path.read_bytes()
+    digest = hashlib.sha256(data)
     for folder in opened.sources:
         digest.update(folder_digest(folder).encode())
-    return PolicyEntry(own_name(path), opened.make, digest.hexdigest()[:12])
+    source = archive_of_bytes, (open_one, path.name, data)
+    return PolicyEntry(own_name(path), opened.make, digest.hexdigest()[:12], source)
+
+
+def archive_of_bytes(
+    open_one: Callable[[Path], OpenedArchive], name: str, data: bytes
+) -> PolicyEntry:
+    """An archive as a policy, where its file need not be. Raises ValueError."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, name)
+        path.write_bytes(data)
+        return archive_entry(path, open_one)
 
 
 def _parts(name: str) -> tuple[str, str | None]:

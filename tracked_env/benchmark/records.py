@@ -1,7 +1,8 @@
 """Checks of the lines of stored results: damaged or edited ones are refused when read.
 
     header   {format, hash, identity, versions, machine}
-    chunk    {policy, fingerprint, set, predict_time, episodes: [record, ...]}
+    chunk    {policy, fingerprint, set, predict_time, episodes: [record, ...]}, and where other
+             processes ran at the same time, how many: beside
     record   {episode, seed, digest, ended, every metric of METRICS}, and of a policy that
              estimates {identification: {parameter: {metric: number}}, nis: {filter: number}}
 Numbers are finite. Metrics are >= 0, shares at most 1; None stands for what an episode lacks.
@@ -20,6 +21,7 @@ Record = dict[str, Any]
 
 HEADER = {"format": int, "hash": str, "identity": dict, "versions": dict, "machine": dict}
 CHUNK = {"policy": str, "fingerprint": str, "set": str, "predict_time": float, "episodes": list}
+BESIDE = "beside"  # processes at the same time, which makes `predict_time` not comparable
 EPISODE = {"episode": int, "seed": int, "digest": str, "ended": str}
 ESTIMATES = {"identification": dict, "nis": dict}  # of policies that estimate
 SHARES = ("success", "terminated", "saturation_share")
@@ -70,8 +72,9 @@ def checked_header(header: Any) -> Record:
 
 def checked_chunk(chunk: Any) -> Record:
     """Any other line: a chunk of finished episodes."""
-    known = _fields("the chunk", chunk, CHUNK, ())
+    known = _fields("the chunk", chunk, CHUNK, (BESIDE,))
     _typed("the chunk", known, CHUNK)
+    _typed("the chunk", known, {name: int for name in (BESIDE,) if name in known})
     for record in known["episodes"]:
         _check_record(record)
     return known

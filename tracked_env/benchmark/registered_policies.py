@@ -30,6 +30,7 @@ from tracked_env.benchmark.policy_interface import (
     source_fingerprint,
 )
 from tracked_env.benchmark.policy_lookup import OpenedArchive, archive_entry
+from tracked_env.validation import unknown
 
 POLICIES, ARCHIVES = "tracked_env.policies", "tracked_env.archives"  # groups of entry points
 OURS = "tracked-env"  # our distribution, whose policies come first
@@ -159,11 +160,25 @@ def by_name(
     for policy in sorted(policies, key=lambda each: (each.drive != drive, each.drive is not None)):
         chosen.setdefault(policy.name, policy)
     registry: dict[str, PolicyFactory | PolicyEntry] = {
-        name: PolicyEntry(name, as_factory(name, of.found), source_fingerprint(of.module))
+        name: PolicyEntry(
+            name,
+            as_factory(name, of.found),
+            source_fingerprint(of.module),
+            (registered_policy, (name, drive)),
+        )
         for name, of in chosen.items()
         if not of.is_trained
     }
     return registry, {name: of.found for name, of in chosen.items() if of.is_trained}
+
+
+def registered_policy(name: str, drive: str) -> PolicyEntry:
+    """A policy that is registered under a name. Raises ValueError for an unknown one."""
+    registry, _ = by_name(registered_policies(lambda warning: None), drive)
+    entry = registry.get(name)
+    if not isinstance(entry, PolicyEntry):
+        raise unknown("policy", name, registry)
+    return entry
 
 
 def open_archive(path: Path) -> PolicyEntry:

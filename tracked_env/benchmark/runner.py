@@ -3,20 +3,22 @@
 Episode i of a set (see `sets`) is seeded `seed + i`, whatever the policy and the size of the batch:
 vehicle, soil, reference, start and every sensor noise sample are the same for all. A chunk of
 episodes runs as one batch; it is stored when it has ended, so an interruption costs at most one
-chunk.
+chunk. Chunks may run in other processes and on other machines (`executors`); this one alone stores.
 """
 
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark import identification_metrics, metrics
-from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.benchmark_config import CHUNK_MIN, BenchmarkConfig
+from tracked_env.benchmark.executors import Executor
+from tracked_env.benchmark.executors.sent_policies import Comparison, received, sent
 from tracked_env.benchmark.figure_data import figure_data
 from tracked_env.benchmark.policy_interface import (
     Policy,
@@ -33,6 +35,7 @@ from tracked_env.engine.columns import columns
 from tracked_env.engine.episode import Episode
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
+TASKS = 3  # per worker, so that none is idle for long at the end
 REPORT_EVERY = 50  # [control steps] between two calls of `progress`
 
 # Channels of a trace that have another name in the simulation.
@@ -52,6 +55,30 @@ class Task(NamedTuple):
     policy: PolicyEntry
     uncertainty_set: str
     episodes: tuple[int, ...]
+
+    @property
+    def label(self) -> str:
+        """What a progress bar shows of it."""
+        return f"{self.uncertainty_set}: {self.policy.name}"
+
+
+class SentTask(NamedTuple):
+    """A task as another process gets it."""
+
+    policy: str
+    uncertainty_set: str
+    episodes: tuple[int, ...]
+
+    def __str__(self) -> str:
+        first, last = self.episodes[0], self.episodes[-1]
+        return f"{self.uncertainty_set}: {self.policy}, episodes {first} to {last},"
+
+
+class Finished(NamedTuple):
+    """What a store keeps of a task."""
+
+    chunk: Record
+    trace: dict[str, NDArray[Any]] | None  # of the first episodes, for the figures
 
 
 def _nothing(steps: int, label: str) -> None:
@@ -148,22 +175,21 @@ def drive(
     return trace, predict_time
 
 
-def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progress) -> None:
-    """Run one chunk and store it. Raises PolicyError, OSError when it cannot be stored."""
+def run_task(task: Task, config: BenchmarkConfig, progress: Progress = _nothing) -> Finished:
+    """Run one chunk. Raises PolicyError."""
     count = len(task.episodes)
     policy = checked_policy(task.policy, config.context(task.uncertainty_set))
     env = config.environment(task.uncertainty_set, count, needs_truth(policy))
     recorder = None
     if identifies(policy):
         recorder = identification_metrics.Recorder(count, env.simulation.settings.max_steps)
-    label = f"{task.uncertainty_set}: {task.policy.name}"
     reported, steps = 0, 0
 
     def on_step() -> None:
         nonlocal reported, steps
         steps += 1
         if steps % REPORT_EVERY == 0:
-            progress((steps - reported) * count, label)
+            progress((steps - reported) * count, task.label)
             reported = steps
 
     seeds = [config.seed + i for i in task.episodes]
@@ -189,8 +215,6 @@ def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progre
             name: identification_metrics.optional(column[row]) for name, column in columns.items()
         }
         episodes.append({**known, "ended": endings[row], **values, **believed[row]})
-    if task.episodes[0] == 0:
-        store.save_trace(task.policy.name, task.uncertainty_set, figure_data(trace, beliefs))
     chunk = {
         "policy": task.policy.name,
         "fingerprint": task.policy.fingerprint,
@@ -198,25 +222,62 @@ def run_task(task: Task, config: BenchmarkConfig, store: Store, progress: Progre
         "predict_time": predict_time / (len(trace.values) * count),  # [s] per vehicle and step
         "episodes": episodes,
     }
-    store.append(chunk)
-    progress((trace.max_steps - reported) * count, label)
+    progress((trace.max_steps - reported) * count, task.label)
+    return Finished(chunk, figure_data(trace, beliefs) if task.episodes[0] == 0 else None)
+
+
+def run_sent(comparison: Comparison, task: SentTask) -> Finished:
+    """Run one chunk in the process that has got it. Raises PolicyError, ValueError."""
+    entry = received(comparison, task.policy)
+    return run_task(Task(entry, task.uncertainty_set, task.episodes), comparison.config)
+
+
+def keep(finished: Finished, store: Store, workers: int) -> None:
+    """Store a chunk, one of `workers` at the same time. Raises OSError when it cannot be stored."""
+    chunk = finished.chunk
+    if finished.trace is not None:
+        store.save_trace(chunk["policy"], chunk["set"], finished.trace)
+    store.append(chunk, workers)
+
+
+def chunk_size(config: BenchmarkConfig, policies: int, workers: int) -> int:
+    """Episodes of a chunk: smaller ones than asked for only below TASKS tasks a worker."""
+    size = config.chunk
+    while size > CHUNK_MIN:
+        tasks = -(-config.episodes // size) * len(config.sets) * policies
+        if tasks >= TASKS * workers:
+            break
+        size = max(size // 2, CHUNK_MIN)
+    return size
 
 
 def pending(
-    config: BenchmarkConfig, policies: Sequence[PolicyEntry], store: Store
+    config: BenchmarkConfig, policies: Sequence[PolicyEntry], store: Store, workers: int = 1
 ) -> Iterator[Task]:
-    """The chunks that the store lacks, set by set, all policies on a chunk in turn."""
+    """The chunks that the store lacks, set by set, all policies on a chunk in turn.
+
+    workers: how many run at the same time. The store of a shard gets the chunks of that shard.
+    """
+    return (
+        task for task in store.share(_chunks(config, policies, store, workers)) if task.episodes
+    )
+
+
+def _chunks(
+    config: BenchmarkConfig, policies: Sequence[PolicyEntry], store: Store, workers: int
+) -> Iterator[Task]:
+    """All chunks, with the episodes that the store lacks, if any: the same ones for every shard."""
     have = {
         (r["set"], r["policy"], r["episode"])
         for r in store.records({entry.name: entry.fingerprint for entry in policies})
     }
+    size = chunk_size(config, len(policies), max(workers, store.shards))
     for name in config.sets:
-        for first in range(0, config.episodes, config.chunk):
-            chunk = range(first, min(first + config.chunk, config.episodes))
+        for first in range(0, config.episodes, size):
+            chunk = range(first, min(first + size, config.episodes))
             for entry in policies:
                 missing = tuple(i for i in chunk if (name, entry.name, i) not in have)
-                if missing:
-                    yield Task(entry, name, missing)
+                yield Task(entry, name, missing)
 
 
 def run(
@@ -224,10 +285,25 @@ def run(
     policies: Sequence[PolicyEntry],
     store: Store,
     progress: Progress = _nothing,
+    executor: Executor | None = None,
 ) -> list[Record]:
-    """Run what the store lacks. Returns one record per episode, ordered as config and policies."""
-    for task in list(pending(config, policies, store)):
-        run_task(task, config, store, progress)
+    """Run what the store lacks. Returns one record per episode, ordered as config and policies.
+
+    executor: where; without one, in this process. Raises PolicyError, and ValueError for a policy
+    that cannot be sent elsewhere; OSError where a chunk is lost again and again.
+    """
+    if executor is None:
+        for task in list(pending(config, policies, store)):
+            keep(run_task(task, config, progress), store, store.shards)
+        return chosen_records(config, policies, store)
+    comparison = sent(config, policies)
+    tasks = list(pending(config, policies, store, executor.workers))
+    jobs = [SentTask(task.policy.name, task.uncertainty_set, task.episodes) for task in tasks]
+    with closing(executor.results(run_sent, comparison, jobs)) as results:
+        for number, finished in results:
+            task = tasks[number]
+            keep(finished, store, executor.workers)
+            progress(config.max_steps(task.uncertainty_set) * len(task.episodes), task.label)
     return chosen_records(config, policies, store)
 
 

@@ -5,6 +5,7 @@
     traces/          the motion of some episodes of each policy and set, for the figures
     .lock            locked by the process that has the folder open; the system unlocks it when
                      the process ends, however it ends
+    shard-I-of-N/    the same files, of the process that runs part I of N; all are read together
 A line is appended by a single write and synced, so a kill at any moment costs at most the
 chunk in progress; a torn last line is cut off when the folder is opened again, and temporary files
 of processes that were killed are removed. Lines of a policy whose source has changed since are
@@ -17,7 +18,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -27,13 +28,15 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.benchmark.executors.shard import Shard
 from tracked_env.benchmark.figure_data import checked_trace
 from tracked_env.benchmark.files import Lock, file_name, sweep, write_atomically
-from tracked_env.benchmark.records import Record, checked_chunk, checked_header
+from tracked_env.benchmark.records import BESIDE, Record, checked_chunk, checked_header
 
 FORMAT = 2  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"
 LOCK = ".lock"
+SHARDS = "shard-*-of-*"  # folders of shards
 PACKAGES = ("tracked-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "torch")
 
 __all__ = ["FILE", "FORMAT", "LOCK", "Record", "Store", "identity_hash", "machine", "versions",
@@ -81,14 +84,22 @@ _LOCKS: WeakValueDictionary[tuple[int, int], Lock] = WeakValueDictionary()
 
 
 class Store:
-    """The results in one folder, for one identity."""
+    """The results in one folder, for one identity.
 
-    def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
-        """Open or create `folder`, which no other process may have open.
+    That of a shard writes to a folder of its own inside it. All read what all have written.
+    """
+
+    def __init__(
+        self, folder: Path, identity: Mapping[str, Any], shard: Shard | None = None
+    ) -> None:
+        """Open or create `folder`, which no other process may have open, or that of a shard in it.
 
         Raises ValueError when it cannot be written, is open elsewhere, holds results of another
         identity, or is damaged anywhere but in its last line. `notices` says what was dropped.
         """
+        self.shard, whole = shard, folder
+        if shard is not None:
+            folder = whole / f"shard-{shard.part}-of-{shard.parts}"
         self.folder = folder
         self.path = folder / FILE
         self.notices: list[str] = []
@@ -103,14 +114,33 @@ class Store:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._lock = self._locked()
-            self.header: Record = self._load(header) if self.path.exists() else header
-            if not self.path.exists():
+            self.header: Record = header
+            if self.path.exists():
+                self.header, self.chunks = self._load(self.path, header)
+            else:
                 write_atomically(self.path, (json.dumps(header) + "\n").encode())
+            self.others = [
+                path.parent
+                for path in (whole / FILE, *sorted(whole.glob(f"{SHARDS}/{FILE}")))
+                if path.parent != folder and path.exists()
+            ]
+            self._of_others = [
+                chunk for other in self.others for chunk in self._load(other / FILE, header)[1]
+            ]
         except OSError as error:
             raise ValueError(
                 f"{str(error.filename or folder)[:200]}: {error.strerror}. Results need a folder "
                 "that can be written; name another one"
             ) from error
+
+    @property
+    def shards(self) -> int:
+        """How many processes share the work, 1 without shards."""
+        return 1 if self.shard is None else self.shard.parts
+
+    def share(self, tasks: Iterable[Any]) -> Iterator[Any]:
+        """The tasks that are this process's: all but for a shard."""
+        return iter(tasks) if self.shard is None else self.shard.of(tasks)
 
     def _locked(self) -> Lock | None:
         """The lock of the folder; None, with a notice, where the file system has none."""
@@ -135,11 +165,15 @@ class Store:
             )
             return None
         for place in (self.folder, *self.folder.glob("*/")):
-            sweep(place)
+            if not place.match(SHARDS):  # another process may be writing there
+                sweep(place)
+        if self.shard is not None:
+            sweep(self.folder)
         return lock
 
-    def _load(self, expected: Record) -> Record:
-        data = self.path.read_bytes()
+    def _load(self, path: Path, expected: Record) -> tuple[Record, list[Record]]:
+        """Header and chunks of a file; of our own, a torn last line is cut off."""
+        data = path.read_bytes()
         whole = data[: data.rfind(b"\n") + 1]
         lines = whole.splitlines(keepends=True)
         parsed: list[Record] = []
@@ -148,52 +182,34 @@ class Store:
                 value = json.loads(line)
             except (ValueError, RecursionError) as error:
                 if number < len(lines) or number == 1:
-                    raise self._damaged(number, error) from error
+                    raise _damaged(path, number, error) from error
                 whole = whole[: -len(line)]
                 continue
             try:
-                parsed.append(checked_chunk(value) if number > 1 else self._header(value))
+                parsed.append(checked_chunk(value) if number > 1 else _header(value))
             except ValueError as error:
-                raise self._damaged(number, error) from error
+                raise _damaged(path, number, error) from error
         if not parsed:
-            raise self._damaged(1, ValueError("not a result file, it has no whole line"))
+            raise _damaged(path, 1, ValueError("not a result file, it has no whole line"))
         header = parsed[0]
         if header["hash"] != expected["hash"]:
             raise ValueError(
-                f"{self.folder} holds results of another configuration:\n"
+                f"{path.parent} holds results of another configuration:\n"
                 f"{_difference(header['identity'], expected['identity'])}\n"
                 "Choose another folder, or delete this one."
             )
-        if len(whole) < len(data):
+        if len(whole) < len(data) and path == self.path:
             self.notices.append(f"dropped a torn last line of {self.path}; its chunk runs again")
             os.truncate(self.path, len(whole))
-        self.chunks = parsed[1:]
-        return header
+        return header, parsed[1:]
 
-    def _header(self, value: Any) -> Record:
-        """The first line. Raises ValueError for another format, and if it contradicts itself."""
-        if isinstance(value, dict) and value.get("format", FORMAT) != FORMAT:
-            raise ValueError(f"not a result file of format {FORMAT}, but {value['format']!r:.60}")
-        header = checked_header(value)
-        if identity_hash(header["identity"]) != header["hash"]:
-            raise ValueError("the identity is not that of the hash")
-        return header
-
-    def _damaged(self, number: int, error: BaseException) -> ValueError:
-        if number == 1:
-            return ValueError(
-                f"{self.path} cannot be continued: {error}. Move it away, or name another folder."
-            )
-        return ValueError(
-            f"{self.path}, line {number} is damaged ({error}). Remove that line, or the folder to "
-            "start anew."
-        )
-
-    def append(self, chunk: Record) -> None:
+    def append(self, chunk: Record, workers: int = 1) -> None:
         """Add a finished chunk {policy, fingerprint, set, predict_time, episodes: [...]}.
 
+        workers: processes at the same time, which is kept if it is more than this one.
         Raises OSError when it cannot be written whole; then the file is what it was before.
         """
+        chunk = {**chunk, BESIDE: workers} if workers > 1 else chunk
         line = (json.dumps(chunk, allow_nan=False) + "\n").encode()
         descriptor, written = -1, 0
         try:
@@ -222,13 +238,14 @@ class Store:
     def records(self, fingerprints: Mapping[str, str]) -> list[Record]:
         """One record per episode of the given policies {name: fingerprint}, later ones win."""
         found: dict[tuple[str, str, int], Record] = {}
-        for chunk in self.chunks:
+        for chunk in (*self._of_others, *self.chunks):
             if fingerprints.get(chunk["policy"]) != chunk["fingerprint"]:
                 continue
             for episode in chunk["episodes"]:
                 key = (chunk["set"], chunk["policy"], episode["episode"])
                 common = {name: chunk[name] for name in ("set", "policy", "predict_time")}
-                found[key] = {**common, **episode}
+                beside = {BESIDE: chunk[BESIDE]} if BESIDE in chunk else {}
+                found[key] = {**common, **beside, **episode}
         return list(found.values())
 
     def trace_path(self, policy: str, uncertainty_set: str) -> Path:
@@ -243,10 +260,12 @@ class Store:
 
     def load_trace(self, policy: str, uncertainty_set: str) -> dict[str, NDArray[Any]] | None:
         """The arrays of `save_trace`; None when there are none, with a notice if unreadable."""
-        path = self.trace_path(policy, uncertainty_set)
+        name = self.trace_path(policy, uncertainty_set).relative_to(self.folder)
+        paths = [folder / name for folder in (self.folder, *self.others)]
+        path = next((path for path in paths if path.exists()), None)
+        if path is None:
+            return None
         try:
-            if not path.exists():
-                return None
             with np.load(io.BytesIO(path.read_bytes())) as data:
                 return checked_trace(dict(data))
         except Exception as error:  # zipfile and numpy raise many kinds for a damaged file
@@ -254,6 +273,27 @@ class Store:
                 f"{path} is damaged and left out of the figures ({type(error).__name__}: {error})"
             )
             return None
+
+
+def _header(value: Any) -> Record:
+    """The first line. Raises ValueError for another format, and if it contradicts itself."""
+    if isinstance(value, dict) and value.get("format", FORMAT) != FORMAT:
+        raise ValueError(f"not a result file of format {FORMAT}, but {value['format']!r:.60}")
+    header = checked_header(value)
+    if identity_hash(header["identity"]) != header["hash"]:
+        raise ValueError("the identity is not that of the hash")
+    return header
+
+
+def _damaged(path: Path, number: int, error: BaseException) -> ValueError:
+    if number == 1:
+        return ValueError(
+            f"{path} cannot be continued: {error}. Move it away, or name another folder."
+        )
+    return ValueError(
+        f"{path}, line {number} is damaged ({error}). Remove that line, or the folder to start "
+        "anew."
+    )
 
 
 def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:

@@ -30,6 +30,7 @@ from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.identification_metrics import IdentificationSummary, mean_nis
 from tracked_env.benchmark.identification_metrics import summarise as summarise_beliefs
 from tracked_env.benchmark.metrics import ACTION_RATES, METRICS
+from tracked_env.benchmark.records import BESIDE
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record
 
@@ -54,6 +55,7 @@ class PolicySummary(NamedTuple):
     changed: int = 0  # episodes with an abrupt change of the parameters, of all seeds
     seeds: int = 0  # trainings; 0 for a policy that is not trained
     score: Estimate | None = None  # [-] 0 as nominal, 1 as oracle; None if these do not differ
+    timed_alone: bool = True  # whether no other process disturbed `predict_time`
 
 
 def action_rate(means: Mapping[str, float]) -> tuple[float, str]:
@@ -192,6 +194,7 @@ class Row:
             sum(record["recovery_time"] is not None for record in records),
             len(self.seeds[name]) if trained else 0,
             self.score(name),
+            not any(BESIDE in record for record in records),
         )
 
     def compare(self, base: str, name: str) -> Comparison:

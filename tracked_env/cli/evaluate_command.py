@@ -17,6 +17,7 @@ from tracked_env.benchmark import (
     leaderboard_page,
     report,
 )
+from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
 from tracked_env.benchmark.policy_lookup import archives, load_policies
 from tracked_env.benchmark.registered_policies import (
@@ -172,7 +173,10 @@ def compare(config: Config, program: str, extras: Extras) -> int:
         entries = load_policies(specs, registry, trained, open_with(config, extras))
         for entry in entries:  # reject incompatible policies first
             checked_policy(entry, benchmark.context(benchmark.sets[0]))
-        store = Store(result_folder(config.output, benchmark), benchmark.identity())
+        executor = make_executor(config.workers, config.ray, config.shard)
+        folder = result_folder(config.output, benchmark)
+        store = Store(folder, benchmark.identity(), config.shard)
+        tasks = list(pending(benchmark, entries, store, executor.workers if executor else 1))
     except ValueError as error:
         print(f"{program}: {error}", file=sys.stderr)
         return 2
@@ -180,14 +184,21 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     for notice in (*store.notices, checked.message):
         print(notice)
     known = len(store.notices)
-    tasks = list(pending(benchmark, entries, store))
     asked = len(entries) * len(benchmark.sets) * benchmark.episodes
     missing = sum(len(task.episodes) for task in tasks)
-    if missing < asked:
+    if config.shard is not None:
+        print(f"shard {config.shard}: {missing} of {asked} episodes run here")
+    elif missing < asked:
         print(f"{asked - missing} of {asked} episodes are already in {store.folder}")
     steps = sum(len(task.episodes) * benchmark.max_steps(task.uncertainty_set) for task in tasks)
     with progress_bar(steps) as progress:
-        records = run(benchmark, entries, store, progress)
+        records = run(benchmark, entries, store, progress, executor)
+    if config.shard is not None:
+        print(
+            f"shard {config.shard} is done in {time.perf_counter() - began:.1f} s: {store.path}. "
+            "When all are, the same command without --shard writes the tables"
+        )
+        return 0
     try:
         rows = rows_of(records)
     except ValueError as error:  # stored episodes that contradict each other

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tracked_env import SPEED_ID, TORQUE_ID
+from tracked_env.benchmark.executors.shard import Shard, parse_shard
 
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
 
@@ -32,6 +33,14 @@ def names(text: str) -> tuple[str, ...]:
     given = text.rpartition("=")[2]
     parts = (text,) if Path(given).exists() else text.split(",")
     return tuple(part for part in parts if part)
+
+
+def shard_of(text: str) -> Shard:
+    """A part of the work, I/N."""
+    try:
+        return parse_shard(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def option(default: Any, text: str, **more: Any) -> Any:
@@ -113,7 +122,23 @@ class Config:
         "out, its figures, one page; needs a clone of the repository",
         choices=PAPERS,
     )
-    chunk: int = option(64, "episodes run and stored together; numbers do not change", type=int)
+    chunk: int = option(
+        64, "episodes run and stored together, at most; numbers do not change", type=int
+    )
+    workers: int | None = option(
+        None, "processes of this machine that run chunks at the same time", type=int, metavar="N"
+    )
+    shard: Shard | None = option(  # noqa: RUF009, a field
+        None,
+        "run part I of N of the chunks, in one of N independent processes, as in an array of "
+        "SLURM; the same command without it merges them and writes the tables",
+        type=shard_of, metavar="I/N",
+    )  # fmt: skip
+    ray: str | None = option(
+        None,
+        "run the chunks on a Ray cluster (extra `cluster`): local, auto or HOST:PORT",
+        metavar="ADDRESS",
+    )
 
 
 def add_options(parser: argparse.ArgumentParser, without: Sequence[str] = ()) -> None:

@@ -31,6 +31,7 @@ try:
     from agents.training.options import Options, options_of_train
     from agents.training.progress import Progress
     from agents.training.run import Run, chosen_settings, resolve
+    from agents.training.unread_options import check_given, check_names
 except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl,cli]'")
 
@@ -118,7 +119,13 @@ def command(arguments: Sequence[str] | None = None) -> int:
 
     It has the algorithms that are registered when it is called.
     """
-    options = tyro.cli(options_of_train(), args=arguments, description=__doc__)
+    given = sys.argv[1:] if arguments is None else arguments
+    try:
+        check_names(given)
+        options = tyro.cli(options_of_train(), args=given, description=__doc__)
+        check_given(given, options)
+    except ValueError as error:
+        return failed(error)
     raise_again()
     return main(options)
 

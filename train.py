@@ -53,6 +53,7 @@ try:
     from agents.training.options import Options, options_of_train
     from agents.training.progress import Progress
     from agents.training.run import Run, chosen_settings, resolve
+    from agents.training.unread_options import check_given, check_names
 except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl,cli]'")
 
@@ -227,7 +228,13 @@ def command(arguments: Sequence[str] | None = None) -> int:
     kind = options_of_train()
     both: Any = make_dataclass("Config", [], bases=(sweep.Several, kind), frozen=True)
     both.__doc__ = kind.__doc__
-    options: Any = tyro.cli(both, args=arguments, description=__doc__)
+    given = sys.argv[1:] if arguments is None else arguments
+    try:
+        check_names(given)
+        options: Any = tyro.cli(both, args=given, description=__doc__)
+        check_given(given, options)
+    except ValueError as error:
+        return failed(error)
     raise_again()
     try:
         several = sweep.asked(options)

@@ -55,11 +55,11 @@ def load_teacher(path: Path | None, trust: bool = False) -> tuple[Any, dict[str,
     Raises ValueError.
     """
     if path is None:
-        raise ValueError("a student needs --teacher, an agent.zip of --memory teacher")
+        raise ValueError("a student needs --teacher, an agent.zip of --augmentation teacher")
     recipe = read_recipe(path)
-    if recipe is None or recipe["memory"] != TEACHER:
-        kind = "blind" if recipe is None else recipe["memory"]
-        raise ValueError(f"agent {path} has memory {kind!r}; a student needs a teacher")
+    if recipe is None or recipe["augmentation"] != TEACHER:
+        kind = "blind" if recipe is None else recipe["augmentation"]
+        raise ValueError(f"agent {path} has augmentation {kind!r}; a student needs a teacher")
     agent_entry(path, trust)  # checks what it sees
     if recipe["format"] == PICKLED:
         return unpickled(path, (recipe["algorithm"],)).policy, recipe

@@ -45,33 +45,38 @@ class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
     Raises ValueError for an environment that does not expose the truth, or of another vehicle.
     """
 
-    def __init__(self, env: gymnasium.vector.VectorEnv[Any, Any, Any], memory: Privileged) -> None:
+    def __init__(
+        self, env: gymnasium.vector.VectorEnv[Any, Any, Any], augmentation: Privileged
+    ) -> None:
         super().__init__(env)
         core: Any = env.unwrapped
         if not getattr(core, "expose_truth", False):
             raise ValueError("a teacher needs an environment made with expose_truth = True")
-        if core.simulation.solver.nominal != memory.nominal:
+        if core.simulation.solver.nominal != augmentation.nominal:
             raise ValueError(
-                "the environment and the memory have different nominal vehicles; a teacher needs "
-                "`tracked_env.physics.parameters.VEHICLES` of the environment's `vehicle`"
+                "the environment and the augmentation have different nominal vehicles; a teacher "
+                "needs `tracked_env.physics.parameters.VEHICLES` of the environment's `vehicle`"
             )
-        self.memory = memory
+        self.augmentation = augmentation
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start episodes."""
         observation, info = self.env.reset(seed=seed, options=options)
-        memory = self.memory
-        memory.present = memory.last = privileged(info["truth"], memory.nominal)
+        augmentation = self.augmentation
+        augmentation.present = privileged(info["truth"], augmentation.nominal)
+        augmentation.last = augmentation.present
         return observation, info
 
     def step(self, actions: Floats) -> tuple[Any, NDArray[np.float64], Bools, Bools, Any]:
         """Advance all rows by one control period; actions (N, 2)."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
-        memory = self.memory
-        memory.present = memory.last = privileged(info["truth"], memory.nominal)
+        augmentation = self.augmentation
+        augmentation.present = privileged(info["truth"], augmentation.nominal)
+        augmentation.last = augmentation.present
         if "final_info" in info:  # the row shows its next episode already
-            final = privileged(info["final_info"]["truth"], memory.nominal)
-            memory.last = np.where(info["_final_info"][:, None], final, memory.present)
+            final = privileged(info["final_info"]["truth"], augmentation.nominal)
+            ended = info["_final_info"][:, None]
+            augmentation.last = np.where(ended, final, augmentation.present)
         return observation, reward, terminated, truncated, info

@@ -3,7 +3,7 @@
     action = MLP(LSTM(o_1 ... o_t), o_t)        value = MLP(o_t)
 sb3-contrib's own policy shows its layers nothing but what the LSTM lets through, and a value that
 shares the LSTM sends no gradient into it. Driving needs the errors of the moment, sharp and from
-the first update on; the memory then only has to add what they do not tell.
+the first update on; the LSTM then only has to add what they do not tell.
 """
 
 from typing import Any

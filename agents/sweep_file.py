@@ -1,8 +1,8 @@
 """A sweep from a file: agents x observation augmentations x uncertainty x seeds, and one table.
 
-    output = "runs/memory"                  # folder of everything; resume = the same command again
+    output = "runs/history"                 # folder of everything; resume = the same command again
     agents = ["ppo", "sac"]                 # algorithms
-    augmentations = ["blind", "history"]    # as --memory of train.py
+    augmentations = ["blind", "history"]    # as --augmentation of train.py
     uncertainty = ["payload", ["drift", "mixed"]]  # trained on: one set, or several together
     seeds = "0:5"                           # 0 to 4; or a list
     sets = ["payload", "ood"]               # evaluated on; default: all of the environment
@@ -31,7 +31,7 @@ KEYS = (
 )  # fmt: skip
 ANCHORS = ("nominal", "adaptive", "oracle")  # controllers that give a score its 0 and its 1
 # Options that a sweep gives by itself.
-_OWN = ("agent", "memory", "uncertainty", "seed", "output", "resume", "overwrite", "quiet")
+_OWN = ("agent", "augmentation", "uncertainty", "seed", "output", "resume", "overwrite", "quiet")
 
 
 class Sweep(NamedTuple):
@@ -90,11 +90,13 @@ def _sweep(given: Any, kind: type[Options]) -> Sweep:
     seeds = parse_seeds(known.get("seeds", [0]))
     uncertainty = _listed(known, "uncertainty", [None])
     trainings: dict[str, list[Options]] = {}
-    memories = _listed(known, "augmentations", ["blind"])
-    for agent, memory, laws in product(_listed(known, "agents", ()), memories, uncertainty):
+    augmentations = _listed(known, "augmentations", ["blind"])
+    for agent, augmentation, laws in product(
+        _listed(known, "agents", ()), augmentations, uncertainty
+    ):
         laws = laws if laws is None or isinstance(laws, list) else [laws]
-        own = {"agent": agent, "memory": memory, "uncertainty": laws}
-        name = "-".join([agent, memory, *(laws or () if len(uncertainty) > 1 else ())])
+        own = {"agent": agent, "augmentation": augmentation, "uncertainty": laws}
+        name = "-".join([agent, augmentation, *(laws or () if len(uncertainty) > 1 else ())])
         chosen = _changed("sweep", common, own)
         trainings[name] = [
             replace(chosen, seed=seed, output=Path(output, f"{name}-seed{seed}")) for seed in seeds

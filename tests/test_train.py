@@ -11,10 +11,11 @@ import pytest
 
 from tests.agents.agent_cases import same_parameters
 
-BUDGET = [
+SHORT = [
     "--quiet", "--vehicles", "8", "--held-out", "2", "--duration", "2", "--uncertainty", "payload",
-    "drift", "--ppo.n-steps", "64", "--ppo.batch-size", "256", "--evaluate-every", "1024",
+    "drift", "--evaluate-every", "1024",
 ]  # fmt: skip
+BUDGET = [*SHORT, "--ppo.n-steps", "64", "--ppo.batch-size", "256"]
 
 
 def command(repository, *arguments):
@@ -112,7 +113,7 @@ def test_the_help_lists_what_there_is(repository):
         (("--sensors", "rtk", "nope"), "ideal"),
         (("--sensors", "mixture"), "2 vehicles or held-out episodes for 4 kinds of sensors"),
         (("--sensors", '{"pose_delay": -1}'), "pose_delay"),
-        (("--memory", "residual", "--residual-scale", "0"), "must be in"),
+        (("--augmentation", "residual", "--residual-scale", "0"), "must be in"),
         (("--env", "tracked_env/Nothing-v0"), "Nothing"),
         (("--env", "CartPole-v1"), "--env CartPole-v1 is not an environment of tracked vehicles"),
         (("--env", "nothing_at_all:Torque-v0"), "--env nothing_at_all:Torque-v0: "),
@@ -126,7 +127,7 @@ def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, t
     from train import main, options_of_train
 
     output = tmp_path / "none"
-    config = tyro.cli(options_of_train(), args=[*BUDGET, "--output", str(output), *arguments])
+    config = tyro.cli(options_of_train(), args=[*SHORT, "--output", str(output), *arguments])
     assert main(config) == 2
     shown = capsys.readouterr().err
     assert message in shown and shown.count("\n") == 1

@@ -1,7 +1,7 @@
 """A student of a privileged teacher: regression of the hidden parameters on past samples.
 
-It is chosen by `--memory student`, not by `--agent`: its network is that of its teacher, whatever
-algorithm trained that one. The training itself: `agents.training.student_learner`.
+It is chosen by `--augmentation student`, not by `--agent`: its network is that of its teacher,
+whatever algorithm trained that one. The training itself: `agents.training.student_learner`.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StudentSettings:
-    """Settings of memory student: how the inference of the hidden parameters is regressed."""
+    """Settings of augmentation student: how the inference of the hidden parameters is regressed."""
 
     n_steps: int = 64
     """Control steps per vehicle between two regressions."""

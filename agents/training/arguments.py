@@ -15,6 +15,7 @@ from agents.training.joined import shares
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
+from tracked_env.observation import Layout, make_layout
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_keys, name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -30,7 +31,7 @@ MIXTURE = {
     ),
     SPEED_ID: ("friction", "friction-step", "friction-drift", "floor-mixed"),
 }  # fmt: skip
-# `mixture` of sensors: good ones, and what asks for memory.
+# `mixture` of sensors: good ones, and what asks for the past.
 SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
     TORQUE_ID: (
         "rtk",
@@ -73,6 +74,12 @@ def defaults_of(env: str) -> dict[str, Any]:
     return {**_DEFAULTS, **gymnasium.spec(env).kwargs}
 
 
+def layout_of(env: str, arguments: Mapping[str, Any]) -> Layout:
+    """What an environment id with arguments shows. Raises ValueError for an unknown group."""
+    made = {**defaults_of(env), **arguments}
+    return make_layout(made.get("observation", EnvConfig._field_defaults["observation"]))
+
+
 def driven(env: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
     """What a policy must know of an environment id and its arguments: drive and vehicle."""
     made = {**defaults_of(env), **arguments}
@@ -92,10 +99,10 @@ def _further(text: str | None, env: str) -> Mapping[str, Any]:
     for name in _OPTIONS:
         if isinstance(given, Mapping) and name in given:
             raise ValueError(f"--env-args: {name} has an option of its own, --{name}")
-    # Recipes do not name the groups of the observation, so all agents are trained on those of v0.
-    allowed = sorted({*EnvConfig._fields} - {*_OPTIONS, *SHOWN, "observation"})
+    allowed = sorted({*EnvConfig._fields} - {*_OPTIONS, *SHOWN})
     further = checked_keys("--env-args", given, allowed)
     try:
+        layout_of(env, further)
         control_period(env, further)
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {text}: {error}") from error
@@ -146,6 +153,7 @@ def parts_of(env: str, arguments: Mapping[str, Any], count: int) -> tuple[Part, 
     """`count` rows, shared among the kinds of sensors. Raises ValueError."""
     given = arguments["sensors"]
     period, known = control_period(env, arguments), driven(env, arguments)
+    known["observation"] = layout_of(env, arguments).names
     kinds = given if isinstance(given, list) else [given]
     counts = shares(count, len(kinds))
     firsts = accumulate(counts, initial=0)

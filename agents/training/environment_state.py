@@ -12,6 +12,7 @@ from agents.agent_vector_env import AgentVectorEnv
 from agents.privileged import TruthfulVectorEnv
 from agents.training import checkpoint_fit
 from agents.training.joined import JoinedVecEnv
+from tracked_env.engine.simulation import Simulation
 from tracked_env.sb3 import TrackedVehicleVecEnv
 
 _NORMALISE = ("returns", "old_obs", "old_reward")
@@ -33,6 +34,20 @@ def _named(holder: Any, names: tuple[str, ...]) -> dict[str, Any]:
     return {name: getattr(holder, name) for name in names}
 
 
+def _of_simulation(simulation: Simulation) -> dict[str, Any]:
+    """What a simulation remembers, as plain data."""
+    state = simulation.snapshot()
+    composer = state["composer"]
+    return {**state, "composer": None if composer is None else composer.snapshot()}
+
+
+def _resume_simulation(simulation: Simulation, state: dict[str, Any]) -> None:
+    composer = simulation.composer
+    if composer is not None:
+        composer.resume(state["composer"])
+    simulation.resume({**state, "composer": composer})
+
+
 def capture_environment(env: VecEnv | None) -> list[Any]:
     """What each layer remembers, None where it is nothing; in the order of `layers`."""
     states: list[Any] = []
@@ -47,9 +62,9 @@ def capture_environment(env: VecEnv | None) -> list[Any]:
         elif isinstance(layer, AgentVectorEnv):
             states.append(layer.snapshot())
         elif isinstance(layer, TruthfulVectorEnv):
-            states.append((layer.memory.present, layer.memory.last))
+            states.append((layer.augmentation.present, layer.augmentation.last))
         elif isinstance(layer, TrackedVehicleVecEnv):
-            states.append(layer.env.unwrapped.simulation.snapshot())
+            states.append(_of_simulation(layer.env.unwrapped.simulation))
         else:
             states.append(None)
     return states
@@ -83,6 +98,6 @@ def _put_back(env: VecEnv | None, states: list[Any]) -> None:
         elif isinstance(layer, AgentVectorEnv):
             layer.resume(state)
         elif isinstance(layer, TruthfulVectorEnv):
-            layer.memory.present, layer.memory.last = state
+            layer.augmentation.present, layer.augmentation.last = state
         elif isinstance(layer, TrackedVehicleVecEnv):
-            layer.env.unwrapped.simulation.resume(state)
+            _resume_simulation(layer.env.unwrapped.simulation, state)

@@ -38,19 +38,20 @@ def make_privileged(part: Part) -> Privileged:
 
 def make_part(run: Run, part: Part) -> VecEnv:
     """The vehicles of one kind of sensors as the agent sees them. Raises ValueError."""
-    memory: Augmentation
+    augmentation: Augmentation
     arguments, (kind, options) = part.arguments, run.augmentation
     if kind == TEACHER:
-        memory = make_privileged(part)
+        augmentation = make_privileged(part)
         arguments = {**arguments, "expose_truth": True}
     else:
-        memory = make_augmentation(kind, options, part.context, part.rows)
+        augmentation = make_augmentation(kind, options, part.context, part.rows)
 
     def wrapper(env: Vehicles) -> AgentVectorEnv:
-        if isinstance(memory, Privileged):
-            env = TruthfulVectorEnv(env, memory)
+        if isinstance(augmentation, Privileged):
+            env = TruthfulVectorEnv(env, augmentation)
         precision = run.reward.precision * VEHICLES[part.context.vehicle].contact_length
-        return AgentVectorEnv(TrainingReward(env, precision, run.reward.smoothness), memory)
+        rewarded = TrainingReward(env, precision, run.reward.smoothness)
+        return AgentVectorEnv(rewarded, augmentation)
 
     return make_vec_env(run.env, part.rows, None, arguments, False, wrapper, run.staggered)
 

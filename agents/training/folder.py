@@ -17,6 +17,7 @@ from typing import Any
 
 from agents.training import checkpoints
 from baselines.learned.agent_archive import read_recipe
+from baselines.learned.recipe import current
 from tracked_env.benchmark.store import write_atomically
 
 CONFIG = "config.json"
@@ -25,8 +26,8 @@ CURVE = "curve.csv"
 PRODUCTS = (*ARCHIVES, CURVE)
 _COLUMNS = b"steps,seconds,"  # how a learning curve begins, a student's too
 _RECIPE = (  # entries of every config.json that a training has written
-    "algorithm", "memory", "memory_options", "control_period", "environment", "config",
-    "versions", "command",
+    "algorithm", "augmentation", "augmentation_options", "control_period", "environment",
+    "config", "versions", "command",
 )  # fmt: skip
 
 
@@ -42,7 +43,7 @@ def _lies(path: Path) -> bool:
 def _recipe(path: Path) -> dict[str, Any] | None:
     """The recipe that a training has written to config.json, None for any other content."""
     try:
-        recipe = json.loads(path.read_text(encoding="utf-8"))
+        recipe = current(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, RecursionError):
         return None
     if not isinstance(recipe, dict) or not isinstance(recipe.get("config"), dict):
@@ -157,7 +158,7 @@ def going_on(
     if captured is None:
         _check_free(folder, finished)  # an agent without a checkpoint, of an older version
     else:
-        recorded = captured["recipe"]
+        recorded = current(captured["recipe"])
     if "config" in recorded:
         _compare(recorded["config"], config, free)
     return captured

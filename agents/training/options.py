@@ -10,8 +10,6 @@ from tyro.constructors import PrimitiveConstructorSpec
 from agents.algorithms import ALGORITHMS
 from agents.algorithms.settings import check
 from agents.algorithms.student import StudentSettings
-from baselines.learned.augmentation import RESIDUAL_SCALE
-from baselines.learned.history_augmentation import LAGS
 from baselines.learned.recipe import STUDENT
 from tracked_env import TORQUE_ID
 
@@ -41,9 +39,11 @@ class Options:
     agent: str | None = None
     """Algorithm, by default ppo; its settings are the options that start with its name."""
 
-    memory: Literal["blind", "history", "estimates", "residual", "teacher", "student"] = "blind"
+    augmentation: Literal[
+        "blind", "history", "estimates", "residual", "teacher", "student"
+    ] = "blind"  # fmt: skip
     """Observation augmentation: inputs besides the present observation.
-    blind: none (recurrent-ppo has a memory of its own).
+    blind: none (recurrent-ppo remembers by itself).
     history: past samples. estimates: the identified parameters.
     residual: corrects the action of the adaptive controller.
     teacher: the true parameters. student: drives with TEACHER's network,
@@ -100,8 +100,8 @@ class Options:
 
     output: Folder | None = None
     """Folder of the training. Default:
-    runs/AGENT-MEMORY-seedSEED, and of Speed-v0
-    runs/Speed-v0/AGENT-MEMORY-seedSEED."""
+    runs/AGENT-AUGMENTATION-seedSEED, and of Speed-v0
+    runs/Speed-v0/AGENT-AUGMENTATION-seedSEED."""
 
     resume: bool = False
     """Go on from the last checkpoint in OUTPUT; starts
@@ -134,11 +134,12 @@ class Options:
     control step, in training only; 0 leaves it out. Default: 1 for PPO, 0 for agents with
     a replay buffer, which hardly learn with it."""
 
-    lags: tuple[int, ...] = LAGS
-    """Of augmentation history and student: ages of the samples [control steps]."""
+    lags: tuple[int, ...] | None = None
+    """Of augmentation history and student: ages of the samples [control steps].
+    Default: 1 2 4 8 16 32."""
 
-    residual_scale: float = RESIDUAL_SCALE
-    """Of augmentation residual: largest correction, over the torque limit."""
+    residual_scale: float | None = None
+    """Of augmentation residual: largest correction, over the torque limit. Default: 0.3."""
 
     tensorboard: bool = False
     """Also write TensorBoard logs to OUTPUT."""
@@ -157,12 +158,12 @@ class Options:
         if self.agent is not None and self.agent not in ALGORITHMS:
             known = ", ".join(ALGORITHMS)
             raise ValueError(f"agent = {self.agent!r}; must be one of {known}")
-        if self.teacher is not None and self.memory != STUDENT:
+        if self.teacher is not None and self.augmentation != STUDENT:
             raise ValueError(
-                f"teacher = {self.teacher} with memory {self.memory}; only a student has a "
-                "teacher. Did you mean --memory student?"
+                f"only a student has a teacher, but teacher = {self.teacher} with augmentation "
+                f"{self.augmentation}. Did you mean --augmentation student?"
             )
-        if self.memory == STUDENT:
+        if self.augmentation == STUDENT:
             self._check_student()
 
     def _check_student(self) -> None:
@@ -171,12 +172,11 @@ class Options:
             "agent": self.agent is not None, "normalise": self.normalise,
             "precision": self.precision is not None, "smoothness": self.smoothness is not None,
             "staggered": not self.staggered, "tensorboard": self.tensorboard,
-            "residual-scale": self.residual_scale != RESIDUAL_SCALE,
         }  # fmt: skip
         for name in (name for name, is_given in given.items() if is_given):
             value = getattr(self, name.replace("-", "_"))
             raise ValueError(
-                f"{name} = {value} with memory student; must be left out: a student has the "
+                f"{name} = {value} with augmentation student; must be left out: a student has the "
                 "algorithm, the network and the normalisation of its teacher, and learns by "
                 f"regression, without rewards. Was --{name} meant for the teacher?"
             )
@@ -190,7 +190,7 @@ class Options:
     def folder(self) -> Path:
         """Where everything goes."""
         track = "" if self.env == TORQUE_ID else self.env.rpartition("/")[2]
-        name = f"{self.algorithm}-{self.memory}-seed{self.seed}"
+        name = f"{self.algorithm}-{self.augmentation}-seed{self.seed}"
         return self.output or Path("runs", track, name)
 
 

@@ -14,9 +14,20 @@ from typing import Any, NamedTuple
 
 from agents.algorithms import ALGORITHMS, Algorithm
 from agents.algorithms.student import STUDENT_ALGORITHM
-from agents.training.arguments import Part, control_period, driven, environment_arguments, parts_of
+from agents.training.arguments import (
+    Part,
+    control_period,
+    driven,
+    environment_arguments,
+    layout_of,
+    parts_of,
+)
 from agents.training.options import Options
 from agents.training.reward import PRECISION
+from agents.training.unread_options import check_read
+from baselines.learned.agent_policy import Groups, groups_in
+from baselines.learned.augmentation import RESIDUAL_SCALE
+from baselines.learned.history_augmentation import LAGS
 from baselines.learned.recipe import STUDENT, Driven
 from tracked_env.benchmark.store import machine, versions
 from tracked_env.engine.env_config import EnvConfig
@@ -56,6 +67,7 @@ class Run:
     seed: int  # of everything random
     env: str  # id of the environment
     arguments: Mapping[str, Any]  # of the environment; `sensors` is a list where there are several
+    groups: Groups  # of the observation, with their fields
     parts: tuple[Part, ...]  # the vehicles by kind of sensors
     held_out: tuple[Part, ...]  # the held-out episodes by kind of sensors, none without them
     staggered: bool
@@ -88,7 +100,7 @@ def random_seed(seed: int) -> int:
 
 def chosen_settings(options: Options) -> tuple[str, Any]:
     """Name and settings of what learns: the chosen algorithm, or a student."""
-    name = STUDENT if options.memory == STUDENT else options.algorithm
+    name = STUDENT if options.augmentation == STUDENT else options.algorithm
     return name, getattr(options, name.replace("-", "_"))
 
 
@@ -117,14 +129,22 @@ def _reward(options: Options) -> Reward:
     )
 
 
+def _lags(options: Options) -> tuple[int, ...]:
+    return LAGS if options.lags is None else options.lags
+
+
+def _residual_scale(options: Options) -> float:
+    return RESIDUAL_SCALE if options.residual_scale is None else options.residual_scale
+
+
 def _augmentation(options: Options) -> Augmentation:
-    lags = list(options.lags)
+    lags = list(_lags(options))
     known: dict[str, dict[str, Any]] = {
         "history": {"lags": lags},
-        "residual": {"scale": options.residual_scale},
+        "residual": {"scale": _residual_scale(options)},
         STUDENT: {"lags": lags, "hidden": list(options.student.hidden)},
     }
-    return Augmentation(options.memory, known.get(options.memory, {}))
+    return Augmentation(options.augmentation, known.get(options.augmentation, {}))
 
 
 def configuration(options: Options) -> dict[str, Any]:
@@ -137,7 +157,8 @@ def configuration(options: Options) -> dict[str, Any]:
     reward = _reward(options)  # a student does not read it
     kept.update(
         agent=options.algorithm, steps=schedule.total, evaluate_every=schedule.evaluate_every,
-        precision=reward.precision, smoothness=reward.smoothness,
+        precision=reward.precision, smoothness=reward.smoothness, lags=_lags(options),
+        residual_scale=_residual_scale(options),
     )  # fmt: skip
     return dict(json.loads(json.dumps(kept, default=str)))
 
@@ -149,14 +170,20 @@ def _driven(env: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def resolve(options: Options) -> Run:
-    """The training that options describe. Raises ValueError, and errors of gymnasium."""
+    """The training that options describe.
+
+    Raises ValueError, for options without effect too, and errors of gymnasium.
+    """
+    check_read(options)
     name, algorithm, settings = _algorithm(options)
     arguments = environment_arguments(options)
     augmentation = _augmentation(options)
+    groups = groups_in(layout_of(options.env, arguments))
     recipe = {
         "algorithm": ALGORITHMS[options.algorithm].network,
-        "memory": augmentation.kind,
-        "memory_options": augmentation.options,
+        "augmentation": augmentation.kind,
+        "augmentation_options": augmentation.options,
+        "observation": groups,
         "control_period": control_period(options.env, arguments),
         "environment": {"id": options.env, **_driven(options.env, arguments), **arguments},
         "config": configuration(options),
@@ -171,6 +198,7 @@ def resolve(options: Options) -> Run:
         seed=random_seed(options.seed),
         env=options.env,
         arguments=arguments,
+        groups=groups,
         parts=parts_of(options.env, arguments, options.vehicles),
         held_out=parts_of(options.env, arguments, options.held_out) if options.held_out else (),
         staggered=options.staggered,

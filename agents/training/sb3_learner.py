@@ -35,7 +35,7 @@ class Sb3Learner:
     recipe: Mapping[str, Any] = {}
 
     def __init__(self, run: Run) -> None:
-        self.augmentation = run.augmentation
+        self.augmentation, self.groups = run.augmentation, run.groups
         env = make_environment(run)
         log = str(run.folder) if run.tensorboard else None
         self.model = make_model(run.name, run.settings, env, run.seed, log)
@@ -85,7 +85,8 @@ class Sb3Learner:
 
     def policy(self, context: PolicyContext) -> AgentPolicy | TeacherPolicy:
         """The agent as it is now, as a policy of the benchmark."""
-        return policy_of(self.model, *self.augmentation, context, normalisation(self.model))
+        statistics = normalisation(self.model)
+        return policy_of(self.model, *self.augmentation, context, statistics, self.groups)
 
     def trained(self) -> Trained:
         """The agent as it is now, for an archive."""

@@ -30,7 +30,8 @@ from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile
 from tracked_env.sensors import SensorDraw
 
-# What the state of a training consists of. A memory with a named tuple of its own adds it here.
+# What the state of a training consists of. An augmentation with a named tuple of
+# its own adds it here.
 TYPES: dict[str, Any] = {
     made.__name__: made
     for made in (

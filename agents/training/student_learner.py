@@ -28,7 +28,7 @@ from agents.training.run import Run
 from baselines.learned.agent_archive import INFERENCE
 from baselines.learned.agent_policy import AgentPolicy
 from baselines.learned.privileged_inputs import PRIVILEGED
-from baselines.learned.recipe import normalisation_of
+from baselines.learned.recipe import groups_of, normalisation_of
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.engine.env_config import EnvConfig
@@ -51,13 +51,15 @@ class StudentLearner:
         self.settings = settings = run.settings
         check_buffer(settings, run.vehicles)
         self.lags = lags = tuple(run.augmentation.options["lags"])
+        self.groups = run.groups
         names = ("algorithm", "normalisation")
         self.recipe = {**{name: recipe[name] for name in names}, "teacher": recipe}
         env, self.truths = make_taught(run)
         self.env = env
         torch.manual_seed(run.seed)
-        inference = make_inference(lags, settings.hidden)
-        self.model = StudentModel(inference, self.teacher, normalisation_of(recipe))
+        observed = sum(map(len, run.groups.values()))
+        inference = make_inference(lags, settings.hidden, observed)
+        self.model = StudentModel(inference, self.teacher, normalisation_of(recipe), observed)
         self.optimiser = torch.optim.Adam(inference.parameters())
         size = max(settings.buffer_size // env.num_envs, settings.n_steps)
         shown = env.observation_space.shape
@@ -74,11 +76,12 @@ class StudentLearner:
     @property
     def truth(self) -> Any:
         """What the teacher would see beside the present observation, (N, F) of all rows."""
-        return self.model.privileged(np.concatenate([memory.present for memory in self.truths]))
+        return self.model.privileged(np.concatenate([truth.present for truth in self.truths]))
 
     def policy(self, context: PolicyContext) -> AgentPolicy:
         """The student as the benchmark has it."""
-        return AgentPolicy(self.model, "history", {"lags": self.lags}, context)
+        options = {"lags": self.lags}
+        return AgentPolicy(self.model, "history", options, context, groups=self.groups)
 
     def collect(self) -> float:
         """Drive `n_steps`; returns the mean square of how wrong the inference was meanwhile."""
@@ -157,9 +160,10 @@ class StudentLearner:
 
 
 def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
-    """Raises ValueError for a teacher of another control period, drive or nominal vehicle.
+    """Raises ValueError for a teacher of another control period, drive, vehicle or observation.
 
-    Its privileged inputs would be ratios to other values, its actions other commands.
+    Its privileged inputs would be ratios to other values, its actions other commands, and its
+    network would see other fields.
     """
     environment = recipe.get("environment", {})
     theirs = driven(environment.get("id", TORQUE_ID), environment)
@@ -175,3 +179,9 @@ def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
                 f"teacher {run.teacher} was trained with {name} = {of_teacher}; its student "
                 f"would have {of_student}. Is --env or --env-args another one?"
             )
+    groups = groups_of(recipe)
+    if list(groups.items()) != list(run.groups.items()):
+        raise ValueError(
+            f"teacher {run.teacher} was trained with observation = {[*groups]}; its student would "
+            f"have {[*run.groups]}. Give both the same groups, in one order, in --env-args"
+        )

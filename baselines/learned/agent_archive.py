@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from baselines.learned.forward_pass import Arrays
-from baselines.learned.recipe import check_recipe
+from baselines.learned.recipe import check_recipe, current
 
 RECIPE, WEIGHTS, INFERENCE = "recipe.json", "weights.npz", "student.npz"
 LARGEST = 2**28  # [bytes] of one file in an archive, unpacked
@@ -42,7 +42,8 @@ def _opened(path: Path) -> tuple[Any, list[str]]:
             if damaged is not None:
                 raise ValueError(f"{damaged} in it is damaged")
             names = archive.namelist()
-            return (json.loads(archive.read(RECIPE)) if RECIPE in names else None), names
+            recipe = json.loads(archive.read(RECIPE)) if RECIPE in names else None
+            return current(recipe), names
     except Exception as error:  # damaged archives and texts raise what happens to go wrong
         raise ValueError(
             f"agent {path} cannot be loaded: not an archive of an agent, or damaged "

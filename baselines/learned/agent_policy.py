@@ -1,10 +1,11 @@
 """A trained agent as a policy: everything it remembers is in its state.
 
-    action, state = policy.predict(observation (N, SIZE), state, episode_start)
-Observation augmentation, running normalisation and network are those of the training.
+    action, state = policy.predict(observation (N, D), state, episode_start)
+Observation augmentation, running normalisation and network are those of the training. What the
+network sees of an observation is looked up by the names of the fields, `Shown`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -18,6 +19,49 @@ from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
+
+
+Groups = Mapping[str, Sequence[str]]  # fields of an observation by group, in their order
+
+
+def groups_in(shown: layout.Layout) -> Groups:
+    """The groups of a layout and their fields."""
+    return {part.name: [field.name for field in part.fields] for part in shown.parts}
+
+
+V0_GROUPS = groups_in(layout.V0)
+
+
+class Shown:
+    """What an agent sees of observations with the fields `names`: those of `groups`, by name.
+
+    needs: fields of `observation.V0` that its augmentation reads. Raises ValueError, which names
+    the missing groups.
+    """
+
+    def __init__(self, groups: Groups, names: Sequence[str], needs: Sequence[str]) -> None:
+        missing = [name for name, fields in groups.items() if not set(fields) <= set(names)]
+        unknown = [name for name in missing if name not in layout.GROUPS]
+        if unknown:
+            raise ValueError(
+                f"it sees the observation group {' and '.join(unknown)}, which is not registered. "
+                "Import the module that registers it, and make the environment with it"
+            )
+        fields = [field for of_group in groups.values() for field in of_group]
+        self._columns = layout.columns(names, fields)
+        self._same = fields == list(names)
+        self._view = layout.View(names, needs, hint="The agent widens it by itself.")
+
+    def __call__(self, observation: NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
+        """What the network sees (N, fields), and the same as V0 (N, SIZE) for the augmentation.
+
+        Raises ValueError for an observation of another shape.
+        """
+        of_v0 = self._view(observation)
+        if self._same and self._view.same:
+            return of_v0, of_v0
+        given = np.asarray(observation, dtype=np.float32).reshape(len(of_v0), -1)
+        return (given if self._same else given[:, self._columns]), of_v0
 
 
 class Normalisation(NamedTuple):
@@ -55,7 +99,7 @@ class AgentState(NamedTuple):
 class AgentPolicy:
     """Network, augmentation and normalisation as one policy, for one vehicle or a batch.
 
-    model: a network, for the fields of `observation.V0`; they are looked up by name in what the
+    model: a network, for the fields of `groups`; they are looked up by name in what the
     environment of `context` gives. kind, options: of `make_augmentation`. Raises ValueError where
     it does not give them all.
     """
@@ -67,13 +111,14 @@ class AgentPolicy:
         options: Mapping[str, Any],
         context: Context,
         normalisation: Normalisation | None = None,
+        groups: Groups = V0_GROUPS,
     ) -> None:
         self.model = model
         self.normalisation = normalisation
         self._recipe = (kind, dict(options), context)
-        self._view = layout.View(context.observation, hint="The agent widens it by itself.")
         self._given: AgentState | None = None
         self.augmentation: Augmentation = make_augmentation(*self._recipe, 1)
+        self._shown = Shown(groups, context.observation, self.augmentation.needs)
 
     def predict(
         self,
@@ -84,12 +129,12 @@ class AgentPolicy:
     ) -> tuple[NDArray[np.float32], AgentState]:
         """Sprocket torques over their limit, and the state to pass to the next call.
 
-        observation: (SIZE,) or (N, SIZE) as in tracked_env.observation. state: None begins.
+        observation: (D,) or (N, D), in the layout of the environment. state: None begins.
         episode_start: (N,) or a bool; those rows forget. deterministic: the mean action.
         Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
         Raises ValueError for a wrong shape.
         """
-        batch = self._view(observation)
+        present, batch = self._shown(observation)
         count = len(batch)
         start = np.full(count, state is None)
         if episode_start is not None:
@@ -100,7 +145,7 @@ class AgentPolicy:
             self.augmentation.restore(state.memories)
         self._given = None  # until this call has ended well, `augmentation` is in no known state
         features = self.augmentation.observe(batch, start)
-        shown = seen(batch, features)
+        shown = seen(present, features)
         if self.normalisation is not None:
             shown = self.normalisation(shown)
         action, recurrent = self.model.predict(
@@ -115,7 +160,8 @@ class TeacherPolicy:
     """A teacher as a policy of the benchmark, which must be handed the truth.
 
     model: a network that sees observation and privileged inputs. nominal: the vehicle and soil
-    that these are relative to. normalisation: of both.
+    that these are relative to. normalisation: of both. names: fields that the environment shows.
+    groups: those of them that the network sees. Raises ValueError where they are not shown.
     """
 
     needs_truth = True
@@ -125,8 +171,11 @@ class TeacherPolicy:
         model: Predictor,
         nominal: PlantParameters,
         normalisation: Normalisation | None = None,
+        names: Sequence[str] = layout.NAMES,
+        groups: Groups = V0_GROUPS,
     ) -> None:
         self.model, self.nominal, self.normalisation = model, nominal, normalisation
+        self._shown = Shown(groups, names, ())
         self._inputs: Floats | None = None
 
     def observe_truth(self, truth: Truth) -> None:
@@ -142,17 +191,17 @@ class TeacherPolicy:
         deterministic: bool = True,
     ) -> tuple[Floats, AgentState]:
         """Action and state as AgentPolicy. Raises ValueError for a wrong shape or no truth."""
-        batch = np.array(observation, dtype=np.float32, ndmin=2)
-        if self._inputs is None or batch.shape != (len(self._inputs), layout.SIZE):
+        present, _ = self._shown(observation)
+        if self._inputs is None or len(present) != len(self._inputs):
             raise ValueError(
                 f"observation has shape {np.shape(observation)}, but the truth of "
                 f"{0 if self._inputs is None else len(self._inputs)} vehicles was observed; a "
                 "teacher needs `observe_truth` before each `predict`. A student drives without."
             )
-        start = np.full(len(batch), state is None)
+        start = np.full(len(present), state is None)
         if episode_start is not None:
             start |= np.asarray(episode_start, dtype=bool)
-        shown = seen(batch, self._inputs)
+        shown = seen(present, self._inputs)
         if self.normalisation is not None:
             shown = self.normalisation(shown)
         action, recurrent = self.model.predict(
@@ -168,8 +217,10 @@ def policy_of(
     options: Mapping[str, Any],
     context: Context,
     normalisation: Normalisation | None = None,
+    groups: Groups = V0_GROUPS,
 ) -> AgentPolicy | TeacherPolicy:
     """A model as the policy that its kind makes of it; arguments as AgentPolicy."""
     if kind == TEACHER:
-        return TeacherPolicy(model, VEHICLES[context.vehicle], normalisation)
-    return AgentPolicy(model, kind, options, context, normalisation)
+        nominal = VEHICLES[context.vehicle]
+        return TeacherPolicy(model, nominal, normalisation, context.observation, groups)
+    return AgentPolicy(model, kind, options, context, normalisation, groups)

@@ -44,6 +44,10 @@ class Augmentation(Protocol):
         """Time [s] between two observations."""
 
     @property
+    def needs(self) -> tuple[str, ...]:
+        """Fields of the observation that are read."""
+
+    @property
     def feature_names(self) -> tuple[str, ...]:
         """Names of the F features."""
 
@@ -75,7 +79,7 @@ def make_augmentation(
     known = {"history": {"lags"}, "residual": {"scale"}}.get(kind, set())
     if kind not in KINDS or set(options) - known:
         raise ValueError(
-            f"memory {kind!r} with options {dict(options)}; kinds are {', '.join(KINDS)}, "
+            f"augmentation {kind!r} with options {dict(options)}; kinds are {', '.join(KINDS)}, "
             "options `lags` of history and `scale` of residual"
         )
     if kind == "blind":

@@ -28,6 +28,7 @@ class Blind:
     """No augmentation. count: number of vehicles. control_period [s]."""
 
     feature_names: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
 
     def __init__(self, count: int, control_period: float) -> None:
         self.count = count
@@ -52,8 +53,10 @@ class Blind:
 class History(Blind):
     """Past samples of REMEMBERED at LAGS; before an episode's first, its first one.
 
-    `memory` (N, longest lag + 1, fields) holds the latest samples, the newest first.
+    `samples` (N, longest lag + 1, fields) holds the latest ones, the newest first.
     """
+
+    needs = REMEMBERED
 
     def __init__(self, count: int, control_period: float, lags: tuple[int, ...] = LAGS) -> None:
         """Raises ValueError unless the lags rise from 1 on."""
@@ -63,24 +66,24 @@ class History(Blind):
         self._lags = np.array(lags)
         self._columns = np.array([layout.INDEX[name] for name in REMEMBERED])
         self.feature_names = tuple(f"{name}_{lag}_before" for lag in lags for name in REMEMBERED)
-        self.memory: Floats = np.zeros((count, lags[-1] + 1, len(REMEMBERED)), dtype=np.float32)
+        self.samples: Floats = np.zeros((count, lags[-1] + 1, len(REMEMBERED)), dtype=np.float32)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """The samples at the lags, (N, lags * fields); rows with `start` forget."""
         sample = np.nan_to_num(observation[:, self._columns])
-        self.memory[:, 1:] = self.memory[:, :-1]
-        self.memory[:, 0] = sample
+        self.samples[:, 1:] = self.samples[:, :-1]
+        self.samples[:, 0] = sample
         if start.any():
-            self.memory[start] = sample[start, None]
-        return self.memory[:, self._lags].reshape(self.count, -1)
+            self.samples[start] = sample[start, None]
+        return self.samples[:, self._lags].reshape(self.count, -1)
 
     def memories(self) -> Any:
         """A copy of the samples."""
-        return self.memory.copy()
+        return self.samples.copy()
 
     def restore(self, memories: Any, rows: Bools | None = None) -> None:
         """Go on from `memories`, in the rows marked or in all."""
-        if np.shape(memories) != self.memory.shape:
-            raise ValueError(f"state of shape {np.shape(memories)}; must be {self.memory.shape}")
+        if np.shape(memories) != self.samples.shape:
+            raise ValueError(f"state of shape {np.shape(memories)}; must be {self.samples.shape}")
         where = slice(None) if rows is None else rows
-        self.memory[where] = memories[where]
+        self.samples[where] = memories[where]

@@ -1,11 +1,13 @@
 """The recipe of a trained agent: what an archive says of itself in JSON, checked.
 
     algorithm, network            layers, sizes and activation of the network
-    memory, memory_options        observation augmentation: its kind, and `lags` or `scale`
+    augmentation, augmentation_options    of the observation: its kind, and `lags` or `scale`
+    observation                   groups that the agent sees, {group: [fields]}; absent: those of v0
     normalisation                 running mean and variance of the inputs, or null
     control_period [s]
     environment                   id and arguments of the training, with `drive` and `vehicle`
     config, versions, ...         how it came about; nothing is read from there
+`memory` and `memory_options` are former names of the augmentation, which `current` replaces.
 Everything is checked before it is used, and what is wrong is a ValueError of one line.
 """
 
@@ -15,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.learned.agent_policy import Normalisation
+from baselines.learned.agent_policy import V0_GROUPS, Groups, Normalisation
 from baselines.learned.augmentation import KINDS
 from baselines.learned.forward_pass import ALGORITHMS, RECURRENT
 from baselines.learned.privileged_inputs import TEACHER
@@ -28,7 +30,11 @@ MOST_UNITS, MOST_LAYERS = 4096, 16  # of a network that is built from a file
 STUDENT = "student"  # kind of an agent that infers what its teacher sees
 LAYER_ACTIVATIONS = ("tanh", "relu")  # of forward_pass.ACTIVATIONS, those of an actor
 
-_NEEDED = ("format", "algorithm", "memory", "memory_options", "normalisation", "control_period")
+_NEEDED = (
+    "format", "algorithm", "augmentation", "augmentation_options", "normalisation",
+    "control_period",
+)  # fmt: skip
+_FORMER = {"memory": "augmentation", "memory_options": "augmentation_options"}
 _DRIVES = ("torque", "speed")
 
 
@@ -44,6 +50,17 @@ _REGISTERED = {
     "tracked_env/Torque-v0": Driven("torque", "strawa"),
     "tracked_env/Speed-v0": Driven("speed", "focchi"),
 }
+
+
+def current(recipe: Any) -> Any:
+    """A recipe with the names of today, its configuration and that of a teacher too."""
+    if not isinstance(recipe, dict):
+        return recipe
+    named = {_FORMER.get(name, name): value for name, value in recipe.items()}
+    return {
+        name: current(value) if name in ("config", "teacher") else value
+        for name, value in named.items()
+    }
 
 
 def check_recipe(recipe: Any) -> None:
@@ -70,13 +87,14 @@ def _is_number(value: Any, low: float = -math.inf) -> bool:
 def _check(recipe: Mapping[str, Any]) -> None:
     """Raises ValueError for a recipe that no agent can be made of."""
     kinds = (*KINDS, TEACHER, STUDENT)
-    for name, known in (("algorithm", ALGORITHMS), ("memory", kinds)):
+    for name, known in (("algorithm", ALGORITHMS), ("augmentation", kinds)):
         if recipe[name] not in known:
             raise ValueError(f"{name} = {_short(recipe[name])}; must be one of {', '.join(known)}")
     if not _is_number(recipe["control_period"], 0.0):
         raise ValueError(f"control_period = {_short(recipe['control_period'])}; must be in s, > 0")
-    _check_options(recipe["memory"], recipe["memory_options"])
+    _check_options(recipe["augmentation"], recipe["augmentation_options"])
     driven(recipe)
+    groups_of(recipe)
     inputs = None
     if recipe["format"] != PICKLED:
         inputs = checked_network(recipe.get("network"), recipe["algorithm"])["inputs"]
@@ -88,16 +106,18 @@ def _short(value: Any) -> str:
 
 
 def _check_options(kind: str, options: Any) -> None:
-    """Options of a kind of memory. Raises ValueError."""
+    """Options of a kind of augmentation. Raises ValueError."""
     names = {"history": ("lags",), "residual": ("scale",), STUDENT: ("lags", "hidden")}
     known = names.get(kind, ())
     if not isinstance(options, dict) or not set(options) <= set(known):
         raise ValueError(
-            f"memory_options = {_short(options)}; of memory {kind!r} must have "
+            f"augmentation_options = {_short(options)}; of augmentation {kind!r} must have "
             f"{' and '.join(known) or 'nothing'}"
         )
     if kind == STUDENT and set(options) != set(known):
-        raise ValueError(f"memory_options = {_short(options)}; a student needs lags and hidden")
+        raise ValueError(
+            f"augmentation_options = {_short(options)}; a student needs lags and hidden"
+        )
     lags = options.get("lags", [1])
     integers = isinstance(lags, list) and all(type(lag) is int for lag in lags)
     if not (integers and lags and lags == sorted(set(lags)) and lags[0] >= 1):
@@ -132,6 +152,24 @@ def driven(recipe: Mapping[str, Any]) -> Driven:
             )
         found.append(value)
     return Driven(*found)
+
+
+def groups_of(recipe: Mapping[str, Any]) -> Groups:
+    """The observation that the agent sees: its groups and their fields. Raises ValueError."""
+    groups = recipe.get("observation", V0_GROUPS)
+    fields = [
+        field
+        for name, of_group in (groups.items() if isinstance(groups, dict) else ())
+        for field in (of_group if isinstance(of_group, list) and of_group else (None,))
+    ]
+    if not fields or not all(isinstance(field, str) for field in fields):
+        raise ValueError(
+            f"observation = {_short(groups)}; must be groups with lists of their fields"
+        )
+    if len(set(fields)) < len(fields) or len(fields) > MOST_UNITS:
+        raise ValueError(f"observation = {_short(groups)}; names a field twice, or too many")
+    found: Groups = groups
+    return found
 
 
 def _check_normalisation(stored: Any, inputs: int | None) -> None:

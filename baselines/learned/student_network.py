@@ -29,6 +29,7 @@ class Student:
 
     inference: from those (N, D) to what the teacher's network sees of the privileged inputs (N, F).
     teacher: network that sees observation and privileged inputs. normalisation: of those.
+    observed: number of fields of the observation.
     """
 
     def __init__(
@@ -36,8 +37,10 @@ class Student:
         inference: Callable[[Floats], Floats],
         teacher: Predictor,
         normalisation: Normalisation | None,
+        observed: int = layout.SIZE,
     ) -> None:
         self.infer, self.teacher, self.normalisation = inference, teacher, normalisation
+        self.observed = observed
 
     def _shown(self, values: Floats, columns: slice) -> Floats:
         """What the teacher's network sees of some of its columns."""
@@ -48,21 +51,23 @@ class Student:
 
     def privileged(self, truth: Floats) -> Floats:
         """What the teacher's network sees of the privileged inputs (N, F): the right inference."""
-        return self._shown(truth, slice(layout.SIZE, None))
+        return self._shown(truth, slice(self.observed, None))
 
     def predict(
         self, observation: Floats, state: Any = None, episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:  # fmt: skip
         """Action (N, 2) and the state of a recurrent teacher."""
-        present = self._shown(observation[:, : layout.SIZE], slice(layout.SIZE))
+        present = self._shown(observation[:, : self.observed], slice(self.observed))
         widened = np.concatenate([present, self.infer(observation)], axis=1, dtype=np.float32)
         return self.teacher.predict(widened, state, episode_start, deterministic)
 
 
-def inference_sizes(lags: Sequence[int], hidden: Sequence[int]) -> tuple[int, ...]:
+def inference_sizes(
+    lags: Sequence[int], hidden: Sequence[int], observed: int = layout.SIZE
+) -> tuple[int, ...]:
     """Inputs, hidden layers and outputs of an inference network."""
-    return (layout.SIZE + len(lags) * len(REMEMBERED), *hidden, len(PRIVILEGED))
+    return (observed + len(lags) * len(REMEMBERED), *hidden, len(PRIVILEGED))
 
 
 def inference_layers(hidden: Sequence[int]) -> list[str]:
@@ -71,8 +76,9 @@ def inference_layers(hidden: Sequence[int]) -> list[str]:
 
 
 def read_student(
-    content: bytes, options: Mapping[str, Any], teacher: Predictor, scaling: Normalisation | None
-) -> Student:
+    content: bytes, options: Mapping[str, Any], teacher: Predictor,
+    scaling: Normalisation | None, observed: int = layout.SIZE,
+) -> Student:  # fmt: skip
     """The student in the file INFERENCE of an archive. options: `lags` and `hidden`.
 
     Raises ValueError for weights that are damaged, not finite, or not those of the options.
@@ -85,6 +91,6 @@ def read_student(
             "it infers has another scale. Train the student again"
         )
     names = inference_layers(options["hidden"])
-    shapes = linear_shapes(names, inference_sizes(options["lags"], options["hidden"]))
+    shapes = linear_shapes(names, inference_sizes(options["lags"], options["hidden"], observed))
     check_weights(stored, shapes)
-    return Student(Perceptron(stored, names, "elu"), teacher, scaling)
+    return Student(Perceptron(stored, names, "elu"), teacher, scaling, observed)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from baselines.estimators.stack import FEATURES, Identification, IdentificationStack, features
 from baselines.learned.held_policy import HeldState, checked_scale, corrected
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.linearizing_policy import NEEDS as CONTROLLER_NEEDS
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters
 
@@ -84,6 +85,7 @@ class Residual(HeldState):
         self.count, self.scale = count, checked_scale(scale)
         self.policy = policy
         self.control_period = policy.controller.control_period
+        self.needs = tuple(dict.fromkeys((*CONTROLLER_NEEDS, *policy.stack.needs)))
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """Action of the adaptive policy, then the features of its estimates, (N, F)."""

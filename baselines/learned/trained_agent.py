@@ -21,7 +21,14 @@ from baselines.learned.agent_policy import AgentPolicy, Predictor, TeacherPolicy
 from baselines.learned.augmentation import make_augmentation
 from baselines.learned.forward_pass import Actor
 from baselines.learned.privileged_inputs import PRIVILEGED, TEACHER
-from baselines.learned.recipe import PICKLED, STUDENT, Driven, driven, normalisation_of
+from baselines.learned.recipe import (
+    PICKLED,
+    STUDENT,
+    Driven,
+    driven,
+    groups_of,
+    normalisation_of,
+)
 from baselines.learned.student_network import read_student
 from baselines.registry import Context
 from tracked_env import observation as layout
@@ -63,18 +70,21 @@ def agent_of(
 
     Raises ValueError for a network that sees something else, and for a damaged student.
     """
-    kind, options = recipe["memory"], recipe["memory_options"]
+    kind, options = recipe["augmentation"], recipe["augmentation_options"]
     known = driven(recipe)
-    expected = (layout.SIZE + _features(kind, options, known),)
+    groups = groups_of(recipe)
+    observed = sum(map(len, groups.values()))
+    expected = (observed + _features(kind, options, known),)
     if shown != expected:
         raise ValueError(
-            f"agent {path} sees {shown}; must see {expected} (memory {kind!r}). Was it trained on "
-            "another environment, or inside a wrapper? Then pass it as module:function."
+            f"agent {path} sees {shown}; must see {expected} (augmentation {kind!r}). Was it "
+            "trained on another environment, or inside a wrapper? Then pass it as module:function."
         )
     normalisation = normalisation_of(recipe)
     if kind == STUDENT:
         try:
-            model = read_student(read_entry(path, INFERENCE), options, model, normalisation)
+            content = read_entry(path, INFERENCE)
+            model = read_student(content, options, model, normalisation, observed)
         except ValueError as error:
             raise ValueError(f"agent {path} cannot be loaded as a student: {error}") from error
         kind, options, normalisation = "history", {"lags": options["lags"]}, None
@@ -91,9 +101,12 @@ def agent_of(
                 f"agent {path} was trained to command each sprocket's {known.drive}; this "
                 f"environment takes its {context.drive}"
             )
-        return policy_of(model, kind, options, context, normalisation)
+        try:
+            return policy_of(model, kind, options, context, normalisation, groups)
+        except ValueError as error:
+            raise ValueError(f"agent {path}: {error}") from error
 
-    whole = recipe["memory"] in ("estimates", "residual")  # estimators and controllers too
+    whole = recipe["augmentation"] in ("estimates", "residual")  # estimators and controllers too
     return TrainedAgent(make, (HERE.parent if whole else HERE,))
 
 

@@ -14,17 +14,24 @@ Config = options_of_train()  # as the command line has it
 OFF_POLICY = {"buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "hidden": (16,)}
 ON_POLICY = {"n_steps": 32, "batch_size": 128, "n_epochs": 2, "hidden": (16,)}
 
+SETTINGS = {
+    "ppo": ppo.PPOSettings(**ON_POLICY),
+    "recurrent_ppo": recurrent_ppo.RecurrentPPOSettings(**ON_POLICY),
+    "sac": sac.SACSettings(**OFF_POLICY),
+    "td3": td3.TD3Settings(**OFF_POLICY),
+    "tqc": tqc.TQCSettings(**OFF_POLICY),
+}
+
 
 def small(output: Path, **changes) -> Options:
     """A configuration that trains in about a second; episodes last 1 s, so that many end."""
     defaults = {
         "steps": 512, "vehicles": 4, "duration": 1.0, "held_out": 2, "evaluate_every": 256,
         "uncertainty": ("mixture",), "output": output, "quiet": True, "seed": 3,
-        "ppo": ppo.PPOSettings(**ON_POLICY),
-        "recurrent_ppo": recurrent_ppo.RecurrentPPOSettings(**ON_POLICY),
-        "sac": sac.SACSettings(**OFF_POLICY), "td3": td3.TD3Settings(**OFF_POLICY),
-        "tqc": tqc.TQCSettings(**OFF_POLICY),
     }  # fmt: skip
+    if changes.get("augmentation") != "student":
+        name = (changes.get("agent") or "ppo").replace("-", "_")
+        defaults[name] = SETTINGS[name]
     return Config(**{**defaults, **changes})
 
 

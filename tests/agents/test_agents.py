@@ -1,4 +1,4 @@
-"""Every algorithm with every kind of memory: trains, is saved, and acts as it was trained."""
+"""Every algorithm with every kind of augmentation: trains, is saved, and acts as it was trained."""
 
 import json
 import shlex
@@ -50,8 +50,10 @@ def as_trained(path):
     model = actor(path)
     normalise = normalisation_of(recipe) or (lambda values: values)
     inner = vehicles()
-    memory = make_augmentation(recipe["memory"], recipe["memory_options"], CONTEXT, 3)
-    env = AgentVectorEnv(inner, memory)
+    augmentation = make_augmentation(
+        recipe["augmentation"], recipe["augmentation_options"], CONTEXT, 3
+    )
+    env = AgentVectorEnv(inner, augmentation)
     observation, _ = env.reset(seed=5)
     recurrent, start = None, np.ones(3, dtype=bool)
     for _ in range(STEPS):
@@ -79,14 +81,14 @@ def as_evaluated(path):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_an_agent_acts_in_the_benchmark_as_in_training(algorithm, kind, tmp_path):
-    assert main(small(tmp_path, agent=algorithm, memory=kind, steps=256)) == 0
+    assert main(small(tmp_path, agent=algorithm, augmentation=kind, steps=256)) == 0
     trained, evaluated = as_trained(tmp_path / "last.zip"), as_evaluated(tmp_path / "last.zip")
     assert np.ptp(trained) > 0.0
     np.testing.assert_array_equal(trained, evaluated)
 
 
 def test_running_normalisation_is_saved_with_the_agent_and_used(tmp_path):
-    assert main(small(tmp_path, normalise=True, memory="history")) == 0
+    assert main(small(tmp_path, normalise=True, augmentation="history")) == 0
     path = tmp_path / "agent.zip"
     stored = normalisation_of(read_recipe(path))
     assert stored.mean.shape == stored.variance.shape and np.abs(stored.mean).max() > 0.01
@@ -96,7 +98,7 @@ def test_running_normalisation_is_saved_with_the_agent_and_used(tmp_path):
 @pytest.mark.parametrize("kind", ["history", "residual"])
 def test_the_state_is_all_that_an_agent_remembers(kind, tmp_path):
     """Going on from a state kept earlier gives the same action, in a fresh policy too."""
-    assert main(small(tmp_path, agent="recurrent-ppo", memory=kind, steps=256)) == 0
+    assert main(small(tmp_path, agent="recurrent-ppo", augmentation=kind, steps=256)) == 0
     entry = agent_entry(tmp_path / "agent.zip")
     policy, fresh = entry.make(CONTEXT), entry.make(CONTEXT)
     env = vehicles()
@@ -114,7 +116,7 @@ def test_the_state_is_all_that_an_agent_remembers(kind, tmp_path):
 
 
 def test_an_agent_drives_one_vehicle_or_many(tmp_path):
-    assert main(small(tmp_path, memory="history", steps=256)) == 0
+    assert main(small(tmp_path, augmentation="history", steps=256)) == 0
     entry = agent_entry(tmp_path / "agent.zip")
     batch = np.random.default_rng(0).normal(size=(4, obs.SIZE)).astype(np.float32)
     together, _ = entry.make(CONTEXT).predict(batch)
@@ -129,9 +131,9 @@ def test_an_agent_drives_one_vehicle_or_many(tmp_path):
 def test_the_archive_says_how_the_agent_came_about(tmp_path, monkeypatch):
     typed = ["train.py", "--sensors", '{"preset": "rtk", "pose_delay": 0.2}']
     monkeypatch.setattr("sys.argv", typed)
-    assert main(small(tmp_path, agent="td3", memory="residual", residual_scale=0.2)) == 0
+    assert main(small(tmp_path, agent="td3", augmentation="residual", residual_scale=0.2)) == 0
     recipe = read_recipe(tmp_path / "agent.zip")
-    assert recipe["algorithm"] == "td3" and recipe["memory_options"] == {"scale": 0.2}
+    assert recipe["algorithm"] == "td3" and recipe["augmentation_options"] == {"scale": 0.2}
     assert recipe["config"]["seed"] == 3 and recipe["config"]["td3"]["batch_size"] == 32
     assert "ppo" not in recipe["config"]
     assert shlex.split(recipe["command"]) == ["python", *typed]

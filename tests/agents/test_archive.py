@@ -36,14 +36,14 @@ class Harm:
 @pytest.fixture(scope="module")
 def teacher(tmp_path_factory):
     folder = tmp_path_factory.mktemp("teacher")
-    assert train.main(small(folder, memory="teacher", steps=128, normalise=True)) == 0
+    assert train.main(small(folder, augmentation="teacher", steps=128, normalise=True)) == 0
     return folder / "agent.zip"
 
 
 @pytest.fixture(scope="module")
 def student(teacher, tmp_path_factory):
     folder = tmp_path_factory.mktemp("student")
-    given = {"memory": "student", "teacher": teacher, "student": SETTINGS, "steps": 128}
+    given = {"augmentation": "student", "teacher": teacher, "student": SETTINGS, "steps": 128}
     assert train.main(small(folder, **given)) == 0
     return folder / "agent.zip"
 
@@ -102,7 +102,7 @@ def test_no_code_of_an_archive_runs_unasked(teacher, tmp_path, capsys):
             if name in ("plain", "old") and opened is not load_teacher:
                 assert "any code that its author put there" in str(refused.value)
                 assert "--trust" in str(refused.value)
-        given = {"memory": "student", "teacher": path, "student": SETTINGS}
+        given = {"augmentation": "student", "teacher": path, "student": SETTINGS}
         assert train.main(small(tmp_path / "out", **given)) == 2
         assert evaluate.main(evaluate.Config(policies=(str(path),), output=tmp_path / "out")) == 2
         shown = capsys.readouterr().err
@@ -126,7 +126,7 @@ def test_trust_reaches_the_archive_from_the_command_line(teacher, tmp_path, caps
     assert evaluate.main(config) == 2
     assert (tmp_path / "harm").exists()
     (tmp_path / "harm").rmdir()
-    given = {"memory": "student", "teacher": path, "student": SETTINGS, "trust": True}
+    given = {"augmentation": "student", "teacher": path, "student": SETTINGS, "trust": True}
     assert train.main(small(tmp_path / "out", **given)) == 2
     assert (tmp_path / "harm").exists()
     assert "cannot be loaded as ppo" in capsys.readouterr().err
@@ -213,8 +213,8 @@ def put(tree, where, value):
 
 
 READ = (
-    "format", "algorithm", "memory", "memory_options", "normalisation", "network", "environment",
-    "control_period",
+    "format", "algorithm", "augmentation", "augmentation_options", "normalisation", "network",
+    "environment", "control_period", "observation",
 )  # fmt: skip
 
 
@@ -242,17 +242,20 @@ def test_no_value_in_a_recipe_is_a_traceback(kind, field, teacher, student, tmp_
     ("where", "value", "message"),
     [
         (("algorithm",), ["ppo"], r"algorithm = \['ppo'\]; must be one of ppo, sac"),
-        (("memory",), {}, r"memory = {}; must be one of blind"),
+        (("augmentation",), {}, r"augmentation = {}; must be one of blind"),
         (("normalisation",), {}, "normalisation = {}; must be null, or have finite numbers"),
         (("normalisation", "mean"), [0.0], "40 of each"),
         (("environment",), "Torque", "must be an id and arguments"),
         (("environment",), {"id": "tracked_env/Nothing-v0"}, "Nothing-v0' is none of this project"),
         (("environment", "drive"), "wheels", "drive = 'wheels'; must be one of torque, speed"),
         (("environment", "vehicle"), [], "vehicle = \\[\\]; must be one of strawa"),
+        (("observation",), {"motion": []}, "observation = .*must be groups with lists of"),
+        (("observation",), {"motion": ["v_x", "v_x"]}, "names a field twice"),
+        (("observation",), ["motion"], r"observation = \['motion'\]; must be groups with lists"),
         (("control_period",), "20 ms", "control_period = '20 ms'; must be in s"),
         (("network", "hidden"), [10**9], "within"),
         (("network", "inputs"), 31, "normalisation = .*31 of each"),
-        (("memory_options",), {"lags": [1]}, "of memory 'teacher' must have nothing"),
+        (("augmentation_options",), {"lags": [1]}, "of augmentation 'teacher' must have nothing"),
     ],
 )
 def test_a_wrong_recipe_says_what_is_wrong(where, value, message, teacher, tmp_path):
@@ -265,7 +268,7 @@ def test_a_wrong_recipe_says_what_is_wrong(where, value, message, teacher, tmp_p
 
 def test_what_would_fill_the_memory_is_refused(student, tmp_path):
     files = entries(student)
-    recipe = put(json.loads(files[RECIPE]), ("memory_options", "lags"), [1, LONGEST_LAG + 1])
+    recipe = put(json.loads(files[RECIPE]), ("augmentation_options", "lags"), [1, LONGEST_LAG + 1])
     path = packed(tmp_path / "lags.zip", {**files, RECIPE: json.dumps(recipe)})
     with pytest.raises(ValueError, match=f"at most {LONGEST_LAG} control steps"):
         agent_entry(path)

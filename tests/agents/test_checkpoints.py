@@ -10,7 +10,7 @@ import train
 from agents.algorithms import ALGORITHMS
 from agents.training import checkpoints
 from agents.training.sb3_learner import RolloutCallback
-from tests.agents.agent_cases import parameters, same_parameters, small
+from tests.agents.agent_cases import SETTINGS, parameters, same_parameters, small
 
 
 class Killed(Exception):
@@ -59,11 +59,16 @@ def same_tensors(one, other):
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkeypatch, capsys):
-    """In mid-episode, with running normalisation and a memory, over a held-out evaluation."""
-    changes = {"agent": algorithm, "memory": "history", "normalise": True, "checkpoint_every": 100}
+    """In mid-episode, with running normalisation and a history, over a held-out evaluation."""
+    changes = {
+        "agent": algorithm,
+        "augmentation": "history",
+        "normalise": True,
+        "checkpoint_every": 100,
+    }
+    if algorithm == "sac":  # killed while its actions are drawn blindly
+        changes["sac"] = replace(SETTINGS["sac"], learning_starts=360)
     whole = small(tmp_path / "whole", **changes)
-    sac = replace(whole.sac, learning_starts=360)  # killed while its actions are drawn blindly
-    whole = replace(whole, sac=sac)
     models = models_at_the_end(monkeypatch)
     assert train.main(whole) == 0
     torn = replace(whole, output=tmp_path / "torn")
@@ -83,7 +88,7 @@ def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkey
 
 
 def test_a_resumed_residual_goes_on_with_its_estimators(tmp_path, monkeypatch):
-    whole = small(tmp_path / "whole", memory="residual")
+    whole = small(tmp_path / "whole", augmentation="residual")
     assert train.main(whole) == 0
     torn = replace(whole, output=tmp_path / "torn")
     killed_after(270, torn, monkeypatch)

@@ -29,12 +29,12 @@ ALL = [*(made.settings for made in ALGORITHMS.values()), StudentSettings, Config
     ("changes", "steps", "checkpoint"),
     [
         ({}, 2_000_000, 0),
-        ({"memory": "teacher"}, 2_000_000, 0),
+        ({"augmentation": "teacher"}, 2_000_000, 0),
         ({"agent": "recurrent-ppo"}, 1_000_000, 0),
         ({"agent": "sac"}, 300_000, 20_000),
         ({"agent": "td3"}, 300_000, 20_000),
         ({"agent": "tqc"}, 300_000, 20_000),
-        ({"memory": "student"}, 500_000, 20_000),
+        ({"augmentation": "student"}, 500_000, 20_000),
     ],
 )
 def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, steps, checkpoint):
@@ -125,9 +125,9 @@ def test_a_buffer_holds_what_a_target_sums_of_all_vehicles(algorithm, tmp_path, 
 
 
 def test_the_buffer_of_a_student_holds_what_it_drives_at_once(tmp_path):
-    assert main(small(tmp_path, memory="teacher", steps=128)) == 0
+    assert main(small(tmp_path, augmentation="teacher", steps=128)) == 0
     settings = StudentSettings(buffer_size=255)
-    config = small(tmp_path / "student", memory="student", teacher=tmp_path / "agent.zip")
+    config = small(tmp_path / "student", augmentation="student", teacher=tmp_path / "agent.zip")
     config = dataclasses.replace(config, student=settings)
     with pytest.raises(ValueError, match="buffer_size = 255; must be at least 256"):
         StudentLearner(resolve(config))
@@ -173,15 +173,15 @@ def test_more_samples_than_memory_holds_are_a_clear_error(tmp_path, capsys, monk
         ("smoothness", 0.0),
         ("staggered", False),
         ("tensorboard", True),
-        ("residual_scale", 0.2),
     ],
 )
 def test_an_option_that_a_student_does_not_read_is_refused_where_it_is_given(name, value):
-    Config(memory="student", teacher=Path("a.zip"))
+    Config(augmentation="student", teacher=Path("a.zip"))
     Config(**{name: value})
     option = name.replace("_", "-")
-    with pytest.raises(ValueError, match=f"{option} = {value} with memory student; must be left"):
-        Config(memory="student", teacher=Path("a.zip"), **{name: value})
+    message = f"{option} = {value} with augmentation student; must be left"
+    with pytest.raises(ValueError, match=message):
+        Config(augmentation="student", teacher=Path("a.zip"), **{name: value})
 
 
 def test_defaults_that_are_found_later_are_those_of_the_help():

@@ -74,9 +74,9 @@ def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
 
 
 def test_a_student_that_diverges_says_so(any_rate, tmp_path, capsys):
-    assert train.main(small(tmp_path / "teacher", memory="teacher", steps=128)) == 0
+    assert train.main(small(tmp_path / "teacher", augmentation="teacher", steps=128)) == 0
     config = small(
-        tmp_path / "student", memory="student", teacher=tmp_path / "teacher" / "agent.zip",
+        tmp_path / "student", augmentation="student", teacher=tmp_path / "teacher" / "agent.zip",
         student=replace(SETTINGS, learning_rate=1e30),
     )  # fmt: skip
     assert train.main(config) == 2

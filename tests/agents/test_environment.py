@@ -50,7 +50,7 @@ def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
 
 def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
     config = small(
-        tmp_path, env_args=BY_SPEED, memory="residual", uncertainty=("friction",),
+        tmp_path, env_args=BY_SPEED, augmentation="residual", uncertainty=("friction",),
         sensors=("mocap",), steps=256,
     )  # fmt: skip
     run = resolve(config)
@@ -72,17 +72,17 @@ def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
 
 @pytest.mark.parametrize("kind", ["estimates", "residual"])
 def test_controllers_inside_an_agent_know_the_nominal_vehicle(kind, tmp_path):
-    config = small(tmp_path, env_args='{"vehicle": "focchi"}', memory=kind, steps=128)
+    config = small(tmp_path, env_args='{"vehicle": "focchi"}', augmentation=kind, steps=128)
     assert main(config) == 0
     run = resolve(config)
     (part,) = run.parts
-    memory = agent_entry(tmp_path / "agent.zip").make(part.context).augmentation
-    known = memory.parameters if kind == "estimates" else memory.policy.parameters
+    augmentation = agent_entry(tmp_path / "agent.zip").make(part.context).augmentation
+    known = augmentation.parameters if kind == "estimates" else augmentation.policy.parameters
     assert known == VEHICLES["focchi"]
 
 
 def test_another_control_rate_reaches_policies_and_recipe(tmp_path):
-    config = small(tmp_path, env_args='{"control_rate": 25}', memory="history", steps=128)
+    config = small(tmp_path, env_args='{"control_rate": 25}', augmentation="history", steps=128)
     run = resolve(config)
     (part,) = run.parts
     assert part.context.control_period == 0.04
@@ -109,7 +109,8 @@ def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
     [
         ('{"plnt": "lumped"}', "unknown --env-args key 'plnt'.*Did you mean 'plant'"),
         ('{"expose_truth": true}', "unknown --env-args key 'expose_truth'"),
-        ('{"observation": ["motion"]}', "unknown --env-args key 'observation'"),
+        ('{"observation": ["motin"]}', "unknown observation group 'motin'.*Did you mean 'motion'"),
+        ('{"observation": []}', r"observation = \[\]; must be 'v0' or a list of groups"),
         ('{"plant": "distribted"}', "Did you mean 'distributed'"),
         ('{"time_step": 1}', "time_step = 1.0 s; must be a number in"),
         ('{"patches": 5}', '--env-args {"patches": 5}: '),

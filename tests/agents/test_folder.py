@@ -224,9 +224,9 @@ def test_wrong_settings_delete_nothing(finished, capsys):
 
 
 def test_a_student_is_not_repeated_or_overwritten_either(tmp_path, monkeypatch, capsys):
-    assert train.main(small(tmp_path / "teacher", memory="teacher", steps=128)) == 0
+    assert train.main(small(tmp_path / "teacher", augmentation="teacher", steps=128)) == 0
     teacher = tmp_path / "teacher" / "agent.zip"
-    given = {"memory": "student", "teacher": teacher, "student": SETTINGS, "steps": 256}
+    given = {"augmentation": "student", "teacher": teacher, "student": SETTINGS, "steps": 256}
     config = small(tmp_path / "student", **given, checkpoint_every=100)
     collect = StudentLearner.collect
 
@@ -250,6 +250,6 @@ def test_a_student_is_not_repeated_or_overwritten_either(tmp_path, monkeypatch, 
 
 def test_each_environment_has_a_folder_of_its_own():
     assert Config().folder == Path("runs/ppo-blind-seed0")
-    speed = Config(env=SPEED_ID, agent="sac", memory="history", seed=2)
+    speed = Config(env=SPEED_ID, agent="sac", augmentation="history", seed=2)
     assert speed.folder == Path("runs/Speed-v0/sac-history-seed2")
     assert replace(speed, output=Path("mine")).folder == Path("mine")

@@ -38,7 +38,7 @@ def actions(steps):
 
 @pytest.mark.parametrize("kind", [*KINDS, "teacher"])
 def test_a_joined_row_is_that_of_its_own_environment_bit_for_bit(kind, tmp_path):
-    config = mixed(tmp_path, memory=kind)
+    config = mixed(tmp_path, augmentation=kind)
     run = resolve(config)
     together = make_environment(run)
     alone = []
@@ -119,7 +119,7 @@ def test_a_resumed_training_with_several_sensors_is_the_uninterrupted_one(
     algorithm, kind, tmp_path, monkeypatch
 ):
     whole = mixed(
-        tmp_path / "whole", agent=algorithm, memory=kind, steps=768, checkpoint_every=100,
+        tmp_path / "whole", agent=algorithm, augmentation=kind, steps=768, checkpoint_every=100,
         normalise=True,
     )  # fmt: skip
     assert train.main(whole) == 0
@@ -130,7 +130,7 @@ def test_a_resumed_training_with_several_sensors_is_the_uninterrupted_one(
 
 
 def test_held_out_episodes_have_all_sensors_and_each_kind_counts_the_same(tmp_path):
-    config = mixed(tmp_path, memory="estimates", steps=192)
+    config = mixed(tmp_path, augmentation="estimates", steps=192)
     assert train.main(config) == 0
     recipe = read_recipe(tmp_path / "last.zip")
     assert recipe["config"]["sensors"] == ["mixture"]
@@ -153,9 +153,9 @@ def test_held_out_episodes_have_all_sensors_and_each_kind_counts_the_same(tmp_pa
 
 
 def test_a_student_learns_from_several_sensors_too(tmp_path):
-    assert train.main(mixed(tmp_path / "teacher", memory="teacher")) == 0
+    assert train.main(mixed(tmp_path / "teacher", augmentation="teacher")) == 0
     config = mixed(
-        tmp_path / "student", memory="student", teacher=tmp_path / "teacher" / "agent.zip",
+        tmp_path / "student", augmentation="student", teacher=tmp_path / "teacher" / "agent.zip",
         steps=VEHICLES * 64,
     )  # fmt: skip
     assert train.main(config) == 0

@@ -147,7 +147,7 @@ def test_missing_damaged_and_foreign_files_are_clear_errors(trained, tmp_path):
     ("recipe", "message"),
     [
         ({"format": 99}, "another format"),
-        ({"format": 1, "algorithm": "ppo"}, "lacks .*memory"),
+        ({"format": 1, "algorithm": "ppo"}, "lacks .*augmentation"),
         ([], "another format"),
     ],
 )

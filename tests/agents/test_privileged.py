@@ -71,7 +71,7 @@ def test_no_privileged_input_is_clipped_in_the_sets_of_an_environment(env, uncer
 def test_training_driving_and_teaching_scale_by_the_nominal_vehicle_of_the_environment(
     env, tmp_path
 ):
-    config = small(tmp_path, env=env, memory="teacher", uncertainty=None)
+    config = small(tmp_path, env=env, augmentation="teacher", uncertainty=None)
     run = resolve(config)
     (part,) = run.parts
     (trained,) = (
@@ -80,7 +80,7 @@ def test_training_driving_and_teaching_scale_by_the_nominal_vehicle_of_the_envir
     _, (taught,) = make_taught(replace(run, augmentation=Augmentation("student", {"lags": [1, 2]})))
     driving = policy_of(None, "teacher", {}, part.context)
     nominal = trained.unwrapped.simulation.solver.nominal
-    assert trained.memory.nominal == taught.nominal == driving.nominal == nominal
+    assert trained.augmentation.nominal == taught.nominal == driving.nominal == nominal
     mismatched = Privileged(4, 0.02, nominal._replace(mass=100.0))
     with pytest.raises(ValueError, match="different nominal vehicles"):
         TruthfulVectorEnv(trained.env, mismatched)
@@ -88,11 +88,11 @@ def test_training_driving_and_teaching_scale_by_the_nominal_vehicle_of_the_envir
 
 def test_privileged_inputs_belong_to_the_observation_they_stand_beside():
     """At an episode's end too: `final_obs` has the old vehicle's, the new row the new one's."""
-    memory = Privileged(3, 0.02, VEHICLES["strawa"])
+    augmentation = Privileged(3, 0.02, VEHICLES["strawa"])
     constant = TrackedVehicleVectorEnv(
         3, uncertainty="soil-and-mass", duration=1.0, autoreset_mode="SameStep", expose_truth=True
     )  # within an episode
-    env = AgentVectorEnv(TruthfulVectorEnv(constant, memory), memory)
+    env = AgentVectorEnv(TruthfulVectorEnv(constant, augmentation), augmentation)
     parameters = [not name.startswith("slip") for name in PRIVILEGED]
     core = env.unwrapped
     observation, _ = env.reset(seed=0)

@@ -17,7 +17,7 @@ CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
 
 @pytest.mark.parametrize("kind", ["blind", "history", "estimates", "residual", "teacher"])
 def test_every_kind_of_agent_trains_on_speed_v0(kind, tmp_path):
-    config = small(tmp_path, env=SPEED_ID, memory=kind, uncertainty=("mixture",))
+    config = small(tmp_path, env=SPEED_ID, augmentation=kind, uncertainty=("mixture",))
     assert train.main(config) == 0
     if kind == "teacher":
         return

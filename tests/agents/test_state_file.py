@@ -76,10 +76,10 @@ def test_every_kind_of_value_comes_back_to_the_bit(tmp_path):
 
 
 @pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])
-@pytest.mark.parametrize("memory", [*KINDS, "teacher"])
-def test_the_state_of_every_memory_comes_back_to_the_bit(memory, env, tmp_path):
+@pytest.mark.parametrize("augmentation", [*KINDS, "teacher"])
+def test_the_state_of_every_memory_comes_back_to_the_bit(augmentation, env, tmp_path):
     """After some steps: a named tuple that is not in TYPES would be a TypeError."""
-    config = small(tmp_path, memory=memory, env=env, normalise=True)
+    config = small(tmp_path, augmentation=augmentation, env=env, normalise=True)
     model = make_model("ppo", config.ppo, make_environment(resolve(config)), 0)
     model.learn(128)
     state = capture(model)
@@ -148,7 +148,9 @@ def test_a_checkpoint_that_is_none_is_one_line(content, tmp_path, capsys):
 @pytest.fixture(scope="module")
 def interrupted(tmp_path_factory):
     """The configuration of a training that was killed, and its checkpoint as JSON and files."""
-    config = small(tmp_path_factory.mktemp("torn"), memory="history", normalise=True, held_out=0)
+    config = small(
+        tmp_path_factory.mktemp("torn"), augmentation="history", normalise=True, held_out=0
+    )
     with pytest.MonkeyPatch.context() as patch:
         killed_after(400, config, patch)
     (config.folder / checkpoints.PREVIOUS).unlink()

@@ -45,12 +45,12 @@ def vehicles(uncertainty="payload", **more):
 @pytest.fixture(scope="module")
 def teacher(tmp_path_factory):
     folder = tmp_path_factory.mktemp("teacher")
-    assert main(small(folder, memory="teacher")) == 0
+    assert main(small(folder, augmentation="teacher")) == 0
     return folder / "agent.zip"
 
 
 def student_config(output, teacher, **changes):
-    return small(output, memory="student", teacher=teacher, student=SETTINGS, **changes)
+    return small(output, augmentation="student", teacher=teacher, student=SETTINGS, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +73,11 @@ def test_a_teacher_is_declared_privileged_and_refuses_to_drive_without_the_truth
 
 def test_a_teacher_acts_in_the_benchmark_as_in_training(teacher):
     model = actor(teacher)
-    memory, inner = Privileged(3, 0.02, VEHICLES["strawa"]), Recorded(vehicles(expose_truth=True))
-    env = AgentVectorEnv(TruthfulVectorEnv(inner, memory), memory)
+    augmentation, inner = (
+        Privileged(3, 0.02, VEHICLES["strawa"]),
+        Recorded(vehicles(expose_truth=True)),
+    )
+    env = AgentVectorEnv(TruthfulVectorEnv(inner, augmentation), augmentation)
     observation, _ = env.reset(seed=5)
     for _ in range(STEPS):
         observation = env.step(model.predict(observation, deterministic=True)[0])[0]
@@ -96,8 +99,8 @@ def test_a_teacher_goes_on_after_an_interruption_as_if_nothing_had_been(teacher,
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(RolloutCallback, "_on_step", lambda self: interrupt(self) or True)
-        assert main(small(tmp_path, memory="teacher")) == 130
-    assert main(small(tmp_path, memory="teacher", resume=True)) == 0
+        assert main(small(tmp_path, augmentation="teacher")) == 130
+    assert main(small(tmp_path, augmentation="teacher", resume=True)) == 0
     assert same_parameters(tmp_path / "last.zip", teacher.parent / "last.zip")
 
 
@@ -118,7 +121,7 @@ def test_a_student_drives_with_its_teachers_network_and_says_whose(student, teac
     assert np.isfinite(curve["held_out_rmse"][-1]) and curve["steps"][-1] == 4096
     assert same_parameters(student / "agent.zip", teacher)
     recipe = read_recipe(student / "agent.zip")
-    assert recipe["memory"] == "student" and recipe["teacher"]["memory"] == "teacher"
+    assert recipe["augmentation"] == "student" and recipe["teacher"]["augmentation"] == "teacher"
     assert recipe["config"]["student"]["n_steps"] == 32 and "ppo" not in recipe["config"]
     assert (student / "config.json").is_file()
 
@@ -136,13 +139,13 @@ def test_the_inference_is_regressed_on_the_truth_of_the_moment(teacher, tmp_path
 
 def test_the_inference_is_regressed_on_what_the_teachers_network_sees(tmp_path):
     """Normalised and clipped where its inputs are, and driving hands it the same values."""
-    assert main(small(tmp_path, memory="teacher", normalise=True, steps=256)) == 0
+    assert main(small(tmp_path, augmentation="teacher", normalise=True, steps=256)) == 0
     config = student_config(tmp_path / "student", tmp_path / "agent.zip", steps=1024)
     student = StudentLearner(resolve(config))
     scaling = student.model.normalisation
     scaling = student.model.normalisation = scaling._replace(clip=0.5)
     observation = student._observation[:, : obs.SIZE].copy()
-    truth = np.concatenate([memory.present for memory in student.truths])
+    truth = np.concatenate([augmentation.present for augmentation in student.truths])
     shown = scaling(np.concatenate([observation, truth], axis=1))
     assert np.abs(shown).max() == 0.5 and np.ptp(shown[:, obs.SIZE :]) > 0.0
     np.testing.assert_array_equal(student.truth, shown[:, obs.SIZE :])
@@ -162,7 +165,7 @@ def test_the_inference_is_regressed_on_what_the_teachers_network_sees(tmp_path):
 
 def test_a_normalised_inference_of_the_former_scale_is_refused(student):
     recipe = read_recipe(student / "agent.zip")
-    options, path = recipe["memory_options"], student / "agent.zip"
+    options, path = recipe["augmentation_options"], student / "agent.zip"
     width = obs.SIZE + len(PRIVILEGED)
     scaling = Normalisation(np.zeros(width), np.ones(width), 1e-8, 10.0)
     content = read_entry(path, INFERENCE)
@@ -172,7 +175,7 @@ def test_a_normalised_inference_of_the_former_scale_is_refused(student):
         with pytest.raises(ValueError, match="inference of format 2; must be 3"):
             read_student(content, options, None, scaling)
     shipped = shipped_agents("torque")["ppo-student"][0]
-    options = read_recipe(shipped)["memory_options"]
+    options = read_recipe(shipped)["augmentation_options"]
     content = read_entry(shipped, INFERENCE)
     read_student(content, options, None, None)  # of format 1, without normalisation
     with pytest.raises(ValueError, match="inference of format 1; must be 2"):
@@ -323,9 +326,9 @@ def test_what_makes_no_student_is_a_clear_error(teacher, student, tmp_path, caps
     for changes, message in (
         ({"teacher": None}, "needs --teacher"),
         ({"teacher": tmp_path / "none.zip"}, "no such file"),
-        ({"teacher": student / "agent.zip"}, "memory 'student'; a student needs a teacher"),
+        ({"teacher": student / "agent.zip"}, "augmentation 'student'; a student needs a teacher"),
     ):
-        given = {"memory": "student", **changes}
+        given = {"augmentation": "student", **changes}
         assert main(small(tmp_path / "out", **given)) == 2
         assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -192,7 +192,7 @@ def test_what_cannot_be_rendered_is_one_line(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["train", "--memory", "estimates"], "training is not part of the installed package"),
+        (["train", "--augmentation", "estimates"], "training is not part of the installed package"),
         (["evaluate", "--paper", "strawa2021"], "needs the package `reproduce`"),
         (["evaluate", "--trust"], "needs PyTorch and the package `agents`"),
     ],

@@ -8,6 +8,7 @@ from a stream of its own, seeded by the noise seed of the episode and the name o
 an environment shows never changes the other noise, the vehicle, the soil or the reference.
 """
 
+import copy
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -24,6 +25,9 @@ from tracked_env.physics.state import STATE_NAMES
 from tracked_env.sensors import ADDED, longest_delay_steps
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle and channel
+_RUNNING = (  # attributes that change while episodes run
+    "written", "_sigma", "_bias", "_sample", "_noise", "_past", "_streams",
+)  # fmt: skip
 _TRUE = {
     **{name: b.STATE + row for row, name in enumerate(STATE_NAMES)},
     **{name: b.PARAMETERS + row for name, row in PARAMETER_INDEX.items()},
@@ -70,6 +74,15 @@ class Composer:
         self._noise = np.zeros((*shape, NOISE_BLOCK))
         self._past = np.zeros((count, slots, len(layout.channels)))
         self._streams: list[list[np.random.Generator]] = [[] for _ in range(count)]
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that changes while episodes run, as plain data. `resume` goes on from it."""
+        return copy.deepcopy({name: getattr(self, name) for name in _RUNNING})
+
+    def resume(self, snapshot: Mapping[str, Any]) -> None:
+        """Go on from what `snapshot` returned, of the same layout and count."""
+        for name in _RUNNING:
+            setattr(self, name, copy.deepcopy(snapshot[name]))
 
     def start(
         self,

@@ -90,11 +90,11 @@ def test_memories_put_back_in_some_rows_leave_the_others(kind):
 
 
 def test_the_residual_of_zero_is_the_adaptive_policy():
-    memory = pytest.importorskip(
+    agents = pytest.importorskip(
         "agents.agent_vector_env", reason="its wrapper needs the extra `rl`"
     )
     inner = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
-    env = memory.AgentVectorEnv(inner, make_augmentation("residual", {}, CONTEXT, 2))
+    env = agents.AgentVectorEnv(inner, make_augmentation("residual", {}, CONTEXT, 2))
     plain = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
     env.reset(seed=0)
     observation, _ = plain.reset(seed=0)
@@ -108,10 +108,10 @@ def test_the_residual_of_zero_is_the_adaptive_policy():
 
 
 def test_the_residual_is_scaled_and_stays_within_the_limits():
-    memory = make_augmentation("residual", {"scale": 0.5}, CONTEXT, 2)
-    features = np.zeros((2, len(memory.feature_names)), np.float32)
+    augmentation = make_augmentation("residual", {"scale": 0.5}, CONTEXT, 2)
+    features = np.zeros((2, len(augmentation.feature_names)), np.float32)
     features[:, :2] = [[0.1, -0.2], [0.9, -0.9]]
-    command = memory.command(np.array([[1.0, -0.4], [1.0, -1.0]], np.float32), features)
+    command = augmentation.command(np.array([[1.0, -0.4], [1.0, -1.0]], np.float32), features)
     np.testing.assert_allclose(command, [[0.6, -0.4], [1.0, -1.0]], atol=1e-7)
 
 
@@ -140,12 +140,12 @@ def test_wrong_kinds_and_options_are_clear_errors(kind, options, message):
 def test_the_filtered_errors_are_the_true_ones_with_ideal_sensors():
     """In their scales: position error 0.2 m, heading 0.1 rad, speed 0.2 m/s, yaw rate 0.1."""
     env = TrackedVehicleVectorEnv(2, uncertainty="nominal", sensors="ideal")
-    memory = make_augmentation(
+    augmentation = make_augmentation(
         "residual", {}, PolicyContext(0.02, "sliding", make_sensors("ideal")), 2
     )
     observation, _ = env.reset(seed=0)
     for step in range(20):
-        features = memory.observe(observation, np.full(2, step == 0))
+        features = augmentation.observe(observation, np.full(2, step == 0))
         known = obs.unpack(observation)
         expected = {
             "filtered_error_x": known["position_error_x"] / 0.2,
@@ -156,9 +156,9 @@ def test_the_filtered_errors_are_the_true_ones_with_ideal_sensors():
             "filtered_yaw_rate_error": (known["reference_yaw_rate"] - known["yaw_rate"]) / 0.1,
         }
         for name, values in expected.items() if step > 2 else ():  # the filter has begun
-            shown = features[:, memory.feature_names.index(name)]
+            shown = features[:, augmentation.feature_names.index(name)]
             np.testing.assert_allclose(shown, values, atol=0.005, err_msg=name)
-        command = memory.command(np.zeros((2, 2), np.float32), features)
+        command = augmentation.command(np.zeros((2, 2), np.float32), features)
         observation = env.step(command)[0]
 
 
@@ -168,17 +168,17 @@ def test_the_network_sees_how_far_the_filtered_pose_can_be_trusted():
     for name in ("rtk", "strawa"):
         sensors = make_sensors(name)
         env = TrackedVehicleVectorEnv(32, sensors=sensors, expose_truth=True)
-        memory = make_augmentation("residual", {}, CONTEXT._replace(sensors=sensors), 32)
+        augmentation = make_augmentation("residual", {}, CONTEXT._replace(sensors=sensors), 32)
         observation, info = env.reset(seed=0)
         ratios = []
         for step in range(150):
-            features = memory.observe(observation, np.full(32, step == 0))
-            named = dict(zip(memory.feature_names, features.T, strict=True))
+            features = augmentation.observe(observation, np.full(32, step == 0))
+            named = dict(zip(augmentation.feature_names, features.T, strict=True))
             deviation = 0.05 * np.exp(named["filtered_position_log_deviation"])
             true = info["tracking_error"][:, 0]
             filtered = 0.2 * np.hypot(named["filtered_error_x"], named["filtered_error_y"])
             ratios.append((filtered - true) ** 2 / deviation**2)
-            command = memory.command(np.zeros((32, 2), np.float32), features)
+            command = augmentation.command(np.zeros((32, 2), np.float32), features)
             observation, *_, info = env.step(command)
         shown.append(np.median(deviation))
         assert 0.1 < np.mean(ratios[50:]) < 1.5, name

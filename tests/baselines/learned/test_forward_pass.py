@@ -79,7 +79,7 @@ def with_torch(path, context):
 
     recipe = read_recipe(path)
     kind, options, normalisation = (
-        recipe["memory"], recipe["memory_options"], normalisation_of(recipe)
+        recipe["augmentation"], recipe["augmentation_options"], normalisation_of(recipe)
     )  # fmt: skip
     model = load_network(path, recipe)
     if kind == STUDENT:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from baselines.learned.agent_archive import read_recipe
+from baselines.learned.recipe import current
 from baselines.learned.shipped import PRETRAINED as FOLDER
 from tracked_env.benchmark import BenchmarkConfig, Store
 from tracked_env.benchmark.registered_policies import open_archive
@@ -44,14 +45,16 @@ def test_an_agent_comes_with_the_command_that_made_it_and_its_learning_curve(fol
 
 @pytest.mark.parametrize("folder", AGENTS, ids=["-".join(folder.parts[-2:]) for folder in AGENTS])
 def test_the_command_of_an_agent_says_its_whole_configuration(folder: Path) -> None:
-    """Defaults may have changed since; then the command makes another agent today."""
+    """Defaults may have changed since; then the command makes another agent today.
+
+    Commands of before `--augmentation` call it `--memory`.
+    """
     tyro = pytest.importorskip("tyro", reason="train.py needs the extra `cli`")
     options = pytest.importorskip("agents.training.options", reason="needs the extra `rl`")
     configuration = importlib.import_module("agents.training.run").configuration
-    recipe = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-    today = configuration(
-        tyro.cli(options.options_of_train(), args=shlex.split(recipe["command"])[2:])
-    )
+    recipe = current(json.loads((folder / "config.json").read_text(encoding="utf-8")))
+    command = shlex.split(recipe["command"].replace(" --memory ", " --augmentation "))[2:]
+    today = configuration(tyro.cli(options.options_of_train(), args=command))
     for name in set(recipe["config"]) - {"output"}:
         assert today[name] == recipe["config"][name], name
 

@@ -13,47 +13,47 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
 
 
-def driven(memory, steps=60, seed=0, count=2):
+def driven(augmentation, steps=60, seed=0, count=2):
     """Features (steps, N, F) while random actions drive."""
     env = TrackedVehicleVectorEnv(count, **SPEED)
     observation, _ = env.reset(seed=seed)
     rng, start, shown = np.random.default_rng(seed), np.ones(count, dtype=bool), []
     for _ in range(steps):
-        shown.append(memory.observe(observation, start).copy())
+        shown.append(augmentation.observe(observation, start).copy())
         start[:] = False
         action = rng.uniform(0.2, 0.7, (count, 2)).astype(np.float32)
-        observation, *_ = env.step(memory.command(action, shown[-1]))
+        observation, *_ = env.step(augmentation.command(action, shown[-1]))
     return np.array(shown), observation
 
 
 @pytest.mark.parametrize("kind", ["estimates", "residual"])
 def test_features_are_named_finite_and_of_order_one(kind):
-    memory = make_augmentation(kind, {}, CONTEXT, 2)
-    shown, _ = driven(memory)
-    assert shown.shape[2] == len(memory.feature_names)
+    augmentation = make_augmentation(kind, {}, CONTEXT, 2)
+    shown, _ = driven(augmentation)
+    assert shown.shape[2] == len(augmentation.feature_names)
     assert np.isfinite(shown).all()
     assert np.abs(shown).max() < 20.0
-    named = dict(zip(memory.feature_names, shown[-1].T, strict=True))
+    named = dict(zip(augmentation.feature_names, shown[-1].T, strict=True))
     assert set(KNOWN) <= set(named)
     assert (np.abs(named["log_friction"]) > 0.01).any()  # one has left the nominal floor
 
 
 def test_the_residual_corrects_the_controller_within_its_scale():
-    memory = make_augmentation("residual", {"scale": 0.1}, CONTEXT, 1)
+    augmentation = make_augmentation("residual", {"scale": 0.1}, CONTEXT, 1)
     features = np.array([[0.5, 0.98, *np.zeros(len(KNOWN))]], np.float32)
-    command = memory.command(np.array([[-1.0, 1.0]], np.float32), features)
+    command = augmentation.command(np.array([[-1.0, 1.0]], np.float32), features)
     np.testing.assert_allclose(command, [[0.4, 1.0]], atol=1e-6)
     with pytest.raises(ValueError, match="residual scale"):
         make_augmentation("residual", {"scale": 0.0}, CONTEXT, 1)
 
 
 def test_a_row_that_is_put_back_goes_on_as_if_nothing_had_happened():
-    memory = make_augmentation("residual", {}, CONTEXT, 2)
-    _, observation = driven(memory)
-    kept = memory.memories()
-    first = memory.observe(observation, np.zeros(2, dtype=bool))
-    memory.observe(observation, np.ones(2, dtype=bool))
-    memory.restore(kept, np.array([True, False]))
-    again = memory.observe(observation, np.zeros(2, dtype=bool))
+    augmentation = make_augmentation("residual", {}, CONTEXT, 2)
+    _, observation = driven(augmentation)
+    kept = augmentation.memories()
+    first = augmentation.observe(observation, np.zeros(2, dtype=bool))
+    augmentation.observe(observation, np.ones(2, dtype=bool))
+    augmentation.restore(kept, np.array([True, False]))
+    again = augmentation.observe(observation, np.zeros(2, dtype=bool))
     np.testing.assert_array_equal(again[0], first[0])
     assert not np.array_equal(again[1], first[1])

@@ -1,0 +1,193 @@
+"""Agents see the fields that they were trained on, whatever else an environment shows."""
+
+import json
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from agents.archive import load_network
+from agents.loading import agent_entry
+from agents.training import checkpoints
+from agents.training.environments import make_environment
+from agents.training.run import resolve
+from baselines.learned.agent_archive import RECIPE, read_recipe
+from baselines.learned.augmentation import KINDS
+from tests.agents.agent_cases import same_parameters, small
+from tests.agents.test_checkpoints import killed_after
+from tests.agents.test_student import student_config
+from tracked_env import observation as obs
+from tracked_env import sensors
+from tracked_env.benchmark import PolicyContext
+from tracked_env.physics.channels import Channel
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+from train import main
+
+V0 = obs.VERSIONS["v0"]
+WHEEL = Channel(
+    "wheel_speed", "drive", "m/s", "wheel_noise", "wheel_bias", truth=lambda truth: truth["v_x"],
+    presets={"rtk": {"wheel_noise": 0.05, "wheel_bias": 0.02}},
+)  # fmt: skip
+FIFTH = obs.Group("fifth_wheel", (obs.Field("wheel_speed", "m/s", 2.0, 40.0, "fifth wheel"),))
+LEFT = obs.Group(
+    "belt",
+    (obs.Field("belt_speed", "m/s", 2.0, 40.0, "mean speed of the belts"),),
+    values=lambda known: {
+        "belt_speed": 0.15 * (known["sprocket_speed_left"] + known["sprocket_speed_right"])
+    },
+)
+TRAINED = (*V0, "fifth_wheel")
+SHOWN = ("belt", "fifth_wheel", *reversed(V0))  # more, and in another order
+
+
+@pytest.fixture(autouse=True)
+def wheel(registries):
+    """Two groups that are not in v0, one of them of a registered channel."""
+    sensors.register(WHEEL)
+    obs.register(FIFTH)
+    obs.register(LEFT)
+
+
+def given(groups):
+    return json.dumps({"observation": groups})
+
+
+def context(groups):
+    return PolicyContext(0.02, "sliding", observation=obs.make_layout(groups).names)
+
+
+def commands(policy, groups, steps=70, **more):
+    """Actions of a policy on three vehicles that show these groups, over more than an episode."""
+    env = TrackedVehicleVectorEnv(
+        3,
+        uncertainty="payload",
+        duration=1.0,
+        autoreset_mode="SameStep",
+        observation=groups,
+        **more,
+    )
+    observation, info = env.reset(seed=5)
+    state, start, found = None, np.ones(3, dtype=bool), []
+    for _ in range(steps):
+        if more:
+            policy.observe_truth(info["truth"])
+        action, state = policy.predict(observation, state, start)
+        observation, _, terminated, truncated, info = env.step(action)
+        start = terminated | truncated
+        found.append(action)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "teacher"])
+def test_an_agent_acts_the_same_where_more_is_shown_in_another_order(kind, tmp_path):
+    config = small(tmp_path, augmentation=kind, env_args=given(TRAINED), normalise=True, steps=256)
+    assert main(config) == 0
+    path = tmp_path / "agent.zip"
+    recipe = read_recipe(path)
+    assert list(recipe["observation"]) == list(TRAINED)
+    assert recipe["observation"]["fifth_wheel"] == ["wheel_speed"]
+    more = {"expose_truth": True} if kind == "teacher" else {}
+    there = commands(agent_entry(path).make(context(TRAINED)), TRAINED, **more)
+    assert np.ptp(there) > 0.0
+    here = commands(agent_entry(path).make(context(SHOWN)), SHOWN, **more)
+    np.testing.assert_array_equal(here, there)
+
+
+def test_the_network_of_an_agent_uses_the_added_channel(tmp_path):
+    """Otherwise equal actions elsewhere would say nothing about it."""
+    assert main(small(tmp_path, env_args=given(TRAINED), steps=256)) == 0
+    policy = agent_entry(tmp_path / "agent.zip").make(context(SHOWN))
+    shown = np.zeros((1, obs.make_layout(SHOWN).size), np.float32)
+    changed = shown.copy()
+    changed[:, obs.make_layout(SHOWN).index["wheel_speed"]] = 1.0
+    assert (policy.predict(shown)[0] != policy.predict(changed)[0]).any()
+    changed = shown.copy()
+    changed[:, obs.make_layout(SHOWN).index["belt_speed"]] = 1.0
+    np.testing.assert_array_equal(policy.predict(shown)[0], policy.predict(changed)[0])
+
+
+def test_an_agent_that_misses_a_group_says_which_in_one_line(tmp_path):
+    assert main(small(tmp_path, env_args=given(TRAINED), steps=128)) == 0
+    entry = agent_entry(tmp_path / "agent.zip")
+    with pytest.raises(ValueError, match="lacks group fifth_wheel") as refused:
+        entry.make(context(V0))
+    assert "\n" not in str(refused.value) and str(tmp_path) in str(refused.value)
+    del obs.GROUPS["fifth_wheel"]
+    with pytest.raises(ValueError, match="group fifth_wheel, which is not registered") as refused:
+        entry.make(context(V0))
+    assert "\n" not in str(refused.value) and str(tmp_path) in str(refused.value)
+
+
+def test_an_agent_can_see_less_than_v0_and_drive_on_v0(tmp_path):
+    groups = [name for name in V0 if name != "look_ahead"]
+    config = small(tmp_path, augmentation="residual", env_args=given(groups), steps=128)
+    assert main(config) == 0
+    recipe = read_recipe(tmp_path / "agent.zip")
+    fields = sum(map(len, recipe["observation"].values()))
+    assert fields == obs.make_layout(groups).size < obs.SIZE
+    assert load_network(tmp_path / "agent.zip", recipe).observation_space.shape[0] > fields
+    entry = agent_entry(tmp_path / "agent.zip")
+    there = commands(entry.make(context(groups)), groups)
+    np.testing.assert_array_equal(commands(entry.make(context(V0)), V0), there)
+
+
+@pytest.mark.parametrize(
+    ("kind", "lacking", "field"),
+    [("history", "drive", "torque_left"), ("estimates", "reference", "reference_speed")],
+)
+def test_an_augmentation_without_the_fields_that_it_reads_is_refused(
+    kind, lacking, field, tmp_path, capsys
+):
+    groups = [name for name in V0 if name != lacking]
+    assert main(small(tmp_path / "out", augmentation=kind, env_args=given(groups))) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"lacks group {lacking}" in line and field in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recipe_without_groups_is_that_of_v0(tmp_path):
+    assert main(small(tmp_path, steps=128)) == 0
+    path, old = tmp_path / "agent.zip", tmp_path / "old.zip"
+    with zipfile.ZipFile(path) as whole, zipfile.ZipFile(old, "w") as archive:
+        recipe = json.loads(whole.read(RECIPE))
+        assert list(recipe.pop("observation")) == list(V0)
+        recipe["memory"] = recipe.pop("augmentation")  # as former versions called it
+        recipe["memory_options"] = recipe.pop("augmentation_options")
+        archive.writestr(RECIPE, json.dumps(recipe))
+        archive.writestr("weights.npz", whole.read("weights.npz"))
+    assert read_recipe(old)["augmentation"] == "blind"
+    expected = commands(agent_entry(path).make(context(V0)), V0)
+    np.testing.assert_array_equal(commands(agent_entry(old).make(context(SHOWN)), SHOWN), expected)
+
+
+def test_a_student_sees_what_its_teacher_sees(tmp_path, capsys):
+    teacher = tmp_path / "teacher" / "agent.zip"
+    trained = {"env_args": given(TRAINED), "steps": 256}
+    assert main(small(teacher.parent, augmentation="teacher", **trained)) == 0
+    assert main(student_config(tmp_path / "student", teacher, **trained)) == 0
+    entry = agent_entry(tmp_path / "student" / "agent.zip")
+    there = commands(entry.make(context(TRAINED)), TRAINED)
+    np.testing.assert_array_equal(commands(entry.make(context(SHOWN)), SHOWN), there)
+    capsys.readouterr()
+    assert main(student_config(tmp_path / "other", teacher, steps=256)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "was trained with observation = " in line and "fifth_wheel" in line
+
+
+def test_a_resumed_training_with_a_registered_channel_is_the_uninterrupted_one(
+    tmp_path, monkeypatch
+):
+    config = small(tmp_path / "whole", env_args=given(SHOWN), checkpoint_every=100)
+    assert main(config) == 0
+    torn = replace(config, output=tmp_path / "torn")
+    killed_after(330, torn, monkeypatch)
+    assert (torn.folder / checkpoints.FILE).exists()
+    assert main(replace(torn, resume=True)) == 0
+    assert same_parameters(config.folder / "last.zip", torn.folder / "last.zip")
+
+
+def test_the_environment_of_a_training_shows_the_groups_that_are_asked_for(tmp_path):
+    run = resolve(small(tmp_path, env_args=given(TRAINED)))
+    assert make_environment(run).observation_space.shape == (obs.SIZE + 1,)
+    assert run.parts[0].context.observation == obs.make_layout(TRAINED).names

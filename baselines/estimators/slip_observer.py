@@ -1,7 +1,7 @@
 """Unscented Kalman filter for the slips of both tracks, and a filtered pose: S 7.2, batched.
 
-The model is in slip_model, delayed samples in dead_reckoning, the filter in slip_unscented, the
-rest of a step in slip_step. slip_filterpy is the same observer around the filter of filterpy.
+The model is in slip_kinematics, delayed samples in dead_reckoning, the filter in slip_unscented,
+the rest of a step in slip_step. slip_filterpy is the same observer around the filter of filterpy.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
 """

@@ -160,4 +160,7 @@ def features(known: Identification, nominal: PlantParameters) -> NDArray[np.floa
         columns += [value for value, _ in shown] + [deviation for _, deviation in shown]
         excitation = [known.parts[name].excitation for name in block]
         columns += [e / (1.0 + e) for e in excitation]
-    return np.stack(columns, axis=-1).astype(np.float32)
+    out = np.empty((len(known.motion_rows), len(columns)), dtype=np.float32)
+    for column, values in enumerate(columns):
+        out[:, column] = values
+    return out

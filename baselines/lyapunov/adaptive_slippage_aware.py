@@ -1,6 +1,6 @@
 """The slippage-aware controller with identified slip, or with the true one.
 
-    AdaptiveSlipPolicy   slip of the friction that is estimated on line (slip_recursive)
+    AdaptiveSlipPolicy   slip of the friction that is estimated on line (friction_estimator)
     OracleSlipPolicy     slip of the true friction and shear modulus, from `observe_truth`
 The law is that of SlippageAwarePolicy; only the slip model differs.
 

@@ -160,8 +160,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self.control_period = float(control_period)
         self.slip_model = slip_model
         self.geometry = Geometry.of(parameters)
-        nothing = Geometry(*(np.empty(0) for _ in Geometry._fields))
-        self._repeated = nothing, nothing  # for the number of vehicles last seen
+        self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count last seen
         none = DataSheet(*(0.0 for _ in DataSheet._fields))
         sheet = none if data_sheet is None else data_sheet
         self.velocity_measured = sheet.velocity_noise <= VELOCITY_NOISE_LIMIT
@@ -224,13 +223,10 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         """beta (N, 2) [m/s], alpha (N,) [rad] and motion (N, 2) at sprockets (N, 2)."""
         count = len(sprockets)
         slip, beta, motion = np.empty((count, 3)), np.empty((count, 2)), np.empty((count, 2))
-        slip[:, 0], slip[:, 1], slip[:, 2] = self.slip_model.slip(
-            sprockets[:, 0].copy(), sprockets[:, 1].copy()
-        )
+        left, right = sprockets.T.copy()
+        slip[:, 0], slip[:, 1], slip[:, 2] = self.slip_model.slip(left, right)
         alpha = np.empty(count)
-        kinematics.settle(
-            sprockets, slip, geometry.half_gauge, geometry.radius, beta, alpha, motion
-        )  # fmt: skip
+        kinematics.settle(sprockets, slip, *geometry[:2], beta, alpha, motion)
         return beta, alpha, motion
 
     def _sprockets(self, motion: Array, beta: Array, geometry: Geometry) -> Array:

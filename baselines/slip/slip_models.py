@@ -11,7 +11,7 @@
 
 Outside the table, and outside the data of a tree, the value at its edge is taken: slip is not
 extrapolated. At standstill slip is exactly zero. NaN speeds give NaN, but for a tree's: there they
-lead to some leaf. The kernels are in slip_lookup.
+lead to some leaf. The kernels are in slip_tables.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 3.2, 4, 7.2.3.

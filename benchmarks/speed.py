@@ -1,11 +1,14 @@
 """How fast the environment is, beside its peers measured in the same run.
 
-    python benchmarks/speed.py [--seconds 2.0] [--training-steps 100000] [--publish]
+    python benchmarks/speed.py [--seconds 2.0] [--rows REGEX] [--training-steps 100000] [--publish]
+    python benchmarks/speed.py --against ../other-clone [--rows REGEX]
 
-Every figure is the best of several repetitions (the machine's other work only ever slows a
-repetition down), rows are interleaved, and each comes with its ratio to a peer. Nothing is
-asserted: timings are for reading. `--output` also writes the table as Markdown,
-`--publish` into docs/speed.md.
+Every figure is the best of the same number of passes (the machine's other work only ever slows a
+pass down), and comes with its ratio to a peer. What the rows are stands in speed_rows.py. Nothing
+is asserted: timings are for reading. `--output` also writes the table as Markdown, `--publish`
+into docs/speed.md.
+
+`--against` times another checkout as well, each row in alternation with this one, and prints both.
 
 The row of a training runs train.py as it stands, with its default settings. It needs the extras
 `rl` and `cli`; without them it is left out, and that is said. `--training-steps 0` leaves it out.
@@ -16,11 +19,12 @@ import csv
 import io
 import os
 import platform
+import re
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from contextlib import redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
@@ -28,22 +32,19 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
+import speed_against
+import speed_rows
 
-import tracked_env
-from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from tracked_env import TORQUE_ID as TORQUE
 from tracked_env.benchmark.files import replace_block
 from tracked_env.engine.columns import bytes_per_vehicle
-from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.patch_dynamics import hold_speeds
-from tracked_env.physics.patch_forces import make_patches
 
-TORQUE = tracked_env.TORQUE_ID
-REPETITIONS = 7
+PASSES = 7
 TRAININGS = 3  # of which the fastest counts
 FREE_SHARE = 0.9  # of a core that a training uses on a free machine
 TRAINING = "PPO, 64 vehicles, with learner"
+TRAINING_PEER = "Torque-v0 vector, 64, calm"
 ROOT = Path(__file__).resolve().parent.parent
-PLANT_STEPS = 1000  # of one call of the distributed plant: its overhead is below a percent
 
 
 class Row(NamedTuple):
@@ -53,111 +54,7 @@ class Row(NamedTuple):
     microseconds: float  # per environment step, or per call
     steps: int  # of the environment, per call
     peer: str  # name of the row it is compared with
-
-
-def best_time(call: Callable[[], object], seconds: float) -> float:
-    """Shortest mean duration [s] of `call` over the repetitions of about `seconds` in all."""
-    call()
-    start = time.perf_counter()
-    call()
-    once = time.perf_counter() - start
-    loops = max(int(seconds / REPETITIONS / max(once, 1e-9)), 1)
-    best = np.inf
-    for _ in range(REPETITIONS):
-        start = time.perf_counter()
-        for _ in range(loops):
-            call()
-        best = min(best, (time.perf_counter() - start) / loops)
-    return best
-
-
-def single_step(env_id: str, **arguments: Any) -> Callable[[], object]:
-    """One step of the unwrapped environment, reset when its episode ends."""
-    env = gymnasium.make(env_id, **arguments).unwrapped
-    env.action_space.seed(0)
-    env.reset(seed=0)
-    action = env.action_space.sample()
-    if env_id == TORQUE:
-        action = np.full(2, 0.15, dtype=np.float32)
-
-    def call() -> None:
-        _, _, terminated, truncated, _ = env.step(action)
-        if terminated or truncated:
-            env.reset()
-
-    return call
-
-
-def vector_step(
-    env_id: str, count: int, wild: bool = False, **arguments: Any
-) -> Callable[[], object]:
-    """One step of the vector environment, with its autoresets."""
-    env = gymnasium.make_vec(
-        env_id, num_envs=count, vectorization_mode="vector_entry_point", **arguments
-    )
-    env.reset(seed=0)
-    env.action_space.seed(0)
-    samples = [env.action_space.sample() for _ in range(16)]
-    if env_id == TORQUE and not wild:
-        samples = [np.full((count, 2), 0.15, dtype=np.float32)]
-    turn = [0]
-
-    def call() -> None:
-        turn[0] += 1
-        env.step(samples[turn[0] % len(samples)])
-
-    return call
-
-
-def identification_step(count: int, slip: str, policy: bool = False) -> Callable[[], object]:
-    """One step of the whole identification stack, or of the adaptive policy around it.
-
-    Its observations are those of a drive on weak soil, where every estimator has work to do.
-    """
-    env = gymnasium.make_vec(TORQUE, num_envs=count, uncertainty="weak-soil")
-    driver = AdaptivePolicy(slip=slip)
-    observation, _ = env.reset(seed=0)
-    seen, state = [], None
-    for _ in range(250):
-        action, state = driver.predict(observation, state)
-        observation = env.step(action)[0]
-        seen.append(observation)
-    turn = [49]
-
-    def call() -> None:
-        nonlocal state
-        turn[0] = turn[0] + 1 if turn[0] < len(seen) - 1 else 50
-        if policy:
-            _, state = driver.predict(seen[turn[0]], state)
-        else:
-            driver.stack.update(seen[turn[0]])
-
-    return call
-
-
-def plant_steps(count: int, euler: bool) -> Callable[[], object]:
-    """PLANT_STEPS steps of the distributed plant alone: 2 x 40 patches, belts that turn it.
-
-    No environment around it. Euler steps of 1 ms, as published simulators take them, cost one
-    evaluation of all patches each; Rosenbrock steps of 2.5 ms, the default, cost two.
-    """
-    states, loads = np.zeros((count, 6)), np.zeros((count, 6))
-    speeds = np.linspace((3.0, 4.0), (4.0, 8.0), count)
-    parameters = np.tile(np.array(VEHICLES["focchi"], dtype=float), (count, 1))
-    patches, h = make_patches(10, 4), 1e-3 if euler else 2.5e-3
-
-    def call() -> None:
-        hold_speeds(states, speeds, parameters, patches, PLANT_STEPS, h, euler, loads)
-
-    return call
-
-
-def episode_seconds(call: Callable[[], object], calls: int) -> float:
-    """Mean duration [s] of one call over a whole episode, its autoresets included."""
-    start = time.perf_counter()
-    for _ in range(calls):
-        call()
-    return (time.perf_counter() - start) / calls
+    ends: float = 0.0  # episodes that end, per 1000 steps
 
 
 def start_up() -> tuple[float, float]:
@@ -229,74 +126,51 @@ def training_rows(steps: int) -> list[Row]:
     except ImportError as error:
         print(f"no row of a training: {error}", file=sys.stderr)
         return []
-    return [Row(TRAINING, 1e6 * seconds, steps, "Torque-v0 vector, 64")]
+    return [Row(TRAINING, 1e6 * seconds, steps, TRAINING_PEER)]
 
 
-def measure(seconds: float) -> list[Row]:
-    """All rows without PyTorch, peers first."""
-    free: dict[str, Any] = {"error_limit": 1e6}  # episodes end by time only
-    singles = {
-        "Pendulum-v1 step": (single_step("Pendulum-v1"), "Pendulum-v1 step"),
-        "CartPole-v1 step": (single_step("CartPole-v1"), "Pendulum-v1 step"),
-        "Torque-v0 step, rtk sensors": (single_step(TORQUE, **free), "Pendulum-v1 step"),
-    }
-    rows = [
-        Row(name, 1e6 * best_time(call, seconds), 1, peer) for name, (call, peer) in singles.items()
-    ]
-    for count in (64, 4096):
-        peer = f"CartPole-v1 vector, {count}"
-        call = vector_step("CartPole-v1", count)
-        rows.append(Row(peer, 1e6 * best_time(call, seconds) / count, count, peer))
-        call = vector_step(TORQUE, count, **free)
-        name = f"Torque-v0 vector, {count}"
-        rows.append(Row(name, 1e6 * best_time(call, seconds) / count, count, peer))
-        call = vector_step(TORQUE, count, **free)
-        call()
-        mean = 1e6 * episode_seconds(call, 1501) / count
-        rows.append(Row(f"Torque-v0 vector, {count}, episode + reset", mean, count, peer))
-        call = vector_step(TORQUE, count, wild=True)
-        call()
-        mean = 1e6 * episode_seconds(call, 400) / count
-        rows.append(Row(f"Torque-v0 vector, {count}, random actions", mean, count, peer))
-    env = gymnasium.make_vec(TORQUE, num_envs=64)
-    env.reset(seed=0)
-    rows.append(
-        Row("reset of one vehicle", 1e6 * best_time(env.reset, seconds) / 64, 64, rows[0].name)
-    )
-    for name, count, arguments in (
-        ("Identification stack with filterpy, 1 vehicle", 1, ("filterpy",)),
-        ("Identification stack, 1 vehicle", 1, ("batched",)),
-        ("Identification stack, 64 vehicles", 64, ("batched",)),
-        ("Adaptive policy, 1 vehicle", 1, ("batched", True)),
-        ("Adaptive policy, 64 vehicles", 64, ("batched", True)),
-    ):
-        call = identification_step(count, *arguments)
-        rows.append(Row(name, 1e6 * best_time(call, seconds) / count, count, rows[0].name))
-    for euler, name in ((True, "Euler step of 1 ms"), (False, "Rosenbrock step of 2.5 ms")):
-        for count in (1, 64):
-            steps = PLANT_STEPS * count
-            time_ = 1e6 * best_time(plant_steps(count, euler), seconds) / steps
-            vehicles = f"{count} vehicle{'s' if count > 1 else ''}"
-            rows.append(Row(f"Distributed plant, {name}, {vehicles}", time_, steps, rows[0].name))
-    return rows
+def measure(chosen: Sequence[speed_rows.Row], seconds: float) -> list[Row]:
+    """Rows of `speed_rows`, each the best of PASSES passes of about `seconds` in all."""
+    measured = []
+    for row in chosen:
+        load = row.make()
+        calls = speed_rows.calls_of_a_pass(load, seconds / PASSES)
+        best = min(speed_rows.time_of_a_pass(load, calls) for _ in range(PASSES))
+        measured.append(Row(row.name, 1e6 * best / row.steps, row.steps, row.peer, load.ends()))
+    return measured
 
 
-def markdown(rows: list[Row], cold: float, warm: float) -> str:
-    """The table and what it was measured on."""
+def with_peers(every: Sequence[speed_rows.Row], pattern: str) -> list[speed_rows.Row]:
+    """Rows whose name contains `pattern` (a regular expression), and their peers."""
+    found = [row for row in every if re.search(pattern, row.name)]
+    needed = {row.name for row in found} | {row.peer for row in found}
+    chain = {row.name: row.peer for row in every}
+    needed |= {chain[name] for name in needed}
+    return [row for row in every if row.name in needed]
+
+
+def markdown(rows: list[Row], begun: tuple[float, float] | None) -> str:
+    """The table and what it was measured on; begun: what `start_up` returned."""
     times = {row.name: row.microseconds for row in rows}
     lines = [
-        "| what | us per step | steps/s | time over peer | peer |",
-        "|--|--|--|--|--|",
+        "| what | us per step | steps/s | time over peer | peer | ends per 1000 steps |",
+        "|--|--|--|--|--|--|",
     ]
     for row in rows:
-        ratio = row.microseconds / times[row.peer]
+        ratio = row.microseconds / times.get(row.peer, np.nan)
+        ends = f"{row.ends:.2g}" if row.ends else "-"
         lines.append(
             f"| {row.name} | {row.microseconds:.2f} | {1e6 / row.microseconds:,.0f} "
-            f"| {ratio:.2f} | {row.peer} |"
+            f"| {ratio:.2f} | {row.peer} | {ends} |"
         )
     env: Any = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
     memory = bytes_per_vehicle(env.simulation.batch) / 1024
-    learner = ""
+    first_step = learner = ""
+    if begun:
+        first_step = (
+            f"First step of a fresh process: {begun[0]:.1f} s with an empty kernel cache "
+            f"(compilation), {begun[1]:.2f} s with a full one."
+        )
     if TRAINING in times:
         learner = (
             f" PPO: the default settings of train.py, fastest of {TRAININGS}, "
@@ -304,8 +178,7 @@ def markdown(rows: list[Row], cold: float, warm: float) -> str:
         )
     lines += [
         "",
-        f"Memory of one vehicle: {memory:.1f} KiB (30 s episode). First step of a fresh process: "
-        f"{cold:.1f} s with an empty kernel cache (compilation), {warm:.2f} s with a full one.",
+        f"Memory of one vehicle: {memory:.1f} KiB (30 s episode). " + first_step,
         "",
         f"Python {platform.python_version()}, NumPy {np.__version__}, Gymnasium "
         f"{gymnasium.__version__}, {os.cpu_count()} cores ({platform.machine()}), one process, "
@@ -314,10 +187,16 @@ def markdown(rows: list[Row], cold: float, warm: float) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+def options() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seconds", type=float, default=2.0, help="time spent per figure [s]")
+    parser.add_argument(
+        "--rows", default="", metavar="REGEX", help="only rows whose name matches, and their peers"
+    )
+    parser.add_argument(
+        "--against", type=Path, metavar="PATH", help="compare with another checkout, row by row"
+    )
     parser.add_argument(
         "--training-steps", type=int, default=100_000, help="of each training; 0 leaves its row out"
     )
@@ -325,10 +204,35 @@ def main() -> None:
     parser.add_argument(
         "--publish", action="store_true", help="also renew the table in docs/speed.md"
     )
-    arguments = parser.parse_args()
-    cold, warm = start_up()
-    rows = measure(arguments.seconds) + training_rows(arguments.training_steps)
-    table = markdown(rows, cold, warm)
+    given = parser.parse_args()
+    if given.publish and (given.rows or given.against):
+        parser.error("--publish needs all rows: leave out --rows and --against")
+    return given
+
+
+def main() -> None:
+    """Measure and print."""
+    arguments = options()
+    every = speed_rows.rows(speed_rows.controllers())
+    chosen = with_peers(every, arguments.rows) if arguments.rows else every
+    if not chosen:
+        raise SystemExit(f"--rows {arguments.rows}: no such row; there are\n" + "\n".join(
+            f"  {row.name}" for row in every
+        ))  # fmt: skip
+    if arguments.against:
+        try:
+            seconds = arguments.seconds / PASSES
+            pairs = speed_against.compare(ROOT, arguments.against, chosen, seconds, PASSES)
+        except (ValueError, RuntimeError) as error:
+            raise SystemExit(str(error)) from error
+        if arguments.output:
+            arguments.output.write_text("\n".join(map(speed_against.line, pairs)) + "\n")
+        return
+    begun = None if arguments.rows else start_up()
+    rows = measure(chosen, arguments.seconds)
+    if begun:
+        rows += training_rows(arguments.training_steps)
+    table = markdown(rows, begun)
     print(table)
     if arguments.output:
         arguments.output.write_text(table + "\n")

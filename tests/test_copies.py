@@ -198,7 +198,7 @@ def test_a_vector_environment_that_has_used_its_threads_can_be_copied(how):
     env = TrackedVehicleVectorEnv(600, threads=2)
     env.reset(seed=0)
     drive_all(env, 2)
-    assert env.simulation._pool is not None
+    assert env.simulation._threads.started
     twin = COPIES[how](env)
     for k in range(3):
         assert np.array_equal(env.step(action(k, 600))[0], twin.step(action(k, 600))[0])

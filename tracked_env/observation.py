@@ -1,4 +1,4 @@
-"""What an agent sees: fields in named groups, and the layouts that are made of groups.
+"""What an agent sees: the layouts that are made of groups of fields, see `observation_fields`.
 
 The observation is a float32 vector of dimensionless numbers: each quantity in SI units divided by
 its scale (so that a network sees values of order one) and clipped to its bound. Only sensors and
@@ -10,111 +10,19 @@ that a policy drives wherever the fields that it needs are shown: `columns`, `Vi
 The compiled loops write the fields of `V0` and nothing else; see `tracked_env.engine.composing`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.observation_fields import GROUPS, VERSIONS, Group
+from tracked_env.observation_fields import Field as Field  # of groups to be registered
 from tracked_env.physics.jit import formula
 from tracked_env.validation import checked_choice, unknown
 
-LOOK_AHEAD = (0.25, 0.5, 1.0, 2.0)  # [s] times at which the coming reference is shown
 FEATURE_BOUND = 10.0  # [-] features that are appended are clipped to this; they are of order one
-
-Known = Mapping[str, NDArray[np.float64]]
-
-
-class Field(NamedTuple):
-    """One entry of the observation."""
-
-    name: str
-    unit: str
-    scale: float  # SI value that is shown as 1
-    bound: float  # SI value at which it is clipped, both signs
-    meaning: str
-    mirrored: bool = False  # changes sign when left and right are exchanged; True for L/R pairs
-    signed: bool = True  # False: it is never negative
-
-
-class Group(NamedTuple):
-    """Fields that are shown together.
-
-    values: of a registered group, what its fields are, {field: (N,)} in SI units, from what an
-    agent may know: the fields of `V0` and the samples of `channels`, by name, in SI units. None:
-    each field is the channel of its name.
-    """
-
-    name: str
-    fields: tuple[Field, ...]
-    channels: tuple[str, ...] = ()  # registered sensor channels that it reads
-    values: Callable[[Known], Known] | None = None
-
-
-def _ahead(kind: str, unit: str, scale: float, bound: float, mirrored: bool) -> tuple[Field, ...]:
-    return tuple(
-        Field(
-            f"reference_{kind}_ahead_{time:g}",
-            unit,
-            scale,
-            bound,
-            f"reference {kind.replace('_', ' ')} {time:g} s ahead",
-            mirrored,
-        )
-        for time in LOOK_AHEAD
-    )
-
-
-_POSE_ERROR = (
-    Field("position_error_x", "m", 1.0, 20.0, "reference ahead of the measured position", False),
-    Field("position_error_y", "m", 1.0, 20.0, "reference to the left of it", True),
-    Field("heading_error", "rad", 0.5, 4.0, "reference heading minus measured yaw", True),
-)
-_MOTION = (
-    Field("v_x", "m/s", 2.0, 40.0, "measured forward velocity", False),
-    Field("v_y", "m/s", 0.5, 40.0, "measured lateral velocity", True),
-    Field("yaw_rate", "rad/s", 0.5, 20.0, "gyro", True),
-    Field("acceleration_x", "m/s^2", 2.0, 200.0, "forward accelerometer", False),
-    Field("acceleration_y", "m/s^2", 2.0, 200.0, "lateral accelerometer", True),
-    Field("yaw_acceleration", "rad/s^2", 2.0, 400.0, "from two accelerometers", True),
-)
-_DRIVE = (
-    Field("sprocket_speed_left", "rad/s", 6.0, 200.0, "left sprocket encoder", True),
-    Field("sprocket_speed_right", "rad/s", 6.0, 200.0, "right sprocket encoder", True),
-    Field("torque_left", "N m", 4000.0, 40000.0, "torque transmitted at the left sprocket", True),
-    Field("torque_right", "N m", 4000.0, 40000.0, "torque transmitted at the right sprocket", True),
-)
-_REFERENCE = (
-    Field("reference_speed", "m/s", 2.0, 40.0, "reference speed v, signed", False),
-    Field("reference_acceleration", "m/s^2", 2.0, 100.0, "dv/dt of the reference", False),
-    Field("reference_jerk", "m/s^3", 4.0, 400.0, "d2v/dt2 of the reference", False),
-    Field("reference_yaw_rate", "rad/s", 0.5, 20.0, "reference yaw rate w", True),
-    Field("reference_yaw_acceleration", "rad/s^2", 1.0, 100.0, "dw/dt of the reference", True),
-)
-_LOOK_AHEAD = (
-    *_ahead("speed", "m/s", 2.0, 40.0, False),
-    *_ahead("yaw_rate", "rad/s", 0.5, 20.0, True),
-)
-_ACTION = (
-    Field("previous_action_left", "-", 1.0, 1.0, "left action of the step before", True),
-    Field("previous_action_right", "-", 1.0, 1.0, "right action of the step before", True),
-)
-_AGES = {
-    "pose_age": "age of position, heading and velocity",
-    "inertial_age": "age of accelerations, yaw rate, yaw acceleration",
-    "drive_age": "age of sprocket speeds and torques",
-}
-_AGE = tuple(Field(name, "s", 1.0, 60.0, of, signed=False) for name, of in _AGES.items())
-
-GROUPS: dict[str, Group] = {
-    name: Group(name, fields)
-    for name, fields in {
-        "pose_error": _POSE_ERROR, "motion": _MOTION, "drive": _DRIVE, "reference": _REFERENCE,
-        "look_ahead": _LOOK_AHEAD, "action": _ACTION, "age": _AGE,
-    }.items()
-}  # fmt: skip
-VERSIONS = {"v0": tuple(GROUPS)}  # layouts by name; what a name stands for never changes
 
 
 class Layout:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.observation import LOOK_AHEAD
+from tracked_env.observation_fields import LOOK_AHEAD
 from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS, NOISE_COUNT
 from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS
 from tracked_env.physics.state import STATE_NAMES, STATE_ROWS

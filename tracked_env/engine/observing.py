@@ -11,6 +11,7 @@ import numpy as np
 
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
+from tracked_env.observation_fields import LOOK_AHEAD
 from tracked_env.physics import channels, reference_profile
 from tracked_env.physics import state as s
 from tracked_env.physics.channels import GROUP_START
@@ -19,7 +20,7 @@ from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import PARAMETER_INDEX
 
 _RADIUS = b.PARAMETERS + PARAMETER_INDEX["sprocket_radius"]
-_AHEAD_TIMES = np.array(obs.LOOK_AHEAD)
+_AHEAD_TIMES = np.array(LOOK_AHEAD)
 
 # Channels that are shown as they are: (channel, column of the observation).
 _SHOWN = np.array(
@@ -36,7 +37,7 @@ _REFERENCE = np.array(
     ]
 )
 _AHEAD_SPEED, _AHEAD_YAW_RATE = (
-    np.array([obs.INDEX[f"reference_{kind}_ahead_{time:g}"] for time in obs.LOOK_AHEAD])
+    np.array([obs.INDEX[f"reference_{kind}_ahead_{time:g}"] for time in LOOK_AHEAD])
     for kind in ("speed", "yaw_rate")
 )
 _ACTION = np.array([obs.INDEX[f"previous_action_{side}"] for side in ("left", "right")])

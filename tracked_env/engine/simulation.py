@@ -11,7 +11,6 @@ changes what the vehicle, the soil, the reference and the noise are.
 
 import copy
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -24,22 +23,22 @@ from tracked_env.engine.composing import Composer
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
 from tracked_env.engine.kernels import SOME_ENDED, Clock
+from tracked_env.engine.readings import Readings
+from tracked_env.engine.threads import Threads
 from tracked_env.physics.channels import NOISE_COUNT
 from tracked_env.physics.jit import bound
-from tracked_env.physics.parameters import PARAMETER_NAMES, Range
-from tracked_env.physics.state import STATE_NAMES
+from tracked_env.physics.parameters import Range
 from tracked_env.references import number_of_segments
 from tracked_env.sensors import longest_delay_steps
 from tracked_env.validation import checked_whole
 
-SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
 _RUNNING = (  # attributes that change while episodes run
     "batch", "observations", "rngs", "_noise_rngs", "episodes", "_noisy", "_until_refill",
     "some_ended", "composer",
 )  # fmt: skip
 
 
-class Simulation:
+class Simulation(Readings):
     """N vehicles. All arrays have one row per vehicle; all values are SI, angles in rad."""
 
     def __init__(self, count: int, config: EnvConfig) -> None:
@@ -69,16 +68,15 @@ class Simulation:
         # Of the coming step. A kernel is compiled for the type and order of this one array.
         self.actions: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
         self._kernel = solver.prepared.advance
-        self._threads = solver.threads
+        self._threads = Threads(solver.threads, solver.plant.lanes)
         clock = Clock(solver.substeps, solver.substep, solver.error_limit)
         self._tail: tuple[Any, ...] = (*clock, *solver.prepared.options)
         self._noisy = np.zeros(count, dtype=bool)
         self._ended = np.zeros(count, dtype=bool)
         self._ended_known, self._some_resting = True, True
-        self._threaded = solver.threads > 1 and count >= solver.plant.threads_from
+        self._threads_from = solver.plant.threads_from if solver.threads > 1 else count + 1
         self._bound: b.Batch | None = None  # that `_call` holds
         self._all_started = False
-        self._pool: ThreadPoolExecutor | None = None
         self._until_refill = 0
         self.some_ended = False  # by the last step
 
@@ -207,7 +205,7 @@ class Simulation:
         if self.batch is not self._bound:
             self._bind()
         refill = self._until_refill <= 0
-        if chosen is None and not refill and not self._threaded:
+        if chosen is None and not refill and self.count < self._threads_from:
             result = self._call_kernel(*self._call)
             self._until_refill -= 1
         else:
@@ -228,7 +226,7 @@ class Simulation:
     def _advance_chosen(self, chosen: NDArray[np.int64], refill: bool) -> int:
         """Some of the vehicles, on one thread or several, with new noise where it is due."""
         size = chosen.size
-        if self._threads > 1 and size >= self.solver.plant.threads_from:
+        if size >= self._threads_from:
             result = self._step_threaded(self.actions, chosen, refill)
         else:
             if refill:
@@ -286,21 +284,13 @@ class Simulation:
         finite = np.isfinite(actions[chosen]).all(axis=1)
         if not finite.all():
             return int(chosen[np.argmin(finite)])
-        threads, size = self.solver.threads, chosen.size
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(threads - 1, "tracked_env")
-        lanes = self.solver.plant.lanes
-        blocks = -(-size // lanes)
-        share = -(-blocks // threads) * lanes
 
-        def run(first: int) -> int:
-            last = min(first + share, size)
+        def run(first: int, last: int) -> int:
             if refill:
                 self._refill(chosen[first:last])
             return self._advance(actions, chosen, first, last, True)
 
-        parts = [self._pool.submit(run, first) for first in range(share, size, share)]
-        return min(run(0), *(part.result() for part in parts))
+        return min(self._threads.run(run, chosen.size))
 
     def _refill(self, chosen: NDArray[np.int64]) -> None:
         """Draw the next noise block of those chosen vehicles that are about to use up theirs."""
@@ -332,51 +322,6 @@ class Simulation:
         self._ended_known, self._some_resting = False, True
         self._all_started = False  # to be looked up
 
-    # --- what can be read -----------------------------------------------------------------
-    def column(self, name: str) -> NDArray[np.float64]:
-        """A copy (N,) of one column of the floats; names: `columns.COLUMN`."""
-        return self.batch.column(name).copy()
-
-    def report(self) -> b.Report:
-        """A copy of tracking error, reward and its terms."""
-        return self.batch.report()
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """(N,) control steps since reset."""
-        return self.batch.counter("step").copy()
-
-    @property
-    def terminated(self) -> NDArray[np.bool_]:
-        """(N,) off the path, or non-finite."""
-        return self.batch.counter("terminated") != 0
-
-    @property
-    def truncated(self) -> NDArray[np.bool_]:
-        """(N,) out of time."""
-        return self.batch.counter("truncated") != 0
-
-    @property
-    def rmse(self) -> NDArray[np.float64]:
-        """(N,) root mean square distance to the reference since reset [m]."""
-        steps = np.maximum(self.batch.counter("step"), 1)
-        return np.sqrt(self.batch.column("squared_error_sum") / steps)
-
-    @property
-    def success(self) -> NDArray[np.bool_]:
-        """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
-        return self.truncated & (self.rmse < SUCCESS_RMSE * self.batch.column("contact_length"))
-
-    def reference_position(self, i: int) -> NDArray[np.float64]:
-        """(2,) position [m] of the reference of vehicle i now, world frame."""
-        return self.batch.floats[i, b.REFERENCE_X : b.REFERENCE_Y + 1].copy()
-
-    def truth(self) -> dict[str, NDArray[np.float64]]:
-        """True state and parameters in force, by name; each (N,)."""
-        return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}
-
     def close(self) -> None:
         """Release the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+        self._threads.close()

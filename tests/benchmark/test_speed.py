@@ -1,0 +1,151 @@
+"""The rows of the speed table measure what they say, and two checkouts are compared row by row."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.registry import BY_DRIVE
+from tests.benchmark.test_leaderboard import script
+from tracked_env.plants import PLANTS
+
+MODES = ("calm", "random", "episodes")
+
+
+@pytest.fixture
+def speed(repository: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """benchmarks/speed.py."""
+    monkeypatch.syspath_prepend(repository / "benchmarks")
+    return script(repository, "speed")
+
+
+def row(speed: Any, name: str) -> Any:
+    """The row of this name, made."""
+    (found,) = [row for row in speed.speed_rows.rows([]) if row.name == name]
+    return found.make()
+
+
+def simulation(load: Any) -> Any:
+    """Of the environment that a row steps."""
+    return load.prepare.__self__.unwrapped.simulation
+
+
+def test_every_plant_drive_and_registered_controller_has_rows(speed: Any) -> None:
+    names = [row.name for row in speed.speed_rows.rows(speed.speed_rows.controllers())]
+    assert len(names) == len(set(names))
+    for mode in MODES:
+        for label in ("Torque-v0", "Torque-v0 distributed", "Speed-v0"):
+            assert f"{label} step, {mode}" in names and f"{label} vector, 64, {mode}" in names
+        assert f"Torque-v0 vector, 4096, {mode}" in names
+    for drive, policies in BY_DRIVE.items():
+        for policy in policies:
+            of_policy = [name for name in names if f"predict {policy}, {drive}," in name]
+            assert len(of_policy) == (0 if "oracle" in policy else 2)
+    assert all(any(f"({network})" in name for name in names) for network in ("MLP", "LSTM"))
+    peers = {row.peer for row in speed.speed_rows.rows([])}
+    assert peers <= {*names} and speed.TRAINING_PEER in names
+
+
+def test_every_plant_has_rows_with_every_drive_that_it_accepts(speed: Any) -> None:
+    timed = set()
+    for _, env_id, arguments, _ in speed.speed_rows.ENVIRONMENTS:
+        config = speed.gymnasium.make(env_id, **arguments).unwrapped.simulation.config
+        timed.add((config.plant, config.drive))
+    ours = [PLANTS[name] for name in ("lumped", "distributed")]  # tests register others
+    assert timed == {(plant.name, drive) for plant in ours for drive in plant.reads}
+
+
+@pytest.mark.parametrize("name", ["Torque-v0 step, calm", "Torque-v0 vector, 64, calm"])
+def test_no_vehicle_ends_in_a_calm_pass(speed: Any, name: str) -> None:
+    load = row(speed, name)
+    assert speed.speed_rows.calls_of_a_pass(load, 1e3) == load.calls
+    for _ in range(2):
+        speed.speed_rows.time_of_a_pass(load, load.calls)
+        assert set(simulation(load).steps) == {load.calls}
+    assert load.ends() == 0.0
+
+
+@pytest.mark.parametrize("name", ["Torque-v0 step, episodes", "Torque-v0 vector, 64, episodes"])
+def test_a_pass_of_episodes_is_one_whole_episode_and_its_reset(speed: Any, name: str) -> None:
+    load = row(speed, name)
+    assert speed.speed_rows.calls_of_a_pass(load, 1e-9) == load.calls
+    load.prepare()
+    for _ in range(1499):
+        load.call()
+    assert set(simulation(load).steps) == {1499}
+    for _ in range(load.calls - 1499):
+        load.call()
+    assert set(simulation(load).steps) == {0}
+
+
+@pytest.mark.parametrize("name", ["Torque-v0 step, random", "Torque-v0 vector, 64, random"])
+def test_ends_under_random_actions_are_counted(speed: Any, name: str) -> None:
+    assert 1.0 < row(speed, name).ends() < 30.0
+
+
+def test_every_pass_has_its_share_of_new_noise(speed: Any) -> None:
+    for name in ("Torque-v0 step, calm", "Torque-v0 vector, 64, random"):
+        load = row(speed, name)
+        for seconds in (1e-9, 1e-2):
+            assert speed.speed_rows.calls_of_a_pass(load, seconds) % speed.speed_rows.NOISE == 0
+
+
+def test_the_best_of_the_same_number_of_passes_counts(
+    speed: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows, times = speed.speed_rows, iter([3.0, 1.0, 2.0, 5.0, 4.0, 6.0, 7.0] * 2)
+    monkeypatch.setattr(rows, "time_of_a_pass", lambda load, calls: next(times))
+    made = [rows.Row(name, 4, "a", lambda: rows.Load(lambda: None)) for name in "ab"]
+    measured = speed.measure(made, 1e-6)
+    assert [r.microseconds for r in measured] == [1e6 / 4] * 2 and next(times, None) is None
+
+
+def run(repository: Path, *arguments: str) -> Any:
+    """The script in a process of its own."""
+    return subprocess.run(
+        [sys.executable, str(repository / "benchmarks" / "speed.py"), *arguments],
+        capture_output=True, text=True, cwd=repository, check=False, timeout=300,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(repository)},
+    )  # fmt: skip
+
+
+def test_two_checkouts_are_timed_in_alternation_and_a_missing_row_is_said(
+    repository: Path, tmp_path: Path
+) -> None:
+    package = tmp_path / "other" / "tracked_env"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("")  # another version, without environments
+    done = run(repository, "--against", str(package.parent), "--rows", "v1 step|v0 step, calm",
+               "--seconds", "0.1", "--output", str(tmp_path / "table.md"))  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    table = [line.split("|")[1:-1] for line in done.stdout.splitlines()[2:]]
+    cells = {row[0].strip(): row[1:] for row in table}
+    assert all(float(number) > 0.0 for number in cells["CartPole-v1 step"][:2])
+    ours, theirs, said = cells["Torque-v0 step, calm"]
+    assert float(ours) > 0.0 and np.isnan(float(theirs)) and "NotFound" in said
+    assert (tmp_path / "table.md").read_text().splitlines() == done.stdout.splitlines()[2:]
+
+
+@pytest.mark.parametrize(
+    "arguments, says",
+    [
+        (("--against", "/nowhere"), "--against /nowhere: no package tracked_env there"),
+        (("--rows", "nothing"), "--rows nothing: no such row; there are"),
+        (("--rows", "CartPole", "--publish"), "--publish needs all rows"),
+    ],
+)
+def test_wrong_options_are_refused_before_anything_is_timed(
+    repository: Path, arguments: tuple[str, ...], says: str
+) -> None:
+    done = run(repository, *arguments)
+    assert done.returncode != 0 and says in done.stderr and "Traceback" not in done.stderr
+
+
+def test_rows_of_the_same_speed_are_not_called_slower(speed: Any) -> None:
+    pair = speed.speed_against.Pair
+    assert "slower" not in speed.speed_against.line(pair("a", 1.02, 1.0))
+    assert speed.speed_against.line(pair("a", 1.1, 1.0)) == "| a | 1.100 | 1.000 | 1.100 slower |"

@@ -1,0 +1,58 @@
+"""What can be read of N vehicles between their steps: copies, by name, in SI units."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.engine import columns as b
+from tracked_env.physics.parameters import PARAMETER_NAMES
+from tracked_env.physics.state import STATE_NAMES
+
+SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
+
+
+class Readings:
+    """Of the arrays `batch`, one row per vehicle."""
+
+    batch: b.Batch
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """A copy (N,) of one column of the floats; names: `columns.COLUMN`."""
+        return self.batch.column(name).copy()
+
+    def report(self) -> b.Report:
+        """A copy of tracking error, reward and its terms."""
+        return self.batch.report()
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """(N,) control steps since reset."""
+        return self.batch.counter("step").copy()
+
+    @property
+    def terminated(self) -> NDArray[np.bool_]:
+        """(N,) off the path, or non-finite."""
+        return self.batch.counter("terminated") != 0
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """(N,) out of time."""
+        return self.batch.counter("truncated") != 0
+
+    @property
+    def rmse(self) -> NDArray[np.float64]:
+        """(N,) root mean square distance to the reference since reset [m]."""
+        steps = np.maximum(self.batch.counter("step"), 1)
+        return np.sqrt(self.batch.column("squared_error_sum") / steps)
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
+        return self.truncated & (self.rmse < SUCCESS_RMSE * self.batch.column("contact_length"))
+
+    def reference_position(self, i: int) -> NDArray[np.float64]:
+        """(2,) position [m] of the reference of vehicle i now, world frame."""
+        return self.batch.floats[i, b.REFERENCE_X : b.REFERENCE_Y + 1].copy()
+
+    def truth(self) -> dict[str, NDArray[np.float64]]:
+        """True state and parameters in force, by name; each (N,)."""
+        return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}

@@ -1,10 +1,13 @@
-"""Pictures of one episode of a policy: MP4, GIF or PNG; needs the extra `render`."""
+"""Pictures of one episode of a policy, MP4, GIF or PNG, or a page that replays it.
+
+Needs the extra `render`, the page the extra `viewer` too.
+"""
 
 import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -21,6 +24,9 @@ from tracked_env.benchmark.policy_interface import (
     needs_truth,
 )
 from tracked_env.env import TrackedVehicleEnv
+
+if TYPE_CHECKING:
+    from tracked_env.rendering.recording import Recording
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
@@ -42,12 +48,17 @@ def record(
 
 
 def draw(
-    config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int, path: Path
+    config: BenchmarkConfig,
+    entry: PolicyEntry,
+    uncertainty_set: str,
+    episode: int,
+    path: Path,
+    view: str = "top",
 ) -> None:
     """Draw one episode of the benchmark, the same vehicle, soil, reference and noise.
 
-    path: with a suffix of FORMATS; a PNG shows the end. Raises ImportError that names the extra to
-    install, ValueError for another suffix.
+    path: with a suffix of FORMATS; a PNG shows the end; view: as `rendering.Renderer` has it.
+    Raises ImportError that names the extra to install, ValueError for another suffix or view.
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
@@ -58,17 +69,29 @@ def draw(
     with tempfile.TemporaryDirectory(prefix=".video", suffix=ours, dir=path.parent) as place:
         new = Path(place) / f"new{suffix}"
         try:
-            env = TrackedVehicleEnv(
-                **config.arguments(uncertainty_set, needs_truth(policy)), render_mode="rgb_array"
-            )
+            env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
             steps = FORMATS[suffix]
-            drawn = _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, steps)
-            _write(new, drawn, config.control_rate / steps)
+            driven = _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, steps)
+            _write(new, _pictures(env, driven, view), config.control_rate / steps)
         except (ImportError, gymnasium.error.DependencyNotInstalled) as error:
             raise ImportError(
                 f"{error}; pictures need pip install 'tracked-env[render]'"
             ) from error
         os.replace(new, path)
+
+
+def record_episode(
+    config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int
+) -> "Recording":
+    """One episode of the benchmark for `rendering.viewer`; raises ImportError as `draw` does."""
+    from tracked_env.rendering.recording import Recorder
+
+    policy = checked_policy(entry, config.context(uncertainty_set))
+    env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
+    recorder = Recorder()
+    for _ in _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, 1):
+        recorder.add(env.simulation)
+    return recorder.finish()
 
 
 def _write(path: Path, pictures: Iterator[Picture], rate: float) -> None:
@@ -91,11 +114,11 @@ def _write(path: Path, pictures: Iterator[Picture], rate: float) -> None:
 
 def _driven(
     env: TrackedVehicleEnv, policy: Policy, name: str, uncertainty_set: str, seed: int, steps: int
-) -> Iterator[Picture]:
-    """One episode: the first picture, one in `steps` control steps, and the last one."""
+) -> Iterator[None]:
+    """Drive one episode; stops at the start, after each `steps` control steps, and at the end."""
     observation, info = env.reset(seed=seed)
     try:
-        yield _picture(env)
+        yield
         state, start, over, done = None, np.ones(1, dtype=bool), False, 0
         while not over:
             try:
@@ -106,15 +129,20 @@ def _driven(
             observation, _, terminated, truncated, info = env.step(action)
             over, done = terminated or truncated, done + 1
             if over or done % steps == 0:
-                yield _picture(env)
+                yield
     finally:
         env.close()
 
 
-def _picture(env: TrackedVehicleEnv) -> Picture:
-    picture = env.render()
-    assert isinstance(picture, np.ndarray)
-    return picture
+def _pictures(env: TrackedVehicleEnv, driven: Iterator[None], view: str) -> Iterator[Picture]:
+    """A picture at each stop of an episode."""
+    from tracked_env.rendering import Renderer
+
+    renderer = Renderer("rgb_array", env.metadata["render_fps"], view=view)
+    for _ in driven:
+        picture = renderer.draw(env.simulation, 0)
+        assert picture is not None
+        yield picture
 
 
 def _acted(

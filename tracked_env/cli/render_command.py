@@ -1,4 +1,4 @@
-"""`tracked-env render`: a GIF, MP4 or PNG of one policy in one episode of an evaluation set."""
+"""`tracked-env render`: one policy in one episode of a set, as GIF, MP4, PNG or HTML."""
 
 import argparse
 import sys
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tracked_env.benchmark import default_sets
-from tracked_env.benchmark.policy_interface import PolicyError
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.cli.evaluate_command import benchmark_config
@@ -20,14 +21,20 @@ def main(arguments: Sequence[str], program: str) -> int:
     parser = argparse.ArgumentParser(
         prog=program,
         allow_abbrev=False,
-        description="Write a picture of the end (PNG) or a film (GIF, MP4) of one policy in one "
-        "episode of an evaluation set.",
+        description="Write a picture of the end (PNG), a film (GIF, MP4) or a page that replays it "
+        "(HTML) of one policy in one episode of an evaluation set.",
     )
     parser.add_argument("policy", help="as in `tracked-env evaluate --policies`; of several seeds, "
                         "the first one drives")  # fmt: skip
     parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
-    parser.add_argument("--file", type=Path, default=Path("episode.gif"), metavar="FILE",
-                        help="ends in .gif, .mp4 or .png (default: episode.gif)")  # fmt: skip
+    parser.add_argument("--file", type=Path, metavar="FILE", help="ends in .gif, .mp4 or .png "
+                        "(default: episode.gif, and none with --html or --live)")  # fmt: skip
+    parser.add_argument("--view", choices=("top", "3d"), default="top",
+                        help="from above or from behind the vehicle (default: top)")  # fmt: skip
+    parser.add_argument("--html", type=Path, metavar="FILE",
+                        help="page that replays the episode, without a server")  # fmt: skip
+    parser.add_argument("--live", type=int, nargs="?", const=8080, metavar="PORT",
+                        help="serve it at 127.0.0.1 with a slider (default: 8080)")  # fmt: skip
     add_options(parser, without=_OTHERS)
     given = parser.parse_args(arguments)
     given.sets = [(given.set or default_sets(given.env)[0],)]
@@ -35,14 +42,37 @@ def main(arguments: Sequence[str], program: str) -> int:
         benchmark = benchmark_config(config_of(given))
         registry, trained = by_name(registered_policies(), DRIVES[benchmark.env])
         entry = load_policies([given.policy], registry, trained, open_archive)[0]
-        from tracked_env.benchmark import video
-
-        video.draw(benchmark, entry, benchmark.sets[0], 0, given.file)
+        _write(given, benchmark, entry)
     except (PolicyError, ImportError, OSError) as error:
         print(f"{program}: {error}", file=sys.stderr)
         return 1
     except ValueError as error:
         print(f"{program}: {error}", file=sys.stderr)
         return 2
-    print(f"{entry.name}, set {benchmark.sets[0]}, seed {benchmark.seed}: {given.file}")
     return 0
+
+
+def _write(given: argparse.Namespace, benchmark: BenchmarkConfig, entry: PolicyEntry) -> None:
+    """Write the files, each named on a line, then serve the page if it is to be."""
+    from tracked_env.benchmark import video
+
+    uncertainty_set = benchmark.sets[0]
+    label = f"{entry.name}, set {uncertainty_set}, seed {benchmark.seed}"
+    browser = given.html is not None or given.live is not None
+    if given.html is not None and given.html.suffix.lower() != ".html":
+        raise ValueError(f"file {given.html}: must end in .html")
+    file = given.file or (None if browser else Path("episode.gif"))
+    if file is not None:
+        video.draw(benchmark, entry, uncertainty_set, 0, file, given.view)
+        print(f"{label}: {file}")
+    if not browser:
+        return
+    from tracked_env.rendering import viewer
+
+    viewer.check_installed()
+    recording = video.record_episode(benchmark, entry, uncertainty_set, 0)
+    if given.html is not None:
+        viewer.write_html(recording, given.html)
+        print(f"{label}: {given.html}")
+    if given.live is not None:
+        viewer.show(recording, given.live)

@@ -1,10 +1,16 @@
 """Pictures of a running simulation, with pygame: import this package only to draw.
 
-    canvas      colours, text, surfaces          snapshot  what one picture shows, from the arrays
-    sizes       scales, by the vehicle           drives    numbers and bars of the drives
-    quantities  labels, units, displayed ranges  memory    what a picture needs of those before it
-    soil_map    the ground, coloured             scene     the world around the vehicle
-    panel       numbers, bars and the overview   renderer  puts them together
+    canvas       colours, text, surfaces          snapshot   what one picture shows, from the arrays
+    sizes        scales, by the vehicle           drives     numbers and bars of the drives
+    quantities   labels, units, displayed ranges  afterglow  what a picture needs of those before it
+    soil_map     the ground, coloured             scene      the vehicle and paths, from above
+    panel        numbers, bars and the overview   renderer   puts them together
+On terrain and from behind the vehicle:
+    terrain_source  heights, loads, pose          hill_shading   brightness of slopes, contour lines
+    terrain_strip   profile, loads, tilt          raster         depth buffer: ground and polygons
+    landscape       ground of an episode          vehicle_mesh   the vehicle as polygons
+    chase_camera    where the eye stands          perspective    puts these together
+In a browser, with the extra `viewer`: recording (an episode as arrays), viewer (page and server).
 World frame: x to the right, y up.
 """
 
@@ -23,6 +29,8 @@ if not getattr(pygame, "IS_CE", False):
         'pip uninstall pygame && pip install --force-reinstall pygame-ce "tracked-env[render]"'
     )
 
+from tracked_env.rendering.recording import Recorder
 from tracked_env.rendering.renderer import Renderer
+from tracked_env.rendering.terrain_source import TerrainSource
 
-__all__ = ["Renderer"]
+__all__ = ["Recorder", "Renderer", "TerrainSource"]

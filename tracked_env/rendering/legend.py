@@ -45,22 +45,23 @@ def draw(
     soil: SoilMap,
     shot: Snapshot,
     notices: list[str],
-    zoom: int,
+    zoom: int | None,
 ) -> None:
-    """Everything that lies over the scene."""
+    """Everything that lies over the scene; zoom [px/m]: None in perspective, without arrows."""
     _veil(picture, pygame.Rect(0, 0, WIDTH, TOP), _VEIL)
-    _key(picture, text)
+    _key(picture, text, zoom is not None)
     _veil(picture, pygame.Rect(0, HEIGHT - BOTTOM, WIDTH, BOTTOM), _VEIL)
     y = HEIGHT - BOTTOM
-    _lengths(picture, text, y, zoom, shot.sizes)
+    if zoom is not None:
+        _lengths(picture, text, y, zoom, shot.sizes)
     _soil_bar(picture, text, soil, shot, y)
     _slip_bar(picture, text, y)
     lines = [*notices, shot.ending] if shot.ending else notices
     _notices(picture, text, lines)
 
 
-def _key(picture: pygame.Surface, text: Text) -> None:
-    """Key of lines, outlines and arrows."""
+def _key(picture: pygame.Surface, text: Text, arrows: bool) -> None:
+    """Key of lines, outlines and, if there are any, arrows."""
     entries: tuple[tuple[str, Colour, str], ...] = (
         ("line", canvas.BLUE, "reference"),
         ("line", canvas.PALE_BLUE, "past"),
@@ -72,6 +73,8 @@ def _key(picture: pygame.Surface, text: Text) -> None:
     )
     x, middle = 8, TOP // 2
     for kind, colour, label in entries:
+        if kind == "arrow" and not arrows:
+            continue
         if kind == "box":
             pygame.draw.rect(picture, colour, (x, middle - 4, 14, 9), 2)
         else:

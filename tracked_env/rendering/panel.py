@@ -34,9 +34,11 @@ class Panel:
         self._ground: pygame.Surface | None = None
 
     def draw(
-        self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float]
+        self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float] | None
     ) -> pygame.Surface:
-        """The panel now; refresh: the map has changed; view [m]: half the scene."""
+        """The panel now; refresh: the map has changed; view [m]: half the scene, if it is seen
+        from above.
+        """
         self.surface.fill(canvas.PAPER)
         self._clock(shot)
         self._tracking(shot)
@@ -105,7 +107,7 @@ class Panel:
         return (points - self._middle) * (self._scale, -self._scale) + _OVERVIEW.center
 
     def _overview(
-        self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float]
+        self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float] | None
     ) -> None:
         box = _OVERVIEW
         self._heading("OVERVIEW", 434)
@@ -116,8 +118,9 @@ class Panel:
         trail = self._pixels(memory.trail[:: max(len(memory.trail) // 500, 1)])
         here = self._pixels(np.array([shot.pose[:2]]))[0]
         pygame.draw.aalines(self.surface, canvas.INK, False, [*trail.tolist(), here.tolist()])
-        half = np.round(np.array(view) * self._scale)
-        pygame.draw.rect(self.surface, canvas.MUTED, (*(here - half), *(2.0 * half)), 1)
+        if view is not None:
+            half = np.round(np.array(view) * self._scale)
+            pygame.draw.rect(self.surface, canvas.MUTED, (*(here - half), *(2.0 * half)), 1)
         pygame.draw.circle(self.surface, canvas.WHITE, here.tolist(), 5)
         pygame.draw.circle(self.surface, canvas.VERMILLION, here.tolist(), 4)
         self.surface.set_clip(None)
@@ -129,7 +132,10 @@ class Panel:
         offset_y = np.arange(-_OVERVIEW.height / 2 + 1, _OVERVIEW.height / 2, 2) / self._scale
         pixels = self._soil.image(shot, self._middle[0] + offset_x, self._middle[1] - offset_y)
         ground = canvas.surface(*_OVERVIEW.size)
-        canvas.paint(ground, pixels.repeat(2, 0).repeat(2, 1))
+        left = self._middle[0] - 0.5 * _OVERVIEW.width / self._scale
+        top = self._middle[1] + 0.5 * _OVERVIEW.height / self._scale
+        fine = pixels.repeat(2, 0).repeat(2, 1)
+        canvas.paint(ground, self._soil.with_relief(fine, left, top, 1.0 / self._scale))
         for start, end in pairwise((self._path - np.array(_OVERVIEW.topleft)).tolist()):
             pygame.draw.aaline(ground, canvas.BLUE, start, end, 2)
         return ground

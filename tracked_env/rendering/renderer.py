@@ -12,24 +12,36 @@ from tracked_env.physics.parameters import SoilParameters
 from tracked_env.references import sample
 from tracked_env.rendering import canvas, legend, scene, sizes
 from tracked_env.rendering.afterglow import Memory
+from tracked_env.rendering.landscape import interval_around
 from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
 from tracked_env.rendering.panel import Panel
+from tracked_env.rendering.perspective import Perspective
 from tracked_env.rendering.scene import Camera, Points
 from tracked_env.rendering.snapshot import Snapshot, take
 from tracked_env.rendering.soil_map import SoilMap
+from tracked_env.rendering.terrain_source import TerrainSource
+from tracked_env.rendering.terrain_strip import HEIGHT as STRIP_HEIGHT
+from tracked_env.rendering.terrain_strip import TerrainStrip
 from tracked_env.validation import checked_choice
 
 SCENE_WIDTH, SCENE_HEIGHT = 680, 640  # [px]
 WIDTH, HEIGHT = SCENE_WIDTH + PANEL_WIDTH, SCENE_HEIGHT  # [px] of a picture
 PATH_STEP, PATH_POINTS = 0.05, 4000  # [s] between points of the path, and at most that many
 MODES = ("human", "rgb_array")
+VIEWS = ("top", "3d")
 
 
 class _Stage:
     """Data of one episode."""
 
     def __init__(
-        self, shot: Snapshot, text: canvas.Text, pixels_per_metre: int | None, soil: str | None
+        self,
+        shot: Snapshot,
+        text: canvas.Text,
+        pixels_per_metre: int | None,
+        soil: str | None,
+        view: str,
+        terrain: TerrainSource | None,
     ) -> None:
         self.episode = shot.episode
         count = min(math.ceil(shot.duration / PATH_STEP), PATH_POINTS) + 1
@@ -41,9 +53,25 @@ class _Stage:
             self.zoom = sizes.default_zoom(length)
         else:
             self.zoom = sizes.checked_zoom(pixels_per_metre, length)
-        self.soil = SoilMap(shot, self.zoom, soil)
+        interval = 1.0 if terrain is None else interval_around(terrain, self.path, length)
+        self.soil = SoilMap(shot, self.zoom, soil, terrain, interval)
         self.panel = Panel(text, self.path, self.soil, 1.5 * length)
         self.memory = Memory(shot)
+        self.perspective: Perspective | None = None
+        if view == "3d":
+            self.perspective = Perspective(shot, terrain or TerrainSource(), self.path, interval)
+        self.strip: TerrainStrip | None = None
+        if terrain is not None:
+            self.strip = TerrainStrip(text, terrain, self.path, length)
+
+
+def _lines(stage: _Stage, shot: Snapshot, done: int) -> list[tuple[Points, canvas.Colour]]:
+    """Past and future of the reference and the driven path, each (P, 2) [m], with its colour."""
+    now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])
+    past = np.concatenate([stage.path[:done], now])
+    future = np.concatenate([now, stage.path[done:]])
+    driven = np.concatenate([stage.memory.trail, here])
+    return [(past, canvas.PALE_BLUE), (future, canvas.BLUE), (driven, canvas.INK)]
 
 
 class Renderer:
@@ -60,13 +88,17 @@ class Renderer:
         fps: int,
         pixels_per_metre: int | None = None,
         soil_parameter: str | None = None,
+        view: str = "top",
+        terrain: TerrainSource | None = None,
     ) -> None:
         """Open nothing yet.
 
         render_mode: "human" or "rgb_array"; fps: [1/s] at most, in a window;
         pixels_per_metre: zoom, by default 80 px for the contact length of the environment's
         vehicle, else 40 to 200 px for it; soil_parameter: the one that colours the ground, by
-        default the first of the plant's `soil_map` that varies in the plane, else its first.
+        default the first of the plant's `soil_map` that varies in the plane, else its first;
+        view: "top", from above, or "3d", from behind the vehicle; terrain: what the vehicle drives
+        on, shown with its relief and a strip below the scene; None: level ground without them.
         Raises ValueError for anything else; `draw` for a zoom that does not suit the vehicle.
         """
         self.render_mode = checked_choice("render_mode", render_mode, MODES)
@@ -74,6 +106,9 @@ class Renderer:
             pixels_per_metre = sizes.checked_zoom(pixels_per_metre)
         if soil_parameter is not None:
             checked_choice("soil_parameter", soil_parameter, SoilParameters._fields)
+        self.view = checked_choice("view", view, VIEWS)
+        self.terrain = terrain
+        self.size = WIDTH, HEIGHT + (0 if terrain is None else STRIP_HEIGHT)  # [px] of a picture
         self.fps = fps
         self._zoom = pixels_per_metre
         self._soil_parameter = soil_parameter
@@ -83,16 +118,21 @@ class Renderer:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy has opened nothing yet and has not seen the pictures before it."""
-        return type(self), (self.render_mode, self.fps, self._zoom, self._soil_parameter)
+        return type(self), (
+            self.render_mode, self.fps, self._zoom, self._soil_parameter, self.view, self.terrain
+        )  # fmt: skip
 
     def draw(self, simulation: Simulation, row: int) -> NDArray[np.uint8] | None:
-        """The picture of vehicle `row` (HEIGHT, WIDTH, 3); None in `human` mode.
+        """The picture of vehicle `row` (height, width, 3), see `size`; None in `human` mode.
 
         Raises gymnasium.error.ResetNeeded before the first episode, and ValueError for a zoom
         that does not suit the vehicle.
         """
         shot = take(simulation, row)
-        picture = self._compose(shot)
+        loads = None
+        if self.terrain is not None and self.terrain.loads is not None:
+            loads = self.terrain.loads(simulation, row)
+        picture = self._compose(shot, loads)
         if self.render_mode == "rgb_array":
             return canvas.to_array(picture)
         self._show(picture)
@@ -110,37 +150,50 @@ class Renderer:
         self._text = canvas.Text()
         self._stage: _Stage | None = None
 
-    def _compose(self, shot: Snapshot) -> pygame.Surface:
+    def _compose(self, shot: Snapshot, loads: NDArray[np.float64] | None) -> pygame.Surface:
         if self._picture is None:
-            self._picture = canvas.surface(WIDTH, HEIGHT)
+            self._picture = canvas.surface(*self.size)
         if self._stage is None or shot.episode is not self._stage.episode:
-            self._stage = _Stage(shot, self._text, self._zoom, self._soil_parameter)
+            self._stage = _Stage(
+                shot, self._text, self._zoom, self._soil_parameter, self.view, self.terrain
+            )
         picture, stage = self._picture, self._stage
         stage.memory.update(shot)
         refresh = stage.soil.advance(shot)
         ground = picture.subsurface((0, 0, SCENE_WIDTH, SCENE_HEIGHT))
-        half_width, half_height = 0.5 * SCENE_WIDTH / stage.zoom, 0.5 * SCENE_HEIGHT / stage.zoom
-        left, top = shot.state.x - half_width, shot.state.y + half_height
-        stage.soil.draw(ground, shot, left, top)
-        legend.coordinates(ground, self._text, left, top, stage.zoom)
-        self._things(ground, stage, shot)
-        legend.draw(ground, self._text, stage.soil, shot, stage.memory.notices(), stage.zoom)
-        view = half_width, half_height
+        done = int(np.searchsorted(stage.times, shot.time, side="right"))
+        lines = _lines(stage, shot, done)
+        view, zoom = None, None
+        if stage.perspective is not None:
+            travel = stage.memory.travel
+            stage.perspective.draw(ground, shot, stage.soil, refresh, lines, travel)
+        else:
+            zoom = stage.zoom
+            view = 0.5 * SCENE_WIDTH / zoom, 0.5 * SCENE_HEIGHT / zoom
+            self._from_above(ground, stage, shot, lines, view)
+        legend.draw(ground, self._text, stage.soil, shot, stage.memory.notices(), zoom)
         picture.blit(stage.panel.draw(shot, stage.memory, refresh, view), (SCENE_WIDTH, 0))
+        if stage.strip is not None:
+            strip = stage.strip.draw(shot, done, loads, stage.soil.interval)
+            picture.blit(strip, (0, SCENE_HEIGHT))
         return picture
 
-    def _things(self, ground: pygame.Surface, stage: _Stage, shot: Snapshot) -> None:
-        """Objects on the ground, from the lowest to the highest."""
+    def _from_above(
+        self,
+        ground: pygame.Surface,
+        stage: _Stage,
+        shot: Snapshot,
+        lines: list[tuple[Points, canvas.Colour]],
+        view: tuple[float, float],
+    ) -> None:
+        """Soil map and objects on it, from the lowest to the highest; view [m]: half the scene."""
+        left, top = shot.state.x - view[0], shot.state.y + view[1]
+        stage.soil.draw(ground, shot, left, top)
+        legend.coordinates(ground, self._text, left, top, stage.zoom)
         width, height = ground.get_size()
         camera = Camera(shot.state.x, shot.state.y, stage.zoom, 0.5 * width, 0.5 * height)
-        now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])
-        done = int(np.searchsorted(stage.times, shot.time, side="right"))
-        past = np.concatenate([stage.path[:done], now])
-        future = np.concatenate([now, stage.path[done:]])
-        driven = np.concatenate([stage.memory.trail, here])
-        scene.path(ground, camera, past, canvas.PALE_BLUE, 3)
-        scene.path(ground, camera, future, canvas.BLUE, 3)
-        scene.path(ground, camera, driven, canvas.INK, 3)
+        for points, colour in lines:
+            scene.path(ground, camera, points, colour, 3)
         scene.ghost_shade(ground, camera, shot)
         scene.vehicle(ground, camera, shot, stage.memory.travel)
         scene.ghost(ground, camera, shot)
@@ -149,7 +202,7 @@ class Renderer:
         """Put the picture on the screen and wait for its time."""
         if self._window is None or not pygame.display.get_init():
             pygame.display.init()
-            self._window = pygame.Window("tracked_env", (WIDTH, HEIGHT))
+            self._window = pygame.Window("tracked_env", self.size)
         self._window.get_surface().blit(picture, (0, 0))
         self._window.flip()
         pygame.event.pump()

@@ -215,7 +215,8 @@ def _forces(brush: Brush, shot: Snapshot) -> None:
     brush.dot(0.0, 0.0, DOT[1], canvas.WHITE)
 
 
-def _footprint(p: PlantParameters, length: float) -> Outline:
+def footprint(p: PlantParameters, length: float) -> Outline:
+    """The area between and under the tracks, in the body's frame [m]; length: contact length."""
     half, side = 0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width)
     return chamfered(-half, half, side, min(ROUNDED * length, 0.3 * half, 0.3 * side))
 
@@ -226,7 +227,7 @@ def ghost_shade(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None
         return
     length = shot.sizes.length
     brush = Brush(picture, camera, shot.reference, length)
-    corners = brush.place(_footprint(shot.parameters, length))
+    corners = brush.place(footprint(shot.parameters, length))
     low = np.floor(corners.min(axis=0)).astype(int)
     size = np.ceil(corners.max(axis=0)).astype(int) - low + 1
     patch = canvas.surface(int(size[0]), int(size[1]), transparent=True)
@@ -243,7 +244,7 @@ def ghost(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None:
 
     def paint(fine: pygame.Surface, close: Camera) -> None:
         brush = Brush(fine, close, shot.reference, length)
-        brush.stroke(_footprint(p, length), canvas.BLUE, WIDE_PEN, True)
+        brush.stroke(footprint(p, length), canvas.BLUE, WIDE_PEN, True)
         wing = CHEVRON * length
         chevron = [(0.6 * half, wing), (0.85 * half, 0.0), (0.6 * half, -wing)]
         brush.stroke(chevron, canvas.BLUE, BROAD_PEN)

@@ -2,7 +2,8 @@
 
 The value at a place is that of the episode's start, changed by each event in turn with the
 kernel of the plant (`terrain.ground.changed`). It is drawn in square tiles, which are
-kept: a tile is computed again only when a ramp in time moves its parameter.
+kept: a tile is computed again only when a ramp in time moves its parameter. On a terrain the
+colours are shaded by its slope and contour lines are drawn.
 """
 
 import math
@@ -15,9 +16,11 @@ from tracked_env.physics import parameter_events
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.rendering.canvas import SOIL_SCALE, Bytes, paint, surface
+from tracked_env.rendering.hill_shading import shaded_map
 from tracked_env.rendering.quantities import QUANTITIES
 from tracked_env.rendering.sizes import grid_of
 from tracked_env.rendering.snapshot import Snapshot
+from tracked_env.rendering.terrain_source import TerrainSource
 from tracked_env.terrain import ground
 
 FloatArray = NDArray[np.float64]
@@ -67,8 +70,19 @@ def map_time(events: FloatArray, time: float) -> float:
 class SoilMap:
     """The map of one episode."""
 
-    def __init__(self, shot: Snapshot, pixels_per_metre: int, parameter: str | None) -> None:
-        """parameter: a name of SoilParameters; None takes the first that varies in the plane."""
+    def __init__(
+        self,
+        shot: Snapshot,
+        pixels_per_metre: int,
+        parameter: str | None,
+        terrain: TerrainSource | None = None,
+        interval: float = 1.0,
+    ) -> None:
+        """parameter: a name of SoilParameters; None takes the first that varies in the plane.
+
+        terrain: whose relief is shown; None: none; interval [m] between its contour lines.
+        """
+        self._terrain, self.interval = terrain, interval
         events = shot.events[0]
         spatial = {int(row[1]) for row in events if row[0] != parameter_events.RAMP}
         preference = shot.plant.soil_map
@@ -114,7 +128,7 @@ class SoilMap:
 
     def _tile(self, shot: Snapshot, column: int, row: int) -> pygame.Surface:
         """Tile whose upper left corner is at (column, -row) tiles."""
-        key = (0, 0) if self.uniform else (column, row)
+        key = (0, 0) if self.uniform and self._terrain is None else (column, row)
         if key not in self._tiles:
             if len(self._tiles) >= _TILES:
                 del self._tiles[next(iter(self._tiles))]
@@ -133,5 +147,15 @@ class SoilMap:
             lined[line] = factor * plain[line]
             lined[:, line] = factor * plain[:, line]
         tile = surface(side, side)
-        paint(tile, lined)
+        paint(tile, self.with_relief(lined, metres * column, -metres * row, metres / side))
         return tile
+
+    def with_relief(self, pixels: Bytes, left: float, top: float, cell: float) -> Bytes:
+        """An image (H, W, 3) shaded by the terrain; (left, top) [m]: corner, cell [m]: a pixel."""
+        if self._terrain is None:
+            return pixels
+        height, width = pixels.shape[:2]
+        xs = left + cell * (np.arange(-1, width + 1) + 0.5)
+        ys = top - cell * (np.arange(-1, height + 1) + 0.5)
+        heights = self._terrain.checked_heights(*np.meshgrid(xs, ys))
+        return shaded_map(pixels, heights, cell, self.interval)

@@ -1,0 +1,162 @@
+"""Perspective has closed forms, hills hide what is behind them, and mirrored ground is mirrored."""
+
+import numpy as np
+import pytest
+
+from tests.rendering.terrain_cases import HEIGHT, WIDTH, board, bump, eye, grid, seen
+from tracked_env.rendering import raster
+from tracked_env.rendering.hill_shading import LIGHT
+from tracked_env.rendering.landscape import Landscape, resampled
+from tracked_env.rendering.perspective import Picture
+from tracked_env.rendering.terrain_source import TerrainSource, level
+
+RED = (255, 0, 0)
+
+
+def count(picture: Picture) -> int:
+    return int((picture.colours == RED).all(axis=2).sum())
+
+
+def test_a_point_straight_ahead_at_the_height_of_the_eye_is_on_the_horizon() -> None:
+    column, row, inverse = raster.project(eye(), np.array([10.0, 0.0, 2.0]))
+    assert (column, row, inverse) == (0.5 * WIDTH, 80.0, 0.1)
+
+
+def test_a_point_to_the_left_is_further_left_and_a_higher_one_further_up() -> None:
+    left, high = raster.project(eye(), np.array([[10.0, 1.0, 2.0], [10.0, 0.0, 3.0]]))
+    assert left[:2] == pytest.approx([0.5 * WIDTH - 20.0, 80.0])
+    assert high[:2] == pytest.approx([0.5 * WIDTH, 60.0])
+
+
+def test_the_eye_turns_with_its_yaw() -> None:
+    north = eye()._replace(cosine=0.0, sine=1.0)
+    ahead, east = raster.project(north, np.array([[0.0, 10.0, 2.0], [1.0, 10.0, 2.0]]))
+    assert ahead[:2] == pytest.approx([0.5 * WIDTH, 80.0])
+    assert east[0] == pytest.approx(0.5 * WIDTH + 20.0)
+
+
+def test_points_behind_the_eye_or_too_near_have_no_inverse_distance() -> None:
+    points = np.array([[-5.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    assert raster.project(eye(), points)[:, 2].tolist() == [0.0, 0.0, 2.0]
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.1, -0.05])
+def test_the_depth_of_a_plane_follows_from_its_slope(slope: float) -> None:
+    inverse = seen(lambda x, y: slope * x).inverse
+    drop = (np.arange(HEIGHT) + 0.5 - 80.0) / 200.0  # of the ray per metre ahead
+    expected = (drop + slope) / 2.0
+    shown = (expected > 1.0 / 45.0) & (expected < 1.0 / 0.6)
+    assert shown.sum() > 100
+    assert inverse[shown] == pytest.approx(
+        np.repeat(expected[shown, None], WIDTH, axis=1), rel=2e-4
+    )
+    assert (inverse[expected <= 0.0] == 0.0).all()
+
+
+def test_a_side_slope_tilts_the_horizon_of_the_ground() -> None:
+    inverse = seen(lambda x, y: 0.2 * y).inverse
+    ground = (inverse > 0.0).sum(axis=0)
+    assert ground[40] > ground[WIDTH // 2] + 10 > ground[-40] + 20
+
+
+def test_a_ridge_hides_what_is_behind_it_and_not_what_is_before_it() -> None:
+    def ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 3.0 * np.exp(-((x - 10.0) ** 2) / 2.0)
+
+    for x, visible in ((6.0, True), (16.0, False), (30.0, False)):
+        picture = seen(ridge)
+        picture.quads(eye(), board(x, 0.0, 0.6), RED)
+        assert (count(picture) > 50) == visible and (count(picture) == 0) != visible
+    picture = seen(level)
+    picture.quads(eye(), board(16.0, 0.0, 0.6), RED)
+    assert count(picture) == pytest.approx((200.0 * 0.6 / 16.0) ** 2, rel=0.2)
+
+
+def test_what_stands_half_behind_a_crest_is_seen_in_its_upper_half() -> None:
+    def crest(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 2.0 * (np.abs(x - 10.0) < 0.5)  # up to the eye: the horizon's row
+
+    picture = seen(crest)
+    picture.quads(eye(), board(20.0, 0.0, 2.0, side=4.0), RED)
+    rows = np.flatnonzero((picture.colours == RED).all(axis=2).any(axis=1))
+    assert (rows.min(), rows.max()) == (60, 79)
+
+
+def test_the_nearer_of_two_polygons_is_seen_in_any_order() -> None:
+    near, far = board(6.0, 0.0, 1.5), board(8.0, 0.0, 1.5, side=2.0)
+    pictures = []
+    for order in ((near, far), (far, near)):
+        picture = seen(level)
+        for quad in order:
+            picture.quads(eye(), quad, RED if quad is near else (0, 0, 255))
+        pictures.append(picture)
+        assert count(picture) == pytest.approx((200.0 * 0.6 / 6.0) ** 2, rel=0.15)
+    assert np.array_equal(pictures[0].colours, pictures[1].colours)
+
+
+def test_a_path_is_hidden_behind_a_hill_and_drawn_before_it() -> None:
+    path = np.stack([np.linspace(3.0, 24.0, 60), np.zeros(60)], axis=1)
+    rows = {}
+    for name, height in (("level", 0.0), ("hill", 3.0)):
+        terrain = TerrainSource(bump(10.0, 0.0, height))
+        landscape = Landscape(terrain, path, 1.0, 2.0)
+        picture = Picture(WIDTH, HEIGHT)
+        picture.ground(landscape, eye())
+        before, after = resampled(path[path[:, 0] < 8.0], 0.1), resampled(path[30:], 0.1)
+        for line, colour in ((before, (0, 0, 255)), (after, RED)):
+            picture.line(eye(), landscape, line, colour)
+        rows[name] = count(picture), int((picture.colours == (0, 0, 255)).all(axis=2).sum())
+    assert rows["level"][0] > 15 and rows["hill"][0] == 0
+    assert min(rows[name][1] for name in rows) > 100
+
+
+@pytest.mark.parametrize("opacity", [0.25, 1.0])
+def test_only_opaque_polygons_enter_the_depth_buffer(opacity: float) -> None:
+    picture = seen(level)
+    before = picture.inverse.copy()
+    picture.quads(eye(), board(6.0, 0.0, 1.5), RED, opacity)
+    assert np.array_equal(before, picture.inverse) == (opacity < 1.0)
+
+
+def test_mirrored_ground_in_mirrored_light_gives_the_mirrored_picture() -> None:
+    hill, mirrored = bump(9.0, 3.0), bump(9.0, -3.0)
+    one = seen(hill)
+    other = seen(mirrored, light=(LIGHT[0], -LIGHT[1], LIGHT[2]))
+    assert np.allclose(one.inverse, other.inverse[:, ::-1], rtol=1e-5)
+    difference = np.abs(one.colours.astype(int) - other.colours[:, ::-1])
+    assert difference.max() <= 2 and difference.mean() < 0.01
+    assert np.abs(one.colours.astype(int) - other.colours).mean() > 1.0
+
+
+def test_a_hill_in_the_north_is_at_the_left_of_an_eye_that_looks_east() -> None:
+    inverse = seen(bump(12.0, 5.0, 4.0)).inverse
+    higher = (inverse[:80] > 0.0).sum(axis=0)  # ground above the horizon
+    assert higher[: WIDTH // 2].sum() > 500 and higher[WIDTH // 2 :].sum() == 0
+
+
+def test_far_ground_fades_into_the_haze() -> None:
+    colours = seen(level).colours.astype(int)
+    haze = colours[80 - 2, 0]
+    away = np.abs(colours[81:, WIDTH // 2] - haze).sum(axis=1)
+    assert away[5] < 40 < away[100]
+
+
+def test_softening_changes_edges_alone() -> None:
+    picture = np.full((20, 20, 3), 100, dtype=np.uint8)
+    picture[:, 10:] = 200
+    out = np.empty_like(picture)
+    raster.soften(picture, 70, out)
+    changed = np.flatnonzero((out != picture).any(axis=(0, 2)))
+    assert changed.tolist() == [9, 10]
+    assert out[5, 9, 0] == 100 + 100 // 8 + 1 and out[5, 10, 0] == 200 - 100 // 8
+
+
+def test_a_ground_grid_is_flat_beyond_its_edge() -> None:
+    ground = grid(lambda x, y: 0.0 * x + 1.0)
+    picture = Picture(WIDTH, HEIGHT)
+    far = eye(z=3.0, y=500.0)
+    raster.trace(ground, far, picture.inverse)
+    expected = (np.arange(HEIGHT) + 0.5 - 80.0) / 200.0 / 2.0
+    shown = expected > 1.0 / 45.0
+    shown &= expected < 2.0
+    assert picture.inverse[shown, 7] == pytest.approx(expected[shown], rel=1e-3)

@@ -1,0 +1,236 @@
+"""Pictures on terrain show its relief, the pose in space, loads and tilt, from above and behind."""
+
+import math
+import pickle
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.rendering.picture_cases import SHAPE, driven, started
+from tests.rendering.terrain_cases import bump
+from tracked_env.rendering import Renderer, TerrainSource, canvas, hill_shading, terrain_strip
+from tracked_env.rendering.landscape import interval_around
+from tracked_env.rendering.terrain_source import BodyPose
+
+ON_TERRAIN = (800, 960, 3)
+EXTENT = np.array([[-20.0, -20.0], [20.0, 20.0]])
+
+
+def loads(simulation: Any, row: int) -> np.ndarray:
+    return np.full((2, 4, 2), 900.0)
+
+
+def picture_of(terrain: TerrainSource | None, view: str = "top", **state: float) -> np.ndarray:
+    """The first picture of a vehicle that heads east from the origin, moved to another state."""
+    env = started()
+    for name, value in state.items():
+        env.simulation.batch.state()[0, STATE[name]] = value
+    picture = Renderer("rgb_array", 50, view=view, terrain=terrain).draw(env.simulation, 0)
+    assert picture is not None
+    return picture
+
+
+STATE = {"z": 17, "roll": 18, "pitch": 19}
+
+
+@pytest.mark.parametrize("view", ["top", "3d"])
+def test_a_picture_on_terrain_has_a_strip_below_and_one_without_has_none(view: str) -> None:
+    source = TerrainSource(bump(6.0, 2.0), loads)
+    for terrain, shape in ((source, ON_TERRAIN), (None, SHAPE)):
+        picture = picture_of(terrain, view)
+        assert (picture.shape, picture.dtype) == (shape, np.uint8)
+        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
+
+
+def test_level_terrain_from_above_is_darker_than_no_terrain_by_a_constant_factor() -> None:
+    with_terrain, without = picture_of(TerrainSource()), picture_of(None)
+    ground = np.s_[60:100, 100:300]
+    ratio = with_terrain[ground] / without[ground]
+    assert ratio == pytest.approx(np.full(ratio.shape, hill_shading.LEVEL), abs=0.006)
+
+
+def test_slopes_to_the_north_west_are_bright_and_those_to_the_south_east_dark() -> None:
+    picture = picture_of(TerrainSource(bump(0.0, 4.5, 2.0, 1.0)))
+    row, column = 320 - round(40 * 4.5), 340  # of the top of the hill, in the north: above
+    north_west, south_east = (
+        int(np.median(picture[row + k - 8 : row + k + 8, column + k - 8 : column + k + 8, 0]))
+        for k in (-28, 28)
+    )
+    assert north_west > int(picture[row, 20, 0]) + 10 > south_east + 40
+
+
+def test_a_reflection_of_terrain_and_light_reflects_the_map() -> None:
+    x, y = np.meshgrid(np.linspace(-4.0, 4.0, 82), np.linspace(4.0, -4.0, 82))
+    heights = bump(1.0, 1.5)(x, y)
+    pixels = np.full((80, 80, 3), 180, dtype=np.uint8)
+    one = hill_shading.shaded_map(pixels, heights, 0.1, 0.25)
+    light = (-hill_shading.LIGHT[0], *hill_shading.LIGHT[1:])
+    other = hill_shading.shaded_map(pixels, heights[:, ::-1].copy(), 0.1, 0.25, light)
+    assert np.array_equal(one, other[:, ::-1]) and not np.array_equal(one, other)
+    north_west_axis = hill_shading.shaded_map(pixels, heights.T[::-1, ::-1].copy(), 0.1, 0.25)
+    turned = one.transpose(1, 0, 2)[::-1, ::-1]
+    assert np.abs(north_west_axis.astype(int) - turned).max() > 20  # the light has a direction
+
+
+def test_contour_lines_lie_where_the_height_is_a_multiple_of_the_interval() -> None:
+    x = np.tile(np.linspace(-0.02, 8.0, 402), (12, 1))  # 50 px for a metre
+    pixels = np.full((10, 400, 3), 250, dtype=np.uint8)
+    shown = hill_shading.shaded_map(pixels, 0.3 * x, 0.02, 0.5)[5, :, 2].astype(int)
+    lines = np.flatnonzero((shown[1:-1] < shown[:-2]) & (shown[1:-1] <= shown[2:])) + 1
+    places = 0.02 * lines
+    assert places == pytest.approx(0.5 * np.arange(1, 5) / 0.3, abs=0.03)
+    assert shown[1] < shown[lines[1]]  # every fifth line is strong, that of height 0 too
+
+
+@pytest.mark.parametrize(
+    ("height", "interval"), [(0.0, 1.0), (2.4, 0.2), (0.011, 0.001), (70.0, 10.0)]
+)
+def test_the_interval_is_a_round_number_that_gives_at_most_twelve_lines(
+    height: float, interval: float
+) -> None:
+    terrain = TerrainSource(lambda x, y: height * (x - x.min()) / np.ptp(x))
+    assert interval_around(terrain, EXTENT, 2.0) == pytest.approx(interval)
+
+
+def test_positive_pitch_is_nose_down_and_positive_roll_is_left_side_up() -> None:
+    def moved(point: tuple[float, float, float], **angles: float) -> np.ndarray:
+        pose = BodyPose(*{**dict.fromkeys(BodyPose._fields, 0.0), **angles}.values())
+        return pose.place(np.array([point]))[0]
+
+    assert moved((1.0, 0.0, 0.0), pitch=0.3) == pytest.approx([math.cos(0.3), 0.0, -math.sin(0.3)])
+    assert moved((0.0, 1.0, 0.0), roll=0.3) == pytest.approx([0.0, math.cos(0.3), math.sin(0.3)])
+    turned = moved((1.0, 0.0, 0.0), yaw=0.5, pitch=0.3, roll=0.2)
+    assert turned[:2] == pytest.approx(math.cos(0.3) * np.array([math.cos(0.5), math.sin(0.5)]))
+
+
+def test_the_tilt_is_the_angle_between_the_up_axes() -> None:
+    pose = BodyPose(0.0, 0.0, 0.0, 1.0, 0.4, -0.7)
+    assert math.cos(pose.tilt) == pytest.approx(pose.axes[2, 2])
+    assert BodyPose(0.0, 0.0, 0.0, 1.0, 0.0, 3.0).tilt == pytest.approx(3.0)
+
+
+def test_roll_and_pitch_turn_their_indicators_and_beyond_the_limit_they_warn() -> None:
+    def dial(picture: np.ndarray, middle: int) -> np.ndarray:
+        part = picture[640 + 40 : 640 + 128, middle - 44 : middle + 44].astype(int)
+        return (np.abs(part - (82, 94, 103)).sum(axis=2) < 30).astype(int)
+
+    def warned(picture: np.ndarray) -> bool:
+        label = picture[640 + 138 : 640 + 154, 752:884].astype(int)
+        return bool((np.abs(label - canvas.VERMILLION).sum(axis=2) < 60).any())
+
+    terrain = TerrainSource(centre_height=0.5)
+    level, rolled = picture_of(terrain), picture_of(terrain, roll=0.4)
+    pitched = picture_of(terrain, pitch=0.4)
+    roll, pitch = terrain_strip._DIALS[0][0], terrain_strip._DIALS[1][0]
+    assert np.array_equal(dial(level, pitch), dial(rolled, pitch))
+    upper = dial(rolled, roll)[:36]  # the left side is up
+    assert upper[:, :44].sum() > 2 * upper[:, 44:].sum()
+    lower = dial(pitched, pitch)[52:]  # the nose, at the right, is down
+    assert lower[:, 44:].sum() > 20 > lower[:, :44].sum()
+    assert not warned(level) and not warned(pitched)
+    assert warned(picture_of(terrain, roll=0.7))
+    assert warned(picture_of(terrain._replace(tilt_limit=0.45), roll=0.4))
+
+
+def test_the_load_map_has_the_front_at_the_top_and_the_left_edge_at_the_left() -> None:
+    patches = np.zeros((3, 2))
+    patches[2, 1] = 100.0  # front, left
+    picture = canvas.to_array(terrain_strip.load_picture(patches, 100.0, (40, 60)))
+    dark = (picture == terrain_strip.LOAD_SCALE[-1]).all(axis=2)
+    assert dark[:20, :20].all() and dark.sum() == 400
+
+
+def test_the_profile_rises_where_the_path_climbs() -> None:
+    env = started()
+    renderer = Renderer("rgb_array", 50, terrain=TerrainSource(lambda x, y: 0.1 * np.abs(x - 30.0)))
+    picture = renderer.draw(env.simulation, 0)
+    assert picture is not None
+    box = terrain_strip._PROFILE
+    profile = picture[640 + box.top + 2 : 640 + box.bottom - 2, box.left + 2 : box.right - 2]
+    earth = (profile == terrain_strip.EARTH).all(axis=2).sum(axis=0)
+    lowest = int(np.argmin(earth[10:])) + 10
+    assert earth[12] > earth[100] > earth[lowest] < earth[-12]
+    assert lowest / len(earth) == pytest.approx(0.5, abs=0.03)  # of 60 m
+
+
+def test_from_behind_the_vehicle_is_in_the_middle_and_the_sky_above() -> None:
+    picture = picture_of(None, "3d")
+    sky = picture[60, :680].astype(int)
+    assert (sky[:, 2] > sky[:, 0]).all()  # blue
+    colours = picture[300:420, 240:440].reshape(-1, 3).astype(int)
+    hull = (np.abs(colours - colours.mean(axis=1, keepdims=True)).max(axis=1) < 16).mean()
+    assert hull > 0.3
+
+
+def test_from_behind_a_roll_to_the_left_lowers_the_left_track() -> None:
+    terrain = TerrainSource(centre_height=0.5)
+    belt = []
+    for roll in (-0.25, 0.25):
+        picture = picture_of(terrain, "3d", roll=roll)[300:560, 180:500].astype(int)
+        blue = picture[..., 2] - picture[..., 0] > 45  # the belts at low slip
+        rows = np.arange(260)[:, None]
+        belt.append(
+            [float((rows * half).sum() / half.sum()) for half in (blue[:, :160], blue[:, 160:])]
+        )
+    assert belt[0][0] > belt[0][1] + 20  # roll to the left: its left track is lower in the picture
+    assert belt[1][1] > belt[1][0] + 20
+
+
+def test_a_hill_between_eye_and_vehicle_raises_the_eye() -> None:
+    hidden = picture_of(TerrainSource(bump(-4.0, 0.0, 4.0, 0.8)), "3d")
+    free = picture_of(TerrainSource(bump(-40.0, 0.0, 4.0, 0.8)), "3d")
+    for picture in (hidden, free):  # the deck's grey in the middle of the picture
+        middle = picture[330:390, 310:370].reshape(-1, 3).astype(int)
+        assert (np.ptp(middle, axis=1) < 40).mean() > 0.5
+
+
+@pytest.mark.parametrize("view", ["top", "3d"])
+def test_the_same_calls_give_the_same_pixels_on_terrain_and_after_pickling(view: str) -> None:
+    terrain = TerrainSource(wavy)
+    first = Renderer("rgb_array", 50, view=view, terrain=terrain)
+    second = pickle.loads(pickle.dumps(first))
+    env = started()
+    for _ in range(3):
+        driven(env, 5, 0.2, 0.4)
+        one, other = first.draw(env.simulation, 0), second.draw(env.simulation, 0)
+        assert one is not None and other is not None and np.array_equal(one, other)
+
+
+def wavy(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 0.5 * np.sin(0.5 * x) * np.cos(0.4 * y)
+
+
+def test_pictures_from_behind_need_no_window() -> None:
+    code = (
+        "import os; os.environ['SDL_VIDEODRIVER'] = 'dummy'\n"
+        "import gymnasium, pygame, tracked_env\n"
+        "from tracked_env.rendering import Renderer, TerrainSource\n"
+        "env = gymnasium.make('tracked_env/Speed-v0').unwrapped\n"
+        "env.reset(seed=0)\n"
+        "picture = Renderer('rgb_array', 50, view='3d', terrain=TerrainSource())"
+        ".draw(env.simulation, 0)\n"
+        f"assert picture.shape == {ON_TERRAIN} and picture.std() > 20.0\n"
+        "assert not pygame.display.get_init() and pygame.display.get_surface() is None"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("heights", "message"),
+    [
+        (lambda x, y: np.zeros(3), r"heights have shape \(3,\); must be \(\d+, \d+\)"),
+        (lambda x, y: np.where(x > 5.0, np.nan, 0.0), "height = nan m at x = .*must be finite"),
+    ],
+)
+def test_heights_that_cannot_be_drawn_are_one_line(heights: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as raised:
+        picture_of(TerrainSource(heights))
+    assert "\n" not in str(raised.value)
+
+
+def test_an_unknown_view_is_named() -> None:
+    with pytest.raises(ValueError, match="view"):
+        Renderer("rgb_array", 50, view="side")

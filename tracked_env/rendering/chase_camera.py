@@ -1,0 +1,52 @@
+"""The eye behind the vehicle: where it stands, and the projection of its picture.
+
+It looks along a heading that follows the vehicle's yaw with a lag, so that the picture turns
+smoothly. It stands behind and above the vehicle, and higher where the ground between the two
+would hide the vehicle. The horizon moves in the picture and the vehicle stays at one row.
+"""
+
+import math
+
+import numpy as np
+
+from tracked_env.rendering.landscape import VIEW, Landscape
+from tracked_env.rendering.raster import Eye
+from tracked_env.rendering.terrain_source import BodyPose
+
+# In contact lengths:
+BEHIND, ABOVE = 3.7, 1.9  # from the vehicle to the eye
+FREE = 0.45  # least height of the line of sight above the ground
+NEAR = 0.4  # nothing closer is drawn
+LAG = 0.6  # [s] time constant of the heading
+FIELD = math.radians(54.0)  # [rad] horizontal angle of view
+VEHICLE_ROW = 0.57  # [-] of the picture's height
+SAMPLES = 24  # [-] of the line of sight
+
+
+class ChaseCamera:
+    """The eye of one episode."""
+
+    def __init__(self, yaw: float, time: float) -> None:
+        """Start behind a vehicle with that yaw [rad] at that time [s]."""
+        self._yaw, self._time = yaw, time
+
+    def follow(self, yaw: float, time: float) -> None:
+        """Turn towards the yaw [rad] of the vehicle (not wrapped) at that time [s]."""
+        elapsed, self._time = max(time - self._time, 0.0), time
+        self._yaw += (yaw - self._yaw) * (1.0 - math.exp(-elapsed / LAG))
+
+    def eye(self, pose: BodyPose, landscape: Landscape, width: int, height: int) -> Eye:
+        """The eye for a picture of that size [px]."""
+        length = landscape.length
+        cosine, sine = math.cos(self._yaw), math.sin(self._yaw)
+        x, y = pose.x - BEHIND * length * cosine, pose.y - BEHIND * length * sine
+        z = pose.z + ABOVE * length
+        share = np.linspace(0.0, 0.9, SAMPLES)  # from the eye to the vehicle
+        line = np.stack([x + share * (pose.x - x), y + share * (pose.y - y)], axis=1)
+        needed = landscape.heights(line) + FREE * length * (1.0 - share)
+        z = max(z, float(np.max((needed - share * pose.z) / (1.0 - share))))
+        focal = 0.5 * width / math.tan(0.5 * FIELD)
+        row = VEHICLE_ROW * height - focal * (z - pose.z) / (BEHIND * length)
+        return Eye(
+            x, y, z, cosine, sine, focal, 0.5 * width, row, NEAR * length, VIEW * length
+        )  # fmt: skip

@@ -1,0 +1,157 @@
+"""The scene from behind the vehicle: ground, paths, vehicle and reference, with a depth buffer."""
+
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+from tracked_env.rendering import canvas, raster
+from tracked_env.rendering.canvas import Bytes, Colour
+from tracked_env.rendering.chase_camera import ChaseCamera
+from tracked_env.rendering.landscape import Landscape, resampled
+from tracked_env.rendering.raster import Eye
+from tracked_env.rendering.scene import GHOST_REACH, footprint
+from tracked_env.rendering.snapshot import Pose, Snapshot
+from tracked_env.rendering.soil_map import SoilMap
+from tracked_env.rendering.terrain_source import BodyPose, TerrainSource, pose_of
+from tracked_env.rendering.vehicle_mesh import vehicle_faces
+
+Points = NDArray[np.float64]
+
+ZENITH: Colour = (126, 172, 212)
+HORIZON: Colour = (222, 231, 238)
+LINE_WIDTH = 0.05  # [contact lengths] of paths on the ground
+THINNEST = 2.2  # [px] of the same, far away
+NEARER = 0.02  # [-] of its distance that a line on the ground is taken as nearer than it
+SHADE = 0.38  # [-] opacity of the shadow under the vehicle
+OUTLINE_STEP = 0.08  # [contact lengths] between points of the reference's outline
+EDGE = 70  # [-] of 765: brighter edges are softened
+
+
+class Picture:
+    """A picture in the making: colours, depth buffer and eye."""
+
+    def __init__(self, width: int, height: int) -> None:
+        """Size in pixels."""
+        self.colours: Bytes = np.empty((height, width, 3), dtype=np.uint8)
+        self.inverse = np.zeros((height, width), dtype=np.float32)
+        self._soft: Bytes = np.empty_like(self.colours)
+
+    def ground(self, landscape: Landscape, eye: Eye) -> None:
+        """Sky and ground; what was drawn before is gone."""
+        height = self.colours.shape[0]
+        above = (eye.row - np.arange(height)) / height + 0.2
+        share = np.clip(above / 0.8, 0.0, 1.0)[:, None]
+        sky = np.array(HORIZON) + share * (np.array(ZENITH) - np.array(HORIZON))
+        self.colours[:] = np.round(sky).astype(np.uint8)[:, None]
+        raster.trace(landscape.grid, eye, self.inverse)
+        haze = np.array(HORIZON, dtype=np.uint8)
+        raster.colour_ground(landscape.grid, eye, self.inverse, haze, self.colours)
+
+    def polygons(
+        self,
+        eye: Eye,
+        corners: Points,
+        starts: NDArray[np.int64],
+        colours: Bytes,
+        opacity: float = 1.0,
+        bias: float = 0.0,
+    ) -> None:
+        """Polygons in space; arguments as `raster.fill_polygons` has them, corners in metres."""
+        count = starts.size - 1
+        seen = raster.project(eye, corners)
+        raster.fill_polygons(
+            seen, starts, colours, np.full(count, opacity), np.full(count, bias),
+            self.inverse, self.colours,
+        )  # fmt: skip
+
+    def quads(
+        self, eye: Eye, quads: Points, colour: Colour, opacity: float = 1.0, bias: float = 0.0
+    ) -> None:
+        """Quads (Q, 4, 3) [m] of one colour."""
+        starts = 4 * np.arange(len(quads) + 1)
+        colours = np.tile(np.array(colour, dtype=np.uint8), (len(quads), 1))
+        self.polygons(eye, quads.reshape(-1, 3), starts, colours, opacity, bias)
+
+    def line(self, eye: Eye, landscape: Landscape, line: Points, colour: Colour) -> None:
+        """A line (P, 2) [m] on the ground."""
+        if len(line) < 2:
+            return
+        away = np.hypot(line[:, 0] - eye.x, line[:, 1] - eye.y)
+        width = np.maximum(LINE_WIDTH * landscape.length, THINNEST * away / eye.focal)
+        self.quads(eye, landscape.ribbon(line, width), colour, bias=NEARER)
+
+    def softened(self) -> Bytes:
+        """The finished colours (H, W, 3)."""
+        raster.soften(self.colours, EDGE, self._soft)
+        return self._soft
+
+
+def _corners(outline: Points, pose: Pose | BodyPose) -> Points:
+    """Places (P, 2) [m] of an outline (P, 2) [m] of the body seen from above."""
+    cosine, sine = np.cos(pose.yaw), np.sin(pose.yaw)
+    return outline @ np.array([[cosine, sine], [-sine, cosine]]) + (pose.x, pose.y)
+
+
+class Perspective:
+    """The perspective scene of one episode."""
+
+    def __init__(
+        self, shot: Snapshot, terrain: TerrainSource, path: Points, interval: float
+    ) -> None:
+        """path (P, 2) [m]: the whole reference; interval [m] between contour lines."""
+        self._terrain = terrain
+        self.landscape = Landscape(terrain, path, shot.sizes.length, interval)
+        self._camera = ChaseCamera(shot.state.yaw, shot.time)
+        self._picture: Picture | None = None
+
+    def draw(
+        self,
+        target: pygame.Surface,
+        shot: Snapshot,
+        soil: SoilMap,
+        refresh: bool,
+        lines: list[tuple[Points, Colour]],
+        travel: list[float],
+    ) -> None:
+        """Cover the target; lines: paths (P, 2) [m] on the ground; travel [m] of both belts."""
+        width, height = target.get_size()
+        if self._picture is None:
+            self._picture = Picture(width, height)
+            refresh = True
+        if refresh:
+            self.landscape.colour(soil, shot)
+        pose = pose_of(shot.state, self._terrain)
+        self._camera.follow(pose.yaw, shot.time)
+        eye = self._camera.eye(pose, self.landscape, width, height)
+        self._picture.ground(self.landscape, eye)
+        self._shadow(self._picture, eye, pose, shot)
+        for line, colour in lines:
+            self._picture.line(eye, self.landscape, line, colour)
+        self._reference(self._picture, eye, shot)
+        slips = shot.state.slip_left, shot.state.slip_right
+        faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel)
+        light = pose.axes.T @ np.array(self.landscape.light)
+        self._picture.polygons(
+            eye, pose.place(faces.corners), faces.starts, faces.lit(light.tolist())
+        )
+        canvas.paint(target, self._picture.softened())
+
+    def _shadow(self, picture: Picture, eye: Eye, pose: BodyPose, shot: Snapshot) -> None:
+        """The ground under the vehicle, darker."""
+        p = shot.parameters
+        half, side = 0.62 * p.contact_length, 0.56 * (p.track_gauge + p.track_width)
+        x, y = np.meshgrid(np.linspace(-half, half, 9), np.linspace(-side, side, 7), indexing="ij")
+        nodes = self.landscape.on_ground(_corners(np.stack([x, y], axis=-1), pose))
+        quads = np.stack([nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:]], axis=2)
+        picture.quads(eye, quads.reshape(-1, 4, 3), canvas.INK, SHADE, NEARER)
+
+    def _reference(self, picture: Picture, eye: Eye, shot: Snapshot) -> None:
+        """The outline where the vehicle should be, and a line from there to where it is."""
+        length = self.landscape.length
+        if shot.distance > GHOST_REACH * length:
+            return
+        outline = np.array(footprint(shot.parameters, length))
+        ring = resampled(np.concatenate([outline, outline[:1]]), OUTLINE_STEP * length)
+        error = resampled(np.array([shot.reference[:2], shot.pose[:2]]), OUTLINE_STEP * length)
+        for line in (_corners(ring, shot.reference), error):
+            picture.line(eye, self.landscape, line, canvas.BLUE)

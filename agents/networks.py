@@ -17,10 +17,11 @@ from stable_baselines3.common.policies import BasePolicy
 from torch import nn
 
 from agents.algorithms import ALGORITHMS
+from agents.gaussian_policy import Tanh
 from agents.recurrent import BypassedLstmPolicy
 from baselines.learned.forward_pass import RECURRENT, Arrays, check_weights
 
-ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU}
+ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": Tanh, "relu": nn.ReLU}
 # Prefixes of parameters that only learning needs: values, their targets, the target of the action.
 _VALUES = (
     "value_net.", "mlp_extractor.value_net.", "critic.", "critic_target.", "actor_target.",
@@ -31,7 +32,7 @@ _VALUES = (
 def network_of(policy: BasePolicy) -> dict[str, Any]:
     """The architecture of a policy of train.py."""
     made: Any = policy
-    names = {kind: name for name, kind in ACTIVATIONS.items()}
+    names: dict[Any, str] = {nn.Tanh: "tanh", **{kind: n for n, kind in ACTIVATIONS.items()}}
     return {
         "inputs": int(policy.observation_space.shape[0]),  # type: ignore[index]
         "hidden": list(made.net_arch),

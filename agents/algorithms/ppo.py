@@ -9,6 +9,7 @@ from stable_baselines3 import PPO
 
 from agents.algorithms.algorithm import Algorithm
 from agents.algorithms.stable_baselines import OnPolicySettings, learner_of, maker
+from agents.gaussian_policy import GaussianPolicy
 from agents.training.reward import SMOOTHNESS
 
 
@@ -18,6 +19,6 @@ class PPOSettings(OnPolicySettings):
 
 
 ALGORITHM = Algorithm(
-    PPO, PPOSettings, learner_of, steps=2_000_000, network="ppo", make=maker(PPO),
-    smoothness=SMOOTHNESS, scaled=True, checkpoint_every=0,
+    PPO, PPOSettings, learner_of, steps=2_000_000, network="ppo",
+    make=maker(PPO, GaussianPolicy), smoothness=SMOOTHNESS, scaled=True, checkpoint_every=0,
 )  # fmt: skip

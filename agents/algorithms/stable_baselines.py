@@ -21,10 +21,10 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
-from torch import nn
 
 from agents.algorithms.algorithm import ALGORITHMS, Algorithm, Make
 from agents.algorithms.settings import check, check_buffer
+from agents.gaussian_policy import Tanh
 
 if TYPE_CHECKING:
     from agents.training.learner import Learner
@@ -131,12 +131,15 @@ def maker(
 
     def make(settings: Any, env: VecEnv, seed: int, log: str | None = None) -> BaseAlgorithm:
         given: dict[str, Any] = asdict(settings)
+        optimizer: dict[str, Any] = {"fused": True}
         network: dict[str, Any] = {"net_arch": list(given.pop("hidden"))}
         if "log_std_init" in given:  # on-policy
             network["log_std_init"] = given.pop("log_std_init")
-            network["activation_fn"] = nn.Tanh
+            network["activation_fn"] = Tanh
+            optimizer["eps"] = 1e-5  # Stable-Baselines3 takes it where no other option is given
         if "lstm_hidden" in given:
             network["lstm_hidden_size"] = given.pop("lstm_hidden")
+        network["optimizer_kwargs"] = optimizer
         rate = given.pop("learning_rate")
         given.update({name: value(settings) for name, value in derived.items()})
         return model(

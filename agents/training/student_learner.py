@@ -60,7 +60,7 @@ class StudentLearner:
         observed = sum(map(len, run.groups.values()))
         inference = make_inference(lags, settings.hidden, observed)
         self.model = StudentModel(inference, self.teacher, normalisation_of(recipe), observed)
-        self.optimiser = torch.optim.Adam(inference.parameters())
+        self.optimiser = torch.optim.Adam(inference.parameters(), fused=True)
         size = max(settings.buffer_size // env.num_envs, settings.n_steps)
         shown = env.observation_space.shape
         assert shown is not None

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
+from tracked_env.engine import noise
 from tracked_env.engine.composing import Composer
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
 from tracked_env.engine.kernels import SOME_ENDED, Clock
-from tracked_env.physics.channels import NOISE_COUNT
 from tracked_env.physics.parameters import PARAMETER_NAMES, Range
 from tracked_env.physics.state import STATE_NAMES
 from tracked_env.references import number_of_segments
@@ -33,7 +33,7 @@ from tracked_env.validation import checked_whole
 
 SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
 _RUNNING = (  # attributes that change while episodes run
-    "batch", "observations", "rngs", "_noise_rngs", "episodes", "_noisy", "_until_refill",
+    "batch", "observations", "rngs", "_noise_states", "episodes", "_noisy", "_until_refill",
     "some_ended", "composer",
 )  # fmt: skip
 
@@ -60,7 +60,7 @@ class Simulation:
         if self.layout.groups != obs.V0.groups:
             self.composer = Composer(self.layout, count, solver.control_period)
         self.rngs: list[np.random.Generator | None] = [None] * count
-        self._noise_rngs: list[np.random.Generator | None] = [None] * count
+        self._noise_states: NDArray[np.uint64] = np.zeros((count, noise.STATE), np.uint64)
         self.episodes: list[Episode | None] = [None] * count
         self.all = np.arange(count)
         self._action_shape = (count, 2)
@@ -142,9 +142,9 @@ class Simulation:
         data.events[i, : len(episode.events)] = episode.events
         self.ended[i] = False
         self._noisy[i] = sensors.noisy
-        self._noise_rngs[i] = np.random.Generator(np.random.SFC64(episode.noise_seed))
+        noise.seed_state(self._noise_states[i], episode.noise_seed)
         if sensors.noisy:
-            self._draw_noise(i)
+            noise.draw_block(data.noise, self._noise_states, i)
 
     def _fit(self, events: int, episode: Episode) -> None:
         """Widen the event and history arrays when an episode needs more room."""
@@ -193,8 +193,7 @@ class Simulation:
             result = self._advance(actions, chosen, 0, size, True)
         self._until_refill -= 1
         if refill and size:
-            last = self.batch.counter("noise_cursor")[chosen].max()
-            self._until_refill = b.NOISE_BLOCK - 1 - int(last)
+            self._until_refill = noise.steps_left(self.batch.counters, chosen)
         self.some_ended = result == SOME_ENDED
         if self.some_ended:
             self.ended = self.terminated | self.truncated
@@ -254,18 +253,8 @@ class Simulation:
 
     def _refill(self, chosen: NDArray[np.int64]) -> None:
         """Draw the next noise block of those chosen vehicles that are about to use up theirs."""
-        cursor = self.batch.counter("noise_cursor")
-        used_up = chosen[cursor[chosen] >= b.NOISE_BLOCK - 1]
-        for i in used_up[self._noisy[used_up]]:
-            self._draw_noise(int(i))
-        cursor[used_up] = -1  # the step moves it to the first row
-
-    def _draw_noise(self, i: int) -> None:
-        generator = self._noise_rngs[i]
-        assert generator is not None
-        self.batch.noise[:, i] = generator.standard_normal(
-            (b.NOISE_BLOCK // b.NOISE_RUN, b.NOISE_RUN, NOISE_COUNT), dtype=np.float32
-        )
+        data = self.batch
+        noise.refill(data.noise, data.counters, self._noise_states, self._noisy, chosen)
 
     def snapshot(self) -> dict[str, Any]:
         """All that changes while episodes run; can be pickled. `resume` goes on from it."""

@@ -53,6 +53,7 @@ _FIELDS: dict[str, tuple[tuple[str, float | None, Range], ...]] = {
         ("decay", 0.0, Range(0.0, 10.0, "1/m", "It damps towards positive Y.")),
     ),
 }
+_NAMES = {number: kind for kind, number in KINDS.items()}
 CHANGEABLE = tuple(name for name in PARAMETER_NAMES if name != "torque_limit")
 
 
@@ -82,6 +83,21 @@ def encode_event(event: object) -> list[float]:
         raise ValueError(f"a wave of {parameter} is not modelled; only of resistance coefficients")
     row = [float(KINDS[kind]), float(PARAMETER_NAMES.index(parameter)), target, *values]
     return row + [0.0] * (8 - len(row))
+
+
+def decode_event(row: Sequence[float]) -> Event:
+    """The entry of a schedule that a row of eight numbers says; a ninth is the direction of a line.
+
+    With it `encode_event` gives back the row, to the bit.
+    """
+    kind, parameter, target = _NAMES[int(row[0])], PARAMETER_NAMES[int(row[1])], row[2]
+    values = list(row[3:8])
+    if kind == "line":
+        x, y, cosine, sine, edge = values
+        direction = row[8] if len(row) > 8 else math.atan2(sine, cosine)
+        values = [x, y, direction, edge]
+    fields = zip((name for name, _, _ in _FIELDS[kind]), values, strict=False)
+    return {"parameter": parameter, "kind": kind, "target": target, **dict(fields)}
 
 
 def encode_schedule(schedule: Sequence[Mapping[str, Any]]) -> NDArray[np.float64]:

@@ -140,7 +140,9 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             mask, self.simulation.report(), self._success()
         )
 
-    def _start(self, chosen: NDArray[np.int64], given: Sequence[dict[str, Any] | None]) -> None:
+    def _start(
+        self, chosen: NDArray[np.int64], given: Sequence[dict[str, Any]] | None = None
+    ) -> None:
         self.simulation.reset(chosen, given)
         if self._max_steps is not None:
             limits = self.simulation.batch.counter("max_step")
@@ -148,6 +150,9 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
 
     def _success(self) -> Bools:
         """An episode that `max_episode_steps` has cut short has not been driven to its end."""
+        truncated = self.simulation.truncated
+        if not np.count_nonzero(truncated):
+            return truncated
         steps = self.simulation.batch.counter("step")
         return self.simulation.success & (steps >= self.simulation.settings.max_steps)
 
@@ -200,46 +205,46 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         Raises ResetNeeded when a row was never reset, ValueError for an action that is not finite.
         """
         simulation = self.simulation
-        ended = simulation.ended.copy()
-        resting = ended.any()
-        simulation.step(actions, np.flatnonzero(~ended) if resting else None)
-        report = simulation.report()
-        rewards = report.reward.copy()
-        if not simulation.some_ended and not resting:  # nearly always: nothing to look up
-            terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
-            info = self._info(self._every, report, success)
-            return simulation.observations.copy(), rewards, terminated, truncated, info
-        terminated, truncated = simulation.terminated, simulation.truncated
-        if resting:
-            rewards[ended] = 0.0
-            if self.autoreset_mode is AutoresetMode.NEXT_STEP:
-                self._restart(ended)
-                terminated[ended] = False
-                truncated[ended] = False
-        over = terminated | truncated
+        resting = None
+        if np.count_nonzero(simulation.ended):
+            resting = np.flatnonzero(simulation.ended)
+            simulation.step(actions, np.flatnonzero(~simulation.ended))
+        else:
+            simulation.step(actions)
         final: dict[str, Any] = {}
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and simulation.some_ended:
-            final = self._final(over)
-            self._restart(over)
-        info = self._info(self._every, simulation.report(), self._success())
+        if resting is None and not simulation.some_ended:  # nearly always: nothing to look up
+            report = simulation.report()
+            rewards = report.reward.copy()
+            terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
+        else:
+            if resting is not None and self.autoreset_mode is AutoresetMode.NEXT_STEP:
+                self._start(resting)  # with flags and rewards of 0
+            report = simulation.report()
+            rewards = report.reward.copy()
+            terminated, truncated = simulation.terminated, simulation.truncated
+            if self.autoreset_mode is AutoresetMode.DISABLED and resting is not None:
+                rewards[resting] = 0.0
+            elif self.autoreset_mode is AutoresetMode.SAME_STEP:
+                final = self._final(terminated | truncated)
+                report = simulation.report()
+            success = self._success()
+        info = self._info(self._every, report, success)
         info.update(final)
         return simulation.observations.copy(), rewards, terminated, truncated, info
 
-    def _restart(self, mask: Bools) -> None:
-        chosen = np.flatnonzero(mask)
-        self._start(chosen, [None] * len(chosen))
-
     def _final(self, over: Bools) -> dict[str, Any]:
-        """Last observation and info of the ended rows, which SAME_STEP replaces."""
+        """Last observation and info of the ended rows, of which SAME_STEP then starts others."""
+        chosen = np.flatnonzero(over)
         final_obs = np.full(self.num_envs, None, dtype=object)
-        for i in np.flatnonzero(over):
-            final_obs[i] = self.simulation.observations[i].copy()
-        mask = over.copy()
+        for i, last in zip(chosen, self.simulation.observations[chosen], strict=True):
+            final_obs[i] = last
+        final_info = self._info(over, self.simulation.report(), self._success())
+        self._start(chosen)
         return {
             "final_obs": final_obs,
-            "_final_obs": mask,
-            "final_info": self._info(mask, self.simulation.report(), self._success()),
-            "_final_info": mask,
+            "_final_obs": over,
+            "final_info": final_info,
+            "_final_info": over,
         }
 
     def _info(self, mask: Bools, report: Report, success: Bools) -> dict[str, Any]:

@@ -207,26 +207,25 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         simulation = self.simulation
         resting = None
         if np.count_nonzero(simulation.ended):
-            resting = np.flatnonzero(simulation.ended)
-            simulation.step(actions, np.flatnonzero(~simulation.ended))
+            resting = simulation.ended.nonzero()[0]
+            simulation.step(actions, (~simulation.ended).nonzero()[0])
+            if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+                self._start(resting)  # with flags and rewards of 0
+                resting = None
         else:
             simulation.step(actions)
+        report = simulation.report()
+        rewards = report.reward.copy()
         final: dict[str, Any] = {}
         if resting is None and not simulation.some_ended:  # nearly always: nothing to look up
-            report = simulation.report()
-            rewards = report.reward.copy()
             terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
         else:
-            if resting is not None and self.autoreset_mode is AutoresetMode.NEXT_STEP:
-                self._start(resting)  # with flags and rewards of 0
-            report = simulation.report()
-            rewards = report.reward.copy()
             terminated, truncated = simulation.terminated, simulation.truncated
-            if self.autoreset_mode is AutoresetMode.DISABLED and resting is not None:
-                rewards[resting] = 0.0
-            elif self.autoreset_mode is AutoresetMode.SAME_STEP:
+            if self.autoreset_mode is AutoresetMode.SAME_STEP:
                 final = self._final(terminated | truncated)
                 report = simulation.report()
+            elif resting is not None:
+                rewards[resting] = 0.0
             success = self._success()
         info = self._info(self._every, report, success)
         info.update(final)

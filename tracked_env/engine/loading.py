@@ -194,6 +194,13 @@ def fresh_counters(sensors: SensorDraw, max_steps: int) -> NDArray[np.int64]:
 
 
 @loop
+def _write_pose(origins, chosen, pose):
+    """Let the references of the chosen vehicles begin at pose (START,)."""
+    for k in range(chosen.size):
+        origins[chosen[k], :START] = pose
+
+
+@loop
 def _load(
     rngs, chosen, draws, origins, truths, changes, counts, length, row, clocks,
     floats, counters, profile, events, block, states, seeds, noisy, needed,
@@ -241,7 +248,7 @@ class BatchReset:
         self._law, self._settings = law, settings
         found = batch_reference(settings.reference)
         self._reference = None if found is None else found[0]
-        self._pose = pose(*(found[1] if found else (0.0, 0.0, 0.0)))
+        self._pose = np.array(pose(*(found[1] if found else (0.0, 0.0, 0.0))))
         self.sensors = fixed_part(settings.sensors, settings.control_period, settings.channels)
         self._read = np.array([name in settings.reads.names for name in PARAMETER_NAMES])
         self._nominal = np.array([tuple(settings.nominal)], dtype=RECORD)
@@ -272,7 +279,7 @@ class BatchReset:
         if self._reference is not None:
             draw_beginnings(streams, chosen, running.seeds, self._starts)
             self._reference.fill(streams, chosen, batch.profile)
-            origins[chosen, :START] = self._pose
+            _write_pose(origins, chosen, self._pose)
         else:
             self._draw_references(rngs, streams, chosen, batch, running)
         self._law.fill(

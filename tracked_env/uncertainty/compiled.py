@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tracked_env import streams
 from tracked_env.events import decode_event
 from tracked_env.physics import parameter_events
-from tracked_env.physics.jit import formula
+from tracked_env.physics.jit import formula, template
 from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PlantParameters
 from tracked_env.physics.reference_profile import advance_pose
 from tracked_env.references import ReferenceProfile
@@ -114,7 +114,7 @@ def line(changes, parameter, target, place, edge):
     row[5], row[6], row[7] = math.cos(row[8]), math.sin(row[8]), edge
 
 
-@formula
+@template
 def draw_each(law, call):
     """Draw an episode of each chosen vehicle by `law`; call: the fields of Draws."""
     rngs, chosen, nominal, profile, poses = call[0], call[1], call[2], call[3], call[4]

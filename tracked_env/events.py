@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from tracked_env.physics.parameter_events import KINDS
 from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, Range
-from tracked_env.references import ReferenceProfile, sample
 from tracked_env.validation import checked_choice, checked_keys, checked_number
 
 Event = dict[str, Any]
@@ -111,18 +110,6 @@ def ramp_events(targets: Mapping[str, float], start: float, duration: float) -> 
     """Several parameters that change together in time; start, duration [s]."""
     return [
         {"parameter": name, "kind": "ramp", "target": target, "start": start, "duration": duration}
-        for name, target in targets.items()
-    ]
-
-
-def line_events(
-    targets: Mapping[str, float], profile: ReferenceProfile, time: float, edge: float
-) -> list[Event]:
-    """Several parameters that change where the reference is at `time` [s], square to it."""
-    path = sample(profile, np.array([time]))
-    place = {"x": float(path.x[0]), "y": float(path.y[0]), "direction": float(path.yaw[0])}
-    return [
-        {"parameter": name, "kind": "line", "target": target, **place, "edge": edge}
         for name, target in targets.items()
     ]
 

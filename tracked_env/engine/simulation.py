@@ -24,8 +24,7 @@ from tracked_env.engine import noise
 from tracked_env.engine.composing import Composer
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
-from tracked_env.engine.kernels import SOME_ENDED, Clock
-from tracked_env.engine.loading import (
+from tracked_env.engine.episode_loading import (
     BatchReset,
     Episodes,
     each_drawn,
@@ -34,6 +33,7 @@ from tracked_env.engine.loading import (
     running_arrays,
     states_of,
 )
+from tracked_env.engine.kernels import SOME_ENDED, Clock
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters, Range
 from tracked_env.physics.state import STATE_NAMES, VehicleState
 from tracked_env.plants.base import unchanged

@@ -296,7 +296,9 @@ class BatchReset:
         )  # fmt: skip
         if most > batch.events.shape[1]:
             batch = fitted(batch, most, self._delay, settings.control_period)
-            batch.events[chosen] = self._changes[chosen, :most, : b.EVENT_FIELDS]
+            for i in chosen:
+                own = slice(0, self._counts[i])
+                batch.events[i, own] = self._changes[i, own, : b.EVENT_FIELDS]
         return batch
 
     def _draw_references(

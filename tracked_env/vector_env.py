@@ -137,7 +137,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             limits = self.simulation.batch.counter("max_step")
             limits[chosen] = np.ceil(share * limits[chosen])
         return self.simulation.observations.copy(), self._info(
-            mask, self.simulation.report(), self._success()
+            mask, self.simulation.report(), self._success(self.simulation.truncated)
         )
 
     def _start(
@@ -148,11 +148,10 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             limits = self.simulation.batch.counter("max_step")
             limits[chosen] = np.minimum(limits[chosen], self._max_steps)
 
-    def _success(self) -> Bools:
+    def _success(self, truncated: Bools) -> Bools:
         """An episode that `max_episode_steps` has cut short has not been driven to its end."""
-        truncated = self.simulation.truncated
         if not np.count_nonzero(truncated):
-            return truncated
+            return np.zeros_like(truncated)
         steps = self.simulation.batch.counter("step")
         return self.simulation.success & (steps >= self.simulation.settings.max_steps)
 
@@ -226,7 +225,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
                 report = simulation.report()
             elif resting is not None:
                 rewards[resting] = 0.0
-            success = self._success()
+            success = self._success(simulation.truncated if final else truncated)
         info = self._info(self._every, report, success)
         info.update(final)
         return simulation.observations.copy(), rewards, terminated, truncated, info
@@ -237,7 +236,8 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i, last in zip(chosen, self.simulation.observations[chosen], strict=True):
             final_obs[i] = last
-        final_info = self._info(over, self.simulation.report(), self._success())
+        success = self._success(self.simulation.truncated)
+        final_info = self._info(over, self.simulation.report(), success)
         self._start(chosen)
         return {
             "final_obs": final_obs,

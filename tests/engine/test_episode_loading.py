@@ -106,7 +106,8 @@ def test_episodes_keep_what_was_true_at_their_start_while_they_run():
 
 
 def test_a_drawn_reference_that_is_refused_loses_no_random_number_and_moves_no_vehicle():
-    tight = {"kind": "figure_eight", "speed": [1.0, 5.0], "size": [5.0, 6.0]}  # seldom |w| > 5 rad/s
+    # Seldom is |w| > 5 rad/s:
+    tight = {"kind": "figure_eight", "speed": [1.0, 5.0], "size": [5.0, 6.0]}
     ours = simulation(True, reference=tight)
     for _ in range(200):
         states = [rng.bit_generator.state for rng in ours.rngs]

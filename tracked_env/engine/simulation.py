@@ -196,7 +196,8 @@ class Simulation:
             self._until_refill = noise.steps_left(self.batch.counters, chosen)
         self.some_ended = result == SOME_ENDED
         if self.some_ended:
-            self.ended = self.terminated | self.truncated
+            counters = self.batch.counters
+            self.ended = (counters[:, b.TERMINATED] | counters[:, b.TRUNCATED]) != 0
         if result >= 0:
             raise ValueError(
                 f"action[{result}] = {actions[result].tolist()}; must be finite, in [-1, 1]. "

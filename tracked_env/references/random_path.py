@@ -67,17 +67,19 @@ def _limited(v, w, lateral_acceleration):
 
 
 @formula
-def _write(coefficients, segments, out):
-    """Fill out (S, 6) with the polynomials of the spline."""
+def _write(coefficients, segments, row, out):
+    """Fill out (S, 6) with the polynomials of the spline; row: room for those of an interval."""
     width = DEGREE + 1
-    per_interval = segments.shape[1] // width
-    for k in range(out.shape[0]):
-        n, column = k // per_interval, (k % per_interval) * width
-        for j in range(width):
-            total = coefficients[n] * segments[0, column + j]
+    per_interval = row.size // width
+    for n in range(coefficients.size - 3):
+        for j in range(row.size):
+            total = coefficients[n] * segments[0, j]
             for m in range(1, 4):
-                total = fused(coefficients[n + m], segments[m, column + j], total)
-            out[k, j] = total
+                total = fused(coefficients[n + m], segments[m, j], total)
+            row[j] = total
+        for k in range(n * per_interval, min((n + 1) * per_interval, out.shape[0])):
+            for j in range(width):
+                out[k, j] = row[(k - n * per_interval) * width + j]
 
 
 @loop
@@ -85,7 +87,7 @@ def _draw_paths(rngs, chosen, profile, limits, segments):
     """Draw the profiles of the chosen vehicles; limits as RandomPaths, profile (S, N, 12)."""
     per_interval = segments.shape[1] // (DEGREE + 1)
     count = -(-profile.shape[0] // per_interval) + 3
-    v, w = np.empty(count), np.empty(count)
+    v, w, row = np.empty(count), np.empty(count), np.empty(segments.shape[1])
     middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
     for k in range(chosen.size):
         _clipped_draws(rngs[k], v)
@@ -94,8 +96,8 @@ def _draw_paths(rngs, chosen, profile, limits, segments):
             v[n] = middle + half * v[n]
             w[n] = limits[2] * w[n]
         _limited(v, w, limits[3])
-        _write(v, segments, profile[:, chosen[k], :6])
-        _write(w, segments, profile[:, chosen[k], 6:])
+        _write(v, segments, row, profile[:, chosen[k], :6])
+        _write(w, segments, row, profile[:, chosen[k], 6:])
 
 
 class RandomPaths(NamedTuple):

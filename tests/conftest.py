@@ -54,4 +54,4 @@ def registries() -> Iterator[None]:
         table.clear()
         table.update(old)
     observation._layout.cache_clear()
-    sensors._fixed_part.cache_clear()
+    sensors.fixed_part.cache_clear()

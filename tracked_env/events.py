@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from tracked_env.physics.parameter_events import KINDS
 from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, Range
-from tracked_env.references import ReferenceProfile, sample
 from tracked_env.validation import checked_choice, checked_keys, checked_number
 
 Event = dict[str, Any]
@@ -53,6 +52,7 @@ _FIELDS: dict[str, tuple[tuple[str, float | None, Range], ...]] = {
         ("decay", 0.0, Range(0.0, 10.0, "1/m", "It damps towards positive Y.")),
     ),
 }
+_NAMES = {number: kind for kind, number in KINDS.items()}
 CHANGEABLE = tuple(name for name in PARAMETER_NAMES if name != "torque_limit")
 
 
@@ -84,6 +84,21 @@ def encode_event(event: object) -> list[float]:
     return row + [0.0] * (8 - len(row))
 
 
+def decode_event(row: Sequence[float]) -> Event:
+    """The entry of a schedule that a row of eight numbers says; a ninth is the direction of a line.
+
+    With it `encode_event` gives back the row, to the bit.
+    """
+    kind, parameter, target = _NAMES[int(row[0])], PARAMETER_NAMES[int(row[1])], row[2]
+    values = list(row[3:8])
+    if kind == "line":
+        x, y, cosine, sine, edge = values
+        direction = row[8] if len(row) > 8 else math.atan2(sine, cosine)
+        values = [x, y, direction, edge]
+    fields = zip((name for name, _, _ in _FIELDS[kind]), values, strict=False)
+    return {"parameter": parameter, "kind": kind, "target": target, **dict(fields)}
+
+
 def encode_schedule(schedule: Sequence[Mapping[str, Any]]) -> NDArray[np.float64]:
     """Rows (E, 8) of a whole schedule, in the order in which its entries act."""
     if isinstance(schedule, (str, Mapping)) or not isinstance(schedule, Sequence):
@@ -95,18 +110,6 @@ def ramp_events(targets: Mapping[str, float], start: float, duration: float) -> 
     """Several parameters that change together in time; start, duration [s]."""
     return [
         {"parameter": name, "kind": "ramp", "target": target, "start": start, "duration": duration}
-        for name, target in targets.items()
-    ]
-
-
-def line_events(
-    targets: Mapping[str, float], profile: ReferenceProfile, time: float, edge: float
-) -> list[Event]:
-    """Several parameters that change where the reference is at `time` [s], square to it."""
-    path = sample(profile, np.array([time]))
-    place = {"x": float(path.x[0]), "y": float(path.y[0]), "direction": float(path.yaw[0])}
-    return [
-        {"parameter": name, "kind": "line", "target": target, **place, "edge": edge}
         for name, target in targets.items()
     ]
 

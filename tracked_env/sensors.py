@@ -22,8 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUPS, TABLE, Channel
+from tracked_env.physics.channels import CHANNELS, GROUPS, TABLE, Channel
+from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import Range
+from tracked_env.streams import addresses, random
 from tracked_env.validation import SIGMA, checked_choice, checked_keys, checked_number
 
 DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
@@ -124,7 +126,7 @@ _RANGES = {
     "velocity_measured": Range(0.0, 1.0, "-", "It is 1, measured, or 0, not measured."),
 }
 
-_BIASED = [column for column, channel in enumerate(TABLE) if channel.bias]
+_BIASED = np.array([column for column, channel in enumerate(TABLE) if channel.bias])
 _FIELDS = tuple(name for name in Sensors._fields if name != "further")
 ADDED: dict[str, Channel] = {}  # registered channels by name
 
@@ -164,7 +166,7 @@ def register(channel: Channel) -> Channel:
         for name, value in checked_keys(f"presets of {channel.name!r}", values, own).items():
             checked_number(name, value, SIGMA)
     ADDED[channel.name] = channel
-    _fixed_part.cache_clear()
+    fixed_part.cache_clear()
     return channel
 
 
@@ -257,23 +259,21 @@ def _steps(sensors: Sensors, control_period: float) -> tuple[list[int], list[int
 
 
 @lru_cache(maxsize=256)
-def _fixed_part(
-    sensors: Sensors, control_period: float, added: tuple[str, ...]
-) -> tuple[SensorDraw, NDArray[np.float64]]:
-    """The draw without its biases, and the magnitudes of the four biases that get a sign."""
+def fixed_part(sensors: Sensors, control_period: float, added: tuple[str, ...]) -> SensorDraw:
+    """The draw with the magnitudes of its biases, which get a sign."""
     probability = np.array([getattr(sensors, f"{group}_dropout") for group in GROUPS])
     periods, delays = _steps(sensors, control_period)
     sigma = np.array([_error(sensors, channel, channel.noise) for channel in TABLE])
     # The two accelerometers' biases differ by sqrt(2) of one, in the mean square.
-    magnitudes = np.array([_error(sensors, TABLE[c], TABLE[c].bias) for c in _BIASED])
+    bias = np.array([_error(sensors, channel, channel.bias) for channel in TABLE])
     further = [
         (name, _error(sensors, ADDED[name], ADDED[name].noise),
          _error(sensors, ADDED[name], ADDED[name].bias))
         for name in added
     ]  # fmt: skip
-    draw = SensorDraw(
+    return SensorDraw(
         sigma,
-        np.zeros(CHANNEL_COUNT),
+        bias,
         sensors.cross_coupling,
         ndtri(probability),
         np.array(periods, dtype=np.int64),
@@ -282,7 +282,14 @@ def _fixed_part(
         sensors.velocity_measured,
         tuple(further),
     )
-    return draw, magnitudes
+
+
+@formula
+def draw_signs(rng, bias):
+    """Give the magnitudes of the biases (CHANNEL_COUNT,) their signs for one episode."""
+    for k in range(_BIASED.size):  # also of zero biases: keeps the stream aligned
+        if random(rng) < 0.5:
+            bias[_BIASED[k]] = -bias[_BIASED[k]]
 
 
 def draw_sensors(
@@ -292,10 +299,9 @@ def draw_sensors(
 
     added: registered channels that are sampled.
     """
-    fixed, magnitudes = _fixed_part(sensors, control_period, added)
-    bias = np.zeros(CHANNEL_COUNT)
-    # Always drawn, also for zero biases: keeps the stream aligned.
-    bias[_BIASED] = np.where(rng.random(len(_BIASED)) < 0.5, -magnitudes, magnitudes)
+    fixed = fixed_part(sensors, control_period, added)
+    bias = fixed.bias.copy()
+    draw_signs(addresses([rng])[0], bias)
     return fixed._replace(bias=bias)
 
 

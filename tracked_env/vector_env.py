@@ -118,17 +118,21 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             limits = self.simulation.batch.counter("max_step")
             limits[chosen] = np.ceil(share * limits[chosen])
         return self.simulation.observations.copy(), self._info(
-            mask, self.simulation.report(), self._success()
+            mask, self.simulation.report(), self._success(self.simulation.truncated)
         )
 
-    def _start(self, chosen: NDArray[np.int64], given: Sequence[dict[str, Any] | None]) -> None:
+    def _start(
+        self, chosen: NDArray[np.int64], given: Sequence[dict[str, Any]] | None = None
+    ) -> None:
         self.simulation.reset(chosen, given)
         if self._max_steps is not None:
             limits = self.simulation.batch.counter("max_step")
             limits[chosen] = np.minimum(limits[chosen], self._max_steps)
 
-    def _success(self) -> Bools:
+    def _success(self, truncated: Bools) -> Bools:
         """An episode that `max_episode_steps` has cut short has not been driven to its end."""
+        if not np.count_nonzero(truncated):
+            return np.zeros_like(truncated)
         steps = self.simulation.batch.counter("step")
         return self.simulation.success & (steps >= self.simulation.settings.max_steps)
 
@@ -181,45 +185,47 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         Raises ResetNeeded when a row was never reset, ValueError for an action that is not finite.
         """
         simulation = self.simulation
-        resting = simulation.resting()
-        simulation.step(actions, None if resting is None else np.flatnonzero(~resting))
+        over = simulation.resting()
+        resting = None
+        if over is None:
+            simulation.step(actions)
+        else:
+            simulation.step(actions, (~over).nonzero()[0])
+            resting = over.nonzero()[0]
+            if self.autoreset_mode is AutoresetMode.NEXT_STEP:
+                self._start(resting)  # with flags and rewards of 0
+                resting = None
         report = simulation.report()
         rewards = report.reward
-        if not simulation.some_ended and resting is None:  # nearly always: nothing to look up
-            terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
-            info = self._info(self._every, report, success)
-            return simulation.observations.copy(), rewards, terminated, truncated, info
-        terminated, truncated = simulation.terminated, simulation.truncated
-        if resting is not None:
-            rewards[resting] = 0.0
-            if self.autoreset_mode is AutoresetMode.NEXT_STEP:
-                self._restart(resting)
-                terminated[resting] = False
-                truncated[resting] = False
-        over = terminated | truncated
         final: dict[str, Any] = {}
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and simulation.some_ended:
-            final = self._final(over)
-            self._restart(over)
-        info = self._info(self._every, simulation.report(), self._success())
+        if resting is None and not simulation.some_ended:  # nearly always: nothing to look up
+            terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
+        else:
+            terminated, truncated = simulation.terminated, simulation.truncated
+            if self.autoreset_mode is AutoresetMode.SAME_STEP:
+                final = self._final(terminated | truncated)
+                report = simulation.report()
+            elif resting is not None:
+                rewards[resting] = 0.0
+            success = self._success(simulation.truncated if final else truncated)
+        info = self._info(self._every, report, success)
         info.update(final)
         return simulation.observations.copy(), rewards, terminated, truncated, info
 
-    def _restart(self, mask: Bools) -> None:
-        chosen = np.flatnonzero(mask)
-        self._start(chosen, [None] * len(chosen))
-
     def _final(self, over: Bools) -> dict[str, Any]:
-        """Last observation and info of the ended rows, which SAME_STEP replaces."""
+        """Last observation and info of the ended rows, of which SAME_STEP then starts others."""
+        chosen = np.flatnonzero(over)
         final_obs = np.full(self.num_envs, None, dtype=object)
-        for i in np.flatnonzero(over):
-            final_obs[i] = self.simulation.observations[i].copy()
-        mask = over.copy()
+        for i, last in zip(chosen, self.simulation.observations[chosen], strict=True):
+            final_obs[i] = last
+        success = self._success(self.simulation.truncated)
+        final_info = self._info(over, self.simulation.report(), success)
+        self._start(chosen)
         return {
             "final_obs": final_obs,
-            "_final_obs": mask,
-            "final_info": self._info(mask, self.simulation.report(), self._success()),
-            "_final_info": mask,
+            "_final_obs": over,
+            "final_info": final_info,
+            "_final_info": over,
         }
 
     def _info(self, mask: Bools, report: Report, success: Bools) -> dict[str, Any]:

@@ -322,3 +322,21 @@ def test_the_golden_trajectory_has_not_changed(repository):
     golden = json.loads((repository / "tests/golden_torque_v0.json").read_text())
     for lateral, rows in golden_run().items():
         assert np.array(rows) == pytest.approx(np.array(golden[lateral]), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("lateral", ["sliding", "constrained"])
+def test_vehicles_that_are_moved_together_in_any_number_have_the_bits_of_one_alone(lateral):
+    config = EnvConfig(uncertainty="weak-soil", lateral=lateral, error_limit=1e6)
+    rows = np.arange(66)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 66, 2)).astype(np.float32)
+    runs = []
+    for size in (1, 2, 3, 7, 8, 9, 31, 63, 64, 65, 66):
+        simulation = Simulation(66, config)
+        simulation.rngs = [np.random.default_rng(i) for i in rows]
+        simulation.reset(rows)
+        for action in actions:
+            for first in range(0, 66, size):
+                simulation.step(action, rows[first : first + size])
+        runs.append(simulation.batch.floats)
+    for floats in runs[1:]:
+        assert np.array_equal(runs[0], floats)

@@ -8,8 +8,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.test_env import make
-from tracked_env.events import _FIELDS, encode_schedule
+from tracked_env.events import _FIELDS, decode_event, encode_event, encode_schedule
 from tracked_env.physics import parameter_events
+from tracked_env.physics.parameter_events import KINDS
 from tracked_env.physics.parameters import RANGES
 
 LARGEST = np.finfo(float).max
@@ -76,3 +77,16 @@ def test_an_episode_that_starts_far_from_the_origin_of_a_map_has_no_nan():
         observation, reward, terminated, _, info = env.step(np.float32([0.2, 0.2]))
         assert np.isfinite(observation).all() and math.isfinite(reward) and not terminated
         assert 0.2 <= info["truth"]["lateral_resistance"] <= 1.5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_row_that_is_decoded_and_encoded_again_is_the_same_row(kind):
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        numbers = {name: abs(rng.normal()) + 0.1 for name, _, _ in _FIELDS[kind]}
+        numbers |= {"phase": -0.3} if kind == "wave" else {}
+        event = {"parameter": "lateral_resistance", "kind": kind, "target": 0.7, **numbers}
+        row = encode_event(event)
+        decoded = decode_event([*row, numbers.get("direction", 0.0)])
+        assert decoded == event and encode_event(decoded) == row
+        assert encode_event(decode_event(row)) == pytest.approx(row, rel=1e-15)

@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 from scipy.special import fresnel, j0, struve
 
 from tests.references.reference_cases import DURATION, SMOOTH_KINDS, build
+from tracked_env.physics.reference_profile import SEGMENT_DURATION
 from tracked_env.references import catalogue, make_reference, sample
+from tracked_env.references.random_path import random_smooth
 
 
 @pytest.mark.parametrize("kind", SMOOTH_KINDS)
@@ -116,3 +119,21 @@ def test_random_paths_stay_within_all_their_limits_and_use_them():
         assert path.acceleration[0] == pytest.approx(0.0, abs=1e-12)
         extremes.append((np.ptp(path.speed), np.abs(path.yaw_rate).max(), lateral.max()))
     assert np.all(np.mean(extremes, axis=0) > [2.5, 0.35, 0.9])
+
+
+@pytest.mark.parametrize("knot_interval", [0.5, 1.0, 2.0, 6.0])
+def test_random_paths_are_the_b_splines_of_their_coefficients(knot_interval):
+    profile = random_smooth(30.0, np.random.default_rng(4), knot_interval=knot_interval)
+    rng = np.random.default_rng(4)
+    count = -(-len(profile.speed) // round(knot_interval / SEGMENT_DURATION)) + 3
+    knots = knot_interval * np.arange(-3, count + 1)
+    draws = [np.clip(1.5 * rng.uniform(-1.0, 1.0, count), -1.0, 1.0) for _ in range(2)]
+    for drawn in draws:
+        drawn[1:3] = drawn[0]
+    v = 2.0 + draws[0]
+    fastest = [np.abs(v[max(n - 3, 0) : n + 4]).max() for n in range(count)]
+    w = np.clip(0.5 * draws[1], -1.5 / np.array(fastest), 1.5 / np.array(fastest))
+    times = np.linspace(0.0, 30.0, 301)
+    found = sample(profile, times)
+    assert found.speed == pytest.approx(BSpline(knots, v, 3)(times), abs=1e-10)
+    assert found.yaw_rate == pytest.approx(BSpline(knots, w, 3)(times), abs=1e-10)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.events import encode_schedule
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import (
     GROUPS,
     PARAMETER_NAMES,
@@ -31,6 +32,7 @@ from tracked_env.physics.parameters import (
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile, make_reference
 from tracked_env.sensors import SensorDraw, Sensors, draw_sensors, make_sensors
+from tracked_env.streams import addresses, seed, uniform
 from tracked_env.uncertainty import CheckedLaw, Law, Spec, make_uncertainty
 from tracked_env.validation import checked_effect, checked_keys, checked_number, checked_parameter
 
@@ -110,29 +112,51 @@ def _overridden(
     return parameters._replace(**values) if values else parameters
 
 
+@loop
+def draw_beginnings(rngs, rows, seeds, draws):
+    """What comes before all else, into the rows of the generators `rngs`.
+
+    seeds (N,) of the noise, draws (N, 4) in [-1, 1) behind the start.
+    """
+    for k in range(rngs.size):
+        seeds[rows[k]] = seed(rngs[k])
+        for j in range(draws.shape[1]):
+            draws[rows[k], j] = uniform(rngs[k], -1.0, 1.0)
+
+
+@formula
+def start_beside(draws, length, speed, yaw_rate):
+    """Offsets x, y [m] and yaw [rad] from the reference, speed and yaw rate, from its own."""
+    return (
+        START_OFFSET * length * draws[0],
+        START_OFFSET * length * draws[1],
+        0.1 * draws[2],
+        speed * (1.0 + 0.2 * draws[3]),
+        yaw_rate,
+    )
+
+
+@formula
+def placed(pose, offset_x, offset_y, offset_yaw):
+    """x, y, yaw of a vehicle at these offsets from pose: x, y, yaw, cos, sin."""
+    x = pose[0] + pose[3] * offset_x - pose[4] * offset_y
+    y = pose[1] + pose[4] * offset_x + pose[3] * offset_y
+    return x, y, pose[2] + offset_yaw
+
+
 def _start(
     profile: ReferenceProfile, draws: NDArray[np.float64], options: Mapping[str, Any], length: float
 ) -> VehicleState:
     """Vehicle of that contact length at the start: beside the reference, moving nearly as it
     does."""
     given = checked_keys("options['start']", options.get("start"), _START_RANGES)
-    values = {
-        "offset_x": START_OFFSET * length * draws[0],
-        "offset_y": START_OFFSET * length * draws[1],
-        "offset_yaw": 0.1 * draws[2],
-        "speed": profile.speed[0, 0] * (1.0 + 0.2 * draws[3]),
-        "yaw_rate": profile.yaw_rate[0, 0],
-    }
+    drawn = start_beside(draws, length, profile.speed[0, 0], profile.yaw_rate[0, 0])
+    values = dict(zip(_START_RANGES, drawn, strict=True))
     for name, value in given.items():
         values[name] = checked_number(f"start {name}", value, _START_RANGES[name])
-    cosine, sine = np.cos(profile.yaw), np.sin(profile.yaw)
-    return VehicleState(
-        x=profile.x + cosine * values["offset_x"] - sine * values["offset_y"],
-        y=profile.y + sine * values["offset_x"] + cosine * values["offset_y"],
-        yaw=profile.yaw + values["offset_yaw"],
-        v_x=values["speed"],
-        yaw_rate=values["yaw_rate"],
-    )
+    pose = (profile.x, profile.y, profile.yaw, np.cos(profile.yaw), np.sin(profile.yaw))
+    x, y, yaw = placed(pose, *(values[name] for name in ("offset_x", "offset_y", "offset_yaw")))
+    return VehicleState(x, y, yaw, v_x=values["speed"], yaw_rate=values["yaw_rate"])
 
 
 def _schedule(
@@ -161,8 +185,9 @@ def draw_episode(
     Raises ValueError for an unknown key and for a value outside its range.
     """
     options = checked_keys("options", options, OPTION_KEYS)
-    noise_seed = int(rng.integers(2**63))
-    start_draws = rng.uniform(-1.0, 1.0, 4)
+    seeds, start_draws = np.empty(1, dtype=np.int64), np.empty((1, 4))
+    draw_beginnings(addresses([rng]), np.zeros(1, dtype=np.int64), seeds, start_draws)
+    noise_seed = int(seeds[0])
     profile = make_reference(settings.reference, settings.duration, rng)
     truth = settings.law(rng, settings.nominal, profile, settings.duration)
     if options.get("reference") is not None:
@@ -177,6 +202,6 @@ def draw_episode(
         _schedule(options, truth.events, settings.reads),
         profile,
         draw_sensors(sensors, settings.control_period, rng, settings.channels),
-        _start(profile, start_draws, options, settings.nominal.contact_length),
+        _start(profile, start_draws[0], options, settings.nominal.contact_length),
         noise_seed,
     )

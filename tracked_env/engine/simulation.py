@@ -19,22 +19,33 @@ from numpy.typing import NDArray
 
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
+from tracked_env.engine import noise
 from tracked_env.engine.composing import Composer
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
+from tracked_env.engine.episode_loading import (
+    BatchReset,
+    Episodes,
+    each_drawn,
+    fitted,
+    load_episode,
+    running_arrays,
+    states_of,
+)
 from tracked_env.engine.kernels import SOME_ENDED, Clock
 from tracked_env.engine.readings import Readings
 from tracked_env.engine.threads import Threads
-from tracked_env.physics.channels import NOISE_COUNT
 from tracked_env.physics.jit import bound
-from tracked_env.physics.parameters import Range
+from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.physics.state import VehicleState
+from tracked_env.plants.base import unchanged
 from tracked_env.references import number_of_segments
-from tracked_env.sensors import longest_delay_steps
+from tracked_env.uncertainty import ArrayLaw
 from tracked_env.validation import checked_whole
 
 _RUNNING = (  # attributes that change while episodes run
-    "batch", "observations", "rngs", "_noise_rngs", "episodes", "_noisy", "_until_refill",
-    "some_ended", "composer",
+    "batch", "observations", "rngs", "running", "_given", "_until_refill", "some_ended",
+    "composer",
 )  # fmt: skip
 
 
@@ -60,8 +71,12 @@ class Simulation(Readings):
         if self.layout.groups != obs.V0.groups:
             self.composer = Composer(self.layout, count, solver.control_period)
         self.rngs: list[np.random.Generator | None] = [None] * count
-        self._noise_rngs: list[np.random.Generator | None] = [None] * count
-        self.episodes: list[Episode | None] = [None] * count
+        self.running = running_arrays(count)
+        # Those of vehicles that options or a law of one's own have had a say in:
+        self._given: list[Episode | None] = [None] * count
+        self._batch_reset: BatchReset | None = None
+        if isinstance(self.settings.law, ArrayLaw):
+            self._batch_reset = BatchReset(self.settings, self.batch)
         self.all = np.arange(count)
         self._action_shape = (count, 2)
         self._idle: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
@@ -71,7 +86,6 @@ class Simulation(Readings):
         self._threads = Threads(solver.threads, solver.plant.lanes)
         clock = Clock(solver.substeps, solver.substep, solver.error_limit)
         self._tail: tuple[Any, ...] = (*clock, *solver.prepared.options)
-        self._noisy = np.zeros(count, dtype=bool)
         self._ended = np.zeros(count, dtype=bool)
         self._ended_known, self._some_resting = True, True
         self._threads_from = solver.plant.threads_from if solver.threads > 1 else count + 1
@@ -98,7 +112,9 @@ class Simulation(Readings):
 
     # --- an episode starts ----------------------------------------------------------------
     def reset(
-        self, chosen: NDArray[np.int64], options: Sequence[Mapping[str, Any] | None]
+        self,
+        chosen: NDArray[np.int64],
+        options: Sequence[Mapping[str, Any] | None] | None = None,
     ) -> NDArray[np.float32]:
         """Start an episode on the chosen vehicles; options: one entry per chosen vehicle.
 
@@ -106,75 +122,60 @@ class Simulation(Readings):
         before any vehicle is touched, so a wrong option loses nothing, no random number either.
         Raises ValueError as `draw_episode` does.
         """
-        drawn: list[Episode] = []
-        before = []
-        for i, given in zip(chosen, options, strict=True):
+        chosen = np.asarray(chosen, dtype=np.int64)
+        rngs = self._generators(chosen)
+        plain = options is None or not any(given is not None and given != {} for given in options)
+        if plain and self._batch_reset is not None:
+            self.batch = self._batch_reset.load(rngs, chosen, self.batch, self.running)
+            for i in chosen.tolist():
+                self._given[i] = None
+        else:
+            self._load_each(rngs, chosen, options or [None] * chosen.size)
+        self._settle(chosen)
+        self.ended[chosen] = False
+        self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
+        self._advance(self._idle, chosen, 0, chosen.size, False)
+        if self.composer is not None:
+            episodes = [self.episodes[i] for i in chosen]
+            self.composer.start(self.batch, self.observations, chosen, episodes)
+        return self.observations
+
+    def _generators(self, chosen: NDArray[np.int64]) -> list[np.random.Generator]:
+        found = []
+        for i in chosen.tolist():
             rng = self.rngs[i]
             if rng is None:
                 raise ValueError(f"vehicle {i} has no random stream: call reset(seed=...) first")
-            before.append((rng.bit_generator, rng.bit_generator.state))
-            try:
-                drawn.append(draw_episode(rng, self.settings, given))
-            except ValueError as error:
-                for generator, state in before:
-                    generator.state = state
-                where = f"vehicle {i}: " if self.count > 1 else ""
-                raise ValueError(f"{where}{error}") from error
-        for i, episode in zip(chosen, drawn, strict=True):
-            self._load(int(i), episode)
-        self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
-        chosen = np.asarray(chosen, dtype=np.int64)
-        self._advance(self._idle, chosen, 0, len(drawn), False)
-        if self.composer is not None:
-            self.composer.start(self.batch, self.observations, chosen, drawn)
-        return self.observations
+            found.append(rng)
+        return found
 
-    def _load(self, i: int, episode: Episode) -> None:
-        """Write an episode into the arrays of vehicle i."""
-        self._fit(len(episode.events), episode)
-        self.episodes[i] = episode
-        data = self.batch
-        f, c = data.floats[i], data.counters[i]
-        f[:] = 0.0
-        c[:] = 0
-        data.base()[i] = data.parameters()[i] = episode.parameters
-        data.profile[:, i, :6] = episode.profile.speed
-        data.profile[:, i, 6:] = episode.profile.yaw_rate
-        f[b.REFERENCE_X : b.REFERENCE_X + 3] = episode.profile[2:]
-        yaw = episode.profile.yaw
-        f[b.REFERENCE_COSINE : b.REFERENCE_COSINE + 2] = np.cos(yaw), np.sin(yaw)
-        data.state()[i] = self.solver.prepared.start(episode.parameters, episode.state)
-        sensors = episode.sensors
-        f[b.SIGMA : b.SIGMA + len(sensors.sigma)] = sensors.sigma
-        f[b.BIAS : b.BIAS + len(sensors.bias)] = sensors.bias
-        f[b.CROSS_COUPLING] = sensors.cross_coupling
-        f[b.VELOCITY] = sensors.velocity
-        f[b.DROPOUT : b.DROPOUT + b.GROUP_COUNT] = sensors.dropout
-        c[b.PERIOD : b.PERIOD + b.GROUP_COUNT] = sensors.period
-        c[b.DELAY : b.DELAY + b.GROUP_COUNT] = sensors.delay
-        c[b.EVENT_COUNT] = len(episode.events)
-        c[b.MAX_STEP] = self.settings.max_steps
-        data.events[i, : len(episode.events)] = episode.events
-        self.ended[i] = False
-        self._noisy[i] = sensors.noisy
-        self._noise_rngs[i] = np.random.Generator(np.random.SFC64(episode.noise_seed))
-        if sensors.noisy:
-            self._draw_noise(i)
+    def _load_each(
+        self,
+        rngs: Sequence[np.random.Generator],
+        chosen: NDArray[np.int64],
+        options: Sequence[Mapping[str, Any] | None],
+    ) -> None:
+        """Draw in Python, where options or a law of one's own have a say."""
+        drawn = each_drawn(
+            lambda k: draw_episode(rngs[k], self.settings, options[k]),
+            states_of(rngs), chosen, self.batch,
+        )  # fmt: skip
+        events = max(len(episode.events) for episode in drawn)
+        delay = max(int(episode.sensors.delay.max()) for episode in drawn)
+        self.batch = fitted(self.batch, events, delay, self.solver.control_period)
+        for i, episode in zip(chosen.tolist(), drawn, strict=True):
+            self._given[i] = episode
+            load_episode(self.batch, self.running, i, episode, self.settings.max_steps)
 
-    def _fit(self, events: int, episode: Episode) -> None:
-        """Widen the event and history arrays when an episode needs more room."""
-        data = self.batch
-        if events > data.events.shape[1]:
-            wider = np.zeros((self.count, events, b.EVENT_FIELDS))
-            wider[:, : data.events.shape[1]] = data.events
-            self.batch = data._replace(events=wider)
-        if episode.sensors.delay.max() >= self.batch.history.shape[1]:
-            # The ring is indexed by step modulo its length: refill it from the latest samples.
-            slots = longest_delay_steps(self.solver.control_period) + 1
-            history = np.empty((self.count, slots, b.DELIVERED_COUNT))
-            delivered = slice(b.SAMPLE, b.SAMPLE + b.DELIVERED_COUNT)
-            history[:] = self.batch.floats[:, None, delivered]
-            self.batch = self.batch._replace(history=history)
+    def _settle(self, chosen: NDArray[np.int64]) -> None:
+        """Let the plant complete the states that were drawn, where it has a say."""
+        start = self.solver.prepared.start
+        if start is unchanged:
+            return
+        parameters, states = self.batch.base(), self.batch.state()
+        for i in chosen.tolist():
+            drawn = VehicleState(*states[i].tolist())
+            states[i] = start(PlantParameters(*parameters[i].tolist()), drawn)
 
     # --- an episode runs ------------------------------------------------------------------
     def step(
@@ -234,8 +235,7 @@ class Simulation(Readings):
             result = self._advance(self.actions, chosen, 0, size, True)
         self._until_refill -= 1
         if refill and size:
-            last = self.batch.counter("noise_cursor")[chosen].max()
-            self._until_refill = b.NOISE_BLOCK - 1 - int(last)
+            self._until_refill = noise.steps_left(self.batch.counters, chosen)
         return result
 
     @property
@@ -245,7 +245,9 @@ class Simulation(Readings):
         The array itself, which a reset changes.
         """
         if not self._ended_known:
-            self._ended, self._ended_known = self.terminated | self.truncated, True
+            counters = self.batch.counters
+            self._ended = (counters[:, b.TERMINATED] | counters[:, b.TRUNCATED]) != 0
+            self._ended_known = True
         return self._ended
 
     def resting(self) -> NDArray[np.bool_] | None:
@@ -294,18 +296,8 @@ class Simulation(Readings):
 
     def _refill(self, chosen: NDArray[np.int64]) -> None:
         """Draw the next noise block of those chosen vehicles that are about to use up theirs."""
-        cursor = self.batch.counter("noise_cursor")
-        used_up = chosen[cursor[chosen] >= b.NOISE_BLOCK - 1]
-        for i in used_up[self._noisy[used_up]]:
-            self._draw_noise(int(i))
-        cursor[used_up] = -1  # the step moves it to the first row
-
-    def _draw_noise(self, i: int) -> None:
-        generator = self._noise_rngs[i]
-        assert generator is not None
-        self.batch.noise[:, i] = generator.standard_normal(
-            (b.NOISE_BLOCK // b.NOISE_RUN, b.NOISE_RUN, NOISE_COUNT), dtype=np.float32
-        )
+        data, its = self.batch, self.running
+        noise.refill(data.noise, data.counters, its.noise_states, its.noisy, chosen)
 
     def snapshot(self) -> dict[str, Any]:
         """All that changes while episodes run; can be pickled. `resume` goes on from it."""
@@ -321,6 +313,12 @@ class Simulation(Readings):
             setattr(self, name, value)
         self._ended_known, self._some_resting = False, True
         self._all_started = False  # to be looked up
+
+    @property
+    def episodes(self) -> Episodes:
+        """The truth of the episode of every vehicle, made when it is asked for."""
+        sensors = None if self._batch_reset is None else self._batch_reset.sensors
+        return Episodes(self.batch, self.running, self._given, sensors)
 
     def close(self) -> None:
         """Release the threads."""

@@ -12,8 +12,11 @@ Reference: [1] J.-M. Muller, "Elementary Functions", 3rd ed., ch. 11 (range redu
 """
 
 import math
+from typing import Any
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 
 from tracked_env.physics.jit import formula
 
@@ -33,6 +36,17 @@ _INVERSE_FACTORIAL = [1.0 / math.factorial(n) for n in range(16)]
 (_, _, _F2, _F3, _F4, _F5, _F6, _F7, _F8, _F9, _F10, _F11, _F12, _F13, _F14, _F15) = (
     _INVERSE_FACTORIAL
 )
+
+
+@intrinsic
+def _fused(typing_context, a, b, c):
+    def code(context, builder, signature, arguments):
+        return builder.fma(*arguments)
+
+    return types.float64(types.float64, types.float64, types.float64), code
+
+
+fused: Any = _fused  # (a, b, c) -> a b + c, rounded once, whatever the processor
 
 
 @formula

@@ -4,6 +4,8 @@ All kernels: cached on disk; division follows IEEE (`error_model="numpy"`, so no
 branch); no fastmath, so that a batch of any size gives the same bits as one vehicle.
 `formula` is for the small pure functions (one equation each): they are inlined into the
 loop that calls them, which lets the compiler vectorise that loop over vehicles.
+`template` is for functions that take compiled functions as arguments: they are compiled into their
+callers and never kept on disk, where they would be keyed by functions of another process.
 `loop` is for the functions that own such a loop; they release the interpreter lock.
 
 Numba keys its disk cache on the file of the function that is called: after editing an
@@ -17,6 +19,7 @@ from typing import Any
 from numba import njit, typeof
 
 formula = partial(njit, cache=True, error_model="numpy", forceinline=True)()
+template = partial(njit, error_model="numpy", forceinline=True)()
 loop = partial(njit, cache=True, error_model="numpy", nogil=True, boundscheck=False)()
 
 

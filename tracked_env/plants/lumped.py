@@ -39,6 +39,7 @@ from tracked_env.plants.lumped_block import (
 )
 from tracked_env.validation import checked_choice
 
+WIDTH = 8  # lanes that the loops do at once; the rest of a block would go one by one
 LATERAL = ("sliding", "constrained")
 _TORQUE_LIMIT = b.PARAMETERS + PARAMETER_INDEX["torque_limit"]
 
@@ -72,6 +73,18 @@ def _load(demand, floats, w, block, options):
 
 
 @formula
+def _filled(w, lanes):
+    """Lanes of the block with copies of the last one up to a multiple of WIDTH; 1 stays 1."""
+    if lanes == 1:
+        return 1
+    filled = -(-lanes // WIDTH) * WIDTH
+    for row in range(SCRATCH_ROWS):
+        for lane in range(lanes, filled):
+            w[row, lane] = w[row, lanes - 1]
+    return filled
+
+
+@formula
 def _store(floats, w, block):
     """Copy the state of the scratch block back."""
     for lane in range(block.lanes):
@@ -83,8 +96,8 @@ def _store(floats, w, block):
 @formula
 def _move(demand, constrained, floats, w, block, pace, options):
     """Advance (pace.substeps > 0) and settle one block of vehicles in the scratch array w."""
-    lanes = block.lanes
     _load(demand, floats, w, block, options)
+    lanes = _filled(w, block.lanes)
     integrate(w, lanes, pace.substeps, pace.h, constrained)
     if constrained:
         settle(lumped_forces.constrained_loads, lumped_forces.constrained_accelerations, w, lanes)

@@ -10,12 +10,13 @@ from tracked_env.references.profile import (
     number_of_segments,
     sample,
 )
-from tracked_env.references.specification import REFERENCES, make_reference
+from tracked_env.references.specification import REFERENCES, batch_reference, make_reference
 
 __all__ = [
     "REFERENCES",
     "ReferenceProfile",
     "ReferenceSamples",
+    "batch_reference",
     "make_reference",
     "number_of_segments",
     "sample",

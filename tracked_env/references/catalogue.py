@@ -1,4 +1,5 @@
-"""The catalogue of references: each function turns a few numbers into a profile.
+"""The catalogue of references: each function turns a few numbers into a profile; `random_path` has
+the random ones.
 
 With kappa = w / v the curvature of the path, left positive:
     straight         kappa = 0
@@ -8,25 +9,20 @@ With kappa = w / v the curvature of the path, left positive:
                      sine-generated curve that closes into an eight
     identification   straight, then a spiral from kappa = 0, with a speed that oscillates
     chicane          F (53), jumps in v and w
-    random_smooth    v and w are cubic B-splines with random coefficients (C2)
 Parameters are those that `specification` has checked; nothing is checked again here. Angles
 in rad, the start is the origin, yaw 0, unless the pose is set afterwards. Every profile goes
 on by its own law until one segment after `duration` and keeps v and w from there.
 
 References: [1] Focchi et al. 2025, (53). [2] Strawa et al., Electronics 10 (2021) 187, 8.3.
 [3] Langbein, Leopold, River Meanders, USGS Prof. Paper 422-H, 1966 (sine-generated curve).
-[4] de Boor, A Practical Guide to Splines, ch. IX-XI (B-splines stay in their convex hull).
 """
 
 import math
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tracked_env.physics.reference_profile import SEGMENT_DURATION
 from tracked_env.references.profile import (
-    DEGREE,
     FloatArray,
     ReferenceProfile,
     constant,
@@ -41,7 +37,6 @@ SMOOTHSTEP_SLOPE = 1.875  # [-] largest slope of 10 s^3 - 15 s^4 + 6 s^5
 SPIRAL_ONSET = 2.0  # [s] over which the identification spiral begins to curve
 SPIRAL_SHORTEST = 5.0  # [s] least time over which it reaches its final curvature
 CHICANE_RAMP_TIME = 1.0  # [s] F (53) prints v = v_max t: v_max is reached after 1 s
-RANDOM_STRETCH = 1.5  # [-] of the uniform draws before clipping, so that limits are visited
 
 
 def _smooth_ramp(
@@ -179,68 +174,3 @@ def chicane(
     w[starts < switch_time - 0.5 * SEGMENT_DURATION, 0] = yaw_rate
     w[before, 0] = 0.0
     return ReferenceProfile(v, w)
-
-
-@lru_cache
-def _spline_segments(per_interval: int) -> FloatArray:
-    """Map (4, 6 per_interval): four B-spline coefficients @ it = the segments of an interval."""
-    u = np.arange(per_interval + 1) / per_interval
-    rate = 1.0 / (per_interval * SEGMENT_DURATION)
-    one = np.ones_like(u)
-    value = [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]
-    first = [-3 * (1 - u) ** 2, 9 * u**2 - 12 * u, -9 * u**2 + 6 * u + 3, 3 * u**2]
-    second = [6 * (1 - u), 18 * u - 12 * one, 6 * one - 18 * u, 6 * u]
-    rows = [
-        fit(f / 6, df * rate / 6, ddf * rate**2 / 6)
-        for f, df, ddf in zip(value, first, second, strict=True)
-    ]
-    return np.stack([row.ravel() for row in rows])
-
-
-@lru_cache
-def _window_indices(count: int, width: int) -> NDArray[np.int64]:
-    """Indices (count, width) of `count` neighbouring windows."""
-    return np.arange(count)[:, None] + np.arange(width)
-
-
-def _spline(coefficients: FloatArray, per_interval: int, segments: int) -> FloatArray:
-    """Coefficients (S, 6) of the uniform cubic B-spline with those coefficients."""
-    windows = coefficients[_window_indices(coefficients.size - 3, 4)]
-    return (windows @ _spline_segments(per_interval)).reshape(-1, DEGREE + 1)[:segments]
-
-
-def _clipped_draws(rng: np.random.Generator, count: int) -> FloatArray:
-    """=clip(1.5 U(-1, 1), -1, 1): a third of the draws is at a limit."""
-    draws = np.minimum(np.maximum(RANDOM_STRETCH * rng.uniform(-1.0, 1.0, count), -1.0), 1.0)
-    draws[1:3] = draws[0]  # steady at the start: derivatives are zero there
-    return draws
-
-
-def random_smooth(
-    duration: float,
-    rng: np.random.Generator,
-    speed_range: tuple[float, float] = (1.0, 3.0),
-    yaw_rate_limit: float = 0.5,
-    lateral_acceleration_limit: float = 1.5,
-    knot_interval: float = 2.0,
-) -> ReferenceProfile:
-    """Random smooth path: v and w are cubic B-splines, C2, with one coefficient an interval.
-
-    Coefficients of v =clip(..) over `speed_range` [m/s], of w =clip(..) within +-
-    `yaw_rate_limit` [rad/s], reduced where |v w| could exceed `lateral_acceleration_limit`
-    [m/s^2]. A B-spline never leaves the hull of its coefficients, so all limits hold exactly
-    at all times, and |v'| <= (high - low) / knot_interval.
-    """
-    segments = number_of_segments(duration)
-    per_interval = round(knot_interval / SEGMENT_DURATION)
-    count = -(-segments // per_interval) + 3
-    low, high = speed_range
-    v = 0.5 * (low + high) + 0.5 * (high - low) * _clipped_draws(rng, count)
-    w = yaw_rate_limit * _clipped_draws(rng, count)
-    # Coefficient n shares an interval with those from n - 3 to n + 3.
-    padded = np.zeros(count + 6)
-    padded[3:-3] = np.abs(v)
-    fastest = padded[_window_indices(count, 7)].max(axis=1)
-    bound = lateral_acceleration_limit / np.maximum(fastest, 1e-9)
-    w = np.minimum(np.maximum(w, -bound), bound)
-    return ReferenceProfile(_spline(v, per_interval, segments), _spline(w, per_interval, segments))

@@ -18,11 +18,13 @@ import numpy as np
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
 from tracked_env.references import catalogue
 from tracked_env.references.profile import FloatArray, ReferenceProfile
+from tracked_env.references.random_path import RandomPaths, random_paths, random_smooth
 from tracked_env.references.waypoints import waypoints
 
 DURATION_RANGE = (0.01, 3600.0)  # [s]
 POINTS_LIMIT = 1000  # [-] way-points of one reference
 POSITION_LIMIT = 1e5  # [m] beyond it the coordinates lose digits
+
 POSE = ("x", "y", "yaw")
 
 
@@ -94,7 +96,7 @@ REFERENCES: dict[str, Callable[..., ReferenceProfile]] = {
     "spiral": catalogue.spiral,
     "identification": catalogue.identification,
     "chicane": catalogue.chicane,
-    "random": catalogue.random_smooth,
+    "random": random_smooth,
     "waypoints": waypoints,
     "mixed": mixed,
 }
@@ -238,3 +240,20 @@ def make_reference(
     profile = REFERENCES[kind](duration=horizon, **random, **values)._replace(**pose)
     _check(kind, values, profile)
     return profile
+
+
+def batch_reference(spec: str | Mapping[str, Any]) -> tuple[RandomPaths, list[float]] | None:
+    """What draws a reference that `make_reference` takes for many vehicles at once, and its pose.
+
+    None for kinds other than "random", and where parameters of the law are drawn as well.
+    """
+    given: dict[str, Any] = {"kind": spec} if isinstance(spec, str) else dict(spec)
+    if given.pop("kind", "random") != "random":
+        return None
+    speeds = given.pop("speed_range", None)
+    if any(isinstance(value, (list, tuple)) for value in given.values()):
+        return None
+    pose = [float(given.pop(name, 0.0)) for name in POSE]
+    if speeds is not None:
+        given["speed_range"] = speeds if isinstance(speeds, (list, tuple)) else (speeds, speeds)
+    return random_paths(**given), pose

@@ -13,9 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, ParametersRead, PlantParameters
 from tracked_env.references import ReferenceProfile
-from tracked_env.uncertainty import floors, soils
+from tracked_env.streams import integer, uniform
+from tracked_env.uncertainty import compiled, floors, soils
+from tracked_env.uncertainty.compiled import ArrayLaw, Draws, numbers
 from tracked_env.uncertainty.law import CheckedLaw, Draw, Law, checked, fingerprint
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
 from tracked_env.validation import (
@@ -29,14 +32,21 @@ from tracked_env.validation import (
 Spec = str | Mapping[str, Any] | Sequence[Any] | Callable[..., Draw]
 
 
-def _nominal(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
+@formula
+def _nominal(rng, nominal, path, truth, changes):
     """The nominal vehicle on the nominal soil, no change."""
-    return Draw(nominal, [])
 
 
-UNCERTAINTY_SETS: dict[str, Law] = {"nominal": _nominal, **soils.LAWS, **floors.LAWS}
+@loop
+def _each_nominal(*call):
+    compiled.draw_each(_nominal, call)
+
+
+UNCERTAINTY_SETS: dict[str, Law] = {
+    **compiled.laws(("nominal", _each_nominal, _nominal)),
+    **soils.LAWS,
+    **floors.LAWS,
+}
 DESCRIPTIONS: dict[str, str] = {}  # of the sets that were registered
 
 
@@ -52,8 +62,8 @@ def register(name: str, law: Law, description: str = "") -> None:
 
 
 @dataclass(frozen=True)
-class _Mixture:
-    """Each episode follows one of `laws`, all with the same odds."""
+class _OwnMixture:
+    """Each episode follows one of `laws`, all with the same odds; some of them of one's own."""
 
     laws: tuple[Law, ...]
 
@@ -68,21 +78,51 @@ class _Mixture:
         return law(rng, nominal, profile, duration)
 
 
+@loop
+def _choose(rngs, choices):
+    for k in range(rngs.size):
+        choices[k] = integer(rngs[k], choices[k])
+
+
 @dataclass(frozen=True)
-class _Ranges:
+class _Mixture(ArrayLaw):
+    """The same of laws that draw batches."""
+
+    laws: tuple[ArrayLaw, ...]
+
+    def fill(self, draws: Draws) -> None:
+        choices = np.full(draws.chosen.size, len(self.laws))
+        _choose(draws.streams, choices)
+        for number in np.unique(choices):
+            its = choices == number
+            self.laws[number].fill(
+                draws._replace(streams=draws.streams[its], chosen=draws.chosen[its])
+            )
+
+
+@loop
+def _draw_ranges(rngs, chosen, nominal, truths, counts, columns, lows, highs):
+    for k in range(chosen.size):
+        i = chosen[k]
+        truths[i] = nominal[0]
+        counts[i] = 0
+        for j in range(columns.size):
+            truths[i, columns[j]] = uniform(rngs[k], lows[j], highs[j])
+
+
+@dataclass(frozen=True)
+class _Ranges(ArrayLaw):
     """Each parameter of `bounds` is drawn = U(low, high), no change."""
 
     bounds: dict[str, tuple[float, float]]
 
-    def __call__(
-        self,
-        rng: np.random.Generator,
-        nominal: PlantParameters,
-        profile: ReferenceProfile,
-        duration: float,
-    ) -> Draw:
-        drawn = {name: rng.uniform(*bounds) for name, bounds in self.bounds.items()}
-        return Draw(nominal._replace(**drawn), [])
+    def fill(self, draws: Draws) -> None:
+        columns = np.array([PARAMETER_INDEX[name] for name in self.bounds], dtype=np.int64)
+        lows, highs = np.array(list(self.bounds.values()), dtype=np.float64).reshape(-1, 2).T.copy()
+        nominal, truths = (numbers(a) for a in (draws.nominal, draws.truths))
+        _draw_ranges(
+            draws.streams, draws.chosen, nominal, truths, draws.counts, columns, lows, highs
+        )
 
 
 def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
@@ -99,12 +139,16 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
     """
     if isinstance(spec, str):
         return UNCERTAINTY_SETS[checked_choice("uncertainty set", spec, UNCERTAINTY_SETS)]
+    if isinstance(spec, ArrayLaw):
+        return spec
     if callable(spec):
         return checked(spec)
     if isinstance(spec, (list, tuple)):
         if not spec:
             raise ValueError("uncertainty = []; a mixture needs at least one set")
-        return _Mixture(tuple(make_uncertainty(part, reads) for part in spec))
+        parts = tuple(make_uncertainty(part, reads) for part in spec)
+        drawn = tuple(part for part in parts if isinstance(part, ArrayLaw))
+        return _Mixture(drawn) if len(drawn) == len(parts) else _OwnMixture(parts)
     if spec is None:
         raise ValueError(
             "uncertainty = None; must be a set by name, a dict, a function or a list of them. "
@@ -124,6 +168,6 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
 
 
 __all__ = [
-    "DESCRIPTIONS", "SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "CheckedLaw", "Draw", "Law", "Spec",
-    "fingerprint", "make_uncertainty", "register",
+    "DESCRIPTIONS", "SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "ArrayLaw", "CheckedLaw", "Draw",
+    "Law", "Spec", "fingerprint", "make_uncertainty", "register",
 ]  # fmt: skip

@@ -9,95 +9,112 @@ Vehicles" (2025), Table 2 and section 4.
 
 import math
 
-import numpy as np
-
-from tracked_env.events import line_events, ramp_events
-from tracked_env.physics.parameters import PlantParameters
-from tracked_env.references import ReferenceProfile
-from tracked_env.uncertainty.law import Draw, Law
+from tracked_env.physics.jit import formula, loop
+from tracked_env.streams import random, uniform
+from tracked_env.uncertainty import compiled as c
 
 
-def _floor(rng: np.random.Generator, nominal: PlantParameters) -> PlantParameters:
+@formula
+def _floor(rng, nominal, truth):
     """Unknown floor, unknown load."""
-    return nominal._replace(
-        mass=nominal.mass * rng.uniform(0.8, 1.5),  # *U(0.8, 1.5)
-        inertia=nominal.inertia * rng.uniform(0.8, 1.5),  # *U(0.8, 1.5)
-        friction_angle=math.atan(rng.uniform(0.1, 0.8)),  # mu =U(0.1, 0.8)
-        shear_deformation_modulus=nominal.shear_deformation_modulus
-        * rng.uniform(0.5, 3.0),  # *U(0.5, 3)
-        longitudinal_resistance=rng.uniform(0.01, 0.05),  # =U(0.01, 0.05)
-    )
+    truth.mass = nominal.mass * uniform(rng, 0.8, 1.5)  # *U(0.8, 1.5)
+    truth.inertia = nominal.inertia * uniform(rng, 0.8, 1.5)  # *U(0.8, 1.5)
+    truth.friction_angle = math.atan(uniform(rng, 0.1, 0.8))  # mu =U(0.1, 0.8)
+    modulus = nominal.shear_deformation_modulus * uniform(rng, 0.5, 3.0)  # *U(0.5, 3)
+    truth.shear_deformation_modulus = modulus
+    truth.longitudinal_resistance = uniform(rng, 0.01, 0.05)  # =U(0.01, 0.05)
 
 
-def _friction(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
+@formula
+def _friction(rng, nominal, path, truth, changes):
     """Unknown vehicle on an unknown floor, constant over the episode."""
-    return Draw(_floor(rng, nominal), [])
+    _floor(rng, nominal, truth)
 
 
-def _friction_step(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
+@formula
+def _friction_step(rng, nominal, path, truth, changes):
     """The path crosses a border between a slippery floor and a rough one, edge 0.1 m wide."""
-    slippery = math.atan(rng.uniform(0.1, 0.15))  # mu =U(0.1, 0.15)
-    rough = math.atan(rng.uniform(0.5, 0.8))  # mu =U(0.5, 0.8)
-    first, second = (slippery, rough) if rng.random() < 0.5 else (rough, slippery)
-    time = duration * rng.uniform(0.3, 0.6)  # =U(0.3, 0.6) of the episode
-    events = line_events({"friction_angle": second}, profile, time, 0.1)
-    return Draw(nominal._replace(friction_angle=first), events)
+    slippery = math.atan(uniform(rng, 0.1, 0.15))  # mu =U(0.1, 0.15)
+    rough = math.atan(uniform(rng, 0.5, 0.8))  # mu =U(0.5, 0.8)
+    first, second = (slippery, rough) if random(rng) < 0.5 else (rough, slippery)
+    time = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
+    c.line(changes, c.FRICTION_ANGLE, second, c.border(path, time), 0.1)
+    truth.friction_angle = first
 
 
-def _friction_drift(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
+@formula
+def _friction_drift(rng, nominal, path, truth, changes):
     """The floor gets wet, or dries, slowly: one draw to another, U(0.5, 0.8) of the episode."""
-    before, after = _floor(rng, nominal), _floor(rng, nominal)
-    names = ("friction_angle", "shear_deformation_modulus", "longitudinal_resistance")
-    targets = {name: getattr(after, name) for name in names}
-    start = duration * rng.uniform(0.1, 0.2)  # =U(0.1, 0.2) of the episode
-    return Draw(before, ramp_events(targets, start, duration * rng.uniform(0.5, 0.8)))
+    there = changes.there
+    _floor(rng, nominal, truth)
+    _floor(rng, nominal, there)
+    start = path.duration * uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2) of the episode
+    duration = path.duration * uniform(rng, 0.5, 0.8)
+    modulus = there.shear_deformation_modulus
+    c.ramp(changes, c.FRICTION_ANGLE, there.friction_angle, start, duration)
+    c.ramp(changes, c.SHEAR_DEFORMATION_MODULUS, modulus, start, duration)
+    c.ramp(changes, c.LONGITUDINAL_RESISTANCE, there.longitudinal_resistance, start, duration)
 
 
-def _floor_mixed(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
+@formula
+def _floor_mixed(rng, nominal, path, truth, changes):
     """An unknown vehicle on an unknown floor; then a load, and another floor."""
-    parameters = _floor(rng, nominal)
-    events = []
-    if rng.random() < 0.5:  # load with odds 1/2
-        factor = rng.uniform(0.7, 1.5)  # *U(0.7, 1.5)
-        targets = {"mass": parameters.mass * factor, "inertia": parameters.inertia * factor}
-        events += ramp_events(targets, duration * rng.uniform(0.2, 0.8), 0.0)
-    if rng.random() < 0.5:  # border with odds 1/2
-        targets = {"friction_angle": math.atan(rng.uniform(0.1, 0.8))}  # mu =U(0.1, 0.8)
-        time = duration * rng.uniform(0.2, 0.8)
-        events += line_events(targets, profile, time, rng.uniform(0.1, 0.5))
-    return Draw(parameters, events)
+    _floor(rng, nominal, truth)
+    if random(rng) < 0.5:  # load with odds 1/2
+        factor = uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
+        start = path.duration * uniform(rng, 0.2, 0.8)
+        c.ramp(changes, c.MASS, truth.mass * factor, start, 0.0)
+        c.ramp(changes, c.INERTIA, truth.inertia * factor, start, 0.0)
+    if random(rng) < 0.5:  # border with odds 1/2
+        friction_angle = math.atan(uniform(rng, 0.1, 0.8))  # mu =U(0.1, 0.8)
+        time = path.duration * uniform(rng, 0.2, 0.8)
+        edge = uniform(rng, 0.1, 0.5)
+        c.line(changes, c.FRICTION_ANGLE, friction_angle, c.border(path, time), edge)
 
 
-def _floor_ood(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
+@formula
+def _floor_ood(rng, nominal, path, truth, changes):
     """Ice, or soil, outside the ranges of every other set of floors; drives that lag."""
-    ice = rng.random() < 0.5
-    friction = rng.uniform(0.05, 0.08) if ice else rng.uniform(0.9, 1.0)  # mu
-    parameters = nominal._replace(
-        mass=nominal.mass * rng.uniform(1.6, 2.2),  # *U(1.6, 2.2)
-        inertia=nominal.inertia * rng.uniform(1.6, 2.2),  # *U(1.6, 2.2)
-        friction_angle=math.atan(friction),
-        shear_deformation_modulus=nominal.shear_deformation_modulus
-        * rng.uniform(4.0, 8.0),  # *U(4, 8)
-        longitudinal_resistance=rng.uniform(0.06, 0.1) if not ice else 0.01,  # =U(0.06, 0.1)
-        drive_time_constant=rng.uniform(0.05, 0.1),  # =U(0.05, 0.1)
-    )
-    return Draw(parameters, [])
+    ice = random(rng) < 0.5
+    friction = uniform(rng, 0.05, 0.08) if ice else uniform(rng, 0.9, 1.0)  # mu
+    truth.mass = nominal.mass * uniform(rng, 1.6, 2.2)  # *U(1.6, 2.2)
+    truth.inertia = nominal.inertia * uniform(rng, 1.6, 2.2)  # *U(1.6, 2.2)
+    truth.friction_angle = math.atan(friction)
+    modulus = nominal.shear_deformation_modulus * uniform(rng, 4.0, 8.0)  # *U(4, 8)
+    truth.shear_deformation_modulus = modulus
+    truth.longitudinal_resistance = 0.01 if ice else uniform(rng, 0.06, 0.1)  # =U(0.06, 0.1)
+    truth.drive_time_constant = uniform(rng, 0.05, 0.1)  # =U(0.05, 0.1)
 
 
-LAWS: dict[str, Law] = {
-    "friction": _friction,
-    "friction-step": _friction_step,
-    "friction-drift": _friction_drift,
-    "floor-mixed": _floor_mixed,
-    "floor-ood": _floor_ood,
-}
+@loop
+def _each_friction(*call):
+    c.draw_each(_friction, call)
+
+
+@loop
+def _each_friction_step(*call):
+    c.draw_each(_friction_step, call)
+
+
+@loop
+def _each_friction_drift(*call):
+    c.draw_each(_friction_drift, call)
+
+
+@loop
+def _each_floor_mixed(*call):
+    c.draw_each(_floor_mixed, call)
+
+
+@loop
+def _each_floor_ood(*call):
+    c.draw_each(_floor_ood, call)
+
+
+LAWS = c.laws(
+    ("friction", _each_friction, _friction),
+    ("friction-step", _each_friction_step, _friction_step),
+    ("friction-drift", _each_friction_drift, _friction_drift),
+    ("floor-mixed", _each_floor_mixed, _floor_mixed),
+    ("floor-ood", _each_floor_ood, _floor_ood),
+)

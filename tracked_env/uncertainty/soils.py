@@ -10,11 +10,13 @@ Vehicles, table of terrain values (c, phi) and the ranges of K in its section on
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tracked_env.events import Event, line_events, ramp_events, wave
-from tracked_env.physics.parameters import HEAVY_CLAY, PlantParameters, SoilParameters
-from tracked_env.references import ReferenceProfile
-from tracked_env.uncertainty.law import Draw, Law
+from tracked_env.events import Event, encode_schedule, wave
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import HEAVY_CLAY, SoilParameters
+from tracked_env.streams import integer, random, uniform
+from tracked_env.uncertainty import compiled as c
 
 
 def _soil(cohesion_kpa: float, friction_angle_deg: float, modulus: float) -> SoilParameters:
@@ -36,179 +38,225 @@ FIRM = ("heavy_clay", "sandy_loam")
 WEAK = ("lete_sand", "dry_sand", "clayey_soil")
 LOOSE = ("sandy_loam", "lete_sand", "dry_sand")
 
-
-def _firm_ground(rng: np.random.Generator, nominal: PlantParameters) -> PlantParameters:
-    """Firm soil and a payload that the nominal model does not know."""
-    soil = SOILS[FIRM[rng.integers(len(FIRM))]]
-    return nominal._replace(
-        mass=nominal.mass * rng.uniform(0.7, 1.5),  # *U(0.7, 1.5)
-        inertia=nominal.inertia * rng.uniform(0.7, 1.5),  # *U(0.7, 1.5)
-        cohesion=soil.cohesion * rng.uniform(0.8, 1.2),  # =soil *U(0.8, 1.2)
-        friction_angle=soil.friction_angle * rng.uniform(0.9, 1.1),  # =soil *U(0.9, 1.1)
-        shear_deformation_modulus=soil.shear_deformation_modulus
-        * rng.uniform(0.7, 1.3),  # =soil *U(0.7, 1.3)
-        longitudinal_resistance=rng.uniform(0.3, 0.7),  # =U(0.3, 0.7)
-        lateral_resistance=rng.uniform(0.5, 0.9),  # =U(0.5, 0.9)
-    )
-
-
-def _soil_and_mass(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """Unknown vehicle on unknown firm soil, constant over the episode."""
-    return Draw(_firm_ground(rng, nominal), [])
-
-
-def _payload(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """Nominal vehicle and soil; mass and inertia step once, up or down, in mid-episode."""
-    start = duration * rng.uniform(0.3, 0.6)  # =U(0.3, 0.6) of the episode
-    factor = rng.uniform(1.5, 2.0) if rng.random() < 0.5 else rng.uniform(0.5, 0.65)
-    inertia = factor * rng.uniform(0.9, 1.1)  # of the mass factor *U(0.9, 1.1)
-    targets = {"mass": nominal.mass * factor, "inertia": nominal.inertia * inertia}
-    return Draw(nominal, ramp_events(targets, start, 0.0))
-
-
-def _resistance_map(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """Resistance coefficients vary in the plane as in (44), (45) of [1]."""
-    return Draw(nominal, STRAWA_MAPS)
-
-
-def _weak_soil(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """Loose soil that hardly carries the turning moment: traction-limited."""
-    soil = SOILS[WEAK[rng.integers(len(WEAK))]]
-    parameters = nominal._replace(
-        mass=nominal.mass * rng.uniform(0.8, 1.3),  # *U(0.8, 1.3)
-        inertia=nominal.inertia * rng.uniform(0.8, 1.3),  # *U(0.8, 1.3)
-        cohesion=soil.cohesion * rng.uniform(0.8, 1.2),  # =soil *U(0.8, 1.2)
-        friction_angle=soil.friction_angle * rng.uniform(0.95, 1.05),  # =soil *U(0.95, 1.05)
-        shear_deformation_modulus=soil.shear_deformation_modulus
-        * rng.uniform(0.7, 1.3),  # =soil *U(0.7, 1.3)
-        longitudinal_resistance=rng.uniform(0.1, 0.16),  # =U(0.1, 0.16)
-        lateral_resistance=rng.uniform(0.45, 0.65),  # =U(0.45, 0.65)
-    )
-    return Draw(parameters, [])
-
-
-def _terrain_transition(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """Nominal vehicle; the path crosses a border to another soil, edge U(0.5, 2) m wide."""
-    time = duration * rng.uniform(0.3, 0.6)  # =U(0.3, 0.6) of the episode
-    soil = SOILS[FIRM[rng.integers(len(FIRM))]]
-    targets = {
-        "cohesion": soil.cohesion,
-        "friction_angle": soil.friction_angle,
-        "shear_deformation_modulus": soil.shear_deformation_modulus,
-        # Far from the nominal 0.6 and 0.8, to either side:
-        "longitudinal_resistance": rng.uniform(0.2, 0.4),  # =U(0.2, 0.4)
-        "lateral_resistance": rng.uniform(0.4, 0.55)  # =U(0.4, 0.55) or U(1.0, 1.15)
-        if rng.random() < 0.5
-        else rng.uniform(1.0, 1.15),
-    }
-    return Draw(nominal, line_events(targets, profile, time, rng.uniform(0.5, 2.0)))
-
-
-def _drift(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """Everything slides slowly from nominal to a firm-ground draw, U(0.5, 0.8) of the episode."""
-    there = _firm_ground(rng, nominal)
-    names = ("mass", "inertia", "longitudinal_resistance", "lateral_resistance")
-    targets = {name: getattr(there, name) for name in names}
-    start = duration * rng.uniform(0.1, 0.2)  # =U(0.1, 0.2) of the episode
-    return Draw(nominal, ramp_events(targets, start, duration * rng.uniform(0.5, 0.8)))
-
-
-def _mixed(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """An unknown vehicle on unknown soil, then a payload step, then a border, then drift."""
-    parameters = _firm_ground(rng, nominal)
-    events: list[Event] = []
-    if rng.random() < 0.5:  # payload with odds 1/2
-        factor = rng.uniform(0.7, 1.5)  # *U(0.7, 1.5)
-        targets = {"mass": parameters.mass * factor, "inertia": parameters.inertia * factor}
-        events += ramp_events(targets, duration * rng.uniform(0.2, 0.8), 0.0)
-    if rng.random() < 0.5:  # border with odds 1/2
-        targets = {
-            "longitudinal_resistance": rng.uniform(0.3, 0.7),  # =U(0.3, 0.7)
-            "lateral_resistance": rng.uniform(0.5, 0.9),  # =U(0.5, 0.9)
-        }
-        time = duration * rng.uniform(0.2, 0.8)
-        events += line_events(targets, profile, time, rng.uniform(0.5, 2.0))
-    if rng.random() < 0.5:  # drift of the lateral resistance with odds 1/2
-        targets = {"lateral_resistance": rng.uniform(0.5, 0.9)}  # =U(0.5, 0.9)
-        events += ramp_events(targets, 0.0, duration)
-    return Draw(parameters, events)
-
-
-def _ood(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """Outside the ranges of every other set."""
-    heavy = rng.random() < 0.5
-    factor = rng.uniform(1.6, 2.2) if heavy else rng.uniform(0.4, 0.6)  # *U(1.6, 2.2) or lighter
-    parameters = nominal._replace(
-        mass=nominal.mass * factor,
-        inertia=nominal.inertia * factor * rng.uniform(0.8, 1.2),  # of the mass factor
-        longitudinal_resistance=rng.uniform(0.1, 0.25)  # =U(0.1, 0.25) or U(0.75, 1.0)
-        if rng.random() < 0.5
-        else rng.uniform(0.75, 1.0),
-        lateral_resistance=rng.uniform(0.25, 0.4)  # =U(0.25, 0.4) or U(1.0, 1.2)
-        if rng.random() < 0.5
-        else rng.uniform(1.0, 1.2),
-        drive_time_constant=rng.uniform(0.1, 0.15),  # =U(0.1, 0.15)
-    )
-    return Draw(parameters, [])
-
-
-def _slow_drive(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """A `soil-and-mass` vehicle whose motors answer late."""
-    parameters = _firm_ground(rng, nominal)
-    lag = rng.uniform(0.15, 0.3)  # =U(0.15, 0.3)
-    return Draw(parameters._replace(drive_time_constant=lag), [])
-
-
-def _loose_soil(
-    rng: np.random.Generator, nominal: PlantParameters, profile: ReferenceProfile, duration: float
-) -> Draw:
-    """Soil whose shear a turn takes up; for the distributed plant, where nothing else does."""
-    soil = SOILS[LOOSE[rng.integers(len(LOOSE))]]
-    parameters = nominal._replace(
-        mass=nominal.mass * rng.uniform(0.8, 1.3),  # *U(0.8, 1.3)
-        inertia=nominal.inertia * rng.uniform(0.8, 1.3),  # *U(0.8, 1.3)
-        cohesion=soil.cohesion * rng.uniform(0.8, 1.2),  # =soil *U(0.8, 1.2)
-        friction_angle=soil.friction_angle * rng.uniform(0.95, 1.05),  # =soil *U(0.95, 1.05)
-        shear_deformation_modulus=soil.shear_deformation_modulus
-        * rng.uniform(0.7, 1.3),  # =soil *U(0.7, 1.3)
-        longitudinal_resistance=rng.uniform(0.1, 0.2),  # =U(0.1, 0.2)
-    )
-    return Draw(parameters, [])
-
-
 # (44): mu_l = 0.7 + 0.02 X cos(0.3 Y);  (45): mu_t = 0.6 + 0.03 X sin(0.2 X) exp(-0.01 Y)
 STRAWA_MAPS: list[Event] = [
     wave("longitudinal_resistance", mean=0.7, amplitude=0.02, k_y=0.3),
     wave("lateral_resistance", mean=0.6, amplitude=0.03, k_x=0.2, phase=-0.5 * math.pi, decay=0.01),
 ]
+_MAPS = encode_schedule(STRAWA_MAPS)
 
-LAWS: dict[str, Law] = {
-    "soil-and-mass": _soil_and_mass,
-    "payload": _payload,
-    "resistance-map": _resistance_map,
-    "weak-soil": _weak_soil,
-    "terrain-transition": _terrain_transition,
-    "drift": _drift,
-    "mixed": _mixed,
-    "ood": _ood,
-    "slow-drive": _slow_drive,
-    "loose-soil": _loose_soil,
-}
+
+def _table(names: tuple[str, ...]) -> NDArray[np.float64]:
+    """(M, 3): c [Pa], phi [rad], K [m] of those soils."""
+    return np.array([SOILS[name][:3] for name in names])
+
+
+_FIRM, _WEAK, _LOOSE = _table(FIRM), _table(WEAK), _table(LOOSE)
+
+
+@formula
+def _one_of(rng, soils):
+    """c, phi, K of one of the soils, with equal odds."""
+    k = integer(rng, soils.shape[0])
+    return soils[k, 0], soils[k, 1], soils[k, 2]
+
+
+@formula
+def _firm_ground(rng, nominal, truth):
+    """Firm soil and a payload that the nominal model does not know."""
+    cohesion, friction_angle, modulus = _one_of(rng, _FIRM)
+    truth.mass = nominal.mass * uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
+    truth.inertia = nominal.inertia * uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
+    truth.cohesion = cohesion * uniform(rng, 0.8, 1.2)  # =soil *U(0.8, 1.2)
+    truth.friction_angle = friction_angle * uniform(rng, 0.9, 1.1)  # =soil *U(0.9, 1.1)
+    truth.shear_deformation_modulus = modulus * uniform(rng, 0.7, 1.3)  # =soil *U(0.7, 1.3)
+    truth.longitudinal_resistance = uniform(rng, 0.3, 0.7)  # =U(0.3, 0.7)
+    truth.lateral_resistance = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
+
+
+@formula
+def _soil_and_mass(rng, nominal, path, truth, changes):
+    """Unknown vehicle on unknown firm soil, constant over the episode."""
+    _firm_ground(rng, nominal, truth)
+
+
+@formula
+def _payload(rng, nominal, path, truth, changes):
+    """Nominal vehicle and soil; mass and inertia step once, up or down, in mid-episode."""
+    start = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
+    factor = uniform(rng, 1.5, 2.0) if random(rng) < 0.5 else uniform(rng, 0.5, 0.65)
+    inertia = factor * uniform(rng, 0.9, 1.1)  # of the mass factor *U(0.9, 1.1)
+    c.ramp(changes, c.MASS, nominal.mass * factor, start, 0.0)
+    c.ramp(changes, c.INERTIA, nominal.inertia * inertia, start, 0.0)
+
+
+@formula
+def _resistance_map(rng, nominal, path, truth, changes):
+    """Resistance coefficients vary in the plane as in (44), (45) of [1]."""
+    c.given(changes, _MAPS)
+
+
+@formula
+def _soft_ground(rng, nominal, truth, soils):
+    """One of the soils, and a payload, of the sets where the ground is loose or weak."""
+    cohesion, friction_angle, modulus = _one_of(rng, soils)
+    truth.mass = nominal.mass * uniform(rng, 0.8, 1.3)  # *U(0.8, 1.3)
+    truth.inertia = nominal.inertia * uniform(rng, 0.8, 1.3)  # *U(0.8, 1.3)
+    truth.cohesion = cohesion * uniform(rng, 0.8, 1.2)  # =soil *U(0.8, 1.2)
+    truth.friction_angle = friction_angle * uniform(rng, 0.95, 1.05)  # =soil *U(0.95, 1.05)
+    truth.shear_deformation_modulus = modulus * uniform(rng, 0.7, 1.3)  # =soil *U(0.7, 1.3)
+
+
+@formula
+def _weak_soil(rng, nominal, path, truth, changes):
+    """Loose soil that hardly carries the turning moment: traction-limited."""
+    _soft_ground(rng, nominal, truth, _WEAK)
+    truth.longitudinal_resistance = uniform(rng, 0.1, 0.16)  # =U(0.1, 0.16)
+    truth.lateral_resistance = uniform(rng, 0.45, 0.65)  # =U(0.45, 0.65)
+
+
+@formula
+def _terrain_transition(rng, nominal, path, truth, changes):
+    """Nominal vehicle; the path crosses a border to another soil, edge U(0.5, 2) m wide."""
+    time = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
+    cohesion, friction_angle, modulus = _one_of(rng, _FIRM)
+    # Far from the nominal 0.6 and 0.8, to either side:
+    longitudinal = uniform(rng, 0.2, 0.4)  # =U(0.2, 0.4)
+    # =U(0.4, 0.55) or U(1.0, 1.15)
+    lateral = uniform(rng, 0.4, 0.55) if random(rng) < 0.5 else uniform(rng, 1.0, 1.15)
+    edge = uniform(rng, 0.5, 2.0)
+    place = c.border(path, time)
+    c.line(changes, c.COHESION, cohesion, place, edge)
+    c.line(changes, c.FRICTION_ANGLE, friction_angle, place, edge)
+    c.line(changes, c.SHEAR_DEFORMATION_MODULUS, modulus, place, edge)
+    c.line(changes, c.LONGITUDINAL_RESISTANCE, longitudinal, place, edge)
+    c.line(changes, c.LATERAL_RESISTANCE, lateral, place, edge)
+
+
+@formula
+def _drift(rng, nominal, path, truth, changes):
+    """Everything slides slowly from nominal to a firm-ground draw, U(0.5, 0.8) of the episode."""
+    there = changes.there
+    _firm_ground(rng, nominal, there)
+    start = path.duration * uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2) of the episode
+    duration = path.duration * uniform(rng, 0.5, 0.8)
+    c.ramp(changes, c.MASS, there.mass, start, duration)
+    c.ramp(changes, c.INERTIA, there.inertia, start, duration)
+    c.ramp(changes, c.LONGITUDINAL_RESISTANCE, there.longitudinal_resistance, start, duration)
+    c.ramp(changes, c.LATERAL_RESISTANCE, there.lateral_resistance, start, duration)
+
+
+@formula
+def _mixed(rng, nominal, path, truth, changes):
+    """An unknown vehicle on unknown soil, then a payload step, then a border, then drift."""
+    _firm_ground(rng, nominal, truth)
+    if random(rng) < 0.5:  # payload with odds 1/2
+        factor = uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
+        start = path.duration * uniform(rng, 0.2, 0.8)
+        c.ramp(changes, c.MASS, truth.mass * factor, start, 0.0)
+        c.ramp(changes, c.INERTIA, truth.inertia * factor, start, 0.0)
+    if random(rng) < 0.5:  # border with odds 1/2
+        longitudinal = uniform(rng, 0.3, 0.7)  # =U(0.3, 0.7)
+        lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
+        time = path.duration * uniform(rng, 0.2, 0.8)
+        edge = uniform(rng, 0.5, 2.0)
+        place = c.border(path, time)
+        c.line(changes, c.LONGITUDINAL_RESISTANCE, longitudinal, place, edge)
+        c.line(changes, c.LATERAL_RESISTANCE, lateral, place, edge)
+    if random(rng) < 0.5:  # drift of the lateral resistance with odds 1/2
+        lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
+        c.ramp(changes, c.LATERAL_RESISTANCE, lateral, 0.0, path.duration)
+
+
+@formula
+def _ood(rng, nominal, path, truth, changes):
+    """Outside the ranges of every other set."""
+    heavy = random(rng) < 0.5
+    factor = uniform(rng, 1.6, 2.2) if heavy else uniform(rng, 0.4, 0.6)  # *U(1.6, 2.2) or lighter
+    truth.mass = nominal.mass * factor
+    truth.inertia = nominal.inertia * factor * uniform(rng, 0.8, 1.2)  # of the mass factor
+    # =U(0.1, 0.25) or U(0.75, 1.0)
+    high = random(rng) >= 0.5
+    truth.longitudinal_resistance = uniform(rng, 0.75, 1.0) if high else uniform(rng, 0.1, 0.25)
+    # =U(0.25, 0.4) or U(1.0, 1.2)
+    high = random(rng) >= 0.5
+    truth.lateral_resistance = uniform(rng, 1.0, 1.2) if high else uniform(rng, 0.25, 0.4)
+    truth.drive_time_constant = uniform(rng, 0.1, 0.15)  # =U(0.1, 0.15)
+
+
+@formula
+def _slow_drive(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle whose motors answer late."""
+    _firm_ground(rng, nominal, truth)
+    truth.drive_time_constant = uniform(rng, 0.15, 0.3)  # =U(0.15, 0.3)
+
+
+@formula
+def _loose_soil(rng, nominal, path, truth, changes):
+    """Soil whose shear a turn takes up; for the distributed plant, where nothing else does."""
+    _soft_ground(rng, nominal, truth, _LOOSE)
+    truth.longitudinal_resistance = uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2)
+
+
+@loop
+def _each_soil_and_mass(*call):
+    c.draw_each(_soil_and_mass, call)
+
+
+@loop
+def _each_payload(*call):
+    c.draw_each(_payload, call)
+
+
+@loop
+def _each_resistance_map(*call):
+    c.draw_each(_resistance_map, call)
+
+
+@loop
+def _each_weak_soil(*call):
+    c.draw_each(_weak_soil, call)
+
+
+@loop
+def _each_terrain_transition(*call):
+    c.draw_each(_terrain_transition, call)
+
+
+@loop
+def _each_drift(*call):
+    c.draw_each(_drift, call)
+
+
+@loop
+def _each_mixed(*call):
+    c.draw_each(_mixed, call)
+
+
+@loop
+def _each_ood(*call):
+    c.draw_each(_ood, call)
+
+
+@loop
+def _each_slow_drive(*call):
+    c.draw_each(_slow_drive, call)
+
+
+@loop
+def _each_loose_soil(*call):
+    c.draw_each(_loose_soil, call)
+
+
+LAWS = c.laws(
+    ("soil-and-mass", _each_soil_and_mass, _soil_and_mass),
+    ("payload", _each_payload, _payload),
+    ("resistance-map", _each_resistance_map, _resistance_map),
+    ("weak-soil", _each_weak_soil, _weak_soil),
+    ("terrain-transition", _each_terrain_transition, _terrain_transition),
+    ("drift", _each_drift, _drift),
+    ("mixed", _each_mixed, _mixed),
+    ("ood", _each_ood, _ood),
+    ("slow-drive", _each_slow_drive, _slow_drive),
+    ("loose-soil", _each_loose_soil, _loose_soil),
+)

@@ -1,0 +1,201 @@
+"""Sensor noise: NumPy's normal numbers, drawn inside kernels from one row of state per vehicle.
+
+The numbers are those of `Generator(SFC64(seed)).standard_normal(dtype=float32)`, bit for bit:
+    seed -> SeedSequence [1] -> 192 bits -> SFC64 [2] -> 32 bits r -> ziggurat [3] of 256 layers
+Layer k = r mod 256, sign = bit 8, m = the 23 bits above: x = m w_k is accepted where m < k_k, else
+the wedge below exp(-x^2 / 2) or, in layer 0, the tail beyond r = 3.654 decides. Layers have the
+area v and edges x_255 = r, exp(-x_{k-1}^2 / 2) = exp(-x_k^2 / 2) + v / x_k.
+State of a vehicle, (STATE,) uint64: four words of SFC64, the unused half of its last number, and
+whether there is one. Copies, pickles and snapshots hold it as an array.
+
+References: [1] O'Neill, "Developing a seed_seq alternative" (2015), as in NumPy's SeedSequence.
+[2] Doty-Humphrey, PractRand (2014). [3] Marsaglia, Tsang, J. Stat. Software 5 (2000) 8; r, the 256
+layers and the use of the bits as in NumPy's distributions.c.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.engine import columns as b
+from tracked_env.physics.jit import formula, loop
+
+STATE = 6  # words of a vehicle
+LAYERS = 256
+TAIL = 3.6541528853610087963519472518  # [-] r, where the tail begins
+MANTISSA = 2.0**23  # [-] numbers m below it
+
+_U32 = np.uint64(0xFFFFFFFF)
+_ONE = np.uint64(1)
+_SIXTEEN = np.uint32(16)
+
+
+def _layers() -> tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.float32]]:
+    """k (256,) accepted at once below it, w (256,) widths over 2^23, f (256,) of the edges."""
+
+    def density(x: float) -> float:
+        return math.exp(-0.5 * x * x)
+
+    area = TAIL * density(TAIL) + math.sqrt(0.5 * math.pi) * math.erfc(TAIL / math.sqrt(2.0))
+    edges = np.zeros(LAYERS)
+    edges[-1] = TAIL
+    for k in range(LAYERS - 2, 0, -1):
+        edges[k] = math.sqrt(-2.0 * math.log(area / edges[k + 1] + density(edges[k + 1])))
+    widths = edges.copy()
+    widths[0] = area / density(TAIL)  # of the layer that the tail belongs to
+    accepted = np.zeros(LAYERS)
+    accepted[0] = TAIL / widths[0]
+    accepted[2:] = edges[1:-1] / edges[2:]
+    heights = np.array([density(x) for x in edges])
+    return (
+        np.rint(accepted * MANTISSA).astype(np.uint32),
+        (widths / MANTISSA).astype(np.float32),
+        heights.astype(np.float32),
+    )
+
+
+_ACCEPTED, _WIDTH, _HEIGHT = _layers()
+_TAIL = np.float32(TAIL)
+_TAIL_INVERSE = np.float32(1.0 / TAIL)
+_UNIT = np.float32(2.0**-24)
+
+
+@formula
+def _hashed(value, constant):
+    """One word of the entropy, and the next constant."""
+    value = np.uint32(value ^ constant)
+    constant = np.uint32(constant * np.uint32(0x931E8875))
+    value = np.uint32(value * constant)
+    return np.uint32(value ^ (value >> _SIXTEEN)), constant
+
+
+@formula
+def _mixed(x, y):
+    """Two words of the pool in one."""
+    result = np.uint32(np.uint32(np.uint32(0xCA01F9DD) * x) - np.uint32(np.uint32(0x4973F715) * y))
+    return np.uint32(result ^ (result >> _SIXTEEN))
+
+
+@formula
+def _next64(s):
+    """Next 64 bits of SFC64 with words s[0] .. s[3]."""
+    result = s[0] + s[1] + s[3]
+    s[3] += _ONE
+    s[0] = s[1] ^ (s[1] >> np.uint64(11))
+    s[1] = s[2] + (s[2] << np.uint64(3))
+    s[2] = ((s[2] << np.uint64(24)) | (s[2] >> np.uint64(40))) + result
+    return result
+
+
+@formula
+def _next32(s):
+    """Next 32 bits: the lower half of a number first, its upper half afterwards."""
+    if s[5] != 0:
+        s[5] = np.uint64(0)
+        return np.uint32(s[4])
+    result = _next64(s)
+    s[4], s[5] = result >> np.uint64(32), _ONE
+    return np.uint32(result & _U32)
+
+
+@formula
+def _next_float(s):
+    """Uniform float32 in [0, 1)."""
+    return np.float32(_next32(s) >> np.uint32(8)) * _UNIT
+
+
+@loop
+def seed_state(s, seed):
+    """Seed the state s (STATE,) as SFC64(seed) does; 0 <= seed < 2^63."""
+    pool = np.zeros(4, dtype=np.uint32)
+    pool[0] = np.uint32(np.uint64(seed) & _U32)
+    pool[1] = np.uint32(np.uint64(seed) >> np.uint64(32))
+    constant = np.uint32(0x43B0D7E5)
+    for k in range(4):
+        pool[k], constant = _hashed(pool[k], constant)
+    for source in range(4):
+        for target in range(4):
+            if source != target:
+                word, constant = _hashed(pool[source], constant)
+                pool[target] = _mixed(pool[target], word)
+    constant = np.uint32(0x8B51F9DD)
+    for k in range(3):
+        s[k] = np.uint64(0)
+        for half in range(2):
+            word = np.uint32(pool[(2 * k + half) % 4] ^ constant)
+            constant = np.uint32(constant * np.uint32(0x58F38DED))
+            word = np.uint32(word * constant)
+            word = np.uint32(word ^ (word >> _SIXTEEN))
+            s[k] |= np.uint64(word) << np.uint64(32 * half)
+    s[3], s[4], s[5] = _ONE, np.uint64(0), np.uint64(0)
+    for _ in range(12):
+        _next64(s)
+
+
+@loop
+def _rejected(s, k, m, x):
+    """(accepted, value) of a draw that layer k did not accept at once: 1 in 150."""
+    if k == 0:
+        while True:
+            beyond = np.float32(-_TAIL_INVERSE * np.float32(math.log1p(-_next_float(s))))
+            height = np.float32(-np.float32(math.log1p(-_next_float(s))))
+            if np.float32(height + height) > np.float32(beyond * beyond):
+                tail = np.float32(_TAIL + beyond)
+                return True, -tail if (m >> np.uint32(8)) & np.uint32(1) else tail
+    between = np.float32(np.float32(_HEIGHT[k - 1] - _HEIGHT[k]) * _next_float(s))
+    wide = np.float64(x)
+    return np.float32(between + _HEIGHT[k]) < math.exp(-0.5 * wide * wide), x
+
+
+@formula
+def _normal(s):
+    """Next normal number, float32."""
+    while True:
+        r = _next32(s)
+        k = np.int64(r & np.uint32(0xFF))
+        m = r >> np.uint32(9)
+        x = np.float32(np.float32(m) * _WIDTH[k])
+        x = -x if r & np.uint32(0x100) else x
+        if m < _ACCEPTED[k]:
+            return x
+        accepted, x = _rejected(s, k, m, x)
+        if accepted:
+            return x
+
+
+@loop
+def fill_normal(s, out):
+    """Fill out (M,) float32 from the state s (STATE,)."""
+    for j in range(out.size):
+        out[j] = _normal(s)
+
+
+@loop
+def draw_block(noise, states, i):
+    """Draw the next noise block of vehicle i; noise as in `engine.columns`, states (N, STATE)."""
+    for run in range(b.NOISE_BLOCK // b.NOISE_RUN):
+        fill_normal(states[i], noise[run, i].reshape(-1))
+
+
+@loop
+def refill(noise, counters, states, noisy, chosen):
+    """Draw the next block of those chosen vehicles that are about to use up theirs.
+
+    noisy (N,) bool: which need random numbers. The next step moves a cursor of -1 to the first row.
+    """
+    for j in range(chosen.size):
+        i = chosen[j]
+        if counters[i, b.NOISE_CURSOR] >= b.NOISE_BLOCK - 1:
+            if noisy[i]:
+                draw_block(noise, states, i)
+            counters[i, b.NOISE_CURSOR] = -1
+
+
+@loop
+def steps_left(counters, chosen):
+    """Steps until the first of the chosen vehicles has used up its block."""
+    last = 0
+    for j in range(chosen.size):
+        last = max(last, counters[chosen[j], b.NOISE_CURSOR])
+    return b.NOISE_BLOCK - 1 - last

@@ -1,0 +1,191 @@
+"""Laws as kernels: one form that draws a batch of episodes, or one episode for Python.
+
+A law is a `formula` (rng, nominal, path, truth, changes) that draws with `tracked_env.streams`:
+    truth.mass = nominal.mass * uniform(rng, 0.8, 1.5)
+    ramp(changes, MASS, truth.mass, start, duration)
+`truth` has the fields of PlantParameters and begins as the nominal one. Changes are kept in rows as
+`tracked_env.events` encodes them, those of parameters that the plant does not read left out; a
+ninth number keeps the direction of a line. A law's `loop` stands beside it at module level, where
+numba's disk cache finds it:
+    @loop
+    def _each_payload(*call):
+        draw_each(_payload, call)
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env import streams
+from tracked_env.events import decode_event
+from tracked_env.physics import parameter_events
+from tracked_env.physics.jit import formula, template
+from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PlantParameters
+from tracked_env.physics.reference_profile import advance_pose
+from tracked_env.references import ReferenceProfile
+from tracked_env.uncertainty.law import Draw
+
+RECORD = np.dtype([(name, np.float64) for name in PARAMETER_NAMES])
+CHANGES_LIMIT = 8  # [-] of one episode, drawn by a law
+CHANGE_FIELDS = 9  # eight as `events` has them, and the direction of a line [rad]
+
+MASS, INERTIA = PARAMETER_INDEX["mass"], PARAMETER_INDEX["inertia"]
+COHESION = PARAMETER_INDEX["cohesion"]
+FRICTION_ANGLE = PARAMETER_INDEX["friction_angle"]
+SHEAR_DEFORMATION_MODULUS = PARAMETER_INDEX["shear_deformation_modulus"]
+LONGITUDINAL_RESISTANCE = PARAMETER_INDEX["longitudinal_resistance"]
+LATERAL_RESISTANCE = PARAMETER_INDEX["lateral_resistance"]
+
+
+class Draws(NamedTuple):
+    """What a law draws into, and from, for the chosen vehicles of a batch of N."""
+
+    streams: NDArray[np.int64]  # (n,) addresses of the generators of the chosen vehicles
+    chosen: NDArray[np.int64]  # (n,) rows of the arrays below
+    nominal: NDArray[np.void]  # (1,) of RECORD
+    profile: NDArray[np.float64]  # (S, N, 12) references
+    poses: NDArray[np.float64]  # (N, >= 5) x, y, yaw, cos, sin where they begin
+    duration: float  # [s] of the episode
+    truths: NDArray[np.void]  # (N,) of RECORD
+    changes: NDArray[np.float64]  # (N, CHANGES_LIMIT, CHANGE_FIELDS)
+    counts: NDArray[np.int64]  # (N,) changes of each
+    read: NDArray[np.bool_]  # (PARAMETER_ROWS,) parameters whose changes are kept
+
+
+class Path(NamedTuple):
+    """The reference of one episode, inside a kernel."""
+
+    profile: NDArray[np.float64]  # (S, 12) speed and yaw rate
+    pose: NDArray[np.float64]  # (>= 5,) x, y, yaw, cos, sin where it begins
+    duration: float  # [s]
+
+
+class Changes(NamedTuple):
+    """The changes of one episode, inside a kernel."""
+
+    rows: NDArray[np.float64]  # (CHANGES_LIMIT, CHANGE_FIELDS)
+    used: NDArray[np.int64]  # (1,) how many
+    read: NDArray[np.bool_]
+    there: np.void  # of RECORD, the nominal one: room for parameters that are changed to
+
+
+@formula
+def _added(changes, kind, parameter, target):
+    """A new row, or the last one, which is free, for a parameter that is not read."""
+    row = changes.rows[changes.used[0]]
+    row[:] = 0.0
+    row[0], row[1], row[2] = kind, parameter, target
+    if changes.read[parameter]:
+        changes.used[0] += 1
+    return row
+
+
+@formula
+def ramp(changes, parameter, target, start, duration):
+    """A change in time; start, duration [s]."""
+    row = _added(changes, parameter_events.RAMP, parameter, target)
+    row[3], row[4] = start, duration
+
+
+@formula
+def given(changes, rows):
+    """Changes that are always the same, rows (M, 8)."""
+    for k in range(rows.shape[0]):
+        row = _added(changes, rows[k, 0], np.int64(rows[k, 1]), rows[k, 2])
+        row[3:8] = rows[k, 3:8]
+
+
+@formula
+def border(path, time):
+    """(x, y, direction): where the reference is at `time` [s], and where it heads."""
+    speed, yaw_rate, pose = path.profile[:, :6], path.profile[:, 6:], path.pose
+    x, y, _, _, turned = advance_pose(speed, yaw_rate, 0.0, time, 0.0, 0.0, pose[3], pose[4])
+    return x + pose[0], y + pose[1], turned + pose[2]
+
+
+@formula
+def line(changes, parameter, target, place, edge):
+    """A change square to the path at `place`, see `border`; edge [m]."""
+    row = _added(changes, parameter_events.LINE, parameter, target)
+    row[3], row[4], row[8] = place
+    row[5], row[6], row[7] = math.cos(row[8]), math.sin(row[8]), edge
+
+
+@template
+def draw_each(law, call):
+    """Draw an episode of each chosen vehicle by `law`; call: the fields of Draws."""
+    rngs, chosen, nominal, profile, poses = call[0], call[1], call[2], call[3], call[4]
+    duration, truths, rows, counts, read = call[5], call[6], call[7], call[8], call[9]
+    there = np.empty(1, dtype=RECORD)
+    for k in range(chosen.size):
+        i = chosen[k]
+        truths[i] = there[0] = nominal[0]
+        counts[i] = 0
+        path = Path(profile[:, i], poses[i], duration)
+        changes = Changes(rows[i], counts[i : i + 1], read, there[0])
+        law(rngs[k], nominal[0], path, truths[i], changes)
+
+
+def numbers(records: NDArray[np.void]) -> NDArray[np.float64]:
+    """A view (N, PARAMETER_ROWS) of records (N,)."""
+    return records.view(np.float64).reshape(-1, len(PARAMETER_NAMES))
+
+
+class ArrayLaw:
+    """A law that draws whole batches: `fill`. As a function it draws one episode by the same."""
+
+    def fill(self, draws: Draws) -> None:
+        """Draw an episode of each chosen vehicle."""
+        raise NotImplementedError
+
+    def __call__(
+        self,
+        rng: np.random.Generator,
+        nominal: PlantParameters,
+        profile: ReferenceProfile | None,
+        duration: float,
+    ) -> Draw:
+        """Draw one episode. A law that changes nothing along the path needs no profile."""
+        if profile is None:
+            profile = ReferenceProfile(np.zeros((1, 6)), np.zeros((1, 6)))
+        both = np.concatenate([profile.speed, profile.yaw_rate], axis=1)[:, None]
+        yaw = profile.yaw
+        draws = Draws(
+            streams.addresses([rng]),
+            np.zeros(1, dtype=np.int64),
+            np.array([tuple(nominal)], dtype=RECORD),
+            both,
+            np.array([[profile.x, profile.y, yaw, math.cos(yaw), math.sin(yaw)]]),
+            float(duration),
+            np.zeros(1, dtype=RECORD),
+            np.zeros((1, CHANGES_LIMIT, CHANGE_FIELDS)),
+            np.zeros(1, dtype=np.int64),
+            np.ones(len(PARAMETER_NAMES), dtype=np.bool_),
+        )
+        self.fill(draws)
+        events = [decode_event(row) for row in draws.changes[0, : draws.counts[0]].tolist()]
+        return Draw(PlantParameters(*draws.truths[0].item()), events)
+
+
+class CompiledLaw(ArrayLaw):
+    """A law of this package: a kernel, named as its uncertainty set."""
+
+    def __init__(self, name: str, kernel: Callable[..., None], description: str) -> None:
+        self.name, self._kernel, self.__doc__ = name, kernel, description
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        from tracked_env.uncertainty import make_uncertainty
+
+        return make_uncertainty, (self.name,)
+
+    def fill(self, draws: Draws) -> None:
+        """Draw an episode of each chosen vehicle."""
+        self._kernel(*draws)
+
+
+def laws(*entries: tuple[str, Callable[..., None], Any]) -> dict[str, ArrayLaw]:
+    """Laws by name, from (name, its loop, its formula: the docstring describes it)."""
+    return {name: CompiledLaw(name, kernel, law.__doc__) for name, kernel, law in entries}

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.observation_fields import GROUPS, VERSIONS, Group
+from tracked_env.observation_fields import GROUPS as GROUPS
+from tracked_env.observation_fields import VERSIONS, Group
 from tracked_env.observation_fields import Field as Field  # of groups to be registered
 from tracked_env.physics.jit import formula
 from tracked_env.validation import checked_choice, unknown

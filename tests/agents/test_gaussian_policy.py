@@ -66,7 +66,7 @@ def test_densities_entropies_values_and_their_gradients_are_those_of_stable_base
     for policy in both():
         value, density, entropy = policy.evaluate_actions(batch(), actions)
         found.append([part.detach().numpy() for part in (value, density, entropy)])
-        weights = torch.linspace(-1.0, 1.0, len(density))
+        weights = torch.linspace(-1.0, 2.0, len(density))
         loss = (weights * density).mean() + 0.3 * entropy.mean() + (value**2).mean()
         loss.backward()
         gradients.append({name: part.grad.numpy() for name, part in policy.named_parameters()})

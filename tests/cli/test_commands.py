@@ -170,10 +170,42 @@ def test_render_writes_the_episode_in_the_format_of_the_file(suffix: str) -> Non
         assert picture.convert("L").getextrema() != (0, 0)
 
 
+def test_render_shows_the_same_episode_from_behind_the_vehicle() -> None:
+    pytest.importorskip("pygame", reason="pictures need the extra `render`")
+    image = pytest.importorskip("PIL.Image")
+    arguments = ["nominal", "--duration", "1", "--file"]
+    assert main(["render", *arguments, "top.png"]) == 0
+    assert main(["render", *arguments, "behind.png", "--view", "3d"]) == 0
+    with image.open("top.png") as top, image.open("behind.png") as behind:
+        assert top.size == behind.size == (960, 640)
+        panel, scene = (690, 60, 950, 440), (0, 60, 680, 580)
+        assert top.crop(panel).tobytes() == behind.crop(panel).tobytes()
+        assert top.crop(scene).tobytes() != behind.crop(scene).tobytes()
+
+
+def test_render_writes_a_page_alone_unless_a_file_is_asked_for_too() -> None:
+    pytest.importorskip("pygame", reason="pictures need the extra `render`")
+    pytest.importorskip("viser", reason="pages need the extra `viewer`")
+    assert main(["render", "nominal", "--duration", "1", "--html", "replay.html"]) == 0
+    assert [path.name for path in Path().iterdir()] == ["replay.html"]
+
+
+def test_without_viser_render_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pygame", reason="pictures need the extra `render`")
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert main(["render", "nominal", "--duration", "1", "--html", "replay.html"]) == 1
+    error = capsys.readouterr().err
+    assert 'pip install "tracked-env[viewer]"' in error and error.count("\n") == 1
+    assert list(Path().iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["nominal", "--file", "one.bmp"], "file one.bmp: must end in .mp4, .gif, .png"),
+        (["nominal", "--html", "one.pdf"], "file one.pdf: must end in .html"),
         (["nominal", "--set", "mud"], "unknown evaluation set 'mud'"),
         (["uc"], "this policy commands each sprocket's speed"),
         (["nothing"], "unknown policy"),

@@ -160,3 +160,11 @@ def test_a_ground_grid_is_flat_beyond_its_edge() -> None:
     shown = expected > 1.0 / 45.0
     shown &= expected < 2.0
     assert picture.inverse[shown, 7] == pytest.approx(expected[shown], rel=1e-3)
+
+
+def test_a_polygon_that_reaches_behind_the_eye_is_left_out() -> None:
+    picture = seen(level)
+    before = picture.colours.copy()
+    reaching = np.array([[(-2.0, -1.0, 0.5), (8.0, -1.0, 0.5), (8.0, 1.0, 0.5), (-2.0, 1.0, 0.5)]])
+    picture.quads(eye(), reaching, RED)
+    assert np.array_equal(picture.colours, before)

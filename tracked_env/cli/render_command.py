@@ -61,15 +61,16 @@ def _write(given: argparse.Namespace, benchmark: BenchmarkConfig, entry: PolicyE
     browser = given.html is not None or given.live is not None
     if given.html is not None and given.html.suffix.lower() != ".html":
         raise ValueError(f"file {given.html}: must end in .html")
+    if browser:
+        from tracked_env.rendering import viewer
+
+        viewer.check_installed()
     file = given.file or (None if browser else Path("episode.gif"))
     if file is not None:
         video.draw(benchmark, entry, uncertainty_set, 0, file, given.view)
         print(f"{label}: {file}")
     if not browser:
         return
-    from tracked_env.rendering import viewer
-
-    viewer.check_installed()
     recording = video.record_episode(benchmark, entry, uncertainty_set, 0)
     if given.html is not None:
         viewer.write_html(recording, given.html)

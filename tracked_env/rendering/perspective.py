@@ -20,7 +20,7 @@ Points = NDArray[np.float64]
 ZENITH: Colour = (126, 172, 212)
 HORIZON: Colour = (222, 231, 238)
 LINE_WIDTH = 0.05  # [contact lengths] of paths on the ground
-THINNEST = 2.2  # [px] of the same, far away
+THINNEST = 1.8  # [px] of the same, far away
 NEARER = 0.02  # [-] of its distance that a line on the ground is taken as nearer than it
 SHADE = 0.38  # [-] opacity of the shadow under the vehicle
 OUTLINE_STEP = 0.08  # [contact lengths] between points of the reference's outline
@@ -49,16 +49,14 @@ class Picture:
 
     def polygons(
         self,
-        eye: Eye,
-        corners: Points,
+        seen: Points,
         starts: NDArray[np.int64],
         colours: Bytes,
         opacity: float = 1.0,
         bias: float = 0.0,
     ) -> None:
-        """Polygons in space; arguments as `raster.fill_polygons` has them, corners in metres."""
+        """Projected polygons; arguments as `raster.fill_polygons` has them, one of each for all."""
         count = starts.size - 1
-        seen = raster.project(eye, corners)
         raster.fill_polygons(
             seen, starts, colours, np.full(count, opacity), np.full(count, bias),
             self.inverse, self.colours,
@@ -68,17 +66,27 @@ class Picture:
         self, eye: Eye, quads: Points, colour: Colour, opacity: float = 1.0, bias: float = 0.0
     ) -> None:
         """Quads (Q, 4, 3) [m] of one colour."""
-        starts = 4 * np.arange(len(quads) + 1)
-        colours = np.tile(np.array(colour, dtype=np.uint8), (len(quads), 1))
-        self.polygons(eye, quads.reshape(-1, 3), starts, colours, opacity, bias)
+        self._projected(raster.project(eye, quads), colour, opacity, bias)
 
     def line(self, eye: Eye, landscape: Landscape, line: Points, colour: Colour) -> None:
-        """A line (P, 2) [m] on the ground."""
+        """A line (P, 2) [m] on the ground, nowhere thinner than THINNEST."""
         if len(line) < 2:
             return
         away = np.hypot(line[:, 0] - eye.x, line[:, 1] - eye.y)
         width = np.maximum(LINE_WIDTH * landscape.length, THINNEST * away / eye.focal)
-        self.quads(eye, landscape.ribbon(line, width), colour, bias=NEARER)
+        seen = raster.project(eye, landscape.ribbon(line, width))
+        for left, right in ((0, 3), (1, 2)):  # both edges, at the start and at the end of a quad
+            across = seen[:, left, :2] - seen[:, right, :2]
+            missing = np.maximum(THINNEST - np.hypot(across[:, 0], across[:, 1]), 0.0)
+            upward = np.where(across[:, 1] > 0.0, 0.5, -0.5) * missing
+            seen[:, left, 1] += upward
+            seen[:, right, 1] -= upward
+        self._projected(seen, colour, 1.0, NEARER)
+
+    def _projected(self, seen: Points, colour: Colour, opacity: float, bias: float) -> None:
+        starts = 4 * np.arange(len(seen) + 1)
+        colours = np.tile(np.array(colour, dtype=np.uint8), (len(seen), 1))
+        self.polygons(seen.reshape(-1, 3), starts, colours, opacity, bias)
 
     def softened(self) -> Bytes:
         """The finished colours (H, W, 3)."""
@@ -131,9 +139,8 @@ class Perspective:
         slips = shot.state.slip_left, shot.state.slip_right
         faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel)
         light = pose.axes.T @ np.array(self.landscape.light)
-        self._picture.polygons(
-            eye, pose.place(faces.corners), faces.starts, faces.lit(light.tolist())
-        )
+        seen = raster.project(eye, pose.place(faces.corners))
+        self._picture.polygons(seen, faces.starts, faces.lit(light.tolist()))
         canvas.paint(target, self._picture.softened())
 
     def _shadow(self, picture: Picture, eye: Eye, pose: BodyPose, shot: Snapshot) -> None:

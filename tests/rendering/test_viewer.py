@@ -1,0 +1,168 @@
+"""A recording holds an episode, and the viewer shows it live or as one page without a server."""
+
+import math
+import re
+import sys
+import threading
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from tests.rendering.picture_cases import CENTRED, driven, started
+from tests.rendering.terrain_cases import bump
+from tracked_env.rendering import Recorder, TerrainSource, viewer
+from tracked_env.rendering.recording import Recording
+
+
+def loads(simulation: Any, row: int) -> np.ndarray:
+    return np.array([np.full((4, 2), 1000.0), np.full((4, 2), 500.0)])
+
+
+def recorded(steps: int = 50, terrain: TerrainSource | None = None) -> Recording:
+    """A drive to the east, one instant in ten control steps."""
+    env = started()
+    recorder = Recorder(terrain)
+    recorder.add(env.simulation)
+    for _ in range(steps // 10):
+        driven(env, 10)
+        recorder.add(env.simulation)
+    return recorder.finish()
+
+
+def test_a_recording_holds_times_poses_loads_and_the_ground_around_the_path() -> None:
+    recording = recorded(50, TerrainSource(bump(5.0, 0.0), loads, centre_height=0.4))
+    assert recording.times == pytest.approx(np.arange(6) * 0.2)
+    assert (np.diff(recording.poses[:, 0]) > 0.1).all()
+    assert recording.poses[:, 2] == pytest.approx(0.4)
+    assert recording.loads is not None
+    assert recording.loads == pytest.approx(np.tile([8e3, 4e3], (6, 1)))
+    relief = recording.relief
+    x = relief.x + relief.cell * np.arange(relief.heights.shape[1])
+    y = relief.y + relief.cell * np.arange(relief.heights.shape[0])
+    row, column = np.unravel_index(np.argmax(relief.heights), relief.heights.shape)
+    assert (x[column], y[row]) == pytest.approx((5.0, 0.0), abs=relief.cell)
+    assert x[0] < -10.0 and x[-1] > 70.0  # 60 m of path
+
+
+def test_the_picture_on_the_ground_has_the_north_in_its_first_row() -> None:
+    picture = recorded(10, TerrainSource(lambda x, y: np.where(y > 2.0, 5.0, 0.0))).relief.picture
+    rows = picture.reshape(len(picture), -1).astype(float).std(axis=1) + np.abs(
+        picture.mean(axis=(1, 2)) - np.median(picture)
+    )
+    assert int(np.argmax(rows)) < 0.46 * len(rows)  # the cliff, 2 m north of the middle
+
+
+def test_a_recording_holds_one_episode() -> None:
+    env = started()
+    recorder = Recorder()
+    with pytest.raises(ValueError, match="recorded instants = 0"):
+        recorder.finish()
+    recorder.add(env.simulation)
+    env.reset(seed=4, options={"start": CENTRED})
+    with pytest.raises(ValueError, match="one episode"):
+        recorder.add(env.simulation)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        Recorder().add(type(env)().simulation)
+
+
+def test_without_viser_the_error_is_one_line_that_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(ImportError, match=r'pip install "tracked-env\[viewer\]"') as raised:
+        viewer.write_html(recorded(10), tmp_path / "replay.html")
+    assert "\n" not in str(raised.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_about_twenty_instants_a_second_are_shown_with_the_first_and_the_last() -> None:
+    recording = recorded(10)
+    times = np.linspace(0.0, 3.0, 151)
+    shown = viewer.instants(recording._replace(times=times))
+    assert times[shown] == pytest.approx(np.linspace(0.0, 3.0, 61), abs=0.02)
+    assert (shown[0], shown[-1]) == (0, 150)
+    assert viewer.instants(recording._replace(times=times[:1])).tolist() == [0]
+
+
+def test_the_page_is_one_file_without_links_to_the_net(tmp_path: Path) -> None:
+    pytest.importorskip("viser", reason="pages need the extra `viewer`")
+    file = tmp_path / "folder" / "replay.html"
+    viewer.write_html(recorded(50, TerrainSource(bump(5.0, 0.0))), file)
+    assert list(file.parent.iterdir()) == [file]
+    page = file.read_text(encoding="utf-8")
+    assert set(re.findall(r"https?://[\w./-]+", page)) <= {"http://www.w3.org/2000/svg"}
+    links = re.findall(
+        r"<(?:script|link|img|iframe)[^>]*?\s(?:src|href)=[\"']?([^\"'\s>]{0,9})", page
+    )
+    assert links and all(link.startswith("data:") for link in links)
+    assert 5e5 < len(page) < 6e6
+
+
+class Calls:
+    """A server of viser that only notes what is put on it."""
+
+    def __init__(self, name: str = "server") -> None:
+        self.__dict__.update(name=name, made={})
+
+    def __getattr__(self, name: str) -> Any:
+        return self.made.setdefault(name, Calls(name))
+
+    def __call__(self, *arguments: Any, **options: Any) -> "Calls":
+        key = arguments[0] if arguments and isinstance(arguments[0], str) else ""
+        return self.made.setdefault(key, Calls(key))
+
+
+def test_the_driven_path_grows_and_shrinks_with_the_instant_shown() -> None:
+    pytest.importorskip("trimesh", reason="meshes need the extra `viewer`")
+    recording = recorded(100, TerrainSource(bump(50.0, 9.0), loads))
+    stage = viewer.Stage(Calls(), recording)
+
+    def seen() -> list[bool]:
+        return [piece.visible for _, piece in stage._pieces]
+
+    assert not any(seen())
+    for instant in (4, 10, 2):
+        stage.move(instant)
+        assert seen() == [k < instant for k in range(10)]
+    stage.move(10)
+    x, y, _ = stage._vehicle.position
+    assert (x, y) == pytest.approx(tuple(recording.poses[10, :2]))
+    assert stage._label.text.startswith("2.0 s") and "loads 8.0 | 4.0 kN" in stage._label.text
+
+
+def test_the_reference_pose_lies_on_the_slope() -> None:
+    pytest.importorskip("trimesh", reason="meshes need the extra `viewer`")
+    stage = viewer.Stage(Calls(), recorded(10, TerrainSource(lambda x, y: 0.5 * x)))
+    position, quaternion = stage._lying(np.array([4.0, 1.0, 0.0]))
+    assert position[2] == pytest.approx(2.0, abs=0.1)
+    half = -0.5 * math.atan(0.5)  # nose up
+    assert quaternion == pytest.approx([math.cos(half), 0.0, math.sin(half), 0.0])
+
+
+def test_the_live_page_is_served_at_the_own_machine_alone(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("viser", reason="the live page needs the extra `viewer`")
+    done = threading.Event()
+    recording = recorded(20)
+    serving = threading.Thread(target=viewer.show, args=(recording, 8765, done.is_set))
+    serving.start()
+    try:
+        said = ""
+        for _ in range(200):
+            said += capsys.readouterr().out
+            if "127.0.0.1" in said:
+                break
+            time.sleep(0.1)
+        (address,) = re.findall(r"http://127\.0\.0\.1:\d+", said)
+        with urllib.request.urlopen(address, timeout=20) as answer:
+            assert answer.status == 200 and b"<html" in answer.read().lower()
+    finally:
+        done.set()
+        serving.join(timeout=30)
+    assert not serving.is_alive()

@@ -31,9 +31,9 @@ from agents.ending import (
 if __name__ == "__main__":
     stop_at_once("train.py: interrupted before the training began")  # the imports take seconds
 
-from collections.abc import Sequence
-from contextlib import ExitStack, redirect_stdout
-from dataclasses import make_dataclass
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack, redirect_stdout, suppress
+from dataclasses import make_dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -180,18 +180,28 @@ def hold(held: ExitStack, folder: Path) -> None:
         time.sleep(0.5)
 
 
-def prepared(options: Options) -> None:
-    """Make the folder of a training, emptied if that is asked for. Raises Refused."""
+def check_all(trainings: Iterable[Options]) -> None:
+    """Refuse what cannot be trained, before anything is written. Raises Refused."""
+    known: set[str] = set()
     with refusing(*WRONG):
+        for options in trainings:
+            run = resolve(options)
+            config, again = run.recipe["config"], (options.resume, options.overwrite)
+            with suppress(AlreadyFinished):
+                going_on(run.folder, config, FREE, *again)
+            alike = repr(replace(options, seed=0, output=None))
+            if alike not in known:  # of trainings that differ in their seed, one is made
+                made(run, None)
+            known.add(alike)
+
+
+def prepared(options: Options) -> None:
+    """Make the folder of a training, emptied if that is asked for."""
+    options.folder.mkdir(parents=True, exist_ok=True)
+    if options.overwrite:
         run = resolve(options)
-        try:
-            going_on(run.folder, run.recipe["config"], FREE, options.resume, options.overwrite)
-        except AlreadyFinished:
-            return
-        run.folder.mkdir(parents=True, exist_ok=True)
-        if options.overwrite:
-            with locked(run.folder, "a training"):
-                begin(run.folder, run.recipe, 0)
+        with locked(run.folder, "a training"):
+            begin(run.folder, run.recipe, 0)
 
 
 def main_of_several(options: Any, kind: type[Options]) -> int:
@@ -200,9 +210,11 @@ def main_of_several(options: Any, kind: type[Options]) -> int:
         with refusing(ValueError):
             executor, shard = sweep.executor_of(options)
             trainings, plan = sweep.planned(options, kind)
-        trainings = sweep.part_of(trainings, shard)
-        for each in trainings.values():
-            prepared(each)
+            trainings = sweep.part_of(trainings, shard)
+        check_all(trainings.values())
+        with refusing(ValueError):
+            for each in trainings.values():
+                prepared(each)
         # By the name of this module, which other processes can import.
         failures = sweep.train_all(
             trainings, executor, import_module("train").train_one, options.quiet

@@ -27,6 +27,14 @@ class Constant:
         return np.full((len(observation), 2), np.float32(0.3)), (state or 0) + 1
 
 
+class Spin(Constant):
+    """Turns on the spot, so that the reference leaves it behind."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        action, state = super().predict(*args, **kwargs)
+        return action * np.float32([-3.0, 3.0]), state
+
+
 def end_once() -> None:
     """End this process by a signal, the first time that any process gets here."""
     mark = Path(os.environ[MARK])

@@ -44,7 +44,7 @@ try:
     import tyro
     from tqdm import tqdm
 
-    from agents import sweep
+    from agents import several_trainings as several
     from agents.sweep_table import compared
     from agents.training import checkpoints
     from agents.training.environments import make_held_out
@@ -137,13 +137,13 @@ def main(options: Options) -> int:
     return 0
 
 
-def train_one(place: sweep.Place, job: sweep.Job) -> sweep.Trained:
+def train_one(place: several.Place, job: several.Job) -> several.Trained:
     """One training of several, in a process of its own: begun, or gone on with."""
     options = options_of_train()(**job.options)
     folder = options.folder
     sys.argv = list(place.command)  # the recipe says what the user asked for
     if not Path(place.folder, folder).is_dir():
-        return sweep.Trained(
+        return several.Trained(
             f"{Path(place.folder, folder)} is not there on {platform.node()}; --output must be on "
             "a disk that all nodes share, and the working directory too", failed=True,
         )  # fmt: skip
@@ -158,13 +158,13 @@ def train_one(place: sweep.Place, job: sweep.Job) -> sweep.Trained:
         except AlreadyFinished:
             pass
         except (Refused, OSError) as error:
-            return sweep.Trained(" ".join(str(error).split()), failed=True)
+            return several.Trained(" ".join(str(error).split()), failed=True)
         except Diverged as error:
-            return sweep.Trained(diverged(error, options), failed=True)
+            return several.Trained(diverged(error, options), failed=True)
     recipe = read_recipe(folder / "agent.zip") or {}
     best = recipe.get("held_out_rmse")
     score = "" if best is None else f", best {best:.4f} m held out"
-    return sweep.Trained(f"done{score}; {folder / 'agent.zip'}", failed=False)
+    return several.Trained(f"done{score}; {folder / 'agent.zip'}", failed=False)
 
 
 def hold(held: ExitStack, folder: Path) -> None:
@@ -208,15 +208,15 @@ def main_of_several(options: Any, kind: type[Options]) -> int:
     """Several trainings, then the table of a sweep; returns the exit status."""
     try:
         with refusing(ValueError):
-            executor, shard = sweep.executor_of(options)
-            trainings, plan = sweep.planned(options, kind)
-            trainings = sweep.part_of(trainings, shard)
+            executor, shard = several.executor_of(options)
+            trainings, plan = several.planned(options, kind)
+            trainings = several.part_of(trainings, shard)
         check_all(trainings.values())
         with refusing(ValueError):
             for each in trainings.values():
                 prepared(each)
         # By the name of this module, which other processes can import.
-        failures = sweep.train_all(
+        failures = several.train_all(
             trainings, executor, import_module("train").train_one, options.quiet
         )
         if plan is not None and shard is None:
@@ -237,15 +237,15 @@ def command(arguments: Sequence[str] | None = None) -> int:
     It has the algorithms that are registered when it is called.
     """
     kind = options_of_train()
-    both: Any = make_dataclass("Config", [], bases=(sweep.Several, kind), frozen=True)
+    both: Any = make_dataclass("Config", [], bases=(several.Several, kind), frozen=True)
     both.__doc__ = kind.__doc__
     options: Any = tyro.cli(both, args=arguments, description=__doc__)
     raise_again()
     try:
-        several = sweep.asked(options)
+        more = several.asked(options)
     except ValueError as error:
         return failed(error)
-    return main_of_several(options, kind) if several else main(sweep.one(options, kind))
+    return main_of_several(options, kind) if more else main(several.one(options, kind))
 
 
 if __name__ == "__main__":

@@ -58,9 +58,8 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoNodes]:
     """One cluster for all tests; what it starts inherits paths and variables."""
     marks = tmp_path_factory.mktemp("marks")
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in {MARK: str(marks), "RAY_USAGE_STATS_ENABLED": "0",
-                            "RAY_BACKEND_LOG_LEVEL": "error"}.items():  # fmt: skip
-            patch.setenv(name, value)
+        patch.setenv(MARK, str(marks))
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         patch.syspath_prepend(str(HERE))
         patch.setenv("PYTHONPATH", os.pathsep.join([str(HERE), str(HERE.parents[1])]))
         two = TwoNodes(marks)
@@ -125,7 +124,7 @@ def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_chec
     from dataclasses import replace
 
     import train
-    from agents.sweep import train_all
+    from agents.several_trainings import train_all
 
     nodes.be_two()
     monkeypatch.chdir(tmp_path)

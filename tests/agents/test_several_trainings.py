@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 import train
-from agents.sweep import Place, planned, train_all
+from agents.several_trainings import Place, planned, train_all
 from agents.sweep_file import parse_seeds, read_sweep
 from agents.training.folder import CONFIG
 from tests.agents.agent_cases import Config, same_parameters, small
@@ -117,14 +117,14 @@ def test_a_sweep_trains_what_its_file_says_goes_on_and_ends_in_one_table(
 def test_a_folder_that_a_node_does_not_see_is_said(tmp_path: Path) -> None:
     trainings, _ = planned(replace_several(seeds="1", output=Path("x")), Config)
     (name,) = trainings
-    job = train.sweep.Job(name, vars(trainings[name]))
+    job = train.several.Job(name, vars(trainings[name]))
     trained = train.train_one(Place(["train.py"], str(tmp_path)), job)
     assert trained.failed and "a disk that all nodes share" in trained.line
 
 
 def replace_several(**changes: Any) -> Any:
     """Options of train.py with those of several trainings."""
-    both: Any = make_dataclass("Config", [], bases=(train.sweep.Several, Config), frozen=True)
+    both: Any = make_dataclass("Config", [], bases=(train.several.Several, Config), frozen=True)
     return both(**changes)
 
 

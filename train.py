@@ -31,9 +31,9 @@ from agents.ending import (
 if __name__ == "__main__":
     stop_at_once("train.py: interrupted before the training began")  # the imports take seconds
 
-from collections.abc import Sequence
-from contextlib import ExitStack, redirect_stdout
-from dataclasses import make_dataclass
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack, redirect_stdout, suppress
+from dataclasses import make_dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ try:
     import tyro
     from tqdm import tqdm
 
-    from agents import sweep
+    from agents import several_trainings as several
     from agents.sweep_table import compared
     from agents.training import checkpoints
     from agents.training.environments import make_held_out
@@ -138,13 +138,13 @@ def main(options: Options) -> int:
     return 0
 
 
-def train_one(place: sweep.Place, job: sweep.Job) -> sweep.Trained:
+def train_one(place: several.Place, job: several.Job) -> several.Trained:
     """One training of several, in a process of its own: begun, or gone on with."""
     options = options_of_train()(**job.options)
     folder = options.folder
     sys.argv = list(place.command)  # the recipe says what the user asked for
     if not Path(place.folder, folder).is_dir():
-        return sweep.Trained(
+        return several.Trained(
             f"{Path(place.folder, folder)} is not there on {platform.node()}; --output must be on "
             "a disk that all nodes share, and the working directory too", failed=True,
         )  # fmt: skip
@@ -159,13 +159,13 @@ def train_one(place: sweep.Place, job: sweep.Job) -> sweep.Trained:
         except AlreadyFinished:
             pass
         except (Refused, OSError) as error:
-            return sweep.Trained(" ".join(str(error).split()), failed=True)
+            return several.Trained(" ".join(str(error).split()), failed=True)
         except Diverged as error:
-            return sweep.Trained(diverged(error, options), failed=True)
+            return several.Trained(diverged(error, options), failed=True)
     recipe = read_recipe(folder / "agent.zip") or {}
     best = recipe.get("held_out_rmse")
     score = "" if best is None else f", best {best:.4f} m held out"
-    return sweep.Trained(f"done{score}; {folder / 'agent.zip'}", failed=False)
+    return several.Trained(f"done{score}; {folder / 'agent.zip'}", failed=False)
 
 
 def hold(held: ExitStack, folder: Path) -> None:
@@ -181,31 +181,43 @@ def hold(held: ExitStack, folder: Path) -> None:
         time.sleep(0.5)
 
 
-def prepared(options: Options) -> None:
-    """Make the folder of a training, emptied if that is asked for. Raises Refused."""
+def check_all(trainings: Iterable[Options]) -> None:
+    """Refuse what cannot be trained, before anything is written. Raises Refused."""
+    known: set[str] = set()
     with refusing(*WRONG):
+        for options in trainings:
+            run = resolve(options)
+            config, again = run.recipe["config"], (options.resume, options.overwrite)
+            with suppress(AlreadyFinished):
+                going_on(run.folder, config, FREE, *again)
+            alike = repr(replace(options, seed=0, output=None))
+            if alike not in known:  # of trainings that differ in their seed, one is made
+                made(run, None)
+            known.add(alike)
+
+
+def prepared(options: Options) -> None:
+    """Make the folder of a training, emptied if that is asked for."""
+    options.folder.mkdir(parents=True, exist_ok=True)
+    if options.overwrite:
         run = resolve(options)
-        try:
-            going_on(run.folder, run.recipe["config"], FREE, options.resume, options.overwrite)
-        except AlreadyFinished:
-            return
-        run.folder.mkdir(parents=True, exist_ok=True)
-        if options.overwrite:
-            with locked(run.folder, "a training"):
-                begin(run.folder, run.recipe, 0)
+        with locked(run.folder, "a training"):
+            begin(run.folder, run.recipe, 0)
 
 
 def main_of_several(options: Any, kind: type[Options]) -> int:
     """Several trainings, then the table of a sweep; returns the exit status."""
     try:
         with refusing(ValueError):
-            executor, shard = sweep.executor_of(options)
-            trainings, plan = sweep.planned(options, kind)
-        trainings = sweep.part_of(trainings, shard)
-        for each in trainings.values():
-            prepared(each)
+            executor, shard = several.executor_of(options)
+            trainings, plan = several.planned(options, kind)
+            trainings = several.part_of(trainings, shard)
+        check_all(trainings.values())
+        with refusing(ValueError):
+            for each in trainings.values():
+                prepared(each)
         # By the name of this module, which other processes can import.
-        failures = sweep.train_all(
+        failures = several.train_all(
             trainings, executor, import_module("train").train_one, options.quiet
         )
         if plan is not None and shard is None:
@@ -226,7 +238,7 @@ def command(arguments: Sequence[str] | None = None) -> int:
     It has the algorithms that are registered when it is called.
     """
     kind = options_of_train()
-    both: Any = make_dataclass("Config", [], bases=(sweep.Several, kind), frozen=True)
+    both: Any = make_dataclass("Config", [], bases=(several.Several, kind), frozen=True)
     both.__doc__ = kind.__doc__
     given = sys.argv[1:] if arguments is None else arguments
     try:
@@ -237,10 +249,10 @@ def command(arguments: Sequence[str] | None = None) -> int:
         return failed(error)
     raise_again()
     try:
-        several = sweep.asked(options)
+        more = several.asked(options)
     except ValueError as error:
         return failed(error)
-    return main_of_several(options, kind) if several else main(sweep.one(options, kind))
+    return main_of_several(options, kind) if more else main(several.one(options, kind))
 
 
 if __name__ == "__main__":

@@ -25,7 +25,8 @@ ALLOWED = {
     ),
     "agents": ("tracked_env", "baselines", "agents"),
     "reproduce": ("tracked_env", "baselines", "reproduce"),
-    "train": ("tracked_env", "baselines", "agents"),
+    # train.py names itself, as the processes that train import it
+    "train": ("tracked_env", "baselines", "agents", "train"),
     "evaluate": ("tracked_env", "baselines", "agents", "reproduce"),
 }
 # A baseline never sees an env, and trained agents drive without what trained them.

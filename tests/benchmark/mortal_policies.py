@@ -27,6 +27,14 @@ class Constant:
         return np.full((len(observation), 2), np.float32(0.3)), (state or 0) + 1
 
 
+class Spin(Constant):
+    """Turns on the spot, so that the reference leaves it behind."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        action, state = super().predict(*args, **kwargs)
+        return action * np.float32([-3.0, 3.0]), state
+
+
 def end_once() -> None:
     """End this process by a signal, the first time that any process gets here."""
     mark = Path(os.environ[MARK])
@@ -66,7 +74,10 @@ class Wrong(Constant):
 
 
 class Pausing(Constant):
-    """On the node that a file `doomed` names: says that it is there, and waits for the end."""
+    """On the node that a file `doomed` names: says that it is there, and waits for the end.
+
+    On another node it waits until that has been said.
+    """
 
     def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
         answer = super().predict(*args, **kwargs)
@@ -78,4 +89,18 @@ class Pausing(Constant):
             if node == (folder / "doomed").read_text():
                 (folder / "reached").touch()
                 time.sleep(60.0)
+            until = time.monotonic() + 60.0
+            while not (folder / "reached").exists() and time.monotonic() < until:
+                time.sleep(0.02)
         return answer
+
+
+def trained_and_noted(place: Any, job: Any) -> Any:
+    """One training of several; a file says on which node of a Ray cluster it runs."""
+    import ray
+
+    import train
+
+    node = ray.get_runtime_context().get_node_id()
+    Path(place.folder, f"{job.name}.node").write_text(node)
+    return train.train_one(place, job)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,8 @@ def episodes_stored(folder: Path) -> list[tuple[str, str, int]]:
 
 
 def test_workers_give_the_records_and_traces_of_the_serial_run(tmp_path: Path) -> None:
-    entries = policies("adaptive", "ppo-blind", f"mine={STUBS}:Constant")
+    entries = policies("adaptive", f"mine={STUBS}:Constant")
+    assert chunk_size(CONFIG, 2, 2) < CONFIG.episodes  # the chunks differ
     serial = records_of(tmp_path / "serial", entries)
     parallel = records_of(tmp_path / "parallel", entries, WorkerPool(2))
     assert values(parallel) == values(serial)
@@ -78,6 +80,26 @@ def test_workers_give_the_records_and_traces_of_the_serial_run(tmp_path: Path) -
             assert one is not None and other is not None and set(one) == set(other)
             for key, array in one.items():
                 np.testing.assert_array_equal(array, other[key])
+
+
+def test_figures_are_the_same_whatever_the_chunks(tmp_path: Path) -> None:
+    entries = policies(f"spin={STUBS}:Spin", "adaptive")  # one leaves the path, at various times
+    config = BenchmarkConfig(sets=("nominal",), episodes=70, duration=6.0)
+    traces = []
+    for chunk in (70, 64, 3):
+        chosen = replace(config, chunk=chunk)
+        store = Store(tmp_path / str(chunk), chosen.identity())
+        run(chosen, entries, store)
+        traces.append([store.load_trace(entry.name, "nominal") for entry in entries])
+    for other in traces[1:]:
+        for one, two in zip(traces[0], other, strict=True):
+            assert one is not None and two is not None and set(one) == set(two)
+            for key, array in one.items():
+                np.testing.assert_array_equal(array, two[key])
+    spun = traces[0][0]
+    assert spun is not None
+    assert spun["error"].shape[1] == 64 and spun["motion"].shape[1] == 4
+    assert len(spun["motion"]) < 300  # all four have left the path before the end
 
 
 def test_a_killed_worker_costs_its_chunk_alone_and_it_runs_again(

@@ -1,9 +1,11 @@
 """A Ray cluster of two nodes on this machine: nodes and workers end, the results stay the same."""
 
+import importlib
 import os
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -56,9 +58,8 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoNodes]:
     """One cluster for all tests; what it starts inherits paths and variables."""
     marks = tmp_path_factory.mktemp("marks")
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in {MARK: str(marks), "RAY_USAGE_STATS_ENABLED": "0",
-                            "RAY_BACKEND_LOG_LEVEL": "error"}.items():  # fmt: skip
-            patch.setenv(name, value)
+        patch.setenv(MARK, str(marks))
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         patch.syspath_prepend(str(HERE))
         patch.setenv("PYTHONPATH", os.pathsep.join([str(HERE), str(HERE.parents[1])]))
         two = TwoNodes(marks)
@@ -71,15 +72,13 @@ def records_of(folder: Path, *specs: str, ray: bool = True) -> list[dict[str, An
     return run(CONFIG, policies(*specs), Store(folder, CONFIG.identity()), executor=executor)
 
 
-def when(there: Path, act: Any) -> threading.Thread:
-    """Do something in another thread when a file is there."""
+def when(it_is_time: Callable[[], bool], act: Callable[[], None]) -> threading.Thread:
+    """Do something in another thread as soon as it is time."""
 
     def wait() -> None:
-        until = time.monotonic() + 60
-        while not there.exists():
-            if time.monotonic() > until:
-                return
-            time.sleep(0.02)
+        until = time.monotonic() + 100
+        while not it_is_time() and time.monotonic() < until:
+            time.sleep(0.01)
         act()
 
     thread = threading.Thread(target=wait)
@@ -100,7 +99,7 @@ def test_a_node_that_ends_in_an_evaluation_costs_its_chunks_alone(
     nodes.be_two()
     specs = f"{STUBS}:Pausing", "nominal"
     (nodes.marks / "doomed").write_text(nodes.second.node_id)
-    killing = when(nodes.marks / "reached", nodes.end_second)
+    killing = when((nodes.marks / "reached").exists, nodes.end_second)
     found = records_of(tmp_path / "ray", *specs)
     killing.join()
     assert (nodes.marks / "reached").exists(), "no node was killed"
@@ -125,27 +124,26 @@ def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_chec
     from dataclasses import replace
 
     import train
-    from agents.sweep import train_all
+    from agents.several_trainings import train_all
 
     nodes.be_two()
     monkeypatch.chdir(tmp_path)
-    options = replace(small(Path("none")), steps=24576, evaluate_every=24576)
+    options = replace(small(Path("none")), steps=8192, evaluate_every=8192)
     swept = {name: replace(options, seed=int(name), output=Path(name)) for name in "12"}
     for each in swept.values():
         train.prepared(each)
-    checkpoints = [Path(name, "checkpoint-before.zip") for name in swept]
+    second = nodes.second.node_id
 
-    def both_are_half_done() -> None:
-        until = time.monotonic() + 60
-        while not all(path.exists() for path in checkpoints) and time.monotonic() < until:
-            time.sleep(0.01)
-        nodes.end_second()
+    def on_the_second_node() -> bool:
+        notes = {name: Path(f"{name}.node") for name in swept}
+        there = [n for n, note in notes.items() if note.exists() and note.read_text() == second]
+        return any(Path(name, "checkpoint-before.zip").exists() for name in there)
 
-    killing = threading.Thread(target=both_are_half_done)
-    killing.start()
+    killing = when(on_the_second_node, nodes.end_second)
     executor = make_executor(ray="auto")
     assert executor is not None
-    assert train_all(swept, executor, train.train_one, quiet=True) == 0
+    task: Any = importlib.import_module(STUBS).trained_and_noted
+    assert train_all(swept, executor, task, quiet=True) == 0
     killing.join()
     assert "was lost because its worker or its node ended" in capfd.readouterr().err
     for name, each in swept.items():
@@ -164,6 +162,6 @@ def test_a_cluster_that_cannot_be_reached_is_one_line(tmp_path: Path) -> None:
 
 
 def test_without_ray_the_option_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "ray", None)
+    monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ValueError, match=r"not installed: pip install 'tracked-env\[cluster\]'"):
         make_executor(ray="local")

@@ -19,7 +19,7 @@ from tracked_env.benchmark import identification_metrics, metrics
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN, BenchmarkConfig
 from tracked_env.benchmark.executors import Executor
 from tracked_env.benchmark.executors.sent_policies import Comparison, received, sent
-from tracked_env.benchmark.figure_data import figure_data
+from tracked_env.benchmark.figure_data import FIGURE_ERRORS, figure_data
 from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
@@ -223,7 +223,8 @@ def run_task(task: Task, config: BenchmarkConfig, progress: Progress = _nothing)
         "episodes": episodes,
     }
     progress((trace.max_steps - reported) * count, task.label)
-    return Finished(chunk, figure_data(trace, beliefs) if task.episodes[0] == 0 else None)
+    kept = task.episodes[0] < FIGURE_ERRORS
+    return Finished(chunk, figure_data(trace, beliefs, task.episodes) if kept else None)
 
 
 def run_sent(comparison: Comparison, task: SentTask) -> Finished:
@@ -236,7 +237,8 @@ def keep(finished: Finished, store: Store, workers: int) -> None:
     """Store a chunk, one of `workers` at the same time. Raises OSError when it cannot be stored."""
     chunk = finished.chunk
     if finished.trace is not None:
-        store.save_trace(chunk["policy"], chunk["set"], finished.trace)
+        first = chunk["episodes"][0]["episode"]
+        store.save_trace(chunk["policy"], chunk["set"], finished.trace, first)
     store.append(chunk, workers)
 
 

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.executors.shard import Shard
-from tracked_env.benchmark.figure_data import checked_trace
+from tracked_env.benchmark.figure_data import checked_trace, joined
 from tracked_env.benchmark.files import Lock, file_name, sweep, write_atomically
 from tracked_env.benchmark.records import BESIDE, Record, checked_chunk, checked_header
 
@@ -248,31 +248,47 @@ class Store:
                 found[key] = {**common, **beside, **episode}
         return list(found.values())
 
-    def trace_path(self, policy: str, uncertainty_set: str) -> Path:
-        """File with the motion of the first episodes of a policy on a set."""
-        return self.folder / "traces" / f"{file_name(uncertainty_set, policy)}.npz"
+    def trace_path(self, policy: str, uncertainty_set: str, first: int = 0) -> Path:
+        """File with the motion of episodes of a policy on a set, from `first` on."""
+        names = (uncertainty_set, policy, *([str(first)] if first else []))
+        return self.folder / "traces" / f"{file_name(*names)}.npz"
 
-    def save_trace(self, policy: str, uncertainty_set: str, arrays: Mapping[str, Any]) -> None:
+    def save_trace(
+        self, policy: str, uncertainty_set: str, arrays: Mapping[str, Any], first: int = 0
+    ) -> None:
         """Keep arrays for the figures, all or nothing."""
         buffer = io.BytesIO()
         np.savez(buffer, **arrays)
-        write_atomically(self.trace_path(policy, uncertainty_set), buffer.getvalue())
+        write_atomically(self.trace_path(policy, uncertainty_set, first), buffer.getvalue())
 
     def load_trace(self, policy: str, uncertainty_set: str) -> dict[str, NDArray[Any]] | None:
-        """The arrays of `save_trace`; None when there are none, with a notice if unreadable."""
-        name = self.trace_path(policy, uncertainty_set).relative_to(self.folder)
-        paths = [folder / name for folder in (self.folder, *self.others)]
-        path = next((path for path in paths if path.exists()), None)
-        if path is None:
-            return None
-        try:
-            with np.load(io.BytesIO(path.read_bytes())) as data:
-                return checked_trace(dict(data))
-        except Exception as error:  # zipfile and numpy raise many kinds for a damaged file
-            self.notices.append(
-                f"{path} is damaged and left out of the figures ({type(error).__name__}: {error})"
-            )
-            return None
+        """The arrays of `save_trace`, of all chunks and shards together.
+
+        None when there are none, with a notice if one is unreadable.
+        """
+        name = file_name(uncertainty_set, policy)
+        parts = []
+        for folder in (self.folder, *self.others):
+            traces = folder / "traces"
+            later = (path for path in sorted(traces.glob(f"{name}--*.npz")) if _is_later(path))
+            for path in (traces / f"{name}.npz", *later):
+                try:
+                    if path.exists():
+                        with np.load(io.BytesIO(path.read_bytes())) as data:
+                            parts.append(checked_trace(dict(data)))
+                            whole = joined(parts)
+                except Exception as error:  # zipfile and numpy raise many kinds for a damaged file
+                    self.notices.append(
+                        f"{path} is damaged and left out of the figures ({type(error).__name__}: "
+                        f"{error})"
+                    )
+                    return None
+        return whole if parts and whole["motion"].size else None
+
+
+def _is_later(trace: Path) -> bool:
+    """Whether a trace begins with a later episode, whose number ends its name."""
+    return trace.stem.rpartition("--")[2].isdecimal()
 
 
 def _header(value: Any) -> Record:

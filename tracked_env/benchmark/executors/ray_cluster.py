@@ -28,10 +28,8 @@ class RayCluster:
 
     def __init__(self, address: str) -> None:
         """Raises ValueError where Ray is not installed, or no cluster answers at the address."""
-        # Before Ray is imported: it reports nothing about its users, says no more than errors,
-        # and leaves GPUs alone.
+        # Before Ray is imported: it reports nothing about its users, and leaves GPUs alone.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        os.environ.setdefault("RAY_BACKEND_LOG_LEVEL", "error")
         os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
         try:
             import ray

@@ -1,0 +1,220 @@
+"""Several trainings: the agents of single ones, whatever is killed, and one table at the end."""
+
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import make_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import train
+from agents.several_trainings import Place, planned, train_all
+from agents.sweep_file import parse_seeds, read_sweep
+from agents.training.folder import CONFIG
+from tests.agents.agent_cases import Config, same_parameters, small
+from tracked_env.benchmark.executors.worker_pool import WorkerPool
+
+SMALL = (
+    "--quiet", "--vehicles", "4", "--held-out", "2", "--duration", "1", "--uncertainty", "payload",
+    "--ppo.n-steps", "32", "--ppo.batch-size", "128", "--ppo.n-epochs", "2", "--ppo.hidden", "16",
+)  # fmt: skip
+SWEEP: dict[str, Any] = {
+    "output": "swept", "agents": ["ppo"], "augmentations": ["blind", "history"], "seeds": [1],
+    "uncertainty": ["payload"], "sets": ["payload"], "episodes": 4,
+    "options": {
+        "steps": 256, "vehicles": 4, "duration": 1.0, "held_out": 2,
+        "ppo": {"n_steps": 32, "batch_size": 128, "n_epochs": 2, "hidden": [16]},
+    },
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users_command(
+    repository: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = [str(repository / "train.py"), *SMALL, "--steps", "512", "--seeds", "1,2",
+             "--workers", "2", "--output", "several"]  # fmt: skip
+    done = subprocess.run([sys.executable, *asked], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in Path("several").iterdir()) == [
+        "ppo-blind-seed1", "ppo-blind-seed2",
+    ]  # fmt: skip
+    options = train.tyro.cli(
+        Config, args=[*SMALL, "--steps", "512", "--seed", "2", "--output", "alone"]
+    )
+    assert train.main(options) == 0
+    several = Path("several/ppo-blind-seed2")
+    assert same_parameters(several / "agent.zip", Path("alone/agent.zip"))
+    recipe = json.loads((several / CONFIG).read_text())
+    assert recipe["command"].split()[1:] == asked
+    assert recipe["config"]["seed"] == 2 and "workers" not in recipe["config"]
+    assert train.command(asked[1:]) == 2
+    assert "holds a finished training" in capsys.readouterr().err
+
+
+def test_a_killed_worker_costs_a_training_what_it_did_since_its_checkpoint(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    options = replace(small(Path("killed")), steps=4096, evaluate_every=4096)
+    train.prepared(options)
+    jobs, killed = {"killed": options}, False
+
+    def kill() -> None:
+        nonlocal killed
+        until = time.monotonic() + 100
+        while not Path("killed/checkpoint-before.zip").exists() and time.monotonic() < until:
+            time.sleep(0.005)
+        (worker,) = multiprocessing.active_children()
+        assert worker.pid is not None
+        os.kill(worker.pid, signal.SIGKILL)
+        killed = True
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    assert train_all(jobs, WorkerPool(1), train.train_one, quiet=True) == 0
+    thread.join()
+    assert killed
+    said = capfd.readouterr().err
+    assert "training killed was lost because its process ended (signal 9)" in said
+    assert train.main(replace(options, output=Path("alone"))) == 0
+    assert same_parameters(Path("killed/last.zip"), Path("alone/last.zip"))
+
+
+def test_a_sweep_trains_what_its_file_says_goes_on_and_ends_in_one_table(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("sweep.json").write_text(json.dumps(SWEEP))
+    command = ["--sweep", "sweep.json"]
+    assert train.command(command) == 0
+    table = Path("swept/table.md").read_text()
+    rows = [line.split(" | ")[0].removeprefix("| ") for line in table.splitlines()[2:7]]
+    assert rows == ["nominal", "adaptive", "oracle", "ppo-blind *", "ppo-history *"]
+    assert [line.split(" | ")[1:3] for line in table.splitlines()[5:7]] == [["1", "256"]] * 2
+    assert "ppo-history *" in capsys.readouterr().out
+    written = {path: path.stat().st_mtime_ns for path in Path("swept").rglob("agent.zip")}
+    assert len(written) == 2
+    shutil.rmtree("swept/ppo-blind-seed1")
+    assert train.command(command) == 0
+    assert Path("swept/table.md").read_text() == table
+    after = {path: path.stat().st_mtime_ns for path in Path("swept").rglob("agent.zip")}
+    assert {path for path in written if after[path] != written[path]} == {
+        Path("swept/ppo-blind-seed1/agent.zip")
+    }
+
+
+def test_a_folder_that_a_node_does_not_see_is_said(tmp_path: Path) -> None:
+    trainings, _ = planned(replace_several(seeds="1", output=Path("x")), Config)
+    (name,) = trainings
+    job = train.several.Job(name, vars(trainings[name]))
+    trained = train.train_one(Place(["train.py"], str(tmp_path)), job)
+    assert trained.failed and "a disk that all nodes share" in trained.line
+
+
+def replace_several(**changes: Any) -> Any:
+    """Options of train.py with those of several trainings."""
+    both: Any = make_dataclass("Config", [], bases=(train.several.Several, Config), frozen=True)
+    return both(**changes)
+
+
+def test_one_training_that_fails_is_said_and_the_others_go_on(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    good = small(Path("good"))
+    bad = replace(small(Path("bad")), resume=True, sensors=("rtk", "nope"))
+    swept = {"bad": bad, "good": good}
+    for each in swept.values():
+        train.prepared(each)
+    assert train_all(swept, WorkerPool(1), train.train_one, quiet=True) == 1
+    assert "bad: unknown sensor preset 'nope'" in capfd.readouterr().err
+    assert Path("good/agent.zip").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "seeds"),
+    [("0:3", (0, 1, 2)), (":2", (0, 1)), ("4", (4,)), ("5,1", (5, 1)), ([2, 0], (2, 0))],
+)
+def test_seeds_are_ranges_or_lists(given: Any, seeds: tuple[int, ...]) -> None:
+    assert parse_seeds(given) == seeds
+
+
+@pytest.mark.parametrize("given", ["", "a", "3:3", "1:", "1,1", "-1", "1:2:3", [1.5], [True], 3])
+def test_seeds_that_are_none_are_a_clear_error(given: Any) -> None:
+    with pytest.raises(ValueError, match=r"^seeds = .*must be FIRST:END"):
+        parse_seeds(given)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"agentz": ["ppo"]}, "unknown sweep key 'agentz'"),
+        ({"agents": None}, "agents = None; must be a list"),
+        ({"agents": ["dqn"]}, "agent = 'dqn'; must be one of ppo"),
+        ({"augmentations": ["blnd"]}, "unknown memory 'blnd'"),
+        ({"augmentations": ["blind", "blind"]}, "must name each entry once"),
+        ({"options": {"step": 3}}, "unknown options key 'step'"),
+        ({"options": {"seed": 3}}, "unknown options key 'seed'"),
+        ({"options": {"ppo": {"nsteps": 3}}}, "unknown ppo key 'nsteps'"),
+        ({"options": {"vehicles": "many"}}, "vehicles = 'many'; must be a int"),
+        ({"options": {"vehicles": 0}}, "vehicles = 0; must be in [1, 65536]"),
+        ({"seeds": "2:1"}, "seeds = '2:1'; must be FIRST:END"),
+        ({"episodes": 0}, "episodes = 0; must be a whole number of at least 1"),
+        ({"output": ""}, "output = ''; must name a folder"),
+    ],
+)
+def test_a_wrong_sweep_file_is_one_line_that_names_it(
+    changes: dict[str, Any], message: str
+) -> None:
+    Path("sweep.json").write_text(json.dumps({**SWEEP, **changes}))
+    with pytest.raises(ValueError) as error:
+        read_sweep(Path("sweep.json"), Config)
+    assert str(error.value).startswith("sweep file sweep.json: ") and message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_example_of_the_head_of_the_module_is_a_sweep() -> None:
+    from agents import sweep_file
+
+    assert sweep_file.__doc__ is not None
+    lines = sweep_file.__doc__.splitlines()
+    Path("sweep.toml").write_text("\n".join(line for line in lines if line.startswith("    ")))
+    sweep = read_sweep(Path("sweep.toml"), Config)
+    assert len(sweep.trainings) == 8
+    assert all(len(trainings) == 5 for trainings in sweep.trainings.values())
+    training = sweep.trainings["sac-history-drift-mixed"][3]
+    assert (training.agent, training.memory, training.seed) == ("sac", "history", 3)
+    assert training.uncertainty == ("drift", "mixed") and training.steps == 200000
+    assert training.folder == Path("runs/memory/sac-history-drift-mixed-seed3")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--workers", "2"), "--workers is of several trainings; give --seeds or --sweep too"),
+        (("--seeds", "0:2", "--workers", "0"), "workers = 0; must be at least 1"),
+        (("--seeds", "0:2", "--workers", "1", "--shard", "1/2"), "choose one of them"),
+        (("--seeds", "0:2", "--shard", "3/2"), "shard '3/2'"),
+        (("--seeds", "0:2", "--sweep", "a.toml"), "the seeds of a sweep are in its file"),
+        (("--sweep", "a.toml"), "sweep file a.toml: "),
+        (("--sweep", "a.toml", "--steps", "5"), "--steps beside --sweep; write it into a.toml"),
+        (("--seeds", "0:2", "--uncertainty", "nope"), "soil-and-mass"),
+    ],
+)
+def test_a_wrong_command_is_one_line_and_leaves_nothing(
+    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train.command(list(arguments)) == 2
+    shown = capsys.readouterr().err
+    assert message in shown and shown.count("\n") == 1
+    assert not list(Path().iterdir())

@@ -25,6 +25,7 @@ from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipState
 from baselines.lyapunov.slippage_aware import LyapunovState
 from tracked_env.engine.columns import Batch
 from tracked_env.engine.episode import Episode
+from tracked_env.engine.episode_loading import Running
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile
@@ -36,7 +37,7 @@ TYPES: dict[str, Any] = {
     made.__name__: made
     for made in (
         AdaptiveSlipState, AdaptiveState, Batch, Episode, LyapunovState, PlantParameters,
-        ReferenceProfile, RNNStates, SensorDraw, VehicleState,
+        ReferenceProfile, RNNStates, Running, SensorDraw, VehicleState,
     )
 }  # fmt: skip
 GENERATORS: dict[str, Any] = {made.__name__: made for made in (np.random.PCG64, np.random.SFC64)}

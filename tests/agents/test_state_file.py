@@ -183,7 +183,7 @@ def test_no_value_in_a_checkpoint_is_a_traceback(interrupted, tmp_path, capsys):
         lines = capsys.readouterr().err.splitlines()
         assert (status, len(lines)) in ((0, 0), (2, 1)), where
         refused += status == 2
-    assert 20 < refused < 100  # many numbers may be others: they are as good as before
+    assert 20 < refused < 110  # some numbers may be others: they are as good as before
 
 
 @pytest.mark.parametrize("column", ["STEP", "NOISE_CURSOR", "EVENT_COUNT", "DELAY"])

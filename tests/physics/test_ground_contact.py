@@ -208,7 +208,7 @@ def full(drag):
 def test_a_patch_that_speeds_up_has_the_slope_of_its_force_as_drag_and_one_that_slows_the_secant(
     seed,
 ):
-    w, _, twist, _ = contact(seed)
+    w, _, _, _ = contact(seed)
     secant = w[g.K_TT] * w[g.SLIDE] ** 2 + 2 * w[g.K_TQ] * w[g.SLIDE] * w[g.ASIDE]
     secant += w[g.K_QQ] * w[g.ASIDE] ** 2
     for factor in (0.5, 2.0):

@@ -18,7 +18,7 @@ PAGES = [
         f"docs/{name}.md"
         for name in (
             "quickstart", "index", "register", "train", "compare", "datasets", "rllib", "slip",
-            "distributed",
+            "distributed", "terrain_env",
         )
     ),
 ]  # fmt: skip

@@ -17,7 +17,7 @@ from tracked_env.benchmark import BenchmarkConfig, BenchmarkSet, PolicyContext, 
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.registered_policies import open_archive
 from tracked_env.benchmark.runner import episode_digest
-from tracked_env.physics.channels import Channel
+from tracked_env.physics.channels import ATTITUDE, Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from tracked_env.wrappers import IdentifiedVectorObservation
 
@@ -281,7 +281,7 @@ def test_a_shipped_agent_drives_the_benchmark_where_more_is_shown(tmp_path):
 def test_a_channel_that_does_not_fit_is_refused(channel, says):
     with pytest.raises(ValueError, match=says):
         sensors.register(channel)
-    assert list(sensors.ADDED) == ["wheel_speed"]
+    assert list(sensors.ADDED) == [*(channel.name for channel in ATTITUDE), "wheel_speed"]
 
 
 def test_a_truth_or_a_field_of_the_wrong_shape_says_whose_it_is():

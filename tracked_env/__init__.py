@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 TORQUE_ID = "tracked_env/Torque-v0"
 SPEED_ID = "tracked_env/Speed-v0"
+TERRAIN_ID = "tracked_env/Terrain-v0"
 
 # What Speed-v0 says differently from the defaults: a light vehicle, indoors, on patches.
 SPEED: dict[str, Any] = {
@@ -29,7 +30,18 @@ SPEED: dict[str, Any] = {
     "error_limit": 2.0,
 }
 
-for _id, _defaults in ((TORQUE_ID, {}), (SPEED_ID, SPEED)):
+# What Terrain-v0 says differently from Speed-v0: slopes and hills, unknown too, and the attitude.
+TERRAIN: dict[str, Any] = {
+    **SPEED,
+    "plant": "terrain",
+    "uncertainty": "hills",
+    "observation": [
+        "pose_error", "motion", "drive", "reference", "look_ahead", "action", "age",
+        "attitude", "tangent_error",
+    ],
+}  # fmt: skip
+
+for _id, _defaults in ((TORQUE_ID, {}), (SPEED_ID, SPEED), (TERRAIN_ID, TERRAIN)):
     if _id not in gymnasium.registry:
         gymnasium.register(
             id=_id,

@@ -34,9 +34,10 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         ## Description
         A tracked vehicle turns by driving its two tracks differently: by their sprocket torques
         (`tracked_env/Torque-v0`, after Strawa et al. 2021) or by their sprocket speeds
-        (`tracked_env/Speed-v0`, after Focchi et al. 2025). Mass, inertia, soil strength and
-        resistance are drawn per episode, may change inside it, and are not observed. The task is to
-        stay on a moving reference pose.
+        (`tracked_env/Speed-v0`, after Focchi et al. 2025, and `tracked_env/Terrain-v0`, the same on
+        slopes and hills; its page, docs/terrain_env.md, has what differs). Mass, inertia, soil
+        strength and resistance are drawn per episode, may change inside it, and are not observed.
+        The task is to stay on a moving reference pose.
         SI units, body frame x forward and y left, yaw positive to the left.
 
         ## Action Space
@@ -77,8 +78,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         arguments: Gymnasium's TimeLimit would cut longer episodes in their middle.
 
         ## Arguments
-        All but a function are JSON-able; `tracked_env/Speed-v0` has defaults of its own
-        (`tracked_env.SPEED`).
+        All but a function are JSON-able; `tracked_env/Speed-v0` and `tracked_env/Terrain-v0` have
+        defaults of their own (`tracked_env.SPEED`, `tracked_env.TERRAIN`).
 
         | argument | default | meaning |
         |--|--|--|
@@ -91,8 +92,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `error_limit` | 5 | [m] distance that ends an episode |
         | `time_step` | 0.0025 | [s] longest integration step; its error: docs/numerics.md |
         | `vehicle` | `"strawa"` | nominal vehicle and soil: `strawa`, `focchi`, `focchi-short` |
-        | `plant` | `"lumped"` | closed-form forces, or `"distributed"`: patches under the tracks; a
-        name of `tracked_env.plants`, or a `Plant` |
+        | `plant` | `"lumped"` | closed-form forces, or `"distributed"`: patches under the tracks;
+        `"terrain"`: those on uneven ground; a name of `tracked_env.plants`, or a `Plant` |
         | `drive` | `"torque"` | what the actions are; `"speed"` needs the distributed plant |
         | `patches` | (10, 4) | of the distributed plant: along and across a track |
         | `plant_options` | None | {option: value} of the plant, see its file in `plants/` |
@@ -184,6 +185,10 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             "tracking_error": report.tracking_error.copy(),
             "is_success": is_success,
         }
+        failures = self.simulation.solver.plant.failures
+        if failures:
+            endings = self.simulation.endings(failures)
+            info.update((name, bool(flag[0])) for name, flag in endings.items())
         if self.expose_truth:
             truth = self.simulation.truth()
             info["truth"] = {name: float(value[0]) for name, value in truth.items()}
@@ -198,9 +203,11 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             gymnasium.logger.warn("render() needs render_mode='rgb_array' or 'human' at make().")
             return None
         if self._renderer is None:
-            from tracked_env.rendering import Renderer
+            from tracked_env.rendering import Renderer, source_of
 
-            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
+            self._renderer = Renderer(
+                self.render_mode, self.metadata["render_fps"], terrain=source_of(self.simulation, 0)
+            )
         return self._renderer.draw(self.simulation, 0)
 
     def close(self) -> None:

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.physics.attitude import in_body_plane
+
 LOOK_AHEAD = (0.25, 0.5, 1.0, 2.0)  # [s] times at which the coming reference is shown
 
 Known = Mapping[str, NDArray[np.float64]]
@@ -96,11 +98,41 @@ _AGES = {
 }
 _AGE = tuple(Field(name, "s", 1.0, 60.0, of, signed=False) for name, of in _AGES.items())
 
-GROUPS: dict[str, Group] = {
+# On slopes; the third gyro and two axes of the specific force are in the group `motion`.
+_ATTITUDE = (
+    Field("roll", "rad", 0.5, 4.0, "roll of the IMU, left side up", True),
+    Field("pitch", "rad", 0.5, 4.0, "pitch of the IMU, nose down", False),
+    Field("roll_rate", "rad/s", 0.5, 20.0, "gyro about the body's x axis", True),
+    Field("pitch_rate", "rad/s", 0.5, 20.0, "gyro about the body's y axis", False),
+    Field("specific_force_z", "m/s^2", 10.0, 200.0, "vertical accelerometer, g at rest", False),
+)
+_TANGENT_ERROR = (
+    Field("tangent_error_x", "m", 1.0, 20.0, "reference ahead, in the vehicle's plane", False),
+    Field("tangent_error_y", "m", 1.0, 20.0, "reference to the left, in that plane", True),
+    Field("tangent_heading_error", "rad", 0.5, 4.0, "heading error about its normal", True),
+)
+
+
+def _in_plane(known: Known) -> Known:
+    """The measured pose error in the plane of the vehicle, by the measured roll and pitch."""
+    angles = [(np.cos(known[name]), np.sin(known[name])) for name in ("pitch", "roll")]
+    error = in_body_plane.py_func(
+        known["position_error_x"], known["position_error_y"], known["heading_error"],
+        *angles,
+    )  # fmt: skip
+    return {field.name: value for field, value in zip(_TANGENT_ERROR, error, strict=True)}
+
+
+_COMPILED: dict[str, Group] = {
     name: Group(name, fields)
     for name, fields in {
         "pose_error": _POSE_ERROR, "motion": _MOTION, "drive": _DRIVE, "reference": _REFERENCE,
         "look_ahead": _LOOK_AHEAD, "action": _ACTION, "age": _AGE,
     }.items()
 }  # fmt: skip
-VERSIONS = {"v0": tuple(GROUPS)}  # layouts by name; what a name stands for never changes
+GROUPS: dict[str, Group] = {
+    **_COMPILED,
+    "attitude": Group("attitude", _ATTITUDE, tuple(field.name for field in _ATTITUDE)),
+    "tangent_error": Group("tangent_error", _TANGENT_ERROR, ("roll", "pitch"), _in_plane),
+}
+VERSIONS = {"v0": tuple(_COMPILED)}  # layouts by name; what a name stands for never changes

@@ -79,7 +79,7 @@ def reward_and_ending(floats, counters, i, error_limit, diverged):
         total += terms[row]
     floats[i, b.REWARD] = total
     floats[i, b.SQUARED_ERROR_SUM] += distance * distance
-    inside = distance <= error_limit and not diverged
+    inside = distance <= error_limit and not diverged and floats[i, b.FAILURE] == 0.0
     counters[i, b.TERMINATED] = 0 if inside else 1
     ended = counters[i, b.STEP] >= counters[i, b.MAX_STEP]
     counters[i, b.TRUNCATED] = 1 if ended and inside else 0

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from tracked_env.physics.channels import CHANNELS, GROUPS, TABLE, Channel
+from tracked_env.physics.channels import ATTITUDE, CHANNELS, GROUPS, TABLE, Channel
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import Range
 from tracked_env.streams import addresses, random
@@ -128,7 +128,7 @@ _RANGES = {
 
 _BIASED = np.array([column for column, channel in enumerate(TABLE) if channel.bias])
 _FIELDS = tuple(name for name in Sensors._fields if name != "further")
-ADDED: dict[str, Channel] = {}  # registered channels by name
+ADDED = {channel.name: channel for channel in ATTITUDE}  # sampled where shown, and registered
 
 
 class SensorDraw(NamedTuple):

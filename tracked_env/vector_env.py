@@ -238,6 +238,9 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         }
         for (name, masked), value in zip(_REWARD_KEYS, report.terms, strict=True):
             info[name], info[masked] = value, mask
+        if failures := self.simulation.solver.plant.failures:
+            for name, flag in self.simulation.endings(failures).items():
+                info[name], info["_" + name] = flag, mask
         if self.expose_truth:
             truth: dict[str, Any] = {}
             for name, value in self.simulation.truth().items():
@@ -250,10 +253,13 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         if self.render_mode is None:
             return None
         if not self._renderers:
-            from tracked_env.rendering import Renderer
+            from tracked_env.rendering import Renderer, source_of
 
             rate = self.metadata["render_fps"]
-            self._renderers = [Renderer("rgb_array", rate) for _ in range(self.num_envs)]
+            self._renderers = [
+                Renderer("rgb_array", rate, terrain=source_of(self.simulation, i))
+                for i in range(self.num_envs)
+            ]
         return tuple(r.draw(self.simulation, i) for i, r in enumerate(self._renderers))
 
     def close_extras(self, **kwargs: Any) -> None:

@@ -360,6 +360,6 @@ def test_commands_of_a_wrong_shape_are_refused(commands):
 
 def test_the_columns_of_its_own_are_its_loads():
     rig = on_slope(0.0)
-    assert rig._batch.floats.shape[1] == b.PLANT + 8
+    assert rig._batch.floats.shape[1] == RELIEF + RELIEF_SIZE
     assert rig.track_loads[0] == pytest.approx([0.5 * 62.0 * GRAVITY] * 2)
     assert rig.largest_load[0] == pytest.approx(62.0 * GRAVITY / 80)

@@ -136,9 +136,11 @@ def _driven(
 
 def _pictures(env: TrackedVehicleEnv, driven: Iterator[None], view: str) -> Iterator[Picture]:
     """A picture at each stop of an episode."""
-    from tracked_env.rendering import Renderer
+    from tracked_env.rendering import Renderer, source_of
 
-    renderer = Renderer("rgb_array", env.metadata["render_fps"], view=view)
+    renderer = Renderer(
+        "rgb_array", env.metadata["render_fps"], view=view, terrain=source_of(env.simulation, 0)
+    )
     for _ in driven:
         picture = renderer.draw(env.simulation, 0)
         assert picture is not None

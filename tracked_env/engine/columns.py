@@ -76,7 +76,8 @@ SQUARED_ERROR_SUM = TERMS + len(REWARD_TERMS)  # [m^2] over the episode, for its
 ACTION = SQUARED_ERROR_SUM + 1  # [-] in force: left, right
 LAST_ACTION = ACTION + 2  # [-] of the control step before: left, right
 BASE = LAST_ACTION + 2  # parameters at the start of the episode
-PLANT = BASE + PARAMETER_ROWS  # from here on: what a plant keeps for itself
+FAILURE = BASE + PARAMETER_ROWS  # [-] why the vehicle cannot go on, `Plant.failures`; 0: it can
+PLANT = FAILURE + 1  # from here on: what a plant keeps for itself
 
 # Name -> column of `floats`, for all that is read outside kernels.
 COLUMN = {

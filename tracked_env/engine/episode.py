@@ -61,6 +61,7 @@ class EpisodeSettings(NamedTuple):
     control_period: float  # [s]
     reads: ParametersRead  # by the plant
     channels: tuple[str, ...] = ()  # registered sensor channels that are sampled
+    relief_column: int = 0  # where the plant reads a drawn relief; 0: nowhere
 
     @property
     def max_steps(self) -> int:
@@ -77,6 +78,7 @@ class Episode(NamedTuple):
     sensors: SensorDraw
     state: VehicleState  # at its start
     noise_seed: int
+    relief: tuple[float, ...] = ()  # drawn ground, see `terrain.drawn_relief`; empty: none
 
 
 def make_settings(
@@ -88,6 +90,7 @@ def make_settings(
     nominal: PlantParameters,
     reads: ParametersRead,
     channels: tuple[str, ...] = (),
+    relief_column: int = 0,
 ) -> EpisodeSettings:
     """Check everything that an environment is built from. Raises ValueError."""
     length = checked_number("duration", duration, DURATION_RANGE)
@@ -96,8 +99,9 @@ def make_settings(
     if isinstance(law, CheckedLaw):  # somebody's own: an error in it shows here, not in an episode
         law(np.random.default_rng(0), nominal, profile, length)
     return EpisodeSettings(
-        reference, law, nominal, make_sensors(sensors), length, control_period, reads, channels
-    )
+        reference, law, nominal, make_sensors(sensors), length, control_period, reads, channels,
+        relief_column,
+    )  # fmt: skip
 
 
 def _overridden(
@@ -204,4 +208,5 @@ def draw_episode(
         draw_sensors(sensors, settings.control_period, rng, settings.channels),
         _start(profile, start_draws[0], options, settings.nominal.contact_length),
         noise_seed,
+        truth.relief if settings.relief_column else (),
     )

@@ -33,6 +33,7 @@ from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile, batch_reference, make_reference
 from tracked_env.sensors import SensorDraw, draw_signs, fixed_part, longest_delay_steps
 from tracked_env.streams import addresses
+from tracked_env.terrain.drawn_relief import RELIEF_SIZE
 from tracked_env.uncertainty.compiled import (
     CHANGE_FIELDS,
     CHANGES_LIMIT,
@@ -115,11 +116,14 @@ def fitted(batch: b.Batch, events: int, delay: int, control_period: float) -> b.
 
 
 def load_episode(
-    batch: b.Batch, running: Running, i: int, episode: Episode, max_steps: int
+    batch: b.Batch, running: Running, i: int, episode: Episode, settings: EpisodeSettings
 ) -> None:
     """Write an episode into the arrays of vehicle i."""
     f, c, sensors = batch.floats[i], batch.counters[i], episode.sensors
-    f[:], c[:] = fresh_row(f.size, sensors), fresh_counters(sensors, max_steps)
+    f[:], c[:] = fresh_row(f.size, sensors), fresh_counters(sensors, settings.max_steps)
+    if episode.relief:
+        first = settings.relief_column
+        f[first : first + RELIEF_SIZE] = episode.relief
     batch.base()[i] = batch.parameters()[i] = episode.parameters
     write_profile(batch, i, episode.profile)
     running.origins[i, :START] = pose(*episode.profile[2:])
@@ -145,8 +149,10 @@ class Episodes(Sequence[Episode | None]):
         running: Running,
         given: Sequence[Episode | None],
         sensors: SensorDraw | None,
+        relief_column: int,
     ) -> None:
         self._batch, self._running, self._given, self._sensors = batch, running, given, sensors
+        self._relief = slice(relief_column, relief_column + (RELIEF_SIZE if relief_column else 0))
 
     def __len__(self) -> int:
         return len(self._given)
@@ -158,6 +164,7 @@ class Episodes(Sequence[Episode | None]):
         if given is not None or self._sensors is None or batch.counters[i, b.MAX_STEP] == 0:
             return given
         x, y, yaw, v_x, yaw_rate = origins[i, START:].tolist()
+        relief = batch.floats[i, self._relief]
         speed, turn = batch.profile[:, i, :6].copy(), batch.profile[:, i, 6:].copy()
         return Episode(
             PlantParameters(*batch.base()[i].tolist()),
@@ -166,6 +173,7 @@ class Episodes(Sequence[Episode | None]):
             self._sensors._replace(bias=batch.floats[i, b.BIAS : b.BIAS + CHANNEL_COUNT].copy()),
             VehicleState(x, y, yaw, v_x, yaw_rate=yaw_rate),
             int(self._running.seeds[i]),
+            tuple(relief.tolist()) if relief.any() else (),
         )
 
 
@@ -203,13 +211,13 @@ def _write_pose(origins, chosen, pose):
 @loop
 def _load(
     rngs, chosen, draws, origins, truths, changes, counts, length, row, clocks,
-    floats, counters, profile, events, block, states, seeds, noisy, needed,
+    floats, counters, profile, events, block, states, seeds, noisy, needed, reliefs, first,
 ):  # fmt: skip
-    """Load the chosen vehicles: sensors, parameters, reference, start, events, noise.
+    """Load the chosen vehicles: sensors, parameters, reference, start, events, noise, relief.
 
     draws (N, 4) behind the starts; length l [m]; row, clocks: of `fresh_row`, `fresh_counters`;
-    needed: whether there is noise. Returns the largest number of events, which are not written
-    where there is no room for them.
+    needed: whether there is noise; first: column of the relief, or 0. Returns the largest number
+    of events, which are not written where there is no room for them.
     """
     most = 0
     for k in range(chosen.size):
@@ -227,6 +235,8 @@ def _load(
         for j in range(len(start)):
             origins[i, START + j] = start[j]
             floats[i, b.STATE + _STARTED[j]] = start[j]
+        if first > 0:
+            floats[i, first : first + RELIEF_SIZE] = reliefs[i]
         counters[i, b.EVENT_COUNT] = counts[i]
         if counts[i] <= events.shape[1]:
             events[i, : counts[i]] = changes[i, : counts[i], : b.EVENT_FIELDS]
@@ -256,6 +266,7 @@ class BatchReset:
         self._numbers = numbers(self._truths)
         self._changes = np.zeros((count, CHANGES_LIMIT, CHANGE_FIELDS))
         self._counts = np.zeros(count, dtype=np.int64)
+        self._reliefs = np.zeros((count, RELIEF_SIZE))
         self._starts = np.zeros((count, 4))
         self._row = fresh_row(width, self.sensors)
         self._clocks = fresh_counters(self.sensors, settings.max_steps)
@@ -285,14 +296,14 @@ class BatchReset:
         self._law.fill(
             Draws(
                 streams, chosen, self._nominal, batch.profile, origins, settings.duration,
-                self._truths, self._changes, self._counts, self._read,
+                self._truths, self._changes, self._counts, self._read, self._reliefs,
             )
         )  # fmt: skip
         most = _load(
             streams, chosen, self._starts, origins, self._numbers, self._changes, self._counts,
             settings.nominal.contact_length, self._row, self._clocks, batch.floats, batch.counters,
             batch.profile, batch.events, batch.noise, running.noise_states, running.seeds,
-            running.noisy, self.sensors.noisy,
+            running.noisy, self.sensors.noisy, self._reliefs, settings.relief_column,
         )  # fmt: skip
         if most > batch.events.shape[1]:
             batch = fitted(batch, most, self._delay, settings.control_period)

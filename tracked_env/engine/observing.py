@@ -14,6 +14,7 @@ from tracked_env.engine import columns as b
 from tracked_env.observation_fields import LOOK_AHEAD
 from tracked_env.physics import channels, reference_profile
 from tracked_env.physics import state as s
+from tracked_env.physics.attitude import in_body_plane
 from tracked_env.physics.channels import GROUP_START
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula
@@ -97,11 +98,20 @@ def deliver(floats, counters, history, i, step):
 
 @formula
 def tracking_error(floats, i):
-    """True error of vehicle i: distance to the reference, and heading, reference minus vehicle."""
+    """True error of vehicle i: distance to the reference, and heading, reference minus vehicle.
+
+    Where the vehicle is tilted, both in its own plane, see `physics.attitude.in_body_plane`.
+    """
     yaw = floats[i, b.STATE + s.YAW]
     dx = floats[i, b.REFERENCE_X] - floats[i, b.STATE + s.X]
     dy = floats[i, b.REFERENCE_Y] - floats[i, b.STATE + s.Y]
-    floats[i, b.ERROR_YAW] = wrap_angle(floats[i, b.REFERENCE_YAW] - yaw)
+    turn = wrap_angle(floats[i, b.REFERENCE_YAW] - yaw)
+    pitch, roll = floats[i, b.STATE + s.PITCH], floats[i, b.STATE + s.ROLL]
+    if pitch != 0.0 or roll != 0.0:
+        cosine, sine = rotation(yaw)
+        dx, dy = cosine * dx + sine * dy, cosine * dy - sine * dx
+        dx, dy, turn = in_body_plane(dx, dy, turn, rotation(pitch), rotation(roll))
+    floats[i, b.ERROR_YAW] = turn
     floats[i, b.ERROR_DISTANCE] = math.sqrt(dx * dx + dy * dy)
 
 

@@ -49,6 +49,16 @@ class Readings:
         """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
         return self.truncated & (self.rmse < SUCCESS_RMSE * self.batch.column("contact_length"))
 
+    def endings(self, failures: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
+        """Why episodes have terminated, (N,) each: off the path, or a failure of the plant.
+
+        failures: `Plant.failures`. A state that is not finite has no flag.
+        """
+        over, code = self.terminated, self.batch.floats[:, b.FAILURE]
+        finite = np.isfinite(self.batch.state()).all(axis=1)
+        names = ("off_path", *failures)
+        return {f"ended_{name}": over & finite & (code == k) for k, name in enumerate(names)}
+
     def reference_position(self, i: int) -> NDArray[np.float64]:
         """(2,) position [m] of the reference of vehicle i now, world frame."""
         return self.batch.floats[i, b.REFERENCE_X : b.REFERENCE_Y + 1].copy()

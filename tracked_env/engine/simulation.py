@@ -62,6 +62,7 @@ class Simulation(Readings):
         self.settings = make_settings(
             config.reference, config.uncertainty, config.sensors, config.duration,
             solver.control_period, solver.nominal, solver.reads, self.layout.channels,
+            solver.plant.relief_column,
         )  # fmt: skip
         segments = number_of_segments(self.settings.duration)
         self.batch = b.allocate(count, segments, solver.plant.columns)
@@ -165,11 +166,14 @@ class Simulation(Readings):
         self.batch = fitted(self.batch, events, delay, self.solver.control_period)
         for i, episode in zip(chosen.tolist(), drawn, strict=True):
             self._given[i] = episode
-            load_episode(self.batch, self.running, i, episode, self.settings.max_steps)
+            load_episode(self.batch, self.running, i, episode, self.settings)
 
     def _settle(self, chosen: NDArray[np.int64]) -> None:
         """Let the plant complete the states that were drawn, where it has a say."""
-        start = self.solver.prepared.start
+        start, ground = self.solver.prepared.start, self.solver.prepared.ground
+        if ground is not None:
+            ground.place(self.batch.floats, chosen)
+            return
         if start is unchanged:
             return
         parameters, states = self.batch.base(), self.batch.state()
@@ -318,7 +322,8 @@ class Simulation(Readings):
     def episodes(self) -> Episodes:
         """The truth of the episode of every vehicle, made when it is asked for."""
         sensors = None if self._batch_reset is None else self._batch_reset.sensors
-        return Episodes(self.batch, self.running, self._given, sensors)
+        first = self.settings.relief_column
+        return Episodes(self.batch, self.running, self._given, sensors, first)
 
     def close(self) -> None:
         """Release the threads."""

@@ -97,3 +97,16 @@ def turned(q, x, y, z):
     new_z = q.w * z + q.x * y - q.y * x + q.z * cosine
     scale = 1.0 / math.sqrt(new_w * new_w + new_x * new_x + new_y * new_y + new_z * new_z)
     return Quaternion(scale * new_w, scale * new_x, scale * new_y, scale * new_z)
+
+
+@formula
+def in_body_plane(ahead, left, turn, pitch, roll):
+    """A pose error in the plane of the vehicle: R^T (e_x, e_y, 0) and z_b . (0, 0, e_yaw).
+
+    ahead, left [m]: the horizontal error along the heading and to the left of it, so that the yaw
+    is in it once; turn [rad] about the vertical; pitch, roll: (cosine, sine). Numbers, or arrays.
+    F (2025), 5.3, (49).
+    """
+    c_pitch, s_pitch = pitch
+    c_roll, s_roll = roll
+    return c_pitch * ahead, s_roll * s_pitch * ahead + c_roll * left, c_pitch * c_roll * turn

@@ -6,6 +6,8 @@ Channels, in the order of `CHANNELS`, in three groups that share a sampling cloc
     drive     sprocket speeds and transmitted torques                 additive noise
 The yaw acceleration is the difference of two lateral accelerometers a distance D apart:
     dw/dt = (a_1 - a_2) / D, so its noise is sqrt(2) sigma_a / D      S section 5.2.1
+Accelerometers feel the specific force, f = a - g_vec in body axes: on a slope a part of gravity,
+and two lateral ones a distance apart also W_x W_y; on level ground f_x, f_y are the accelerations.
 Model of one channel: measured = true + coupling (other axis) + bias + sigma n, n ~ N(0, 1).
 `TABLE` says all of a channel but its true value, which `signals` computes. Channels that are
 registered (`tracked_env.sensors.register`) carry their true value as a function.
@@ -14,11 +16,16 @@ References: [1] Strawa et al., Electronics 10 (2021) 187, section 5.2.
 """
 
 from collections.abc import Callable, Mapping
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from tracked_env.physics import state as rows
+from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula
+from tracked_env.physics.terramechanics import GRAVITY
 
 
 class Channel(NamedTuple):
@@ -35,6 +42,11 @@ class Channel(NamedTuple):
     # and {preset: {field: value}}; what a preset does not name is 0.
     truth: Callable[[Mapping[str, Any]], Any] | None = None
     presets: Mapping[str, Mapping[str, float]] = MappingProxyType({})
+
+
+def _specific_force_z(truth: Mapping[str, Any]) -> Any:
+    """f_z = a_z + g cos(pitch) cos(roll) [m/s^2]."""
+    return truth["acceleration_z"] + GRAVITY * np.cos(truth["pitch"]) * np.cos(truth["roll"])
 
 
 GROUPS = ("pose", "inertial", "drive")
@@ -60,6 +72,23 @@ TABLE = (
     Channel("torque_left", "drive", "N m", "torque_noise"),
     Channel("torque_right", "drive", "N m", "torque_noise"),
 )
+# Of the attitude, sampled where an observation shows them: roll and pitch err as the yaw of the
+# same INS does, the gyros and accelerometers as those of TABLE.
+ATTITUDE = (
+    Channel("roll", "inertial", "rad", "yaw_noise", truth=itemgetter("roll")),
+    Channel("pitch", "inertial", "rad", "yaw_noise", truth=itemgetter("pitch")),
+    Channel(
+        "roll_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias", truth=itemgetter("roll_rate")
+    ),
+    Channel(
+        "pitch_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias",
+        truth=itemgetter("pitch_rate"),
+    ),
+    Channel(
+        "specific_force_z", "inertial", "m/s^2", "acceleration_noise", "acceleration_bias",
+        truth=_specific_force_z,
+    ),
+)  # fmt: skip
 CHANNELS = tuple(channel.name for channel in TABLE)
 CHANNEL_COUNT = len(CHANNELS)
 # Channels of group g: GROUP_START[g] .. GROUP_START[g + 1]; the table is sorted by group.
@@ -82,6 +111,13 @@ def signals(state, i, sprocket_radius, cross_coupling, velocity):
     driven by torque they have `sprocket_inertia`: what speeds them up is not in the reading.
     """
     forward, lateral = state[i, rows.ACCELERATION_X], state[i, rows.ACCELERATION_Y]
+    turning = state[i, rows.YAW_ACCELERATION]
+    pitch, roll = state[i, rows.PITCH], state[i, rows.ROLL]
+    if pitch != 0.0 or roll != 0.0:
+        c_pitch, s_pitch = rotation(pitch)
+        forward -= GRAVITY * s_pitch
+        lateral += GRAVITY * c_pitch * rotation(roll)[1]
+        turning += state[i, rows.ROLL_RATE] * state[i, rows.PITCH_RATE]
     return (
         state[i, rows.X],
         state[i, rows.Y],
@@ -91,7 +127,7 @@ def signals(state, i, sprocket_radius, cross_coupling, velocity):
         forward + cross_coupling * lateral,
         lateral + cross_coupling * forward,
         state[i, rows.YAW_RATE],
-        state[i, rows.YAW_ACCELERATION],
+        turning,
         state[i, rows.SPROCKET_SPEED_LEFT],
         state[i, rows.SPROCKET_SPEED_RIGHT],
         state[i, rows.EFFORT_LEFT] * sprocket_radius,

@@ -6,7 +6,8 @@ row and one vehicle per column, so that its loops run over vehicles with unit st
 integrates the entries that are its own; the others follow from them algebraically and are refreshed
 after every control step.
 World frame x, y, z up; body frame ISO 8855 (x forward, y left); yaw positive to the left. The
-attitude is yaw, then pitch, then roll (z-y'-x''). Planar plants leave the last six entries at zero.
+attitude is yaw, then pitch, then roll (z-y'-x''). Planar plants leave the last seven
+entries at zero.
 """
 
 from typing import NamedTuple
@@ -38,6 +39,7 @@ class VehicleState(NamedTuple):
     v_z: float = 0.0  # [m/s] vertical velocity, body, upward
     roll_rate: float = 0.0  # [rad/s] about the body's x axis
     pitch_rate: float = 0.0  # [rad/s] about the body's y axis
+    acceleration_z: float = 0.0  # [m/s^2] inertial acceleration, body z
 
 
 STATE_NAMES = VehicleState._fields
@@ -46,5 +48,5 @@ STATE_ROWS = len(STATE_NAMES)
     X, Y, YAW, V_X, V_Y, YAW_RATE, TORQUE_LEFT, TORQUE_RIGHT,
     SLIP_LEFT, SLIP_RIGHT, SPROCKET_SPEED_LEFT, SPROCKET_SPEED_RIGHT,
     EFFORT_LEFT, EFFORT_RIGHT, ACCELERATION_X, ACCELERATION_Y, YAW_ACCELERATION,
-    Z, ROLL, PITCH, V_Z, ROLL_RATE, PITCH_RATE,
+    Z, ROLL, PITCH, V_Z, ROLL_RATE, PITCH_RATE, ACCELERATION_Z,
 ) = range(STATE_ROWS)  # fmt: skip

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from tracked_env.physics.parameters import PlantParameters, SoilParameters
 from tracked_env.physics.state import VehicleState
 
+Floats = NDArray[np.float64]
+
 
 class Drive(NamedTuple):
     """What an action of 1 asks of a sprocket."""
@@ -35,6 +37,22 @@ def unchanged(parameters: PlantParameters, state: VehicleState) -> VehicleState:
     return state
 
 
+class Ground(NamedTuple):
+    """The uneven ground of a plant, and how vehicles come onto it.
+
+    place: (floats, rows) completes the states of these rows of the batch, in place of `start`.
+    heights: (floats, rows, x, y) -> heights [m] (n, M) at places (n, M) [m] on the ground of rows.
+    loads: (floats, row) -> normal load [N] (2, 1, 1) of the left and the right track.
+    centre_height: (parameters) -> [m] of the centre of mass over the underside, on level ground.
+    """
+
+    place: Callable[[Floats, NDArray[np.int64]], None]
+    heights: Callable[[Floats, NDArray[np.int64], Floats, Floats], Floats]
+    loads: Callable[[Floats, int], Floats]
+    centre_height: Callable[[PlantParameters], float]
+    tilt_limit: float  # [rad] between the up axis and the vertical, beyond which an episode ends
+
+
 class Prepared(NamedTuple):
     """A plant with its drive and its options chosen.
 
@@ -50,6 +68,7 @@ class Prepared(NamedTuple):
     start: Callable[[PlantParameters, VehicleState], VehicleState] = unchanged
     unread: frozenset[str] = frozenset()  # parameters without effect under these options
     variant: str = ""  # what the options make of the plant, in words
+    ground: Ground | None = None  # None: level ground at height 0
 
 
 @dataclass(frozen=True)
@@ -70,4 +89,7 @@ class Plant:
     lanes: int = 1  # vehicles that it moves at once
     threads_from: int = 512  # [vehicles] from which two threads are faster than one
     panel: tuple[str, ...] = ("mass", "inertia")  # quantities of the picture's panel
+    # Why a vehicle cannot go on, `columns.FAILURE` = 1, 2, ...; each a flag `ended_NAME` of `info`.
+    failures: tuple[str, ...] = ()
+    relief_column: int = 0  # of the floats, where a drawn relief begins; 0: level ground
     soil_map: tuple[str, ...] = SoilParameters._fields  # that colour the ground, the first wins

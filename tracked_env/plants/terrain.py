@@ -12,6 +12,7 @@ and integrator in `physics.terrain_motion`, terrains in `terrain.height_field`. 
     stiffening    [s/m^2] K_tp of the stiffness with speed
     centre_of_mass_height [m], roll_inertia, pitch_inertia [kg m^2]: numbers, or None
     longest_step  [s] longer integration steps are divided
+    tilt_limit    [rad] of the up axis against the vertical, beyond which an episode ends
 Defaults and their sources are in `plants.terrain_options`.
 The state keeps the attitude as yaw, pitch, roll and z above the height at rest on level ground.
 References: [1] Focchi et al. (2025), table 2 and section 8.
@@ -19,9 +20,11 @@ References: [1] Focchi et al. (2025), table 2 and section 8.
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracked_env.engine import columns as b
 from tracked_env.engine.columns import Batch
@@ -44,7 +47,7 @@ from tracked_env.physics.rigid_body import Inertia
 from tracked_env.physics.state import VehicleState
 from tracked_env.physics.terrain_motion import LINEAR, BeltDrive, Pose3, Tracked
 from tracked_env.physics.uniform_load import rocking_of
-from tracked_env.plants.base import Plant, Prepared
+from tracked_env.plants.base import Ground, Plant, Prepared
 from tracked_env.plants.derived import derive_free
 from tracked_env.plants.distributed import DISTRIBUTED, LATERAL_LAW, rolling
 from tracked_env.plants.terrain_options import (
@@ -56,10 +59,10 @@ from tracked_env.plants.terrain_options import (
     patches_of,
     resting,
 )
-from tracked_env.terrain import ground
+from tracked_env.terrain import ground as terrain_ground
+from tracked_env.terrain.drawn_relief import RELIEF_SIZE, fill_there, ground_at
 from tracked_env.terrain.flat import level
 from tracked_env.terrain.height_field import make_height_field
-from tracked_env.terrain.relief import fill
 from tracked_env.validation import checked_choice
 
 # Columns of its own, all at the end of the last step.
@@ -67,7 +70,11 @@ from tracked_env.validation import checked_choice
     RESISTANCE_LEFT, RESISTANCE_RIGHT, LOAD_LEFT, LOAD_RIGHT, LARGEST_LOAD, TOUCHING, OFF_MAP,
     SATURATED,
 ) = range(b.PLANT, b.PLANT + 8)  # fmt: skip
-_COLUMNS = 8
+# Relief drawn for the vehicle and its episode, see `terrain.drawn_relief`.
+RELIEF = SATURATED + 1
+_COLUMNS = RELIEF + RELIEF_SIZE - b.PLANT
+FAILURES = ("tilted", "off_map", "overloaded")
+Floats = NDArray[np.float64]
 _NOTHING_HELD = np.zeros((1, 0))  # commands come from the actions
 _BASE_MASS = b.BASE + PARAMETER_INDEX["mass"]
 _BASE_LENGTH = b.BASE + PARAMETER_INDEX["contact_length"]
@@ -108,18 +115,28 @@ def _set_soil(w, first, last, soil_there, patch_area):
 @formula
 def _soil_under_patches(batch, i, period, w, pose, body):
     """The same, each patch with the soil of its place."""
-    terrain = ground.Terrain(
+    terrain = terrain_ground.Terrain(
         batch.floats, batch.events, i, batch.counters[i, b.EVENT_COUNT],
         batch.counters[i, b.STEP] * period,
     )  # fmt: skip
     g.locate(w, 2 * body.patches, (pose.x, pose.y, pose.z), matrix_of(pose.q), body.footing.height)
     for lane in range(2 * body.patches):
-        there = ground.at(level, terrain, w[g.PLACE_X, lane], w[g.PLACE_Y, lane])
+        there = terrain_ground.at(level, terrain, w[g.PLACE_X, lane], w[g.PLACE_Y, lane])
         _set_soil(w, lane, lane + 1, there.soil, body.footing.patch_area)
 
 
 @formula
-def _write(floats, i, moved, given, settled, p, body, rest_height):
+def _failure(pitch, roll, settled, tilt_limit):
+    """Why the vehicle cannot go on: 1, 2, ... of FAILURES, or 0."""
+    if math.cos(pitch) * math.cos(roll) < math.cos(tilt_limit):
+        return 1.0
+    if settled.off_map > 0.0:
+        return 2.0
+    return 3.0 if settled.saturated > 0.0 else 0.0
+
+
+@formula
+def _write(floats, i, moved, given, settled, p, body, rest_height, tilt_limit):
     """State of vehicle i after the step, its algebraic rows and the plant's columns included."""
     row = b.STATE
     pose, twist, belts = moved
@@ -146,7 +163,9 @@ def _write(floats, i, moved, given, settled, p, body, rest_height):
     rates = settled.rates
     floats[i, row + s.ACCELERATION_X] = rates.x + twist.pitch * twist.z - twist.yaw * twist.y
     floats[i, row + s.ACCELERATION_Y] = rates.y + twist.yaw * twist.x - twist.roll * twist.z
+    floats[i, row + s.ACCELERATION_Z] = rates.z + twist.roll * twist.y - twist.pitch * twist.x
     floats[i, row + s.YAW_ACCELERATION] = rates.yaw
+    floats[i, b.FAILURE] = _failure(pitch, roll, settled, tilt_limit)
     floats[i, RESISTANCE_LEFT] = settled.resistance_left
     floats[i, RESISTANCE_RIGHT] = settled.resistance_right
     floats[i, LOAD_LEFT], floats[i, LOAD_RIGHT] = settled.load_left, settled.load_right
@@ -215,22 +234,27 @@ def _move(batch, w, block, pace, options):
         if linear:
             command, decay = begin, LINEAR
     end, command, kick, off = terrain_motion.advance(
-        fill, relief, w, (pose, twist, belts), command, demand, decay, steps, h, body
-    )
+        fill_there, (relief, floats, i, RELIEF), w, (pose, twist, belts), command, demand, decay,
+        steps, h, body,
+    )  # fmt: skip
     _write(
         floats, i, end, command, terrain_motion.settled_of(w, kick, off, body), p, body,
-        rest_height,
+        rest_height, made[10],
     )  # fmt: skip
 
 
 @loop
 def advance(
-    floats, counters, profile, events, noise, history, chosen, actions, observations, *rest
-):
+    floats, counters, profile, events, noise, history, chosen, actions, observations,
+    start, stop, moving, substeps, substep, error_limit,
+    held, relief, columns, rows, made, by_torque, uniform, per_patch,
+):  # fmt: skip
     """Kernel of the control step, see `engine.kernels`."""
     scratch = np.empty((g.SCRATCH_ROWS, g.LANES))
     batch = Batch(floats, counters, profile, events, noise, history)
     given = (chosen, actions, observations)
+    clock = (start, stop, moving, substeps, substep, error_limit)
+    rest = (*clock, held, relief, columns, rows, made, by_torque, uniform, per_patch)
     return advance_blocks(derive_free, _move, 1, scratch, batch, given, rest)
 
 
@@ -254,14 +278,33 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     per_patch = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "patches"
     made = made_of(options)
 
-    def start(parameters: PlantParameters, state: VehicleState) -> VehicleState:
+    def at(floats: Floats, row: int, x: float, y: float) -> Floats:
+        places = np.array([[x]]), np.array([[y]])
+        return ground_at(field.relief, floats, RELIEF, np.array([row]), *places)[0, :, 0]
+
+    def place(floats: Floats, chosen: NDArray[np.int64]) -> None:
         """Belts that roll over the ground without slip, the vehicle on its slope."""
-        pose = resting(field, parameters, made, state.x, state.y, state.yaw)
-        return rolling(parameters, state)._replace(z=pose.z, pitch=pose.pitch, roll=pose.roll)
+        for i in chosen.tolist():
+            own = floats[i]
+            parameters = PlantParameters(*own[b.BASE : b.BASE + len(PARAMETER_NAMES)].tolist())
+            state = VehicleState(*own[b.STATE : b.STATE + s.STATE_ROWS].tolist())
+            pose = resting(partial(at, floats, i), parameters, made, state.x, state.y, state.yaw)
+            placed = rolling(parameters, state)._replace(z=pose.z, pitch=pose.pitch, roll=pose.roll)
+            own[b.STATE : b.STATE + s.STATE_ROWS] = placed
+
+    def heights(floats: Floats, chosen: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
+        return ground_at(field.relief, floats, RELIEF, chosen, x, y)[:, 0]
+
+    def loads(floats: Floats, row: int) -> Floats:
+        return floats[row, [LOAD_LEFT, LOAD_RIGHT]].reshape(2, 1, 1)
+
+    def centre_height(p: PlantParameters) -> float:
+        return float(height_at_rest(p.mass, p.contact_length, p.track_width, made))
 
     flags = (drive == "torque", uniform, per_patch)
     chosen = (_NOTHING_HELD, field.relief, columns, rows, made, *flags)
-    return Prepared(advance, hold, chosen, start)
+    ground = Ground(place, heights, loads, centre_height, float(made[10]))
+    return Prepared(advance, hold, chosen, ground=ground)
 
 
 _READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW
@@ -272,6 +315,8 @@ TERRAIN = Plant(
     motion_resistances=motion_resistances,
     options=DEFAULTS,
     columns=_COLUMNS,
+    failures=FAILURES,
+    relief_column=RELIEF,
     threads_from=16,
     panel=DISTRIBUTED.panel,
     soil_map=DISTRIBUTED.soil_map,

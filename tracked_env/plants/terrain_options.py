@@ -10,7 +10,7 @@ Reference: [1] Focchi et al. (2025), table 2 and section 8.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +21,6 @@ from tracked_env.physics.ground_contact import LANES
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import FOCCHI_VEHICLE, PlantParameters, Range
 from tracked_env.plants.distributed import checked_patches
-from tracked_env.terrain.height_field import HeightField
 from tracked_env.validation import checked_number
 
 LOADS = ("nonuniform", "uniform")
@@ -33,12 +32,14 @@ _HEIGHT, _ROLL_INERTIA, _PITCH_INERTIA = 0.25, 2.18, 2.81  # [m], [kg m^2] of F'
 HEIGHT_RATIO = _HEIGHT / FOCCHI_VEHICLE.contact_length
 ROLL_RATIO = _ROLL_INERTIA / FOCCHI_VEHICLE.inertia
 PITCH_RATIO = _PITCH_INERTIA / FOCCHI_VEHICLE.inertia
+TILT_LIMIT = math.radians(60.0)  # [rad] beyond the tipping angles of F's vehicle: it has fallen
 LONGEST_STEP = 2e-3  # [s] of an integration step; docs/terrain.md has the table of step halving
 _NUMBERS = {
     "stiffness": Range(1e4, 1e9, "N/m^3", "It is per area of contact."),
     "damping": Range(0.0, 1e8, "N s/m^3", "It is per area of contact."),
     "stiffening": Range(0.0, 100.0, "s/m^2", "F table 2 prints N s/m^2."),
     "longest_step": Range(1e-5, 5e-3, "s", "Did you pass milliseconds?"),
+    "tilt_limit": Range(0.01, math.pi, "rad", "Did you pass degrees?"),
 }
 _SCALED = {
     "centre_of_mass_height": Range(1e-4, 10.0, "m", "It is the height above the tracks' plane."),
@@ -52,6 +53,7 @@ DEFAULTS: Mapping[str, Any] = {
     "terrain": "flat", "load": "nonuniform", "patches": (10, 4), "soil_at": "centre",
     "centre_of_mass_height": None, "roll_inertia": None, "pitch_inertia": None,
     "stiffness": STIFFNESS, "damping": DAMPING, "stiffening": 0.0, "longest_step": LONGEST_STEP,
+    "tilt_limit": TILT_LIMIT,
 }  # fmt: skip
 
 
@@ -74,7 +76,7 @@ def made_of(options: Mapping[str, Any]) -> NDArray[np.float64]:
     """Numbers of the options, as the kernel takes them. Raises ValueError.
 
     Height, roll and pitch inertia as (number, ratio to contact length or yaw inertia), one of them
-    0; stiffness, damping, stiffening, longest step.
+    0; stiffness, damping, stiffening, longest step, tilt limit.
     """
     made: list[float] = []
     ratios = (HEIGHT_RATIO, ROLL_RATIO, PITCH_RATIO)
@@ -99,11 +101,12 @@ def patches_of(given: object) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 def resting(
-    field: HeightField, parameters: PlantParameters, made: NDArray[np.float64],
+    ground: Callable[[float, float], Any], parameters: PlantParameters, made: NDArray[np.float64],
     x: float, y: float, yaw: float,
 ) -> Resting:  # fmt: skip
     """Pose with the centre of mass above (x, y) [m], world, and that yaw [rad].
 
+    ground: (x, y) [m] -> height [m], dz/dx, dz/dy [-].
     Sunk in as far as the springs need on that slope. The tilt that they add and the curvature of
     the ground are not in it: a vehicle that starts there settles by milliradians on a plane and by
     hundredths of a radian on hills.
@@ -114,12 +117,12 @@ def resting(
     sink = weight / (2.0 * made[6] * p.contact_length * p.track_width)
     foot_x, foot_y = x, y
     for _ in range(8):
-        ground, slope_x, slope_y = (float(value) for value in field.at(foot_x, foot_y))
+        height_there, slope_x, slope_y = (float(value) for value in ground(foot_x, foot_y))
         upright = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
         above = height - sink * upright
         foot_x, foot_y = x + above * upright * slope_x, y + above * upright * slope_y
     along = slope_x * math.cos(yaw) + slope_y * math.sin(yaw)
     aside = slope_y * math.cos(yaw) - slope_x * math.sin(yaw)
-    z = ground + above * upright
+    z = height_there + above * upright
     rest = height_at_rest(p.mass, p.contact_length, p.track_width, made)
     return Resting(z - rest, -math.atan(along), math.atan2(aside, math.sqrt(1.0 + along * along)))

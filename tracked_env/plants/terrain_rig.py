@@ -57,7 +57,7 @@ class TerrainRig(Rig):
 
     def stand(self, x: float, y: float, yaw: float, row: int = 0) -> None:
         """Put a vehicle on the ground at (x, y) [m] with that yaw [rad], at rest."""
-        pose = resting(self.field, self._parameters, self._made, x, y, yaw)
+        pose = resting(self.field.at, self._parameters, self._made, x, y, yaw)
         self.states[row] = 0.0
         names = [s.X, s.Y, s.YAW, s.Z, s.PITCH, s.ROLL]
         self.states[row, names] = x, y, yaw, pose.z, pose.pitch, pose.roll

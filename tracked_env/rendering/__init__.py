@@ -31,6 +31,6 @@ if not getattr(pygame, "IS_CE", False):
 
 from tracked_env.rendering.recording import Recorder
 from tracked_env.rendering.renderer import Renderer
-from tracked_env.rendering.terrain_source import TerrainSource
+from tracked_env.rendering.terrain_source import TerrainSource, source_of
 
-__all__ = ["Recorder", "Renderer", "TerrainSource"]
+__all__ = ["Recorder", "Renderer", "TerrainSource", "source_of"]

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.engine import columns as b
 from tracked_env.engine.columns import columns
 from tracked_env.engine.episode import Episode
 from tracked_env.engine.simulation import Simulation
@@ -63,6 +64,9 @@ def _ending(simulation: Simulation, row: int, finite: bool) -> str:
     if not finite:
         return "the state is not finite: episode over"
     if simulation.terminated[row]:
+        code = int(simulation.batch.floats[row, b.FAILURE])
+        if code:
+            return f"{simulation.solver.plant.failures[code - 1].replace('_', ' ')}: episode over"
         return f"more than {simulation.solver.error_limit:g} m off the path: episode over"
     return "time is up: episode over" if simulation.truncated[row] else ""
 

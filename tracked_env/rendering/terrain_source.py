@@ -58,6 +58,37 @@ class TerrainSource(NamedTuple):
         return heights
 
 
+class PlantGround:
+    """Heights of the ground of one vehicle as they are now; copied together with its simulation."""
+
+    def __init__(self, simulation: Simulation, row: int) -> None:
+        self._simulation, self._row = simulation, row
+
+    def __call__(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Heights [m] at places (x, y) [m], two arrays of one shape."""
+        ground = self._simulation.solver.prepared.ground
+        assert ground is not None
+        places = (np.asarray(values, dtype=np.float64).reshape(1, -1) for values in (x, y))
+        found = ground.heights(self._simulation.batch.floats, np.array([self._row]), *places)
+        return found.reshape(np.shape(x))
+
+
+def _track_loads(simulation: Simulation, row: int) -> FloatArray:
+    """(2, 1, 1) normal load [N] of the left and the right track."""
+    ground = simulation.solver.prepared.ground
+    assert ground is not None
+    return ground.loads(simulation.batch.floats, row)
+
+
+def source_of(simulation: Simulation, row: int) -> TerrainSource | None:
+    """The ground of vehicle `row` as it is now; None where the plant knows level ground alone."""
+    ground = simulation.solver.prepared.ground
+    if ground is None:
+        return None
+    height = ground.centre_height(simulation.solver.nominal)
+    return TerrainSource(PlantGround(simulation, row), _track_loads, ground.tilt_limit, height)
+
+
 class BodyPose(NamedTuple):
     """Position of the centre of mass and attitude, world frame."""
 

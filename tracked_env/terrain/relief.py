@@ -63,7 +63,7 @@ def _add_edge(w, count, edge):
 
 
 @formula
-def _add_wave(w, count, amplitude, k_x, k_y, phase):
+def add_wave(w, count, amplitude, k_x, k_y, phase):
     """Add one sinusoid to lanes 0 .. count - 1."""
     steep_x, steep_y = amplitude * k_x, amplitude * k_y
     for lane in range(count):
@@ -164,7 +164,7 @@ def fill(relief, w, count):
         _add_edge(w, count, relief.edges[e])
     waves = relief.waves
     for s in range(waves.shape[0]):
-        _add_wave(w, count, waves[s, 0], waves[s, 1], waves[s, 2], waves[s, 3])
+        add_wave(w, count, waves[s, 0], waves[s, 1], waves[s, 2], waves[s, 3])
     inside = float(count)
     if relief.heights.size > 0:
         inside = _add_map(w, count, relief.heights, relief.frame)

@@ -4,7 +4,8 @@ A set draws the true parameters of one vehicle for one episode around the nomina
 vehicle (`tracked_env.physics.parameters.VEHICLES`) and a schedule of changes that act inside the
 episode. Notation of the laws: U(a, b) uniform; `=` replaces the nominal value, `*` multiplies it.
 A controller that trusts the nominal parameters is right in the set `nominal` only. `soils` are the
-sets of a heavy vehicle in the field, `floors` those of a light one indoors; `register` adds one.
+sets of a heavy vehicle in the field, `floors` those of a light one indoors, `slopes` those of a
+light one on uneven ground; `register` adds one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +18,7 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, ParametersRead, PlantParameters
 from tracked_env.references import ReferenceProfile
 from tracked_env.streams import integer, uniform
-from tracked_env.uncertainty import compiled, floors, soils
+from tracked_env.uncertainty import compiled, floors, slopes, soils
 from tracked_env.uncertainty.compiled import ArrayLaw, Draws, numbers
 from tracked_env.uncertainty.law import CheckedLaw, Draw, Law, checked, fingerprint
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
@@ -46,6 +47,7 @@ UNCERTAINTY_SETS: dict[str, Law] = {
     **compiled.laws(("nominal", _each_nominal, _nominal)),
     **soils.LAWS,
     **floors.LAWS,
+    **slopes.LAWS,
 }
 DESCRIPTIONS: dict[str, str] = {}  # of the sets that were registered
 
@@ -101,11 +103,12 @@ class _Mixture(ArrayLaw):
 
 
 @loop
-def _draw_ranges(rngs, chosen, nominal, truths, counts, columns, lows, highs):
+def _draw_ranges(rngs, chosen, nominal, truths, counts, reliefs, columns, lows, highs):
     for k in range(chosen.size):
         i = chosen[k]
         truths[i] = nominal[0]
         counts[i] = 0
+        reliefs[i] = 0.0
         for j in range(columns.size):
             truths[i, columns[j]] = uniform(rngs[k], lows[j], highs[j])
 
@@ -121,8 +124,9 @@ class _Ranges(ArrayLaw):
         lows, highs = np.array(list(self.bounds.values()), dtype=np.float64).reshape(-1, 2).T.copy()
         nominal, truths = (numbers(a) for a in (draws.nominal, draws.truths))
         _draw_ranges(
-            draws.streams, draws.chosen, nominal, truths, draws.counts, columns, lows, highs
-        )
+            draws.streams, draws.chosen, nominal, truths, draws.counts, draws.reliefs, columns,
+            lows, highs,
+        )  # fmt: skip
 
 
 def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:

@@ -26,9 +26,12 @@ from tracked_env.physics.jit import formula, template
 from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PlantParameters
 from tracked_env.physics.reference_profile import advance_pose
 from tracked_env.references import ReferenceProfile
+from tracked_env.streams import uniform
+from tracked_env.terrain.drawn_relief import DRAWN_WAVES, RELIEF_SIZE
 from tracked_env.uncertainty.law import Draw
 
 RECORD = np.dtype([(name, np.float64) for name in PARAMETER_NAMES])
+HURST = 0.8  # [-] of drawn hills: 1 is smooth, 0 is rough
 CHANGES_LIMIT = 8  # [-] of one episode, drawn by a law
 CHANGE_FIELDS = 9  # eight as `events` has them, and the direction of a line [rad]
 
@@ -53,6 +56,7 @@ class Draws(NamedTuple):
     changes: NDArray[np.float64]  # (N, CHANGES_LIMIT, CHANGE_FIELDS)
     counts: NDArray[np.int64]  # (N,) changes of each
     read: NDArray[np.bool_]  # (PARAMETER_ROWS,) parameters whose changes are kept
+    reliefs: NDArray[np.float64]  # (N, RELIEF_SIZE) drawn ground, see `terrain.drawn_relief`
 
 
 class Path(NamedTuple):
@@ -70,6 +74,7 @@ class Changes(NamedTuple):
     used: NDArray[np.int64]  # (1,) how many
     read: NDArray[np.bool_]
     there: np.void  # of RECORD, the nominal one: room for parameters that are changed to
+    relief: NDArray[np.float64]  # (RELIEF_SIZE,) level ground until a law writes into it
 
 
 @formula
@@ -114,18 +119,60 @@ def line(changes, parameter, target, place, edge):
     row[5], row[6], row[7] = math.cos(row[8]), math.sin(row[8]), edge
 
 
+@formula
+def slope(changes, grade, direction):
+    """A plane that rises by the grade tan(s) [-] along a direction [rad] of the world."""
+    changes.relief[0] = grade * math.cos(direction)
+    changes.relief[1] = grade * math.sin(direction)
+
+
+@formula
+def hills(rng, changes, height, longest, shortest):
+    """Hills of a standard deviation `height` [m], wavelengths from longest to shortest [m].
+
+    Sinusoids as those of the kind "fractal" of `terrain.height_field` with the exponent HURST:
+    wave numbers k in equal ratios, amplitudes ~ k^-HURST, directions and phases =U(0, 2 pi).
+    """
+    ratio = math.pow(longest / shortest, 1.0 / (DRAWN_WAVES - 1))
+    fall = math.pow(ratio, -HURST)
+    square, amplitude = 0.0, 1.0
+    for _ in range(DRAWN_WAVES):
+        square += 0.5 * amplitude * amplitude
+        amplitude *= fall
+    amplitude, k = height / math.sqrt(square), 2.0 * math.pi / longest
+    for wave in range(DRAWN_WAVES):
+        direction, phase = uniform(rng, 0.0, 2.0 * math.pi), uniform(rng, 0.0, 2.0 * math.pi)
+        at = 2 + 4 * wave
+        changes.relief[at] = amplitude
+        changes.relief[at + 1], changes.relief[at + 2] = (
+            k * math.cos(direction), k * math.sin(direction),
+        )  # fmt: skip
+        changes.relief[at + 3] = phase
+        amplitude *= fall
+        k *= ratio
+
+
+@formula
+def patch(changes, parameter, target, place, radius, edge):
+    """A change inside a disc around place[:2] [m]; radius, edge [m]."""
+    row = _added(changes, parameter_events.REGION, parameter, target)
+    row[3], row[4], row[5], row[6] = place[0], place[1], radius, edge
+
+
 @template
 def draw_each(law, call):
     """Draw an episode of each chosen vehicle by `law`; call: the fields of Draws."""
     rngs, chosen, nominal, profile, poses = call[0], call[1], call[2], call[3], call[4]
     duration, truths, rows, counts, read = call[5], call[6], call[7], call[8], call[9]
+    reliefs = call[10]
     there = np.empty(1, dtype=RECORD)
     for k in range(chosen.size):
         i = chosen[k]
         truths[i] = there[0] = nominal[0]
         counts[i] = 0
+        reliefs[i] = 0.0
         path = Path(profile[:, i], poses[i], duration)
-        changes = Changes(rows[i], counts[i : i + 1], read, there[0])
+        changes = Changes(rows[i], counts[i : i + 1], read, there[0], reliefs[i])
         law(rngs[k], nominal[0], path, truths[i], changes)
 
 
@@ -164,10 +211,12 @@ class ArrayLaw:
             np.zeros((1, CHANGES_LIMIT, CHANGE_FIELDS)),
             np.zeros(1, dtype=np.int64),
             np.ones(len(PARAMETER_NAMES), dtype=np.bool_),
+            np.zeros((1, RELIEF_SIZE)),
         )
         self.fill(draws)
         events = [decode_event(row) for row in draws.changes[0, : draws.counts[0]].tolist()]
-        return Draw(PlantParameters(*draws.truths[0].item()), events)
+        relief = tuple(draws.reliefs[0].tolist()) if draws.reliefs.any() else ()
+        return Draw(PlantParameters(*draws.truths[0].item()), events, relief)
 
 
 class CompiledLaw(ArrayLaw):

@@ -16,6 +16,7 @@ import numpy as np
 from tracked_env.events import Event, encode_schedule
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 from tracked_env.references import ReferenceProfile
+from tracked_env.terrain.drawn_relief import checked_relief
 from tracked_env.validation import checked_parameter, unknown
 
 
@@ -24,6 +25,7 @@ class Draw(NamedTuple):
 
     parameters: PlantParameters
     events: list[Event]
+    relief: tuple[float, ...] = ()  # drawn ground, see `terrain.drawn_relief`; empty: none
 
 
 # (random stream, nominal parameters, reference, duration [s]) -> truth
@@ -63,9 +65,9 @@ class CheckedLaw:
         """Draw one episode."""
         name = label(self.law)
         drawn: Any = self.law(rng, nominal, profile, duration)
-        if not isinstance(drawn, tuple) or len(drawn) != 2:
+        if not isinstance(drawn, tuple) or len(drawn) not in (2, 3):
             raise ValueError(f"law {name} returned {drawn!r}; must be Draw(parameters, events)")
-        parameters, events = drawn
+        parameters, events = drawn[:2]
         given = parameters._asdict() if hasattr(parameters, "_asdict") else parameters
         if not isinstance(given, dict):
             raise ValueError(f"law {name}: parameters = {given!r}; must be nominal._replace(...)")
@@ -74,9 +76,10 @@ class CheckedLaw:
         try:
             values = {key: checked_parameter(key, value) for key, value in given.items()}
             encode_schedule(events)
+            relief = checked_relief(drawn[2] if len(drawn) == 3 else ())
         except ValueError as error:
             raise ValueError(f"law {name}: {error}") from error
-        return Draw(nominal._replace(**values), list(events))
+        return Draw(nominal._replace(**values), list(events), relief)
 
 
 def fingerprint(law: Law) -> str:

@@ -2,8 +2,9 @@
 
     python -m docs.step_halving_terrain
 
-Errors are the largest distance [mm] and the largest rotation [mrad] to the same manoeuvre at 0.05 ms,
-light vehicle, from rest. Cost is process time of one step in microseconds, the least of several runs.
+Errors are the largest distance [mm] and the largest rotation [mrad] to the same manoeuvre with
+steps of 0.05 ms, light vehicle, from rest. Cost is the process time of one step in microseconds,
+the least of several runs.
 """
 
 import math

@@ -131,7 +131,7 @@ def test_a_resistance_map_on_patches_varies_the_motion_resistance_alone():
 
 def test_the_limit_in_which_an_action_is_measured_does_not_change_inside_an_episode():
     change = {"parameter": "sprocket_speed_limit", "kind": "ramp", "target": 10.0, "start": 1.0}
-    for plant, arguments in ARGUMENTS.items():
+    for arguments in VARIANTS:
         env = TrackedVehicleEnv(uncertainty="nominal", **arguments)
         if arguments.get("drive") == "speed":
             with pytest.raises(ValueError, match=r"sprocket_speed_limit.*measured in it"):

@@ -181,6 +181,24 @@ def test_slip_is_measured_in_the_contact_plane(seed):
 
 
 @pytest.mark.parametrize("seed", range(5))
+def test_rolling_resistance_is_a_share_of_the_load_that_fades_below_a_centimetre_per_second(seed):
+    w, _, _, _ = contact(seed)
+    sign = w[g.FORWARD] / np.hypot(w[g.FORWARD], 0.01)
+    assert w[g.ROLLED] == pytest.approx(ROLLING * w[g.LOAD] * sign, rel=1e-12)
+    assert w[g.K_ROLL] * w[g.FORWARD] == pytest.approx(w[g.ROLLED], rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_shear_force_opposes_the_slip_with_the_strength_that_is_mobilised(seed):
+    w, _, _, _ = contact(seed)
+    strength = np.where(w[g.LOAD] > 0, COHESION * FOOTING.patch_area + MU * w[g.LOAD], 0.0)
+    size = strength * (1.0 - np.exp(-w[g.SHEARED] / MODULUS))
+    speed = np.hypot(w[g.SLIDE], w[g.ASIDE])
+    assert w[g.THRUST] == pytest.approx(-size * w[g.SLIDE] / speed, rel=1e-10)
+    assert w[g.LATERAL] == pytest.approx(-size * w[g.ASIDE] / speed, rel=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(5))
 def test_the_drag_is_the_sum_over_patches_of_their_resistances_with_moments(seed):
     w, _, _, _ = contact(seed)
     expected = np.zeros((6, 6))

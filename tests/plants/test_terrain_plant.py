@@ -168,8 +168,8 @@ def test_mirrored_ground_and_commands_mirror_the_motion(load):
             continue
         one, other = (getattr(rig.state, name)[0] for rig in rigs)
         other = -other if name in names else other
-        assert one == pytest.approx(other, abs=1e-11), name
-    assert rigs[0].state.effort_left == pytest.approx(rigs[1].state.effort_right, abs=1e-8)
+        assert one == pytest.approx(other, abs=1e-14), name
+    assert rigs[0].state.effort_left == pytest.approx(rigs[1].state.effort_right, abs=1e-11)
 
 
 @pytest.mark.parametrize("drive", ["speed", "torque"])

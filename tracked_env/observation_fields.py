@@ -34,13 +34,14 @@ class Group(NamedTuple):
 
     values: of a registered group, what its fields are, {field: (N,)} in SI units, from what an
     agent may know: the fields of `V0` and the samples of `channels`, by name, in SI units. None:
-    each field is the channel of its name.
+    each field is the channel of its name. A group with `scan` shows heights of the ground there.
     """
 
     name: str
     fields: tuple[Field, ...]
     channels: tuple[str, ...] = ()  # registered sensor channels that it reads
     values: Callable[[Known], Known] | None = None
+    scan: tuple[tuple[float, float], ...] = ()  # [contact lengths] (ahead, left) of each field
 
 
 def _ahead(kind: str, unit: str, scale: float, bound: float, mirrored: bool) -> tuple[Field, ...]:
@@ -113,6 +114,27 @@ _TANGENT_ERROR = (
 )
 
 
+def _scanned(ahead: float, left: float) -> str:
+    """Name of the field of a point of the scan."""
+    name = f"height_{'behind' if ahead < 0.0 else 'ahead'}_{abs(ahead):g}"
+    return name + (f"_{'left' if left > 0.0 else 'right'}_{abs(left):g}" if left else "")
+
+
+_SCAN = tuple(
+    (ahead, left)
+    for ahead in (-1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
+    for left in (-1.0, -0.5, 0.0, 0.5, 1.0)
+)
+_HEIGHTS = tuple(
+    Field(
+        _scanned(*point), "m", 0.25, 5.0,
+        f"ground {point[0]:g} l ahead, {point[1]:g} l to the left, less the vehicle's height",
+        bool(point[1]),
+    )
+    for point in _SCAN
+)  # fmt: skip
+
+
 def _in_plane(known: Known) -> Known:
     """The measured pose error in the plane of the vehicle, by the measured roll and pitch."""
     angles = [(np.cos(known[name]), np.sin(known[name])) for name in ("pitch", "roll")]
@@ -134,5 +156,6 @@ GROUPS: dict[str, Group] = {
     **_COMPILED,
     "attitude": Group("attitude", _ATTITUDE, tuple(field.name for field in _ATTITUDE)),
     "tangent_error": Group("tangent_error", _TANGENT_ERROR, ("roll", "pitch"), _in_plane),
+    "height_scan": Group("height_scan", _HEIGHTS, scan=_SCAN),
 }
 VERSIONS = {"v0": tuple(_COMPILED)}  # layouts by name; what a name stands for never changes

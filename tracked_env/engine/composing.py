@@ -19,14 +19,16 @@ from numpy.typing import NDArray
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.engine.episode import Episode
+from tracked_env.engine.height_scan import HeightScan
 from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS
 from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.physics.state import STATE_NAMES
+from tracked_env.plants import Ground
 from tracked_env.sensors import ADDED, longest_delay_steps
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle and channel
 _RUNNING = (  # attributes that change while episodes run
-    "written", "_sigma", "_bias", "_sample", "_noise", "_past", "_streams",
+    "written", "_sigma", "_bias", "_sample", "_noise", "_past", "_streams", "_scans",
 )  # fmt: skip
 _TRUE = {
     **{name: b.STATE + row for row, name in enumerate(STATE_NAMES)},
@@ -74,6 +76,8 @@ class Composer:
         self._noise = np.zeros((*shape, NOISE_BLOCK))
         self._past = np.zeros((count, slots, len(layout.channels)))
         self._streams: list[list[np.random.Generator]] = [[] for _ in range(count)]
+        scans = {group.name: group.scan for group in layout.parts if group.scan}
+        self._scans = {name: HeightScan(name, points, count) for name, points in scans.items()}
 
     def snapshot(self) -> dict[str, Any]:
         """All that changes while episodes run, as plain data. `resume` goes on from it."""
@@ -90,8 +94,12 @@ class Composer:
         out: NDArray[np.float32],
         rows: NDArray[np.int64],
         episodes: Sequence[Episode],
+        ground: Ground | None,
     ) -> None:
-        """Begin an episode on `rows`, and write what is seen there into out (N, D)."""
+        """Begin an episode on `rows`, and write what is seen there into out (N, D).
+
+        ground: of the plant; None is level.
+        """
         for i, episode in zip(rows, episodes, strict=True):
             streams = [
                 np.random.Generator(
@@ -100,12 +108,20 @@ class Composer:
                 for name in self.layout.channels
             ]
             self._streams[i] = streams
+            for scan in self._scans.values():
+                scan.start(i, episode)
             for k, (_name, sigma, bias) in enumerate(episode.sensors.added):
                 self._sigma[i, k] = sigma
                 self._bias[i, k] = -bias if streams[k].random() < 0.5 else bias
-        self.write(batch, out, rows)
+        self.write(batch, out, rows, ground)
 
-    def write(self, batch: b.Batch, out: NDArray[np.float32], rows: NDArray[np.int64]) -> None:
+    def write(
+        self,
+        batch: b.Batch,
+        out: NDArray[np.float32],
+        rows: NDArray[np.int64],
+        ground: Ground | None,
+    ) -> None:
         """Write what is seen of `rows` now into out (N, D)."""
         if not rows.size:
             return
@@ -125,6 +141,9 @@ class Composer:
             if group.name in obs.V0.groups:
                 continue
             values: Mapping[str, Any] = seen if group.values is None else group.values(seen)
+            if group.name in self._scans:
+                heights = self._scans[group.name].read(batch, rows, ground)
+                values = {f.name: heights[:, k] for k, f in enumerate(group.fields)}
             for field in group.fields:
                 column = self.layout.index[field.name]
                 bound = float(self.layout.bound[column])

@@ -138,7 +138,9 @@ class Simulation(Readings):
         self._advance(self._idle, chosen, 0, chosen.size, False)
         if self.composer is not None:
             episodes = [self.episodes[i] for i in chosen]
-            self.composer.start(self.batch, self.observations, chosen, episodes)
+            self.composer.start(
+                self.batch, self.observations, chosen, episodes, self.solver.prepared.ground
+            )
         return self.observations
 
     def _generators(self, chosen: NDArray[np.int64]) -> list[np.random.Generator]:
@@ -225,7 +227,7 @@ class Simulation(Readings):
             )
         if self.composer is not None:
             rows = self.all if chosen is None else chosen
-            self.composer.write(self.batch, self.observations, rows)
+            self.composer.write(self.batch, self.observations, rows, self.solver.prepared.ground)
         return self.observations
 
     def _advance_chosen(self, chosen: NDArray[np.int64], refill: bool) -> int:

@@ -7,7 +7,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from tracked_env.plants.base import DRIVES, Drive, Plant, Prepared
+from tracked_env.plants.base import DRIVES, Drive, Ground, Plant, Prepared
 from tracked_env.plants.distributed import DISTRIBUTED
 from tracked_env.plants.lumped import LUMPED
 from tracked_env.plants.terrain import TERRAIN
@@ -45,4 +45,14 @@ def prepared(plant: Plant, drive: str, options: Mapping[str, Any]) -> Prepared:
     return plant.prepare(drive, {**plant.options, **given})
 
 
-__all__ = ["DRIVES", "PLANTS", "Drive", "Plant", "Prepared", "find", "prepared", "register"]
+__all__ = [
+    "DRIVES",
+    "PLANTS",
+    "Drive",
+    "Ground",
+    "Plant",
+    "Prepared",
+    "find",
+    "prepared",
+    "register",
+]

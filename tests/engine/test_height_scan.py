@@ -1,0 +1,99 @@
+"""The height scan: heights where it says, noise, dropout, and nothing else changed by it."""
+
+import copy
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+
+from tests.test_vector_env import assert_same
+from tracked_env import TERRAIN, TERRAIN_ID
+from tracked_env import observation as obs
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+GROUP = obs.GROUPS["height_scan"]
+SHOWN = [*TERRAIN["observation"], "height_scan"]
+HILLS = {"plant_options": {"terrain": "hills"}, "uncertainty": "hills", "observation": SHOWN}
+ACTION = np.float32([0.3, 0.4])
+
+
+def make(**arguments):
+    return gymnasium.make(TERRAIN_ID, **{**HILLS, "sensors": "ideal", **arguments}).unwrapped
+
+
+def scanned(env, seen):
+    known = env.layout.unpack(seen)
+    return np.stack([known[field.name] for field in GROUP.fields], axis=-1)
+
+
+def test_heights_are_those_of_the_ground_at_the_points_in_the_yaw_frame():
+    env = make(expose_truth=True)
+    env.reset(seed=3)
+    for _ in range(30):
+        seen, *_, info = env.step(ACTION)
+    truth = info["truth"]
+    cosine, sine = np.cos(truth["yaw"]), np.sin(truth["yaw"])
+    ahead, left = 0.7 * np.array(GROUP.scan).T
+    x, y = truth["x"] + cosine * ahead - sine * left, truth["y"] + sine * ahead + cosine * left
+    k = 2 * np.pi / 8.0
+    a, b, *waves = env.simulation.episodes[0].relief
+    expected = 0.25 * np.sin(k * x) * np.sin(k * y) + a * x + b * y
+    for amplitude, k_x, k_y, phase in np.reshape(waves, (-1, 4)):
+        expected = expected + amplitude * np.sin(k_x * x + k_y * y + phase)
+    np.testing.assert_allclose(scanned(env, seen), expected - truth["z"], atol=1e-6)
+    assert np.ptp(expected) > 0.05
+
+
+def test_level_ground_reads_the_height_of_the_vehicle_on_every_plant():
+    for env_id in (TERRAIN_ID, "tracked_env/Speed-v0"):
+        arguments = {"uncertainty": "nominal", "sensors": "ideal", "observation": SHOWN}
+        env = gymnasium.make(env_id, **arguments).unwrapped
+        seen, _ = env.reset(seed=0)
+        np.testing.assert_allclose(scanned(env, seen), 0.0, atol=1e-9)
+
+
+def test_noise_has_its_sigma_and_lost_points_keep_their_last_value():
+    arguments = {**TERRAIN, "observation": SHOWN, "uncertainty": "nominal"}
+    env = TrackedVehicleVectorEnv(32, **{**arguments, "error_limit": 1e3, "sensors": "rtk"})
+    seen, _ = env.reset(seed=0)
+    shown = [scanned(env, seen)]
+    shown += [scanned(env, env.step(np.zeros((32, 2)))[0]) for _ in range(100)]
+    values = np.array(shown)
+    assert values[20:].std() == pytest.approx(0.02, rel=0.03)
+    lost = np.all(values[1:] == values[:-1], axis=-1), values[1:] == values[:-1]
+    assert lost[1].mean() == pytest.approx(0.02, rel=0.05) and not lost[0].any()
+
+
+def test_rows_of_a_vector_environment_show_the_scan_of_the_single_one():
+    many = TrackedVehicleVectorEnv(5, **{**TERRAIN, **HILLS, "duration": 1.0})
+    one = gymnasium.make(TERRAIN_ID, **HILLS, duration=1.0)
+    assert_same(many.reset(seed=7)[0][3], one.reset(seed=10)[0])
+    for _ in range(40):
+        assert_same(many.step(np.tile(ACTION, (5, 1)))[0][3], one.step(ACTION)[0])
+
+
+def test_the_scan_changes_nothing_else():
+    with_scan, without = make(sensors="rtk"), make(sensors="rtk", observation=SHOWN[:-1])
+    (one, _), (other, _) = with_scan.reset(seed=1), without.reset(seed=1)
+    for _ in range(70):
+        assert_same(one[: len(other)], other)
+        one, other = with_scan.step(ACTION)[0], without.step(ACTION)[0]
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_bit_for_bit(copied):
+    env = make(sensors="rtk")
+    env.reset(seed=2)
+    env.step(ACTION)
+    other = copied(env)
+    for _ in range(70):
+        assert_same(env.step(ACTION)[0], other.step(ACTION)[0])
+
+
+def test_mirroring_exchanges_the_points_at_the_left_and_at_the_right():
+    layout = obs.make_layout(["height_scan"])
+    seen = np.arange(layout.size, dtype=np.float32)
+    mirrored = layout.mirror(seen)
+    for (ahead, left), value in zip(GROUP.scan, mirrored, strict=True):
+        assert value == GROUP.scan.index((ahead, -left))

@@ -66,10 +66,17 @@ class Composer:
         for name in layout.channels:
             if name not in ADDED:
                 raise ValueError(f"no sensor channel {name!r}; registered are {sorted(ADDED)}")
-        self._clocks = [GROUPS.index(ADDED[name].group) for name in layout.channels]
+        clocks = [GROUPS.index(ADDED[name].group) for name in layout.channels]
+        self._clocks = np.array(clocks, dtype=np.int64)  # sampling group of each channel
         copied = [name for name in layout.names if name in obs.INDEX]
         self._to = layout.columns(copied)
         self._from = obs.V0.columns(copied)
+        self._columns = {
+            group.name: layout.columns([field.name for field in group.fields])
+            for group in layout.parts
+        }
+        self._scale = np.array([field.scale for field in layout.fields])
+        self._bound = layout.bound.astype(np.float64)
         slots = longest_delay_steps(control_period) + 1 if layout.channels else 0
         shape = (count, len(layout.channels))
         self._sigma, self._bias, self._sample = np.zeros((3, *shape))
@@ -125,7 +132,7 @@ class Composer:
         """Write what is seen of `rows` now into out (N, D)."""
         if not rows.size:
             return
-        out[np.ix_(rows, self._to)] = self.written[np.ix_(rows, self._from)]
+        out[rows[:, None], self._to] = self.written[rows[:, None], self._from]
         delivered = self._deliver(batch, rows) if self.layout.channels else np.zeros((0, 0))
         count = len(delivered)
 
@@ -144,11 +151,12 @@ class Composer:
             if group.name in self._scans:
                 heights = self._scans[group.name].read(batch, rows, ground)
                 values = {f.name: heights[:, k] for k, f in enumerate(group.fields)}
-            for field in group.fields:
-                column = self.layout.index[field.name]
-                bound = float(self.layout.bound[column])
-                scaled = _checked(group.name, values, field.name, rows.size) / field.scale
-                out[rows, column] = np.clip(scaled, -bound, bound)
+            columns = self._columns[group.name]
+            shown = np.empty((rows.size, len(columns)))
+            for k, field in enumerate(group.fields):
+                shown[:, k] = _checked(group.name, values, field.name, rows.size)
+            bound = self._bound[columns]
+            out[rows[:, None], columns] = np.clip(shown / self._scale[columns], -bound, bound)
 
     def _deliver(self, batch: b.Batch, rows: NDArray[np.int64]) -> Values:
         """The samples of the registered channels that have arrived, (channels, rows)."""
@@ -158,26 +166,28 @@ class Composer:
             for k, stream in enumerate(self._streams[i]):
                 self._noise[i, k] = stream.standard_normal(NOISE_BLOCK)
         truth = _Named(_TRUE, lambda column: floats[rows, column])
-        delivered = np.empty((len(self._clocks), rows.size))
-        for k, (name, g) in enumerate(zip(self.layout.channels, self._clocks, strict=True)):
+        exact = np.empty((rows.size, len(self._clocks)))
+        for k, name in enumerate(self.layout.channels):
             of_truth = ADDED[name].truth
             assert of_truth is not None
-            exact = _checked("truth", {name: of_truth(truth)}, name, rows.size)
-            noise = self._noise[rows, k, steps % NOISE_BLOCK]
-            measured = exact + self._bias[rows, k] + self._sigma[rows, k] * noise
-            fresh = floats[rows, b.SAMPLE + CHANNEL_COUNT + g] == steps
-            self._sample[rows, k] = np.where(fresh, measured, self._sample[rows, k])
-            self._past[rows, steps % slots, k] = self._sample[rows, k]
-            past = np.maximum(steps - counters[rows, b.DELAY + g], 0)
-            delivered[k] = self._past[rows, past % slots, k]
+            exact[:, k] = _checked("truth", {name: of_truth(truth)}, name, rows.size)
+        each, now = rows[:, None], steps[:, None]
+        noise = self._noise[rows, :, steps % NOISE_BLOCK]
+        measured = exact + self._bias[rows] + self._sigma[rows] * noise
+        fresh = floats[each, b.SAMPLE + CHANNEL_COUNT + self._clocks] == now
+        sample = np.where(fresh, measured, self._sample[rows])
+        self._sample[rows] = sample
+        self._past[rows, steps % slots] = sample
+        past = np.maximum(now - counters[each, b.DELAY + self._clocks], 0)
+        delivered: Values = self._past[each, past % slots, np.arange(exact.shape[1])].T
         return delivered
 
 
 def _checked(source: str, values: Mapping[str, Any], name: str, count: int) -> Values:
-    """One of `values` as (count,). Raises ValueError where it is missing or of another shape."""
+    """One of `values`, () or (count,). Raises ValueError where it is missing or misshapen."""
     if name not in values:
         raise ValueError(f"{source}: no value of {name!r}; there are {sorted(values)}")
     value = np.asarray(values[name], dtype=np.float64)
     if value.shape not in ((), (count,)):
         raise ValueError(f"{source} of {name!r} has shape {value.shape}; must be ({count},)")
-    return np.broadcast_to(value, (count,))
+    return value

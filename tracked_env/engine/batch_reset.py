@@ -22,6 +22,7 @@ from tracked_env.engine.episode_loading import (
     fresh_counters,
     fresh_row,
     pose,
+    states_of,
     write_profile,
 )
 from tracked_env.physics.channels import CHANNEL_COUNT
@@ -157,12 +158,12 @@ class BatchReset:
         running: Running,
     ) -> None:
         """Beginnings and references, where only Python can draw these. Raises ValueError."""
-        settings = self._settings
+        settings, before = self._settings, states_of(rngs)
         seeds, starts = np.empty(chosen.size, dtype=np.int64), np.empty((chosen.size, 4))
         draw_beginnings(streams, np.arange(chosen.size), seeds, starts)
         profiles = each_drawn(
             lambda k: make_reference(settings.reference, settings.duration, rngs[k]),
-            rngs, chosen, batch,
+            before, chosen, batch,
         )  # fmt: skip
         running.seeds[chosen], self._starts[chosen] = seeds, starts
         for i, profile in zip(chosen, profiles, strict=True):

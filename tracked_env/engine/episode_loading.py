@@ -62,17 +62,22 @@ def generators(
     return found
 
 
+def states_of(rngs: Sequence[np.random.Generator]) -> list[tuple[Any, Any]]:
+    """Bit generators and their states, to be put back."""
+    return [(rng.bit_generator, rng.bit_generator.state) for rng in rngs]
+
+
 def each_drawn(
     draw: Callable[[int], Drawn],
-    rngs: Sequence[np.random.Generator],
+    before: Sequence[tuple[Any, Any]],
     chosen: NDArray[np.int64],
     batch: b.Batch,
 ) -> list[Drawn]:
-    """draw(k) for the k-th chosen vehicle, from rngs[k].
+    """draw(k) for the k-th chosen vehicle.
 
-    Where one raises ValueError, all generators are as before and the message names the vehicle.
+    Where one raises ValueError, all generators are as `before` (`states_of`) and the message names
+    the vehicle.
     """
-    before = [(rng.bit_generator, rng.bit_generator.state) for rng in rngs]
     drawn = []
     for k, i in enumerate(chosen):
         try:

@@ -31,6 +31,7 @@ from tracked_env.engine.episode_loading import (
     generators,
     load_each,
     running_arrays,
+    states_of,
 )
 from tracked_env.engine.kernels import SOME_ENDED, Clock
 from tracked_env.engine.readings import Readings
@@ -130,8 +131,9 @@ class Simulation(Readings):
         else:
             settings, given = self.settings, options or [None] * chosen.size
             drawn = each_drawn(
-                lambda k: draw_episode(rngs[k], settings, given[k]), rngs, chosen, self.batch
-            )
+                lambda k: draw_episode(rngs[k], settings, given[k]),
+                states_of(rngs), chosen, self.batch,
+            )  # fmt: skip
             self.batch = load_each(
                 self.batch, self.running, chosen, drawn, settings.control_period, settings.max_steps
             )

@@ -91,10 +91,10 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `error_limit` | 5 | [m] distance that ends an episode |
         | `time_step` | 0.0025 | [s] longest integration step; its error: docs/numerics.md |
         | `vehicle` | `"strawa"` | nominal vehicle and soil: `strawa`, `focchi`, `focchi-short` |
-        | `plant` | `"lumped"` | closed-form forces, or `"distributed"`: patches under the tracks; a
-        name of `tracked_env.plants`, or a `Plant` |
-        | `drive` | `"torque"` | what the actions are; `"speed"` needs the distributed plant |
-        | `patches` | (10, 4) | of the distributed plant: along and across a track |
+        | `plant` | `"lumped"` | closed-form forces, `"distributed"`: patches under the tracks, or
+        `"terrain"`: these on uneven ground; a name of `tracked_env.plants`, or a `Plant` |
+        | `drive` | `"torque"` | what the actions are; `"speed"` needs one with patches |
+        | `patches` | (10, 4) | of the plants with patches: along and across a track |
         | `plant_options` | None | {option: value} of the plant, see its file in `plants/` |
         | `observation` | `"v0"` | groups that are shown: a list of names from the table above |
         | `expose_truth` | False | put true state and parameters into `info["truth"]` |

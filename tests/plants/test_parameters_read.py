@@ -18,10 +18,12 @@ VARIANTS = (
     {"lateral": "constrained"},
     {"plant": "distributed"},
     {"plant": "distributed", "drive": "speed"},
+    {"plant": "terrain"},
+    {"plant": "terrain", "drive": "speed"},
 )
 ARGUMENTS = {make_solver(EnvConfig(**given)).reads.plant: given for given in VARIANTS}
 READS = {plant: make_solver(EnvConfig(**given)).reads.names for plant, given in ARGUMENTS.items()}
-SLIDING, CONSTRAINED, BY_TORQUE, BY_SPEED = ARGUMENTS
+SLIDING, CONSTRAINED, BY_TORQUE, *_ = ARGUMENTS
 UNREAD = [(plant, name) for plant in READS for name in PARAMETER_NAMES if name not in READS[plant]]
 # Full drive to the top speed, a turn, a pivot, reverse: 0.8 s each.
 ACTIONS = np.repeat(np.float32([[1, 1], [0.2, 0.9], [-1, 1], [-1, -0.6]]), 40, axis=0)
@@ -139,9 +141,9 @@ def test_a_resistance_map_on_patches_varies_the_motion_resistance_alone():
 
 def test_the_limit_in_which_an_action_is_measured_does_not_change_inside_an_episode():
     change = {"parameter": "sprocket_speed_limit", "kind": "ramp", "target": 10.0, "start": 1.0}
-    for plant, arguments in ARGUMENTS.items():
+    for arguments in VARIANTS:
         env = TrackedVehicleEnv(uncertainty="nominal", **arguments)
-        if plant == BY_SPEED:
+        if arguments.get("drive") == "speed":
             with pytest.raises(ValueError, match=r"sprocket_speed_limit.*measured in it"):
                 env.reset(seed=0, options={"schedule": [change]})
         else:

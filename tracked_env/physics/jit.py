@@ -22,6 +22,14 @@ formula = partial(njit, cache=True, error_model="numpy", forceinline=True)()
 template = partial(njit, error_model="numpy", forceinline=True)()
 loop = partial(njit, cache=True, error_model="numpy", nogil=True, boundscheck=False)()
 
+# For loops that add up over the patches of ONE vehicle: their order of summation is the choice of
+# the compiler, which lets it add several patches at once. The number of patches is the same for one
+# vehicle and for many, so the bits are too. Formulas called inside keep their own rounding.
+summation = partial(
+    njit, cache=True, error_model="numpy", forceinline=True,
+    fastmath={"reassoc", "contract", "nsz"},
+)()  # fmt: skip
+
 
 def bound(kernel: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
     """`kernel` for arguments of exactly these types, without looking the types up in each call.

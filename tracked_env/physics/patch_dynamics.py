@@ -169,7 +169,7 @@ def _stage(belts, command, rates, h, driven):
 
 
 @formula
-def _followed(command, demand, decay):
+def followed(command, demand, decay):
     """What the drives give after a sub-step: the lag leaves `decay` of what was missing."""
     return Belts(
         demand.left + decay * (command.left - demand.left),
@@ -201,7 +201,7 @@ def advance(w, start, command, demand, decay, substeps, h, vehicle, patches, eul
     driven = inverse_belt_mass > SPEED_DRIVEN
     if decay == 0.0:
         command = demand
-    coming = _followed(command, demand, decay)
+    coming = followed(command, demand, decay)
     belts = belts if driven else command
     stage_motion, stage_belts, given = motion, belts, command
     first = Rates(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -218,7 +218,7 @@ def advance(w, start, command, demand, decay, substeps, h, vehicle, patches, eul
             break
         if stages == 2 and stage == 0:
             first = damped(r, rates, k, inverse_belt_mass, 0.5 * h)
-            given = _followed(command, coming, 0.5)
+            given = followed(command, coming, 0.5)
             stage_motion = pushed(motion, first, 0.5 * h)
             stage_belts = _stage(belts, given, first, 0.5 * h, driven)
             stage = 1
@@ -233,7 +233,7 @@ def advance(w, start, command, demand, decay, substeps, h, vehicle, patches, eul
             motion = moved
             belts = _stage(stage_belts, coming, away, 1.0, driven)
         command = coming
-        coming = _followed(command, demand, decay)
+        coming = followed(command, demand, decay)
         stage_motion, stage_belts, given = motion, belts, command
         stage = 0
     return Moved(pose, motion, belts, loads, rates), command

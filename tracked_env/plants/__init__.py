@@ -10,9 +10,10 @@ from typing import Any
 from tracked_env.plants.base import DRIVES, Drive, Plant, Prepared
 from tracked_env.plants.distributed import DISTRIBUTED
 from tracked_env.plants.lumped import LUMPED
+from tracked_env.plants.terrain import TERRAIN
 from tracked_env.validation import checked_choice, checked_keys
 
-PLANTS: dict[str, Plant] = {plant.name: plant for plant in (LUMPED, DISTRIBUTED)}
+PLANTS: dict[str, Plant] = {plant.name: plant for plant in (LUMPED, DISTRIBUTED, TERRAIN)}
 
 
 def register(plant: Plant) -> Plant:

@@ -38,7 +38,7 @@ _PATCHES = Range(1, patch_forces.COLUMN_LIMIT, "-", "Did you pass a length?")
 NO_REST = -1.0  # [m/s, rad/s] every speed is a motion: the plant alone changes no digit
 _RESISTANCE_LEFT, _RESISTANCE_RIGHT = b.PLANT, b.PLANT + 1  # [N] at the end of the last step
 # What the lumped law of the lateral friction needs, and shear has no use for.
-_LATERAL_LAW = {"lateral_resistance", "turning_resistance_factor", "icr_forward"}
+LATERAL_LAW = {"lateral_resistance", "turning_resistance_factor", "icr_forward"}
 
 
 @formula
@@ -222,7 +222,7 @@ def motion_resistances(floats, i):
     return floats[i, _RESISTANCE_LEFT], floats[i, _RESISTANCE_RIGHT]
 
 
-def _rolling(parameters: PlantParameters, state: VehicleState) -> VehicleState:
+def rolling(parameters: PlantParameters, state: VehicleState) -> VehicleState:
     """Belts that roll over the ground without slip."""
     turn = 0.5 * parameters.track_gauge * state.yaw_rate
     return state._replace(
@@ -231,27 +231,27 @@ def _rolling(parameters: PlantParameters, state: VehicleState) -> VehicleState:
     )
 
 
-def _checked_patches(given: object) -> patch_forces.Patches:
-    """Patches along and across a track. Raises ValueError."""
+def checked_patches(given: object, allowed: Range = _PATCHES) -> tuple[int, int]:
+    """Numbers of patches along and across a track. Raises ValueError."""
     if isinstance(given, (str, Mapping)) or not isinstance(given, Sequence) or len(given) != 2:
         raise ValueError(f"patches = {given!r}; must be two numbers: along, across a track")
     along, across = (
-        checked_whole(f"patches {way} the track", number, _PATCHES)
+        checked_whole(f"patches {way} the track", number, allowed)
         for way, number in zip(("along", "across"), given, strict=True)
     )
-    return patch_forces.make_patches(along, across)
+    return along, across
 
 
 def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
-    patches = _checked_patches(options["patches"])
+    patches = patch_forces.make_patches(*checked_patches(options["patches"]))
     euler = checked_choice("integrator", options["integrator"], INTEGRATORS) == "euler"
     split = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "tracks"
     kernel = advance_on_two_soils if split else advance
     chosen = (patches, drive == "torque", euler)
-    return Prepared(kernel, hold, chosen, _rolling)
+    return Prepared(kernel, hold, chosen, rolling)
 
 
-_READ = frozenset(PARAMETER_NAMES) - _LATERAL_LAW
+_READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW
 DISTRIBUTED = Plant(
     name="distributed",
     reads={"torque": _READ, "speed": _READ - {"torque_limit", "sprocket_inertia"}},

@@ -82,9 +82,13 @@ class Rig:
                 f"commands of shape {commands.shape}; must be finite numbers of shape "
                 f"({self._chosen.size}, 2): left and right, in N m or rad/s"
             )
-        steps = max(round(duration / self._step), 1)
+        self._hold(commands, duration)
+
+    def _hold(self, commands: Floats, duration: float) -> None:
+        """The plant's kernel over `duration` [s], with commands as it takes them."""
+        steps = max(round(duration / self._step), 1) if duration > 0.0 else 0
         assert self._prepared.hold is not None
         self._prepared.hold(
-            *self._batch, self._chosen, 0, self._chosen.size, steps, duration / steps, commands,
-            *self._prepared.options,
+            *self._batch, self._chosen, 0, self._chosen.size, steps, duration / max(steps, 1),
+            commands, *self._prepared.options,
         )  # fmt: skip

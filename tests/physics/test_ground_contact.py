@@ -1,0 +1,308 @@
+"""Contact of patches on uneven ground: each term of the equations by itself, and the power balance.
+
+Scratch arrays are filled by the passes of the kernel, called one by one from Python.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+from tracked_env.physics import ground_contact as g
+from tracked_env.physics.attitude import (
+    Quaternion,
+    angles_of,
+    matrix_of,
+    quaternion_of,
+    turned,
+)
+from tracked_env.physics.ground_contact import Drag, Footing, Twist, Wrench
+from tracked_env.physics.rigid_body import Inertia, factors, solved, with_inertia
+from tracked_env.physics.uniform_load import rocking_of
+from tracked_env.terrain.height_field import make_height_field
+from tracked_env.terrain.relief import fill
+
+HALF_LENGTH, HALF_GAUGE, WIDTH, HEIGHT = 0.35, 0.303, 0.1, 0.25
+COLUMNS = 1.0 - (2.0 * np.arange(10) + 1.0) / 10
+ROWS = (np.arange(4) + 0.5) / 4 - 0.5
+FOOTING = Footing(HEIGHT, HALF_LENGTH, 0.07 / 40, 1e5 / 0.07, 5e3 / 0.07, 2.0)
+FIELD = make_height_field([{"kind": "plane", "slope_x": 0.1}, {"kind": "hills", "height": 0.1}])
+MU, COHESION, MODULUS, ROLLING = 0.6, 800.0, 2e-3, 0.04
+
+
+def contact(seed, again=False):
+    """(scratch, rotation, twist, belt speeds) of a random motion with patches in the ground."""
+    rng = np.random.default_rng(seed)
+    w = np.zeros((g.SCRATCH_ROWS, g.LANES))
+    lanes = g.place_patches(w, COLUMNS, ROWS, HALF_LENGTH, HALF_GAUGE, WIDTH)
+    w[g.FRICTION], w[g.ADHESION] = MU, COHESION * FOOTING.patch_area
+    w[g.INVERSE_MODULUS], w[g.ROLLING] = 1.0 / MODULUS, ROLLING
+    belts = rng.uniform(-1.0, 1.0, 2)
+    for side in range(2):
+        g.set_belt(w, 40 * side, 40 * side + 40, belts[side], HALF_LENGTH)
+    yaw, pitch, roll = rng.uniform(-0.1, 0.1, 3)
+    x, y = rng.uniform(-3.0, 3.0, 2)
+    height, slope_x, _ = FIELD.at(x, y)
+    r = matrix_of(quaternion_of(yaw, pitch - math.atan(slope_x), roll))
+    g.locate(w, lanes, (x, y, float(height) + HEIGHT - 0.003), r, HEIGHT)
+    fill(FIELD.relief, w, lanes)
+    g.orient(w, lanes, r)
+    twist = Twist(*(rng.uniform(-0.6, 0.6, 6) * [1.0, 1.0, 0.02, 0.1, 0.1, 1.0]))
+    moved(w, twist, again)
+    return w[:, :lanes], r, twist, belts
+
+
+def moved(w, twist, again=False):
+    """Fill the rows of the shear at a motion."""
+    longest = 2.0 * HALF_LENGTH / max(np.abs(w[g.BELT, :80]).min(), 1e-6)
+    g.press(w, 80, twist, FOOTING)
+    g.slide(w, 80, twist, FOOTING, longest)
+    g.resist(w, 80, again)
+
+
+def arms(w):
+    """Places of the patches (80, 3), body axes."""
+    return np.stack([w[g.X], w[g.Y], np.full(80, -HEIGHT)], axis=1)
+
+
+def normals(w):
+    """Normals (80, 3) of the ground, body axes."""
+    return np.stack([w[g.N_X], w[g.N_Y], w[g.N_Z]], axis=1)
+
+
+def velocities(w, twist):
+    """Velocities (80, 3) of the patches, body axes."""
+    return np.array(twist[:3]) + np.cross(np.array(twist[3:]), arms(w))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_power_of_the_ground_is_that_of_belts_less_slip_rolling_and_pressing(seed):
+    w, _, twist, _ = contact(seed)
+    assert (w[g.LOAD] > 0).any()
+    given = np.dot(g.total_wrench(w, 80, HEIGHT, 1.0), twist)
+    slip = (w[g.THRUST] * w[g.SLIDE] + w[g.LATERAL] * w[g.ASIDE]).sum()
+    rolled = (w[g.ROLLED] * w[g.FORWARD]).sum()
+    belts = (w[g.BELT] * w[g.THRUST] * w[g.AHEAD]).sum()
+    pressed = (w[g.LOAD] * (normals(w) * velocities(w, twist)).sum(axis=1)).sum()
+    assert slip <= 0.0 <= rolled
+    size = abs(slip) + abs(rolled) + abs(belts) + abs(pressed)
+    assert abs(given - (belts + slip - rolled + pressed)) < 1e-12 * size
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_sinkage_is_the_distance_to_a_tilted_plane_along_its_normal(seed):
+    slope_x, slope_y = np.random.default_rng(seed).uniform(-0.8, 0.8, 2)
+    plane = make_height_field({"kind": "plane", "slope_x": slope_x, "slope_y": slope_y})
+    w = np.zeros((g.SCRATCH_ROWS, g.LANES))
+    g.place_patches(w, COLUMNS, ROWS, HALF_LENGTH, HALF_GAUGE, WIDTH)
+    r = matrix_of(quaternion_of(0.3, -0.2, 0.1))
+    g.locate(w, 80, (0.2, -0.4, 0.25), r, HEIGHT)
+    fill(plane.relief, w, 80)
+    g.orient(w, 80, r)
+    n = np.array([-slope_x, -slope_y, 1.0]) / math.hypot(1.0, slope_x, slope_y)
+    places = w[[g.PLACE_X, g.PLACE_Y, g.PLACE_Z], :80]
+    assert w[g.SINKAGE, :80] == pytest.approx(-(n @ places), abs=1e-15)
+    world = np.array(r).reshape(3, 3) @ normals(w[:, :80]).T
+    assert world == pytest.approx(np.tile(n[:, None], 80), abs=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_load_is_of_springs_and_dampers_along_the_normal_and_never_pulls(seed):
+    w, _, twist, _ = contact(seed)
+    rate = -(normals(w) * velocities(w, twist)).sum(axis=1)
+    stiff = 1.0 + 2.0 * twist.x * (w[g.X] + np.sign(twist.x) * HALF_LENGTH)
+    springs = FOOTING.stiffness * stiff * w[g.SINKAGE] + FOOTING.damping * rate
+    expected = np.where(w[g.SINKAGE] > 0, np.maximum(FOOTING.patch_area * springs, 0.0), 0.0)
+    assert w[g.LOAD] == pytest.approx(expected, abs=1e-10)
+
+
+def test_a_spring_pushes_only_where_it_has_sunk_in_and_not_faster_than_it_is_left():
+    assert g.normal_load(-1e-3, 10.0, 0.1, 1e6, 1e5) == 0.0
+    assert g.normal_load(1e-3, -1.0, 0.1, 1e6, 1e5) == 0.0
+    assert g.normal_load(1e-3, 0.0, 0.1, 1e6, 1e5) == pytest.approx(100.0)
+    assert g.normal_load(1e-3, 0.01, 0.1, 1e6, 1e5) == pytest.approx(200.0)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_without_contact_there_is_no_force_of_cohesion_either(seed):
+    w, _, _, _ = contact(seed)
+    free = w[g.LOAD] == 0.0
+    for row in (g.THRUST, g.LATERAL, g.ROLLED, g.K_TT, g.K_QQ):
+        assert not w[row][free].any()
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("turn", [1e-9, 0.3, -1.2, 5.0, -11.0])
+def test_the_shear_displacement_is_the_integral_of_the_slip_since_first_contact(seed, turn):
+    u_t, u_q, belt = np.random.default_rng(seed).uniform(-0.5, 0.5, 3)
+    time, w_n = 1.4, turn / 1.4
+    # The point moves with u; the belt carries it aft: u_q was larger ahead, by w belt per time.
+    since, weights = np.polynomial.legendre.leggauss(60)
+    since, weights = 0.5 * time * (1.0 + since), 0.5 * time * weights
+    angle, aside = w_n * since, u_q + w_n * belt * (time - since)
+    j_t = weights @ (np.cos(angle) * (u_t - belt) - np.sin(angle) * aside)
+    j_q = weights @ (np.sin(angle) * (u_t - belt) + np.cos(angle) * aside)
+    short = abs(turn) <= g.SHORT_TURN
+    found = g.shear_displacement(turn, time, u_t, u_q, belt, HALF_LENGTH, short)
+    assert found == pytest.approx(math.hypot(j_t, j_q), abs=1e-12)
+
+
+def test_the_short_series_of_the_turn_is_the_closed_form():
+    for turn in np.linspace(-g.SHORT_TURN, g.SHORT_TURN, 41):
+        both = [g.shear_displacement(turn, 1.0, 0.4, -0.2, 0.5, 0.35, short) for short in (0, 1)]
+        assert both[0] == pytest.approx(both[1], abs=3e-16)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_soil_turns_under_a_patch_about_the_normal_of_the_ground(seed):
+    w, _, _, _ = contact(seed)
+    twist = Twist(0.3, 0.1, 0.0, 1.5, -1.2, 0.2)
+    moved(w, twist)
+    about = normals(w) @ np.array(twist[3:])
+    assert np.abs(about - twist.yaw).max() > 0.02
+    for k in range(0, 80, 7):
+        j = g.shear_displacement(
+            about[k] * w[g.TIME, k], w[g.TIME, k], w[g.FORWARD, k], w[g.ASIDE, k],
+            w[g.BELT, k] * w[g.AHEAD, k], HALF_LENGTH, False,
+        )  # fmt: skip
+        assert w[g.SHEARED, k] == pytest.approx(j, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_slip_is_measured_in_the_contact_plane(seed):
+    w, _, twist, _ = contact(seed)
+    n, u = normals(w), velocities(w, twist)
+    ahead = np.array([1.0, 0.0, 0.0]) - n[:, :1] * n
+    size = np.linalg.norm(ahead, axis=1)
+    t = ahead / size[:, None]
+    q = np.cross(n, t)
+    assert w[g.SLIDE] == pytest.approx((u * t).sum(axis=1) - w[g.BELT] * size, abs=1e-14)
+    assert w[g.ASIDE] == pytest.approx((u * q).sum(axis=1), abs=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rolling_resistance_is_a_share_of_the_load_that_fades_below_a_centimetre_per_second(seed):
+    w, _, _, _ = contact(seed)
+    sign = w[g.FORWARD] / np.hypot(w[g.FORWARD], 0.01)
+    assert w[g.ROLLED] == pytest.approx(ROLLING * w[g.LOAD] * sign, rel=1e-12)
+    assert w[g.K_ROLL] * w[g.FORWARD] == pytest.approx(w[g.ROLLED], rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_shear_force_opposes_the_slip_with_the_strength_that_is_mobilised(seed):
+    w, _, _, _ = contact(seed)
+    strength = np.where(w[g.LOAD] > 0, COHESION * FOOTING.patch_area + MU * w[g.LOAD], 0.0)
+    size = strength * (1.0 - np.exp(-w[g.SHEARED] / MODULUS))
+    speed = np.hypot(w[g.SLIDE], w[g.ASIDE])
+    assert w[g.THRUST] == pytest.approx(-size * w[g.SLIDE] / speed, rel=1e-10)
+    assert w[g.LATERAL] == pytest.approx(-size * w[g.ASIDE] / speed, rel=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_drag_is_the_sum_over_patches_of_their_resistances_with_moments(seed):
+    w, _, _, _ = contact(seed)
+    expected = np.zeros((6, 6))
+    for k, (n, arm) in enumerate(zip(normals(w), arms(w), strict=True)):
+        t = (np.array([1.0, 0.0, 0.0]) - n[0] * n) / w[g.AHEAD, k]
+        q = np.cross(n, t)
+        skew = np.cross(np.eye(3), arm).T
+        jacobian = np.hstack([np.eye(3), skew])
+        stiff = FOOTING.patch_area * FOOTING.damping * (w[g.LOAD, k] > 0)
+        matrix = (w[g.K_TT, k] + w[g.K_ROLL, k]) * np.outer(t, t) + w[g.K_QQ, k] * np.outer(q, q)
+        matrix += w[g.K_TQ, k] * (np.outer(t, q) + np.outer(q, t)) + stiff * np.outer(n, n)
+        expected += jacobian.T @ matrix @ jacobian
+    drag = g.total_drag(w, 80, HEIGHT, FOOTING.patch_area * FOOTING.damping)
+    assert full(drag) == pytest.approx(expected, rel=1e-11, abs=1e-11 * expected.max())
+
+
+def full(drag):
+    """A Drag as a symmetric matrix."""
+    matrix = np.zeros((6, 6))
+    matrix[np.tril_indices(6)] = drag
+    return matrix + np.tril(matrix, -1).T
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_patch_that_speeds_up_has_the_slope_of_its_force_as_drag_and_one_that_slows_the_secant(
+    seed,
+):
+    w, _, _, _ = contact(seed)
+    secant = w[g.K_TT] * w[g.SLIDE] ** 2 + 2 * w[g.K_TQ] * w[g.SLIDE] * w[g.ASIDE]
+    secant += w[g.K_QQ] * w[g.ASIDE] ** 2
+    for factor in (0.5, 2.0):
+        w[g.OLD_SLIDE], w[g.OLD_ASIDE] = w[g.SLIDE] / factor, w[g.ASIDE] / factor
+        g.resist(w, 80, True)
+        along = w[g.K_TT] * w[g.SLIDE] ** 2 + 2 * w[g.K_TQ] * w[g.SLIDE] * w[g.ASIDE]
+        along += w[g.K_QQ] * w[g.ASIDE] ** 2
+        loaded = w[g.LOAD] > 0
+        if factor < 1.0:
+            assert along == pytest.approx(secant, rel=1e-12)
+        else:
+            assert (along[loaded] < secant[loaded]).all() and (along > -1e-9 * secant.max()).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_torque_free_body_keeps_its_angular_momentum_in_the_world(seed):
+    rng = np.random.default_rng(seed)
+    inertia, spin = Inertia(62.0, 2.18, 2.81, 4.5), rng.uniform(-2.0, 2.0, 3)
+    velocity = rng.uniform(-2.0, 2.0, 3)
+    zero = Wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    turning = with_inertia(zero, Twist(*velocity, *spin), inertia)
+    assert np.array(turning[:3]) == pytest.approx(-62.0 * np.cross(spin, velocity))
+    momentum = np.array(inertia[1:]) * spin
+    assert np.array(turning[3:]) == pytest.approx(-np.cross(spin, momentum))
+
+
+def test_the_solve_is_that_of_the_dense_matrix():
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(6, 6))
+    matrix = root @ root.T
+    inertia, d = Inertia(62.0, 2.18, 2.81, 4.5), 0.37
+    drag = Drag(*matrix[np.tril_indices(6)])
+    b = rng.normal(size=6)
+    whole = np.diag([62.0, 62.0, 62.0, 2.18, 2.81, 4.5]) + d * matrix
+    found = solved(factors(drag, inertia, d), Wrench(*b))
+    assert np.array(found) == pytest.approx(np.linalg.solve(whole, b), rel=1e-12)
+
+
+def test_the_uniform_load_rocks_on_the_springs_of_the_nonuniform_load():
+    across, along = 200, 200
+    y = np.concatenate([s * HALF_GAUGE + WIDTH * ((np.arange(across) + 0.5) / across - 0.5)
+                        for s in (1, -1)])  # fmt: skip
+    x = HALF_LENGTH * (1.0 - (2.0 * np.arange(along) + 1.0) / along)
+    area = 4 * HALF_LENGTH * WIDTH
+    k = rocking_of(FOOTING, HALF_GAUGE, WIDTH, 80)
+    assert k.area == pytest.approx(area)
+    assert k.roll == pytest.approx(FOOTING.stiffness * area * (y**2).mean(), rel=1e-5)
+    assert k.pitch == pytest.approx(FOOTING.stiffness * area * (x**2).mean(), rel=1e-4)
+    assert k.half_width == pytest.approx(0.353)
+
+
+@pytest.mark.parametrize("pitch", [0.3, -1.2, 0.5 * math.pi, -0.5 * math.pi])
+def test_angles_and_quaternion_are_one_attitude_upright_and_on_its_nose(pitch):
+    q = quaternion_of(4.0, pitch, -2.5)
+    again = quaternion_of(*angles_of(q, 3.9))
+    assert abs(np.dot(q, again)) == pytest.approx(1.0, abs=1e-14)
+    if abs(pitch) < 1.5:
+        assert angles_of(q, 3.9) == pytest.approx((4.0, pitch, -2.5), abs=1e-14)
+    assert abs(angles_of(q, 3.9 + 8 * math.pi)[0] - (4.0 + 8 * math.pi)) < 4.0
+
+
+def test_a_body_turns_about_its_own_axes_by_the_angle_of_the_vector():
+    q = quaternion_of(0.4, 0.2, -0.3)
+    after = turned(q, 0.0, 0.0, 1e-5)
+    for _ in range(9):
+        after = turned(after, 0.0, 0.0, 1e-5)
+    once = turned(q, 0.0, 0.0, 1e-4)
+    assert np.array(after) == pytest.approx(np.array(once), abs=1e-15)
+    about = np.array(matrix_of(q)).reshape(3, 3)[:, 2]
+    half = 0.5 * 0.9
+    expected = Quaternion(math.cos(half), *(math.sin(half) * about))
+    assert abs(np.dot(times(expected, q), turned(q, 0.0, 0.0, 0.9))) == pytest.approx(1.0)
+
+
+def times(a, b):
+    """Product of quaternions."""
+    w = a[0] * b[0] - np.dot(a[1:], b[1:])
+    v = a[0] * np.array(b[1:]) + b[0] * np.array(a[1:]) + np.cross(a[1:], b[1:])
+    return np.array([w, *v])

@@ -1,0 +1,365 @@
+"""The plant on terrain: closed forms on slopes, standing friction, tipping, flight."""
+
+import copy
+import math
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from tracked_env import SPEED_ID, TORQUE_ID
+from tracked_env.engine import columns as b
+from tracked_env.physics import state as s
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.state import STATE_NAMES
+from tracked_env.plants.standalone import Rig
+from tracked_env.plants.terrain_options import HEIGHT_RATIO
+from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+FOCCHI = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
+GRAVITY, HEIGHT, HALF_LENGTH, RADIUS = 9.81, 0.25, 0.35, 0.0856
+STILL = [[0.0, 0.0]]
+STEEP = math.radians(20.0)
+FIELD = [{"kind": "plane", "slope_x": 0.15, "slope_y": 0.1}, {"kind": "hills", "height": 0.3}]
+
+
+def on_slope(slope, mu=0.6, aside=False, step=2e-3, **options):
+    """A rig at rest on a plane of `slope` [rad]; aside: it rises to the left."""
+    terrain = {"kind": "plane", "slope_y" if aside else "slope_x": math.tan(slope)}
+    parameters = FOCCHI._replace(friction_angle=math.atan(mu))
+    return TerrainRig(parameters, {"terrain": terrain, **options}, step=step)
+
+
+def driven(rig, speed, duration=4.0):
+    """The rig with both belts at `speed` [m/s], reached within the first second."""
+    command = [[speed / RADIUS] * 2]
+    rig.advance(STILL, 1.0, to=command)
+    rig.advance(command, duration - 1.0)
+    return rig
+
+
+@pytest.mark.parametrize(
+    ("load", "aside", "tilt"),
+    [
+        ("nonuniform", False, 6.56e-3),
+        ("uniform", False, 6.47e-3),
+        ("uniform", True, 2.827e-3),
+    ],
+)
+def test_a_vehicle_holds_on_a_slope_and_leans_as_its_springs_allow(load, aside, tilt):
+    rig = on_slope(STEEP, load=load, aside=aside)
+    rig.advance(STILL, 4.0)
+    assert rig.load[0] == pytest.approx(62.0 * GRAVITY * math.cos(STEEP), rel=1e-9)
+    angle = rig.state.roll[0] if aside else -rig.state.pitch[0]
+    assert angle - STEEP == pytest.approx(tilt, rel=2e-3)
+    # sin(tilt) K_y (1 - 1/n_x^2) = m g cos(s) x_cp, x_cp = h tan(s + tilt); the foot of the uniform
+    # load takes the whole weight: m g h sin(s + tilt).
+    if not aside:
+        area, patches = 0.14, 1.0 - (0.01 if load == "nonuniform" else 0.0)
+        stiff = 1e5 / 0.07 * area * HALF_LENGTH**2 / 3.0 * patches
+        moment = 62.0 * GRAVITY * HEIGHT * math.cos(STEEP) * math.tan(angle)
+        if load == "uniform":
+            moment = 62.0 * GRAVITY * HEIGHT * math.sin(angle)
+        assert stiff * math.sin(angle - STEEP) == pytest.approx(moment, rel=2e-3)
+    assert np.abs(rig.twists).max() < 1e-6
+
+
+def test_the_lower_track_carries_the_moment_of_the_height_of_the_centre_of_mass():
+    rig = on_slope(STEEP, aside=True)
+    rig.advance(STILL, 4.0)
+    left, right = rig.track_loads[0]
+    arm = HEIGHT * math.tan(rig.state.roll[0])
+    assert 0.303 * (right - left) == pytest.approx((left + right) * arm, rel=2e-2)
+
+
+@pytest.mark.parametrize("load", ["nonuniform", "uniform"])
+def test_on_a_steeper_slope_than_its_friction_holds_a_vehicle_slides(load):
+    slope, mu = math.radians(30.0), 0.4
+    rig = on_slope(slope, mu, load=load)
+    speeds = []
+    for _ in range(2):
+        rig.advance(STILL, 1.0)
+        speeds.append(np.linalg.norm(rig.twists[0, :3]))
+    expected = GRAVITY * (math.sin(slope) - mu * math.cos(slope))
+    assert speeds[1] - speeds[0] == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_vehicle_breaks_away_within_one_percent_of_its_friction():
+    for mu in (0.3, 0.6):
+        for share, moves in ((0.99, False), (1.01, True)):
+            slope = math.atan(share * mu)
+            settled = on_slope(slope, mu=2.0)
+            settled.advance(STILL, 2.0)
+            rig = on_slope(slope, mu)
+            rig.states[:] = settled.states
+            rig.advance(STILL, 3.0)
+            speed = np.linalg.norm(rig.twists[0, :3])
+            slid = 3.0 * GRAVITY * (math.sin(slope) - mu * math.cos(slope))
+            assert speed == pytest.approx(slid, rel=0.02) if moves else speed < 1e-6
+
+
+@pytest.mark.parametrize("step", [5e-4, 2e-3])
+def test_a_settled_vehicle_that_loses_its_grip_is_not_held_back(step):
+    slope = math.radians(22.1)
+    settled = on_slope(slope, mu=1.0, step=step)
+    settled.advance(STILL, 3.0)
+    rig = on_slope(slope, mu=0.4, step=step)
+    rig.states[:] = settled.states
+    rig.advance(STILL, 2.0)
+    assert np.linalg.norm(rig.twists[0, :3]) == pytest.approx(0.110, abs=5e-4)
+
+
+def test_a_parked_vehicle_does_not_creep():
+    rig = on_slope(STEEP)
+    rig.advance(STILL, 3.0)
+    before = rig.positions
+    rig.advance(STILL, 10.0)
+    assert np.linalg.norm(rig.positions - before) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("load", "slope", "speed", "slip"),
+    [
+        ("uniform", STEEP, 0.428, 3.261e-3),
+        ("nonuniform", STEEP, 0.428, 2.31e-3),
+        ("nonuniform", -STEEP, 0.428, -4.8e-3),
+        ("nonuniform", STEEP, -0.428, -4.8e-3),
+    ],
+)
+def test_the_slip_of_a_steady_climb_is_that_of_the_shear_under_the_load(load, slope, speed, slip):
+    rig = driven(on_slope(slope, load=load), speed)
+    twist, tilt = rig.twists[0], -rig.state.pitch[0] - slope
+    along = (twist[0] - HEIGHT * twist[4]) * math.cos(tilt) - twist[2] * math.sin(tilt)
+    belt = speed * math.cos(tilt)
+    assert (belt - along) / belt == pytest.approx(slip, rel=5e-3)
+
+
+def test_across_a_slope_the_vehicle_drifts_and_its_nose_turns_downhill():
+    rig = driven(on_slope(STEEP, aside=True), 0.5, 2.0)
+    v_x, v_y, *_, yaw_rate = rig.twists[0]
+    assert -math.atan2(v_y, v_x) == pytest.approx(3.00e-3, rel=5e-3)
+    assert -yaw_rate == pytest.approx(1.17e-3, rel=5e-3)
+
+
+@pytest.mark.parametrize(("aside", "holds", "tips"), [(False, 43.5, 44.5), (True, 49.5, 50.5)])
+def test_a_vehicle_tips_at_the_slope_that_its_springs_allow(aside, holds, tips):
+    for degrees, stays in ((holds, True), (tips, False)):
+        rig = on_slope(math.radians(degrees), mu=3.0, aside=aside)
+        rig.advance(STILL, 6.0)
+        angle = rig.state.roll[0] if aside else -rig.state.pitch[0]
+        assert (abs(angle - math.radians(degrees)) < 0.1) == stays
+        assert np.isfinite(rig.states).all()
+
+
+@pytest.mark.parametrize("load", ["nonuniform", "uniform"])
+def test_mirrored_ground_and_commands_mirror_the_motion(load):
+    rigs = []
+    for side in (1.0, -1.0):
+        terrain = {"kind": "waves", "waves": [[0.05, 1.1, side * 0.7, 0.3]]}
+        rig = TerrainRig(FOCCHI, {"terrain": terrain, "load": load})
+        rig.advance(STILL, 0.2, to=[[6.0, 4.0] if side > 0 else [4.0, 6.0]])
+        rigs.append(rig)
+    names = ("y", "yaw", "v_y", "yaw_rate", "roll", "roll_rate", "acceleration_y",
+             "yaw_acceleration")  # fmt: skip
+    for name in STATE_NAMES:
+        if name.endswith(("_left", "_right")):
+            continue
+        one, other = (getattr(rig.state, name)[0] for rig in rigs)
+        other = -other if name in names else other
+        assert one == pytest.approx(other, abs=1e-14), name
+    assert rigs[0].state.effort_left == pytest.approx(rigs[1].state.effort_right, abs=1e-11)
+
+
+@pytest.mark.parametrize("drive", ["speed", "torque"])
+def test_without_height_on_level_ground_it_is_the_distributed_plant(drive):
+    parameters = FOCCHI._replace(drive_time_constant=0.1)
+    command = np.array([[4.0, 6.0]]) if drive == "speed" else np.array([[5.0, 9.0]])
+    flat = Rig("distributed", parameters, 1, drive, step=1e-3)
+    rig = TerrainRig(parameters, {"centre_of_mass_height": 1e-4}, drive=drive, step=1e-3)
+    for _ in range(10):
+        flat.advance(command, 0.3)
+        rig.advance(command, 0.3)
+    here, there = rig.states[0], flat.states[0]
+    assert here[:2] == pytest.approx(there[:2], abs=5e-4)
+    assert here[s.YAW] == pytest.approx(there[s.YAW], abs=2e-3)
+    assert here[s.SPROCKET_SPEED_LEFT] == pytest.approx(there[s.SPROCKET_SPEED_LEFT], rel=2e-3)
+    assert here[s.EFFORT_LEFT] == pytest.approx(there[s.EFFORT_LEFT], rel=1e-2, abs=0.5)
+    assert abs(here[s.Z]) < 1e-6
+
+
+def test_belts_driven_by_torque_take_up_the_torque_that_the_ground_does_not():
+    by_torque = TerrainRig(
+        FOCCHI, {"terrain": {"kind": "plane", "slope_x": math.tan(0.1)}}, drive="torque"
+    )
+    holding = 0.5 * 62.0 * GRAVITY * math.sin(0.1) * RADIUS
+    by_torque.advance([[holding, holding]], 3.0)
+    assert by_torque.state.effort_left[0] * RADIUS == pytest.approx(holding, rel=1e-3)
+    before = by_torque.state.sprocket_speed_left[0]
+    by_torque.advance([[holding + 1.0, holding + 1.0]], 0.5)
+    gained = by_torque.state.sprocket_speed_left[0] - before
+    # The belts' inertia is added to the vehicle's: m + 2 J / r^2.
+    mass = 62.0 + 2.0 * FOCCHI.sprocket_inertia / RADIUS**2
+    assert gained * RADIUS == pytest.approx(2.0 / RADIUS / mass * 0.5, rel=0.05)
+
+
+@pytest.mark.parametrize("load", ["nonuniform", "uniform"])
+def test_random_states_stay_finite_in_every_attitude(load):
+    count, rng = 1500, np.random.default_rng(1)
+    rig = TerrainRig(FOCCHI, {"terrain": FIELD, "load": load}, count)
+    rig.states[:] = 0.0
+    rig.states[:, [s.X, s.Y]] = rng.uniform(-20.0, 20.0, (count, 2))
+    height = rig.field.at(rig.states[:, s.X], rig.states[:, s.Y])[0]
+    rig.states[:, s.Z] = height + rng.uniform(-0.3, 0.5, count)
+    rig.states[:, [s.YAW, s.PITCH, s.ROLL]] = rng.uniform(-3.2, 3.2, (count, 3))
+    speeds = [s.V_X, s.V_Y, s.V_Z, s.ROLL_RATE, s.PITCH_RATE, s.YAW_RATE]
+    rig.states[:, speeds] = rng.uniform(-3.0, 3.0, (count, 6))
+    rig.advance(rng.uniform(-10.0, 10.0, (count, 2)), 0.1)
+    assert np.isfinite(rig.states).all()
+    assert np.abs(rig.twists).max() < 1e3
+
+
+def test_a_vehicle_flies_off_a_step_and_lands_on_its_tracks():
+    step = {"kind": "step", "height": -0.6, "start": 0.6, "length": 0.3}
+    rig = TerrainRig(FOCCHI._replace(friction_angle=0.7), {"terrain": step})
+    rig.advance(STILL, 0.5, to=[[25.0, 25.0]])
+    touching = []
+    for _ in range(150):
+        rig.advance([[25.0, 25.0]], 0.02)
+        touching.append(rig.touching[0])
+        assert np.isfinite(rig.states).all()
+    assert min(touching) == 0.0 and rig.load[0] > 0.0
+    assert touching[-1] == 1.0 and abs(rig.state.pitch[0]) < 0.05
+    assert rig.state.z[0] == pytest.approx(-0.6, abs=2e-3)
+
+
+def test_leaving_the_map_is_said():
+    heights = np.zeros((21, 21))
+    rig = TerrainRig(FOCCHI, {"terrain": {"kind": "map", "heights": heights, "cell": 0.1}})
+    assert not rig.off_map[0]
+    rig.advance([[6.0, 6.0]], 2.0)
+    assert rig.off_map[0] and rig.positions[0, 0] > 0.65
+
+
+def environment(drive=SPEED_ID, **arguments):
+    options = {"terrain": FIELD, **arguments.pop("plant_options", {})}
+    return gymnasium.make(drive, plant="terrain", plant_options=options, **arguments).unwrapped
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("name", "vehicle"), [(SPEED_ID, "focchi"), (TORQUE_ID, "strawa")])
+def test_it_drives_in_the_environments_with_the_state_in_space(name, vehicle):
+    env = environment(name, vehicle=vehicle, sensors="ideal", expose_truth=True)
+    check_env(env, skip_render_check=True)
+    env.reset(seed=0)
+    for _ in range(100):
+        *_, info = env.step(np.array([0.3, 0.35], np.float32))
+    truth = info["truth"]
+    field = env.simulation.solver.prepared.options[1]
+    assert field.waves.shape == (2, 4)
+    assert abs(truth["roll"]) > 1e-3 and abs(truth["pitch"]) > 1e-3
+    assert np.isfinite(list(truth.values())).all()
+    rig = TerrainRig(VEHICLES[vehicle], {"terrain": FIELD})
+    height = rig.field.at(truth["x"], truth["y"])[0]
+    assert truth["z"] == pytest.approx(float(height), abs=0.15)
+
+
+def test_an_episode_starts_on_the_ground_with_both_tracks_down():
+    env = environment(sensors="ideal", expose_truth=True)
+    start = {"speed": 0.0, "yaw_rate": 0.0}
+    options = {"start": start, "schedule": [], "soil": {"friction_angle": 0.7}}
+    _, info = env.reset(seed=3, options=options)
+    first = info["truth"]
+    for _ in range(50):
+        *_, info = env.step(np.zeros(2, np.float32))
+    last = info["truth"]
+    for name, least in (("z", 0.01), ("roll", 0.04), ("pitch", 0.04), ("x", 0.02)):
+        assert last[name] == pytest.approx(first[name], abs=least)
+
+
+def test_rows_of_the_vector_environment_are_the_single_environment_bit_for_bit():
+    arguments = {"plant": "terrain", "plant_options": {"terrain": FIELD}, "drive": "speed",
+                 "vehicle": "focchi"}  # fmt: skip
+    batch = TrackedVehicleVectorEnv(3, **arguments)
+    batch.reset(seed=5)
+    singles = [TrackedVehicleVectorEnv(1, **arguments) for _ in range(3)]
+    for i, env in enumerate(singles):
+        env.reset(seed=5 + i)
+    action = np.array([[0.4, 0.5]], np.float32)
+    for _ in range(20):
+        together = batch.step(np.repeat(action, 3, axis=0))[0]
+        alone = np.concatenate([env.step(action)[0] for env in singles])
+        assert np.array_equal(together, alone)
+    copied = copy.deepcopy(batch)
+    assert np.array_equal(
+        batch.step(np.repeat(action, 3, axis=0))[0], copied.step(np.repeat(action, 3, axis=0))[0]
+    )
+
+
+def braking(soil_at, direction):
+    """Yaw [rad] after braking with one track on a slippery half of level ground."""
+    env = TrackedVehicleVectorEnv(
+        1, plant="terrain", drive="speed", vehicle="focchi", uncertainty="nominal",
+        sensors="ideal", error_limit=1e3, plant_options={"soil_at": soil_at},
+        reference={"kind": "straight", "speed": 1.0, "x": 0.0, "y": 0.0, "yaw": 0.0},
+    )  # fmt: skip
+    line = {"parameter": "friction_angle", "kind": "line", "target": 0.1, "x": 0.0, "y": 0.0,
+            "direction": 0.5 * math.pi * direction, "edge": 0.01}  # fmt: skip
+    still = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 1.0, "yaw_rate": 0.0}
+    env.reset(seed=0, options={"start": still, "schedule": [line]})
+    for _ in range(20):
+        env.step(np.zeros((1, 2), np.float32))
+    return env.simulation.column("yaw")[0]
+
+
+def test_each_patch_meets_the_soil_of_its_place():
+    left, right = braking("patches", -1), braking("patches", 1)
+    assert left > 0.05, "the right track slides, the left one holds"
+    assert right == pytest.approx(-left, rel=1e-6)
+    assert abs(braking("centre", -1)) < 0.1 * left
+
+
+def test_height_and_inertias_are_scaled_with_the_vehicle_unless_they_are_given():
+    for name in ("focchi", "strawa"):
+        length = VEHICLES[name].contact_length
+        rig = TerrainRig(VEHICLES[name])
+        sunk = rig._parameters.mass * GRAVITY / (
+            2.0 * rig._made[6] * length * VEHICLES[name].track_width
+        )  # fmt: skip
+        assert rig.positions[0, 2] == pytest.approx(HEIGHT_RATIO * length - sunk)
+        assert rig.load[0] == pytest.approx(rig._parameters.mass * GRAVITY)
+    low = TerrainRig(FOCCHI, {"centre_of_mass_height": 0.1})
+    assert low.positions[0, 2] == pytest.approx(0.1 - 62.0 * GRAVITY / (1e5 / 0.07 * 0.14))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"load": "point"}, "unknown load 'point'"),
+        ({"soil_at": "tracks"}, "unknown soil_at 'tracks'"),
+        ({"patches": (81, 4)}, "patches along the track = 81.0; must be"),
+        ({"patches": (80, 80)}, "must be at most 644 a track in all"),
+        ({"stiffness": 1.0}, "stiffness = 1.0 N/m.3; must be a number in"),
+        ({"longest_step": 1.0}, "Did you pass milliseconds"),
+        ({"centre_of_mass_height": -0.1}, "centre_of_mass_height = -0.1 m"),
+        ({"terrain": "hils"}, "Did you mean 'hills'"),
+        ({"friction": 0.4}, "unknown plant_options of terrain key 'friction'"),
+    ],
+)
+def test_a_wrong_option_is_refused(options, says):
+    with pytest.raises(ValueError, match=says):
+        TerrainRig(FOCCHI, options, step=options.get("longest_step", 2e-3))
+
+
+@pytest.mark.parametrize("commands", [[[1.0]], [[math.nan, 0.0]], [1.0, 2.0]])
+def test_commands_of_a_wrong_shape_are_refused(commands):
+    with pytest.raises(ValueError, match="must be finite numbers of shape"):
+        TerrainRig(FOCCHI).advance(commands, 0.1)
+
+
+def test_the_columns_of_its_own_are_its_loads():
+    rig = on_slope(0.0)
+    assert rig._batch.floats.shape[1] == b.PLANT + 8
+    assert rig.track_loads[0] == pytest.approx([0.5 * 62.0 * GRAVITY] * 2)
+    assert rig.largest_load[0] == pytest.approx(62.0 * GRAVITY / 80)

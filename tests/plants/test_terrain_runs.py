@@ -1,0 +1,135 @@
+"""The plant on terrain against converged reference runs, and against a second implementation."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.physics.world_axes_plant import euler_run
+from tests.plants.terrain_runs import difference, rig_of, run
+from tracked_env.physics.attitude import Quaternion, matrix_of
+
+NAMES = (
+    "01_up10_mu0.4_nonuniform", "07_sideturn10_mu0.4_uniform", "09_field_mu0.6_nonuniform",
+)  # fmt: skip
+VEHICLE = {
+    "m": 62.0, "inertia": [2.18, 2.81, 4.5], "com_height": 0.25, "track_length": 0.7,
+    "track_gauge": 0.606, "track_width": 0.1, "sprocket_radius": 0.0856, "patches_along": 10,
+    "patches_across": 4,
+}  # fmt: skip
+SOIL = {
+    "mu": 0.5, "cohesion_Pa": 0.0, "shear_modulus_m": 0.001, "stiffness_N_per_m3": 1e5 / 0.07,
+    "damping_Ns_per_m3": 5e3 / 0.07, "rolling_resistance": 0.0, "stiffening_s_per_m2": 0.0,
+}  # fmt: skip
+WAVES = [[0.06, 1.1, 0.4, 0.3], [0.05, -0.5, 1.2, 1.0], [0.04, 1.7, -0.9, 2.1]]
+
+
+def reference(folder, name):
+    """(dict of the run, rows as `run` gives them)."""
+    data = folder / "terrain"
+    if not (data / "runs.json").is_file():
+        pytest.skip(f"no reference runs on terrain in {data}")
+    spec = json.loads((data / "runs.json").read_text())[name]
+    return spec, np.loadtxt(data / f"{name}.csv", delimiter=",", skiprows=1)[:, 3:]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_short_step_repeats_a_converged_run_with_its_loads(name, reference_data):
+    spec, truth = reference(reference_data, name)
+    found = run(spec, 2.5e-4)
+    distance, rotation = difference(found, truth)
+    assert distance < 0.3 and rotation < 0.1
+    assert np.abs(found[:, 13] - truth[:, 13]).max() < 1.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_default_step_stays_within_a_millimetre_and_a_milliradian(name, reference_data):
+    spec, truth = reference(reference_data, name)
+    distance, rotation = difference(run(spec, 2e-3), truth)
+    assert distance < 1.0 and rotation < 1.0
+
+
+def case(load, terrain, left, right, soil=None, vehicle=None, duration=1.0):
+    """A run from rest, belts linear in time from 0 to `left`, `right` and half way back."""
+    command = {"t": [0.0, 0.5, 1.0], "L": [0.0, left, 0.5 * left], "R": [0.0, right, 0.5 * right]}
+    return {
+        "vehicle": {**VEHICLE, **(vehicle or {})}, "soil": {**SOIL, **(soil or {})}, "load": load,
+        "terrain": terrain, "command": command, "duration": duration,
+        "initial": {"p": [0.0, 0.0, 0.25], "q": [1.0, 0.0, 0.0, 0.0]},
+    }  # fmt: skip
+
+
+def standing(spec):
+    """The run from where its vehicle stands on the ground."""
+    rig = rig_of(spec, 1e-3)
+    rig.stand(0.0, 0.0, 0.2)
+    p, q = rig.positions[0], rig.quaternions[0]
+    return {**spec, "initial": {"p": p.tolist(), "q": q.tolist()}}
+
+
+CASES = {
+    "cohesion": case("nonuniform", {"a": 0.2}, 4, 6, {"cohesion_Pa": 900.0}),
+    "rolling": case("nonuniform", {"sines": WAVES}, 5, 3, {"rolling_resistance": 0.06}),
+    "stiffening": case("nonuniform", {"a": 0.1}, 6, 4, {"stiffening_s_per_m2": 5.5}),
+    "ramp": case("nonuniform", {"ramp": [0.4, 0.1, 0.4]}, 5, 5.5),
+    "step": case("nonuniform", {"step": [0.08, 0.2, 0.4]}, 5, 4.5),
+    "uniform step": case("uniform", {"step": [0.06, 0.1, 0.5]}, 5, 5),
+    "tipping": case("uniform", {"a": 0.62}, 3, 3, {"mu": 0.9}, {"com_height": 0.6}, 0.25),
+    "reverse": case("nonuniform", {"sines": WAVES}, -5, -3.5),
+    "through zero": case("nonuniform", {"a": 0.1, "b": 0.1}, 4, -4),
+    "other vehicle": case(
+        "uniform", {"a": -0.2}, 4, 5, {"shear_modulus_m": 0.004},
+        {"m": 90.0, "track_length": 0.5, "patches_along": 7, "patches_across": 3},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_second_implementation_in_world_axes_drives_the_same_way(name):
+    spec = standing(CASES[name])
+    coarse, fine = euler_run(spec, 2e-4), euler_run(spec, 1e-4)
+    truth = 2.0 * fine - coarse  # of order one
+    found = run(spec, 2.5e-4)
+    distance, rotation = difference(found, truth)
+    assert distance < 0.1 and rotation < 0.1
+    distance, rotation = difference(run(spec, 2e-3), truth)
+    assert distance < 1.0 and rotation < 1.0
+    assert np.median(np.abs(found[:, 13] - truth[:, 13])) < 0.5
+    assert np.median(np.abs(found[:, 14] - truth[:, 14])) < 0.1
+
+
+def test_the_uniform_load_says_where_a_vehicle_would_tip():
+    for name, expected in (("tipping", True), ("uniform step", False)):
+        rig = rig_of(standing(CASES[name]), 1e-3)
+        seen = False
+        for _ in range(50):
+            rig.advance([[3.0, 3.0]], 0.02)
+            seen |= bool(rig.saturated[0])
+        assert seen == expected
+
+
+def test_halving_the_step_divides_the_error_by_more_than_two_and_a_half():
+    spec = standing(case("nonuniform", {"sines": WAVES}, 4, 5, {"shear_modulus_m": 0.05}))
+    truth = run(spec, 6.25e-5)
+    errors = [difference(run(spec, h), truth)[0] for h in (5e-3, 2.5e-3, 1.25e-3)]
+    assert errors[0] / errors[1] > 2.5
+    assert errors[1] / errors[2] > 2.5
+
+
+def test_finer_patches_converge(reference_data):
+    spec, _ = reference(reference_data, NAMES[2])
+    truth = run(spec, 1e-3, 3.0, patches=(80, 8))
+    coarse = difference(run(spec, 1e-3, 3.0, patches=(10, 4)), truth)
+    fine = difference(run(spec, 1e-3, 3.0, patches=(40, 4)), truth)
+    assert 1.0 < coarse[0] < 15.0
+    assert fine[0] < 0.4 * coarse[0]
+
+
+def test_the_matrix_of_the_attitude_is_that_of_the_reference(reference_data):
+    spec, truth = reference(reference_data, NAMES[1])
+    q = spec["initial"]["q"]
+    assert q == pytest.approx(truth[0, 3:7], abs=1e-9)
+    up = np.array(matrix_of(Quaternion(*rig_of(spec, 1e-3).quaternions[0]))).reshape(3, 3)[:, 2]
+    slope = spec["terrain"]
+    n = np.array([-slope["a"], -slope["b"], 1.0])
+    assert up == pytest.approx(n / np.linalg.norm(n), abs=1e-12)

@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from tracked_env.physics import contact_totals as totals
 from tracked_env.physics import ground_contact as g
 from tracked_env.physics.attitude import (
     Quaternion,
@@ -16,7 +17,8 @@ from tracked_env.physics.attitude import (
     quaternion_of,
     turned,
 )
-from tracked_env.physics.ground_contact import Drag, Footing, Twist, Wrench
+from tracked_env.physics.contact_totals import Drag, Wrench
+from tracked_env.physics.ground_contact import Footing, Twist
 from tracked_env.physics.rigid_body import Inertia, factors, solved, with_inertia
 from tracked_env.physics.uniform_load import rocking_of
 from tracked_env.terrain.height_field import make_height_field
@@ -79,7 +81,7 @@ def velocities(w, twist):
 def test_the_power_of_the_ground_is_that_of_belts_less_slip_rolling_and_pressing(seed):
     w, _, twist, _ = contact(seed)
     assert (w[g.LOAD] > 0).any()
-    given = np.dot(g.total_wrench(w, 80, HEIGHT, 1.0), twist)
+    given = np.dot(totals.total_wrench(w, 80, HEIGHT, 1.0), twist)
     slip = (w[g.THRUST] * w[g.SLIDE] + w[g.LATERAL] * w[g.ASIDE]).sum()
     rolled = (w[g.ROLLED] * w[g.FORWARD]).sum()
     belts = (w[g.BELT] * w[g.THRUST] * w[g.AHEAD]).sum()
@@ -211,7 +213,7 @@ def test_the_drag_is_the_sum_over_patches_of_their_resistances_with_moments(seed
         matrix = (w[g.K_TT, k] + w[g.K_ROLL, k]) * np.outer(t, t) + w[g.K_QQ, k] * np.outer(q, q)
         matrix += w[g.K_TQ, k] * (np.outer(t, q) + np.outer(q, t)) + stiff * np.outer(n, n)
         expected += jacobian.T @ matrix @ jacobian
-    drag = g.total_drag(w, 80, HEIGHT, FOOTING.patch_area * FOOTING.damping)
+    drag = totals.total_drag(w, 80, HEIGHT, FOOTING.patch_area * FOOTING.damping)
     assert full(drag) == pytest.approx(expected, rel=1e-11, abs=1e-11 * expected.max())
 
 

@@ -8,6 +8,7 @@ import pytest
 from tests.physics.world_axes_plant import euler_run
 from tests.plants.terrain_runs import difference, rig_of, run
 from tracked_env.physics.attitude import Quaternion, matrix_of
+from tracked_env.plants.terrain_options import LONGEST_STEP
 
 NAMES = (
     "01_up10_mu0.4_nonuniform", "07_sideturn10_mu0.4_uniform", "09_field_mu0.6_nonuniform",
@@ -45,7 +46,7 @@ def test_a_short_step_repeats_a_converged_run_with_its_loads(name, reference_dat
 @pytest.mark.parametrize("name", NAMES)
 def test_the_default_step_stays_within_a_millimetre_and_a_milliradian(name, reference_data):
     spec, truth = reference(reference_data, name)
-    distance, rotation = difference(run(spec, 2e-3), truth)
+    distance, rotation = difference(run(spec, LONGEST_STEP), truth)
     assert distance < 1.0 and rotation < 1.0
 
 
@@ -92,7 +93,7 @@ def test_a_second_implementation_in_world_axes_drives_the_same_way(name):
     found = run(spec, 2.5e-4)
     distance, rotation = difference(found, truth)
     assert distance < 0.1 and rotation < 0.1
-    distance, rotation = difference(run(spec, 2e-3), truth)
+    distance, rotation = difference(run(spec, LONGEST_STEP), truth)
     assert distance < 1.0 and rotation < 1.0
     assert np.median(np.abs(found[:, 13] - truth[:, 13])) < 0.5
     assert np.median(np.abs(found[:, 14] - truth[:, 14])) < 0.1

@@ -143,6 +143,12 @@ def test_beyond_its_edge_a_map_keeps_the_height_of_the_edge_and_says_so():
     assert np.isfinite(w).all()
 
 
+def test_a_place_that_is_no_number_or_infinite_is_off_the_map():
+    field = make_height_field({"kind": "map", "heights": SMOOTH, "cell": 0.5})
+    for bad in (math.nan, math.inf, -math.inf):
+        assert field.off_map(bad, 0.0) and field.off_map(0.0, bad)
+
+
 def written(tmp_path):
     """The same heights in every kind of file, with what a file does not say."""
     heights = np.round(1000.0 * (SMOOTH - SMOOTH.min())) / 1000.0

@@ -11,7 +11,8 @@ Assumption: the products of inertia vanish.
 
 from typing import NamedTuple
 
-from tracked_env.physics.ground_contact import Twist, Wrench
+from tracked_env.physics.contact_totals import Wrench
+from tracked_env.physics.ground_contact import Twist
 from tracked_env.physics.jit import formula
 
 

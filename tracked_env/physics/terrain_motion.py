@@ -5,16 +5,14 @@ speeds. A step of length h is a symmetric splitting:
     drift  p' = R v, q' = q (0, W)/2 over h/2 with the twist held
     kick   M (v, W)' = wrench(v, W) over h with the pose, and so springs and normals, held
     drift  over h/2 with the new twist
-The kick is linearly implicit as in `rosenbrock`: to the middle of the step with the secant drag A,
+The kick is linearly implicit as in `rosenbrock`: to the middle of the step with the drag A of y,
     y_m = y + (h/2) (M + (h/2) A)^-1 f(y)
 and over the departure z from the middle by the L-stable method of order two with the drag of y_m.
 The drag of a patch that slides faster than at the evaluation before is the slope of its force along
 the motion and not the secant: a secant holds a patch that breaks away for as long as it takes to
 gain a few orders of magnitude of speed. Whatever the matrix, the order is two. With sprocket
-torques the belts have rates of their own, and are eliminated side by side.
-
-The terrain is asked once a step. Order two in smooth motion; the springs are explicit, stable up to
-h = 2 / (largest eigenfrequency), 20 ms for the light vehicle.
+torques the belts have rates of their own, and are eliminated side by side. The terrain is asked
+once a step. The springs are explicit, stable up to h = 2 / (largest eigenfrequency).
 
 References: [1] McLachlan, Quispel, "Splitting methods", Acta Numerica 11 (2002). [2] those of
 `rosenbrock`.
@@ -22,10 +20,11 @@ References: [1] McLachlan, Quispel, "Splitting methods", Acta Numerica 11 (2002)
 
 from typing import NamedTuple
 
+from tracked_env.physics import contact_totals, uniform_load
 from tracked_env.physics import ground_contact as g
-from tracked_env.physics import uniform_load
 from tracked_env.physics.attitude import Quaternion, matrix_of, turned
-from tracked_env.physics.ground_contact import BeltDrag, Drag, Footing, Twist, Wrench
+from tracked_env.physics.contact_totals import BeltDrag, Drag, Wrench
+from tracked_env.physics.ground_contact import Footing, Twist
 from tracked_env.physics.jit import formula
 from tracked_env.physics.patch_dynamics import Belts, driving_torque, followed
 from tracked_env.physics.patch_forces import BELT_SPEED_FLOOR
@@ -47,10 +46,7 @@ _NO_BELTS = Belts(0.0, 0.0)
 _NO_WRENCH = Wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _NO_BELT_DRAG = BeltDrag(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _NO_TILT = uniform_load.Tilt(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_NO_DRAG = Drag(
-    0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-    0.0, 0.0,
-)  # fmt: skip
+_NO_DRAG = Drag(*[0.0] * 21)
 LINEAR = -1.0  # decay of a command that changes linearly in time
 _A = (2.0 * GAMMA - 1.0) / GAMMA
 _B = (1.0 - GAMMA) / GAMMA
@@ -152,17 +148,17 @@ def kick_at(w, r, twist, longest, body, again):
         g.press(w, body.lanes, twist, footing)
     g.slide(w, body.lanes, twist, footing, longest)
     g.resist(w, body.lanes, again)
-    wrench = g.total_wrench(w, body.lanes, footing.height, carrying)
+    wrench = contact_totals.total_wrench(w, body.lanes, footing.height, carrying)
     damping = carrying * footing.patch_area * footing.damping
-    drag = g.total_drag(w, body.lanes, footing.height, damping)
+    drag = contact_totals.total_drag(w, body.lanes, footing.height, damping)
     if body.uniform:
         wrench, drag = uniform_load.held(w, tilt, footing, body.rocking, wrench, drag)
     wrench = with_weight(wrench, r, body.inertia.mass * GRAVITY)
     wrench = with_inertia(wrench, twist, body.inertia)
     left, right = _NO_BELT_DRAG, _NO_BELT_DRAG
     if body.drive.inverse_belt_mass > 0.0:
-        left = g.belt_drag(w, 0, body.patches, footing.height)
-        right = g.belt_drag(w, body.patches, 2 * body.patches, footing.height)
+        left = contact_totals.belt_drag(w, 0, body.patches, footing.height)
+        right = contact_totals.belt_drag(w, body.patches, 2 * body.patches, footing.height)
     return Kick(wrench, drag, left, right, tilt)
 
 
@@ -347,7 +343,7 @@ def settled_of(w, kick, off, body):
     for lane in range(2 * n):
         largest = max(largest, w[g.LOAD, lane])
         touching += 1.0 if w[g.LOAD, lane] > 0.0 else 0.0
-    left, right = g.track_totals(w, 0, n), g.track_totals(w, n, 2 * n)
+    left, right = contact_totals.track_totals(w, 0, n), contact_totals.track_totals(w, n, 2 * n)
     return Settled(
         rates, left[0] + right[0], left[0], right[0], largest, touching / (2 * n),
         left[1], right[1], left[2], right[2], off, kick.tilt.saturated,

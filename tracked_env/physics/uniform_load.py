@@ -15,6 +15,7 @@ References: [1] Focchi et al. (2025) section 2.2, corrected; see docs/terrain.md
 
 from typing import NamedTuple
 
+from tracked_env.physics.contact_totals import Drag, Wrench
 from tracked_env.physics.ground_contact import (
     AHEAD,
     HEIGHT,
@@ -27,8 +28,6 @@ from tracked_env.physics.ground_contact import (
     PLACE_Y,
     PLACE_Z,
     SINKAGE,
-    Drag,
-    Wrench,
     normal_load,
 )
 from tracked_env.physics.jit import formula

@@ -78,7 +78,7 @@ def _cell(position, last):
     """(first node, share of the way to the next one, 1 on the map or 0) of a position [cells]."""
     clamped = min(max(position, 0.0), last)
     inside = 1.0 if clamped == position else 0.0
-    node = min(int(clamped), int(last) - 1)
+    node = max(min(int(clamped), int(last) - 1), 0)  # NaN has no node
     return node, clamped - node, inside
 
 

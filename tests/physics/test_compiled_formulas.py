@@ -119,6 +119,7 @@ ARGUMENTS = {
         ],
     },
     patch_dynamics: {
+        "followed": [(BELTS, rosenbrock.Belts(20.0, -3.0), decay) for decay in (0.0, 0.7)],
         "contact_of": [(FOCCHI, FLOOR, FLOOR_DRIVE, PATCHES)],
         "loads_of": [(r, m, BELTS, FLOOR) for r in DRAGS for m in (TURN, BACK)],
         "on_one_soil": [(FLOOR, FLOOR_DRIVE, CONTACT, 0.147)],

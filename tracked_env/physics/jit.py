@@ -1,7 +1,8 @@
 """How the kernels are compiled, in one place.
 
 All kernels: cached on disk; division follows IEEE (`error_model="numpy"`, so no hidden
-branch); no fastmath, so that a batch of any size gives the same bits as one vehicle.
+branch); no fastmath, so that a batch of any size gives the same bits as one vehicle. The exception
+is `summation`, for loops over the patches of one vehicle.
 `formula` is for the small pure functions (one equation each): they are inlined into the
 loop that calls them, which lets the compiler vectorise that loop over vehicles.
 `template` is for functions that take compiled functions as arguments: they are compiled into their

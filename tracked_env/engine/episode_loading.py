@@ -163,14 +163,15 @@ def complete_starts(
 class Episodes(Sequence[Episode | None]):
     """The truth of the episode of every vehicle, None before its first.
 
-    given: those that were loaded from an Episode; others are read from the arrays, with `sensors`.
+    given: those that were loaded from an Episode. Others are read from the arrays, with `sensors`,
+    and kept there, so that an episode is one object until the next one begins.
     """
 
     def __init__(
         self,
         batch: b.Batch,
         running: Running,
-        given: Sequence[Episode | None],
+        given: list[Episode | None],
         sensors: SensorDraw | None,
     ) -> None:
         self._batch, self._running, self._given, self._sensors = batch, running, given, sensors
@@ -186,7 +187,7 @@ class Episodes(Sequence[Episode | None]):
             return given
         x, y, yaw, v_x, yaw_rate = origins[i, START:].tolist()
         speed, turn = batch.profile[:, i, :6].copy(), batch.profile[:, i, 6:].copy()
-        return Episode(
+        self._given[i] = Episode(
             PlantParameters(*batch.base()[i].tolist()),
             batch.events[i, : batch.counters[i, b.EVENT_COUNT]].copy(),
             ReferenceProfile(speed, turn, *origins[i, :3].tolist()),
@@ -194,6 +195,7 @@ class Episodes(Sequence[Episode | None]):
             VehicleState(x, y, yaw, v_x, yaw_rate=yaw_rate),
             int(self._running.seeds[i]),
         )
+        return self._given[i]
 
 
 def pose(x: float, y: float, yaw: float) -> tuple[float, ...]:

@@ -71,7 +71,7 @@ class Simulation(Readings):
             self.composer = Composer(self.layout, count, solver.control_period)
         self.rngs: list[np.random.Generator | None] = [None] * count
         self.running = running_arrays(count)
-        # Those of vehicles that options or a law of one's own have had a say in:
+        # Those loaded from options or a law of one's own, and those that have been read since:
         self._given: list[Episode | None] = [None] * count
         self._batch_reset: BatchReset | None = None
         if isinstance(self.settings.law, ArrayLaw):

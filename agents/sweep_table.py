@@ -9,9 +9,10 @@ from tracked_env.benchmark import BenchmarkConfig, Store, check, default_sets, s
 from tracked_env.benchmark.executors import Executor
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policy_lookup import load_policies
+from tracked_env.benchmark.progress_bar import progress_bar
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.benchmark.report import aligned, markdown_rows, marked, write
-from tracked_env.benchmark.runner import pending, progress_bar, run
+from tracked_env.benchmark.runner import pending, run
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import Row, rows_of
 

@@ -54,4 +54,3 @@ def registries() -> Iterator[None]:
         table.clear()
         table.update(old)
     observation._layout.cache_clear()
-    sensors.fixed_part.cache_clear()

@@ -17,6 +17,8 @@ from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.attitude import matrix_of, quaternion_of
+from tracked_env.physics.channels import CHANNELS, signals
+from tracked_env.physics.state import VehicleState
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants.terrain import RELIEF
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -184,6 +186,18 @@ def test_a_vehicle_that_stands_on_a_slope_feels_gravity_and_nothing_else(yaw):
     along = GRAVITY * GRADE / np.hypot(1.0, GRADE)  # up the slope
     assert force[:2] @ [np.cos(yaw), -np.sin(yaw)] == pytest.approx(along, rel=0.05)
     assert abs(seen["roll_rate"]) + abs(seen["pitch_rate"]) < 1e-3
+
+
+def test_two_lateral_accelerometers_measure_the_product_of_roll_and_pitch_rate_too():
+    names = {"roll_rate": 0.7, "pitch_rate": -0.4, "yaw_rate": 0.5, "yaw_acceleration": 0.3}
+    state = VehicleState(pitch=0.1, **names)
+    measured = signals.py_func(np.array([state]), 0, 0.1, 0.0, 1.0)[
+        CHANNELS.index("yaw_acceleration")
+    ]
+    turning, turned = np.array([0.7, -0.4, 0.5]), np.array([0.0, 0.0, 0.3])
+    arm = np.array([2.0, 0.0, 0.0])  # from one to the other, ahead
+    difference = np.cross(turned, arm) + np.cross(turning, np.cross(turning, arm))
+    assert measured == pytest.approx(difference[1] / 2.0, rel=1e-12)
 
 
 def test_on_level_ground_the_accelerometer_is_that_of_the_flat_plant_and_reads_g_upward():

@@ -1,4 +1,4 @@
-"""Sensor presets and the draw of one vehicle's sensors for one episode.
+"""What the sensors of a vehicle are: data sheets, presets, registered channels.
 
 Three groups share a sampling clock each: `pose` (INS/GNSS), `inertial` (IMU), `drive`
 (sprocket encoders and torque sensors); the channels and error model are in
@@ -7,25 +7,17 @@ Three groups share a sampling clock each: `pose` (INS/GNSS), `inertial` (IMU), `
     rtk     RTK-GNSS and a tactical IMU, the default
     strawa  the low-cost set of Strawa et al. (2021), section 5.2
     mocap   motion capture and encoders indoors, the default of Speed-v0
-Laws of the draws, once per episode and vehicle:
-    gyro and accelerometer bias     = s b, s = -1 or +1 with equal odds, b the data-sheet bias
-    noise, every sample             = N(0, sigma^2)
-    dropout, every sample and group : lost with probability p; the last sample stays
+The draw of an episode is in `tracked_env.sensor_draws`.
 `register` adds a channel: its noise and bias are then fields of the presets like the others.
 """
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import ndtri
 
-from tracked_env.physics.channels import ATTITUDE, CHANNELS, GROUPS, TABLE, Channel
-from tracked_env.physics.jit import formula
+from tracked_env.physics.channels import ATTITUDE, CHANNELS, GROUPS, Channel
 from tracked_env.physics.parameters import Range
-from tracked_env.streams import addresses, random
 from tracked_env.validation import SIGMA, checked_choice, checked_keys, checked_number
 
 DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
@@ -126,23 +118,8 @@ _RANGES = {
     "velocity_measured": Range(0.0, 1.0, "-", "It is 1, measured, or 0, not measured."),
 }
 
-_BIASED = np.array([column for column, channel in enumerate(TABLE) if channel.bias])
 _FIELDS = tuple(name for name in Sensors._fields if name != "further")
 ADDED = {channel.name: channel for channel in ATTITUDE}  # sampled where shown, and registered
-
-
-class SensorDraw(NamedTuple):
-    """The sensors of one vehicle in one episode, as the kernels take them."""
-
-    sigma: NDArray[np.float64]  # (CHANNEL_COUNT,)
-    bias: NDArray[np.float64]  # (CHANNEL_COUNT,)
-    cross_coupling: float
-    dropout: NDArray[np.float64]  # (3,) a standard normal number below it loses the sample
-    period: NDArray[np.int64]  # (3,) [control steps]
-    delay: NDArray[np.int64]  # (3,) [control steps]
-    noisy: bool  # False: no random number is needed
-    velocity: float  # 1, or 0 where v_x and v_y are not measured
-    added: tuple[tuple[str, float, float], ...] = ()  # registered channels: name, sigma, |bias|
 
 
 def register(channel: Channel) -> Channel:
@@ -166,7 +143,6 @@ def register(channel: Channel) -> Channel:
         for name, value in checked_keys(f"presets of {channel.name!r}", values, own).items():
             checked_number(name, value, SIGMA)
     ADDED[channel.name] = channel
-    fixed_part.cache_clear()
     return channel
 
 
@@ -233,78 +209,3 @@ def _stated(sensors: Sensors) -> Sensors:
     if sensors.velocity_measured != 1.0:
         raise ValueError(f"velocity_measured = {sensors.velocity_measured!r}; must be 0 or 1")
     return sensors
-
-
-def _error(sensors: Sensors, channel: Channel, field: str) -> float:
-    """Sigma or bias magnitude of a channel, from a field of the sensors.
-
-    Two sensors a distance D apart, each with that error: sqrt(2) times it, over D.
-    """
-    if not field or (channel.switch and not sensors.value(channel.switch)):
-        return 0.0
-    if channel.differential:
-        return float(np.sqrt(2.0)) * sensors.value(field) / sensors.accelerometer_distance
-    return sensors.value(field)
-
-
-def _steps(sensors: Sensors, control_period: float) -> tuple[list[int], list[int]]:
-    rates = [getattr(sensors, f"{group}_rate") for group in GROUPS]
-    delays = [getattr(sensors, f"{group}_delay") for group in GROUPS]
-    longest = round(PERIOD_LIMIT / control_period)
-    periods = [
-        1 if rate <= 0.0 else min(max(round(1.0 / (rate * control_period)), 1), longest)
-        for rate in rates
-    ]
-    return periods, [round(delay / control_period) for delay in delays]
-
-
-@lru_cache(maxsize=256)
-def fixed_part(sensors: Sensors, control_period: float, added: tuple[str, ...]) -> SensorDraw:
-    """The draw with the magnitudes of its biases, which get a sign."""
-    probability = np.array([getattr(sensors, f"{group}_dropout") for group in GROUPS])
-    periods, delays = _steps(sensors, control_period)
-    sigma = np.array([_error(sensors, channel, channel.noise) for channel in TABLE])
-    # The two accelerometers' biases differ by sqrt(2) of one, in the mean square.
-    bias = np.array([_error(sensors, channel, channel.bias) for channel in TABLE])
-    further = [
-        (name, _error(sensors, ADDED[name], ADDED[name].noise),
-         _error(sensors, ADDED[name], ADDED[name].bias))
-        for name in added
-    ]  # fmt: skip
-    return SensorDraw(
-        sigma,
-        bias,
-        sensors.cross_coupling,
-        ndtri(probability),
-        np.array(periods, dtype=np.int64),
-        np.array(delays, dtype=np.int64),
-        bool(np.any(sigma > 0.0) or np.any(probability > 0.0)),
-        sensors.velocity_measured,
-        tuple(further),
-    )
-
-
-@formula
-def draw_signs(rng, bias):
-    """Give the magnitudes of the biases (CHANNEL_COUNT,) their signs for one episode."""
-    for k in range(_BIASED.size):  # also of zero biases: keeps the stream aligned
-        if random(rng) < 0.5:
-            bias[_BIASED[k]] = -bias[_BIASED[k]]
-
-
-def draw_sensors(
-    sensors: Sensors, control_period: float, rng: np.random.Generator, added: tuple[str, ...] = ()
-) -> SensorDraw:
-    """Draw biases; turn rates and delays [s] into control steps of `control_period` [s].
-
-    added: registered channels that are sampled.
-    """
-    fixed = fixed_part(sensors, control_period, added)
-    bias = fixed.bias.copy()
-    draw_signs(addresses([rng])[0], bias)
-    return fixed._replace(bias=bias)
-
-
-def longest_delay_steps(control_period: float) -> int:
-    """Control steps that the longest allowed delay takes."""
-    return round(DELAY_LIMIT / control_period)

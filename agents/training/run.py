@@ -29,7 +29,7 @@ from baselines.learned.agent_policy import Groups, groups_in
 from baselines.learned.augmentation import RESIDUAL_SCALE
 from baselines.learned.history_augmentation import LAGS
 from baselines.learned.recipe import STUDENT, Driven
-from tracked_env.benchmark.store import machine, versions
+from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.engine.env_config import EnvConfig
 
 FIRST_SEED, ROWS, TRAININGS = 2**24, 2**16, 2**15  # of trainings, and how far apart they are

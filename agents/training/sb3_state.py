@@ -105,6 +105,8 @@ def resume(model: BaseAlgorithm, captured: Mapping[str, Any]) -> None:
     for part in ("variables", "random", "attributes"):
         checkpoint_fit.check(fresh[part], captured[part], part)
     attributes = captured["attributes"]
+    for success in attributes["ep_success_buffer"]:
+        checkpoint_fit.check(False, success, "ep_success_buffer")
     for info in attributes["ep_info_buffer"]:
         checkpoint_fit.check(_ENDED, {name: info[name] for name in _ENDED}, "ep_info_buffer")
     checkpoint_fit.check_parameters(model, captured["parameters"])

@@ -29,7 +29,7 @@ from tracked_env.engine.episode_loading import Running
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile
-from tracked_env.sensors import SensorDraw
+from tracked_env.sensor_draws import SensorDraw
 
 # What the state of a training consists of. An augmentation with a named tuple of
 # its own adds it here.

@@ -161,7 +161,7 @@ def test_seeds_that_are_none_are_a_clear_error(given: Any) -> None:
         ({"agentz": ["ppo"]}, "unknown sweep key 'agentz'"),
         ({"agents": None}, "agents = None; must be a list"),
         ({"agents": ["dqn"]}, "agent = 'dqn'; must be one of ppo"),
-        ({"augmentations": ["blnd"]}, "unknown memory 'blnd'"),
+        ({"augmentations": ["blnd"]}, "unknown augmentation 'blnd'"),
         ({"augmentations": ["blind", "blind"]}, "must name each entry once"),
         ({"options": {"step": 3}}, "unknown options key 'step'"),
         ({"options": {"seed": 3}}, "unknown options key 'seed'"),
@@ -193,9 +193,9 @@ def test_the_example_of_the_head_of_the_module_is_a_sweep() -> None:
     assert len(sweep.trainings) == 8
     assert all(len(trainings) == 5 for trainings in sweep.trainings.values())
     training = sweep.trainings["sac-history-drift-mixed"][3]
-    assert (training.agent, training.memory, training.seed) == ("sac", "history", 3)
+    assert (training.agent, training.augmentation, training.seed) == ("sac", "history", 3)
     assert training.uncertainty == ("drift", "mixed") and training.steps == 200000
-    assert training.folder == Path("runs/memory/sac-history-drift-mixed-seed3")
+    assert training.folder == Path("runs/history/sac-history-drift-mixed-seed3")
 
 
 @pytest.mark.parametrize(

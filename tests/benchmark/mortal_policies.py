@@ -104,3 +104,9 @@ def trained_and_noted(place: Any, job: Any) -> Any:
     node = ray.get_runtime_context().get_node_id()
     Path(place.folder, f"{job.name}.node").write_text(node)
     return train.train_one(place, job)
+
+
+def sleep(shared: Any, job: float) -> None:
+    """A long job; the file says that it has begun."""
+    Path(os.environ[MARK]).touch()
+    time.sleep(job)

@@ -188,7 +188,9 @@ def test_a_shard_that_is_lost_is_made_up_for_by_the_run_that_merges(tmp_path: Pa
     run(CONFIG, entries, Store(tmp_path / "shards", CONFIG.identity(), Shard(1, 2)))
     torn = tmp_path / "shards" / "shard-1-of-2" / "episodes.jsonl"
     torn.write_bytes(torn.read_bytes()[:-20])
-    merged = run(CONFIG, entries, Store(tmp_path / "shards", CONFIG.identity()))
+    store = Store(tmp_path / "shards", CONFIG.identity())
+    merged = run(CONFIG, entries, store)
+    assert store.notices == []
     assert values(merged) == values(records_of(tmp_path / "serial", entries))
     assert not torn.read_bytes().endswith(b"\n")  # the file of another process is left alone
 
@@ -293,6 +295,32 @@ def workers_of(process: int) -> list[int]:
         if int(fields[1]) == process and fields[0] != "Z":
             found.append(int(stat.parent.name))
     return found
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the processes of the system")
+def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(
+    repository: Path, tmp_path: Path
+) -> None:
+    mark = tmp_path / "mark"
+    paths = os.pathsep.join([str(repository), str(Path(__file__).parent)])
+    code = (
+        "from mortal_policies import sleep; "
+        "from tracked_env.benchmark.executors.worker_pool import WorkerPool; "
+        "list(WorkerPool(1).results(sleep, 0, [300.0]))"
+    )
+    environment = {**os.environ, "PYTHONPATH": paths, MARK: str(mark)}
+    process = subprocess.Popen([sys.executable, "-c", code], env=environment)
+    until = time.monotonic() + 100
+    while not mark.exists() and time.monotonic() < until:
+        time.sleep(0.02)
+    workers = workers_of(process.pid)
+    process.kill()
+    process.wait()
+    assert mark.exists() and workers
+    until = time.monotonic() + 20
+    while any(Path(f"/proc/{worker}").exists() for worker in workers):
+        assert time.monotonic() < until, "a worker outlives the process that asked"
+        time.sleep(0.05)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the processes of the system")

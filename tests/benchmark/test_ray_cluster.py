@@ -1,7 +1,9 @@
 """A Ray cluster of two nodes on this machine: nodes and workers end, the results stay the same."""
 
 import importlib
+import json
 import os
+import shlex
 import sys
 import threading
 import time
@@ -147,6 +149,8 @@ def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_chec
     killing.join()
     assert "was lost because its worker or its node ended" in capfd.readouterr().err
     for name, each in swept.items():
+        recipe = json.loads(Path(name, "config.json").read_text())
+        assert recipe["command"] == shlex.join(["python", *sys.argv])  # not that of a worker
         alone = replace(each, output=Path(f"{name}-alone"))
         assert train.main(alone) == 0
         one, other = parameters(Path(name, "last.zip")), parameters(alone.folder / "last.zip")

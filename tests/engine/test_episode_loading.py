@@ -105,6 +105,17 @@ def test_episodes_keep_what_was_true_at_their_start_while_they_run():
     assert_equal(before[1:3], ours.episodes[1:3])
 
 
+def test_an_episode_is_one_object_until_the_next_one_begins():
+    # Pictures and recordings tell by it that another episode has begun.
+    ours = simulation(True, uncertainty="mixed")
+    ours.reset(ours.all)
+    before = ours.episodes[1]
+    ours.step(np.full((COUNT, 2), 0.4, dtype=np.float32))
+    assert ours.episodes[1] is before
+    ours.reset(np.array([1]))
+    assert ours.episodes[1] is not before
+
+
 def test_a_drawn_reference_that_is_refused_loses_no_random_number_and_moves_no_vehicle():
     # Seldom is |w| > 5 rad/s:
     tight = {"kind": "figure_eight", "speed": [1.0, 5.0], "size": [5.0, 6.0]}

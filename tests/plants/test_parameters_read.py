@@ -14,10 +14,13 @@ from tracked_env.uncertainty import UNCERTAINTY_SETS
 
 # In the order of the columns of the table in docs/uncertainty.md.
 VARIANTS = (
-    {}, {"lateral": "constrained"}, {"plant": "distributed"},
-    {"plant": "distributed", "drive": "speed"}, {"plant": "terrain"},
+    {},
+    {"lateral": "constrained"},
+    {"plant": "distributed"},
+    {"plant": "distributed", "drive": "speed"},
+    {"plant": "terrain"},
     {"plant": "terrain", "drive": "speed"},
-)  # fmt: skip
+)
 ARGUMENTS = {make_solver(EnvConfig(**given)).reads.plant: given for given in VARIANTS}
 READS = {plant: make_solver(EnvConfig(**given)).reads.names for plant, given in ARGUMENTS.items()}
 SLIDING, CONSTRAINED, BY_TORQUE, *_ = ARGUMENTS

@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.rendering.picture_cases import CENTRED, driven, started
+from tests.rendering.picture_cases import CENTRED, driven, region, started
 from tests.rendering.terrain_cases import bump
 from tracked_env.rendering import Recorder, TerrainSource, viewer
 from tracked_env.rendering.recording import Recording
@@ -55,6 +55,17 @@ def test_the_picture_on_the_ground_has_the_north_in_its_first_row() -> None:
         picture.mean(axis=(1, 2)) - np.median(picture)
     )
     assert int(np.argmax(rows)) < 0.46 * len(rows)  # the cliff, 2 m north of the middle
+
+
+def test_soft_soil_in_the_north_is_in_the_upper_half_of_the_picture_on_the_ground() -> None:
+    env = started({"schedule": [region(0.0, 6.0)]})
+    recorder = Recorder()
+    recorder.add(env.simulation)
+    picture = recorder.finish().relief.picture
+    light = (picture != np.median(picture, axis=(0, 1))).any(axis=2)
+    rows, columns = np.nonzero(light)
+    assert rows.mean() / len(picture) == pytest.approx(0.25, abs=0.03)  # 6 of 12 m to the north
+    assert columns.mean() / picture.shape[1] == pytest.approx(12.0 / 84.0, abs=0.03)
 
 
 def test_a_recording_holds_one_episode() -> None:

@@ -26,6 +26,8 @@ WITHOUT_INFLUENCE = {
     "benchmark/episode_figures.py": "figures from records",
     "benchmark/frozen.py": "compares what is drawn with what is kept",
     "benchmark/leaderboard.py": "tables from records",
+    "benchmark/progress_bar.py": "shows how far it is",
+    "benchmark/provenance.py": "names machine and packages in records",
     "benchmark/policy_lookup.py": "finds policies; each record has its own fingerprint",
     "benchmark/leaderboard_page.py": "tables from records",
     "benchmark/registered_policies.py": "finds policies; each record has its own fingerprint",

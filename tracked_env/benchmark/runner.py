@@ -9,7 +9,7 @@ chunk. Chunks may run in other processes and on other machines (`executors`); th
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from tracked_env.benchmark.policy_interface import (
     identifies,
     needs_truth,
 )
+from tracked_env.benchmark.progress_bar import Progress, no_progress
 from tracked_env.benchmark.sets import of_version
 from tracked_env.benchmark.store import Record, Store
 from tracked_env.engine.columns import columns
@@ -45,8 +46,6 @@ _RENAMED = {
 }
 _COLUMNS = columns(_RENAMED.get(name, name) for name in metrics.CHANNELS)
 _SPEED_ERROR = metrics.CHANNELS.index("speed_error")
-
-Progress = Callable[[int, str], None]  # (vehicle steps done since the last call, what runs)
 
 
 class Task(NamedTuple):
@@ -79,30 +78,6 @@ class Finished(NamedTuple):
 
     chunk: Record
     trace: dict[str, NDArray[Any]] | None  # of the first episodes, for the figures
-
-
-def _nothing(steps: int, label: str) -> None:
-    """Report no progress."""
-
-
-@contextmanager
-def progress_bar(total: int) -> Iterator[Progress]:
-    """A function that reports control steps of vehicles; shows a bar when tqdm is installed."""
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        yield lambda steps, label: None
-        return
-    form = "{desc:<28} {percentage:3.0f}% |{bar}| [{elapsed}<{remaining}, {rate_fmt}]"
-    with tqdm(
-        total=total, unit=" steps", unit_scale=True, bar_format=form, dynamic_ncols=True
-    ) as bar:
-
-        def progress(steps: int, label: str) -> None:
-            bar.set_description_str(label, refresh=False)
-            bar.update(steps)
-
-        yield progress
 
 
 def episode_digest(episode: Episode) -> str:
@@ -175,7 +150,7 @@ def drive(
     return trace, predict_time
 
 
-def run_task(task: Task, config: BenchmarkConfig, progress: Progress = _nothing) -> Finished:
+def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progress) -> Finished:
     """Run one chunk. Raises PolicyError."""
     count = len(task.episodes)
     policy = checked_policy(task.policy, config.context(task.uncertainty_set))
@@ -286,7 +261,7 @@ def run(
     config: BenchmarkConfig,
     policies: Sequence[PolicyEntry],
     store: Store,
-    progress: Progress = _nothing,
+    progress: Progress = no_progress,
     executor: Executor | None = None,
 ) -> list[Record]:
     """Run what the store lacks. Returns one record per episode, ordered as config and policies.

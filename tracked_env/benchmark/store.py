@@ -16,11 +16,8 @@ import hashlib
 import io
 import json
 import os
-import platform
-import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -31,52 +28,21 @@ from numpy.typing import NDArray
 from tracked_env.benchmark.executors.shard import Shard
 from tracked_env.benchmark.figure_data import checked_trace, joined
 from tracked_env.benchmark.files import Lock, file_name, sweep, write_atomically
+from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.benchmark.records import BESIDE, Record, checked_chunk, checked_header
 
 FORMAT = 2  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"
 LOCK = ".lock"
 SHARDS = "shard-*-of-*"  # folders of shards
-PACKAGES = ("tracked-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "torch")
 
-__all__ = ["FILE", "FORMAT", "LOCK", "Record", "Store", "identity_hash", "machine", "versions",
-           "write_atomically"]  # fmt: skip
+__all__ = ["FILE", "FORMAT", "LOCK", "Record", "Store", "identity_hash", "write_atomically"]
 
 
 def identity_hash(identity: Mapping[str, Any]) -> str:
     """Digest of a JSON-able identity."""
     text = json.dumps(identity, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
-def versions() -> dict[str, str]:
-    """Python and the installed packages that matter."""
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-def machine() -> dict[str, Any]:
-    """Processor and system, without names of host or user."""
-    return {
-        "system": platform.system(),
-        "architecture": platform.machine(),
-        "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count(),
-    }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
 
 
 # Locks of this process by device and file: a folder may be opened again where it is open.

@@ -84,11 +84,11 @@ def record_episode(
     config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int
 ) -> "Recording":
     """One episode of the benchmark for `rendering.viewer`; raises ImportError as `draw` does."""
-    from tracked_env.rendering.recording import Recorder
+    from tracked_env.rendering import Recorder, source_of
 
     policy = checked_policy(entry, config.context(uncertainty_set))
     env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
-    recorder = Recorder()
+    recorder = Recorder(source_of(env.simulation, 0))
     for _ in _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, 1):
         recorder.add(env.simulation)
     return recorder.finish()

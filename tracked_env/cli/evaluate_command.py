@@ -20,13 +20,14 @@ from tracked_env.benchmark import (
 from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
 from tracked_env.benchmark.policy_lookup import archives, load_policies
+from tracked_env.benchmark.progress_bar import progress_bar
 from tracked_env.benchmark.registered_policies import (
     by_name,
     default_names,
     open_archive,
     registered_policies,
 )
-from tracked_env.benchmark.runner import pending, progress_bar, run
+from tracked_env.benchmark.runner import pending, run
 from tracked_env.benchmark.sets import VERSION
 from tracked_env.benchmark.store import identity_hash
 from tracked_env.benchmark.summary import Row, rows_of

@@ -24,7 +24,8 @@ from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS
 from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.physics.state import STATE_NAMES
 from tracked_env.plants import Ground
-from tracked_env.sensors import ADDED, longest_delay_steps
+from tracked_env.sensor_draws import longest_delay_steps
+from tracked_env.sensors import ADDED
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle and channel
 _RUNNING = (  # attributes that change while episodes run

@@ -31,7 +31,8 @@ from tracked_env.physics.parameters import (
 )
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile, make_reference
-from tracked_env.sensors import SensorDraw, Sensors, draw_sensors, make_sensors
+from tracked_env.sensor_draws import SensorDraw, draw_sensors
+from tracked_env.sensors import Sensors, make_sensors
 from tracked_env.streams import addresses, seed, uniform
 from tracked_env.uncertainty import CheckedLaw, Law, Spec, make_uncertainty
 from tracked_env.validation import checked_effect, checked_keys, checked_number, checked_parameter

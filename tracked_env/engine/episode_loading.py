@@ -1,10 +1,7 @@
-"""How a new episode comes into the arrays: many at once in kernels, or one from an `Episode`.
+"""How a new episode comes into the arrays of a vehicle, and how it is read from there.
 
-`BatchReset` draws and loads the episodes of many vehicles: beginnings, references, uncertainty,
-sensors, starts, noise, each in one kernel over the chosen rows, from the generators' own streams.
-What only Python can draw (a reference of another kind than "random") is drawn there in its place.
-Laws of one's own and options take `draw_episode` and `load_episode`. Both draw by the same laws, so
-the bits are the same.
+`load_episode` writes an `Episode` (options, laws of one's own); many vehicles at once are drawn and
+loaded by `engine.batch_reset`. Both draw by the same laws, so the bits are the same.
 
 `origins` (N, ORIGIN_COLUMNS) keeps where reference and vehicle began: x, y, yaw, cos, sin of the
 reference, then x, y, yaw, v_x, yaw_rate of the vehicle as it is drawn.
@@ -18,35 +15,20 @@ from numpy.typing import NDArray
 
 from tracked_env.engine import columns as b
 from tracked_env.engine import noise
-from tracked_env.engine.episode import (
-    Episode,
-    EpisodeSettings,
-    draw_beginnings,
-    placed,
-    start_beside,
-)
+from tracked_env.engine.episode import Episode, EpisodeSettings
 from tracked_env.physics import state as s
 from tracked_env.physics.channels import CHANNEL_COUNT
-from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS, PlantParameters
+from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.state import VehicleState
-from tracked_env.references import ReferenceProfile, batch_reference, make_reference
-from tracked_env.sensors import SensorDraw, draw_signs, fixed_part, longest_delay_steps
-from tracked_env.streams import addresses
+from tracked_env.plants.base import Prepared, unchanged
+from tracked_env.references import ReferenceProfile
+from tracked_env.sensor_draws import SensorDraw, longest_delay_steps
 from tracked_env.terrain.drawn_relief import RELIEF_SIZE
-from tracked_env.uncertainty.compiled import (
-    CHANGE_FIELDS,
-    CHANGES_LIMIT,
-    RECORD,
-    ArrayLaw,
-    Draws,
-    numbers,
-)
 
 ORIGIN_COLUMNS = 10
 Drawn = TypeVar("Drawn")
 START = 5  # first column of origins that is the vehicle's
-_STARTED = np.array([s.X, s.Y, s.YAW, s.V_X, s.YAW_RATE])  # entries of the state that are drawn
+STARTED = np.array([s.X, s.Y, s.YAW, s.V_X, s.YAW_RATE])  # entries of the state that are drawn
 
 
 class Running(NamedTuple):
@@ -68,6 +50,19 @@ def running_arrays(count: int) -> Running:
     )
 
 
+def generators(
+    rngs: Sequence[np.random.Generator | None], chosen: NDArray[np.int64]
+) -> list[np.random.Generator]:
+    """The random streams of the chosen vehicles. Raises ValueError where there is none."""
+    found = []
+    for i in chosen.tolist():
+        rng = rngs[i]
+        if rng is None:
+            raise ValueError(f"vehicle {i} has no random stream: call reset(seed=...) first")
+        found.append(rng)
+    return found
+
+
 def states_of(rngs: Sequence[np.random.Generator]) -> list[tuple[Any, Any]]:
     """Bit generators and their states, to be put back."""
     return [(rng.bit_generator, rng.bit_generator.state) for rng in rngs]
@@ -79,9 +74,10 @@ def each_drawn(
     chosen: NDArray[np.int64],
     batch: b.Batch,
 ) -> list[Drawn]:
-    """draw(k) for each chosen vehicle.
+    """draw(k) for the k-th chosen vehicle.
 
-    Where one raises ValueError, all generators are as `before` and the message names the vehicle.
+    Where one raises ValueError, all generators are as `before` (`states_of`) and the message names
+    the vehicle.
     """
     drawn = []
     for k, i in enumerate(chosen):
@@ -127,7 +123,7 @@ def load_episode(
     batch.base()[i] = batch.parameters()[i] = episode.parameters
     write_profile(batch, i, episode.profile)
     running.origins[i, :START] = pose(*episode.profile[2:])
-    running.origins[i, START:] = f[b.STATE + _STARTED] = np.array(episode.state)[_STARTED]
+    running.origins[i, START:] = f[b.STATE + STARTED] = np.array(episode.state)[STARTED]
     f[b.REFERENCE_X : b.REFERENCE_X + START] = running.origins[i, :START]
     c[b.EVENT_COUNT] = len(episode.events)
     batch.events[i, : len(episode.events)] = episode.events
@@ -137,17 +133,52 @@ def load_episode(
         noise.draw_block(batch.noise, running.noise_states, i)
 
 
+def load_each(
+    batch: b.Batch,
+    running: Running,
+    chosen: NDArray[np.int64],
+    drawn: Sequence[Episode],
+    settings: EpisodeSettings,
+) -> b.Batch:
+    """Write an episode for each chosen vehicle; returns the batch, with more room where needed."""
+    events = max(len(episode.events) for episode in drawn)
+    delay = max(int(episode.sensors.delay.max()) for episode in drawn)
+    batch = fitted(batch, events, delay, settings.control_period)
+    for i, episode in zip(chosen.tolist(), drawn, strict=True):
+        load_episode(batch, running, i, episode, settings)
+    return batch
+
+
+def complete_starts(
+    batch: b.Batch,
+    chosen: NDArray[np.int64],
+    prepared: Prepared,
+) -> None:
+    """Let the plant complete the states that were drawn, where it has a say."""
+    start, ground = prepared.start, prepared.ground
+    if ground is not None:
+        ground.place(batch.floats, chosen)
+        return
+    if start is unchanged:
+        return
+    parameters, states = batch.base(), batch.state()
+    for i in chosen.tolist():
+        drawn = VehicleState(*states[i].tolist())
+        states[i] = start(PlantParameters(*parameters[i].tolist()), drawn)
+
+
 class Episodes(Sequence[Episode | None]):
     """The truth of the episode of every vehicle, None before its first.
 
-    given: those that were loaded from an Episode; others are read from the arrays, with `sensors`.
+    given: those that were loaded from an Episode. Others are read from the arrays, with `sensors`,
+    and kept there, so that an episode is one object until the next one begins.
     """
 
     def __init__(
         self,
         batch: b.Batch,
         running: Running,
-        given: Sequence[Episode | None],
+        given: list[Episode | None],
         sensors: SensorDraw | None,
         relief_column: int,
     ) -> None:
@@ -166,7 +197,7 @@ class Episodes(Sequence[Episode | None]):
         x, y, yaw, v_x, yaw_rate = origins[i, START:].tolist()
         relief = batch.floats[i, self._relief]
         speed, turn = batch.profile[:, i, :6].copy(), batch.profile[:, i, 6:].copy()
-        return Episode(
+        self._given[i] = Episode(
             PlantParameters(*batch.base()[i].tolist()),
             batch.events[i, : batch.counters[i, b.EVENT_COUNT]].copy(),
             ReferenceProfile(speed, turn, *origins[i, :3].tolist()),
@@ -175,6 +206,7 @@ class Episodes(Sequence[Episode | None]):
             int(self._running.seeds[i]),
             tuple(relief.tolist()) if relief.any() else (),
         )
+        return self._given[i]
 
 
 def pose(x: float, y: float, yaw: float) -> tuple[float, ...]:
@@ -199,136 +231,3 @@ def fresh_counters(sensors: SensorDraw, max_steps: int) -> NDArray[np.int64]:
     row[b.DELAY : b.DELAY + b.GROUP_COUNT] = sensors.delay
     row[b.MAX_STEP] = max_steps
     return row
-
-
-@loop
-def _write_pose(origins, chosen, pose):
-    """Let the references of the chosen vehicles begin at pose (START,)."""
-    for k in range(chosen.size):
-        origins[chosen[k], :START] = pose
-
-
-@loop
-def _load(
-    rngs, chosen, draws, origins, truths, changes, counts, length, row, clocks,
-    floats, counters, profile, events, block, states, seeds, noisy, needed, reliefs, first,
-):  # fmt: skip
-    """Load the chosen vehicles: sensors, parameters, reference, start, events, noise, relief.
-
-    draws (N, 4) behind the starts; length l [m]; row, clocks: of `fresh_row`, `fresh_counters`;
-    needed: whether there is noise; first: column of the relief, or 0. Returns the largest number
-    of events, which are not written where there is no room for them.
-    """
-    most = 0
-    for k in range(chosen.size):
-        i = chosen[k]
-        floats[i] = row
-        counters[i] = clocks
-        draw_signs(rngs[k], floats[i, b.BIAS : b.BIAS + CHANNEL_COUNT])
-        for p in range(PARAMETER_ROWS):
-            floats[i, b.BASE + p] = floats[i, b.PARAMETERS + p] = truths[i, p]
-        for j in range(START):
-            floats[i, b.REFERENCE_X + j] = origins[i, j]
-        drawn = start_beside(draws[i], length, profile[0, i, 0], profile[0, i, 6])
-        x, y, yaw = placed(origins[i], drawn[0], drawn[1], drawn[2])
-        start = (x, y, yaw, drawn[3], drawn[4])
-        for j in range(len(start)):
-            origins[i, START + j] = start[j]
-            floats[i, b.STATE + _STARTED[j]] = start[j]
-        if first > 0:
-            floats[i, first : first + RELIEF_SIZE] = reliefs[i]
-        counters[i, b.EVENT_COUNT] = counts[i]
-        if counts[i] <= events.shape[1]:
-            events[i, : counts[i]] = changes[i, : counts[i], : b.EVENT_FIELDS]
-        most = max(most, counts[i])
-        noise.seed_state(states[i], seeds[i])
-        noisy[i] = needed
-        if needed:
-            noise.draw_block(block, states, i)
-    return most
-
-
-class BatchReset:
-    """Draws and loads episodes of many vehicles of N; the law of `settings` is an ArrayLaw."""
-
-    def __init__(self, settings: EpisodeSettings, batch: b.Batch) -> None:
-        count, width = batch.floats.shape
-        law = settings.law
-        assert isinstance(law, ArrayLaw)
-        self._law, self._settings = law, settings
-        found = batch_reference(settings.reference)
-        self._reference = None if found is None else found[0]
-        self._pose = np.array(pose(*(found[1] if found else (0.0, 0.0, 0.0))))
-        self.sensors = fixed_part(settings.sensors, settings.control_period, settings.channels)
-        self._read = np.array([name in settings.reads.names for name in PARAMETER_NAMES])
-        self._nominal = np.array([tuple(settings.nominal)], dtype=RECORD)
-        self._truths = np.zeros(count, dtype=RECORD)
-        self._numbers = numbers(self._truths)
-        self._changes = np.zeros((count, CHANGES_LIMIT, CHANGE_FIELDS))
-        self._counts = np.zeros(count, dtype=np.int64)
-        self._reliefs = np.zeros((count, RELIEF_SIZE))
-        self._starts = np.zeros((count, 4))
-        self._row = fresh_row(width, self.sensors)
-        self._clocks = fresh_counters(self.sensors, settings.max_steps)
-        self._delay = int(self.sensors.delay.max())
-
-    def load(
-        self,
-        rngs: Sequence[np.random.Generator],
-        chosen: NDArray[np.int64],
-        batch: b.Batch,
-        running: Running,
-    ) -> b.Batch:
-        """Draw and load an episode of each chosen vehicle from its generator.
-
-        Returns the batch, with more room where that was needed. Raises ValueError as
-        `make_reference` does, before any vehicle is touched.
-        """
-        settings, streams = self._settings, addresses(rngs)
-        batch = fitted(batch, 0, self._delay, settings.control_period)
-        origins = running.origins
-        if self._reference is not None:
-            draw_beginnings(streams, chosen, running.seeds, self._starts)
-            self._reference.fill(streams, chosen, batch.profile)
-            _write_pose(origins, chosen, self._pose)
-        else:
-            self._draw_references(rngs, streams, chosen, batch, running)
-        self._law.fill(
-            Draws(
-                streams, chosen, self._nominal, batch.profile, origins, settings.duration,
-                self._truths, self._changes, self._counts, self._read, self._reliefs,
-            )
-        )  # fmt: skip
-        most = _load(
-            streams, chosen, self._starts, origins, self._numbers, self._changes, self._counts,
-            settings.nominal.contact_length, self._row, self._clocks, batch.floats, batch.counters,
-            batch.profile, batch.events, batch.noise, running.noise_states, running.seeds,
-            running.noisy, self.sensors.noisy, self._reliefs, settings.relief_column,
-        )  # fmt: skip
-        if most > batch.events.shape[1]:
-            batch = fitted(batch, most, self._delay, settings.control_period)
-            for i in chosen:
-                own = slice(0, self._counts[i])
-                batch.events[i, own] = self._changes[i, own, : b.EVENT_FIELDS]
-        return batch
-
-    def _draw_references(
-        self,
-        rngs: Sequence[np.random.Generator],
-        streams: NDArray[np.int64],
-        chosen: NDArray[np.int64],
-        batch: b.Batch,
-        running: Running,
-    ) -> None:
-        """Beginnings and references, where only Python can draw these. Raises ValueError."""
-        settings, before = self._settings, states_of(rngs)
-        seeds, starts = np.empty(chosen.size, dtype=np.int64), np.empty((chosen.size, 4))
-        draw_beginnings(streams, np.arange(chosen.size), seeds, starts)
-        profiles = each_drawn(
-            lambda k: make_reference(settings.reference, settings.duration, rngs[k]),
-            before, chosen, batch,
-        )  # fmt: skip
-        running.seeds[chosen], self._starts[chosen] = seeds, starts
-        for i, profile in zip(chosen, profiles, strict=True):
-            write_profile(batch, i, profile)
-            running.origins[i, :START] = pose(*profile[2:])

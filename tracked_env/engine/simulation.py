@@ -20,15 +20,16 @@ from numpy.typing import NDArray
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.engine import noise
+from tracked_env.engine.batch_reset import BatchReset
 from tracked_env.engine.composing import Composer
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
 from tracked_env.engine.episode_loading import (
-    BatchReset,
     Episodes,
+    complete_starts,
     each_drawn,
-    fitted,
-    load_episode,
+    generators,
+    load_each,
     running_arrays,
     states_of,
 )
@@ -36,9 +37,7 @@ from tracked_env.engine.kernels import SOME_ENDED, Clock
 from tracked_env.engine.readings import Readings
 from tracked_env.engine.threads import Threads
 from tracked_env.physics.jit import bound
-from tracked_env.physics.parameters import PlantParameters, Range
-from tracked_env.physics.state import VehicleState
-from tracked_env.plants.base import unchanged
+from tracked_env.physics.parameters import Range
 from tracked_env.references import number_of_segments
 from tracked_env.uncertainty import ArrayLaw
 from tracked_env.validation import checked_whole
@@ -73,7 +72,7 @@ class Simulation(Readings):
             self.composer = Composer(self.layout, count, solver.control_period)
         self.rngs: list[np.random.Generator | None] = [None] * count
         self.running = running_arrays(count)
-        # Those of vehicles that options or a law of one's own have had a say in:
+        # Those loaded from options or a law of one's own, and those that have been read since:
         self._given: list[Episode | None] = [None] * count
         self._batch_reset: BatchReset | None = None
         if isinstance(self.settings.law, ArrayLaw):
@@ -124,15 +123,22 @@ class Simulation(Readings):
         Raises ValueError as `draw_episode` does.
         """
         chosen = np.asarray(chosen, dtype=np.int64)
-        rngs = self._generators(chosen)
+        rngs = generators(self.rngs, chosen)
         plain = options is None or not any(given is not None and given != {} for given in options)
         if plain and self._batch_reset is not None:
             self.batch = self._batch_reset.load(rngs, chosen, self.batch, self.running)
             for i in chosen.tolist():
                 self._given[i] = None
         else:
-            self._load_each(rngs, chosen, options or [None] * chosen.size)
-        self._settle(chosen)
+            settings, given = self.settings, options or [None] * chosen.size
+            drawn = each_drawn(
+                lambda k: draw_episode(rngs[k], settings, given[k]),
+                states_of(rngs), chosen, self.batch,
+            )  # fmt: skip
+            self.batch = load_each(self.batch, self.running, chosen, drawn, settings)
+            for i, episode in zip(chosen.tolist(), drawn, strict=True):
+                self._given[i] = episode
+        complete_starts(self.batch, chosen, self.solver.prepared)
         self.ended[chosen] = False
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
         self._advance(self._idle, chosen, 0, chosen.size, False)
@@ -142,46 +148,6 @@ class Simulation(Readings):
                 self.batch, self.observations, chosen, episodes, self.solver.prepared.ground
             )
         return self.observations
-
-    def _generators(self, chosen: NDArray[np.int64]) -> list[np.random.Generator]:
-        found = []
-        for i in chosen.tolist():
-            rng = self.rngs[i]
-            if rng is None:
-                raise ValueError(f"vehicle {i} has no random stream: call reset(seed=...) first")
-            found.append(rng)
-        return found
-
-    def _load_each(
-        self,
-        rngs: Sequence[np.random.Generator],
-        chosen: NDArray[np.int64],
-        options: Sequence[Mapping[str, Any] | None],
-    ) -> None:
-        """Draw in Python, where options or a law of one's own have a say."""
-        drawn = each_drawn(
-            lambda k: draw_episode(rngs[k], self.settings, options[k]),
-            states_of(rngs), chosen, self.batch,
-        )  # fmt: skip
-        events = max(len(episode.events) for episode in drawn)
-        delay = max(int(episode.sensors.delay.max()) for episode in drawn)
-        self.batch = fitted(self.batch, events, delay, self.solver.control_period)
-        for i, episode in zip(chosen.tolist(), drawn, strict=True):
-            self._given[i] = episode
-            load_episode(self.batch, self.running, i, episode, self.settings)
-
-    def _settle(self, chosen: NDArray[np.int64]) -> None:
-        """Let the plant complete the states that were drawn, where it has a say."""
-        start, ground = self.solver.prepared.start, self.solver.prepared.ground
-        if ground is not None:
-            ground.place(self.batch.floats, chosen)
-            return
-        if start is unchanged:
-            return
-        parameters, states = self.batch.base(), self.batch.state()
-        for i in chosen.tolist():
-            drawn = VehicleState(*states[i].tolist())
-            states[i] = start(PlantParameters(*parameters[i].tolist()), drawn)
 
     # --- an episode runs ------------------------------------------------------------------
     def step(

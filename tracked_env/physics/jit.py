@@ -15,6 +15,7 @@ inlined formula, run `make clean-cache` so that its callers are compiled again.
 
 from collections.abc import Callable
 from functools import partial
+from inspect import signature
 from typing import Any
 
 from numba import njit, typeof
@@ -36,7 +37,10 @@ def bound(kernel: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
     """`kernel` for arguments of exactly these types, without looking the types up in each call.
 
     That look-up costs a twentieth of the step of one vehicle. The types are not checked any more:
-    for arguments that are prepared once and kept.
+    for arguments that are prepared once and kept. A kernel with `*arguments` is returned as it is.
     """
+    if any(one.kind is one.VAR_POSITIONAL for one in signature(kernel.py_func).parameters.values()):
+        unbound: Callable[..., Any] = kernel
+        return unbound
     compiled: Callable[..., Any] = kernel.compile(tuple(typeof(value) for value in arguments))
     return compiled

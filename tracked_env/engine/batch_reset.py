@@ -1,0 +1,175 @@
+"""Episodes of many vehicles at once, drawn and loaded in kernels.
+
+`BatchReset` draws and loads the episodes of many vehicles: beginnings, references, uncertainty,
+sensors, starts, noise, each in one kernel over the chosen rows, from the generators' own streams.
+What only Python can draw (a reference of another kind than "random") is drawn there in its place.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.engine import columns as b
+from tracked_env.engine import noise
+from tracked_env.engine.episode import EpisodeSettings, draw_beginnings, placed, start_beside
+from tracked_env.engine.episode_loading import (
+    START,
+    STARTED,
+    Running,
+    each_drawn,
+    fitted,
+    fresh_counters,
+    fresh_row,
+    pose,
+    states_of,
+    write_profile,
+)
+from tracked_env.physics.channels import CHANNEL_COUNT
+from tracked_env.physics.jit import loop
+from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS
+from tracked_env.references import batch_reference, make_reference
+from tracked_env.sensor_draws import draw_signs, fixed_part
+from tracked_env.streams import addresses
+from tracked_env.terrain.drawn_relief import RELIEF_SIZE
+from tracked_env.uncertainty.compiled import (
+    CHANGE_FIELDS,
+    CHANGES_LIMIT,
+    RECORD,
+    ArrayLaw,
+    Draws,
+    numbers,
+)
+
+
+@loop
+def _write_pose(origins, chosen, pose):
+    """Let the references of the chosen vehicles begin at pose (START,)."""
+    for k in range(chosen.size):
+        origins[chosen[k], :START] = pose
+
+
+@loop
+def _load(
+    rngs, chosen, draws, origins, truths, changes, counts, length, row, clocks,
+    floats, counters, profile, events, block, states, seeds, noisy, needed, reliefs, first,
+):  # fmt: skip
+    """Load the chosen vehicles: sensors, parameters, reference, start, events, noise, relief.
+
+    draws (N, 4) behind the starts; length l [m]; row, clocks: of `fresh_row`, `fresh_counters`;
+    needed: whether there is noise; first: column of the relief, or 0. Returns the largest number
+    of events, which are not written where there is no room for them.
+    """
+    most = 0
+    for k in range(chosen.size):
+        i = chosen[k]
+        floats[i] = row
+        counters[i] = clocks
+        draw_signs(rngs[k], floats[i, b.BIAS : b.BIAS + CHANNEL_COUNT])
+        for p in range(PARAMETER_ROWS):
+            floats[i, b.BASE + p] = floats[i, b.PARAMETERS + p] = truths[i, p]
+        for j in range(START):
+            floats[i, b.REFERENCE_X + j] = origins[i, j]
+        drawn = start_beside(draws[i], length, profile[0, i, 0], profile[0, i, 6])
+        x, y, yaw = placed(origins[i], drawn[0], drawn[1], drawn[2])
+        start = (x, y, yaw, drawn[3], drawn[4])
+        for j in range(len(start)):
+            origins[i, START + j] = start[j]
+            floats[i, b.STATE + STARTED[j]] = start[j]
+        if first > 0:
+            floats[i, first : first + RELIEF_SIZE] = reliefs[i]
+        counters[i, b.EVENT_COUNT] = counts[i]
+        if counts[i] <= events.shape[1]:
+            events[i, : counts[i]] = changes[i, : counts[i], : b.EVENT_FIELDS]
+        most = max(most, counts[i])
+        noise.seed_state(states[i], seeds[i])
+        noisy[i] = needed
+        if needed:
+            noise.draw_block(block, states, i)
+    return most
+
+
+class BatchReset:
+    """Draws and loads episodes of many vehicles of N; the law of `settings` is an ArrayLaw."""
+
+    def __init__(self, settings: EpisodeSettings, batch: b.Batch) -> None:
+        count, width = batch.floats.shape
+        law = settings.law
+        assert isinstance(law, ArrayLaw)
+        self._law, self._settings = law, settings
+        found = batch_reference(settings.reference)
+        self._reference = None if found is None else found[0]
+        self._pose = np.array(pose(*(found[1] if found else (0.0, 0.0, 0.0))))
+        self.sensors = fixed_part(settings.sensors, settings.control_period, settings.channels)
+        self._read = np.array([name in settings.reads.names for name in PARAMETER_NAMES])
+        self._nominal = np.array([tuple(settings.nominal)], dtype=RECORD)
+        self._truths = np.zeros(count, dtype=RECORD)
+        self._numbers = numbers(self._truths)
+        self._changes = np.zeros((count, CHANGES_LIMIT, CHANGE_FIELDS))
+        self._counts = np.zeros(count, dtype=np.int64)
+        self._reliefs = np.zeros((count, RELIEF_SIZE))
+        self._starts = np.zeros((count, 4))
+        self._row = fresh_row(width, self.sensors)
+        self._clocks = fresh_counters(self.sensors, settings.max_steps)
+        self._delay = int(self.sensors.delay.max())
+
+    def load(
+        self,
+        rngs: Sequence[np.random.Generator],
+        chosen: NDArray[np.int64],
+        batch: b.Batch,
+        running: Running,
+    ) -> b.Batch:
+        """Draw and load an episode of each chosen vehicle from its generator.
+
+        Returns the batch, with more room where that was needed. Raises ValueError as
+        `make_reference` does, before any vehicle is touched.
+        """
+        settings, streams = self._settings, addresses(rngs)
+        batch = fitted(batch, 0, self._delay, settings.control_period)
+        origins = running.origins
+        if self._reference is not None:
+            draw_beginnings(streams, chosen, running.seeds, self._starts)
+            self._reference.fill(streams, chosen, batch.profile)
+            _write_pose(origins, chosen, self._pose)
+        else:
+            self._draw_references(rngs, streams, chosen, batch, running)
+        self._law.fill(
+            Draws(
+                streams, chosen, self._nominal, batch.profile, origins, settings.duration,
+                self._truths, self._changes, self._counts, self._read, self._reliefs,
+            )
+        )  # fmt: skip
+        most = _load(
+            streams, chosen, self._starts, origins, self._numbers, self._changes, self._counts,
+            settings.nominal.contact_length, self._row, self._clocks, batch.floats, batch.counters,
+            batch.profile, batch.events, batch.noise, running.noise_states, running.seeds,
+            running.noisy, self.sensors.noisy, self._reliefs, settings.relief_column,
+        )  # fmt: skip
+        if most > batch.events.shape[1]:
+            batch = fitted(batch, most, self._delay, settings.control_period)
+            for i in chosen:
+                own = slice(0, self._counts[i])
+                batch.events[i, own] = self._changes[i, own, : b.EVENT_FIELDS]
+        return batch
+
+    def _draw_references(
+        self,
+        rngs: Sequence[np.random.Generator],
+        streams: NDArray[np.int64],
+        chosen: NDArray[np.int64],
+        batch: b.Batch,
+        running: Running,
+    ) -> None:
+        """Beginnings and references, where only Python can draw these. Raises ValueError."""
+        settings, before = self._settings, states_of(rngs)
+        seeds, starts = np.empty(chosen.size, dtype=np.int64), np.empty((chosen.size, 4))
+        draw_beginnings(streams, np.arange(chosen.size), seeds, starts)
+        profiles = each_drawn(
+            lambda k: make_reference(settings.reference, settings.duration, rngs[k]),
+            before, chosen, batch,
+        )  # fmt: skip
+        running.seeds[chosen], self._starts[chosen] = seeds, starts
+        for i, profile in zip(chosen, profiles, strict=True):
+            write_profile(batch, i, profile)
+            running.origins[i, :START] = pose(*profile[2:])

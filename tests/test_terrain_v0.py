@@ -314,7 +314,7 @@ def test_a_copy_goes_on_bit_for_bit_and_draws_its_own_ground(copied):
         assert_same(one[0], two[0])
         assert one[1:4] == two[1:4]
     env.reset(seed=9)
-    assert env.render().shape == other.render().shape == first.shape
+    assert env.render().shape == other.render().shape == first.shape == (800, 960, 3)
     assert not np.array_equal(env.render(), other.render())
 
 

@@ -25,8 +25,8 @@ class TrackedVehicleVecEnv(VecEnv):
     """An SB3 `VecEnv` over a `TrackedVehicleVectorEnv`, wrapped or not, in SAME_STEP mode.
 
     `infos` are empty dicts except for rows that ended: `terminal_observation`,
-    `TimeLimit.truncated`, `is_success`, `tracking_error` (2,) [m, rad] and the terms
-    of the reward, `reward_position` and so on.
+    `TimeLimit.truncated`, `is_success`, `tracking_error` (2,) [m, rad], the terms of
+    the reward, `reward_position` and so on, and the flags `ended_*` of plants that have them.
     staggered: the first episodes end at different times, see `TrackedVehicleVectorEnv`.
     """
 
@@ -75,6 +75,7 @@ class TrackedVehicleVecEnv(VecEnv):
                     "is_success": bool(final["is_success"][i]),
                     "tracking_error": final["tracking_error"][i],
                     **{name: float(final[name][i]) for name in INFO_KEYS},
+                    **{name: bool(final[name][i]) for name in final if name.startswith("ended_")},
                 }
         return observations, rewards.astype(np.float32), dones, infos
 

@@ -125,7 +125,8 @@ class TerrainStrip:
         self.surface.blit(bar, (left.x - 14, left.y))
         put(self.surface, "front", right.right + 6, right.y, 10, canvas.MUTED)
         put(self.surface, _force(full), left.x - 18, left.y - 4, 10, canvas.MUTED, align=1.0)
-        put(self.surface, "a patch", left.x - 18, left.y + 8, 10, canvas.MUTED, align=1.0)
+        share = "a patch" if loads[0].size > 1 else "a track"
+        put(self.surface, share, left.x - 18, left.y + 8, 10, canvas.MUTED, align=1.0)
         put(self.surface, "0", left.x - 18, left.bottom - 10, 10, canvas.MUTED, align=1.0)
 
     def _tilt(self, pose: BodyPose, shot: Snapshot) -> None:

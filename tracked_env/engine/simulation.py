@@ -255,9 +255,10 @@ class Simulation(Readings):
         self, actions: NDArray[np.float32], chosen: NDArray[np.int64], refill: bool
     ) -> int:
         """The same on several threads; refuses a non-finite action before any of them moves."""
-        finite = np.isfinite(actions[chosen]).all(axis=1)
-        if not finite.all():
-            return int(chosen[np.argmin(finite)])
+        if not np.isfinite(actions).all():  # of whatever vehicle
+            finite = np.isfinite(actions[chosen]).all(axis=1)
+            if not finite.all():
+                return int(chosen[np.argmin(finite)])
 
         def run(first: int, last: int) -> int:
             if refill:

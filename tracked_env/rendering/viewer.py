@@ -28,7 +28,7 @@ from tracked_env.rendering.vehicle_mesh import Faces, vehicle_faces
 
 FloatArray = NDArray[np.float64]
 
-HOST = "127.0.0.1"  # nobody else on the network sees the page
+HOST = "127.0.0.1"  # the page is not visible on the network
 PORT = 8080  # [-] first one that is tried
 RATE = 20.0  # [1/s] instants of a recording that are shown
 PIECES = 60  # [-] at most, of the driven path

@@ -1,6 +1,5 @@
 """The paired runner: same episodes for all, nothing lost, nothing seen that must not be."""
 
-import ast
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import tracked_env
 from baselines.registry import POLICIES
 from tests.benchmark.stub_policies import Constant, Curious, Diverging, Truthful, entry
 from tracked_env import SPEED_ID
@@ -21,7 +19,6 @@ from tracked_env.benchmark import (
     load_policy,
     run,
 )
-from tracked_env.benchmark.benchmark_config import WITHOUT_INFLUENCE
 from tracked_env.benchmark.figure_data import figure_data
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.policy_interface import (
@@ -213,88 +210,6 @@ def test_a_policy_whose_source_has_changed_runs_again_and_the_others_do_not(
     store = Store(tmp_path, SHORT.identity())
     changed = entry("spin", SPIN.make, fingerprint="2")
     assert [task.policy.name for task in pending(SHORT, [COAST, changed], store)] == ["spin"]
-
-
-@pytest.mark.parametrize(
-    "change",
-    [{"seed": 1}, {"sensors": "ideal"}, {"duration": 1.0}, {"reference": {"kind": "circle"}},
-     {"lateral": "constrained"}, {"error_limit": 3.0}, {"control_rate": 25.0}],
-)  # fmt: skip
-def test_whatever_changes_numbers_is_part_of_the_identity(change: dict[str, Any]) -> None:
-    changed = BenchmarkConfig(**{"sets": SHORT.sets, "duration": 2.0, **change})
-    assert changed.identity() != SHORT.identity()
-
-
-@pytest.fixture
-def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the package's source, which identities are then taken from."""
-    source = Path(tracked_env.__file__).parent
-    copy = tmp_path / "tracked_env"
-    for path in source.rglob("*.py"):
-        target = copy / path.relative_to(source)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(path.read_bytes())
-    monkeypatch.setattr(tracked_env.__spec__, "submodule_search_locations", [str(copy)])
-    return copy
-
-
-def test_every_source_file_is_part_of_the_identity_or_named_as_without_influence(
-    copied: Path,
-) -> None:
-    first = SHORT.identity()
-    unnoticed = set()
-    for path in sorted(copied.rglob("*.py")):
-        content = path.read_bytes()
-        path.write_bytes(content + b"#")
-        if SHORT.identity() == first:
-            unnoticed.add(path.relative_to(copied).as_posix())
-        path.write_bytes(content)
-    named = {
-        path.relative_to(copied).as_posix()
-        for name in WITHOUT_INFLUENCE
-        for path in ([copied / name] if name.endswith(".py") else (copied / name).rglob("*.py"))
-    }
-    assert unnoticed == named
-    for name in ("__init__.py", "uncertainty/__init__.py", "references/__init__.py"):
-        assert name not in unnoticed
-    assert all((copied / name).exists() for name in WITHOUT_INFLUENCE)
-
-
-def imports(path: Path) -> set[str]:
-    """Modules that a file of the package names in an import, as paths relative to it."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        names: list[str] = []
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        found |= {name.partition(".")[2].replace(".", "/") for name in names}
-    return found
-
-
-def test_the_simulation_takes_nothing_but_pictures_from_what_is_without_influence() -> None:
-    source = Path(tracked_env.__file__).parent
-    left_out = {name.rstrip("/").removesuffix(".py") for name in WITHOUT_INFLUENCE}
-    taken = {
-        (name, used)
-        for path in source.rglob("*.py")
-        for name in [path.relative_to(source).as_posix()]
-        if not any(name.removesuffix(".py").startswith(of) for of in left_out)
-        for used in imports(path) & left_out
-    }
-    assert taken == {
-        ("env.py", "rendering"),
-        ("vector_env.py", "rendering"),
-        ("benchmark/runner.py", "benchmark/executors"),
-        ("benchmark/runner.py", "benchmark/figure_data"),
-        ("benchmark/runner.py", "benchmark/progress_bar"),
-        ("benchmark/runner.py", "benchmark/store"),
-        *(
-            ("benchmark/__init__.py", f"benchmark/{name}")
-            for name in ("frozen", "report", "store", "summary")
-        ),
-    }
 
 
 def test_an_error_of_a_policy_says_whose_it_was_and_where(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from tracked_env.terrain.relief import fill
 HALF_LENGTH, HALF_GAUGE, WIDTH, HEIGHT = 0.35, 0.303, 0.1, 0.25
 COLUMNS = 1.0 - (2.0 * np.arange(10) + 1.0) / 10
 ROWS = (np.arange(4) + 0.5) / 4 - 0.5
-FOOTING = Footing(HEIGHT, HALF_LENGTH, 0.07 / 40, 1e5 / 0.07, 5e3 / 0.07, 2.0)
+FOOTING = Footing(HEIGHT, HALF_LENGTH, 0.07 / 40, 1e5 / 0.07, 5e3 / 0.07, 2.0, 0.0, 0.0)
 FIELD = make_height_field([{"kind": "plane", "slope_x": 0.1}, {"kind": "hills", "height": 0.1}])
 MU, COHESION, MODULUS, ROLLING = 0.6, 800.0, 2e-3, 0.04
 
@@ -36,12 +36,12 @@ def contact(seed, again=False):
     """(scratch, rotation, twist, belt speeds) of a random motion with patches in the ground."""
     rng = np.random.default_rng(seed)
     w = np.zeros((g.SCRATCH_ROWS, g.LANES))
-    lanes = g.place_patches(w, COLUMNS, ROWS, HALF_LENGTH, HALF_GAUGE, WIDTH)
+    lanes = g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, FOOTING)
     w[g.FRICTION], w[g.ADHESION] = MU, COHESION * FOOTING.patch_area
-    w[g.INVERSE_MODULUS], w[g.ROLLING] = 1.0 / MODULUS, ROLLING
+    w[g.INVERSE_MODULUS], w[g.ROLLING], w[g.FIRMNESS] = 1.0 / MODULUS, ROLLING, 1.0
     belts = rng.uniform(-1.0, 1.0, 2)
     for side in range(2):
-        g.set_belt(w, 40 * side, 40 * side + 40, belts[side], HALF_LENGTH)
+        g.set_belt(w, 40 * side, 40 * side + 40, belts[side], FOOTING)
     yaw, pitch, roll = rng.uniform(-0.1, 0.1, 3)
     x, y = rng.uniform(-3.0, 3.0, 2)
     height, slope_x, _ = FIELD.at(x, y)
@@ -96,7 +96,7 @@ def test_the_sinkage_is_the_distance_to_a_tilted_plane_along_its_normal(seed):
     slope_x, slope_y = np.random.default_rng(seed).uniform(-0.8, 0.8, 2)
     plane = make_height_field({"kind": "plane", "slope_x": slope_x, "slope_y": slope_y})
     w = np.zeros((g.SCRATCH_ROWS, g.LANES))
-    g.place_patches(w, COLUMNS, ROWS, HALF_LENGTH, HALF_GAUGE, WIDTH)
+    g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, FOOTING)
     r = matrix_of(quaternion_of(0.3, -0.2, 0.1))
     g.locate(w, 80, (0.2, -0.4, 0.25), r, HEIGHT)
     fill(plane.relief, w, 80)

@@ -6,13 +6,14 @@ that `ground_contact` fills, in body axes:
     drag   = sum J_k^T K_k J_k,   J_k = [1, -[r_k] x]        of v + W x r_k
     belts  = sum J_k^T K_k x_b,   the coupling of a belt's speed to the vehicle, one sum per track
 The slope of a force in its contact plane is (K_TT, K_TQ; K_TQ, K_QQ) along t and q, K_ROLL is added
-along t, and the damper of the ground acts along n.
+along t, and the damper of the ground acts along n, with the firmness of its patch.
 """
 
 from typing import NamedTuple
 
 from tracked_env.physics.ground_contact import (
     AHEAD,
+    FIRMNESS,
     INVERSE_AHEAD,
     K_QQ,
     K_ROLL,
@@ -118,7 +119,7 @@ def total_drag(w, lanes, h, damping):
         t_y, t_z = -a * b * inverse_g, -a * c * inverse_g
         q_y, q_z = c * inverse_g, -b * inverse_g
         k_tt, k_tq, k_qq = w[K_TT, lane] + w[K_ROLL, lane], w[K_TQ, lane], w[K_QQ, lane]
-        stiff = damping if w[LOAD, lane] > 0.0 else 0.0
+        stiff = damping * w[FIRMNESS, lane] if w[LOAD, lane] > 0.0 else 0.0
         o_x, o_y, o_z = k_tt * g, k_tt * t_y + k_tq * q_y, k_tt * t_z + k_tq * q_z
         i_x, i_y, i_z = k_tq * g, k_tq * t_y + k_qq * q_y, k_tq * t_z + k_qq * q_z
         d_x, d_y, d_z = stiff * a, stiff * b, stiff * c

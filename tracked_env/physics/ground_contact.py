@@ -1,12 +1,14 @@
 """Normal load and shear of the patches under two tracks on uneven ground.
 
-Equations, for the patch at r = (x, y, -h) in body axes, at P in the world (symbols in NOTATION.md):
+Equations, for the patch at r = (x, y, -h) from the centre of mass in body axes, at P in the world
+(symbols in NOTATION.md; x_m = x + c_x is from the middle of the tracks, c ahead of it the centre
+of mass; k_A, d_A those of the patch):
     n    = (-h_x, -h_y, 1) / sqrt(1 + h_x^2 + h_y^2)          normal of the ground
     rho  = (h(P) - P_z) n_z,  u = v + W x r,  rho' = -n . u    sinkage and its rate
-    N    = A_p max(0, k_A s rho + d_A rho'),  s = 1 + K_tp v_x (x + sign(v_x) l);  0 if rho <= 0
+    N    = A_p max(0, k_A s rho + d_A rho'),  s = 1 + K_tp v_x (x_m + sign(v_x) l);  0 if rho <= 0
     t    = unit of P_n x_b,  q = n x t,  P_n a = a - (a . n) n  axes of the contact plane
     s    = (u_t - v', u_q),  v' = v_s |P_n x_b|                shear velocity
-    T    = (l - sign(v_s) x) / |v_s|,  th = T n . W            time and turn since first contact
+    T    = (l - sign(v_s) x_m) / |v_s|,  th = T n . W          time and turn since first contact
     j    = T |(u_t S - v' - u_q C, u_t C + u_q S)|,  S = sin(th)/th,  C = (1 - cos(th))/th
     k    = (c A_p + mu N) (1 - exp(-j/K)) / |s|                shear resistance [N s/m]
     f    = N n - k s - c_r N g(u_t) t,  g(u) = u / sqrt(u^2 + w^2)
@@ -48,11 +50,11 @@ LANES = 1288  # two tracks of 80 x 8 patches; an odd number of cache lines from 
 # Rows of the scratch array; a lane is a patch, the left track first.
 (
     PLACE_X, PLACE_Y, HEIGHT, SLOPE_X, SLOPE_Y,  # of the terrain
-    X, Y, PLACE_Z, FRICTION, ADHESION, INVERSE_MODULUS, ROLLING, BELT, TIME,
+    X, Y, PLACE_Z, FRICTION, ADHESION, INVERSE_MODULUS, ROLLING, FIRMNESS, BELT, TIME,
     SINKAGE, N_X, N_Y, N_Z, AHEAD, INVERSE_AHEAD, LOAD, FORWARD, SLIDE, ASIDE, SHEARED,
     OLD_SLIDE, OLD_ASIDE, THRUST, LATERAL, ROLLED, K_TT, K_TQ, K_QQ, K_ROLL,
-) = range(34)  # fmt: skip
-SCRATCH_ROWS = 34
+) = range(35)  # fmt: skip
+SCRATCH_ROWS = 35
 
 
 class Twist(NamedTuple):
@@ -75,6 +77,8 @@ class Footing(NamedTuple):
     stiffness: float  # [N/m^3] k_A, per area
     damping: float  # [N s/m^3] d_A, per area
     stiffening: float  # [s/m^2] K_tp
+    ahead: float  # [m] c_x, centre of mass ahead of the middle of the tracks
+    aside: float  # [m] c_y, to the left of it
 
 
 @formula
@@ -84,9 +88,10 @@ def padded(count):
 
 
 @formula
-def place_patches(w, columns, rows, half_length, half_gauge, track_width):
-    """Rows X, Y [m] of the patches; columns, rows: middles over half length and track width.
+def place_patches(w, columns, rows, half_gauge, track_width, f):
+    """Rows X, Y [m] of the patches from the centre of mass; f: Footing.
 
+    columns, rows: their middles over half the length and over the width of a track.
     Returns the number of lanes; those after the last patch have no sinkage ever.
     """
     lane = 0
@@ -94,8 +99,8 @@ def place_patches(w, columns, rows, half_length, half_gauge, track_width):
         middle = -half_gauge if side else half_gauge
         for row in range(rows.size):
             for column in range(columns.size):
-                w[X, lane] = columns[column] * half_length
-                w[Y, lane] = middle + rows[row] * track_width
+                w[X, lane] = columns[column] * f.half_length - f.ahead
+                w[Y, lane] = middle + rows[row] * track_width - f.aside
                 lane += 1
     lanes = padded(lane)
     for row in range(SCRATCH_ROWS):
@@ -105,15 +110,16 @@ def place_patches(w, columns, rows, half_length, half_gauge, track_width):
 
 
 @formula
-def set_belt(w, first, last, speed, half_length):
-    """Rows BELT, TIME of the lanes of one track whose belt moves at `speed` [m/s]."""
+def set_belt(w, first, last, speed, f):
+    """Rows BELT, TIME of the lanes of one track whose belt moves at `speed` [m/s]; f: Footing."""
     size = max(abs(speed), BELT_SPEED_FLOOR)
     moving = abs(speed) / size  # 1, or less below the floor: a belt that stands has no first end
     ahead = moving if speed >= 0.0 else -moving
     inverse = 1.0 / size
+    first_end = f.half_length - ahead * f.ahead  # from the centre of mass, along the motion
     for lane in range(first, last):
         w[BELT, lane] = speed
-        w[TIME, lane] = (half_length - ahead * w[X, lane]) * inverse
+        w[TIME, lane] = (first_end - ahead * w[X, lane]) * inverse
 
 
 @formula
@@ -198,7 +204,7 @@ def press(w, lanes, twist, f):
     """Row LOAD [N]: every patch on its own springs."""
     length = f.half_length
     low_x, low_y = twist.x - f.height * twist.pitch, twist.y + f.height * twist.roll
-    leading = length if twist.x > 0.0 else (-length if twist.x < 0.0 else 0.0)
+    leading = f.ahead + (length if twist.x > 0.0 else (-length if twist.x < 0.0 else 0.0))
     rise = f.stiffening * twist.x
     for lane in range(lanes):
         x, y = w[X, lane], w[Y, lane]
@@ -206,7 +212,8 @@ def press(w, lanes, twist, f):
         u_z = twist.z + (twist.roll * y - twist.pitch * x)
         stiffness = f.stiffness * (1.0 + rise * (x + leading))
         closing = -(w[N_X, lane] * u_x + w[N_Y, lane] * u_y + w[N_Z, lane] * u_z)
-        w[LOAD, lane] = normal_load(w[SINKAGE, lane], closing, f.patch_area, stiffness, f.damping)
+        area = f.patch_area * w[FIRMNESS, lane]
+        w[LOAD, lane] = normal_load(w[SINKAGE, lane], closing, area, stiffness, f.damping)
 
 
 @summation

@@ -2,6 +2,7 @@
 
 The physics takes every parameter per vehicle and per step. A batch keeps one vehicle per row and
 one parameter per column, in the order of `PARAMETER_NAMES`, shape (N, PARAMETER_ROWS).
+Schedules and frozen sets know a parameter by its row, so a new one comes at the end.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187, Tables 1 and 2. [2] Focchi et al.,
 "Pseudo-Kinematic Trajectory Control and Planning of Tracked Vehicles" (2025), Table 2.
@@ -26,6 +27,11 @@ class VehicleParameters(NamedTuple):
     sprocket_speed_limit: float = 20.0  # [rad/s] of one drive, at the sprocket
     drive_time_constant: float = 0.05  # [s] lag of the torque (or speed) behind its demand
     sprocket_inertia: float = 10.0  # [kg m^2] J, of one drive and track, seen at the sprocket
+    centre_of_mass_x: float = 0.0  # [m] of the centre of mass ahead of the nominal one, body axes
+    centre_of_mass_y: float = 0.0  # [m] the same, to the left
+    centre_of_mass_z: float = 0.0  # [m] the same, upward
+    roll_inertia_ratio: float = 2.18 / 4.5  # [-] roll over yaw inertia, of [2] for every vehicle
+    pitch_inertia_ratio: float = 2.81 / 4.5  # [-] pitch over yaw inertia, of [2] likewise
 
 
 class SoilParameters(NamedTuple):
@@ -36,6 +42,7 @@ class SoilParameters(NamedTuple):
     shear_deformation_modulus: float = 0.02  # [m] K
     longitudinal_resistance: float = 0.6  # [-] mu_l, motion resistance over weight
     lateral_resistance: float = 0.8  # [-] mu_t, lateral friction over weight
+    ground_stiffness_factor: float = 1.0  # [-] on the springs and dampers of the ground
 
 
 class LateralModelParameters(NamedTuple):
@@ -65,6 +72,12 @@ class PlantParameters(NamedTuple):
     lateral_resistance: float
     turning_resistance_factor: float
     icr_forward: float
+    centre_of_mass_x: float
+    centre_of_mass_y: float
+    centre_of_mass_z: float
+    roll_inertia_ratio: float
+    pitch_inertia_ratio: float
+    ground_stiffness_factor: float
 
 
 class ParametersRead(NamedTuple):
@@ -96,6 +109,9 @@ GROUPS = {
     "soil": SoilParameters._fields,
     "lateral_model": LateralModelParameters._fields,
 }
+
+# What only a plant with a height, a roll and a pitch reads.
+IN_SPACE = frozenset(PARAMETER_NAMES[PARAMETER_NAMES.index("centre_of_mass_x") :])
 
 STRAWA_VEHICLE = VehicleParameters()
 HEAVY_CLAY = SoilParameters()
@@ -139,6 +155,12 @@ RANGES = {
     "lateral_resistance": Range(0.0, 2.0, "-", "Did you pass a percentage?"),
     "turning_resistance_factor": Range(0.0, 4.0, "-", "1 is the integral, 2 the printed S (20)."),
     "icr_forward": Range(-2.0, 2.0, "m", "Beyond the track ends the motion is unstable."),
+    "centre_of_mass_x": Range(-1.0, 1.0, "m", "It is an offset from the nominal centre of mass."),
+    "centre_of_mass_y": Range(-1.0, 1.0, "m", "It is an offset from the nominal centre of mass."),
+    "centre_of_mass_z": Range(-1.0, 1.0, "m", "It is an offset from the nominal centre of mass."),
+    "roll_inertia_ratio": Range(0.05, 5.0, "-", "It is over the yaw inertia, not in kg m^2."),
+    "pitch_inertia_ratio": Range(0.05, 5.0, "-", "It is over the yaw inertia, not in kg m^2."),
+    "ground_stiffness_factor": Range(0.05, 10.0, "-", "It is a factor; 1 is the plant's option."),
 }
 
 
@@ -149,8 +171,8 @@ def plant_parameters(
 ) -> PlantParameters:
     """Join vehicle, soil and lateral model into the flat tuple that the kernels take."""
     lateral_model = LateralModelParameters() if lateral_model is None else lateral_model
-    values = (*vehicle, *soil, *lateral_model)
-    return PlantParameters(*(float(value) for value in values))
+    values = {**vehicle._asdict(), **soil._asdict(), **lateral_model._asdict()}
+    return PlantParameters(**{name: float(value) for name, value in values.items()})
 
 
 @formula
@@ -160,7 +182,8 @@ def row_parameters(table, i, first):
     return PlantParameters(
         t[i, p], t[i, p + 1], t[i, p + 2], t[i, p + 3], t[i, p + 4], t[i, p + 5],
         t[i, p + 6], t[i, p + 7], t[i, p + 8], t[i, p + 9], t[i, p + 10], t[i, p + 11],
-        t[i, p + 12], t[i, p + 13], t[i, p + 14], t[i, p + 15], t[i, p + 16],
+        t[i, p + 12], t[i, p + 13], t[i, p + 14], t[i, p + 15], t[i, p + 16], t[i, p + 17],
+        t[i, p + 18], t[i, p + 19], t[i, p + 20], t[i, p + 21], t[i, p + 22],
     )  # fmt: skip
 
 

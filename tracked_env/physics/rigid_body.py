@@ -5,8 +5,11 @@ Equations (symbols in NOTATION.md), W the angular velocity, v that of the centre
     I W' + W x (I W)   = M                 I diagonal: the body's axes are principal axes
 A step with the drag A of the forces solves (M + d A) a = wrench, where M = diag(m, m, m, I) and
 A is symmetric and positive semidefinite, by L D L^T without square roots or pivots.
+A payload m_p at r from the centre of mass of a vehicle of mass m_v moves that by c, and its inertia
+about the new centre of mass follows from the parallel axes of both:
+    c = r m_p / (m_v + m_p),   I_z = I_z,v + I_z,p + (x^2 + y^2) m_v m_p / (m_v + m_p)    and so on
 
-Assumption: the products of inertia vanish.
+Assumption: the products of inertia vanish, those of a payload out of the axes too.
 """
 
 from typing import NamedTuple
@@ -49,6 +52,26 @@ class Factors(NamedTuple):
     d3: float
     d4: float
     d5: float
+
+
+@formula
+def with_payload(i, mass, place, size):
+    """(Inertia, shift (x, y, z) [m] of the centre of mass) of a vehicle with a box on it.
+
+    i: Inertia of the vehicle; mass [kg] of the box, its middle at `place` (x, y, z) [m] from the
+    vehicle's centre of mass, its edges `size` [m] along the body's axes; 0: a point.
+    """
+    share = mass / (i.mass + mass)
+    reduced, own = i.mass * share, mass / 12.0
+    x2, y2, z2 = place[0] * place[0], place[1] * place[1], place[2] * place[2]
+    a2, b2, c2 = size[0] * size[0], size[1] * size[1], size[2] * size[2]
+    loaded = Inertia(
+        i.mass + mass,
+        i.roll + own * (b2 + c2) + reduced * (y2 + z2),
+        i.pitch + own * (a2 + c2) + reduced * (x2 + z2),
+        i.yaw + own * (a2 + b2) + reduced * (x2 + y2),
+    )
+    return loaded, (share * place[0], share * place[1], share * place[2])
 
 
 @formula
@@ -136,6 +159,15 @@ def moved(v, rates, duration):
         v.x + duration * rates.x, v.y + duration * rates.y, v.z + duration * rates.z,
         v.roll + duration * rates.roll, v.pitch + duration * rates.pitch,
         v.yaw + duration * rates.yaw,
+    )  # fmt: skip
+
+
+@formula
+def at_point(v, x, y, z):
+    """Twist of the point (x, y, z) [m] of the body, from that of its origin; of rates likewise."""
+    return Twist(
+        v.x + (v.pitch * z - v.yaw * y), v.y + (v.yaw * x - v.roll * z),
+        v.z + (v.roll * y - v.pitch * x), v.roll, v.pitch, v.yaw,
     )  # fmt: skip
 
 

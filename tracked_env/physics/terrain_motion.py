@@ -11,7 +11,7 @@ and over the departure z from the middle by the L-stable method of order two wit
 The drag of a patch that slides faster than at the evaluation before is the slope of its force along
 the motion and not the secant: a secant holds a patch that breaks away for as long as it takes to
 gain a few orders of magnitude of speed. Whatever the matrix, the order is two. With sprocket
-torques the belts have rates of their own, and are eliminated side by side. The terrain is asked
+torques the belts have rates of their own, and are eliminated (`driven_belts`). The terrain is asked
 once a step. The springs are explicit, stable up to h = 2 / (largest eigenfrequency).
 
 References: [1] McLachlan, Quispel, "Splitting methods", Acta Numerica 11 (2002). [2] those of
@@ -24,16 +24,15 @@ from tracked_env.physics import contact_totals, uniform_load
 from tracked_env.physics import ground_contact as g
 from tracked_env.physics.attitude import Quaternion, matrix_of, turned
 from tracked_env.physics.contact_totals import BeltDrag, Drag, Wrench
+from tracked_env.physics.driven_belts import NO_BELTS, BeltDrive, belt_rates, eliminated, solve
 from tracked_env.physics.ground_contact import Footing, Twist
 from tracked_env.physics.jit import formula
-from tracked_env.physics.patch_dynamics import Belts, driving_torque, followed
+from tracked_env.physics.patch_dynamics import Belts, followed
 from tracked_env.physics.patch_forces import BELT_SPEED_FLOOR
 from tracked_env.physics.rigid_body import (
     Inertia,
-    factors,
     momentum,
     moved,
-    solved,
     summed,
     with_inertia,
     with_weight,
@@ -42,7 +41,6 @@ from tracked_env.physics.rosenbrock import GAMMA
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.physics.uniform_load import Rocking
 
-_NO_BELTS = Belts(0.0, 0.0)
 _NO_WRENCH = Wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _NO_BELT_DRAG = BeltDrag(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _NO_TILT = uniform_load.Tilt(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -59,14 +57,6 @@ class Pose3(NamedTuple):
     y: float  # [m]
     z: float  # [m]
     q: Quaternion
-
-
-class BeltDrive(NamedTuple):
-    """How the belts follow their drives."""
-
-    inverse_belt_mass: float  # [1/kg] r^2 / J, or 0 where their speed is given
-    inverse_radius: float  # [1/m]
-    inverse_belt_limit: float  # [s/m] 1 / (r omega_max)
 
 
 class Tracked(NamedTuple):
@@ -110,7 +100,7 @@ def meet_ground(fill, relief, w, pose, r, body):
     """Where the patches are and which way the ground faces there; returns places off the map."""
     if body.uniform:
         few = min(body.lanes, g.WIDE)
-        uniform_load.locate_foot(w, few, pose, r, body.footing.height)
+        uniform_load.locate_foot(w, few, pose, r, body.footing)
         off = fill(relief, w, few)
         g.orient(w, few, r)
         uniform_load.share_plane(w, body.lanes)
@@ -127,8 +117,8 @@ def meet_ground(fill, relief, w, pose, r, body):
 def set_belts(w, belts, body):
     """Belt speeds in all lanes; returns the longest contact time [s] of both tracks."""
     length = body.footing.half_length
-    g.set_belt(w, 0, body.patches, belts.left, length)
-    g.set_belt(w, body.patches, body.lanes, belts.right, length)
+    g.set_belt(w, 0, body.patches, belts.left, body.footing)
+    g.set_belt(w, body.patches, body.lanes, belts.right, body.footing)
     slow = max(min(abs(belts.left), abs(belts.right)), BELT_SPEED_FLOOR)
     return 2.0 * length / slow
 
@@ -163,80 +153,6 @@ def kick_at(w, r, twist, longest, body, again):
 
 
 @formula
-def _less(drag, c, share):
-    """drag - share c c^T, of a belt's BeltDrag c."""
-    x, y, z = share * c.x, share * c.y, share * c.z
-    roll, pitch, yaw = share * c.roll, share * c.pitch, share * c.yaw
-    return Drag(
-        drag.xx - x * c.x, drag.yx - y * c.x, drag.yy - y * c.y,
-        drag.zx - z * c.x, drag.zy - z * c.y, drag.zz - z * c.z,
-        drag.rx - roll * c.x, drag.ry - roll * c.y, drag.rz - roll * c.z, drag.rr - roll * c.roll,
-        drag.px - pitch * c.x, drag.py - pitch * c.y, drag.pz - pitch * c.z,
-        drag.pr - pitch * c.roll, drag.pp - pitch * c.pitch,
-        drag.wx - yaw * c.x, drag.wy - yaw * c.y, drag.wz - yaw * c.z,
-        drag.wr - yaw * c.roll, drag.wp - yaw * c.pitch, drag.ww - yaw * c.yaw,
-    )  # fmt: skip
-
-
-@formula
-def _factored(kick, body, d):
-    """Factors of M + d A with the belts eliminated, and what a belt keeps of its own rate."""
-    mass = body.drive.inverse_belt_mass
-    if mass == 0.0:
-        return factors(kick.drag, body.inertia, d), 1.0, 1.0
-    keep_left = 1.0 / (1.0 + d * mass * kick.left.own)
-    keep_right = 1.0 / (1.0 + d * mass * kick.right.own)
-    drag = _less(kick.drag, kick.left, d * mass * keep_left)
-    drag = _less(drag, kick.right, d * mass * keep_right)
-    return factors(drag, body.inertia, d), keep_left, keep_right
-
-
-@formula
-def _on(c, twist):
-    """Force [N] on the belt per time [s] of a twist: c . twist."""
-    return (
-        c.x * twist.x + c.y * twist.y + c.z * twist.z
-        + c.roll * twist.roll + c.pitch * twist.pitch + c.yaw * twist.yaw
-    )  # fmt: skip
-
-
-@formula
-def _pushed_by(wrench, c, amount):
-    """wrench + amount c, of a belt's BeltDrag c."""
-    return Wrench(
-        wrench.x + amount * c.x, wrench.y + amount * c.y, wrench.z + amount * c.z,
-        wrench.roll + amount * c.roll, wrench.pitch + amount * c.pitch,
-        wrench.yaw + amount * c.yaw,
-    )  # fmt: skip
-
-
-@formula
-def _solve(factored, kick, body, d, wrench, belts):
-    """(twist, belts) y with (1 + d A) y = (M^-1 wrench, belts), belts included."""
-    f, keep_left, keep_right = factored
-    mass = body.drive.inverse_belt_mass
-    if mass == 0.0:
-        return solved(f, wrench), _NO_BELTS
-    wrench = _pushed_by(wrench, kick.left, d * keep_left * belts.left)
-    wrench = _pushed_by(wrench, kick.right, d * keep_right * belts.right)
-    twist = solved(f, wrench)
-    left = keep_left * (belts.left + d * mass * _on(kick.left, twist))
-    right = keep_right * (belts.right + d * mass * _on(kick.right, twist))
-    return twist, Belts(left, right)
-
-
-@formula
-def belt_rates(kick, belts, torques, drive):
-    """Rates [m/s^2] of belts driven by torques [N m]."""
-    limit, mass = drive.inverse_belt_limit, drive.inverse_belt_mass
-    if mass == 0.0:
-        return _NO_BELTS
-    left = driving_torque(torques.left, belts.left, limit) * drive.inverse_radius
-    right = driving_torque(torques.right, belts.right, limit) * drive.inverse_radius
-    return Belts(mass * (left - kick.left.effort), mass * (right - kick.right.effort))
-
-
-@formula
 def _plus(a, b, factor):
     return Belts(a.left + factor * b.left, a.right + factor * b.right)
 
@@ -245,7 +161,7 @@ def _plus(a, b, factor):
 def _half_way(kick, factored, command, belts, h, body):
     """Rates of twist and belts, damped, that lead to the middle of a step."""
     rates = belt_rates(kick, belts, command, body.drive)
-    return _solve(factored, kick, body, 0.5 * h, kick.wrench, rates)
+    return solve(factored, kick, body, 0.5 * h, kick.wrench, rates)
 
 
 @formula
@@ -258,11 +174,11 @@ def _departure(kick, factored, given, belts, first, first_belts, h, body):
     rates = belt_rates(kick, belts, given, body.drive)
     half, d = 0.5 * h, GAMMA * h
     inner = summed(momentum(first, inertia, -half * _B), kick.wrench, (1.0 - GAMMA) * h)
-    inner_belts = _plus(_plus(_NO_BELTS, first_belts, -half * _B), rates, (1.0 - GAMMA) * h)
-    away, away_belts = _solve(factored, kick, body, d, inner, inner_belts)
+    inner_belts = _plus(_plus(NO_BELTS, first_belts, -half * _B), rates, (1.0 - GAMMA) * h)
+    away, away_belts = solve(factored, kick, body, d, inner, inner_belts)
     outer = summed(momentum(away, inertia, 1.0), momentum(first, inertia, -half), _A)
     outer_belts = _plus(_plus(away_belts, first_belts, -half * _A), rates, d)
-    return _solve(factored, kick, body, d, summed(outer, kick.wrench, d), outer_belts)
+    return solve(factored, kick, body, d, summed(outer, kick.wrench, d), outer_belts)
 
 
 @formula
@@ -285,7 +201,7 @@ def advance(fill, relief, w, start, command, demand, decay, steps, h, body):
     belts = belts if driven else command
     coming, off, r = command, 0.0, matrix_of(pose.q)
     at, at_belts, given = twist, belts, command
-    first, first_belts = Twist(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), _NO_BELTS
+    first, first_belts = Twist(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), NO_BELTS
     kick = Kick(_NO_WRENCH, _NO_DRAG, _NO_BELT_DRAG, _NO_BELT_DRAG, _NO_TILT)
     for evaluation in range(2 * steps + 1):
         again = evaluation % 2 == 1
@@ -295,7 +211,7 @@ def advance(fill, relief, w, start, command, demand, decay, steps, h, body):
         kick = kick_at(w, r, at, set_belts(w, at_belts, body), body, evaluation > 0)
         if evaluation == 2 * steps:
             break
-        factored = _factored(kick, body, (GAMMA if again else 0.5) * h)
+        factored = eliminated(kick, body, (GAMMA if again else 0.5) * h)
         if again:
             away, away_belts = _departure(
                 kick, factored, given, at_belts, first, first_belts, h, body

@@ -1,10 +1,10 @@
 """Uniform load: a vehicle on one foot with springs against tilt, the load shared by all patches.
 
-Equations, at the foot r0 = (0, 0, -h) under the centre of mass (symbols in NOTATION.md):
+Equations, at the foot r0 = (-c_x, -c_y, -h) in the middle of the tracks (symbols in NOTATION.md):
     F   = A max(0, k_A rho + d_A rho') if rho > 0, along n;  N = F / patches
     M_x = -K_x n_y - D_x W_x,   M_y = K_y n_x - D_y W_y          n in body axes; 0 when F = 0
     K_x = k_A A (B^2/4 + w^2/12),  K_y = k_A A l^2/3,  D = K d_A / k_A
-    |M_x| <= F (B + w)/2,  |M_y| <= F l
+    |M_x| <= F (B + w)/2,  |M_y| <= F l                  and r0 x F n beside M
 These are the rocking stiffnesses of the springs that the nonuniform load has under its patches. The
 ground under the foot stands for all ground under the vehicle: a plane that touches it.
 
@@ -70,12 +70,12 @@ def rocking_of(footing, half_gauge, track_width, count):
 
 
 @formula
-def locate_foot(w, lanes, p, r, height):
-    """Rows PLACE_X, PLACE_Y, PLACE_Z of lanes 0 .. lanes - 1: all of them the foot."""
+def locate_foot(w, lanes, p, r, f):
+    """Rows PLACE_X, PLACE_Y, PLACE_Z of lanes 0 .. lanes - 1: all of them the foot; f: Footing."""
     for lane in range(lanes):
-        w[PLACE_X, lane] = p[0] - r.xz * height
-        w[PLACE_Y, lane] = p[1] - r.yz * height
-        w[PLACE_Z, lane] = p[2] - r.zz * height
+        w[PLACE_X, lane] = p[0] - r.xz * f.height - (r.xx * f.ahead + r.xy * f.aside)
+        w[PLACE_Y, lane] = p[1] - r.yz * f.height - (r.yx * f.ahead + r.yy * f.aside)
+        w[PLACE_Z, lane] = p[2] - r.zz * f.height - (r.zx * f.ahead + r.zy * f.aside)
 
 
 @formula
@@ -105,8 +105,10 @@ def _bounded(moment, limit):
 def tilt_of(w, twist, footing, k):
     """Tilt at a motion; k: Rocking."""
     a, b, c = w[N_X, 0], w[N_Y, 0], w[N_Z, 0]
-    u_x, u_y = twist.x - footing.height * twist.pitch, twist.y + footing.height * twist.roll
-    closing = -(a * u_x + b * u_y + c * twist.z)
+    u_x = twist.x - footing.height * twist.pitch + footing.aside * twist.yaw
+    u_y = twist.y + footing.height * twist.roll - footing.ahead * twist.yaw
+    u_z = twist.z - footing.aside * twist.roll + footing.ahead * twist.pitch
+    closing = -(a * u_x + b * u_y + c * u_z)
     load = normal_load(w[SINKAGE, 0], closing, k.area, footing.stiffness, footing.damping)
     touching = 1.0 if load > 0.0 else 0.0
     roll, in_roll = _bounded(-k.roll * (b + k.retardation * twist.roll), load * k.half_width)
@@ -122,24 +124,28 @@ def tilt_of(w, twist, footing, k):
 @formula
 def held(w, tilt, footing, k, wrench, drag):
     """Wrench and Drag of the shear of all patches, and those of load and tilt added."""
-    h = footing.height
     a, b, c = w[N_X, 0], w[N_Y, 0], w[N_Z, 0]
+    # r0 x n, the moment of a force of 1 N along the normal at the foot.
+    roll = footing.height * b - footing.aside * c
+    pitch = footing.ahead * c - footing.height * a
+    yaw = footing.aside * a - footing.ahead * b
     wrench = Wrench(
         wrench.x + tilt.load * a,
         wrench.y + tilt.load * b,
         wrench.z + tilt.load * c,
-        wrench.roll + tilt.roll + h * tilt.load * b,
-        wrench.pitch + tilt.pitch - h * tilt.load * a,
-        wrench.yaw,
+        wrench.roll + tilt.roll + tilt.load * roll,
+        wrench.pitch + tilt.pitch + tilt.load * pitch,
+        wrench.yaw + tilt.load * yaw,
     )
     d = k.area * footing.damping if tilt.load > 0.0 else 0.0
-    x, y, z = d * a, d * b, d * c
+    x, y, z, turn, nod = d * a, d * b, d * c, d * roll, d * pitch
     return wrench, Drag(
         drag.xx + x * a, drag.yx + x * b, drag.yy + y * b,
         drag.zx + x * c, drag.zy + y * c, drag.zz + z * c,
-        drag.rx + h * x * b, drag.ry + h * y * b, drag.rz + h * y * c,
-        drag.rr + h * h * y * b + tilt.roll_drag,
-        drag.px - h * x * a, drag.py - h * x * b, drag.pz - h * x * c,
-        drag.pr - h * h * x * b, drag.pp + h * h * x * a + tilt.pitch_drag,
-        drag.wx, drag.wy, drag.wz, drag.wr, drag.wp, drag.ww,
+        drag.rx + turn * a, drag.ry + turn * b, drag.rz + turn * c,
+        drag.rr + turn * roll + tilt.roll_drag,
+        drag.px + nod * a, drag.py + nod * b, drag.pz + nod * c,
+        drag.pr + nod * roll, drag.pp + nod * pitch + tilt.pitch_drag,
+        drag.wx + yaw * x, drag.wy + yaw * y, drag.wz + yaw * z,
+        drag.wr + yaw * turn, drag.wp + yaw * nod, drag.ww + d * yaw * yaw,
     )  # fmt: skip

@@ -22,7 +22,13 @@ from tracked_env.physics import state as s
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters, Range, row_parameters
+from tracked_env.physics.parameters import (
+    IN_SPACE,
+    PARAMETER_NAMES,
+    PlantParameters,
+    Range,
+    row_parameters,
+)
 from tracked_env.physics.patch_dynamics import SPEED_DRIVEN, Belts, Pose, TrackedVehicle
 from tracked_env.physics.state import VehicleState
 from tracked_env.physics.vehicle import Motion
@@ -251,7 +257,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     return Prepared(kernel, hold, chosen, rolling)
 
 
-_READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW
+_READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW - IN_SPACE
 DISTRIBUTED = Plant(
     name="distributed",
     reads={"torque": _READ, "speed": _READ - {"torque_limit", "sprocket_inertia"}},

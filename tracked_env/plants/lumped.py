@@ -19,7 +19,12 @@ from tracked_env.physics import lumped_forces, vehicle
 from tracked_env.physics import state as s
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PlantParameters
+from tracked_env.physics.parameters import (
+    IN_SPACE,
+    PARAMETER_INDEX,
+    PARAMETER_NAMES,
+    PlantParameters,
+)
 from tracked_env.physics.state import VehicleState
 from tracked_env.plants.base import Plant, Prepared
 from tracked_env.plants.derived import derive, derive_free, derived
@@ -209,7 +214,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
 
 LUMPED = Plant(
     name="lumped",
-    reads={"torque": frozenset(PARAMETER_NAMES) - {"sprocket_inertia"}},
+    reads={"torque": frozenset(PARAMETER_NAMES) - {"sprocket_inertia"} - IN_SPACE},
     prepare=_prepare,
     motion_resistances=motion_resistances,
     options={"lateral": "sliding"},

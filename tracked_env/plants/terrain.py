@@ -8,13 +8,14 @@ and integrator in `physics.terrain_motion`, terrains in `terrain.height_field`. 
     patches       (along, across) a track
     soil_at       "centre": one soil under the vehicle, that of its centre of mass; "patches": under
                   each patch the soil of its place at the beginning of the control step
-    stiffness     [N/m^3] k_A of the ground, per area;  damping [N s/m^3] d_A
+    stiffness     [N/m^3] k_A of the ground, per area;  damping [N s/m^3] d_A; both times the
+                  parameter `ground_stiffness_factor`
     stiffening    [s/m^2] K_tp of the stiffness with speed
-    centre_of_mass_height [m], roll_inertia, pitch_inertia [kg m^2]: numbers, or None
+    centre_of_mass_height [m], nominal, roll_inertia, pitch_inertia [kg m^2]: numbers, or None
     longest_step  [s] longer integration steps are divided
     tilt_limit    [rad] of the up axis against the vertical, beyond which an episode ends
 Defaults and their sources are in `plants.terrain_options`.
-The state keeps the attitude as yaw, pitch, roll and z above the height at rest on level ground.
+How a row of the batch becomes a moving body, and back, is in `plants.terrain_state`.
 References: [1] Focchi et al. (2025), table 2 and section 8.
 """
 
@@ -32,20 +33,15 @@ from tracked_env.engine.kernels import advance_blocks, hold_blocks
 from tracked_env.physics import ground_contact as g
 from tracked_env.physics import state as s
 from tracked_env.physics import terrain_motion, vehicle
-from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.attitude import angles_of, matrix_of, quaternion_of
-from tracked_env.physics.ground_contact import Footing, Twist
+from tracked_env.physics.attitude import matrix_of
+from tracked_env.physics.driven_belts import BeltDrive
+from tracked_env.physics.ground_contact import Footing
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import (
-    PARAMETER_INDEX,
-    PARAMETER_NAMES,
-    PlantParameters,
-    row_parameters,
-)
+from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters, row_parameters
 from tracked_env.physics.patch_dynamics import Belts
 from tracked_env.physics.rigid_body import Inertia
 from tracked_env.physics.state import VehicleState
-from tracked_env.physics.terrain_motion import LINEAR, BeltDrive, Pose3, Tracked
+from tracked_env.physics.terrain_motion import LINEAR, Tracked
 from tracked_env.physics.uniform_load import rocking_of
 from tracked_env.plants.base import Ground, Plant, Prepared
 from tracked_env.plants.derived import derive_free
@@ -53,44 +49,47 @@ from tracked_env.plants.distributed import DISTRIBUTED, LATERAL_LAW, rolling
 from tracked_env.plants.terrain_options import (
     DEFAULTS,
     LOADS,
+    ROTATIONAL,
     SOIL_AT,
     height_at_rest,
     made_of,
+    nominal_height,
     patches_of,
     resting,
 )
+from tracked_env.plants.terrain_state import (
+    FAILURES,
+    LOAD_LEFT,
+    LOAD_RIGHT,
+    OWN_COLUMNS,
+    RELIEF,
+    RESISTANCE_LEFT,
+    RESISTANCE_RIGHT,
+    moving_body,
+    write,
+)
 from tracked_env.terrain import ground as terrain_ground
-from tracked_env.terrain.drawn_relief import RELIEF_SIZE, fill_there, ground_at
+from tracked_env.terrain.drawn_relief import fill_there, ground_at
 from tracked_env.terrain.flat import level
 from tracked_env.terrain.height_field import make_height_field
 from tracked_env.validation import checked_choice
 
-# Columns of its own, all at the end of the last step.
-(
-    RESISTANCE_LEFT, RESISTANCE_RIGHT, LOAD_LEFT, LOAD_RIGHT, LARGEST_LOAD, TOUCHING, OFF_MAP,
-    SATURATED,
-) = range(b.PLANT, b.PLANT + 8)  # fmt: skip
-# Relief drawn for the vehicle and its episode, see `terrain.drawn_relief`.
-RELIEF = SATURATED + 1
-_COLUMNS = RELIEF + RELIEF_SIZE - b.PLANT
-FAILURES = ("tilted", "off_map", "overloaded")
 Floats = NDArray[np.float64]
+_TORQUE_LEFT, _TORQUE_RIGHT = b.STATE + s.TORQUE_LEFT, b.STATE + s.TORQUE_RIGHT
 _NOTHING_HELD = np.zeros((1, 0))  # commands come from the actions
-_BASE_MASS = b.BASE + PARAMETER_INDEX["mass"]
-_BASE_LENGTH = b.BASE + PARAMETER_INDEX["contact_length"]
-_BASE_WIDTH = b.BASE + PARAMETER_INDEX["track_width"]
 
 
 @formula
 def _body(p, lanes, count, made, by_torque, uniform):
-    """Tracked from the parameters in force; made: numbers of the options, see `_made`."""
+    """Tracked from the parameters in force; made: numbers of the options, see `made_of`."""
+    firmness = p.ground_stiffness_factor if uniform else 1.0  # else of each patch
     footing = Footing(
-        made[0] + made[1] * p.contact_length, 0.5 * p.contact_length,
-        p.contact_length * p.track_width / count, made[6], made[7], made[8],
+        nominal_height(p, made) + p.centre_of_mass_z, 0.5 * p.contact_length,
+        p.contact_length * p.track_width / count, made[6] * firmness, made[7] * firmness, made[8],
+        p.centre_of_mass_x, p.centre_of_mass_y,
     )  # fmt: skip
-    inertia = Inertia(
-        p.mass, made[2] + made[3] * p.inertia, made[4] + made[5] * p.inertia, p.inertia
-    )
+    roll, pitch = p.roll_inertia_ratio * p.inertia, p.pitch_inertia_ratio * p.inertia
+    inertia = Inertia(p.mass, made[2] + made[3] * roll, made[4] + made[5] * pitch, p.inertia)
     radius = p.sprocket_radius
     drive = BeltDrive(
         radius * radius / p.sprocket_inertia if by_torque else 0.0,
@@ -110,11 +109,12 @@ def _set_soil(w, first, last, soil_there, patch_area):
         w[g.ADHESION, lane] = soil_there.cohesion * patch_area
         w[g.INVERSE_MODULUS, lane] = 1.0 / soil_there.shear_deformation_modulus
         w[g.ROLLING, lane] = soil_there.longitudinal_resistance
+        w[g.FIRMNESS, lane] = soil_there.ground_stiffness_factor
 
 
 @formula
 def _soil_under_patches(batch, i, period, w, pose, body):
-    """The same, each patch with the soil of its place."""
+    """The same, each patch with the soil of its place; pose: of the centre of mass."""
     terrain = terrain_ground.Terrain(
         batch.floats, batch.events, i, batch.counters[i, b.EVENT_COUNT],
         batch.counters[i, b.STEP] * period,
@@ -123,54 +123,6 @@ def _soil_under_patches(batch, i, period, w, pose, body):
     for lane in range(2 * body.patches):
         there = terrain_ground.at(level, terrain, w[g.PLACE_X, lane], w[g.PLACE_Y, lane])
         _set_soil(w, lane, lane + 1, there.soil, body.footing.patch_area)
-
-
-@formula
-def _failure(pitch, roll, settled, tilt_limit):
-    """Why the vehicle cannot go on: 1, 2, ... of FAILURES, or 0."""
-    if math.cos(pitch) * math.cos(roll) < math.cos(tilt_limit):
-        return 1.0
-    if settled.off_map > 0.0:
-        return 2.0
-    return 3.0 if settled.saturated > 0.0 else 0.0
-
-
-@formula
-def _write(floats, i, moved, given, settled, p, body, rest_height, tilt_limit):
-    """State of vehicle i after the step, its algebraic rows and the plant's columns included."""
-    row = b.STATE
-    pose, twist, belts = moved
-    yaw, pitch, roll = angles_of(pose.q, floats[i, row + s.YAW])
-    floats[i, row + s.X], floats[i, row + s.Y] = pose.x, pose.y
-    floats[i, row + s.Z] = pose.z - rest_height
-    floats[i, row + s.YAW], floats[i, row + s.PITCH], floats[i, row + s.ROLL] = yaw, pitch, roll
-    floats[i, row + s.V_X], floats[i, row + s.V_Y] = twist.x, twist.y
-    floats[i, row + s.V_Z], floats[i, row + s.YAW_RATE] = twist.z, twist.yaw
-    floats[i, row + s.ROLL_RATE], floats[i, row + s.PITCH_RATE] = twist.roll, twist.pitch
-    over_ground = vehicle.Motion(twist.x - body.footing.height * twist.pitch, twist.y, twist.yaw)
-    left, right = vehicle.track_speeds(over_ground, 0.5 * p.track_gauge)
-    floats[i, row + s.SLIP_LEFT] = soil.slip_ratio(belts.left, left)
-    floats[i, row + s.SLIP_RIGHT] = soil.slip_ratio(belts.right, right)
-    floats[i, row + s.SPROCKET_SPEED_LEFT] = belts.left / p.sprocket_radius
-    floats[i, row + s.SPROCKET_SPEED_RIGHT] = belts.right / p.sprocket_radius
-    floats[i, row + s.EFFORT_LEFT] = settled.effort_left
-    floats[i, row + s.EFFORT_RIGHT] = settled.effort_right
-    if body.drive.inverse_belt_mass == 0.0:
-        given = Belts(
-            settled.effort_left * p.sprocket_radius, settled.effort_right * p.sprocket_radius
-        )
-    floats[i, row + s.TORQUE_LEFT], floats[i, row + s.TORQUE_RIGHT] = given.left, given.right
-    rates = settled.rates
-    floats[i, row + s.ACCELERATION_X] = rates.x + twist.pitch * twist.z - twist.yaw * twist.y
-    floats[i, row + s.ACCELERATION_Y] = rates.y + twist.yaw * twist.x - twist.roll * twist.z
-    floats[i, row + s.ACCELERATION_Z] = rates.z + twist.roll * twist.y - twist.pitch * twist.x
-    floats[i, row + s.YAW_ACCELERATION] = rates.yaw
-    floats[i, b.FAILURE] = _failure(pitch, roll, settled, tilt_limit)
-    floats[i, RESISTANCE_LEFT] = settled.resistance_left
-    floats[i, RESISTANCE_RIGHT] = settled.resistance_right
-    floats[i, LOAD_LEFT], floats[i, LOAD_RIGHT] = settled.load_left, settled.load_right
-    floats[i, LARGEST_LOAD], floats[i, TOUCHING] = settled.largest, settled.touching
-    floats[i, OFF_MAP], floats[i, SATURATED] = settled.off_map, settled.saturated
 
 
 @formula
@@ -202,29 +154,17 @@ def _move(batch, w, block, pace, options):
     held, relief, columns, rows, made, by_torque, uniform, per_patch = options
     floats = batch.floats
     p = row_parameters(floats, i, b.PARAMETERS)
-    half_length, count = 0.5 * p.contact_length, columns.size * rows.size
-    lanes = g.place_patches(w, columns, rows, half_length, 0.5 * p.track_gauge, p.track_width)
-    body = _body(p, lanes, count, made, by_torque, uniform)
-    row = b.STATE
-    rest_height = height_at_rest(
-        floats[i, _BASE_MASS], floats[i, _BASE_LENGTH], floats[i, _BASE_WIDTH], made
-    )
-    q = quaternion_of(floats[i, row + s.YAW], floats[i, row + s.PITCH], floats[i, row + s.ROLL])
-    pose = Pose3(floats[i, row + s.X], floats[i, row + s.Y], floats[i, row + s.Z] + rest_height, q)
-    twist = Twist(
-        floats[i, row + s.V_X], floats[i, row + s.V_Y], floats[i, row + s.V_Z],
-        floats[i, row + s.ROLL_RATE], floats[i, row + s.PITCH_RATE], floats[i, row + s.YAW_RATE],
-    )  # fmt: skip
-    belts = Belts(
-        floats[i, row + s.SPROCKET_SPEED_LEFT] * p.sprocket_radius,
-        floats[i, row + s.SPROCKET_SPEED_RIGHT] * p.sprocket_radius,
-    )
+    base, count = row_parameters(floats, i, b.BASE), columns.size * rows.size
+    body = _body(p, g.padded(2 * count), count, made, by_torque, uniform)
+    lanes = g.place_patches(w, columns, rows, 0.5 * p.track_gauge, p.track_width, body.footing)
+    rest_height = height_at_rest(base, made)
+    pose, twist, belts = moving_body(floats, i, p, rest_height)
     _set_soil(w, 0, lanes, p, body.footing.patch_area)
     if per_patch and batch.counters[i, b.EVENT_COUNT] > 0:
         _soil_under_patches(batch, i, pace.period, w, pose, body)
     command = belts
     if by_torque:
-        command = Belts(floats[i, row + s.TORQUE_LEFT], floats[i, row + s.TORQUE_RIGHT])
+        command = Belts(floats[i, _TORQUE_LEFT], floats[i, _TORQUE_RIGHT])
     demand, decay, steps, h = command, 0.0, 0, 0.0
     if pace.substeps > 0:
         begin, demand, linear = _demanded(floats, i, p, by_torque, held)
@@ -237,10 +177,8 @@ def _move(batch, w, block, pace, options):
         fill_there, (relief, floats, i, RELIEF), w, (pose, twist, belts), command, demand, decay,
         steps, h, body,
     )  # fmt: skip
-    _write(
-        floats, i, end, command, terrain_motion.settled_of(w, kick, off, body), p, body,
-        rest_height, made[10],
-    )  # fmt: skip
+    settled = terrain_motion.settled_of(w, kick, off, body)
+    write(floats, i, end, command, settled, p, body, rest_height, made[10])
 
 
 @loop
@@ -299,12 +237,13 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
         return floats[row, [LOAD_LEFT, LOAD_RIGHT]].reshape(2, 1, 1)
 
     def centre_height(p: PlantParameters) -> float:
-        return float(height_at_rest(p.mass, p.contact_length, p.track_width, made))
+        return float(height_at_rest(p, made))
 
+    unread = frozenset(name + "_ratio" for name in ROTATIONAL if options[name] is not None)
     flags = (drive == "torque", uniform, per_patch)
     chosen = (_NOTHING_HELD, field.relief, columns, rows, made, *flags)
     ground = Ground(place, heights, loads, centre_height, float(made[10]))
-    return Prepared(advance, hold, chosen, ground=ground)
+    return Prepared(advance, hold, chosen, unread=unread, ground=ground)
 
 
 _READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW
@@ -314,7 +253,7 @@ TERRAIN = Plant(
     prepare=_prepare,
     motion_resistances=motion_resistances,
     options=DEFAULTS,
-    columns=_COLUMNS,
+    columns=OWN_COLUMNS,
     failures=FAILURES,
     relief_column=RELIEF,
     threads_from=16,

@@ -1,10 +1,11 @@
 """Options of the plant on terrain: defaults with their sources, checks, and where a vehicle rests.
 
 Stiffness and damping are those of F table 2, read per track. The height of the centre of mass,
-0.25 m, and the inertias about roll and pitch, 2.18 and 2.81 kg m^2, are F's for its vehicle with
-4.5 kg m^2 about yaw and 0.7 m of contact. None scales them with the contact length and with the
-yaw inertia in force: an ASSUMPTION for every other vehicle (0.71 m and 572, 737 kg m^2 for the one
-of Strawa et al., who do not give them).
+0.25 m, is F's for its vehicle with 0.7 m of contact. None scales it with the contact length, and
+gives the inertias about roll and pitch by their ratios to the yaw inertia in force, which are
+parameters (`roll_inertia_ratio`): an ASSUMPTION for every other vehicle (0.71 m and 572, 737 kg m^2
+for the one of Strawa et al., who do not give them). `ground_stiffness_factor` multiplies stiffness
+and damping.
 
 Reference: [1] Focchi et al. (2025), table 2 and section 8.
 """
@@ -28,10 +29,7 @@ SOIL_AT = ("centre", "patches")
 _FOCCHI_AREA = FOCCHI_VEHICLE.track_width * FOCCHI_VEHICLE.contact_length  # [m^2] of one track
 STIFFNESS = 1e5 / _FOCCHI_AREA  # [N/m^3] F table 2
 DAMPING = 5e3 / _FOCCHI_AREA  # [N s/m^3]
-_HEIGHT, _ROLL_INERTIA, _PITCH_INERTIA = 0.25, 2.18, 2.81  # [m], [kg m^2] of F's vehicle
-HEIGHT_RATIO = _HEIGHT / FOCCHI_VEHICLE.contact_length
-ROLL_RATIO = _ROLL_INERTIA / FOCCHI_VEHICLE.inertia
-PITCH_RATIO = _PITCH_INERTIA / FOCCHI_VEHICLE.inertia
+HEIGHT_RATIO = 0.25 / FOCCHI_VEHICLE.contact_length
 TILT_LIMIT = math.radians(60.0)  # [rad] beyond the tipping angles of F's vehicle: it has fallen
 LONGEST_STEP = 2e-3  # [s] of an integration step; docs/terrain.md has the table of step halving
 _NUMBERS = {
@@ -46,6 +44,7 @@ _SCALED = {
     "roll_inertia": Range(0.01, 1e6, "kg m^2", "It is about the centre of mass."),
     "pitch_inertia": Range(0.01, 1e6, "kg m^2", "It is about the centre of mass."),
 }
+ROTATIONAL = ("roll_inertia", "pitch_inertia")
 _PATCHES = Range(1, 80, "-", "Did you pass a length?")
 _MOST = LANES // 2  # patches of a track
 
@@ -66,20 +65,33 @@ class Resting(NamedTuple):
 
 
 @formula
-def height_at_rest(mass, length, width, made):
-    """Height [m] of the centre of mass at rest on level ground at height 0."""
-    height = made[0] + made[1] * length
-    return height - soil.GRAVITY * mass / (2.0 * made[6] * length * width)
+def nominal_height(p, made):
+    """Height [m] of the nominal centre of mass above the plane of the tracks."""
+    return made[0] + made[1] * p.contact_length
+
+
+@formula
+def sinkage_at_rest(p, made):
+    """Sinkage [m] of the tracks at rest on level ground."""
+    area = 2.0 * p.contact_length * p.track_width
+    return soil.GRAVITY * p.mass / (made[6] * p.ground_stiffness_factor * area)
+
+
+@formula
+def height_at_rest(p, made):
+    """Height [m] of the nominal centre of mass at rest on level ground at height 0."""
+    return nominal_height(p, made) - sinkage_at_rest(p, made)
 
 
 def made_of(options: Mapping[str, Any]) -> NDArray[np.float64]:
     """Numbers of the options, as the kernel takes them. Raises ValueError.
 
-    Height, roll and pitch inertia as (number, ratio to contact length or yaw inertia), one of them
-    0; stiffness, damping, stiffening, longest step, tilt limit.
+    Height as (number, ratio to the contact length), roll and pitch inertia as (number, 1 for the
+    parameter's ratio to the yaw inertia), one of the two 0; stiffness, damping, stiffening,
+    longest step, tilt limit.
     """
     made: list[float] = []
-    ratios = (HEIGHT_RATIO, ROLL_RATIO, PITCH_RATIO)
+    ratios = (HEIGHT_RATIO, 1.0, 1.0)
     for (name, allowed), ratio in zip(_SCALED.items(), ratios, strict=True):
         given = options[name]
         made += [0.0, ratio] if given is None else [checked_number(name, given, allowed), 0.0]
@@ -104,17 +116,15 @@ def resting(
     ground: Callable[[float, float], Any], parameters: PlantParameters, made: NDArray[np.float64],
     x: float, y: float, yaw: float,
 ) -> Resting:  # fmt: skip
-    """Pose with the centre of mass above (x, y) [m], world, and that yaw [rad].
+    """Pose with the nominal centre of mass above (x, y) [m], world, and that yaw [rad].
 
     ground: (x, y) [m] -> height [m], dz/dx, dz/dy [-].
-    Sunk in as far as the springs need on that slope. The tilt that they add and the curvature of
-    the ground are not in it: a vehicle that starts there settles by milliradians on a plane and by
-    hundredths of a radian on hills.
+    Sunk in as far as the springs need on that slope, and tilted by a shifted centre of mass as they
+    allow. The tilt that the slope adds and the curvature of the ground are not in it: a vehicle
+    that starts there settles by milliradians on a plane and by hundredths of a radian on hills.
     """
     p = parameters
-    height = made[0] + made[1] * p.contact_length
-    weight = soil.GRAVITY * p.mass
-    sink = weight / (2.0 * made[6] * p.contact_length * p.track_width)
+    height, sink = nominal_height(p, made), sinkage_at_rest(p, made)
     foot_x, foot_y = x, y
     for _ in range(8):
         height_there, slope_x, slope_y = (float(value) for value in ground(foot_x, foot_y))
@@ -124,5 +134,10 @@ def resting(
     along = slope_x * math.cos(yaw) + slope_y * math.sin(yaw)
     aside = slope_y * math.cos(yaw) - slope_x * math.sin(yaw)
     z = height_there + above * upright
-    rest = height_at_rest(p.mass, p.contact_length, p.track_width, made)
-    return Resting(z - rest, -math.atan(along), math.atan2(aside, math.sqrt(1.0 + along * along)))
+    pitch, roll = -math.atan(along), math.atan2(aside, math.sqrt(1.0 + along * along))
+    # The springs turn by the moment of the shift over their stiffness, while all patches carry.
+    ahead = min(max(p.centre_of_mass_x, -p.contact_length / 6.0), p.contact_length / 6.0)
+    left = min(max(p.centre_of_mass_y, -p.track_gauge / 2.0), p.track_gauge / 2.0)
+    pitch += 12.0 * sink * ahead / p.contact_length**2
+    roll -= sink * left / (p.track_gauge**2 / 4.0 + p.track_width**2 / 12.0)
+    return Resting(z - height_at_rest(p, made), pitch, roll)

@@ -7,8 +7,9 @@
     rig.positions, rig.quaternions, rig.twists            (N, 3), (N, 4), (N, 6)
     rig.load, rig.largest_load                            (N,) normal loads [N]
 
-World axes x, y, z up; position of the centre of mass; quaternion (w, x, y, z) from body to world;
-twist (v_x, v_y, v_z, roll, pitch, yaw rate) in body axes. `plants.standalone` drives every plant.
+World axes x, y, z up; position of the nominal centre of mass, a point of the hull; quaternion
+(w, x, y, z) from body to world; twist (v_x, v_y, v_z, roll, pitch, yaw rate) in body axes.
+`plants.standalone` drives every plant.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from tracked_env.physics import state as s
 from tracked_env.physics.attitude import Quaternion, angles_of, quaternion_of
 from tracked_env.physics.parameters import PlantParameters
-from tracked_env.plants import terrain
+from tracked_env.plants import terrain, terrain_state
 from tracked_env.plants.standalone import Rig
 from tracked_env.plants.terrain_options import LONGEST_STEP, height_at_rest, made_of, resting
 from tracked_env.terrain.height_field import make_height_field
@@ -50,8 +51,7 @@ class TerrainRig(Rig):
         self.field = make_height_field(options.get("terrain", "flat"))
         self._made = made_of({**terrain.TERRAIN.options, **options})
         self._parameters = parameters
-        p = parameters
-        self._rest = float(height_at_rest(p.mass, p.contact_length, p.track_width, self._made))
+        self._rest = float(height_at_rest(parameters, self._made))
         for row in range(count):
             self.stand(0.0, 0.0, 0.0, row)
 
@@ -102,7 +102,7 @@ class TerrainRig(Rig):
 
     @property
     def positions(self) -> Floats:
-        """(N, 3) centre of mass [m], world."""
+        """(N, 3) nominal centre of mass [m], world."""
         xyz = self.states[:, [s.X, s.Y, s.Z]]
         xyz[:, 2] += self._rest
         return xyz
@@ -124,29 +124,29 @@ class TerrainRig(Rig):
     @property
     def load(self) -> Floats:
         """(N,) normal load [N] of both tracks."""
-        return self._own(terrain.LOAD_LEFT, terrain.LOAD_RIGHT)
+        return self._own(terrain_state.LOAD_LEFT, terrain_state.LOAD_RIGHT)
 
     @property
     def track_loads(self) -> Floats:
         """(N, 2) normal load [N] of the left and the right track."""
-        return self._batch.floats[:, [terrain.LOAD_LEFT, terrain.LOAD_RIGHT]]
+        return self._batch.floats[:, [terrain_state.LOAD_LEFT, terrain_state.LOAD_RIGHT]]
 
     @property
     def largest_load(self) -> Floats:
         """(N,) largest normal load [N] of a patch."""
-        return self._own(terrain.LARGEST_LOAD)
+        return self._own(terrain_state.LARGEST_LOAD)
 
     @property
     def touching(self) -> Floats:
         """(N,) share [-] of the patches in contact: 0 in flight."""
-        return self._own(terrain.TOUCHING)
+        return self._own(terrain_state.TOUCHING)
 
     @property
     def off_map(self) -> NDArray[np.bool_]:
         """(N,) whether a patch is off the map."""
-        return self._own(terrain.OFF_MAP) > 0.0
+        return self._own(terrain_state.OFF_MAP) > 0.0
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
         """(N,) whether the uniform load has reached the moment at which a vehicle tips."""
-        return self._own(terrain.SATURATED) > 0.0
+        return self._own(terrain_state.SATURATED) > 0.0

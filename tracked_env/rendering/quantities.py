@@ -53,6 +53,12 @@ QUANTITIES = {
     "lateral_resistance": Quantity("lateral resistance", "", 1.0, 2, 0.0, 1.2),
     "turning_resistance_factor": Quantity("turning factor", "", 1.0, 2),
     "icr_forward": Quantity("ICR forward d", "m", 1.0, 2),
+    "centre_of_mass_x": Quantity("centre of mass x", "cm", 1e2, 1),
+    "centre_of_mass_y": Quantity("centre of mass y", "cm", 1e2, 1),
+    "centre_of_mass_z": Quantity("centre of mass z", "cm", 1e2, 1),
+    "roll_inertia_ratio": Quantity("roll / yaw inertia", "", 1.0, 2),
+    "pitch_inertia_ratio": Quantity("pitch / yaw inertia", "", 1.0, 2),
+    "ground_stiffness_factor": Quantity("ground stiffness factor", "", 1.0, 2, 0.0, 1.5),
 }
 assert tuple(QUANTITIES) == PARAMETER_NAMES
 # What follows from parameters and may be shown in their place.

@@ -32,6 +32,7 @@ _FRICTION_ANGLE = PARAMETER_INDEX["friction_angle"]
 _MODULUS = PARAMETER_INDEX["shear_deformation_modulus"]
 _LONGITUDINAL = PARAMETER_INDEX["longitudinal_resistance"]
 _LATERAL = PARAMETER_INDEX["lateral_resistance"]
+_STIFFNESS = PARAMETER_INDEX["ground_stiffness_factor"]
 
 
 class Ground(NamedTuple):
@@ -87,6 +88,7 @@ def at(surface, terrain, x, y):
             _value(terrain, _MODULUS, x, y),
             _value(terrain, _LONGITUDINAL, x, y),
             _value(terrain, _LATERAL, x, y),
+            _value(terrain, _STIFFNESS, x, y),
         ),
     )
 
@@ -100,6 +102,8 @@ def on_soil(p, soil):
         soil.cohesion, soil.friction_angle, soil.shear_deformation_modulus,
         soil.longitudinal_resistance, soil.lateral_resistance,
         p.turning_resistance_factor, p.icr_forward,
+        p.centre_of_mass_x, p.centre_of_mass_y, p.centre_of_mass_z,
+        p.roll_inertia_ratio, p.pitch_inertia_ratio, soil.ground_stiffness_factor,
     )  # fmt: skip
 
 

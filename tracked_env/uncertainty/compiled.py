@@ -41,6 +41,12 @@ FRICTION_ANGLE = PARAMETER_INDEX["friction_angle"]
 SHEAR_DEFORMATION_MODULUS = PARAMETER_INDEX["shear_deformation_modulus"]
 LONGITUDINAL_RESISTANCE = PARAMETER_INDEX["longitudinal_resistance"]
 LATERAL_RESISTANCE = PARAMETER_INDEX["lateral_resistance"]
+CENTRE_OF_MASS_X = PARAMETER_INDEX["centre_of_mass_x"]
+CENTRE_OF_MASS_Y = PARAMETER_INDEX["centre_of_mass_y"]
+CENTRE_OF_MASS_Z = PARAMETER_INDEX["centre_of_mass_z"]
+ROLL_INERTIA_RATIO = PARAMETER_INDEX["roll_inertia_ratio"]
+PITCH_INERTIA_RATIO = PARAMETER_INDEX["pitch_inertia_ratio"]
+GROUND_STIFFNESS_FACTOR = PARAMETER_INDEX["ground_stiffness_factor"]
 
 
 class Draws(NamedTuple):

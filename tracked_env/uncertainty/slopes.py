@@ -4,13 +4,15 @@ A law draws the ground of one vehicle for one episode, which is added to the ter
 a plane and eight sinusoids (`compiled.slope`, `compiled.hills`). Plants on level ground have the
 same vehicles and soils without it. Heights and wavelengths are over the contact length l, so that
 hills mean the same to vehicles of every size. Friction is drawn over what climbs the slopes: with
-mu below the grade a vehicle slides down whatever it does. A payload sits where the centre of mass
-was: a shifted one is not modelled.
+mu below the grade a vehicle slides down whatever it does. Where only mass and inertia are drawn the
+load sits in the centre of mass; `slope-payload` has a box that shifts it.
 """
 
 import math
+from typing import NamedTuple
 
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.rigid_body import Inertia, with_payload
 from tracked_env.streams import random, uniform
 from tracked_env.uncertainty import compiled as c
 
@@ -68,21 +70,95 @@ def _slope_step(rng, nominal, path, truth, changes):
     truth.friction_angle = first
 
 
+class _Body(NamedTuple):
+    """What a payload changes, as `PlantParameters` has it."""
+
+    mass: float
+    inertia: float
+    centre_of_mass_x: float
+    centre_of_mass_y: float
+    centre_of_mass_z: float
+    roll_inertia_ratio: float
+    pitch_inertia_ratio: float
+
+
+@formula
+def _carrying(p, mass, place, size):
+    """The vehicle p with a box, see `rigid_body.with_payload`."""
+    roll, pitch = p.roll_inertia_ratio * p.inertia, p.pitch_inertia_ratio * p.inertia
+    i, shift = with_payload(Inertia(p.mass, roll, pitch, p.inertia), mass, place, size)
+    return _Body(
+        i.mass, i.yaw, p.centre_of_mass_x + shift[0], p.centre_of_mass_y + shift[1],
+        p.centre_of_mass_z + shift[2], i.roll / i.yaw, i.pitch / i.yaw,
+    )  # fmt: skip
+
+
+@formula
+def _put_on(truth, body):
+    truth.mass, truth.inertia = body.mass, body.inertia
+    truth.centre_of_mass_x, truth.centre_of_mass_y = body.centre_of_mass_x, body.centre_of_mass_y
+    truth.centre_of_mass_z = body.centre_of_mass_z
+    truth.roll_inertia_ratio = body.roll_inertia_ratio
+    truth.pitch_inertia_ratio = body.pitch_inertia_ratio
+
+
+@formula
+def _step_to(changes, body, time):
+    c.ramp(changes, c.MASS, body.mass, time, 0.0)
+    c.ramp(changes, c.INERTIA, body.inertia, time, 0.0)
+    c.ramp(changes, c.CENTRE_OF_MASS_X, body.centre_of_mass_x, time, 0.0)
+    c.ramp(changes, c.CENTRE_OF_MASS_Y, body.centre_of_mass_y, time, 0.0)
+    c.ramp(changes, c.CENTRE_OF_MASS_Z, body.centre_of_mass_z, time, 0.0)
+    c.ramp(changes, c.ROLL_INERTIA_RATIO, body.roll_inertia_ratio, time, 0.0)
+    c.ramp(changes, c.PITCH_INERTIA_RATIO, body.pitch_inertia_ratio, time, 0.0)
+
+
+@formula
+def _slope_payload(rng, nominal, path, truth, changes):
+    """On a slope the vehicle takes up or puts down a box that shifts its centre of mass."""
+    _incline(rng, changes, 0.2)  # grade =U(0, 0.2)
+    length, gauge = nominal.contact_length, nominal.track_gauge
+    mass = nominal.mass * uniform(rng, 0.2, 0.5)  # of the box, *U(0.2, 0.5)
+    # Its middle from the centre of mass:
+    x = length * uniform(rng, -0.3, 0.3)  # ahead =U(-0.3, 0.3) l
+    y = gauge * uniform(rng, -0.2, 0.2)  # to the left =U(-0.2, 0.2) B
+    z = length * uniform(rng, 0.1, 0.3)  # above =U(0.1, 0.3) l
+    edge = length * uniform(rng, 0.2, 0.5)  # a cube, =U(0.2, 0.5) l
+    time = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
+    without = _carrying(nominal, 0.0, (x, y, z), (edge, edge, edge))
+    carrying = _carrying(nominal, mass, (x, y, z), (edge, edge, edge))
+    first, second = (carrying, without) if random(rng) < 0.5 else (without, carrying)
+    _put_on(truth, first)
+    _step_to(changes, second, time)
+
+
+@formula
+def _soft_patch(rng, nominal, path, truth, changes, first):
+    """A soft disc on the path, at U(first, first + 0.2) of the episode; returns place, radius."""
+    time = path.duration * (first + uniform(rng, 0.0, 0.2))  # =U(first, first + 0.2)
+    place = c.border(path, time)
+    radius = nominal.contact_length * uniform(rng, 1.0, 3.0)  # =U(1, 3) l
+    friction = truth.friction_angle * uniform(rng, 0.6, 0.9)  # *U(0.6, 0.9)
+    modulus = truth.shear_deformation_modulus * uniform(rng, 3.0, 10.0)  # *U(3, 10)
+    resistance = truth.longitudinal_resistance + uniform(rng, 0.05, 0.15)  # +U(0.05, 0.15)
+    c.patch(changes, c.FRICTION_ANGLE, friction, place, radius, 0.2)
+    c.patch(changes, c.SHEAR_DEFORMATION_MODULUS, modulus, place, radius, 0.2)
+    c.patch(changes, c.LONGITUDINAL_RESISTANCE, resistance, place, radius, 0.2)
+    return place, radius
+
+
 @formula
 def _soft_patches(rng, nominal, path, truth, changes):
-    """Hills with two soft patches on the path: less friction, more shear and motion resistance."""
+    """Hills of unknown stiffness with two soft patches on the path, where tracks sink and slip."""
     _vehicle(rng, nominal, truth)
     _ground(rng, nominal, changes)
-    for part in range(2):
-        time = path.duration * (0.2 + 0.4 * part + uniform(rng, 0.0, 0.2))  # =U of the episode
-        place = c.border(path, time)
-        radius = nominal.contact_length * uniform(rng, 1.0, 3.0)  # =U(1, 3) l
-        friction = truth.friction_angle * uniform(rng, 0.6, 0.9)  # *U(0.6, 0.9)
-        modulus = truth.shear_deformation_modulus * uniform(rng, 3.0, 10.0)  # *U(3, 10)
-        resistance = truth.longitudinal_resistance + uniform(rng, 0.05, 0.15)  # +U(0.05, 0.15)
-        c.patch(changes, c.FRICTION_ANGLE, friction, place, radius, 0.2)
-        c.patch(changes, c.SHEAR_DEFORMATION_MODULUS, modulus, place, radius, 0.2)
-        c.patch(changes, c.LONGITUDINAL_RESISTANCE, resistance, place, radius, 0.2)
+    one, its = _soft_patch(rng, nominal, path, truth, changes, 0.2)
+    other, others = _soft_patch(rng, nominal, path, truth, changes, 0.6)
+    stiffness = nominal.ground_stiffness_factor * uniform(rng, 0.5, 1.5)  # *U(0.5, 1.5)
+    truth.ground_stiffness_factor = stiffness
+    first, second = uniform(rng, 0.2, 0.6), uniform(rng, 0.2, 0.6)  # *U(0.2, 0.6) on each patch
+    c.patch(changes, c.GROUND_STIFFNESS_FACTOR, stiffness * first, one, its, 0.2)
+    c.patch(changes, c.GROUND_STIFFNESS_FACTOR, stiffness * second, other, others, 0.2)
 
 
 @formula
@@ -114,6 +190,11 @@ def _each_slope_step(*call):
 
 
 @loop
+def _each_slope_payload(*call):
+    c.draw_each(_slope_payload, call)
+
+
+@loop
 def _each_soft_patches(*call):
     c.draw_each(_soft_patches, call)
 
@@ -127,6 +208,7 @@ LAWS = c.laws(
     ("slope", _each_slope, _slope),
     ("hills", _each_hills, _hills),
     ("slope-step", _each_slope_step, _slope_step),
+    ("slope-payload", _each_slope_payload, _slope_payload),
     ("soft-patches", _each_soft_patches, _soft_patches),
     ("hills-ood", _each_hills_ood, _hills_ood),
 )

@@ -96,6 +96,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         `"terrain"`: these on uneven ground; a name of `tracked_env.plants`, or a `Plant` |
         | `drive` | `"torque"` | what the actions are; `"speed"` needs one with patches |
         | `patches` | (10, 4) | of the plants with patches: along and across a track |
+        | `terrain` | None | of the plant `"terrain"`, level if None; see docs/terrain.md |
         | `plant_options` | None | {option: value} of the plant, see its file in `plants/` |
         | `observation` | `"v0"` | groups that are shown: a list of names from the table above |
         | `expose_truth` | False | put true state and parameters into `info["truth"]` |
@@ -103,9 +104,10 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
 
         `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
         `lateral_model` (formerly `closure`; {parameter: value}), `reference`, `sensors`, `schedule`
-        (a list of changes, see `tracked_env.events`) and `start` ({offset_x, offset_y, offset_yaw,
-        speed, yaw_rate}). An unknown key is a ValueError, and so is a parameter that the plant does
-        not read (docs/uncertainty.md has the table).
+        (a list of changes, see `tracked_env.events`), `start` ({offset_x, offset_y, offset_yaw,
+        speed, yaw_rate}) and `terrain` (the number of one of those that are drawn from). An unknown
+        key is a ValueError, and so is a parameter that the plant does not read
+        (docs/uncertainty.md has the table).
 
         ## Info
         `tracking_error` (2,) [m, rad]: distance to the reference, heading error; the terms of the

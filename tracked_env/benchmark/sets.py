@@ -21,8 +21,8 @@ from tracked_env.uncertainty import Spec
 VERSION = "v2"
 EPISODES = 100  # of each set, that are compared with those of the version
 SEED = 0  # of the first episode
-# Fields of state and parameters that the digests of the version take in; later ones are not drawn,
-# or have no effect on the plants of the version.
+# Fields of state, parameters and episode that the digests of the version take in; later ones are
+# not drawn, or have no effect on the plants of the version.
 STATE_FIELDS = (
     "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "torque_left", "torque_right", "slip_left",
     "slip_right", "sprocket_speed_left", "sprocket_speed_right", "effort_left", "effort_right",
@@ -35,6 +35,11 @@ PARAMETER_FIELDS = (
     "torque_limit", "sprocket_speed_limit", "drive_time_constant", "sprocket_inertia", "cohesion",
     "friction_angle", "shear_deformation_modulus", "longitudinal_resistance",
     "lateral_resistance", "turning_resistance_factor", "icr_forward",
+)  # fmt: skip
+
+
+EPISODE_FIELDS = (
+    "parameters", "events", "profile", "sensors", "state", "noise_seed", "relief",
 )  # fmt: skip
 
 
@@ -128,4 +133,5 @@ def of_version(episode: Episode) -> tuple[Any, ...]:
     """All that an episode is, with state and parameters as the version knows them."""
     state = tuple(getattr(episode.state, name) for name in STATE_FIELDS)
     parameters = tuple(getattr(episode.parameters, name) for name in PARAMETER_FIELDS)
-    return tuple(episode._replace(state=state, parameters=parameters))  # type: ignore[arg-type]
+    known = episode._replace(state=state, parameters=parameters)  # type: ignore[arg-type]
+    return tuple(getattr(known, name) for name in EPISODE_FIELDS)

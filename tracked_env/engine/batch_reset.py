@@ -30,7 +30,7 @@ from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS
 from tracked_env.references import batch_reference, make_reference
 from tracked_env.sensor_draws import draw_signs, fixed_part
-from tracked_env.streams import addresses
+from tracked_env.streams import addresses, integer
 from tracked_env.terrain.drawn_relief import RELIEF_SIZE
 from tracked_env.uncertainty.compiled import (
     CHANGE_FIELDS,
@@ -53,12 +53,14 @@ def _write_pose(origins, chosen, pose):
 def _load(
     rngs, chosen, draws, origins, truths, changes, counts, length, row, clocks,
     floats, counters, profile, events, block, states, seeds, noisy, needed, reliefs, first,
+    terrains,
 ):  # fmt: skip
     """Load the chosen vehicles: sensors, parameters, reference, start, events, noise, relief.
 
     draws (N, 4) behind the starts; length l [m]; row, clocks: of `fresh_row`, `fresh_counters`;
-    needed: whether there is noise; first: column of the relief, or 0. Returns the largest number
-    of events, which are not written where there is no room for them.
+    needed: whether there is noise; first: column of the relief, or 0; terrains: of which one is
+    drawn. Returns the largest number of events, which are not written where there is no room for
+    them.
     """
     most = 0
     for k in range(chosen.size):
@@ -78,6 +80,7 @@ def _load(
             floats[i, b.STATE + STARTED[j]] = start[j]
         if first > 0:
             floats[i, first : first + RELIEF_SIZE] = reliefs[i]
+            floats[i, first + RELIEF_SIZE] = integer(rngs[k], terrains)
         counters[i, b.EVENT_COUNT] = counts[i]
         if counts[i] <= events.shape[1]:
             events[i, : counts[i]] = changes[i, : counts[i], : b.EVENT_FIELDS]
@@ -145,6 +148,7 @@ class BatchReset:
             settings.nominal.contact_length, self._row, self._clocks, batch.floats, batch.counters,
             batch.profile, batch.events, batch.noise, running.noise_states, running.seeds,
             running.noisy, self.sensors.noisy, self._reliefs, settings.relief_column,
+            settings.terrains,
         )  # fmt: skip
         if most > batch.events.shape[1]:
             batch = fitted(batch, most, self._delay, settings.control_period)

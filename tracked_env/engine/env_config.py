@@ -6,6 +6,7 @@ environment take theirs from it, with `environment_arguments`.
 
 import functools
 import inspect
+import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -41,6 +42,7 @@ class EnvConfig(NamedTuple):
     plant: str | Plant = "lumped"
     drive: str = "torque"
     patches: Sequence[int] = (10, 4)
+    terrain: Any = None
     plant_options: Mapping[str, Any] | None = None
     observation: str | Sequence[str] = "v0"
     expose_truth: bool = False
@@ -113,30 +115,36 @@ class Solver(NamedTuple):
 
 
 def _quoted(value: object) -> str:
-    return f'"{value}"' if isinstance(value, str) else repr(value)
+    return f'"{value}"' if isinstance(value, str) else " ".join(reprlib.repr(value).split())
 
 
 def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
     """Options of the plant: those that are arguments of their own, then `plant_options`.
 
-    `lateral` and `patches` are arguments of every environment. Raises ValueError for a value other
-    than the default where the plant has no such option.
+    `lateral`, `patches` and `terrain` are arguments of every environment. Raises ValueError for a
+    value other than the default where the plant has no such option, and for a terrain said twice.
     """
-    arguments = {"lateral": config.lateral, "patches": config.patches}
+    arguments: dict[str, Any] = {"lateral": config.lateral, "patches": config.patches}
+    own = checked_keys("plant_options", config.plant_options, plant.options)
+    if config.terrain is not None:
+        arguments["terrain"] = config.terrain
+        if "terrain" in own:
+            raise ValueError(
+                "terrain is given as an argument and in plant_options; must be one of them"
+            )
     for other in PLANTS.values():
         foreign = {k: v for k, v in arguments.items() if k in other.options.keys() - plant.options}
         if foreign:
             other.prepare(next(iter(other.reads)), {**other.options, **foreign})
         for name, value in foreign.items():
             default = EnvConfig._field_defaults[name]
-            if value != default:
+            if default is None or value != default:
                 raise ValueError(
                     f'{name} = {_quoted(value)} with plant = "{plant.name}"; must be '
                     f"{_quoted(default)}: this plant has no such option. Did you mean "
                     f'plant = "{other.name}"?'
                 )
-    own = {name: value for name, value in arguments.items() if name in plant.options}
-    return {**own, **checked_keys("plant_options", config.plant_options, plant.options)}
+    return {**{k: v for k, v in arguments.items() if k in plant.options}, **own}
 
 
 def make_solver(config: EnvConfig) -> Solver:

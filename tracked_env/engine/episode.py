@@ -8,6 +8,7 @@ The draws of an episode, always in this order, from the vehicle's own generator:
     reference       as `tracked_env.references` says for its kind
     uncertainty     as `tracked_env.uncertainty` says for its set
     sensors         signs of the biases
+    terrain         where the plant has several: which one, an integer
 `options` override any value for one episode; the draws are made all the same, so that
 overriding one thing leaves the others as they were. A set draws the same for every plant; of its
 changes an episode has those of parameters that the plant reads (`plants.base`). An option or a
@@ -35,11 +36,17 @@ from tracked_env.sensor_draws import SensorDraw, draw_sensors
 from tracked_env.sensors import Sensors, make_sensors
 from tracked_env.streams import addresses, seed, uniform
 from tracked_env.uncertainty import CheckedLaw, Law, Spec, make_uncertainty
-from tracked_env.validation import checked_effect, checked_keys, checked_number, checked_parameter
+from tracked_env.validation import (
+    checked_effect,
+    checked_keys,
+    checked_number,
+    checked_parameter,
+    checked_whole,
+)
 
 # Option -> group of parameters; `closure` is the former name of `lateral_model`.
 PARAMETER_KEYS = {**{group: group for group in GROUPS}, "closure": "lateral_model"}
-OPTION_KEYS = (*PARAMETER_KEYS, "reference", "sensors", "schedule", "start")
+OPTION_KEYS = (*PARAMETER_KEYS, "reference", "sensors", "schedule", "start", "terrain")
 START_OFFSET = 0.15  # [-] of the nominal contact length, to either side
 DURATION_RANGE = Range(0.1, 3600.0, "s", "Did you pass control steps?")
 _START_RANGES = {
@@ -63,6 +70,7 @@ class EpisodeSettings(NamedTuple):
     reads: ParametersRead  # by the plant
     channels: tuple[str, ...] = ()  # registered sensor channels that are sampled
     relief_column: int = 0  # where the plant reads a drawn relief; 0: nowhere
+    terrains: int = 1  # of which an episode draws one
 
     @property
     def max_steps(self) -> int:
@@ -80,6 +88,7 @@ class Episode(NamedTuple):
     state: VehicleState  # at its start
     noise_seed: int
     relief: tuple[float, ...] = ()  # drawn ground, see `terrain.drawn_relief`; empty: none
+    terrain: int = 0  # member of `terrain.pool` on which it takes place
 
 
 def make_settings(
@@ -92,6 +101,7 @@ def make_settings(
     reads: ParametersRead,
     channels: tuple[str, ...] = (),
     relief_column: int = 0,
+    terrains: int = 1,
 ) -> EpisodeSettings:
     """Check everything that an environment is built from. Raises ValueError."""
     length = checked_number("duration", duration, DURATION_RANGE)
@@ -101,7 +111,7 @@ def make_settings(
         law(np.random.default_rng(0), nominal, profile, length)
     return EpisodeSettings(
         reference, law, nominal, make_sensors(sensors), length, control_period, reads, channels,
-        relief_column,
+        relief_column, terrains,
     )  # fmt: skip
 
 
@@ -182,6 +192,21 @@ def _schedule(
     return rows
 
 
+def _terrain(options: Mapping[str, Any], drawn: int, count: int) -> int:
+    """Which terrain of the pool: the one that is given, or the drawn one. Raises ValueError."""
+    given = options.get("terrain")
+    if given is None:
+        return drawn
+    if count == 1:
+        raise ValueError(
+            f"options['terrain'] = {given!r}; there is only one terrain. Did you mean the argument "
+            'terrain={"kind": "drawn", ...}, of which an episode takes one by its number?'
+        )
+    return checked_whole(
+        "options['terrain']", given, Range(0, count - 1, "-", "It is the number of a terrain.")
+    )
+
+
 def draw_episode(
     rng: np.random.Generator, settings: EpisodeSettings, options: Mapping[str, Any] | None
 ) -> Episode:
@@ -202,12 +227,15 @@ def draw_episode(
     sensors = settings.sensors
     if options.get("sensors") is not None:
         sensors = make_sensors(options["sensors"], base=sensors)
+    its_sensors = draw_sensors(sensors, settings.control_period, rng, settings.channels)
+    terrain = int(rng.integers(settings.terrains)) if settings.terrains > 1 else 0
     return Episode(
         _overridden(truth.parameters, options, settings.reads),
         _schedule(options, truth.events, settings.reads),
         profile,
-        draw_sensors(sensors, settings.control_period, rng, settings.channels),
+        its_sensors,
         _start(profile, start_draws[0], options, settings.nominal.contact_length),
         noise_seed,
         truth.relief if settings.relief_column else (),
+        _terrain(options, terrain, settings.terrains),
     )

@@ -120,6 +120,8 @@ def load_episode(
     if episode.relief:
         first = settings.relief_column
         f[first : first + RELIEF_SIZE] = episode.relief
+    if settings.relief_column:
+        f[settings.relief_column + RELIEF_SIZE] = episode.terrain
     batch.base()[i] = batch.parameters()[i] = episode.parameters
     write_profile(batch, i, episode.profile)
     running.origins[i, :START] = pose(*episode.profile[2:])
@@ -184,6 +186,7 @@ class Episodes(Sequence[Episode | None]):
     ) -> None:
         self._batch, self._running, self._given, self._sensors = batch, running, given, sensors
         self._relief = slice(relief_column, relief_column + (RELIEF_SIZE if relief_column else 0))
+        self._terrain = relief_column + RELIEF_SIZE if relief_column else None
 
     def __len__(self) -> int:
         return len(self._given)
@@ -205,6 +208,7 @@ class Episodes(Sequence[Episode | None]):
             VehicleState(x, y, yaw, v_x, yaw_rate=yaw_rate),
             int(self._running.seeds[i]),
             tuple(relief.tolist()) if relief.any() else (),
+            0 if self._terrain is None else int(batch.floats[i, self._terrain]),
         )
         return self._given[i]
 

@@ -61,7 +61,7 @@ class Simulation(Readings):
         self.settings = make_settings(
             config.reference, config.uncertainty, config.sensors, config.duration,
             solver.control_period, solver.nominal, solver.reads, self.layout.channels,
-            solver.plant.relief_column,
+            solver.plant.relief_column, solver.prepared.terrains,
         )  # fmt: skip
         segments = number_of_segments(self.settings.duration)
         self.batch = b.allocate(count, segments, solver.plant.columns)

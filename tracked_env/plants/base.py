@@ -69,6 +69,7 @@ class Prepared(NamedTuple):
     unread: frozenset[str] = frozenset()  # parameters without effect under these options
     variant: str = ""  # what the options make of the plant, in words
     ground: Ground | None = None  # None: level ground at height 0
+    terrains: int = 1  # of which an episode draws one
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 Contact and shear are in `physics.ground_contact` and `physics.uniform_load`, equations of motion
 and integrator in `physics.terrain_motion`, terrains in `terrain.height_field`. Options:
-    terrain       a kind, a dict or a list of them, see `terrain.height_field`
+    terrain       a kind, a dict or a list of them, see `terrain.height_field`, or a choice of
+                  terrains of which each episode draws one, see `terrain.pool`
     load          "nonuniform": every patch on its own springs; "uniform": one foot on the tangent
                   plane, its load shared by all patches
     patches       (along, across) a track
@@ -69,9 +70,9 @@ from tracked_env.plants.terrain_state import (
     write,
 )
 from tracked_env.terrain import ground as terrain_ground
-from tracked_env.terrain.drawn_relief import fill_there, ground_at
+from tracked_env.terrain.drawn_relief import RELIEF_SIZE, fill_there, ground_at
 from tracked_env.terrain.flat import level
-from tracked_env.terrain.height_field import make_height_field
+from tracked_env.terrain.pool import make_pool, member_of
 from tracked_env.validation import checked_choice
 
 Floats = NDArray[np.float64]
@@ -147,12 +148,13 @@ def _demanded(floats, i, p, by_torque, held):
 def _move(batch, w, block, pace, options):
     """Advance (pace.substeps > 0) and settle the vehicle of the block.
 
-    options: held commands as in `_demanded`, relief, columns and rows of the patches, numbers of
-    the plant's options, by_torque, uniform, per_patch.
+    options: held commands as in `_demanded`, reliefs of the pool, columns and rows of the patches,
+    numbers of the plant's options, by_torque, uniform, per_patch.
     """
     i = block.chosen[block.first]
-    held, relief, columns, rows, made, by_torque, uniform, per_patch = options
+    held, reliefs, columns, rows, made, by_torque, uniform, per_patch = options
     floats = batch.floats
+    relief = member_of(reliefs, int(floats[i, RELIEF + RELIEF_SIZE]))
     p = row_parameters(floats, i, b.PARAMETERS)
     base, count = row_parameters(floats, i, b.BASE), columns.size * rows.size
     body = _body(p, g.padded(2 * count), count, made, by_torque, uniform)
@@ -185,14 +187,14 @@ def _move(batch, w, block, pace, options):
 def advance(
     floats, counters, profile, events, noise, history, chosen, actions, observations,
     start, stop, moving, substeps, substep, error_limit,
-    held, relief, columns, rows, made, by_torque, uniform, per_patch,
+    held, reliefs, columns, rows, made, by_torque, uniform, per_patch,
 ):  # fmt: skip
     """Kernel of the control step, see `engine.kernels`."""
     scratch = np.empty((g.SCRATCH_ROWS, g.LANES))
     batch = Batch(floats, counters, profile, events, noise, history)
     given = (chosen, actions, observations)
     clock = (start, stop, moving, substeps, substep, error_limit)
-    rest = (*clock, held, relief, columns, rows, made, by_torque, uniform, per_patch)
+    rest = (*clock, held, reliefs, columns, rows, made, by_torque, uniform, per_patch)
     return advance_blocks(derive_free, _move, 1, scratch, batch, given, rest)
 
 
@@ -210,7 +212,7 @@ def motion_resistances(floats, i):
 
 
 def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
-    field = make_height_field(options["terrain"])
+    pool = make_pool(options["terrain"])
     columns, rows = patches_of(options["patches"])
     uniform = checked_choice("load", options["load"], LOADS) == "uniform"
     per_patch = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "patches"
@@ -218,7 +220,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
 
     def at(floats: Floats, row: int, x: float, y: float) -> Floats:
         places = np.array([[x]]), np.array([[y]])
-        return ground_at(field.relief, floats, RELIEF, np.array([row]), *places)[0, :, 0]
+        return ground_at(pool.reliefs, floats, RELIEF, np.array([row]), *places)[0, :, 0]
 
     def place(floats: Floats, chosen: NDArray[np.int64]) -> None:
         """Belts that roll over the ground without slip, the vehicle on its slope."""
@@ -231,7 +233,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
             own[b.STATE : b.STATE + s.STATE_ROWS] = placed
 
     def heights(floats: Floats, chosen: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
-        return ground_at(field.relief, floats, RELIEF, chosen, x, y)[:, 0]
+        return ground_at(pool.reliefs, floats, RELIEF, chosen, x, y)[:, 0]
 
     def loads(floats: Floats, row: int) -> Floats:
         return floats[row, [LOAD_LEFT, LOAD_RIGHT]].reshape(2, 1, 1)
@@ -241,9 +243,10 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
 
     unread = frozenset(name + "_ratio" for name in ROTATIONAL if options[name] is not None)
     flags = (drive == "torque", uniform, per_patch)
-    chosen = (_NOTHING_HELD, field.relief, columns, rows, made, *flags)
+    chosen = (_NOTHING_HELD, pool.reliefs, columns, rows, made, *flags)
     ground = Ground(place, heights, loads, centre_height, float(made[10]))
-    return Prepared(advance, hold, chosen, unread=unread, ground=ground)
+    terrains = len(pool.fields)
+    return Prepared(advance, hold, chosen, unread=unread, ground=ground, terrains=terrains)
 
 
 _READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW

@@ -24,14 +24,14 @@ from tracked_env.physics.parameters import PlantParameters
 from tracked_env.plants import terrain, terrain_state
 from tracked_env.plants.standalone import Rig
 from tracked_env.plants.terrain_options import LONGEST_STEP, height_at_rest, made_of, resting
-from tracked_env.terrain.height_field import make_height_field
+from tracked_env.terrain.pool import make_pool
 
 Floats = NDArray[np.float64]
 _TWIST = [s.V_X, s.V_Y, s.V_Z, s.ROLL_RATE, s.PITCH_RATE, s.YAW_RATE]
 
 
 class TerrainRig(Rig):
-    """N vehicles on one terrain, each with the same parameters."""
+    """N vehicles on one terrain, the first of a pool, each with the same parameters."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class TerrainRig(Rig):
         """
         options = {**(options or {}), "longest_step": step}
         super().__init__(terrain.TERRAIN, parameters, count, drive, step, options)
-        self.field = make_height_field(options.get("terrain", "flat"))
+        self.field = make_pool(options.get("terrain", "flat")).fields[0]
         self._made = made_of({**terrain.TERRAIN.options, **options})
         self._parameters = parameters
         self._rest = float(height_at_rest(parameters, self._made))

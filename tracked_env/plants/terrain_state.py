@@ -22,7 +22,7 @@ from tracked_env.physics.jit import formula
 from tracked_env.physics.patch_dynamics import Belts
 from tracked_env.physics.rigid_body import at_point
 from tracked_env.physics.terrain_motion import Pose3
-from tracked_env.terrain.drawn_relief import RELIEF_SIZE
+from tracked_env.terrain.drawn_relief import RELIEF_COLUMNS
 
 # Columns of its own, all at the end of the last step.
 (
@@ -31,7 +31,7 @@ from tracked_env.terrain.drawn_relief import RELIEF_SIZE
 ) = range(b.PLANT, b.PLANT + 8)  # fmt: skip
 # Relief drawn for the vehicle and its episode, see `terrain.drawn_relief`.
 RELIEF = SATURATED + 1
-OWN_COLUMNS = RELIEF + RELIEF_SIZE - b.PLANT
+OWN_COLUMNS = RELIEF + RELIEF_COLUMNS - b.PLANT
 FAILURES = ("tilted", "off_map", "overloaded")
 
 

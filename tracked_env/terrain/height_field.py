@@ -190,6 +190,11 @@ def _checked_part(given: object) -> dict[str, Any]:
     """One part of a terrain with all its numbers filled in. Raises ValueError."""
     if isinstance(given, str):
         given = {"kind": given}
+    if isinstance(given, np.ndarray):
+        raise ValueError(
+            f"terrain = array of shape {given.shape}; heights need the distance between them: "
+            '{"kind": "map", "heights": array, "cell": 0.1}'
+        )
     if not isinstance(given, Mapping):
         raise ValueError(
             f"terrain = {given!r}; must be a kind or a dict with 'kind', or a list of them"

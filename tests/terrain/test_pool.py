@@ -1,0 +1,193 @@
+"""Terrains of which every episode draws one: what the members are, and where they are drawn."""
+
+import json
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+
+from tracked_env import TERRAIN, TERRAIN_ID
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.terrain.height_field import make_height_field
+from tracked_env.terrain.pool import make_pool
+from tracked_env.uncertainty import Draw
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+X, Y = np.meshgrid(np.linspace(-4.0, 4.0, 9), np.linspace(-3.0, 3.0, 7))
+FRACTAL = {"kind": "fractal", "seed": 3, "height": 0.05}
+DRAWN = {"kind": "drawn", "of": FRACTAL, "count": 4}
+MAPS = np.random.default_rng(0).normal(0.0, 0.01, (3, 41, 41))
+DRAWN_MAPS = {"kind": "drawn", "of": {"kind": "map", "heights": MAPS, "cell": 0.5}}
+LISTED = {"kind": "drawn", "terrains": ["hills", {"kind": "ramp", "slope": 0.3}, "crossing"]}
+CALM = {"uncertainty": "nominal", "sensors": "ideal", "expose_truth": True}
+
+
+def make(**arguments):
+    return gymnasium.make(TERRAIN_ID, **arguments).unwrapped
+
+
+def heights_under(env, row=0):
+    """Heights at places of the ground that the vehicle of a row drives on."""
+    ground, floats = env.simulation.solver.prepared.ground, env.simulation.batch.floats
+    return ground.heights(floats, np.array([row]), X.reshape(1, -1), Y.reshape(1, -1))[0]
+
+
+def expected(terrain):
+    return make_height_field(terrain).at(X, Y)[0].ravel()
+
+
+def test_the_members_of_a_fractal_have_the_seeds_that_follow():
+    pool = make_pool([{"kind": "plane", "slope_x": 0.1}, DRAWN])
+    assert len(pool.fields) == 4
+    for k, field in enumerate(pool.fields):
+        alone = make_height_field([{"kind": "plane", "slope_x": 0.1}, {**FRACTAL, "seed": 3 + k}])
+        np.testing.assert_array_equal(field.at(X, Y), alone.at(X, Y))
+    assert len(make_pool({"kind": "drawn", "of": "fractal"}).fields) == 16
+
+
+@pytest.mark.parametrize("given", [DRAWN, DRAWN_MAPS, LISTED, [DRAWN_MAPS, "hills"]], ids=str)
+def test_a_vehicle_drives_on_the_member_that_its_episode_has_drawn(given):
+    fields = make_pool(given).fields
+    env = TrackedVehicleVectorEnv(12, **{**TERRAIN, **CALM, "terrain": given})
+    env.reset(seed=1)
+    members = [episode.terrain for episode in env.simulation.episodes]
+    assert set(members) == set(range(len(fields)))
+    for row, member in enumerate(members):
+        found = heights_under(env, row)
+        np.testing.assert_allclose(found, fields[member].at(X, Y)[0].ravel(), atol=1e-12)
+    env.step(np.zeros((12, 2), np.float32))
+    states = env.simulation.truth()
+    for row, member in enumerate(members):
+        under = float(fields[member].at(states["x"][row], states["y"][row])[0])
+        assert states["z"][row] == pytest.approx(under, abs=0.05)
+
+
+def test_every_member_is_drawn_as_often():
+    env = TrackedVehicleVectorEnv(2000, **{**TERRAIN, **CALM, "terrain": DRAWN})
+    env.reset(seed=0)
+    counts = np.bincount([episode.terrain for episode in env.simulation.episodes], minlength=4)
+    assert np.abs(counts - 500).max() < 80
+
+
+def heavier(rng, nominal, profile, duration):
+    """A law of one's own, which no kernel draws."""
+    return Draw(nominal._replace(mass=nominal.mass * rng.uniform(1.0, 1.2)), [])
+
+
+@pytest.mark.parametrize("law", ["hills", heavier], ids=["compiled", "own"])
+def test_rows_and_single_environments_draw_the_same_terrain(law):
+    arguments = {**TERRAIN, "uncertainty": law, "terrain": DRAWN, "duration": 0.2}
+    batch, single = TrackedVehicleVectorEnv(5, **arguments), TrackedVehicleEnv(**arguments)
+    seen, _ = batch.reset(seed=7)
+    alone, _ = single.reset(seed=10)
+    drawn = set()
+    for k in range(60):  # five episodes and a half
+        np.testing.assert_array_equal(seen[3], alone)
+        member = batch.simulation.episodes[3].terrain
+        assert member == single.simulation.episodes[0].terrain
+        drawn.add(member)
+        action = np.full((5, 2), 0.3, np.float32)
+        seen, *_ = batch.step(action)
+        if (k + 1) % 11 == 0:
+            alone, _ = single.reset()
+        else:
+            alone, *_ = single.step(action[0])
+    assert len(drawn) > 1
+
+
+def test_an_option_names_the_terrain_and_leaves_all_other_draws_as_they_were():
+    plain, given = (make(terrain=DRAWN) for _ in range(2))
+    plain.reset(seed=5)
+    drawn = plain.simulation.episodes[0]
+    other = (drawn.terrain + 1) % 4
+    given.reset(seed=5, options={"terrain": other})
+    episode = given.simulation.episodes[0]
+    assert episode.terrain == other
+    for name in ("parameters", "noise_seed", "state", "relief"):
+        assert getattr(episode, name) == getattr(drawn, name)
+    assert not np.array_equal(heights_under(plain), heights_under(given))
+    given.reset(seed=5, options={"terrain": drawn.terrain})
+    np.testing.assert_array_equal(heights_under(plain), heights_under(given))
+    again = [env.reset()[0] for env in (plain, given)]
+    np.testing.assert_array_equal(*again)
+
+
+def test_the_argument_is_the_option_of_the_plant():
+    named = make(terrain="hills", **CALM)
+    spelled = make(plant_options={"terrain": "hills"}, **CALM)
+    for env in (named, spelled):
+        env.reset(seed=2)
+        np.testing.assert_allclose(heights_under(env), expected("hills"), atol=1e-12)
+    np.testing.assert_array_equal(
+        *(env.step(np.float32([0.5, 0.4]))[0] for env in (named, spelled))
+    )
+    heights = np.random.default_rng(1).normal(0.0, 0.01, (21, 31))
+    given = {"kind": "map", "heights": heights, "cell": 0.5}
+    env = make(terrain=given, **CALM)
+    env.reset(seed=0)
+    np.testing.assert_allclose(heights_under(env), expected(given), atol=1e-12)
+    level = make(**CALM)
+    level.reset(seed=0)
+    assert not heights_under(level).any()
+
+
+def test_a_drawn_terrain_can_be_written_as_json_and_its_environment_pickled():
+    listed = {**DRAWN_MAPS["of"], "heights": MAPS.tolist()}
+    text = json.dumps({"kind": "drawn", "of": listed})
+    read, made = make_pool(json.loads(text)), make_pool(DRAWN_MAPS)
+    for one, other in zip(read.reliefs, made.reliefs, strict=True):
+        np.testing.assert_array_equal(one, other)
+    env = TrackedVehicleVectorEnv(3, **{**TERRAIN, "terrain": DRAWN})
+    env.reset(seed=0)
+    copied = pickle.loads(pickle.dumps(env))
+    action = np.full((3, 2), 0.4, np.float32)
+    np.testing.assert_array_equal(env.step(action)[0], copied.step(action)[0])
+
+
+def test_a_rig_stands_on_the_first_terrain():
+    rig = TerrainRig(VEHICLES["focchi"], {"terrain": DRAWN})
+    np.testing.assert_array_equal(rig.field.at(X, Y), make_height_field(FRACTAL).at(X, Y))
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"kind": "drawn"}, "must have either 'of' or 'terrains'"),
+        ({"kind": "drawn", "of": "fractal", "terrains": ["hills"]}, "either 'of' or 'terrains'"),
+        ({"kind": "drawn", "of": "hills"}, "must have a fractal, or a map"),
+        ({"kind": "drawn", "terrains": "hills"}, "terrains = 'hills'; must be a list"),
+        ({"kind": "drawn", "terrains": []}, "must be a list of terrains"),
+        ({"kind": "drawn", "terrains": ["hills"], "count": 3}, "goes with 'of'"),
+        ({"kind": "drawn", "of": "fractal", "count": 0}, "count of drawn terrains = 0.*must be"),
+        ({"kind": "drawn", "of": "fractal", "number": 3}, "unknown .*'number'"),
+        ({"kind": "drawn", "of": {"kind": "fractal", "seed": "a"}}, "fractal seed = 'a'"),
+        ({**DRAWN_MAPS, "count": 4}, "count of drawn terrains = 4 with 3 maps"),
+        ([DRAWN, DRAWN], "2 drawn parts; must be one at most"),
+        ({"kind": "drawn", "terrains": [DRAWN, "hills"]}, "unknown terrain kind 'drawn'"),
+        ({"kind": "drawn", "terrains": ["hills", {"kind": "map", "heights": MAPS[0], "cell": 1}]},
+         "maps of shapes .*must be of one shape"),
+        (MAPS[0], "array of shape .41, 41.*need the distance between them"),
+        ("drawn", "must have either 'of' or 'terrains'"),
+        (3, "terrain = 3; must be a kind or a dict"),
+    ],
+)  # fmt: skip
+def test_a_wrong_choice_of_terrains_is_refused_in_one_line(given, says):
+    with pytest.raises(ValueError, match=says) as error:
+        make(terrain=given)
+    assert "\n" not in str(error.value)
+
+
+def test_a_terrain_said_twice_or_without_effect_or_out_of_range_is_refused():
+    with pytest.raises(ValueError, match="as an argument and in plant_options"):
+        make(terrain="hills", plant_options={"terrain": "hills"})
+    with pytest.raises(ValueError, match=r'terrain = "hills" with plant = "lumped".*"terrain"'):
+        TrackedVehicleEnv(terrain="hills")
+    env = make(terrain=DRAWN)
+    for wrong in (4, -1, 0.5, "hills"):
+        with pytest.raises(ValueError, match=r"options.'terrain'. = .*must be"):
+            env.reset(seed=0, options={"terrain": wrong})
+    with pytest.raises(ValueError, match="there is only one terrain"):
+        make(terrain="hills").reset(seed=0, options={"terrain": 0})

@@ -19,7 +19,7 @@ from tracked_env.physics.attitude import (
 )
 from tracked_env.physics.contact_totals import Drag, Wrench
 from tracked_env.physics.ground_contact import Footing, Twist
-from tracked_env.physics.rigid_body import Inertia, factors, solved, with_inertia
+from tracked_env.physics.rigid_body import Inertia, at_point, factors, solved, with_inertia
 from tracked_env.physics.uniform_load import rocking_of
 from tracked_env.terrain.height_field import make_height_field
 from tracked_env.terrain.relief import fill
@@ -32,33 +32,46 @@ FIELD = make_height_field([{"kind": "plane", "slope_x": 0.1}, {"kind": "hills", 
 MU, COHESION, MODULUS, ROLLING = 0.6, 800.0, 2e-3, 0.04
 
 
-def contact(seed, again=False):
-    """(scratch, rotation, twist, belt speeds) of a random motion with patches in the ground."""
+def contact(seed, again=False, shift=(0.0, 0.0, 0.0), **changed):
+    """(scratch, rotation, twist, belt speeds) of a random motion with patches in the ground.
+
+    shift [m]: of the centre of mass, body axes; the tracks move all the same, the twist is its own.
+    changed: of the Footing.
+    """
+    footing = shifted(shift)._replace(**changed)
     rng = np.random.default_rng(seed)
     w = np.zeros((g.SCRATCH_ROWS, g.LANES))
-    lanes = g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, FOOTING)
+    lanes = g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, footing)
     w[g.FRICTION], w[g.ADHESION] = MU, COHESION * FOOTING.patch_area
     w[g.INVERSE_MODULUS], w[g.ROLLING], w[g.FIRMNESS] = 1.0 / MODULUS, ROLLING, 1.0
     belts = rng.uniform(-1.0, 1.0, 2)
     for side in range(2):
-        g.set_belt(w, 40 * side, 40 * side + 40, belts[side], FOOTING)
+        g.set_belt(w, 40 * side, 40 * side + 40, belts[side], footing)
     yaw, pitch, roll = rng.uniform(-0.1, 0.1, 3)
     x, y = rng.uniform(-3.0, 3.0, 2)
     height, slope_x, _ = FIELD.at(x, y)
     r = matrix_of(quaternion_of(yaw, pitch - math.atan(slope_x), roll))
-    g.locate(w, lanes, (x, y, float(height) + HEIGHT - 0.003), r, HEIGHT)
+    place = np.array([x, y, float(height) + HEIGHT - 0.003])
+    place += np.array(r).reshape(3, 3) @ shift
+    g.locate(w, lanes, place, r, footing.height)
     fill(FIELD.relief, w, lanes)
     g.orient(w, lanes, r)
     twist = Twist(*(rng.uniform(-0.6, 0.6, 6) * [1.0, 1.0, 0.02, 0.1, 0.1, 1.0]))
-    moved(w, twist, again)
+    twist = at_point(twist, *shift)
+    moved(w, twist, again, footing)
     return w[:, :lanes], r, twist, belts
 
 
-def moved(w, twist, again=False):
+def shifted(shift):
+    """The Footing of a centre of mass that is `shift` [m] away."""
+    return FOOTING._replace(height=HEIGHT + shift[2], ahead=shift[0], aside=shift[1])
+
+
+def moved(w, twist, again=False, footing=FOOTING):
     """Fill the rows of the shear at a motion."""
     longest = 2.0 * HALF_LENGTH / max(np.abs(w[g.BELT, :80]).min(), 1e-6)
-    g.press(w, 80, twist, FOOTING)
-    g.slide(w, 80, twist, FOOTING, longest)
+    g.press(w, 80, twist, footing)
+    g.slide(w, 80, twist, footing, longest)
     g.resist(w, 80, again)
 
 

@@ -72,10 +72,11 @@ def dot(a, b):
 
 
 @njit(cache=True)
-def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads):
+def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, shift):
     """One step; motion (6,) world axes. v: m, I, height, 2l, B, w; s: mu, c, K, kA, dA, cr, Ktp.
 
-    loads[0], loads[1]: total and largest normal load at the beginning of the step.
+    loads[0], loads[1]: total and largest normal load at the beginning of the step. shift (3,): of
+    the centre of mass, which p is.
     """
     plane, edges, waves = terrain
     m, g = v[0], 9.81
@@ -97,7 +98,7 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads):
     total, largest = 0.0, 0.0
     normal, share = np.zeros(3), 0.0
     if uniform:
-        arm = rot @ np.array([0.0, 0.0, -z_c])
+        arm = rot @ (np.array([0.0, 0.0, -z_c]) - shift)
         place = p + arm
         height, a, b = ground(plane, edges, waves, place[0], place[1])
         normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
@@ -132,7 +133,7 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads):
             for k_row in range(n_y):
                 x = half * (1 - (2 * i + 1) / n_x)
                 y = (0.5 - side) * gauge + width * ((k_row + 0.5) / n_y - 0.5)
-                arm = rot @ np.array([x, y, -z_c])
+                arm = rot @ (np.array([x, y, -z_c]) - shift)
                 place = p + arm
                 u = motion[:3] + cross(motion[3:], arm)
                 jac = np.zeros((3, 6))
@@ -194,23 +195,24 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads):
 
 
 @njit(cache=True)
-def _run(p, q, belts, h, every, v, s, n_x, n_y, uniform, terrain, out):
+def _run(p, q, belts, h, every, v, s, n_x, n_y, uniform, terrain, shift, out):
     motion, loads = np.zeros(6), np.zeros(2)
+    p = p + matrix(q) @ shift
     for k in range(len(belts)):
         before_p, before_q, before = p, q, motion
         p, q, motion = euler_step(
-            p, q, motion, belts[k], h, v, s, n_x, n_y, uniform, terrain, loads
+            p, q, motion, belts[k], h, v, s, n_x, n_y, uniform, terrain, loads, shift
         )
         if k % every == 0:
             row, rot = out[k // every], matrix(before_q)
-            row[:3], row[3:7] = before_p, before_q
+            row[:3], row[3:7] = before_p - rot @ shift, before_q
             row[7:10], row[10:13] = rot.T @ before[:3], rot.T @ before[3:]
             row[13], row[14] = loads
 
 
 def euler_run(spec, h, duration=None):
     """Rows of x, y, z, q, v, W (body axes), N_total, N_patch_max every 10 ms, of a dict as in
-    `runs.json`."""
+    `runs.json`, or with a `shift` of the centre of mass; positions are those of the nominal one."""
     vehicle, soil, terrain = spec["vehicle"], spec["soil"], spec["terrain"]
     duration = spec["duration"] if duration is None else duration
     every, steps = round(0.01 / h), round(duration / h)
@@ -239,6 +241,7 @@ def euler_run(spec, h, duration=None):
     start = spec["initial"]
     _run(
         np.array(start["p"], dtype=float), np.array(start["q"], dtype=float), belts, h, every, v, s,
-        vehicle["patches_along"], vehicle["patches_across"], spec["load"] == "uniform", arrays, out,
+        vehicle["patches_along"], vehicle["patches_across"], spec["load"] == "uniform", arrays,
+        np.array(vehicle.get("shift", [0.0, 0.0, 0.0])), out,
     )  # fmt: skip
     return out[: round(duration / 0.01) + 1]

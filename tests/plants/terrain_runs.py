@@ -11,6 +11,7 @@ SAMPLE = 0.01  # [s]
 def parameters_of(spec) -> PlantParameters:
     """Vehicle and soil of a run."""
     vehicle, soil = spec["vehicle"], spec["soil"]
+    c_x, c_y, c_z = vehicle.get("shift", [0.0, 0.0, 0.0])
     return plant_parameters()._replace(
         mass=vehicle["m"], inertia=vehicle["inertia"][2], track_gauge=vehicle["track_gauge"],
         track_width=vehicle["track_width"], contact_length=vehicle["track_length"],
@@ -18,6 +19,8 @@ def parameters_of(spec) -> PlantParameters:
         cohesion=soil["cohesion_Pa"], friction_angle=float(np.arctan(soil["mu"])),
         shear_deformation_modulus=soil["shear_modulus_m"],
         longitudinal_resistance=soil["rolling_resistance"],
+        centre_of_mass_x=c_x, centre_of_mass_y=c_y, centre_of_mass_z=c_z,
+        ground_stiffness_factor=soil.get("stiffness_factor", 1.0),
     )  # fmt: skip
 
 

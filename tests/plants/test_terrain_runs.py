@@ -82,6 +82,14 @@ CASES = {
         "uniform", {"a": -0.2}, 4, 5, {"shear_modulus_m": 0.004},
         {"m": 90.0, "track_length": 0.5, "patches_along": 7, "patches_across": 3},
     ),
+    "shifted mass": case(
+        "nonuniform", {"sines": WAVES}, 5, 4, {"stiffening_s_per_m2": 3.0},
+        {"shift": [0.08, -0.05, 0.06]},
+    ),
+    "shifted mass, uniform": case(
+        "uniform", {"sines": WAVES}, 4, -3, {"rolling_resistance": 0.04},
+        {"shift": [-0.06, 0.07, -0.04]},
+    ),
 }  # fmt: skip
 
 

@@ -1,0 +1,152 @@
+"""A centre of mass that is not where it nominally is: moments about another point, payloads."""
+
+import numpy as np
+import pytest
+
+from tests.physics.test_ground_contact import (
+    COLUMNS,
+    FIELD,
+    FOOTING,
+    HALF_GAUGE,
+    HEIGHT,
+    ROWS,
+    WIDTH,
+    contact,
+    full,
+    normals,
+    shifted,
+)
+from tracked_env.physics import contact_totals as totals
+from tracked_env.physics import ground_contact as g
+from tracked_env.physics import uniform_load
+from tracked_env.physics.attitude import matrix_of, quaternion_of
+from tracked_env.physics.ground_contact import Twist
+from tracked_env.physics.rigid_body import Inertia, at_point, with_payload
+from tracked_env.terrain.relief import fill
+
+SHIFTS = ((0.07, 0.0, 0.0), (0.0, -0.05, 0.0), (-0.06, 0.04, 0.1))
+VEHICLE = Inertia(62.0, 2.18, 2.81, 4.5)
+
+
+def about(wrench, arm):
+    """Force and moment (6,) about a point at `arm` from the one they are about."""
+    force, moment = np.array(wrench[:3]), np.array(wrench[3:])
+    return np.concatenate([force, moment - np.cross(arm, force)])
+
+
+def carried(arm):
+    """Matrix (6, 6) from the twist of a point to that of the one at `arm` from it."""
+    matrix = np.eye(6)
+    matrix[:3, 3:] = np.cross(np.eye(3), arm).T
+    return matrix
+
+
+@pytest.mark.parametrize("shift", SHIFTS)
+@pytest.mark.parametrize("seed", range(5))
+def test_the_same_tracks_have_the_same_forces_and_their_moments_are_about_the_shifted_point(
+    seed, shift
+):
+    w, *_ = contact(seed, stiffening=0.0)
+    other, *_ = contact(seed, shift=shift, stiffening=0.0)
+    for row in (g.SINKAGE, g.TIME, g.LOAD, g.SHEARED, g.FORWARD, g.THRUST, g.LATERAL, g.ROLLED):
+        assert other[row] == pytest.approx(w[row], rel=1e-9, abs=1e-11 * np.abs(w[row]).max())
+    wrench = totals.total_wrench(w, 80, HEIGHT, 1.0)
+    found = totals.total_wrench(other, 80, HEIGHT + shift[2], 1.0)
+    assert np.array(found) == pytest.approx(about(wrench, shift), rel=1e-10, abs=1e-9)
+    damping = FOOTING.patch_area * FOOTING.damping
+    here = full(totals.total_drag(w, 80, HEIGHT, damping))
+    there = full(totals.total_drag(other, 80, HEIGHT + shift[2], damping))
+    back = carried(-np.array(shift))
+    assert there == pytest.approx(back.T @ here @ back, rel=1e-9, abs=1e-10 * here.max())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_stiffer_ground_has_the_same_load_at_less_sinkage_and_damps_in_proportion(seed):
+    w, _, twist, _ = contact(seed, stiffening=0.0)
+    load = w[g.LOAD].copy()
+    w[g.FIRMNESS, ::2] = 0.25
+    g.press(w, 80, twist, FOOTING._replace(stiffening=0.0))
+    assert w[g.LOAD, ::2] == pytest.approx(0.25 * load[::2], rel=1e-12)
+    np.testing.assert_array_equal(w[g.LOAD, 1::2], load[1::2])
+    w[[g.K_TT, g.K_TQ, g.K_QQ, g.K_ROLL]] = 0.0
+    drag = full(totals.total_drag(w, 80, HEIGHT, 1.0))
+    n, loaded = normals(w), w[g.LOAD] > 0.0
+    weights = np.where(loaded, w[g.FIRMNESS], 0.0)
+    assert drag[:3, :3] == pytest.approx(np.einsum("k,ki,kj->ij", weights, n, n), abs=1e-11)
+
+
+def uniform_contact(shift):
+    """(wrench, drag, tilt) of load and tilt alone, about a centre of mass `shift` away."""
+    footing = shifted(shift)
+    w = np.zeros((g.SCRATCH_ROWS, g.LANES))
+    lanes = g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, footing)
+    r = matrix_of(quaternion_of(0.4, -0.15, 0.1))
+    axes = np.array(r).reshape(3, 3)
+    height = float(FIELD.at(0.3, 0.2)[0])
+    place = np.array([0.3, 0.2, height]) + axes @ (np.array([0.0, 0.0, HEIGHT - 0.003]) + shift)
+    uniform_load.locate_foot(w, g.WIDE, place, r, footing)
+    fill(FIELD.relief, w, g.WIDE)
+    g.orient(w, g.WIDE, r)
+    uniform_load.share_plane(w, lanes)
+    rocking = uniform_load.rocking_of(footing, HALF_GAUGE, WIDTH, 80)
+    twist = at_point(Twist(0.3, -0.1, -0.02, 0.05, -0.08, 0.4), *shift)
+    tilt = uniform_load.tilt_of(w, twist, footing, rocking)
+    nothing = totals.Wrench(*[0.0] * 6), totals.Drag(*[0.0] * 21)
+    return (*uniform_load.held(w, tilt, footing, rocking, *nothing), tilt)
+
+
+@pytest.mark.parametrize("shift", SHIFTS)
+def test_the_foot_of_the_uniform_load_stays_in_the_middle_of_the_tracks(shift):
+    wrench, drag, tilt = uniform_contact((0.0, 0.0, 0.0))
+    found, its_drag, same = uniform_contact(shift)
+    assert tilt.load > 0.0
+    assert np.array(same) == pytest.approx(np.array(tilt), rel=1e-9)
+    assert np.array(found) == pytest.approx(about(wrench, shift), rel=1e-9, abs=1e-9)
+    back = carried(-np.array(shift))
+    expected = back.T @ full(drag) @ back
+    assert full(its_drag) == pytest.approx(expected, rel=1e-9, abs=1e-10 * expected.max())
+
+
+@pytest.mark.parametrize("shift", SHIFTS)
+def test_the_power_of_the_ground_closes_about_a_shifted_centre_of_mass(shift):
+    for seed in range(10):
+        w, _, twist, _ = contact(seed, shift=shift)
+        given = np.dot(totals.total_wrench(w, 80, HEIGHT + shift[2], 1.0), twist)
+        arms = np.stack([w[g.X], w[g.Y], np.full(80, -HEIGHT - shift[2])], axis=1)
+        velocities = np.array(twist[:3]) + np.cross(np.array(twist[3:]), arms)
+        slip = (w[g.THRUST] * w[g.SLIDE] + w[g.LATERAL] * w[g.ASIDE]).sum()
+        rolled = (w[g.ROLLED] * w[g.FORWARD]).sum()
+        belts = (w[g.BELT] * w[g.THRUST] * w[g.AHEAD]).sum()
+        pressed = (w[g.LOAD] * (normals(w) * velocities).sum(axis=1)).sum()
+        size = abs(slip) + abs(rolled) + abs(belts) + abs(pressed)
+        assert abs(given - (belts + slip - rolled + pressed)) < 1e-12 * size
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_payload_adds_mass_and_inertia_as_a_sum_over_its_grains_does(seed):
+    rng = np.random.default_rng(seed)
+    place, size, mass = rng.uniform(-0.4, 0.4, 3), rng.uniform(0.1, 0.5, 3), rng.uniform(5.0, 40.0)
+    loaded, shift = with_payload(VEHICLE, mass, tuple(place), tuple(size))
+    count = 40
+    edges = [(np.arange(count) + 0.5) / count - 0.5] * 3
+    grains = np.stack(np.meshgrid(*edges), axis=-1).reshape(-1, 3) * size + place
+    middle = mass * place / (62.0 + mass)
+    assert np.array(shift) == pytest.approx(middle)
+    assert loaded.mass == pytest.approx(62.0 + mass)
+    for k, own in enumerate(VEHICLE[1:]):
+        others = [axis for axis in range(3) if axis != k]
+        of_box = mass * ((grains - middle)[:, others] ** 2).sum(axis=1).mean()
+        of_vehicle = own + 62.0 * (middle[others] ** 2).sum()
+        assert loaded[1 + k] == pytest.approx(of_box + of_vehicle, rel=1e-3)
+    point, _ = with_payload(VEHICLE, mass, (0.0, 0.0, 0.3), (0.0, 0.0, 0.0))
+    assert point.yaw == VEHICLE.yaw and point.roll > VEHICLE.roll
+    assert with_payload(VEHICLE, 0.0, tuple(place), tuple(size)) == (VEHICLE, (0.0, 0.0, 0.0))
+
+
+def test_a_point_of_a_turning_body_moves_about_the_others():
+    v, w, arm = np.array([0.3, -0.2, 0.1]), np.array([0.5, -0.7, 1.1]), np.array([0.2, 0.3, -0.1])
+    there = at_point(Twist(*v, *w), *arm)
+    assert np.array(there[:3]) == pytest.approx(v + np.cross(w, arm))
+    assert there[3:] == tuple(w)
+    back = at_point(there, *-arm)
+    assert np.array(back[:3]) == pytest.approx(v)

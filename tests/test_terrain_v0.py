@@ -34,7 +34,7 @@ CALM = {
     "expose_truth": True,
     "duration": 4.0,
 }
-SETS = ("slope", "hills", "slope-step", "soft-patches", "hills-ood")
+SETS = ("slope", "hills", "slope-step", "slope-payload", "soft-patches", "hills-ood")
 ENDINGS = ("ended_off_path", "ended_tilted", "ended_off_map", "ended_overloaded")
 
 

@@ -216,6 +216,7 @@ def test_every_uncertainty_set_draws_physical_values_and_changes_what_it_promise
         "payload": {"mass", "inertia"},
         "friction-step": {"friction_angle"},
         "slope-step": {"friction_angle"},
+        "slope-payload": {"mass", "inertia"},
         "friction-drift": {
             "friction_angle",
             "shear_deformation_modulus",

@@ -31,7 +31,7 @@ def test_it_drives_in_the_environments_with_the_state_in_space(name, vehicle):
         *_, info = env.step(np.array([0.3, 0.35], np.float32))
     truth = info["truth"]
     field = env.simulation.solver.prepared.options[1]
-    assert field.waves.shape == (2, 4)
+    assert field.waves.shape == (1, 2, 4)
     assert abs(truth["roll"]) > 1e-3 and abs(truth["pitch"]) > 1e-3
     assert np.isfinite(list(truth.values())).all()
     rig = TerrainRig(VEHICLES[vehicle], {"terrain": FIELD})

@@ -12,7 +12,7 @@ from tracked_env.plants.standalone import Rig
 from tracked_env.plants.terrain import RELIEF
 from tracked_env.plants.terrain_options import HEIGHT_RATIO
 from tracked_env.plants.terrain_rig import TerrainRig
-from tracked_env.terrain.drawn_relief import RELIEF_SIZE
+from tracked_env.terrain.drawn_relief import RELIEF_COLUMNS
 
 FOCCHI = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
 GRAVITY, HEIGHT, HALF_LENGTH, RADIUS = 9.81, 0.25, 0.35, 0.0856
@@ -278,6 +278,6 @@ def test_commands_of_a_wrong_shape_are_refused(commands):
 
 def test_the_columns_of_its_own_are_its_loads():
     rig = on_slope(0.0)
-    assert rig._batch.floats.shape[1] == RELIEF + RELIEF_SIZE
+    assert rig._batch.floats.shape[1] == RELIEF + RELIEF_COLUMNS
     assert rig.track_loads[0] == pytest.approx([0.5 * 62.0 * GRAVITY] * 2)
     assert rig.largest_load[0] == pytest.approx(62.0 * GRAVITY / 80)

@@ -9,9 +9,10 @@ References: [1] Strawa et al., Electronics 10 (2021) 187, Tables 1 and 2. [2] Fo
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
-from tracked_env.physics.jit import formula
+from tracked_env.physics.jit import template
 
 
 class VehicleParameters(NamedTuple):
@@ -175,16 +176,24 @@ def plant_parameters(
     return PlantParameters(**{name: float(value) for name, value in values.items()})
 
 
-@formula
-def row_parameters(table, i, first):
-    """PlantParameters of row i of a table that holds them from column `first` on."""
-    t, p = table, first
-    return PlantParameters(
-        t[i, p], t[i, p + 1], t[i, p + 2], t[i, p + 3], t[i, p + 4], t[i, p + 5],
-        t[i, p + 6], t[i, p + 7], t[i, p + 8], t[i, p + 9], t[i, p + 10], t[i, p + 11],
-        t[i, p + 12], t[i, p + 13], t[i, p + 14], t[i, p + 15], t[i, p + 16], t[i, p + 17],
-        t[i, p + 18], t[i, p + 19], t[i, p + 20], t[i, p + 21], t[i, p + 22],
-    )  # fmt: skip
+def gathering(kind: Any, arguments: str, entries: Mapping[str, str], **uses: Any) -> Any:
+    """Compiled function of `arguments` that makes a named tuple of an expression for each field.
+
+    uses: compiled functions in the expressions. Written by a program so that a parameter is listed
+    in its class alone: kernels make named tuples of expressions and not of sequences.
+    """
+    listed = ", ".join(f"{name}={entries[name]}" for name in kind._fields)
+    made: dict[str, Any] = {"kind": kind, **uses}
+    exec(f"def gather({arguments}):\n    return kind({listed})", made)
+    return template(made["gather"])
+
+
+# (table, i, first): those of row i of a table that holds them from column `first` on.
+row_parameters = gathering(
+    PlantParameters,
+    "table, i, first",
+    {name: f"table[i, first + {row}]" for name, row in PARAMETER_INDEX.items()},
+)
 
 
 VEHICLES: dict[str, PlantParameters] = {  # a vehicle on the soil that its controllers expect

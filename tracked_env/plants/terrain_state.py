@@ -5,7 +5,7 @@ moves about its true centre of mass, which is at c = (c_x, c_y, c_z) from there 
     p_c = p + R c,   v_c = v + W x c,   a = v_c' + W x v_c - W' x c - W x (W x c)
 So the hull stays where it is, and as fast as it is, when a payload is put down or taken up and c
 changes: a load that leaves takes its own momentum with it, and one that comes has the hull's
-velocity already. The momentum of a load that creeps over the hull is not modelled. Sensors are at
+velocity already. The momentum of a load that moves over the hull is not modelled. Sensors are at
 the point of the hull. The state keeps the attitude as yaw, pitch, roll, and z above the height at
 rest on level ground with the parameters at the start of the episode.
 """

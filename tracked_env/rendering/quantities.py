@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
+from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, PlantParameters
 
 ROUNDING = 0.05  # [-] of the usual value of a parameter
 
@@ -53,14 +53,12 @@ QUANTITIES = {
     "lateral_resistance": Quantity("lateral resistance", "", 1.0, 2, 0.0, 1.2),
     "turning_resistance_factor": Quantity("turning factor", "", 1.0, 2),
     "icr_forward": Quantity("ICR forward d", "m", 1.0, 2),
-    "centre_of_mass_x": Quantity("centre of mass x", "cm", 1e2, 1),
-    "centre_of_mass_y": Quantity("centre of mass y", "cm", 1e2, 1),
-    "centre_of_mass_z": Quantity("centre of mass z", "cm", 1e2, 1),
-    "roll_inertia_ratio": Quantity("roll / yaw inertia", "", 1.0, 2),
-    "pitch_inertia_ratio": Quantity("pitch / yaw inertia", "", 1.0, 2),
     "ground_stiffness_factor": Quantity("ground stiffness factor", "", 1.0, 2, 0.0, 1.5),
 }
-assert tuple(QUANTITIES) == PARAMETER_NAMES
+for _name in PARAMETER_NAMES:  # those without an entry of their own
+    _unit = RANGES[_name].unit.replace("^2", "²")
+    _label = _name.replace("_", " ")
+    QUANTITIES.setdefault(_name, Quantity(_label, "" if _unit == "-" else _unit, 1.0, 2))
 # What follows from parameters and may be shown in their place.
 FOLLOWING: dict[str, Callable[[PlantParameters], float]] = {
     "friction": lambda p: math.tan(p.friction_angle),

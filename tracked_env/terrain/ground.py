@@ -21,18 +21,13 @@ from tracked_env.physics import state as s
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
+    PARAMETER_NAMES,
     PARAMETER_ROWS,
     PlantParameters,
     SoilParameters,
+    gathering,
 )
 from tracked_env.terrain.flat import Surface, level
-
-_COHESION = PARAMETER_INDEX["cohesion"]
-_FRICTION_ANGLE = PARAMETER_INDEX["friction_angle"]
-_MODULUS = PARAMETER_INDEX["shear_deformation_modulus"]
-_LONGITUDINAL = PARAMETER_INDEX["longitudinal_resistance"]
-_LATERAL = PARAMETER_INDEX["lateral_resistance"]
-_STIFFNESS = PARAMETER_INDEX["ground_stiffness_factor"]
 
 
 class Ground(NamedTuple):
@@ -77,34 +72,30 @@ def _value(terrain, parameter, x, y):
     )  # fmt: skip
 
 
+# (terrain, x, y): SoilParameters at (x, y) [m].
+_soil_at = gathering(
+    SoilParameters,
+    "terrain, x, y",
+    {name: f"value(terrain, {PARAMETER_INDEX[name]}, x, y)" for name in SoilParameters._fields},
+    value=_value,
+)
+
+
 @formula
 def at(surface, terrain, x, y):
     """Ground at (x, y) [m]; surface: compiled (x, y) -> Surface."""
-    return Ground(
-        surface(x, y),
-        SoilParameters(
-            _value(terrain, _COHESION, x, y),
-            _value(terrain, _FRICTION_ANGLE, x, y),
-            _value(terrain, _MODULUS, x, y),
-            _value(terrain, _LONGITUDINAL, x, y),
-            _value(terrain, _LATERAL, x, y),
-            _value(terrain, _STIFFNESS, x, y),
-        ),
-    )
+    return Ground(surface(x, y), _soil_at(terrain, x, y))
 
 
-@formula
-def on_soil(p, soil):
-    """PlantParameters p with another soil."""
-    return PlantParameters(
-        p.mass, p.inertia, p.track_gauge, p.track_width, p.contact_length, p.sprocket_radius,
-        p.torque_limit, p.sprocket_speed_limit, p.drive_time_constant, p.sprocket_inertia,
-        soil.cohesion, soil.friction_angle, soil.shear_deformation_modulus,
-        soil.longitudinal_resistance, soil.lateral_resistance,
-        p.turning_resistance_factor, p.icr_forward,
-        p.centre_of_mass_x, p.centre_of_mass_y, p.centre_of_mass_z,
-        p.roll_inertia_ratio, p.pitch_inertia_ratio, soil.ground_stiffness_factor,
-    )  # fmt: skip
+# (p, soil): PlantParameters p with another soil.
+on_soil = gathering(
+    PlantParameters,
+    "p, soil",
+    {
+        name: f"soil.{name}" if name in SoilParameters._fields else f"p.{name}"
+        for name in PARAMETER_NAMES
+    },
+)
 
 
 @formula

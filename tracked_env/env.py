@@ -96,11 +96,11 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         `"terrain"`: these on uneven ground; a name of `tracked_env.plants`, or a `Plant` |
         | `drive` | `"torque"` | what the actions are; `"speed"` needs one with patches |
         | `patches` | (10, 4) | of the plants with patches: along and across a track |
-        | `terrain` | None | of the plant `"terrain"`, level if None; see docs/terrain.md |
         | `plant_options` | None | {option: value} of the plant, see its file in `plants/` |
         | `observation` | `"v0"` | groups that are shown: a list of names from the table above |
         | `expose_truth` | False | put true state and parameters into `info["truth"]` |
         | `render_mode` | None | `"human"` or `"rgb_array"` |
+        | `terrain` | None | of the plant `"terrain"`, level if None; see docs/terrain.md |
 
         `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
         `lateral_model` (formerly `closure`; {parameter: value}), `reference`, `sensors`, `schedule`

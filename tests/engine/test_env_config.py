@@ -18,7 +18,7 @@ GIVEN = {  # a value of every shared argument that is not its default
     "control_rate": 20.0, "lateral": "constrained", "error_limit": 3.0, "time_step": 0.001,
     "vehicle": "focchi", "plant": "distributed", "drive": "speed", "patches": (6, 2),
     "plant_options": {"integrator": "euler"}, "observation": ["motion"], "expose_truth": True,
-    "render_mode": "rgb_array",
+    "render_mode": "rgb_array", "terrain": "hills",
 }  # fmt: skip
 
 
@@ -51,8 +51,12 @@ def test_the_table_of_arguments_has_every_argument_with_its_default():
 @pytest.mark.parametrize("kind", [TrackedVehicleEnv, TrackedVehicleVectorEnv])
 @pytest.mark.parametrize("name, value", GIVEN.items(), ids=lambda part: str(part)[:20])
 def test_every_argument_reaches_the_simulation(kind, name, value):
-    on_patches = {"plant": "distributed"} if name in ("drive", "patches", "plant_options") else {}
-    config = kind(**on_patches, **{name: value}).simulation.config
+    plants = {
+        "terrain": "terrain",
+        **dict.fromkeys(("drive", "patches", "plant_options"), "distributed"),
+    }
+    needed = {"plant": plants[name]} if name in plants else {}
+    config = kind(**needed, **{name: value}).simulation.config
     assert getattr(config, name) == value
     assert value != EnvConfig._field_defaults[name]
 

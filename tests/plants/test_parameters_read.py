@@ -117,8 +117,13 @@ def test_a_set_draws_the_same_for_every_plant_and_changes_what_the_plant_reads(n
         assert here.parameters == everywhere.parameters
         assert here.noise_seed == everywhere.noise_seed
         assert here.state == everywhere.state
-        read = [PARAMETER_NAMES[int(row[1])] in READS[plant] for row in everywhere.events]
-        np.testing.assert_array_equal(here.events, everywhere.events[read])
+        both = READS[plant] & READS[CONSTRAINED]
+        kept, its = (
+            episode.events[[PARAMETER_NAMES[int(row[1])] in both for row in episode.events]]
+            for episode in (here, everywhere)
+        )
+        np.testing.assert_array_equal(kept, its)
+        assert {PARAMETER_NAMES[int(row[1])] for row in here.events} <= READS[plant]
 
 
 def test_a_resistance_map_on_patches_varies_the_motion_resistance_alone():

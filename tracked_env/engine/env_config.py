@@ -42,11 +42,11 @@ class EnvConfig(NamedTuple):
     plant: str | Plant = "lumped"
     drive: str = "torque"
     patches: Sequence[int] = (10, 4)
-    terrain: Any = None
     plant_options: Mapping[str, Any] | None = None
     observation: str | Sequence[str] = "v0"
     expose_truth: bool = False
     render_mode: str | None = None
+    terrain: Any = None  # of the plant on terrain; the same as in plant_options
     threads: int = 1  # an argument of the vector environment alone
 
 

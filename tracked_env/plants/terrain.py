@@ -261,5 +261,5 @@ TERRAIN = Plant(
     relief_column=RELIEF,
     threads_from=16,
     panel=DISTRIBUTED.panel,
-    soil_map=DISTRIBUTED.soil_map,
+    soil_map=(*DISTRIBUTED.soil_map, "ground_stiffness_factor"),
 )

@@ -138,9 +138,9 @@ def test_a_missing_attitude_counts_as_level_for_the_adaptive_policy_and_is_named
 def test_on_a_plane_slope_the_known_vehicle_stays_on_its_path(toward):
     slope = {"slope_x": 0.2 * math.cos(toward), "slope_y": 0.2 * math.sin(toward)}
     arguments = {
-        **TORQUE, "uncertainty": "nominal", "plant_options": {"terrain": {"kind": "plane", **slope}},
-        "error_limit": 5.0, "reference": {"kind": "straight", "speed": 0.3}, "seed": 70200,
-        "count": 4, "sensors": "ideal", "duration": 8.0,
+        **TORQUE, "uncertainty": "nominal", "error_limit": 5.0, "sensors": "ideal",
+        "plant_options": {"terrain": {"kind": "plane", **slope}},
+        "reference": {"kind": "straight", "speed": 0.3}, "seed": 70200, "count": 4, "duration": 8.0,
     }  # fmt: skip
     assert run(policy("nominal"), **arguments).settled.max() < 0.022
     if toward < 0.0:

@@ -128,7 +128,7 @@ def steady_lateral_velocity(speed, yaw_rate, k, pull=0.0):
     )
     bound = MAXIMUM_SIDE_SLIP * abs(speed)
     v_y = speed * yaw_rate / k.inverse_mass * PROBE_SPEED / min(force, -1e-9)
-    v_y += pull * abs(yaw_rate) / (2.0 * k.inverse_mass * k.friction_intensity)
+    v_y += pull * abs(yaw_rate) / (2.0 * k.inverse_mass * max(k.friction_intensity, 1e-9))
     return min(max(v_y, -bound), bound)
 
 

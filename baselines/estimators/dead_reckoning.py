@@ -7,9 +7,12 @@ way is always evaluated with the present estimate of the slips (constant over th
     yaw  way = (g_R D_R - g_L D_L) / B,    g = V / V_t of each track
     X    way = (g_L C_L + g_R C_R) / 2 - tan(alpha) (g_L S_L + g_R S_R) / 2
     Y    way = (g_L S_L + g_R S_R) / 2 + tan(alpha) (g_L C_L + g_R C_R) / 2
-with psi the estimated heading in the middle of each step. A ring of the sums, one slot per step,
-reaches back for the longest delay. Stored poses would carry the slips of then: a corrected slip
-would take effect only after the delay, and the observer would correct it again and again.
+with psi the estimated heading in the middle of each step. On a slope C and S hold ways on the map,
+dt V_t cos(pitch), and D what turns the heading, dt V_t cos(roll) / cos(pitch). What the roll adds
+to lateral ways (0.1 alpha) and the rate of pitch to psi (0.04 rad/s) is left out there. A ring of
+the sums, one slot per step, reaches back for the longest delay. Stored poses would carry the slips
+of then: a corrected slip would take effect only after the delay, and the observer would correct it
+again and again.
 """
 
 from typing import NamedTuple

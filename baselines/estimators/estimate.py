@@ -97,6 +97,7 @@ class Setting:
     count: int  # vehicles
     lateral: str = "sliding"  # lateral model of the nominal model
     regression: str = "coupled"
+    attitude: bool = False  # whether roll, pitch and pitch rate are measured; else level ground
 
 
 class Estimator(Protocol):

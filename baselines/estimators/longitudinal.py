@@ -2,7 +2,10 @@
 
     a_x = (F_L + F_R) / m - g mu_l (s_L + s_R) / 2,    F = torque / r,  s = sign(v_track)
 a_x is what the accelerometer feels, dv_x/dt - w v_y, so the coupling with lateral and yaw motion
-is in it, and each track has its own resistance: `coupled`, exact in curves too. S 7.1.2 assumes
+is in it, and each track has its own resistance: `coupled`, exact in curves too. On a slope the
+accelerometer feels dv_x/dt - w v_y - g sin(pitch), gravity with the opposite sign, and m times that
+is what traction and resistance add up to. So gravity stays in a_x, where it excites the mass; the
+normal load alone changes, g cos(pitch) cos(roll) for g. S 7.1.2 assumes
 longitudinal motion: `paper` and `printed` take dv_x/dt for a_x and s_L = s_R = sign(v_x).
 Variance of the equation: accelerometer and torque sensors. Tracks slower than SLOWEST are left
 out: there s is not yet +-1. `printed` leaves nothing out and weighs all samples alike.
@@ -29,6 +32,7 @@ from baselines.estimators.two_parameters import (
     tuning,
 )
 from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.attitude import incline_of
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, checked_number
@@ -58,8 +62,11 @@ class Known(NamedTuple):
 
 
 @formula
-def equation(z, i, known):
-    """The Sample of vehicle i from its measurement z (N, 13), and whether the tracks move."""
+def equation(z, i, known, press):
+    """The Sample of vehicle i from its measurement z (N, 13), and whether the tracks move.
+
+    press: [-] normal load over the weight.
+    """
     v_x, w = z[i, _V_X], z[i, _W]
     left, right = v_x - w * known.half_gauge, v_x + w * known.half_gauge
     force = (z[i, _TORQUE] + z[i, _TORQUE + 1]) * known.inverse_radius
@@ -73,17 +80,19 @@ def equation(z, i, known):
     scale = known.inverse_mass * known.inverse_mass
     variance = known.acceleration_variance + scale * known.effort_variance
     return ls.Sample(
-        y, force, -soil.GRAVITY * side, variance, known.effort_variance
+        y, force, -soil.GRAVITY * press * side, variance, known.effort_variance
     ), slowest > known.slowest
 
 
 @loop
-def update_all(z, fresh, memory, prior, known, out):
-    """One sample of every vehicle: z (N, 13), fresh (N, 3), memory (N, MEMORY) in and out."""
+def update_all(z, fresh, attitude, memory, prior, known, out):
+    """One sample of every vehicle: z (N, 13), fresh and attitude (N, 3), memory (N, MEMORY) in and
+    out."""
     for i in range(z.shape[0]):
         status, nis, jumps = HOLDING, np.nan, memory[i, ls.JUMPS]
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
-            sample, moving = equation(z, i, known)
+            press = incline_of(attitude[i, 1], attitude[i, 0]).press
+            sample, moving = equation(z, i, known, press)
             seen = sample.y + sample.phi_1 + sample.phi_2 + z[i, _V_X] + z[i, _W]
             if not math.isfinite(seen):
                 memory[i, ls.SKIPPED] += 1.0
@@ -157,7 +166,8 @@ class LongitudinalEstimator(TwoParameterEstimator):
     def for_stack(cls, setting: Setting) -> "LongitudinalEstimator":
         """As a part of the identification stack."""
         s = setting
-        return cls(s.parameters, s.control_period, s.data_sheet, s.count, s.regression)
+        part = cls(s.parameters, s.control_period, s.data_sheet, s.count, s.regression)
+        return part.on_slopes() if s.attitude else part
 
     def known(self) -> tuple[Any, ...]:
         """Constants of the equation."""

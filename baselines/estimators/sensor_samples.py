@@ -4,7 +4,8 @@
                     fixed frame; NaN where a sample is missing
     fresh  (N, 3)   whether pose, inertial, drive have a new sample since the last update
     age    (N, 3)   [s] how old each group's sample is
-A DataSheet holds what everybody may know of their sensors: noise and bias magnitudes.
+On slopes also ATTITUDE, of the last inertial sample; where it is not measured the ground counts as
+level. A DataSheet holds what everybody may know of their sensors: noise and bias magnitudes.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 5.2.
 """
@@ -19,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUP_START, GROUPS
 
 COLUMN = {name: column for column, name in enumerate(CHANNELS)}
+ATTITUDE = ("roll", "pitch", "pitch_rate")  # fields of the observation group of that name
 POSE, INERTIAL, DRIVE = range(len(GROUPS))  # columns of `fresh` and `age`
 
 
@@ -84,6 +86,13 @@ class WiderMeasurement(Measurement):
         return self.added[name] if name in self.added else super().channel(name)
 
 
+def attitude_of(measurement: Measurement) -> NDArray[np.float64]:
+    """ATTITUDE (N, 3) of a measurement: zeros where it is not measured."""
+    if not isinstance(measurement, WiderMeasurement) or ATTITUDE[0] not in measurement.added:
+        return np.zeros((len(measurement.values), len(ATTITUDE)))
+    return np.stack([measurement.added[name] for name in ATTITUDE], axis=1)
+
+
 def make_measurement(
     fresh: ArrayLike = True, age: ArrayLike = 0.0, **channels: ArrayLike
 ) -> Measurement:
@@ -109,6 +118,6 @@ def make_measurement(
 
 
 __all__ = [
-    "COLUMN", "DRIVE", "GROUP_START", "INERTIAL", "POSE", "DataSheet", "Measurement",
-    "make_measurement",
+    "ATTITUDE", "COLUMN", "DRIVE", "GROUP_START", "INERTIAL", "POSE", "DataSheet", "Measurement",
+    "attitude_of", "make_measurement",
 ]  # fmt: skip

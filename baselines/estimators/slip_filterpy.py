@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from baselines.estimators import slip_kinematics
 from baselines.estimators import slip_step as step
 from baselines.estimators.dead_reckoning import Way
-from baselines.estimators.sensor_samples import Measurement
+from baselines.estimators.sensor_samples import Measurement, attitude_of
 from baselines.estimators.slip_kinematics import ROWS, STATES, Constants, Inputs
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.slip_unscented import BETA, SPREAD
 from tracked_env.physics.jit import formula, loop
 
 # One row of numbers passes between Python and the kernels: calls with tuples cost more.
-_WAY, _GYRO, _USED, _OUTCOME = 12, 22, 32, 33  # its first columns are the Inputs
-_LINK = 34
+_WAY, _GYRO, _USED, _OUTCOME = 18, 28, 38, 39  # its first columns are the Inputs
+_LINK = 40
 
 
 @formula
@@ -41,7 +41,10 @@ def _constants(c):
 @formula
 def _inputs(r):
     """Inputs from the link row."""
-    return Inputs(r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11])
+    return Inputs(
+        r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11],
+        r[12], r[13], r[14], r[15], r[16], r[17],
+    )  # fmt: skip
 
 
 @formula
@@ -77,10 +80,10 @@ def measured_point(point, link, constants):
 
 
 @loop
-def begin(memory, i, values, fresh, constants, link, x, p):
+def begin(memory, i, values, fresh, attitude, constants, link, x, p):
     """Load vehicle i into x and p, its inputs into link."""
     step.load(memory, i, x, p)
-    u = step.take_drive(memory, i, values, fresh, x, p, _constants(constants))
+    u = step.take_drive(memory, i, values, fresh, attitude, x, p, _constants(constants))
     for column in range(_WAY):
         link[column] = u[column]
 
@@ -182,9 +185,10 @@ class FilterpySlipObserver(SlipObserver):
         """As in SlipObserver, vehicle by vehicle."""
         link, ukf = self._link, self._filter
         values, fresh, age = measurement
+        attitude = attitude_of(measurement)
         for i in range(len(self.memory)):
             ukf.x, ukf.P = np.empty(STATES), np.empty((STATES, STATES))
-            begin(self.memory, i, values, fresh, self._numbers, link, ukf.x, ukf.P)
+            begin(self.memory, i, values, fresh, attitude, self._numbers, link, ukf.x, ukf.P)
             yaw = float(ukf.x[2])
             if self.memory[i, step.STARTED] > 0.0:
                 yaw = self._predict(yaw)

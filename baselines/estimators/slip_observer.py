@@ -16,8 +16,9 @@ from scipy.stats import chi2
 from baselines.estimators import dead_reckoning, slip_kinematics, slip_unscented
 from baselines.estimators import slip_step as step
 from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity, Setting
-from baselines.estimators.sensor_samples import DataSheet, Measurement
+from baselines.estimators.sensor_samples import ATTITUDE, DataSheet, Measurement, attitude_of
 from baselines.estimators.slip_kinematics import ROWS, STATES
+from tracked_env.physics.attitude import LEVEL
 from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import RANGES, PlantParameters, Range
@@ -49,8 +50,9 @@ def motion_all(memory, k, motion):
         )
         alpha = memory[i, step.STATE + slip_kinematics.SIDE_SLIP]
         u = slip_kinematics.make_inputs(
-            belt_left, belt_right, belt_left, belt_right, slip_left, slip_right, alpha, k
-        )
+            belt_left, belt_right, belt_left, belt_right, slip_left, slip_right, alpha,
+            LEVEL, 0.0, k,
+        )  # fmt: skip
         left, right, tangent = slip_kinematics.gains(slip_left, slip_right, alpha, u)
         velocity = slip_kinematics.body_velocity(left, right, belt_left, belt_right, tangent, k)
         for a in range(3):
@@ -102,7 +104,7 @@ class SlipObserver(AnsweringEstimator):
     provides = (
         Quantity("slip_left", "-"), Quantity("slip_right", "-"), Quantity("side_slip", "rad"),
     )  # fmt: skip
-    needs = (
+    needs: tuple[str, ...] = (
         "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right"
     )  # fmt: skip
     paired = False
@@ -144,9 +146,10 @@ class SlipObserver(AnsweringEstimator):
     @classmethod
     def for_stack(cls, setting: Setting) -> "SlipObserver":
         """As a part of the identification stack."""
-        return cls(
-            setting.parameters, setting.control_period, setting.data_sheet, setting.count
-        )  # fmt: skip
+        part = cls(setting.parameters, setting.control_period, setting.data_sheet, setting.count)
+        if setting.attitude:
+            part.needs = (*cls.needs, *ATTITUDE)
+        return part
 
     def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
         """Nothing is needed of other estimators."""
@@ -197,8 +200,8 @@ class SlipObserver(AnsweringEstimator):
     ) -> None:
         """The filter itself: writes its results into the arrays, all but the first out."""
         slip_unscented.update_all(
-            measurement.values, measurement.fresh, measurement.age, self._constants, self._slots,
-            self.memory, value, covariance, summary, status,
+            measurement.values, measurement.fresh, measurement.age, attitude_of(measurement),
+            self._constants, self._slots, self.memory, value, covariance, summary, status,
         )  # fmt: skip
 
     def motion_rows(self) -> NDArray[np.float64]:

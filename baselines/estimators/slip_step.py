@@ -36,6 +36,7 @@ from baselines.estimators.slip_kinematics import (
     X,
     Y,
 )
+from tracked_env.physics.attitude import incline_of
 from tracked_env.physics.elementary import signed, wrap_angle
 from tracked_env.physics.jit import formula
 from tracked_env.physics.terramechanics import slip_ratio, track_speed_from_belt
@@ -101,8 +102,8 @@ def _slip_of_jump(x, p, state, last, belt, steps, k):
 
 
 @formula
-def take_drive(memory, i, values, fresh, x, p, k):
-    """Inputs of this step; the belt speeds are remembered."""
+def take_drive(memory, i, values, fresh, attitude, x, p, k):
+    """Inputs of this step; the belt speeds are remembered. attitude (N, 3): ATTITUDE."""
     last_left, last_right = memory[i, BELT_L], memory[i, BELT_R]
     left, right = k.radius * values[i, _SPEED_L], k.radius * values[i, _SPEED_R]
     memory[i, HELD_L] += 1.0
@@ -120,7 +121,8 @@ def take_drive(memory, i, values, fresh, x, p, k):
         memory[i, SKIPPED] += 1.0
     return slip_kinematics.make_inputs(
         last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
-        x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP], k,
+        x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP],
+        incline_of(attitude[i, 1], attitude[i, 0]), attitude[i, 2], k,
     )  # fmt: skip
 
 

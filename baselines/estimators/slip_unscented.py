@@ -136,7 +136,9 @@ def _correct(x, p, rows, w, e):
 
 
 @loop
-def update_all(values, fresh, age, k, slots, memory, value, covariance, summary, status):
+def update_all(
+    values, fresh, age, attitude, k, slots, memory, value, covariance, summary, status
+):  # fmt: skip
     """One step of all vehicles: summary (N, 4) excitation, condition, NIS, skipped."""
     root, s, w = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
     points, images = np.empty((STATES, POINTS)), np.empty((ROWS, POINTS))
@@ -144,7 +146,7 @@ def update_all(values, fresh, age, k, slots, memory, value, covariance, summary,
     for i in range(memory.shape[0]):
         x, p = value[i], covariance[i]
         step.load(memory, i, x, p)
-        u = step.take_drive(memory, i, values, fresh, x, p, k)
+        u = step.take_drive(memory, i, values, fresh, attitude, x, p, k)
         started = memory[i, step.STARTED] > 0.0
         yaw = x[2]
         if started:

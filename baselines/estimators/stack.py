@@ -22,7 +22,7 @@ from baselines.estimators import stack_links as links
 from baselines.estimators.estimate import AnsweringEstimator, Estimator, Setting, Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.observation_reader import NEEDS, ObservationReader
-from baselines.estimators.sensor_samples import DataSheet, WiderMeasurement
+from baselines.estimators.sensor_samples import DataSheet, WiderMeasurement, attitude_of
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.stack_identification import (
@@ -66,7 +66,8 @@ class IdentificationStack:
     observations. data_sheet: noise of the sensors (default: `rtk`). lateral: lateral model of the
     nominal model. regression: "coupled" (default), "paper" or "printed" least squares, see
     two_parameters. slip: "batched" or "filterpy", the same filter, slower, one vehicle after the
-    other. further: registered estimators that run after the others, in this order.
+    other. further: registered estimators that run after the others, in this order. attitude: True
+    where roll, pitch and rate of pitch are observed; else the ground counts as level.
     Raises ValueError for arguments that make no sense, and for an estimator that needs what
     neither a sensor nor an estimator before it gives.
     """
@@ -81,6 +82,7 @@ class IdentificationStack:
         regression: str = "coupled",
         slip: Literal["batched", "filterpy"] = "batched",
         further: Sequence[str] = (),
+        attitude: bool = False,
     ) -> None:
         if slip not in ("batched", "filterpy"):
             raise ValueError(f"slip = {slip!r}; must be 'batched' or 'filterpy'")
@@ -89,7 +91,9 @@ class IdentificationStack:
         self.parameters, self.data_sheet = p, sheet
         self.control_period, self.lateral = float(control_period), lateral
         self.reader = ObservationReader(control_period, count)
-        setting = Setting(p, self.control_period, sheet, int(count), lateral, regression)
+        setting = Setting(
+            p, self.control_period, sheet, int(count), lateral, regression, bool(attitude)
+        )  # fmt: skip
         slip_observer = SlipObserver
         if slip == "filterpy":
             from baselines.estimators.slip_filterpy import FilterpySlipObserver
@@ -203,13 +207,13 @@ class IdentificationStack:
         reading = self.reader.take(observation, start)
         latest, paired, behind = reading.latest, reading.paired, self._behind
         links.date(latest.age, reading.drive_delay, behind)
+        if self._added:
+            added = self._samples(observation)
+            latest, paired = (WiderMeasurement.of(one, added) for one in (latest, paired))
         estimates = Estimates()
         estimates.add("slip", self.slip.compute(latest), self.slip.estimate)
         motion = self.slip.motion_rows()
         links.put_velocity(motion, paired.values)
-        if self._added:
-            added = self._samples(observation)
-            latest, paired = (WiderMeasurement.of(one, added) for one in (latest, paired))
         for name, part in self._after:
             part.take_over(self.parts, estimates)
             measurement = paired if part.paired else latest
@@ -217,7 +221,7 @@ class IdentificationStack:
                 estimates.add(name, part.compute(measurement), part.estimate)
             else:
                 estimates.add_made(name, part.update(measurement))
-        links.advance(motion, behind, paired.values)
+        links.advance(motion, behind, paired.values, attitude_of(latest))
         return Identification(reading, motion, estimates, self.quantities, self.soil.limit_known)
 
     def _samples(self, observation: NDArray[np.float32]) -> Mapping[str, NDArray[np.float64]]:

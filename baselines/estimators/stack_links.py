@@ -9,8 +9,10 @@ import math
 
 from baselines.estimators.sensor_samples import COLUMN, POSE
 from tracked_env.observation import INDEX, SIZE
+from tracked_env.physics.attitude import heading_rate, incline_of, on_map
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import loop
+from tracked_env.physics.terramechanics import GRAVITY
 
 _AFTER_SENSORS = INDEX["reference_speed"]  # from here on: reference, action, ages
 _V_X, _A_X, _BEND = COLUMN["v_x"], COLUMN["acceleration_x"], COLUMN["yaw_acceleration"]
@@ -49,22 +51,26 @@ def put_velocity(motion, values):
 
 
 @loop
-def advance(motion, behind, felt):
+def advance(motion, behind, felt, attitude):
     """Move a motion, (N, 6), that is `behind` (N,) [s], to the present, in place.
 
-    Acceleration and yaw acceleration, felt (N, CHANNELS) at that time, stay what they are.
+    Acceleration and yaw acceleration, felt (N, CHANNELS) at that time, stay what they are; what the
+    accelerometer feels of gravity, by the attitude (N, 3), moves nothing.
     """
     for i in range(motion.shape[0]):
         time = behind[i]
         if time > 0.0:
             yaw, v_x, v_y, yaw_rate = motion[i, 2], motion[i, 3], motion[i, 4], motion[i, 5]
-            forward, bend = felt[i, _A_X] + yaw_rate * v_y, felt[i, _BEND]
+            incline = incline_of(attitude[i, 1], attitude[i, 0])
+            turn, carried = heading_rate(incline, attitude[i, 2])
+            forward = felt[i, _A_X] + GRAVITY * incline.down_x + yaw_rate * v_y
+            bend = felt[i, _BEND]
             gain_x = forward * time if math.isfinite(forward) else 0.0
             gain_w = bend * time if math.isfinite(bend) else 0.0
-            along, across = time * (v_x + 0.5 * gain_x), time * v_y
-            c, s = rotation(yaw + 0.5 * time * (yaw_rate + 0.25 * gain_w))
+            along, across = on_map(time * (v_x + 0.5 * gain_x), time * v_y, incline)
+            c, s = rotation(yaw + 0.5 * time * (turn * (yaw_rate + 0.25 * gain_w) + carried))
             motion[i, 0] += c * along - s * across
             motion[i, 1] += s * along + c * across
-            motion[i, 2] += time * (yaw_rate + 0.5 * gain_w)
+            motion[i, 2] += time * (turn * (yaw_rate + 0.5 * gain_w) + carried)
             motion[i, 3] += gain_x
             motion[i, 5] += gain_w

@@ -35,6 +35,7 @@ from baselines.estimators.two_parameters import (
     tuning,
 )
 from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.attitude import incline_of
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, checked_number
@@ -68,14 +69,15 @@ def per_mass(out, i, mass, variance, known):
 
 
 @loop
-def update_all(z, fresh, memory, prior, known, mass, variance, resistance, out):
-    """One sample of every vehicle: z (N, 13), fresh (N, 3), memory (N, MEMORY) in and out,
-    mass, its variance and mu_l (N,) as known."""
+def update_all(z, fresh, attitude, memory, prior, known, mass, variance, resistance, out):
+    """One sample of every vehicle: z (N, 13), fresh and attitude (N, 3), memory (N, MEMORY) in and
+    out, mass, its variance and mu_l (N,) as known."""
     for i in range(z.shape[0]):
         status, nis, jumps = HOLDING, np.nan, memory[i, ls.JUMPS]
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
             inertia, friction = ls.values(memory, i, prior)
-            sample, moving = equation(z, i, known, mass[i], resistance[i], friction, inertia)
+            press = incline_of(attitude[i, 1], attitude[i, 0]).press
+            sample, moving = equation(z, i, known, mass[i], resistance[i], friction, inertia, press)
             seen = sample.y + sample.phi_1 + sample.phi_2 + sample.variance
             if not math.isfinite(seen + z[i, _V_X]):
                 memory[i, ls.SKIPPED] += 1.0
@@ -196,9 +198,8 @@ class TurningEstimator(TwoParameterEstimator):
     def for_stack(cls, setting: Setting) -> "TurningEstimator":
         """As a part of the identification stack."""
         s = setting
-        return cls(
-            s.parameters, s.control_period, s.data_sheet, s.count, s.lateral, s.regression
-        )  # fmt: skip
+        part = cls(s.parameters, s.control_period, s.data_sheet, s.count, s.lateral, s.regression)
+        return part.on_slopes() if s.attitude else part
 
     def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
         """Mass and mu_l; when the mass has jumped, the inertia is let go: payload changes both."""

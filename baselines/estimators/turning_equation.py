@@ -8,6 +8,8 @@ R_R cancel unless the tracks move in opposite directions.
                  depends on mu_t: the regressor is d(C S)/dC, and y is shifted to match
     constrained  S = sign(w) (l^2/4 - d^2) / l, and the terms of S (28): I + m d^2, m d w v_x, F_y d
 The regressor of S 7.1.2 has the wrong sign and the factor 2; here it has f.
+On a slope g is g cos(pitch) cos(roll), the normal load; the lateral accelerometer feels friction
+alone, as on level ground.
 Variance of the equation: torque sensors, yaw acceleration, gyro and lateral accelerometer times
 the slopes of S. On the straight S is steep, and its friction not that of a turning vehicle:
 samples below a least yaw rate are left out, or noise would be taken for turning.
@@ -94,16 +96,17 @@ def sideways(a_y, w, weight_share, known):
 
 
 @formula
-def equation(z, i, known, mass, resistance, friction, inertia):
+def equation(z, i, known, mass, resistance, friction, inertia, press):
     """The Sample of vehicle i, and whether it moves and turns.
 
     mass m [kg], resistance mu_l [-], friction m mu_t [kg] and inertia [kg m^2] as known so far.
+    press: [-] normal load over the weight.
     """
     v_x, w = z[i, _V_X], z[i, _W]
     left, right = v_x - w * known.half_gauge, v_x + w * known.half_gauge
     # Both tracks forward: the resistances cancel.
     opposite = 0.5 * (math.copysign(1.0, right) - math.copysign(1.0, left))
-    rolling = opposite * resistance * mass * soil.GRAVITY
+    rolling = opposite * resistance * mass * soil.GRAVITY * press
     y = known.half_gauge * ((z[i, _TORQUE + 1] - z[i, _TORQUE]) * known.inverse_radius - rolling)
     v_y, shift, side, across = 0.0, 0.0, 0.0, 0.0
     if known.constrained:
@@ -112,9 +115,9 @@ def equation(z, i, known, mass, resistance, friction, inertia):
         sign = saturated_sign(w, 1.0 / soil.YAW_FRICTION_REGULARISATION)
         across = 2.0 * soil.GRAVITY / known.contact_length * d * d * sign
     else:
-        weight_share = mass / max(friction, LEAST_FRICTION * mass)
+        weight_share = mass / (max(friction, LEAST_FRICTION * mass) * press)
         v_y, shift, side = sideways(z[i, _A_Y], w, weight_share, known)
-    factor = known.turning_resistance_factor
+    factor = known.turning_resistance_factor * press
     turn = math.sqrt(known.turn_variance)
     slope = 0.5 * (unit_moment(v_y, w + turn, known) - unit_moment(v_y, w - turn, known))
     spread = factor * friction
@@ -124,7 +127,7 @@ def equation(z, i, known, mass, resistance, friction, inertia):
         + spread * spread * (slope * slope + side * side)
     )
     usable = min(abs(left), abs(right)) > known.slowest and abs(w) > known.least_turn
-    regressor = factor * (unit_moment(v_y, w, known) + shift) + across
+    regressor = factor * (unit_moment(v_y, w, known) + shift) + across * press
     return ls.Sample(
         y + factor * shift * friction, z[i, _BEND], regressor, variance, known.bend_variance
     ), usable

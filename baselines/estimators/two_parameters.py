@@ -13,14 +13,14 @@ there. A sample that cannot be used (stale, standstill) holds, one with NaN is c
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity
-from baselines.estimators.sensor_samples import DataSheet, Measurement
+from baselines.estimators.sensor_samples import ATTITUDE, DataSheet, Measurement, attitude_of
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.validation import VEHICLES, checked_whole
@@ -141,6 +141,11 @@ class TwoParameterEstimator(AnsweringEstimator):
     def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
         """Nothing is needed of other estimators."""
 
+    def on_slopes(self) -> Self:
+        """The same, which reads the attitude as well; returns itself."""
+        self.needs = (*type(self).needs, *ATTITUDE)
+        return self
+
     def known(self) -> tuple[Any, ...]:
         """What the kernel needs besides the measurement."""
         return ()
@@ -149,8 +154,9 @@ class TwoParameterEstimator(AnsweringEstimator):
         """Take one sample; returns the bare answer (N, ANSWER), which is kept in `answer` too."""
         self.answer = out = np.empty((len(self.memory), ANSWER))
         type(self)._kernel(
-            measurement.values, measurement.fresh, self.memory, self.prior, *self.known(), out
-        )
+            measurement.values, measurement.fresh, attitude_of(measurement), self.memory,
+            self.prior, *self.known(), out,
+        )  # fmt: skip
         return out
 
     def update(self, measurement: Measurement) -> Estimate:

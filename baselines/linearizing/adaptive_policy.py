@@ -17,17 +17,21 @@ from numpy.typing import NDArray
 
 from baselines.batch_policy import BatchPolicy
 from baselines.estimators.estimate import Status
-from baselines.estimators.sensor_samples import COLUMN, INERTIAL, DataSheet
+from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing.linearizing_law import Gains
-from baselines.linearizing.linearizing_policy import NEEDS, FeedbackLinearizingController
+from baselines.linearizing.linearizing_policy import (
+    NEEDS,
+    FeedbackLinearizingController,
+    shows_attitude,
+)
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
 
 _ROW = PARAMETER_INDEX
-_I, _SCALE = layout.INDEX, layout.SCALE
+_I, _SCALE, _SIZE = layout.INDEX, layout.SCALE, layout.SIZE
 _X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
 _V_X, _V_Y, _W = _I["v_x"], _I["v_y"], _I["yaw_rate"]
 _GYRO, _REJECTED = COLUMN["yaw_rate"], int(Status.REJECTED)
@@ -68,8 +72,8 @@ def _yaw_rate(i, yaw_rate, values, age, summary, status, stale):
 
 @loop
 def show(observation, reference, motion, values, age, summary, status, stale, filtered):
-    """Put the filtered motion (N, 6) into observation (N, SIZE), in one frame with reference
-    (N, 3); not filtered: only where NaN.
+    """Put the filtered motion (N, 6) into observation (N, >= SIZE), in one frame with reference
+    (N, 3); not filtered: only where NaN. A missing attitude counts as level.
 
     values, age: of the latest samples; stale [s]: an older gyro is not used. summary, status: of
     the slip observer's answer.
@@ -87,6 +91,9 @@ def show(observation, reference, motion, values, age, summary, status, stale, fi
         _show(observation, i, _W, yaw_rate, filtered)
         for k in range(_UNUSED.shape[0]):
             _show(observation, i, _UNUSED[k], 0.0, False)
+        for column in range(_SIZE, observation.shape[1]):
+            if not np.isfinite(observation[i, column]):
+                observation[i, column] = 0.0
 
 
 @loop
@@ -135,13 +142,17 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     ) -> None:
         self.parameters = plant_parameters() if parameters is None else parameters
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
+        sloped = shows_attitude(observation)
         self.controller = FeedbackLinearizingController(
-            self.parameters, control_period, gains, lateral
-        )
+            self.parameters, control_period, gains, lateral,
+            (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES,
+        )  # fmt: skip
         noisy = max(self.data_sheet[:3]) > 0.0
         self.filtered = noisy if filtered is None else bool(filtered)
         self.uses_soil = bool(uses_soil)
-        self._options: dict[str, Any] = {"regression": regression, "slip": slip}
+        self._options: dict[str, Any] = {
+            "regression": regression, "slip": slip, "attitude": sloped
+        }  # fmt: skip
         # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates.
         self.given_parameters: NDArray[np.float64] | None = None
         self._given: AdaptiveState | None = None

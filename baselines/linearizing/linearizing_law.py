@@ -12,10 +12,14 @@ and sigma = v_y + d w the lateral speed of D (body axes):
 The demand is the path point plus the arm along the heading that the vehicle must have there,
     z_d = p + d e(psi + delta),   sin(delta) = -v_y / v,
 so that the centre of mass, not D, runs on the path. Torques from u_1, u_2: S (29), corrected.
+On a slope all of this holds in the vehicle's plane, onto which z_d is lifted, and
+    m u_1 = F - R + m g s_p + m w v_y,   F_y(v_y, w) = m (w v + g c_p s_r),   N = m g c_p c_r
+with the pitch p (nose down) and the roll r that are measured; N is the load of R and F_y.
 Derivations, choices and limits: docs/controller.md. S is written with sigma = 0.
 
 Assumptions: parameters of the nominal model are right; v_y and sigma are those of a steady turn
-along the reference (the measured v_y is noisier than it is informative); motor lag ignored.
+along the reference (the measured v_y is noisier than it is informative); motor lag ignored; on a
+slope that the ground is a plane as long as the tracks, and its normal the vehicle's up axis.
 Validity: |v_1| > MINIMUM_SPEED; slower, the steering demand fades out.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
@@ -30,6 +34,7 @@ from numpy.typing import NDArray
 from tracked_env.physics import lumped_forces as plant
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics import vehicle
+from tracked_env.physics.attitude import in_plane_above
 from tracked_env.physics.elementary import saturated_sign, signed
 from tracked_env.physics.jit import formula
 
@@ -86,18 +91,44 @@ def inverse_speed(speed):
 
 
 @formula
-def steady_lateral_velocity(speed, yaw_rate, k):
-    """v_y [m/s] at which the soil carries a steady turn: F_y(v_y, w) = m w v, `sliding`.
+def pressed(k, press):
+    """Coefficients whose resistances are those of a normal load of `press` times the weight."""
+    return vehicle.Coefficients(
+        k.inverse_mass, k.inverse_inertia, k.half_gauge, k.contact_length, k.inverse_radius,
+        k.resistance * press, k.friction_intensity * press, k.turning_resistance_factor,
+        k.icr_forward,
+    )  # fmt: skip
 
+
+@formula
+def lifted(demand, incline):
+    """A demand given on the map, in the vehicle's plane above it."""
+    error = in_plane_above(demand.error_x, demand.error_y, incline)
+    velocity = in_plane_above(demand.velocity_x, demand.velocity_y, incline)
+    acceleration = in_plane_above(demand.acceleration_x, demand.acceleration_y, incline)
+    jerk = in_plane_above(demand.jerk_x, demand.jerk_y, incline)
+    return Demand(
+        error[0], error[1], velocity[0], velocity[1],
+        acceleration[0], acceleration[1], jerk[0], jerk[1],
+    )  # fmt: skip
+
+
+@formula
+def steady_lateral_velocity(speed, yaw_rate, k, pull=0.0):
+    """v_y [m/s] at which the soil carries a steady turn: F_y(v_y, w) = m (w v - pull), `sliding`.
+
+    pull [m/s^2]: gravity along the body's y axis, 0 on level ground. Its share, m pull |w| / (2 q),
+    is that of friction without regularisation, which would let a straight path across it drift.
     By the slope F_y / v_y at PROBE_SPEED: the friction is linear in v_y as long as the ICR stays
-    within the contact (relative error 1e-3 up to 0.9 mu_t g, for mu_t >= 0.4). Odd in w and in
-    v, 0 without turn, bounded by MAXIMUM_SIDE_SLIP |v| where friction cannot carry the turn.
+    within the contact (relative error 1e-3 up to 0.9 mu_t g, for mu_t >= 0.4). Without pull odd in
+    w and in v, 0 without turn; bounded by MAXIMUM_SIDE_SLIP |v| where friction cannot carry it.
     """
     force, _moment = soil.lateral_friction(
         PROBE_SPEED, yaw_rate, k.friction_intensity, k.contact_length
     )
     bound = MAXIMUM_SIDE_SLIP * abs(speed)
     v_y = speed * yaw_rate / k.inverse_mass * PROBE_SPEED / min(force, -1e-9)
+    v_y += pull * abs(yaw_rate) / (2.0 * k.inverse_mass * max(k.friction_intensity, 1e-9))
     return min(max(v_y, -bound), bound)
 
 
@@ -191,9 +222,12 @@ def turning_moment(motion, u_2, p, k, constrained):
 
 
 @formula
-def track_efforts(motion, u_1, u_2, p, k, constrained):
-    """Tractive efforts (left, right) [N] for u_1 [m/s^2] and u_2: S (29), corrected."""
-    force = (u_1 - motion.yaw_rate * motion.v_y) / k.inverse_mass
+def track_efforts(motion, u_1, u_2, p, k, constrained, pull=0.0):
+    """Tractive efforts (left, right) [N] for u_1 [m/s^2] and u_2: S (29), corrected.
+
+    pull [m/s^2]: gravity along the body's x axis, 0 on level ground.
+    """
+    force = (u_1 - motion.yaw_rate * motion.v_y - pull) / k.inverse_mass
     turn = 0.5 * turning_moment(motion, u_2, p, k, constrained) / k.half_gauge
     left, right = vehicle.track_speeds(motion, k.half_gauge)
     inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION

@@ -5,6 +5,8 @@ keeps the efforts within what drive and soil give, and holds the compensator xi 
 of the policy.
     F_limit = min(torque limit / r, F(i = 1))            nominal, S (7)
     xi+     = xi + dt eta_1 + (F_given - F_demanded) / m        anti-windup, F over both tracks
+Where the observation shows ATTITUDE, the law drives in the plane that they give, with gravity
+in it; where it does not, the ground counts as level.
 A batch is one loop over vehicles; a single vehicle is a batch of one.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
@@ -17,10 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.batch_policy import BatchPolicy
+from baselines.estimators.sensor_samples import ATTITUDE
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env import observation as layout
+from tracked_env.physics import terramechanics as soil
 from tracked_env.physics import vehicle
+from tracked_env.physics.attitude import LEVEL, incline_of
 from tracked_env.physics.elementary import signed
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import (
@@ -45,6 +50,21 @@ NEEDS = (
     _SPEED, _ACCELERATION, _JERK, _TURN, _TURN_ACCELERATION,
 ) = (layout.INDEX[name] for name in NEEDS)  # fmt: skip
 _SCALE = layout.SCALE
+_ROLL, _PITCH = layout.SIZE, layout.SIZE + 1  # ATTITUDE stands behind the fields of v0
+_ROLL_SCALE, _PITCH_SCALE = layout.make_layout(["attitude"]).scale[:2]
+
+
+def shows_attitude(observation: Sequence[str]) -> bool:
+    """Whether an observation with these fields shows what the law needs on a slope."""
+    return all(name in observation for name in ATTITUDE)
+
+
+@formula
+def _incline(observation, i, sloped):
+    """Incline of vehicle i as measured, or LEVEL."""
+    if not sloped:
+        return LEVEL
+    return incline_of(observation[i, _PITCH] * _PITCH_SCALE, observation[i, _ROLL] * _ROLL_SCALE)
 
 
 @formula
@@ -60,9 +80,10 @@ def _si(observation, i, column):
 
 
 @formula
-def control(observation, i, p, xi, gains, period, constrained):
+def control(observation, i, p, xi, gains, period, constrained, sloped):
     """(action left, action right [-], next xi [m/s^2]) of vehicle i with parameters p."""
-    k = vehicle.coefficients(p, constrained)
+    incline = _incline(observation, i, sloped)
+    k = law.pressed(vehicle.coefficients(p, constrained), incline.press)
     heading_error = _si(observation, i, _HEADING_ERROR)
     # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
     faces_back = abs(heading_error) > 0.5 * math.pi
@@ -77,7 +98,8 @@ def control(observation, i, p, xi, gains, period, constrained):
     d, v_x, yaw_rate = p.icr_forward, _si(observation, i, _V_X), _si(observation, i, _YAW_RATE)
     lateral = -d * ref.yaw_rate
     if not constrained:
-        lateral = law.steady_lateral_velocity(ref.speed, ref.yaw_rate, k)
+        pull = soil.GRAVITY * incline.down_y
+        lateral = law.steady_lateral_velocity(ref.speed, ref.yaw_rate, k, pull)
     sigma = lateral + d * ref.yaw_rate
     demand = law.demanded_motion(
         _si(observation, i, _ERROR_X),
@@ -85,11 +107,15 @@ def control(observation, i, p, xi, gains, period, constrained):
         heading_error - (signed(math.pi, heading_error) if faces_back else 0.0),
         ref, lateral, d, constrained,
     )  # fmt: skip
+    demand = law.lifted(demand, incline)
     eta_1, u_2 = law.linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains)
     xi += period * eta_1
     motion = vehicle.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
-    left, right = law.track_efforts(motion, xi, u_2, p, k, constrained)
-    limit = min(p.torque_limit * k.inverse_radius, vehicle.drive_limits(p).effort_limit)
+    pull = soil.GRAVITY * incline.down_x
+    left, right = law.track_efforts(motion, xi, u_2, p, k, constrained, pull)
+    limit = p.torque_limit * k.inverse_radius
+    if not sloped:
+        limit = min(limit, vehicle.drive_limits(p).effort_limit)
     given_left, given_right = law.within_limit(left, right, limit)
     # Anti-windup: xi is the acceleration that the limited efforts give.
     xi += ((given_left - left) + (given_right - right)) * k.inverse_mass
@@ -98,9 +124,10 @@ def control(observation, i, p, xi, gains, period, constrained):
 
 
 @loop
-def control_all(observation, parameters, xi, gains, period, constrained, action):
+def control_all(observation, parameters, xi, gains, period, constrained, sloped, action):
     """Control of all vehicles: observation (N, D), parameters (rows, N or 1), xi (N,) in and
-    out, action (N, 2) out. Returns the first row that is not finite, or -1."""
+    out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the first row that is
+    not finite, or -1."""
     shared = parameters.shape[1] == 1
     for i in range(observation.shape[0]):
         check = 0.0
@@ -109,7 +136,7 @@ def control_all(observation, parameters, xi, gains, period, constrained, action)
         if check != 0.0:
             return i
         p = _parameters_of(parameters, 0 if shared else i)
-        left, right, xi[i] = control(observation, i, p, xi[i], gains, period, constrained)
+        left, right, xi[i] = control(observation, i, p, xi[i], gains, period, constrained, sloped)
         action[i, 0] = min(max(left, -1.0), 1.0)
         action[i, 1] = min(max(right, -1.0), 1.0)
     return -1
@@ -163,7 +190,8 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
             )
         if lateral not in LATERAL_MODELS:
             raise ValueError(f"lateral = {lateral!r}; must be one of {LATERAL_MODELS}")
-        self._view = layout.View(observation, NEEDS)
+        self.sloped = shows_attitude(observation)
+        self._view = layout.View(observation, (*NEEDS, *ATTITUDE) if self.sloped else NEEDS)
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.lateral = lateral
         self._constrained = lateral == "constrained"
@@ -211,12 +239,13 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         action = np.empty((count, 2), dtype=np.float32)
         bad = control_all(
             observation, self.parameters, xi, self.gains, self.control_period, self._constrained,
-            action,
+            self.sloped, action,
         )  # fmt: skip
         if bad >= 0:
             column = int(np.argmin(np.isfinite(observation[bad])))
+            name = (*layout.NAMES, *ATTITUDE)[column]
             raise ValueError(
-                f"observation[{bad}]: {layout.NAMES[column]} = {observation[bad, column]}; must be "
+                f"observation[{bad}]: {name} = {observation[bad, column]}; must be "
                 "finite. Did the state diverge, or a wrapper divide by zero?"
             )
         return action, xi

@@ -4,6 +4,7 @@ Equations (symbols in NOTATION.md; body axes to world axes):
     q' = q (0, W) / 2,   q(t + h) = q(t) exp(h W / 2)          W constant in body axes
     R  = rotation matrix of q;  a_world = R a_body
     R  = R_z(yaw) R_y(pitch) R_x(roll)                         yaw, then pitch, then roll
+    R^T (0, 0, -g) = g (s_p, -c_p s_r, -c_p c_r)               gravity in body axes
 Between calls the attitude is kept as three angles, so that a state is complete as it is written;
 within a call it is a quaternion, which has no singular attitude. Near pitch = +-90 degrees, where
 yaw and roll turn about one axis, the yaw keeps its last value and the roll takes up the rest.
@@ -81,6 +82,59 @@ def angles_of(q, last_yaw):
     pitch = math.atan2(-r.zx, level)
     roll = math.atan2(sine * r.xz - cosine * r.yz, cosine * r.yy - sine * r.xy)
     return yaw, pitch, roll
+
+
+class Incline(NamedTuple):
+    """Gravity in body axes, and what a motion in the vehicle's plane is on the map."""
+
+    down_x: float  # [-] s_p, share of gravity along the body's x axis
+    down_y: float  # [-] -c_p s_r, along its y axis
+    press: float  # [-] c_p c_r, onto the vehicle's plane
+    cos_pitch: float  # [-] c_p
+    cos_roll: float  # [-] c_r
+    sin_roll: float  # [-] s_r
+
+
+LEVEL = Incline(0.0, 0.0, 1.0, 1.0, 1.0, 0.0)
+
+
+@formula
+def incline_of(pitch, roll):
+    """Incline of the measured angles [rad]; LEVEL where one is missing (NaN)."""
+    if (pitch == 0.0 and roll == 0.0) or not math.isfinite(pitch + roll):
+        return LEVEL
+    c_pitch, s_pitch = rotation(pitch)
+    c_roll, s_roll = rotation(roll)
+    return Incline(s_pitch, -c_pitch * s_roll, c_pitch * c_roll, c_pitch, c_roll, s_roll)
+
+
+@formula
+def on_map(forward, left, incline):
+    """(along the heading, to the left of it) on the map, of a motion in the vehicle's plane."""
+    cross = incline.down_x * incline.sin_roll
+    return incline.cos_pitch * forward + cross * left, incline.cos_roll * left
+
+
+@formula
+def in_plane_above(ahead, left, incline):
+    """(forward, left) in the vehicle's plane, of what lies below it on the map: `on_map`, inverted.
+
+    A path that is given on the map and laid on a plane has these components, and so have all of
+    its derivatives. Needs |pitch|, |roll| < 90 degrees.
+    """
+    aside = left / incline.cos_roll
+    cross = incline.down_x * incline.sin_roll
+    return (ahead - cross * aside) / incline.cos_pitch, aside
+
+
+@formula
+def heading_rate(incline, pitch_rate):
+    """(a [-], b [rad/s]) with d yaw/dt = a W_z + b, from the rate of pitch W_y [rad/s].
+
+    b is 0 where that is missing (NaN).
+    """
+    carried = incline.sin_roll * pitch_rate / incline.cos_pitch
+    return incline.cos_roll / incline.cos_pitch, carried if math.isfinite(carried) else 0.0
 
 
 @formula

@@ -221,7 +221,7 @@ def test_a_filter_that_is_behind_is_brought_to_the_present():
     felt = np.zeros((2, 13))
     felt[:, links._A_X] = acceleration
     motion = np.tile([1.0, 2.0, 0.5, speed, 0.0, turn], (2, 1))
-    links.advance(motion, np.array([behind, 0.0]), felt)
+    links.advance(motion, np.array([behind, 0.0]), felt, np.zeros((2, 3)))
     x, y, yaw, v_x, v_y, w = motion.T
     t = np.linspace(0.0, behind, 2001)
     v, heading = speed + acceleration * t, 0.5 + turn * t

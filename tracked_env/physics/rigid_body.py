@@ -141,7 +141,7 @@ def moved(v, rates, duration):
 
 @formula
 def summed(a, b, factor):
-    """a + factor b, of wrenches."""
+    """a + factor b; a: Wrench, b: Wrench or anything with its six components."""
     return Wrench(
         a.x + factor * b.x, a.y + factor * b.y, a.z + factor * b.z,
         a.roll + factor * b.roll, a.pitch + factor * b.pitch, a.yaw + factor * b.yaw,

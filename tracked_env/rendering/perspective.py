@@ -137,7 +137,10 @@ class Perspective:
             self._picture.line(eye, self.landscape, line, colour)
         self._reference(self._picture, eye, shot)
         slips = shot.state.slip_left, shot.state.slip_right
-        faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel)
+        loads = None
+        if shot.loads is not None:  # of the patches side by side
+            loads = canvas.load_colours(shot.loads.mean(axis=2), shot.load_shown)
+        faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel, loads)
         light = pose.axes.T @ np.array(self.landscape.light)
         seen = raster.project(eye, pose.place(faces.corners))
         self._picture.polygons(seen, faces.starts, faces.lit(light.tolist()))

@@ -129,10 +129,9 @@ class Renderer:
         that does not suit the vehicle.
         """
         shot = take(simulation, row)
-        loads = None
         if self.terrain is not None and self.terrain.loads is not None:
-            loads = self.terrain.loads(simulation, row)
-        picture = self._compose(shot, loads)
+            shot = shot._replace(loads=self.terrain.loads(simulation, row))
+        picture = self._compose(shot)
         if self.render_mode == "rgb_array":
             return canvas.to_array(picture)
         self._show(picture)
@@ -150,7 +149,7 @@ class Renderer:
         self._text = canvas.Text()
         self._stage: _Stage | None = None
 
-    def _compose(self, shot: Snapshot, loads: NDArray[np.float64] | None) -> pygame.Surface:
+    def _compose(self, shot: Snapshot) -> pygame.Surface:
         if self._picture is None:
             self._picture = canvas.surface(*self.size)
         if self._stage is None or shot.episode is not self._stage.episode:
@@ -174,7 +173,7 @@ class Renderer:
         legend.draw(ground, self._text, stage.soil, shot, stage.memory.notices(), zoom)
         picture.blit(stage.panel.draw(shot, stage.memory, refresh, view), (SCENE_WIDTH, 0))
         if stage.strip is not None:
-            strip = stage.strip.draw(shot, done, loads, stage.soil.interval)
+            strip = stage.strip.draw(shot, done, stage.soil.interval)
             picture.blit(strip, (0, SCENE_HEIGHT))
         return picture
 

@@ -62,11 +62,15 @@ def test_a_hill_in_between_gives_the_eye_a_new_place() -> None:
         assert (place(renderer) == first) == stays
 
 
-@pytest.mark.parametrize("uncertainty", ["nominal", "drift"])
+RAMP = {"parameter": "lateral_resistance", "kind": "ramp", "target": 0.2, "start": 0.4,
+        "duration": 0.8}  # fmt: skip
+
+
+@pytest.mark.parametrize("schedule", [[], [RAMP]])
 def test_ground_that_is_shown_again_gives_the_pixels_of_ground_that_is_drawn_anew(
-    uncertainty: str,
+    schedule: list[Any],
 ) -> None:
-    env = started(uncertainty=uncertainty)
+    env = started({"schedule": schedule})
     again = Renderer("rgb_array", 50, view="3d-standing", terrain=HILL)
     anew = Renderer("rgb_array", 50, view="3d-standing", terrain=HILL)
     last = np.zeros(0)
@@ -75,7 +79,7 @@ def test_ground_that_is_shown_again_gives_the_pixels_of_ground_that_is_drawn_ane
             env.step(np.array([0.3, 0.35], dtype=np.float32))
         stage = anew._stage
         if stage is not None and stage.perspective is not None:
-            stage.perspective._eye = None  # forget the ground
+            stage.perspective._eye, stage.perspective._standing = None, False  # all anew
         one, other = drawn(again, env), drawn(anew, env)
         assert np.array_equal(one, other) and not np.array_equal(one, last)
         last = one

@@ -17,21 +17,30 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
+import speed_plants
 
 TORQUE, SPEED = "tracked_env/Torque-v0", "tracked_env/Speed-v0"
+TERRAIN = "tracked_env/Terrain-v0"
 CALM = {"error_limit": 1e6}
 CRUISE = 0.15  # action
 NOISE = 64  # [steps] after which new noise is drawn: every pass has its share of it
 BETWEEN = 21 * NOISE  # [steps] calm ones after a reset: an episode has 1500
 WARM = 300  # [steps] of random actions before the first pass: vehicles are no longer in step
-PLANT_STEPS = 1000  # of one call of the distributed plant: its overhead is below a percent
 PENDULUM, CARTPOLE = "Pendulum-v1 step", "CartPole-v1 step"
+SCANNED = [
+    "pose_error", "motion", "drive", "reference", "look_ahead", "action", "age", "attitude",
+    "tangent_error", "height_scan",
+]  # fmt: skip
 # Environments beside the peers: name, id, arguments, vehicles.
 ENVIRONMENTS: tuple[tuple[str, str, dict[str, Any], tuple[int, ...]], ...] = (
     ("Torque-v0", TORQUE, {}, (1, 64, 4096)),
     ("Torque-v0 constrained", TORQUE, {"lateral": "constrained"}, (1, 64)),
     ("Torque-v0 distributed", TORQUE, {"plant": "distributed"}, (1, 64)),
     ("Speed-v0", SPEED, {}, (1, 64)),
+    ("Terrain-v0", TERRAIN, {}, (1, 64)),
+    ("Terrain-v0 with v0", TERRAIN, {"observation": "v0"}, (1,)),
+    ("Terrain-v0 with height scan", TERRAIN, {"observation": SCANNED}, (1, 64)),
+    ("Terrain-v0 by torque", TERRAIN, {"drive": "torque"}, (1,)),
 )
 # Trained agents beside the registered controllers: (drive, name, network).
 AGENTS = (
@@ -188,25 +197,6 @@ def identification(count: int, slip: str) -> Load:
     return Load(call)
 
 
-def plant_alone(count: int, euler: bool) -> Load:
-    """PLANT_STEPS steps of the distributed plant alone: 2 x 40 patches, belts that turn it.
-
-    Euler steps of 1 ms, as published simulators take them, cost one evaluation of all patches
-    each; Rosenbrock steps of 2.5 ms, the default, cost two.
-    """
-    from tracked_env.physics.parameters import VEHICLES
-    from tracked_env.physics.patch_dynamics import hold_speeds
-    from tracked_env.physics.patch_forces import make_patches
-
-    states, loads = np.zeros((count, 6)), np.zeros((count, 6))
-    speeds = np.linspace((3.0, 4.0), (4.0, 8.0), count)
-    parameters = np.tile(np.array(VEHICLES["focchi"], dtype=float), (count, 1))
-    patches, h = make_patches(10, 4), 1e-3 if euler else 2.5e-3
-    return Load(
-        lambda: hold_speeds(states, speeds, parameters, patches, PLANT_STEPS, h, euler, loads)
-    )
-
-
 def controllers() -> list[tuple[str, str]]:
     """(drive, name) of the registered controllers that are not handed the truth."""
     from tracked_env.benchmark.policy_interface import PolicyContext, needs_truth
@@ -262,15 +252,28 @@ def policy_rows(known: Sequence[tuple[str, str]]) -> Iterator[Row]:
     ):  # fmt: skip
         yield Row(f"{name}, {_vehicles(count)}", count, CARTPOLE,
                   partial(identification, count, slip))  # fmt: skip
-    for euler, name in ((True, "Euler step of 1 ms"), (False, "Rosenbrock step of 2.5 ms")):
-        for count in (1, 64):
-            yield Row(f"distributed plant alone, {name}, {_vehicles(count)}", PLANT_STEPS * count,
-                      CARTPOLE, partial(plant_alone, count, euler))  # fmt: skip
+
+
+def plant_rows() -> Iterator[Row]:
+    """Plants without an environment, per step or per 20 ms of driving."""
+    for count in (1, 64):
+        steps, who = speed_plants.STEPS * count, _vehicles(count)
+        for euler, name in ((True, "Euler step of 1 ms"), (False, "Rosenbrock step of 2.5 ms")):
+            yield Row(f"distributed plant alone, {name}, {who}", steps, CARTPOLE,
+                      partial(_of_plant, speed_plants.distributed_alone, count, euler))  # fmt: skip
+        for ground in speed_plants.GROUNDS:
+            for step, name in ((1e-3, "step of 1 ms"), (None, "20 ms of driving")):
+                made = partial(_of_plant, speed_plants.terrain_alone, count, ground, step)
+                yield Row(f"terrain plant alone, {ground}, {name}, {who}", steps, CARTPOLE, made)
+
+
+def _of_plant(make: Callable[..., speed_plants.Calls], *arguments: Any) -> Load:
+    return Load(*make(*arguments))
 
 
 def rows(known: Sequence[tuple[str, str]]) -> list[Row]:
     """All rows, peers first; known: what `controllers` returns."""
-    return [*environment_rows(), *policy_rows(known)]
+    return [*environment_rows(), *policy_rows(known), *plant_rows()]
 
 
 def calls_of_a_pass(load: Load, seconds: float) -> int:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from tracked_env import observation as obs
 from tracked_env.engine.columns import RowReport
 from tracked_env.engine.env_config import EnvConfig, environment_arguments
+from tracked_env.engine.readings import ending_flags
 from tracked_env.engine.simulation import Simulation
 from tracked_env.validation import checked_choice, checked_flag
 
@@ -135,6 +136,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         self.observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Any = None
+        failures = self.simulation.solver.plant.failures
+        self._no_endings = dict.fromkeys(ending_flags(failures) if failures else (), False)
 
     @property
     def _np_random(self) -> np.random.Generator | None:
@@ -154,7 +157,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         observation = self.simulation.reset(self.simulation.all, [options])[0].copy()
         if self.render_mode == "human":
             self.render()
-        return observation, self._reward_and_info(self.simulation.batch.row_report(0), False)[1]
+        return observation, self._reward_and_info(self.simulation.batch.row_report(0))[1]
 
     def step(self, action: ObsType) -> tuple[ObsType, float, bool, bool, dict[str, Any]]:
         """Hold the two demands, sprocket torques or speeds, for one control period.
@@ -173,10 +176,12 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         if simulation.some_ended:
             terminated, truncated = map(bool, report.flags.tolist())
             is_success = truncated and bool(simulation.success[0])
-        reward, info = self._reward_and_info(report, is_success)
+        reward, info = self._reward_and_info(report, is_success, terminated)
         return simulation.first_observation.copy(), reward, terminated, truncated, info
 
-    def _reward_and_info(self, report: RowReport, is_success: bool) -> tuple[float, dict[str, Any]]:
+    def _reward_and_info(
+        self, report: RowReport, is_success: bool = False, terminated: bool = False
+    ) -> tuple[float, dict[str, Any]]:
         reward, position, heading, speed, effort, smoothness = report.rewards.tolist()
         info: dict[str, Any] = {  # written out: `INFO_KEYS` in a loop takes three times as long
             "reward_position": position,
@@ -187,10 +192,11 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             "tracking_error": report.tracking_error.copy(),
             "is_success": is_success,
         }
-        failures = self.simulation.solver.plant.failures
-        if failures:
-            endings = self.simulation.endings(failures)
-            info.update((name, bool(flag[0])) for name, flag in endings.items())
+        if self._no_endings:
+            info.update(self._no_endings)
+            if terminated:
+                flags = self.simulation.endings(self.simulation.solver.plant.failures)
+                info.update((name, bool(flag[0])) for name, flag in flags.items())
         if self.expose_truth:
             truth = self.simulation.truth()
             info["truth"] = {name: float(value[0]) for name, value in truth.items()}

@@ -154,9 +154,23 @@ def register(group: Group) -> Group:
         for sides in (("_left", "_right"), ("_right", "_left")):
             if sides[0] in field.name and field.name.replace(*sides) not in own:
                 raise ValueError(f"field {field.name!r} is without its {sides[1][1:]} one")
-    channels = tuple(own) if group.values is None else group.channels
+    made = group.values is not None or group.compiled is not None
+    _check_reads(group)
+    channels = group.channels if made else tuple(own)
     GROUPS[group.name] = group._replace(channels=channels)
     return GROUPS[group.name]
+
+
+def _check_reads(group: Group) -> None:
+    """Raise ValueError where a compiled group is not complete, or has another form as well."""
+    if (group.compiled is None) != (not group.reads) or (group.compiled and group.values):
+        raise ValueError(
+            f"observation group {group.name!r} must have `compiled` with `reads`, or `values`, or "
+            "neither"
+        )
+    for name in group.reads:
+        if name not in (*NAMES, *group.channels):
+            raise unknown(f"field that {group.name!r} reads", name, (*NAMES, *group.channels))
 
 
 def columns(names: Sequence[str], wanted: Sequence[str]) -> NDArray[np.int64]:

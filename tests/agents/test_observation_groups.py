@@ -12,13 +12,14 @@ from agents.loading import agent_entry
 from agents.training import checkpoints
 from agents.training.environments import make_environment
 from agents.training.run import resolve
+from agents.training.state_file import read_state, write_state
 from baselines.learned.agent_archive import RECIPE, read_recipe
 from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import same_parameters, small
 from tests.agents.test_checkpoints import killed_after
 from tests.agents.test_student import student_config
+from tracked_env import TERRAIN, sensors
 from tracked_env import observation as obs
-from tracked_env import sensors
 from tracked_env.benchmark import PolicyContext
 from tracked_env.physics.channels import Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -191,3 +192,20 @@ def test_the_environment_of_a_training_shows_the_groups_that_are_asked_for(tmp_p
     run = resolve(small(tmp_path, env_args=given(TRAINED)))
     assert make_environment(run).observation_space.shape == (obs.SIZE + 1,)
     assert run.parts[0].context.observation == obs.make_layout(TRAINED).names
+
+
+def test_what_a_height_scan_and_an_attitude_remember_is_written_as_plain_data(
+    tmp_path,
+):
+    groups = [*TERRAIN["observation"], "height_scan"]
+    env = TrackedVehicleVectorEnv(3, **{**TERRAIN, "observation": groups, "sensors": "rtk"})
+    env.reset(seed=5)
+    actions = np.full((3, 2), 0.3, dtype=np.float32)
+    for _ in range(20):
+        env.step(actions)
+    composer, simulation = env.simulation.composer, env.simulation.snapshot()
+    write_state(tmp_path / "state.zip", {"composer": composer.snapshot()})
+    going = np.array([env.step(actions)[0] for _ in range(60)])  # beyond a block of noise
+    composer.resume(read_state(tmp_path / "state.zip")["composer"])
+    env.simulation.resume({**simulation, "composer": composer})
+    assert np.array_equal([env.step(actions)[0] for _ in range(60)], going)

@@ -1,6 +1,7 @@
 """How a policy is found from the name on a command line, and the named policies themselves."""
 
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,8 @@ import numpy as np
 import pytest
 
 from baselines.registry import BY_DRIVE, POLICIES
+from tests.benchmark.stub_policies import Constant
+from tracked_env.benchmark import BenchmarkConfig
 from tracked_env.benchmark.policy_interface import (
     PolicyContext,
     PolicyEntry,
@@ -17,6 +20,7 @@ from tracked_env.benchmark.policy_interface import (
     needs_truth,
     source_fingerprint,
 )
+from tracked_env.benchmark.runner import drive
 from tracked_env.observation import SIZE
 from tracked_env.physics.parameters import PARAMETER_INDEX, plant_parameters
 
@@ -214,3 +218,24 @@ def test_the_fingerprint_tells_the_same_bytes_in_other_files_apart(package: Path
         found.append(fingerprint())
     second_file.rename(package / "b.py")
     assert len({*found, fingerprint()}) == 3
+
+
+class SlowAtFirst(Constant):
+    """Needs a tenth of a second for its first action, as a policy that compiles in it."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        if not self.calls:
+            time.sleep(0.1)
+        return super().predict(*args, **kwargs)
+
+
+@pytest.mark.parametrize(("rate", "least", "most"), [(50.0, 0.0, 0.02), (10.0, 0.1, 1.0)])
+def test_the_first_call_of_predict_is_timed_only_where_it_is_the_only_one(
+    rate: float, least: float, most: float
+) -> None:
+    config = BenchmarkConfig(episodes=2, duration=0.1, control_rate=rate)
+    env = config.environment("nominal", 2, truth=False)
+    policy = SlowAtFirst()
+    _, seconds = drive(policy, env, [0, 1], lambda: None)
+    assert len(policy.calls) == (1 if rate == 10.0 else 5)
+    assert least < seconds < most

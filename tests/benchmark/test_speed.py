@@ -38,7 +38,7 @@ def test_every_plant_drive_and_registered_controller_has_rows(speed: Any) -> Non
     names = [row.name for row in speed.speed_rows.rows(speed.speed_rows.controllers())]
     assert len(names) == len(set(names))
     for mode in MODES:
-        for label in ("Torque-v0", "Torque-v0 distributed", "Speed-v0"):
+        for label in ("Torque-v0", "Torque-v0 distributed", "Speed-v0", "Terrain-v0"):
             assert f"{label} step, {mode}" in names and f"{label} vector, 64, {mode}" in names
         assert f"Torque-v0 vector, 4096, {mode}" in names
     for drive, policies in BY_DRIVE.items():
@@ -55,7 +55,7 @@ def test_every_plant_has_rows_with_every_drive_that_it_accepts(speed: Any) -> No
     for _, env_id, arguments, _ in speed.speed_rows.ENVIRONMENTS:
         config = speed.gymnasium.make(env_id, **arguments).unwrapped.simulation.config
         timed.add((config.plant, config.drive))
-    ours = [PLANTS[name] for name in ("lumped", "distributed")]  # tests register others
+    ours = [PLANTS[name] for name in ("lumped", "distributed", "terrain")]  # tests register others
     assert timed == {(plant.name, drive) for plant in ours for drive in plant.reads}
 
 

@@ -1,17 +1,28 @@
 """Pictures on terrain show its relief, the pose in space, loads and tilt, from above and behind."""
 
+import copy
 import math
 import pickle
 import subprocess
 import sys
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
 from tests.rendering.picture_cases import SHAPE, driven, started
 from tests.rendering.terrain_cases import bump
-from tracked_env.rendering import Renderer, TerrainSource, canvas, hill_shading, terrain_strip
+from tracked_env import TERRAIN_ID
+from tracked_env.plants.terrain_state import LOAD_LEFT, LOAD_RIGHT
+from tracked_env.rendering import (
+    Renderer,
+    TerrainSource,
+    canvas,
+    hill_shading,
+    source_of,
+    terrain_strip,
+)
 from tracked_env.rendering.landscape import interval_around
 from tracked_env.rendering.terrain_source import BodyPose
 
@@ -139,7 +150,7 @@ def test_the_load_map_has_the_front_at_the_top_and_the_left_edge_at_the_left() -
     patches = np.zeros((3, 2))
     patches[2, 1] = 100.0  # front, left
     picture = canvas.to_array(terrain_strip.load_picture(patches, 100.0, (40, 60)))
-    dark = (picture == terrain_strip.LOAD_SCALE[-1]).all(axis=2)
+    dark = (picture == canvas.LOAD_SCALE[-1]).all(axis=2)
     assert dark[:20, :20].all() and dark.sum() == 400
 
 
@@ -234,3 +245,62 @@ def test_heights_that_cannot_be_drawn_are_one_line(heights: Any, message: str) -
 def test_an_unknown_view_is_named() -> None:
     with pytest.raises(ValueError, match="view"):
         Renderer("rgb_array", 50, view="side")
+
+
+@pytest.mark.parametrize("view", ["top", "3d"])
+def test_the_tracks_have_the_colours_of_the_loads_below_them(view: str) -> None:
+    def front_left(simulation: Any, row: int) -> np.ndarray:
+        patches = np.zeros((2, 4, 2))
+        patches[0, 2:] = 1e5
+        return patches
+
+    terrain = TerrainSource(centre_height=0.5)
+    picture, plain = (picture_of(terrain._replace(loads=of), view) for of in (front_left, None))
+    dark, pale = canvas.LOAD_SCALE[-1].astype(int), canvas.LOAD_SCALE[0].astype(int)
+
+    def places(colour: np.ndarray, shown: np.ndarray) -> np.ndarray:
+        scene = shown[27:596, :680].astype(int)
+        ratio = scene.sum(axis=2, keepdims=True) / colour.sum()  # of the light on it
+        alike = np.abs(scene - ratio * colour).max(axis=2) < 4.0
+        return np.argwhere(alike & (ratio[..., 0] > 0.6) & (ratio[..., 0] < 1.3))
+
+    loaded = places(dark, picture)
+    assert len(loaded) > 50 + len(places(dark, plain))
+    if view == "top":  # heads east: the front is at the right, the left track above
+        assert (loaded[:, 1] > 340).mean() > 0.95 and (loaded[:, 0] < 293).mean() > 0.95
+        assert (np.abs(picture[27:596, :680].astype(int) - pale).max(axis=2) < 4).sum() > 300
+    else:  # seen from behind
+        assert (loaded[:, 1] < 340).mean() > 0.9
+
+
+def test_what_a_picture_shows_of_the_patches_adds_up_and_changes_nothing() -> None:
+    env: Any = gymnasium.make(TERRAIN_ID, plant_options={"terrain": "hills"}).unwrapped
+    env.reset(seed=1)
+    for _ in range(60):
+        env.step(np.float32([0.4, 0.5]))
+    before = copy.deepcopy(env.simulation.batch)
+    source = source_of(env.simulation, 0)
+    assert source is not None and source.loads is not None
+    patches = source.loads(env.simulation, 0)
+    assert patches.shape == (2, 10, 4) and (patches >= 0.0).all() and patches.std() > 5.0
+    tracks = env.simulation.batch.floats[0, [LOAD_LEFT, LOAD_RIGHT]]
+    assert patches.sum(axis=(1, 2)) == pytest.approx(tracks, rel=1e-9)
+    for array, kept in zip(env.simulation.batch, before, strict=True):
+        assert np.array_equal(array, kept)
+
+
+def test_loads_of_patches_stand_from_the_rear_to_the_front_and_from_right_to_left() -> None:
+    slope = {"kind": "plane", "slope_x": -0.3, "slope_y": -0.15}  # down ahead and to the left
+    env: Any = gymnasium.make(
+        TERRAIN_ID, plant_options={"terrain": slope}, uncertainty="nominal",
+        reference={"kind": "straight", "speed": 0.0},
+    ).unwrapped  # fmt: skip
+    still = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
+    env.reset(seed=0, options={"start": still, "soil": {"friction_angle": 0.7}})
+    for _ in range(50):
+        env.step(np.zeros(2, dtype=np.float32))
+    source = source_of(env.simulation, 0)
+    assert source is not None and source.loads is not None
+    patches = source.loads(env.simulation, 0)
+    assert (np.diff(patches, axis=1) > 0.0).all()  # heavier to the front
+    assert (np.diff(patches, axis=2) > 0.0).all() and patches[0].sum() > patches[1].sum()

@@ -29,7 +29,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
     parser.add_argument("--file", type=Path, metavar="FILE", help="ends in .gif, .mp4 or .png "
                         "(default: episode.gif, and none with --html or --live)")  # fmt: skip
-    parser.add_argument("--view", choices=("top", "3d"), default="top",
+    parser.add_argument("--view", choices=("top", "3d", "3d-standing"), default="top",
                         help="from above or from behind the vehicle (default: top)")  # fmt: skip
     parser.add_argument("--html", type=Path, metavar="FILE",
                         help="page that replays the episode, without a server")  # fmt: skip

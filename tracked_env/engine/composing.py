@@ -1,16 +1,13 @@
 """Observations of other groups than the compiled loops write, and registered sensor channels.
 
 The kernels write the fields of `observation.V0`, which `Composer` picks from and adds to. It runs
-only where the layout of an environment is another one. A registered channel is sampled whenever
-its group is, in the same steps and with the same delay:
-    sample = truth + s b + sigma n,    n ~ N(0, 1),  s = -1 or +1 for the episode
-from a stream of its own, seeded by the noise seed of the episode and the name of the channel: what
-an environment shows never changes the other noise, the vehicle, the soil or the reference.
+only where the layout of an environment is another one: channels are sampled (`added_channels`),
+computed groups get what they read, and one kernel writes all fields, scaled and clipped. A group
+that is computed by a function in Python costs 10 us and more a step, a compiled one 1 us.
 """
 
 import copy
-import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,40 +15,42 @@ from numpy.typing import NDArray
 
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
+from tracked_env.engine.added_channels import AddedChannels, Named, Values, checked
 from tracked_env.engine.episode import Episode
 from tracked_env.engine.height_scan import HeightScan
-from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS
-from tracked_env.physics.parameters import PARAMETER_INDEX
-from tracked_env.physics.state import STATE_NAMES
+from tracked_env.observation_fields import Group
+from tracked_env.physics.jit import loop
 from tracked_env.plants import Ground
-from tracked_env.sensor_draws import longest_delay_steps
-from tracked_env.sensors import ADDED
-
-NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle and channel
-_RUNNING = (  # attributes that change while episodes run
-    "written", "_sigma", "_bias", "_sample", "_noise", "_past", "_streams", "_scans",
-)  # fmt: skip
-_TRUE = {
-    **{name: b.STATE + row for row, name in enumerate(STATE_NAMES)},
-    **{name: b.PARAMETERS + row for name, row in PARAMETER_INDEX.items()},
-}
-Values = NDArray[np.float64]
 
 
-class _Named(Mapping[str, Values]):
-    """Arrays by name, each made when it is asked for."""
+@loop
+def _gather(written, delivered, rows, sources, scale, known):
+    """SI values known (n, K) of fields of V0, `sources` below SIZE, and of delivered samples."""
+    for k in range(rows.size):
+        for j in range(sources.size):
+            source = sources[j]
+            if source < written.shape[1]:
+                known[k, j] = np.float64(written[rows[k], source]) * scale[source]
+            else:
+                known[k, j] = delivered[k, source - written.shape[1]]
 
-    def __init__(self, columns: Mapping[str, int], read: Callable[[int], Values]) -> None:
-        self._columns, self._read = columns, read
 
-    def __getitem__(self, name: str) -> Values:
-        return self._read(self._columns[name])
+@loop
+def _show(written, delivered, shown, rows, sources, scale, bound, out):
+    """Write out (N, D): fields of V0 as they are, samples and shown values scaled and clipped.
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
-
-    def __len__(self) -> int:
-        return len(self._columns)
+    sources (D,): column in written, delivered and shown side by side.
+    """
+    own, later = written.shape[1], written.shape[1] + delivered.shape[1]
+    for k in range(rows.size):
+        i = rows[k]
+        for d in range(sources.size):
+            source = sources[d]
+            if source < own:
+                out[i, d] = written[i, source]
+            else:
+                value = delivered[k, source - own] if source < later else shown[k, source - later]
+                out[i, d] = min(max(value / scale[d], -bound[d]), bound[d])
 
 
 class Composer:
@@ -64,37 +63,40 @@ class Composer:
     def __init__(self, layout: obs.Layout, count: int, control_period: float) -> None:
         self.layout = layout
         self.written: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
-        for name in layout.channels:
-            if name not in ADDED:
-                raise ValueError(f"no sensor channel {name!r}; registered are {sorted(ADDED)}")
-        clocks = [GROUPS.index(ADDED[name].group) for name in layout.channels]
-        self._clocks = np.array(clocks, dtype=np.int64)  # sampling group of each channel
-        copied = [name for name in layout.names if name in obs.INDEX]
-        self._to = layout.columns(copied)
-        self._from = obs.V0.columns(copied)
-        self._columns = {
-            group.name: layout.columns([field.name for field in group.fields])
-            for group in layout.parts
-        }
-        self._scale = np.array([field.scale for field in layout.fields])
-        self._bound = layout.bound.astype(np.float64)
-        slots = longest_delay_steps(control_period) + 1 if layout.channels else 0
-        shape = (count, len(layout.channels))
-        self._sigma, self._bias, self._sample = np.zeros((3, *shape))
-        self._noise = np.zeros((*shape, NOISE_BLOCK))
-        self._past = np.zeros((count, slots, len(layout.channels)))
-        self._streams: list[list[np.random.Generator]] = [[] for _ in range(count)]
+        self._channels = AddedChannels(layout.channels, count, control_period)
         scans = {group.name: group.scan for group in layout.parts if group.scan}
         self._scans = {name: HeightScan(name, points, count) for name, points in scans.items()}
+        # What fields are made of: columns in `written`, delivered and shown, side by side.
+        self._places = {name: k for k, name in enumerate((*obs.NAMES, *layout.channels))}
+        self._computed: list[tuple[Group, slice, NDArray[np.int64]]] = []
+        first, sources = 0, list[int]()
+        for group in layout.parts:
+            made = bool(group.values or group.compiled or group.scan)
+            for field in group.fields:
+                sources.append(self._places[field.name] if not made else len(self._places) + first)
+                first += 1 if made else 0
+            if made:
+                read = np.array([self._places[name] for name in group.reads], dtype=np.int64)
+                own = slice(first - len(group.fields), first)
+                self._computed.append((group, own, read))
+        self._sources = np.array(sources, dtype=np.int64)
+        self._scale, self._bound = layout.scale, layout.bound.astype(np.float64)
+        # Of the rows in hand, overwritten in every step:
+        self._delivered = np.zeros((count, len(layout.channels)))
+        self._shown = np.zeros((count, first))
 
     def snapshot(self) -> dict[str, Any]:
         """All that changes while episodes run, as plain data. `resume` goes on from it."""
-        return copy.deepcopy({name: getattr(self, name) for name in _RUNNING})
+        scans = {name: scan.running for name, scan in self._scans.items()}
+        now = {"written": self.written, "channels": self._channels.running, "scans": scans}
+        return copy.deepcopy(now)
 
     def resume(self, snapshot: Mapping[str, Any]) -> None:
         """Go on from what `snapshot` returned, of the same layout and count."""
-        for name in _RUNNING:
-            setattr(self, name, copy.deepcopy(snapshot[name]))
+        given = copy.deepcopy(dict(snapshot))
+        self.written, self._channels.running = given["written"], given["channels"]
+        for name, scan in self._scans.items():
+            scan.running = given["scans"][name]
 
     def start(
         self,
@@ -108,87 +110,56 @@ class Composer:
 
         ground: of the plant; None is level.
         """
-        for i, episode in zip(rows, episodes, strict=True):
-            streams = [
-                np.random.Generator(
-                    np.random.SFC64([episode.noise_seed, zlib.crc32(name.encode())])
-                )
-                for name in self.layout.channels
-            ]
-            self._streams[i] = streams
+        for i, episode in zip(rows.tolist(), episodes, strict=True):
+            self._channels.start(i, episode)
             for scan in self._scans.values():
                 scan.start(i, episode)
-            for k, (_name, sigma, bias) in enumerate(episode.sensors.added):
-                self._sigma[i, k] = sigma
-                self._bias[i, k] = -bias if streams[k].random() < 0.5 else bias
-        self.write(batch, out, rows, ground)
+        self.write(batch, out, rows, 0, rows.size, ground)
 
     def write(
         self,
         batch: b.Batch,
         out: NDArray[np.float32],
-        rows: NDArray[np.int64],
+        chosen: NDArray[np.int64],
+        start: int,
+        stop: int,
         ground: Ground | None,
     ) -> None:
-        """Write what is seen of `rows` now into out (N, D)."""
-        if not rows.size:
+        """Write what is seen of vehicles chosen[start:stop] now into out (N, D).
+
+        Threads may write other vehicles at the same time.
+        """
+        if start >= stop:
             return
-        out[rows[:, None], self._to] = self.written[rows[:, None], self._from]
-        delivered = self._deliver(batch, rows) if self.layout.channels else np.zeros((0, 0))
-        count = len(delivered)
-
-        def known(column: int) -> Values:
-            if column < count:
-                return delivered[column]
-            field = column - count
-            return self.written[rows, field].astype(np.float64) * obs.SCALE[field]
-
-        names = {name: k for k, name in enumerate((*self.layout.channels, *obs.NAMES))}
-        seen = _Named(names, known)
-        for group in self.layout.parts:
-            if group.name in obs.V0.groups:
-                continue
-            values: Mapping[str, Any] = seen if group.values is None else group.values(seen)
+        rows = chosen[start:stop]
+        delivered, shown = self._delivered[start:stop], self._shown[start:stop]
+        if self._channels.names:
+            self._channels.deliver(batch, rows, delivered)
+        for group, own, read in self._computed:
+            values = shown[:, own]
             if group.name in self._scans:
-                heights = self._scans[group.name].read(batch, rows, ground)
-                values = {f.name: heights[:, k] for k, f in enumerate(group.fields)}
-            columns = self._columns[group.name]
-            shown = np.empty((rows.size, len(columns)))
-            for k, field in enumerate(group.fields):
-                shown[:, k] = _checked(group.name, values, field.name, rows.size)
-            bound = self._bound[columns]
-            out[rows[:, None], columns] = np.clip(shown / self._scale[columns], -bound, bound)
+                self._scans[group.name].read(batch, rows, ground, values)
+            elif group.compiled is not None:
+                known = np.empty((rows.size, read.size))
+                _gather(self.written, delivered, rows, read, obs.SCALE, known)
+                group.compiled(known, values)
+            else:
+                self._computed_in_python(group, rows, delivered, values)
+        _show(
+            self.written, delivered, shown, rows, self._sources, self._scale, self._bound, out
+        )  # fmt: skip
 
-    def _deliver(self, batch: b.Batch, rows: NDArray[np.int64]) -> Values:
-        """The samples of the registered channels that have arrived, (channels, rows)."""
-        floats, counters = batch.floats, batch.counters
-        steps, slots = counters[rows, b.STEP], self._past.shape[1]
-        for i in rows[steps % NOISE_BLOCK == 0]:
-            for k, stream in enumerate(self._streams[i]):
-                self._noise[i, k] = stream.standard_normal(NOISE_BLOCK)
-        truth = _Named(_TRUE, lambda column: floats[rows, column])
-        exact = np.empty((rows.size, len(self._clocks)))
-        for k, name in enumerate(self.layout.channels):
-            of_truth = ADDED[name].truth
-            assert of_truth is not None
-            exact[:, k] = _checked("truth", {name: of_truth(truth)}, name, rows.size)
-        each, now = rows[:, None], steps[:, None]
-        noise = self._noise[rows, :, steps % NOISE_BLOCK]
-        measured = exact + self._bias[rows] + self._sigma[rows] * noise
-        fresh = floats[each, b.SAMPLE + CHANNEL_COUNT + self._clocks] == now
-        sample = np.where(fresh, measured, self._sample[rows])
-        self._sample[rows] = sample
-        self._past[rows, steps % slots] = sample
-        past = np.maximum(now - counters[each, b.DELAY + self._clocks], 0)
-        delivered: Values = self._past[each, past % slots, np.arange(exact.shape[1])].T
-        return delivered
+    def _computed_in_python(
+        self, group: Group, rows: NDArray[np.int64], delivered: Values, shown: Values
+    ) -> None:
+        """The fields of a group from its function `values`."""
 
+        def known(place: int) -> Values:
+            if place >= obs.SIZE:
+                return delivered[:, place - obs.SIZE].copy()
+            return self.written[rows, place].astype(np.float64) * obs.SCALE[place]
 
-def _checked(source: str, values: Mapping[str, Any], name: str, count: int) -> Values:
-    """One of `values`, () or (count,). Raises ValueError where it is missing or misshapen."""
-    if name not in values:
-        raise ValueError(f"{source}: no value of {name!r}; there are {sorted(values)}")
-    value = np.asarray(values[name], dtype=np.float64)
-    if value.shape not in ((), (count,)):
-        raise ValueError(f"{source} of {name!r} has shape {value.shape}; must be ({count},)")
-    return value
+        assert group.values is not None
+        values = group.values(Named(self._places, known))
+        for k, field in enumerate(group.fields):
+            shown[:, k] = checked(group.name, values, field.name, rows.size)

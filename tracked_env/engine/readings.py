@@ -10,6 +10,11 @@ from tracked_env.physics.state import STATE_NAMES
 SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
 
 
+def ending_flags(failures: tuple[str, ...]) -> list[str]:
+    """Names of the flags of `info` for a plant that can fail so, `Plant.failures`."""
+    return [f"ended_{name}" for name in ("off_path", *failures)]
+
+
 class Readings:
     """Of the arrays `batch`, one row per vehicle."""
 
@@ -54,10 +59,12 @@ class Readings:
 
         failures: `Plant.failures`. A state that is not finite has no flag.
         """
-        over, code = self.terminated, self.batch.floats[:, b.FAILURE]
+        names, over = ending_flags(failures), self.terminated
+        if not np.count_nonzero(over):  # nearly always: nothing to look up
+            return {name: np.zeros_like(over) for name in names}
+        code = self.batch.floats[:, b.FAILURE]
         finite = np.isfinite(self.batch.state()).all(axis=1)
-        names = ("off_path", *failures)
-        return {f"ended_{name}": over & finite & (code == k) for k, name in enumerate(names)}
+        return {name: over & finite & (code == k) for k, name in enumerate(names)}
 
     def reference_position(self, i: int) -> NDArray[np.float64]:
         """(2,) position [m] of the reference of vehicle i now, world frame."""

@@ -181,6 +181,8 @@ class Simulation(Readings):
         if chosen is None and not refill and self.count < self._threads_from:
             result = self._call_kernel(*self._call)
             self._until_refill -= 1
+            if result < 0:
+                self._compose(self.all, 0, self.count)
         else:
             result = self._advance_chosen(self.all if chosen is None else chosen, refill)
         self.some_ended = result == SOME_ENDED
@@ -191,9 +193,6 @@ class Simulation(Readings):
                 f"action[{result}] = {self.actions[result].tolist()}; must be finite, in [-1, 1]. "
                 "Did the policy diverge, or divide by zero? No vehicle was moved."
             )
-        if self.composer is not None:
-            rows = self.all if chosen is None else chosen
-            self.composer.write(self.batch, self.observations, rows, self.solver.prepared.ground)
         return self.observations
 
     def _advance_chosen(self, chosen: NDArray[np.int64], refill: bool) -> int:
@@ -205,6 +204,8 @@ class Simulation(Readings):
             if refill:
                 self._refill(chosen)
             result = self._advance(self.actions, chosen, 0, size, True)
+            if result < 0:
+                self._compose(chosen, 0, size)
         self._until_refill -= 1
         if refill and size:
             self._until_refill = noise.steps_left(self.batch.counters, chosen)
@@ -251,6 +252,12 @@ class Simulation(Readings):
         out = self.observations if self.composer is None else self.composer.written
         return self._kernel(*self.batch, chosen, actions, out, start, stop, moving, *self._tail)
 
+    def _compose(self, chosen: NDArray[np.int64], start: int, stop: int) -> None:
+        """Observations of vehicles chosen[start:stop] in a layout that the kernels do not write."""
+        if self.composer is not None:
+            ground = self.solver.prepared.ground
+            self.composer.write(self.batch, self.observations, chosen, start, stop, ground)
+
     def _step_threaded(
         self, actions: NDArray[np.float32], chosen: NDArray[np.int64], refill: bool
     ) -> int:
@@ -263,7 +270,9 @@ class Simulation(Readings):
         def run(first: int, last: int) -> int:
             if refill:
                 self._refill(chosen[first:last])
-            return self._advance(actions, chosen, first, last, True)
+            result = self._advance(actions, chosen, first, last, True)
+            self._compose(chosen, first, last)
+            return result
 
         return min(self._threads.run(run, chosen.size))
 

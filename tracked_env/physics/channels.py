@@ -9,18 +9,16 @@ The yaw acceleration is the difference of two lateral accelerometers a distance 
 Accelerometers feel the specific force, f = a - g_vec in body axes: on a slope a part of gravity,
 and two lateral ones a distance apart also W_x W_y; on level ground f_x, f_y are the accelerations.
 Model of one channel: measured = true + coupling (other axis) + bias + sigma n, n ~ N(0, 1).
-`TABLE` says all of a channel but its true value, which `signals` computes. Channels that are
-registered (`tracked_env.sensors.register`) carry their true value as a function.
+`TABLE` and `ATTITUDE` say all of a channel but its true value, which `signals` and
+`attitude_signals` compute. Channels that are registered (`tracked_env.sensors.register`) carry
+their true value as a function.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187, section 5.2.
 """
 
 from collections.abc import Callable, Mapping
-from operator import itemgetter
 from types import MappingProxyType
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from tracked_env.physics import state as rows
 from tracked_env.physics.elementary import rotation
@@ -42,11 +40,6 @@ class Channel(NamedTuple):
     # and {preset: {field: value}}; what a preset does not name is 0.
     truth: Callable[[Mapping[str, Any]], Any] | None = None
     presets: Mapping[str, Mapping[str, float]] = MappingProxyType({})
-
-
-def _specific_force_z(truth: Mapping[str, Any]) -> Any:
-    """f_z = a_z + g cos(pitch) cos(roll) [m/s^2]."""
-    return truth["acceleration_z"] + GRAVITY * np.cos(truth["pitch"]) * np.cos(truth["roll"])
 
 
 GROUPS = ("pose", "inertial", "drive")
@@ -75,20 +68,12 @@ TABLE = (
 # Of the attitude, sampled where an observation shows them: roll and pitch err as the yaw of the
 # same INS does, the gyros and accelerometers as those of TABLE.
 ATTITUDE = (
-    Channel("roll", "inertial", "rad", "yaw_noise", truth=itemgetter("roll")),
-    Channel("pitch", "inertial", "rad", "yaw_noise", truth=itemgetter("pitch")),
-    Channel(
-        "roll_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias", truth=itemgetter("roll_rate")
-    ),
-    Channel(
-        "pitch_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias",
-        truth=itemgetter("pitch_rate"),
-    ),
-    Channel(
-        "specific_force_z", "inertial", "m/s^2", "acceleration_noise", "acceleration_bias",
-        truth=_specific_force_z,
-    ),
-)  # fmt: skip
+    Channel("roll", "inertial", "rad", "yaw_noise"),
+    Channel("pitch", "inertial", "rad", "yaw_noise"),
+    Channel("roll_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias"),
+    Channel("pitch_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias"),
+    Channel("specific_force_z", "inertial", "m/s^2", "acceleration_noise", "acceleration_bias"),
+)
 CHANNELS = tuple(channel.name for channel in TABLE)
 CHANNEL_COUNT = len(CHANNELS)
 # Channels of group g: GROUP_START[g] .. GROUP_START[g + 1]; the table is sorted by group.
@@ -132,4 +117,21 @@ def signals(state, i, sprocket_radius, cross_coupling, velocity):
         state[i, rows.SPROCKET_SPEED_RIGHT],
         state[i, rows.EFFORT_LEFT] * sprocket_radius,
         state[i, rows.EFFORT_RIGHT] * sprocket_radius,
+    )
+
+
+@formula
+def attitude_signals(state, i):
+    """Noise-free value of every channel of ATTITUDE of vehicle i, in its order.
+
+    state: as of `signals`. The vertical accelerometer feels f_z = a_z + g cos(pitch) cos(roll).
+    """
+    pitch, roll = state[i, rows.PITCH], state[i, rows.ROLL]
+    upright = rotation(pitch)[0] * rotation(roll)[0]
+    return (
+        roll,
+        pitch,
+        state[i, rows.ROLL_RATE],
+        state[i, rows.PITCH_RATE],
+        state[i, rows.ACCELERATION_Z] + GRAVITY * upright,
     )

@@ -8,10 +8,10 @@ Where the speeds of the belts are given there is nothing to eliminate.
 
 from typing import NamedTuple
 
-from tracked_env.physics.contact_totals import Drag, Wrench
+from tracked_env.physics.contact_totals import Drag
 from tracked_env.physics.jit import formula
 from tracked_env.physics.patch_dynamics import Belts, driving_torque
-from tracked_env.physics.rigid_body import factors, solved
+from tracked_env.physics.rigid_body import factors, solved, summed
 
 NO_BELTS = Belts(0.0, 0.0)
 
@@ -63,24 +63,14 @@ def _on(c, twist):
 
 
 @formula
-def _pushed_by(wrench, c, amount):
-    """wrench + amount c, of a belt's BeltDrag c."""
-    return Wrench(
-        wrench.x + amount * c.x, wrench.y + amount * c.y, wrench.z + amount * c.z,
-        wrench.roll + amount * c.roll, wrench.pitch + amount * c.pitch,
-        wrench.yaw + amount * c.yaw,
-    )  # fmt: skip
-
-
-@formula
 def solve(factored, kick, body, d, wrench, belts):
     """(twist, belts) y with (1 + d A) y = (M^-1 wrench, belts), belts included."""
     f, keep_left, keep_right = factored
     mass = body.drive.inverse_belt_mass
     if mass == 0.0:
         return solved(f, wrench), NO_BELTS
-    wrench = _pushed_by(wrench, kick.left, d * keep_left * belts.left)
-    wrench = _pushed_by(wrench, kick.right, d * keep_right * belts.right)
+    wrench = summed(wrench, kick.left, d * keep_left * belts.left)
+    wrench = summed(wrench, kick.right, d * keep_right * belts.right)
     twist = solved(f, wrench)
     left = keep_left * (belts.left + d * mass * _on(kick.left, twist))
     right = keep_right * (belts.right + d * mass * _on(kick.right, twist))

@@ -173,7 +173,7 @@ def at_point(v, x, y, z):
 
 @formula
 def summed(a, b, factor):
-    """a + factor b, of wrenches."""
+    """a + factor b; a: Wrench, b: Wrench or anything with its six components."""
     return Wrench(
         a.x + factor * b.x, a.y + factor * b.y, a.z + factor * b.z,
         a.roll + factor * b.roll, a.pitch + factor * b.pitch, a.yaw + factor * b.yaw,

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.engine.columns import Batch
 from tracked_env.physics.parameters import PlantParameters, SoilParameters
 from tracked_env.physics.state import VehicleState
 
@@ -42,13 +43,14 @@ class Ground(NamedTuple):
 
     place: (floats, rows) completes the states of these rows of the batch, in place of `start`.
     heights: (floats, rows, x, y) -> heights [m] (n, M) at places (n, M) [m] on the ground of rows.
-    loads: (floats, row) -> normal load [N] (2, 1, 1) of the left and the right track.
+    loads: (batch, row) -> normal load [N] of each patch (2, nx, ny): left and right track, from the
+    rear to the front, from the right to the left edge of the track. For pictures: computed anew.
     centre_height: (parameters) -> [m] of the centre of mass over the underside, on level ground.
     """
 
     place: Callable[[Floats, NDArray[np.int64]], None]
     heights: Callable[[Floats, NDArray[np.int64], Floats, Floats], Floats]
-    loads: Callable[[Floats, int], Floats]
+    loads: Callable[[Batch, int], Floats]
     centre_height: Callable[[PlantParameters], float]
     tilt_limit: float  # [rad] between the up axis and the vertical, beyond which an episode ends
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from tracked_env.engine import columns as b
 from tracked_env.engine.columns import Batch
-from tracked_env.engine.kernels import advance_blocks, hold_blocks
+from tracked_env.engine.kernels import Block, Pace, advance_blocks, hold_blocks
 from tracked_env.physics import ground_contact as g
 from tracked_env.physics import state as s
 from tracked_env.physics import terrain_motion, vehicle
@@ -60,8 +60,6 @@ from tracked_env.plants.terrain_options import (
 )
 from tracked_env.plants.terrain_state import (
     FAILURES,
-    LOAD_LEFT,
-    LOAD_RIGHT,
     OWN_COLUMNS,
     RELIEF,
     RESISTANCE_LEFT,
@@ -206,6 +204,20 @@ def hold(*call):
 
 
 @loop
+def settle(
+    floats, counters, profile, events, noise, history, period,
+    held, reliefs, columns, rows, made, by_torque, uniform, per_patch,
+):  # fmt: skip
+    """Settle vehicle 0 of a batch; returns the load [N] of each patch (2, rows, columns)."""
+    scratch = np.empty((g.SCRATCH_ROWS, g.LANES))
+    batch = Batch(floats, counters, profile, events, noise, history)
+    rest = (held, reliefs, columns, rows, made, by_torque, uniform, per_patch)
+    _move(batch, scratch, Block(np.zeros(1, dtype=np.int64), 0, 1), Pace(0, 0.0, period), rest)
+    found = scratch[g.LOAD, : 2 * rows.size * columns.size].copy()
+    return found.reshape(2, rows.size, columns.size)
+
+
+@loop
 def motion_resistances(floats, i):
     """Motion resistance [N] of the left and the right track of vehicle i."""
     return floats[i, RESISTANCE_LEFT], floats[i, RESISTANCE_RIGHT]
@@ -235,8 +247,12 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     def heights(floats: Floats, chosen: NDArray[np.int64], x: Floats, y: Floats) -> Floats:
         return ground_at(pool.reliefs, floats, RELIEF, chosen, x, y)[:, 0]
 
-    def loads(floats: Floats, row: int) -> Floats:
-        return floats[row, [LOAD_LEFT, LOAD_RIGHT]].reshape(2, 1, 1)
+    def loads(batch: Batch, row: int) -> Floats:
+        own = b.allocate(1, 1, OWN_COLUMNS)._replace(
+            floats=batch.floats[[row]], counters=batch.counters[[row]], events=batch.events[[row]]
+        )  # a copy of the row: nothing of the episode changes
+        along = np.argsort(columns)  # from the rear to the front
+        return settle(*own, 0.0, *chosen)[:, :, along].transpose(0, 2, 1)
 
     def centre_height(p: PlantParameters) -> float:
         return float(height_at_rest(p, made))

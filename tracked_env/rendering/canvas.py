@@ -44,6 +44,7 @@ SOIL_SCALE = colour_scale((253, 251, 246), (240, 231, 212), (219, 199, 166), (18
 SLIP_SCALE = colour_scale(  # cividis
     (0, 34, 78), (53, 69, 108), (102, 105, 112), (148, 142, 119), (200, 184, 102), (254, 232, 56)
 )
+LOAD_SCALE = colour_scale((247, 247, 244), (190, 203, 217), (94, 129, 172), (32, 55, 104))
 SLIP_LOW, SLIP_DECADES = 1e-3, 3.0  # [-] the slip scale is logarithmic, 0.1 % to 100 %
 
 
@@ -52,6 +53,12 @@ def slip_colour(slip: float) -> Colour:
     share = np.log10(max(abs(slip), SLIP_LOW) / SLIP_LOW) / SLIP_DECADES
     r, g, b = SLIP_SCALE[min(int(256 * share), 255)].tolist()
     return r, g, b
+
+
+def load_colours(loads: NDArray[np.float64], full: float) -> Bytes:
+    """Colours (..., 3) of normal loads (...) [N]; full [N]: end of the scale."""
+    share = np.clip(np.nan_to_num(loads) / full, 0.0, 1.0)
+    return LOAD_SCALE[(255.0 * share).astype(np.uint8)]
 
 
 def shaded(colour: Colour) -> Colour:

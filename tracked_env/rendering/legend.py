@@ -55,7 +55,7 @@ def draw(
     if zoom is not None:
         _lengths(picture, text, y, zoom, shot.sizes)
     _soil_bar(picture, text, soil, shot, y)
-    _slip_bar(picture, text, y)
+    _slip_bar(picture, text, y, shot.loads is not None)
     lines = [*notices, shot.ending] if shot.ending else notices
     _notices(picture, text, lines)
 
@@ -116,10 +116,10 @@ def _soil_bar(picture: pygame.Surface, text: Text, soil: SoilMap, shot: Snapshot
     pygame.draw.polygon(picture, canvas.INK, [(tip, y + 32), (tip - 4, y + 39), (tip + 4, y + 39)])
 
 
-def _slip_bar(picture: pygame.Surface, text: Text, y: int) -> None:
-    """The colours of the tracks, logarithmic."""
+def _slip_bar(picture: pygame.Surface, text: Text, y: int, on_pads: bool) -> None:
+    """The colours of the tracks, logarithmic; on_pads: of their pads alone, loads are shown too."""
     x = 478
-    text.put(picture, "track: slip ratio, absolute [%]", x, y + 6, 11)
+    text.put(picture, f"{'pads' if on_pads else 'track'}: slip ratio, absolute [%]", x, y + 6, 11)
     decades = round(math.log10(1.0 / canvas.SLIP_LOW))
     width = 160
     bar = pygame.Rect(x + 4, y + 21, width, 9)

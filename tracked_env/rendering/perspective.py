@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from tracked_env.rendering import canvas, raster
 from tracked_env.rendering.canvas import Bytes, Colour
-from tracked_env.rendering.chase_camera import ChaseCamera
+from tracked_env.rendering.chase_camera import ChaseCamera, StandingCamera
 from tracked_env.rendering.landscape import Landscape, resampled
 from tracked_env.rendering.raster import Eye
 from tracked_env.rendering.scene import GHOST_REACH, footprint
@@ -28,24 +28,38 @@ EDGE = 70  # [-] of 765: brighter edges are softened
 
 
 class Picture:
-    """A picture in the making: colours, depth buffer and eye."""
+    """A picture in the making: colours and depth buffer."""
 
     def __init__(self, width: int, height: int) -> None:
         """Size in pixels."""
         self.colours: Bytes = np.empty((height, width, 3), dtype=np.uint8)
         self.inverse = np.zeros((height, width), dtype=np.float32)
+        self._spans = np.zeros((height, 2), dtype=np.int64)  # drawn on the ground, of each row
         self._soft: Bytes = np.empty_like(self.colours)
+        # Of ground that is shown again: colours, depth buffer, softened colours.
+        self._kept: tuple[Bytes, NDArray[np.float32], Bytes] | None = None
+
+    def keep(self) -> None:
+        """Keep the ground that has been drawn, for `restore`."""
+        raster.soften(self.colours, EDGE, self._soft)
+        self._kept = self.colours.copy(), self.inverse.copy(), self._soft.copy()
+
+    def restore(self) -> None:
+        """The ground as it was kept; what was drawn on it is gone."""
+        assert self._kept is not None
+        self.colours[:], self.inverse[:], self._soft[:] = self._kept
+        self._spans[:] = self.colours.shape[1], 0
 
     def ground(self, landscape: Landscape, eye: Eye) -> None:
         """Sky and ground; what was drawn before is gone."""
+        self._kept = None
         height = self.colours.shape[0]
         above = (eye.row - np.arange(height)) / height + 0.2
         share = np.clip(above / 0.8, 0.0, 1.0)[:, None]
         sky = np.array(HORIZON) + share * (np.array(ZENITH) - np.array(HORIZON))
-        self.colours[:] = np.round(sky).astype(np.uint8)[:, None]
         raster.trace(landscape.grid, eye, self.inverse)
-        haze = np.array(HORIZON, dtype=np.uint8)
-        raster.colour_ground(landscape.grid, eye, self.inverse, haze, self.colours)
+        haze, rows = np.array(HORIZON, dtype=np.uint8), np.round(sky).astype(np.uint8)
+        raster.colour_ground(landscape.grid, eye, self.inverse, haze, rows, self.colours)
 
     def polygons(
         self,
@@ -59,7 +73,7 @@ class Picture:
         count = starts.size - 1
         raster.fill_polygons(
             seen, starts, colours, np.full(count, opacity), np.full(count, bias),
-            self.inverse, self.colours,
+            self.inverse, self.colours, self._spans,
         )  # fmt: skip
 
     def quads(
@@ -90,7 +104,10 @@ class Picture:
 
     def softened(self) -> Bytes:
         """The finished colours (H, W, 3)."""
-        raster.soften(self.colours, EDGE, self._soft)
+        if self._kept is None:
+            raster.soften(self.colours, EDGE, self._soft)
+        else:
+            raster.soften_spans(self.colours, EDGE, self._spans, self._soft)
         return self._soft
 
 
@@ -104,12 +121,22 @@ class Perspective:
     """The perspective scene of one episode."""
 
     def __init__(
-        self, shot: Snapshot, terrain: TerrainSource, path: Points, interval: float
+        self,
+        shot: Snapshot,
+        terrain: TerrainSource,
+        path: Points,
+        interval: float,
+        standing: bool = False,
     ) -> None:
-        """path (P, 2) [m]: the whole reference; interval [m] between contour lines."""
+        """path (P, 2) [m]: the whole reference; interval [m] between contour lines.
+
+        standing: the eye keeps its place for as long as it sees the vehicle well.
+        """
         self._terrain = terrain
         self.landscape = Landscape(terrain, path, shot.sizes.length, interval)
-        self._camera = ChaseCamera(shot.state.yaw, shot.time)
+        camera = StandingCamera if standing else ChaseCamera
+        self._camera, self._standing = camera(shot.state.yaw, shot.time), standing
+        self._eye: Eye | None = None  # of the ground that is kept
         self._picture: Picture | None = None
 
     def draw(
@@ -131,13 +158,22 @@ class Perspective:
         pose = pose_of(shot.state, self._terrain)
         self._camera.follow(pose.yaw, shot.time)
         eye = self._camera.eye(pose, self.landscape, width, height)
-        self._picture.ground(self.landscape, eye)
+        if eye is not self._eye or refresh:
+            self._picture.ground(self.landscape, eye)
+            if self._standing:
+                self._eye = eye
+                self._picture.keep()
+        if self._standing:
+            self._picture.restore()
         self._shadow(self._picture, eye, pose, shot)
         for line, colour in lines:
             self._picture.line(eye, self.landscape, line, colour)
         self._reference(self._picture, eye, shot)
         slips = shot.state.slip_left, shot.state.slip_right
-        faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel)
+        loads = None
+        if shot.loads is not None:  # of the patches side by side
+            loads = canvas.load_colours(shot.loads.mean(axis=2), shot.load_shown)
+        faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel, loads)
         light = pose.axes.T @ np.array(self.landscape.light)
         seen = raster.project(eye, pose.place(faces.corners))
         self._picture.polygons(seen, faces.starts, faces.lit(light.tolist()))

@@ -135,10 +135,10 @@ def _lines(grid, eye, x, y, ahead, drop, along_x, along_y, slope_x, slope_y):
 
 
 @loop
-def colour_ground(grid, eye, inverse, haze, picture):
+def colour_ground(grid, eye, inverse, haze, sky, picture):
     """Colour the ground of a depth buffer: soil, brightness, grid and contour lines, haze.
 
-    haze (3,): colour of the far ground. Pixels of the sky stay as they are.
+    haze (3,): colour of the far ground; sky (H, 3): of each row where there is none.
     """
     rows, columns = inverse.shape
     per_step = 1.0 / grid.soil_step
@@ -146,6 +146,8 @@ def colour_ground(grid, eye, inverse, haze, picture):
         drop = (row + 0.5 - eye.row) / eye.focal
         for column in range(columns):
             if inverse[row, column] == 0.0:
+                for c in range(3):
+                    picture[row, column, c] = sky[row, c]
                 continue
             ahead = 1.0 / inverse[row, column]
             aside = (eye.column - (column + 0.5)) / eye.focal
@@ -203,8 +205,10 @@ def _plane(corners, first, last):
 
 
 @loop
-def fill_polygons(corners, starts, colours, opacity, bias, inverse, picture):
+def fill_polygons(corners, starts, colours, opacity, bias, inverse, picture, spans):
     """Draw convex polygons in space, hidden where the buffer holds something nearer.
+
+    spans (H, 2): first column, and that after the last one, that have been drawn in a row.
 
     corners (V, 3): column, row [px], 1/Z [1/m]; polygon k has those from starts[k] to
     starts[k + 1]; colours (K, 3), opacity (K,) in [0, 1], bias (K,) [-]: by this share of its
@@ -226,9 +230,10 @@ def fill_polygons(corners, starts, colours, opacity, bias, inverse, picture):
             left, right = _row_span(corners, first, last, middle)
             if left >= right:
                 continue
-            for column in range(
-                max(math.ceil(left - 0.5), 0), min(math.ceil(right - 0.5), columns)
-            ):
+            begin, end = max(math.ceil(left - 0.5), 0), min(math.ceil(right - 0.5), columns)
+            if begin < end:
+                spans[row, 0], spans[row, 1] = min(spans[row, 0], begin), max(spans[row, 1], end)
+            for column in range(begin, end):
                 value = (a + b * (column + 0.5) + c * middle) * (1.0 + bias[k])
                 if value < inverse[row, column]:
                     continue
@@ -250,6 +255,32 @@ def project(eye: Eye, points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([columns, rows, inverse], axis=-1)
 
 
+@formula
+def _soften_pixel(picture, row, column, threshold, out):
+    """One pixel of `soften`."""
+    rows, columns = picture.shape[:2]
+    inner = 0 < row < rows - 1 and 0 < column < columns - 1
+    here, edge = 0, False
+    if inner:
+        for c in range(3):
+            here += int(picture[row, column, c])
+        left = right = above = below = -here
+        for c in range(3):
+            left += int(picture[row, column - 1, c])
+            right += int(picture[row, column + 1, c])
+            above += int(picture[row - 1, column, c])
+            below += int(picture[row + 1, column, c])
+        most = max(max(abs(left), abs(right)), max(abs(above), abs(below)))
+        edge = most > threshold
+    for c in range(3):
+        value = int(picture[row, column, c])
+        if edge:
+            value = 4 * value + int(picture[row, column - 1, c])
+            value += int(picture[row, column + 1, c]) + int(picture[row - 1, column, c])
+            value = (value + int(picture[row + 1, column, c]) + 4) // 8
+        out[row, column, c] = value
+
+
 @loop
 def soften(picture, threshold, out):
     """A copy (H, W, 3) whose hard edges are averaged with their neighbours.
@@ -257,26 +288,19 @@ def soften(picture, threshold, out):
     A pixel counts as edge where its brightness (sum of three channels) differs by more than
     `threshold` from that of a neighbour.
     """
+    for row in range(picture.shape[0]):
+        for column in range(picture.shape[1]):
+            _soften_pixel(picture, row, column, threshold, out)
+
+
+@loop
+def soften_spans(picture, threshold, spans, out):
+    """The same of what has been drawn in `spans` (H, 2) and its neighbours alone."""
     rows, columns = picture.shape[:2]
     for row in range(rows):
-        for column in range(columns):
-            inner = 0 < row < rows - 1 and 0 < column < columns - 1
-            here, edge = 0, False
-            if inner:
-                for c in range(3):
-                    here += int(picture[row, column, c])
-                left = right = above = below = -here
-                for c in range(3):
-                    left += int(picture[row, column - 1, c])
-                    right += int(picture[row, column + 1, c])
-                    above += int(picture[row - 1, column, c])
-                    below += int(picture[row + 1, column, c])
-                most = max(max(abs(left), abs(right)), max(abs(above), abs(below)))
-                edge = most > threshold
-            for c in range(3):
-                value = int(picture[row, column, c])
-                if edge:
-                    value = 4 * value + int(picture[row, column - 1, c])
-                    value += int(picture[row, column + 1, c]) + int(picture[row - 1, column, c])
-                    value = (value + int(picture[row + 1, column, c]) + 4) // 8
-                out[row, column, c] = value
+        low, high = spans[row, 0], spans[row, 1]
+        for near in (row - 1, row + 1):
+            if 0 <= near < rows:
+                low, high = min(low, spans[near, 0]), max(high, spans[near, 1])
+        for column in range(max(low - 1, 0), min(high + 1, columns)):
+            _soften_pixel(picture, row, column, threshold, out)

@@ -28,7 +28,7 @@ SCENE_WIDTH, SCENE_HEIGHT = 680, 640  # [px]
 WIDTH, HEIGHT = SCENE_WIDTH + PANEL_WIDTH, SCENE_HEIGHT  # [px] of a picture
 PATH_STEP, PATH_POINTS = 0.05, 4000  # [s] between points of the path, and at most that many
 MODES = ("human", "rgb_array")
-VIEWS = ("top", "3d")
+VIEWS = ("top", "3d", "3d-standing")
 
 
 class _Stage:
@@ -58,8 +58,9 @@ class _Stage:
         self.panel = Panel(text, self.path, self.soil, 1.5 * length)
         self.memory = Memory(shot)
         self.perspective: Perspective | None = None
-        if view == "3d":
-            self.perspective = Perspective(shot, terrain or TerrainSource(), self.path, interval)
+        if view != "top":
+            source, standing = terrain or TerrainSource(), view == "3d-standing"
+            self.perspective = Perspective(shot, source, self.path, interval, standing)
         self.strip: TerrainStrip | None = None
         if terrain is not None:
             self.strip = TerrainStrip(text, terrain, self.path, length)
@@ -97,7 +98,8 @@ class Renderer:
         pixels_per_metre: zoom, by default 80 px for the contact length of the environment's
         vehicle, else 40 to 200 px for it; soil_parameter: the one that colours the ground, by
         default the first of the plant's `soil_map` that varies in the plane, else its first;
-        view: "top", from above, or "3d", from behind the vehicle; terrain: what the vehicle drives
+        view: "top", from above; "3d", from behind the vehicle, or "3d-standing", from places behind
+        it that change where it leaves the middle of the picture; terrain: what the vehicle drives
         on, shown with its relief and a strip below the scene; None: level ground without them.
         Raises ValueError for anything else; `draw` for a zoom that does not suit the vehicle.
         """
@@ -129,10 +131,9 @@ class Renderer:
         that does not suit the vehicle.
         """
         shot = take(simulation, row)
-        loads = None
         if self.terrain is not None and self.terrain.loads is not None:
-            loads = self.terrain.loads(simulation, row)
-        picture = self._compose(shot, loads)
+            shot = shot._replace(loads=self.terrain.loads(simulation, row))
+        picture = self._compose(shot)
         if self.render_mode == "rgb_array":
             return canvas.to_array(picture)
         self._show(picture)
@@ -150,7 +151,7 @@ class Renderer:
         self._text = canvas.Text()
         self._stage: _Stage | None = None
 
-    def _compose(self, shot: Snapshot, loads: NDArray[np.float64] | None) -> pygame.Surface:
+    def _compose(self, shot: Snapshot) -> pygame.Surface:
         if self._picture is None:
             self._picture = canvas.surface(*self.size)
         if self._stage is None or shot.episode is not self._stage.episode:
@@ -174,7 +175,7 @@ class Renderer:
         legend.draw(ground, self._text, stage.soil, shot, stage.memory.notices(), zoom)
         picture.blit(stage.panel.draw(shot, stage.memory, refresh, view), (SCENE_WIDTH, 0))
         if stage.strip is not None:
-            strip = stage.strip.draw(shot, done, loads, stage.soil.interval)
+            strip = stage.strip.draw(shot, done, stage.soil.interval)
             picture.blit(strip, (0, SCENE_HEIGHT))
         return picture
 

@@ -23,6 +23,7 @@ Outline = Sequence[tuple[float, float]]  # [m]
 
 # In contact lengths:
 PAD_PITCH = 0.08  # between two pads of a track
+PAD_SHARE, THIN_PAD_SHARE = 0.4, 0.2  # [-] of the pitch that is pad; where loads are shown
 BESIDE = 0.09  # from a track to the arrows of its forces
 GHOST_REACH = 50.0  # a reference farther away is not drawn
 MARGIN = 0.15  # of a sprite, around what it holds
@@ -72,6 +73,12 @@ class Brush:
     def area(self, points: Outline, colour: Colour) -> None:
         """A filled polygon."""
         pygame.draw.polygon(self._target, colour, self.place(points).tolist())
+
+    def areas(self, corners: Points, colours: canvas.Bytes) -> None:
+        """Filled polygons, corners (K, C, 2) in the frame, colours (K, 3)."""
+        pixels = self._camera.pixels(corners.reshape(-1, 2) @ self._rotation + self._origin)
+        for outline, colour in zip(pixels.reshape(corners.shape), colours, strict=True):
+            pygame.draw.polygon(self._target, colour.tolist(), outline.tolist())
 
     def stroke(self, points: Outline, colour: Colour, width: float, closed: bool = False) -> None:
         """A line of that width [contact lengths] with round joints."""
@@ -173,8 +180,12 @@ def _body(brush: Brush, shot: Snapshot, travel: Sequence[float]) -> None:
     inner = max(middle - 0.5 * p.track_width - gap, gap)
     for x in (-0.6 * half, 0.6 * half):  # suspension
         brush.area(chamfered(x - axle, x + axle, middle, 0.0), canvas.INK)
-    _track(brush, middle, p, state.slip_left, travel[0])
-    _track(brush, -middle, p, state.slip_right, travel[1])
+    slips = state.slip_left, state.slip_right
+    for side, y in enumerate((middle, -middle)):
+        loads = None
+        if shot.loads is not None:
+            loads = canvas.load_colours(shot.loads[side], shot.load_shown)
+        _track(brush, y, p, slips[side], travel[side], loads)
     hull = chamfered(-0.95 * half, 1.02 * half, inner, 0.35 * inner)
     brush.area(hull, HULL)
     brush.stroke(hull, canvas.INK, PEN, True)
@@ -182,22 +193,46 @@ def _body(brush: Brush, shot: Snapshot, travel: Sequence[float]) -> None:
     brush.area([(0.88 * half, 0.0), (0.5 * half, 0.45 * inner), (0.5 * half, -0.45 * inner)], NOSE)
 
 
-def _track(brush: Brush, middle: float, p: PlantParameters, slip: float, travel: float) -> None:
-    """One track: coloured by its slip, with pads that run forward as the upper belt does."""
+def _track(
+    brush: Brush,
+    middle: float,
+    p: PlantParameters,
+    slip: float,
+    travel: float,
+    loads: canvas.Bytes | None,
+) -> None:
+    """One track: coloured by its slip, with pads that run forward as the upper belt does.
+
+    loads (nx, ny, 3): colours of the patches below it, which it takes; then narrow pads have the
+    colour of the slip.
+    """
     half, side = 0.5 * p.contact_length, 0.5 * p.track_width
     colour = canvas.slip_colour(slip)
-    pad_colour = canvas.shaded(colour)
+    pad_colour = canvas.shaded(colour) if loads is None else colour
+    share = PAD_SHARE if loads is None else THIN_PAD_SHARE
     cut = min(CHAMFER * brush.length, 0.3 * side, 0.3 * half)
     outline = chamfered(-half, half, side, cut, middle)
-    brush.area(outline, colour)
+    if loads is None:
+        brush.area(outline, colour)
+    else:
+        brush.areas(_cells(half, side, middle, loads.shape[:2]), loads.reshape(-1, 3))
     pitch = PAD_PITCH * brush.length
     count = int(p.contact_length / pitch) + 1
     for pad in range(count):
         rear = -half + (travel + pad * pitch) % (count * pitch)
-        front = min(rear + 0.4 * pitch, half)
+        front = min(rear + share * pitch, half)
         if rear < front:
             brush.area(chamfered(rear, front, side, 0.0, middle), pad_colour)
     brush.stroke(outline, canvas.INK, PEN, True)
+
+
+def _cells(half: float, side: float, middle: float, count: tuple[int, ...]) -> Points:
+    """Corners (nx ny, 4, 2) of the patches of a track, from the rear right one to the left."""
+    x = np.linspace(-half, half, count[0] + 1)
+    y = np.linspace(middle - side, middle + side, count[1] + 1)
+    nodes = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    quads = np.stack([nodes[:-1, :-1], nodes[1:, :-1], nodes[1:, 1:], nodes[:-1, 1:]], axis=2)
+    return quads.reshape(-1, 4, 2)
 
 
 def _forces(brush: Brush, shot: Snapshot) -> None:

@@ -12,8 +12,11 @@ from tracked_env.engine.episode import Episode
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.state import VehicleState
+from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants import Drive, Plant
 from tracked_env.rendering.sizes import Sizes, sizes_of
+
+LOAD_SHARE = 4.0  # [-] times the mean load of a patch at rest: end of the scale of loads
 
 
 class Pose(NamedTuple):
@@ -48,11 +51,19 @@ class Snapshot(NamedTuple):
     plant: Plant
     drive: Drive  # what the action is
     reads: frozenset[str]  # parameters that matter to the motion
+    # [N] normal load of each patch (2, nx, ny), as `terrain_source.TerrainSource` has it, if known.
+    loads: NDArray[np.float64] | None = None
 
     @property
     def pose(self) -> Pose:
         """Of the vehicle."""
         return Pose(self.state.x, self.state.y, self.state.yaw)
+
+    @property
+    def load_shown(self) -> float:
+        """[N] of a patch at the end of the scale of loads: LOAD_SHARE times the mean at rest."""
+        patches = 2 if self.loads is None else self.loads.size
+        return LOAD_SHARE * self.parameters.mass * GRAVITY / patches
 
     @property
     def sizes(self) -> Sizes:

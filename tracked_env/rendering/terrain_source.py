@@ -73,11 +73,11 @@ class PlantGround:
         return found.reshape(np.shape(x))
 
 
-def _track_loads(simulation: Simulation, row: int) -> FloatArray:
-    """(2, 1, 1) normal load [N] of the left and the right track."""
+def _patch_loads(simulation: Simulation, row: int) -> FloatArray:
+    """(2, nx, ny) normal load [N] of each patch of the left and the right track."""
     ground = simulation.solver.prepared.ground
     assert ground is not None
-    return ground.loads(simulation.batch.floats, row)
+    return ground.loads(simulation.batch, row)
 
 
 def source_of(simulation: Simulation, row: int) -> TerrainSource | None:
@@ -86,7 +86,7 @@ def source_of(simulation: Simulation, row: int) -> TerrainSource | None:
     if ground is None:
         return None
     height = ground.centre_height(simulation.solver.nominal)
-    return TerrainSource(PlantGround(simulation, row), _track_loads, ground.tilt_limit, height)
+    return TerrainSource(PlantGround(simulation, row), _patch_loads, ground.tilt_limit, height)
 
 
 class BodyPose(NamedTuple):

@@ -27,10 +27,8 @@ _RADIUS = 46  # [px] of a dial
 _MARGIN = 0.15  # [-] of the range of heights, above and below the profile
 _FLATTEST = 0.25  # [contact lengths] range of heights that is shown at least
 _POINTS = 400  # [-] of the profile
-_MEAN_SHARE = 4.0  # [-] times the mean load of a patch at rest: end of the scale
 _LONGEST = 1.3  # [contact lengths] width of a silhouette at most
 _NEAR_LIMIT = 0.8  # [-] of the tilt limit, from which tilt is written in vermillion
-LOAD_SCALE = canvas.colour_scale((247, 247, 244), (190, 203, 217), (94, 129, 172), (32, 55, 104))
 EARTH: Colour = (219, 199, 166)
 
 
@@ -56,18 +54,16 @@ class TerrainStrip:
         self._range = low, high
         self._length = length
 
-    def draw(
-        self, shot: Snapshot, done: int, loads: FloatArray | None, interval: float
-    ) -> pygame.Surface:
+    def draw(self, shot: Snapshot, done: int, interval: float) -> pygame.Surface:
         """The strip now.
 
-        done: points of the path that are past; loads (2, nx, ny) [N]; interval [m] of contours.
+        done: points of the path that are past; interval [m] of contours.
         """
         self.surface.fill(canvas.PAPER)
         pygame.draw.line(self.surface, canvas.RULE, (0, 0), (WIDTH, 0))
         pose = pose_of(shot.state, self._terrain)
         self._profile(pose, done, interval)
-        self._loads(shot, loads)
+        self._loads(shot)
         self._tilt(pose, shot)
         return self.surface
 
@@ -108,20 +104,21 @@ class TerrainStrip:
         label = f"heights [m] x{steeper:.1f}; contour lines every {interval:g} m"
         put(self.surface, label, box.centerx, below, 10, canvas.MUTED, align=0.5)
 
-    def _loads(self, shot: Snapshot, loads: FloatArray | None) -> None:
+    def _loads(self, shot: Snapshot) -> None:
+        loads = shot.loads
         left, right = _LOADS
         self._heading("NORMAL LOADS", left.x - 52, right.right + 34)
         put = self._text.put
         if loads is None:
             put(self.surface, "not known", left.right + 10, 72, 11, canvas.MUTED, align=0.5)
             return
-        full = _MEAN_SHARE * shot.parameters.mass * 9.81 / loads.size
+        full = shot.load_shown
         for box, patches in zip(_LOADS, loads, strict=True):
             self.surface.blit(load_picture(patches, full, box.size), box)
             pygame.draw.rect(self.surface, canvas.MUTED, box, 1)
             total = float(patches.sum())
             put(self.surface, _force(total), box.centerx, box.bottom + 4, 11, bold=True, align=0.5)
-        bar = pygame.transform.rotate(canvas.colour_bar(LOAD_SCALE, left.height, 8), 90)
+        bar = pygame.transform.rotate(canvas.colour_bar(canvas.LOAD_SCALE, left.height, 8), 90)
         self.surface.blit(bar, (left.x - 14, left.y))
         put(self.surface, "front", right.right + 6, right.y, 10, canvas.MUTED)
         put(self.surface, _force(full), left.x - 18, left.y - 4, 10, canvas.MUTED, align=1.0)
@@ -181,11 +178,10 @@ class TerrainStrip:
 def load_picture(patches: FloatArray, full: float, size: tuple[int, int]) -> pygame.Surface:
     """One track's loads (nx, ny) [N] from above, the front at the top; full [N]: scale's end."""
     seen = patches[::-1, ::-1]  # rear to front, right to left -> top to bottom, left to right
-    share = np.clip(np.nan_to_num(seen) / full, 0.0, 1.0)
     columns = np.arange(size[0]) * seen.shape[1] // size[0]
     rows = np.arange(size[1]) * seen.shape[0] // size[1]
     picture = canvas.surface(*size)
-    canvas.paint(picture, LOAD_SCALE[(255.0 * share).astype(np.uint8)][rows][:, columns])
+    canvas.paint(picture, canvas.load_colours(seen, full)[rows][:, columns])
     return picture
 
 

@@ -107,8 +107,18 @@ def _on_belt(p: PlantParameters, place: Points) -> Points:
     return np.stack([x, z], axis=1)
 
 
-def _belt(p: PlantParameters, middle: float, slip: float, travel: float) -> Faces:
-    """The belt of one track, coloured by its slip, with pads; travel [m] of the upper belt."""
+def _belt(
+    p: PlantParameters,
+    middle: float,
+    slip: float,
+    travel: float,
+    loads: NDArray[np.uint8] | None = None,
+) -> Faces:
+    """The belt of one track, coloured by its slip, with pads; travel [m] of the upper belt.
+
+    loads (nx, 3): colours of the loads from the rear to the front, which the belt above them
+    takes; then only its pads have the colour of the slip.
+    """
     around, pads = _around(p)
     length, half = p.contact_length, 0.5 * p.track_width
     pitch, arc = around / pads, 0.5 * math.pi * BELT * length
@@ -124,7 +134,12 @@ def _belt(p: PlantParameters, middle: float, slip: float, travel: float) -> Face
     corners[:, (1, 2), 0], corners[:, (1, 2), 2] = end[:, :1], end[:, 1:]
     corners[:, :2, 1], corners[:, 2:, 1] = middle - half, middle + half
     colour = canvas.slip_colour(slip)
-    colours = np.where(on_pad[:, None], canvas.shaded(colour), colour).astype(np.uint8)
+    if loads is None:
+        colours = np.where(on_pad[:, None], canvas.shaded(colour), colour).astype(np.uint8)
+    else:
+        share = 0.5 * (start + end)[:, 0] / length + 0.5  # 0 at the rear, 1 at the front
+        place = np.clip((share * len(loads)).astype(np.int64), 0, len(loads) - 1)
+        colours = np.where(on_pad[:, None], np.array(colour, dtype=np.uint8), loads[place])
     inside = np.tile([0.0, middle, 0.5 * BELT * length], (edges.size, 1))
     return Faces(corners.reshape(-1, 3), 4 * np.arange(edges.size + 1), colours, inside)
 
@@ -183,11 +198,19 @@ def _rigid(p: PlantParameters) -> Faces:
 
 
 def vehicle_faces(
-    p: PlantParameters, centre_height: float, slips: Sequence[float], travel: Sequence[float]
+    p: PlantParameters,
+    centre_height: float,
+    slips: Sequence[float],
+    travel: Sequence[float],
+    loads: NDArray[np.uint8] | None = None,
 ) -> Faces:
-    """All polygons in the body's frame; (left, right): slips [-] colour, travel [m] moves pads."""
+    """All polygons in the body's frame; (left, right): slips [-] colour, travel [m] moves pads.
+
+    loads (2, nx, 3): colours of the loads along both tracks; None: belts show the slip alone.
+    """
     sides = 0.5 * p.track_gauge, -0.5 * p.track_gauge
-    belts = [_belt(p, *side) for side in zip(sides, slips, travel, strict=True)]
+    under = (None, None) if loads is None else (loads[0], loads[1])
+    belts = [_belt(p, *side) for side in zip(sides, slips, travel, under, strict=True)]
     faces = joined([_rigid(p), *belts])
     down = np.array([0.0, 0.0, centre_height])
     return faces._replace(corners=faces.corners - down, inside=faces.inside - down)

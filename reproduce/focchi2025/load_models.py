@@ -88,7 +88,6 @@ def drive(
     starts: Sequence[tuple[float, float, float]],
     commands: str,
     damping: float = DAMPING["Table 2"],
-    duration: float = DURATION,
 ) -> OpenLoop:
     """8.1 from starts x, y [m], yaw [rad] on a terrain."""
     parameters = vehicle(friction=FRICTION)
@@ -96,7 +95,7 @@ def drive(
     rig = TerrainRig(parameters, options, len(starts))
     for row, start in enumerate(starts):
         rig.stand(*start, row)
-    time = SAMPLE * np.arange(round(duration / SAMPLE) + 1)
+    time = SAMPLE * np.arange(round(DURATION / SAMPLE) + 1)
     x, y, yaw = starts[0]
     reference = sample(profile_of(commands)._replace(x=x, y=y, yaw=yaw), time)
     sprockets = belts(parameters, reference.speed, reference.yaw_rate)

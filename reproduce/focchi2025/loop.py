@@ -80,7 +80,8 @@ def follow(
     """Drive one vehicle per profile from rest at `start` (x, y [m], yaw [rad]); plant: as many.
 
     start: None, from where the plant has them. rate [Hz] of control. shown: what the policy sees;
-    with the attitude the run has z, roll and pitch too. noise [rad/s]: sigma on the sprocket speeds, new at every control step.
+    with the attitude the run has z, roll and pitch too. noise [rad/s]: sigma on the sprocket
+    speeds, new at every control step.
     """
     count, steps, period = len(profiles), round(duration * rate), 1.0 / rate
     limit = parameters.sprocket_speed_limit

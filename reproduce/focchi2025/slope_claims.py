@@ -25,7 +25,8 @@ def load_claims(slopes: Slopes) -> list[Claim]:
         for commands in loads.COMMANDS:
             gaps, lengths = gap_of(slopes, ground.name, commands)
             parts += [
-                f"{commands}, heading {h:g}: {gap:.2f} m over {length:.2f} m ({percent(gap / length)})"
+                f"{commands}, heading {h:g}: {gap:.2f} m over {length:.2f} m "
+                f"({percent(gap / length)})"
                 for h, gap, length in zip(loads.HEADINGS, gaps, lengths, strict=True)
             ]
             near.append(abs(gaps[0] - PRINTED_GAP) < 0.5 and abs(lengths[0] - PRINTED_LENGTH) < 0.1)
@@ -42,8 +43,7 @@ def load_claims(slopes: Slopes) -> list[Claim]:
                 f"(median), {np.percentile(spread, 90):.2f} m (90 %)",
             )
         )
-    rates = {name: pair for name, pair in slopes.decay.items()}
-    printed, table = rates["as 8.1 prints"], rates["Table 2"]
+    printed, table = slopes.decay["as 8.1 prints"], slopes.decay["Table 2"]
     found.append(
         Claim(
             "8.1",
@@ -66,15 +66,15 @@ def load_claims(slopes: Slopes) -> list[Claim]:
             "moment about the centre of mass, which (13) leaves out (errata)",
         )
     )
-    ground = slopes.grounds[0].name
-    hilly = float(slopes.open_loop[ground, "(53)", "nonuniform"].balance[:, 0].std())
+    first = slopes.grounds[0].name
+    hilly = float(slopes.open_loop[first, "(53)", "nonuniform"].balance[:, 0].std())
     level = float(slopes.level.balance.std())
     found.append(
         Claim(
             "8.1",
             "gravity dominates the load, centrifugal forces are not visible",
             f"(left - right) / sum of the track loads, standard deviation: {hilly:.3f} on "
-            f"{ground}, {level:.3f} on level ground",
+            f"{first}, {level:.3f} on level ground",
             verdict(hilly > 2.0 * level),
             "(53) with 0.8 m/s and 0.6 rad/s; 2 v w h / (g B) = "
             f"{2.0 * loads.SPEED * loads.TURN * loads.HEIGHT / (9.81 * 0.606):.3f} in a turn",
@@ -88,8 +88,8 @@ def load_claims(slopes: Slopes) -> list[Claim]:
             f"{slopes.cost['uniform']:.1f} and {slopes.cost['nonuniform']:.1f} us, {ratio:.1f} "
             f"times as much ({PRINTED_COST:.0f} times)",
             "-",
-            f"2 x 40 patches, steps of 1 ms, {ground}, one core, least of several; shear takes most "
-            "of a step here, and one ray of a mesh there",
+            f"2 x 40 patches, steps of 1 ms, {first}, one core, least of several; here shear "
+            "takes most of a step, there the rays that find the mesh",
         )
     )
     return found
@@ -107,8 +107,8 @@ def stiffening_claims(slopes: Slopes) -> list[Claim]:
         f"{k_n * simulated[name, 'as coded']:.1f} in simulation"
         for name, pair in loads.PAIRS.items()
     )
-    soft = runs["fits", "per track"]
-    coded = runs["fits", "as coded"]
+    soft, coded = runs["fits", "per track"], runs["fits", "as coded"]
+    softer = loads.PER_AREA["as coded"] / loads.PER_AREA["per track"]
     return [
         Claim(
             "8.2, fig. 21",
@@ -122,17 +122,12 @@ def stiffening_claims(slopes: Slopes) -> list[Claim]:
         Claim(
             "8.2",
             "the vehicle pitches as the speed rises, since the front stiffens",
-            f"nose up by {-coded.pitch.min():.3f} rad; held at the top speed {-coded.held:.4f} rad, "
-            f"balance of force and moment {-coded.equilibrium:.4f} rad",
+            f"nose up by {-coded.pitch.min():.3f} rad; at a constant top speed {-coded.held:.4f} "
+            f"rad, balance of force and moment {-coded.equilibrium:.4f} rad",
             verdict(coded.pitch.min() < -0.01, coded.held < 0.0),
-            "K_t as coded, times the area of the track for every patch (errata). Read per track the "
-            f"ground is softer by {loads.PER_AREA['as coded'] / loads.PER_AREA['per track']:.1f}: "
-            f"nose up by {-soft.pitch.min():.2f} rad, "
-            + (
-                "the foremost patches leave the ground and "
-                if soft.raised
-                else "and "
-            )
+            "K_t as coded, times the area of the track for every patch (errata). Read per track "
+            f"the ground is softer by {softer:.1f}: nose up by {-soft.pitch.min():.2f} rad, "
+            + ("the foremost patches leave the ground and " if soft.raised else "and ")
             + f"{k_n * float(soft.stiffness.max()):.1f} kN/m is the most",
         ),
     ]

@@ -81,11 +81,11 @@ def drawings(results: Results) -> Drawings:
     return {
         "loads": (
             load_models(results.slopes),
-            "Figure 21 of the paper, left: open loop with both load models, mu = 0.6; (53), and the "
-            "reference of the authors' code, whose yaw rate falls linearly.",
+            "Figure 21 of the paper, left: open loop with both load models, mu = 0.6; (53), and "
+            "the reference of the authors' code, whose yaw rate falls linearly.",
         ),
         "stiffening": (
             stiffening(results.slopes),
-            "Figure 21 of the paper, right: stiffness of the foremost patches in contact, and pitch.",
+            "Figure 21 of the paper, right: stiffness of the foremost patches in contact; pitch.",
         ),
     }

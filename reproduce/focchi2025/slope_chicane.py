@@ -19,7 +19,7 @@ from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import chicane
-from reproduce.focchi2025.load_models import DURATION, FRICTION, HEIGHT, LOADS
+from reproduce.focchi2025.load_models import DURATION, FRICTION, HEIGHT
 from reproduce.focchi2025.loop import follow
 from reproduce.focchi2025.runs import LENGTHS, Floats, Run, vehicle
 from reproduce.focchi2025.uneven_ground import UnevenGround

@@ -22,6 +22,7 @@ from reproduce.focchi2025 import chicane
 from reproduce.focchi2025.load_models import DURATION, FRICTION, HEIGHT
 from reproduce.focchi2025.loop import follow
 from reproduce.focchi2025.runs import LENGTHS, Floats, Run, vehicle
+from reproduce.focchi2025.slope_identification import SPROCKET_LIMIT, model
 from reproduce.focchi2025.uneven_ground import UnevenGround
 from tracked_env import TERRAIN
 from tracked_env.observation import make_layout
@@ -33,7 +34,6 @@ from tracked_env.sensors import PRESETS
 
 SPEED, TURN, RATE = 0.6, 0.4, 200.0  # [m/s], [rad/s], [Hz]
 HEADINGS = (-2.9, 0.0)  # [rad] c_0, and that of the authors' code
-SPROCKET_LIMIT = 18.0  # [rad/s]
 KINDS = ("uc", "flat", "slope")
 
 
@@ -61,8 +61,8 @@ SHOWN = make_layout(TERRAIN["observation"])
 
 
 def cases(grounds: Sequence[UnevenGround]) -> list[SlopeCase]:
-    """What is driven: both headings on every ground; on the first one also uniform load and the
-    shorter contact length."""
+    """What is driven: both headings on every ground; on the first one also uniform load, and the
+    unicycle controller with the shorter contact length."""
     every = [
         SlopeCase(ground.name, kind, heading=heading)
         for ground in grounds
@@ -71,7 +71,7 @@ def cases(grounds: Sequence[UnevenGround]) -> list[SlopeCase]:
     ]
     first = [SlopeCase(grounds[0].name, kind) for kind in KINDS]
     every += [case._replace(load="uniform") for case in first]
-    return every + [case._replace(length=LENGTHS[0]) for case in first]
+    return [*every, first[0]._replace(length=LENGTHS[0])]
 
 
 def parameters_of(length: float) -> PlantParameters:
@@ -85,8 +85,8 @@ def policy(kind: str, load: str, length: float) -> SlippageAwarePolicy:
     sheet = DataSheet.of(PRESETS["ideal"])
     if kind == "uc":
         return UnicyclePolicy(parameters, period, data_sheet=sheet, observation=SHOWN.names)
-    model = identified_slip(parameters)
-    return SlippageAwarePolicy(parameters, period, model, data_sheet=sheet, observation=SHOWN.names)
+    slip = model(load, length) if kind == "slope" else identified_slip(parameters)
+    return SlippageAwarePolicy(parameters, period, slip, data_sheet=sheet, observation=SHOWN.names)
 
 
 def profile(place: tuple[float, float], heading: float) -> ReferenceProfile:

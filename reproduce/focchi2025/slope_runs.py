@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from reproduce.focchi2025 import load_models as loads
-from reproduce.focchi2025 import slope_chicane
+from reproduce.focchi2025 import slope_chicane, slope_identification
 from reproduce.focchi2025.load_models import LOADS, OpenLoop, Stiffening
 from reproduce.focchi2025.runs import Floats, Run, vehicle
 from reproduce.focchi2025.slope_chicane import SlopeCase
+from reproduce.focchi2025.slope_identification import SlopeIdentification
 from reproduce.focchi2025.uneven_ground import UnevenGround, authors_map, field
 from tracked_env.plants.terrain_rig import TerrainRig
 
@@ -32,6 +33,7 @@ class Slopes(NamedTuple):
     side: tuple[float, float]  # [-] balance on SIDE_SLOPE: plant, closed form
     stiffening: dict[tuple[str, str], Stiffening]  # PAIRS, PER_AREA
     cost: dict[str, float]  # [us] process time of a step of 1 ms by load
+    identification: SlopeIdentification
     closed_loop: dict[SlopeCase, Run]
 
 
@@ -87,8 +89,10 @@ def run_all(say: Callable[[str], None] = lambda text: None, file: Path | None = 
         for reading, per_area in loads.PER_AREA.items()
     }
     timed = cost(grounds[0])
+    say("section 4.5: slip on slopes")
+    found = slope_identification.run_all()
     say("section 8.3: chicane on slopes")
     closed = slope_chicane.drive(grounds, slope_chicane.cases(grounds))
     return Slopes(
-        missing, grounds, open_loop, level, spread, decay, side, stiffening, timed, closed
+        missing, grounds, open_loop, level, spread, decay, side, stiffening, timed, found, closed
     )

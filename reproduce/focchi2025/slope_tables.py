@@ -2,6 +2,7 @@
 
 from reproduce.focchi2025 import load_models as loads
 from reproduce.focchi2025 import slope_chicane as closed
+from reproduce.focchi2025 import slope_identification as ident
 from reproduce.focchi2025.results import Results
 from reproduce.focchi2025.uneven_ground import FRACTAL, slopes
 from reproduce.paper_page import Rows
@@ -64,7 +65,30 @@ def tracking_table(results: Results) -> Rows:
     return rows
 
 
+def slope_slip_table(results: Results) -> Rows:
+    """R^2 of slip on slopes."""
+    rows = [["slip model", "beta_left", "beta_right", "alpha"]]
+    for name, scores in results.slopes.identification.scores.items():
+        rows.append([name, *(f"{one:.4f}" for one in scores)])
+    return rows
+
+
+def side_slope_table(results: Results) -> Rows:
+    """alpha straight across slopes."""
+    rows = [["sprockets [rad/s]", *(f"grade {grade:g}" for grade in ident.GRADES)]]
+    found = results.slopes.identification.side_slip
+    for speed, alpha in zip(ident.STRAIGHT, found, strict=True):
+        rows.append([f"{speed:g}", *(f"{1e3 * abs(one):.2f}" for one in alpha)])
+    return rows
+
+
 TABLES = {
+    "Slip on slopes": (
+        slope_slip_table,
+        f"R^2 on {ident.PROBES} runs that no table has seen, nonuniform load, mu = 0.6; steps of "
+        "the tables in the grade.",
+    ),
+    "Straight across slopes": (side_slope_table, "Slip angle alpha in mrad, downhill."),
     "Grounds of section 8": (
         ground_table,
         f"|grad h| over 59 m x 59 m. The seeded field is a fractal (seed {FRACTAL['seed']}, "

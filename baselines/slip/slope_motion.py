@@ -8,7 +8,7 @@ turn, as long as its direction changes slowly against the time in which slip set
 
 State (STATE_SIZE): twist v_x, v_y, v_z, roll, pitch, yaw rate; n_x, n_y of the ground's normal in
 body axes; distance of the centre of mass from the ground along that normal. The model is that of
-`physics.terrain_motion`, springs, load transfer and all. Attitude: (pitch, roll), the yaw is 0.
+`physics.terrain_motion`, springs, load transfer and all. Attitude: (roll, pitch), the yaw is 0.
 
 References: [F] Focchi et al. (2025), section 4.5.
 """
@@ -30,6 +30,7 @@ from tracked_env.physics.tracked_body import body_of, set_soil
 
 NORMAL_X, NORMAL_Y, DISTANCE = 6, 7, 8
 STATE_SIZE = 9
+PLANAR, CONTACT = [0, 1, 5], [2, 3, 4, 6, 7, 8]  # v_x, v_y, yaw rate; and all the rest
 
 
 @formula
@@ -80,16 +81,16 @@ def _move(states, i, w, q, belts, steps, h, body):
 
 @loop
 def hold_on_slope(
-    states, start, attitude, sprockets, rows, columns, lines, made, uniform, steps, h,
+    states, attitude, sprockets, rows, columns, lines, made, uniform, steps, h,
     tolerance, most, taken,
 ):  # fmt: skip
     """Hold sprocket speeds (N, 2) [rad/s] on slopes: `most` times `steps` steps of h [s].
 
-    states (N, STATE_SIZE) in and out; start: begin with a contact at rest. attitude (N, 2) pitch,
-    roll [rad]. rows: PlantParameters (N, ...). columns, lines: middles of the patches, see
-    `ground_contact.place_patches`; made: numbers of `tracked_body.body_of`; uniform: load model.
-    A vehicle ends early when its motion changes by less than `tolerance` [m/s per s, of the outer
-    track]. taken (N,) [s] out: time held, or infinity where `most` ended before it was steady.
+    states (N, STATE_SIZE) in and out; a DISTANCE of 0 begins with a contact at rest. attitude
+    (N, 2) roll, pitch [rad]. rows: PlantParameters (N, ...). columns, lines: middles of the
+    patches, see `ground_contact.place_patches`; made: numbers of `tracked_body.body_of`; uniform:
+    load model. A vehicle ends early when its motion changes by less than `tolerance` [m/s^2, of
+    the outer track]. taken (N,) [s] out: time held, or infinity where it was not steady by then.
     """
     w = np.empty((g.SCRATCH_ROWS, g.padded(2 * columns.size * lines.size)))
     for i in range(states.shape[0]):
@@ -101,8 +102,8 @@ def hold_on_slope(
         )
         body = body_of(p, lanes, count, made, False, uniform)
         set_soil(w, 0, lanes, p, body.footing.patch_area)
-        pitch, roll = attitude[i, 0], attitude[i, 1]
-        if start:
+        roll, pitch = attitude[i, 0], attitude[i, 1]
+        if states[i, DISTANCE] == 0.0:
             _rest(states, i, body, math.cos(pitch) * math.cos(roll))
         q = quaternion_of(0.0, pitch, roll)
         belts = Belts(p.sprocket_radius * sprockets[i, 0], p.sprocket_radius * sprockets[i, 1])

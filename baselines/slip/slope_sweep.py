@@ -41,7 +41,7 @@ LOADS = ("nonuniform", "uniform")
 PATCHES = (10, 4)  # along, across a track
 
 
-def _middles(patches: tuple[int, int]) -> tuple[Array, Array]:
+def middles(patches: tuple[int, int]) -> tuple[Array, Array]:
     """Middles of the patches over half the contact length and over the track's width."""
     along, across = patches
     columns = 1.0 - (2.0 * np.arange(along) + 1.0) / along
@@ -50,10 +50,10 @@ def _middles(patches: tuple[int, int]) -> tuple[Array, Array]:
 
 
 def attitudes(grade: ArrayLike) -> Array:
-    """(N, 2) pitch, roll [rad] of a vehicle that feels the grade t (N, 2)."""
+    """(N, 2) roll, pitch [rad] of a vehicle that feels the grade t (N, 2)."""
     slopes = np.asarray(grade, dtype=np.float64).reshape(-1, 2)
     roll = -np.arctan(slopes[:, 1])
-    return np.stack([np.arctan(slopes[:, 0] * np.cos(roll)), roll], axis=1)
+    return np.stack([roll, np.arctan(slopes[:, 0] * np.cos(roll))], axis=1)
 
 
 def steady_on_slopes(
@@ -83,7 +83,7 @@ def steady_on_slopes(
     states[:, 5] = radius * (speeds[:, 1] - speeds[:, 0]) / parameters.track_gauge
     rows = np.tile(np.array(parameters, dtype=np.float64), (count, 1))
     hold_on_slope(
-        states, True, attitudes(grade), speeds, rows, *_middles(patches), made,
+        states, attitudes(grade), speeds, rows, *middles(patches), made,
         load == "uniform", STEPS, STEP, tolerance, most, taken,
     )  # fmt: skip
     motion = states[:, [0, 1, 5]]

@@ -119,7 +119,7 @@ def test_a_vehicle_on_ground_steeper_than_its_friction_has_no_steady_motion():
 def test_grade_and_attitude_are_inverse_and_have_the_sign_of_gravity_in_the_body():
     rng = np.random.default_rng(5)
     roll, pitch = rng.uniform(-1.0, 1.0, (2, 100))
-    np.testing.assert_allclose(attitudes(grades(roll, pitch)), np.stack([pitch, roll], axis=1))
+    np.testing.assert_allclose(attitudes(grades(roll, pitch)), np.stack([roll, pitch], axis=1))
     nose_down, left_up = grades(0.0, 0.1)[0], grades(0.1, 0.0)[0]
     assert nose_down[0] > 0.0  # gravity pulls forward
     assert left_up[1] < 0.0  # and to the right

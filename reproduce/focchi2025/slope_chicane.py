@@ -1,7 +1,8 @@
 """Section 8.3: the chicane F (53) in closed loop on uneven ground, figures 22 and 23.
 
 Both controllers take the pose error in the vehicle's plane, F (49) with the yaw counted once. The
-slippage-aware one has slip of level ground ("flat") or over the direction of gravity ("slope").
+slippage-aware one has slip of level ground ("flat") or over the direction of gravity: that of
+the load that acts ("slope"), or that of uniform load whatever acts ("uniform").
 c_0 = [15, 2, -2.9] m is read as a place and a heading: the mesh has no height of -2.9 m. mu = 0.6,
 0.6 m/s and 0.4 rad/s; control at 200 Hz. As (53) prints it the speed reaches 1.2 m/s, 14 rad/s of
 the sprockets; the sweeps for this friction in the authors' code go to 18 rad/s, which is the limit
@@ -17,6 +18,7 @@ import numpy as np
 
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import chicane
 from reproduce.focchi2025.load_models import DURATION, FRICTION, HEIGHT
@@ -34,7 +36,7 @@ from tracked_env.sensors import PRESETS
 
 SPEED, TURN, RATE = 0.6, 0.4, 200.0  # [m/s], [rad/s], [Hz]
 HEADINGS = (-2.9, 0.0)  # [rad] c_0, and that of the authors' code
-KINDS = ("uc", "flat", "slope")
+KINDS = ("uc", "flat", "slope", "uniform")
 
 
 class SlopeCase(NamedTuple):
@@ -69,9 +71,9 @@ def cases(grounds: Sequence[UnevenGround]) -> list[SlopeCase]:
         for kind in KINDS
         for heading in HEADINGS
     ]
-    first = [SlopeCase(grounds[0].name, kind) for kind in KINDS]
-    every += [case._replace(load="uniform") for case in first]
-    return [*every, first[0]._replace(length=LENGTHS[0])]
+    first = SlopeCase(grounds[0].name, "uc")
+    every += [first._replace(kind=kind, load="uniform") for kind in KINDS[:3]]
+    return [*every, first._replace(length=LENGTHS[0])]
 
 
 def parameters_of(length: float) -> PlantParameters:
@@ -85,7 +87,9 @@ def policy(kind: str, load: str, length: float) -> SlippageAwarePolicy:
     sheet = DataSheet.of(PRESETS["ideal"])
     if kind == "uc":
         return UnicyclePolicy(parameters, period, data_sheet=sheet, observation=SHOWN.names)
-    slip = model(load, length) if kind == "slope" else identified_slip(parameters)
+    slip: SlipModel = identified_slip(parameters)
+    if kind != "flat":
+        slip = model(load if kind == "slope" else "uniform", length)
     return SlippageAwarePolicy(parameters, period, slip, data_sheet=sheet, observation=SHOWN.names)
 
 
@@ -96,9 +100,7 @@ def profile(place: tuple[float, float], heading: float) -> ReferenceProfile:
     return made._replace(x=place[0], y=place[1], yaw=heading)
 
 
-def drive(
-    grounds: Sequence[UnevenGround], asked: Sequence[SlopeCase], duration: float = DURATION
-) -> dict[SlopeCase, Run]:
+def drive(grounds: Sequence[UnevenGround], asked: Sequence[SlopeCase]) -> dict[SlopeCase, Run]:
     """Drive all cases; those that differ in the heading alone as one batch."""
     by_name = {ground.name: ground for ground in grounds}
     found = {}
@@ -113,7 +115,7 @@ def drive(
             rig.stand(*ground.start, case.heading, row)
         profiles = [profile(ground.start, case.heading) for case in members]
         made = policy(alike.kind, alike.load, alike.length)
-        run = follow(made, rig, profiles, None, parameters, RATE, duration, shown=SHOWN)
+        run = follow(made, rig, profiles, None, parameters, RATE, DURATION, shown=SHOWN)
         for row, case in enumerate(members):
             found[case] = run.only(slice(row, row + 1))
     return found

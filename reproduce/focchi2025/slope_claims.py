@@ -158,36 +158,42 @@ def tracking_claims(slopes: Slopes) -> list[Claim]:
     for ground in slopes.grounds:
         first = ground is slopes.grounds[0]
         judged = first and not slopes.missing
-        uc, flat, slope = (numbers[SlopeCase(ground.name, kind)] for kind in closed.KINDS)
-        other = [
-            numbers[SlopeCase(ground.name, kind, heading=closed.HEADINGS[1])]
+        uc, flat, slope, other = (numbers[SlopeCase(ground.name, k)] for k in closed.KINDS)
+        turned = ", ".join(
+            both(numbers[SlopeCase(ground.name, kind, heading=closed.HEADINGS[1])])
             for kind in closed.KINDS
-        ]
-        turned = f"with heading {closed.HEADINGS[1]:g}: {' and '.join(map(both, other))}"
+        )
         found += [
             Claim(
-                "8.3, fig. 23", "UC: mean and final error around 20 cm",
+                "8.3, fig. 23",
+                "UC: mean and final error around 20 cm",
                 f"{ground.name}: {both(uc)}",
                 verdict(*near(uc, PRINTED_UC)) if judged else "-",
-                f"in the vehicle's plane; 0.7 m, 200 Hz; {turned} (UC, slip of level ground, slip "
-                "on slopes)",
+                f"in the vehicle's plane; 0.7 m, 200 Hz. With heading {closed.HEADINGS[1]:g}: "
+                f"{turned} (UC; SLC with slip of level ground, on slopes, on slopes with uniform "
+                "load)",
             ),
             Claim(
-                "8.3, fig. 23", "SLC with slip on slopes: mean 5.9 cm, final 5.6 cm",
-                f"{ground.name}: {both(slope)}; with slip of level ground {both(flat)}",
-                verdict(*near(slope, PRINTED_SLC)) if judged else "-",
-                f"slip over the direction of gravity, nonuniform load; UC {both(uc)}",
+                "8.3, fig. 23",
+                "SLC with slip on slopes: mean 5.9 cm, final 5.6 cm",
+                f"{ground.name}: {both(slope)}; with slip of uniform load {both(other)}; with slip "
+                f"of level ground {both(flat)}",
+                verdict(*near(other, PRINTED_SLC)) if judged else "-",
+                "4.5 identifies slip of both loads and does not say which one is used: the printed "
+                "errors are those of slip of uniform load where the load is not uniform (verdict; "
+                "a hypothesis); slip of the load that acts leaves less",
             ),
-        ]  # fmt: skip
+        ]
     name = slopes.grounds[0].name
     rows = [numbers[SlopeCase(name, kind)] for kind in closed.KINDS]
-    uniform = [numbers[SlopeCase(name, kind, "uniform")] for kind in closed.KINDS]
+    uniform = [numbers[SlopeCase(name, kind, "uniform")] for kind in closed.KINDS[:3]]
     short = numbers[SlopeCase(name, "uc", length=LENGTHS[0])]
     found.append(
         Claim(
             "8.3",
             "mean error of the UC over that of the SLC: 3.4",
-            f"{name}: {rows[0].mean / rows[2].mean:.1f} with nonuniform load, "
+            f"{name}: {rows[0].mean / rows[2].mean:.1f} with nonuniform load "
+            f"({rows[0].mean / rows[3].mean:.1f} with slip of uniform load), "
             f"{uniform[0].mean / uniform[2].mean:.1f} with uniform load",
             verdict(rows[0].mean > 2.5 * rows[2].mean),
             f"uniform load: {', '.join(map(both, uniform))} (UC, slip of level ground, slip on "
@@ -251,7 +257,7 @@ def identification_claims(slopes: Slopes) -> list[Claim]:
         ),
         Claim(
             "4.5",
-            "lateral slip is proportional to |F_g,par - [F_t, F_y]|",
+            "lateral slip is proportional to the size of F_g,par - [F_t, F_y]",
             f"straight across a slope: alpha over the grade at 0.2 is {bent[middle]:.2f} times, at "
             f"{ident.GRADES[-1]:g} {bent[-1]:.2f} times that at {ident.GRADES[0]:g}; "
             f"{1e3 * abs(found.side_slip[1, -1]):.1f} mrad there",

@@ -6,7 +6,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from reproduce.focchi2025 import load_models as loads
+from reproduce.focchi2025 import slope_chicane as closed
+from reproduce.focchi2025 import slope_identification as ident
+from reproduce.focchi2025.control_figures import ASSUMED, ONLINE, SLC, UC
 from reproduce.focchi2025.results import Results
+from reproduce.focchi2025.slope_chicane import SlopeCase
 from reproduce.focchi2025.slope_runs import Slopes
 from reproduce.focchi2025.uneven_ground import HALF_SIDE, UnevenGround
 from reproduce.paper_figures import REFERENCE, Drawings, panels
@@ -76,6 +80,75 @@ def stiffening(slopes: Slopes) -> Figure:
     return figure
 
 
+CONTROLLERS = {
+    "uc": UC,
+    "flat": {**ASSUMED, "label": "SLC, slip of level ground"},
+    "slope": {**SLC, "label": "SLC, slip on slopes"},
+    "uniform": {**ONLINE, "label": "the same of uniform load"},
+}
+
+
+def tracking(slopes: Slopes) -> Figure:
+    """Figures 22 and 23: paths, Cartesian and heading error, pitch; one column per ground."""
+    columns = len(slopes.grounds)
+    figure, axes = panels((4.6 * columns, 9.0), 4, columns, height_ratios=(2.2, 1, 1, 0.8))
+    for column, ground in enumerate(slopes.grounds):
+        runs = {kind: slopes.closed_loop[SlopeCase(ground.name, kind)] for kind in closed.KINDS}
+        path = runs["uc"].reference[:, :2, 0]
+        low, high = path.min(axis=0), path.max(axis=0)
+        middle, half = 0.5 * (low + high), 0.5 * float((high - low).max()) + 0.6
+        contours(axes[0, column], ground, (float(middle[0]), float(middle[1])), half)
+        axes[0, column].plot(*path.T, **REFERENCE)
+        axes[0, column].plot(*path[0], "o", color=PALETTE[2], markersize=5)
+        axes[0, column].plot(*path[-1], "o", color=PALETTE[3], markersize=5)
+        axes[0, column].set_title(ground.name)
+        for kind, run in runs.items():
+            line = CONTROLLERS[kind]
+            distance, turn = closed.errors(run)
+            axes[0, column].plot(run.state[:, 0, 0], run.state[:, 1, 0], **line)
+            axes[1, column].plot(run.time, 100.0 * distance, **line)
+            axes[2, column].plot(run.time, -turn, **line)
+            axes[3, column].plot(run.time, run.state[:, 8, 0], **line)
+        axes[3, column].set_xlabel("time [s]")
+    axes[0, 0].set_ylabel("y [m]")
+    axes[1, 0].set_ylabel("Cartesian error [cm]")
+    axes[2, 0].set_ylabel("heading error [rad]")
+    axes[3, 0].set_ylabel("pitch [rad]")
+    axes[1, 0].legend(fontsize=7)
+    return figure
+
+
+def slip_on_slopes(slopes: Slopes) -> Figure:
+    """Section 4.5: the tables over the direction of gravity, and the slip angle across slopes."""
+    figure, (axes,) = panels((10.0, 3.4), 1, 3)
+    grade = np.linspace(-ident.STEEPEST, ident.STEEPEST, 61)
+    along, across = (axis.ravel() for axis in np.meshgrid(grade, grade))
+    model = ident.model("nonuniform").on(np.stack([along, across], axis=1))
+    left, right = (np.full(along.size, speed) for speed in ident.BEND)
+    beta_left, _, alpha = model.slip(left, right)
+    for panel, values, title in (
+        (axes[0], 1e3 * beta_left, r"$\beta_L$ [mm/s] of a left turn"),
+        (axes[1], 1e3 * alpha, r"$\alpha$ [mrad] of a left turn"),
+    ):
+        shown = panel.contourf(grade, grade, values.reshape(61, 61), levels=16, cmap="viridis")
+        figure.colorbar(shown, ax=panel)
+        panel.set_title(title)
+        panel.set_xlabel("gravity ahead [-]")
+        panel.set_aspect("equal")
+    axes[0].set_ylabel("gravity to the left [-]")
+    for speed, found, colour in zip(ident.STRAIGHT, slopes.identification.side_slip, PALETTE,
+                                    strict=False):  # fmt: skip
+        axes[2].plot(ident.GRADES, 1e3 * np.abs(found), "o-", color=colour, markersize=3,
+                     label=f"{speed:g} rad/s")  # fmt: skip
+    first = 1e3 * abs(float(slopes.identification.side_slip[1, 0])) / float(ident.GRADES[0])
+    axes[2].plot(ident.GRADES, first * ident.GRADES, color="0.5", linewidth=0.8, linestyle=":",
+                 label="proportional")  # fmt: skip
+    axes[2].set_title(r"$|\alpha|$ [mrad] straight across a slope")
+    axes[2].set_xlabel("grade [-]")
+    axes[2].legend(fontsize=7)
+    return figure
+
+
 def drawings(results: Results) -> Drawings:
     """All figures of this file."""
     return {
@@ -87,5 +160,14 @@ def drawings(results: Results) -> Drawings:
         "stiffening": (
             stiffening(results.slopes),
             "Figure 21 of the paper, right: stiffness of the foremost patches in contact; pitch.",
+        ),
+        "slope-slip": (
+            slip_on_slopes(results.slopes),
+            "Section 4.5: slip of a left turn (4, 8 rad/s) over the direction of gravity, and the "
+            "slip angle straight across slopes, mu = 0.6.",
+        ),
+        "slope-chicane": (
+            tracking(results.slopes),
+            "Figures 22 and 23 of the paper: the chicane in closed loop on slopes, mu = 0.6.",
         ),
     }

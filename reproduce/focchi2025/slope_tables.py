@@ -7,7 +7,10 @@ from reproduce.focchi2025.results import Results
 from reproduce.focchi2025.uneven_ground import FRACTAL, slopes
 from reproduce.paper_page import Rows
 
-CONTROLLER = {"uc": "UC", "flat": "SLC, slip of level ground", "slope": "SLC, slip on slopes"}
+CONTROLLER = {
+    "uc": "UC", "flat": "SLC, slip of level ground", "slope": "SLC, slip on slopes",
+    "uniform": "SLC, slip on slopes with uniform load",
+}  # fmt: skip
 
 
 def ground_table(results: Results) -> Rows:

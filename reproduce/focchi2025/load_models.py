@@ -45,6 +45,7 @@ COMMANDS = {
     "linear": "authors' code: w falls linearly",
 }
 HEADINGS = (0.0, -2.9)  # [rad] of the authors' code, and the third number of c_0 in 8.3
+SCRIPTED = (19.0, 3.0, 0.0)  # [m], [m], [rad] of the authors' open loop; their loop of 8.3: (15, 2)
 LOADS = ("nonuniform", "uniform")
 SOFT, TOP_SPEED, RISE = 5e3, 1.4, 10.0  # [N/m] K_t, [m/s], [s] of 8.2
 PAIRS = {"printed": (10.5, 0.7), "fits": (5.5, 0.5)}  # K_tp [s/m^2] and contact length [m]

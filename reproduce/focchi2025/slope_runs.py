@@ -27,6 +27,7 @@ class Slopes(NamedTuple):
     missing: str  # why the authors' map is left out; "" when it is there
     grounds: list[UnevenGround]
     open_loop: dict[tuple[str, str, str], OpenLoop]  # ground, COMMANDS, load; HEADINGS
+    scripted: dict[str, OpenLoop]  # load: from the place of the authors' open loop, on their map
     level: OpenLoop  # (53) on level ground, nonuniform
     spread: dict[str, Floats]  # [m] by ground: gaps of STARTS vehicles, (53)
     decay: dict[str, tuple[float, float]]  # [1/s] by damping: roll, closed form and plant
@@ -76,6 +77,11 @@ def run_all(say: Callable[[str], None] = lambda text: None, file: Path | None = 
                 open_loop[ground.name, commands, load] = run
         runs = [loads.drive(ground.field, load, scattered(), "(53)") for load in LOADS]
         spread[ground.name] = loads.gap(*runs)
+    scripted = {
+        load: loads.drive(mapped.field, load, [loads.SCRIPTED], "linear")
+        for load in LOADS
+        if mapped is not None
+    }
     level = loads.drive("flat", "nonuniform", [(0.0, 0.0, 0.0)], "(53)")
     decay = {
         name: (loads.roll_decay(given), loads.measured_roll_decay(given))
@@ -94,5 +100,6 @@ def run_all(say: Callable[[str], None] = lambda text: None, file: Path | None = 
     say("section 8.3: chicane on slopes")
     closed = slope_chicane.drive(grounds, slope_chicane.cases(grounds))
     return Slopes(
-        missing, grounds, open_loop, level, spread, decay, side, stiffening, timed, found, closed
-    )
+        missing, grounds, open_loop, scripted, level, spread, decay, side, stiffening, timed, found,
+        closed,
+    )  # fmt: skip

@@ -1,7 +1,7 @@
 """Sections 8.1 and 8.2: nonuniform against uniform load, and stiffness that grows with speed.
 
 8.1 drives the chicane F (53) without feedback, 0.8 m/s and 0.6 rad/s, on both load models. The
-paper gives neither place nor heading. The authors' code (github.com/mfocchi/
+paper gives neither place nor heading. The code of the authors (github.com/mfocchi/
 tracked_robot_simulator, not part of this project) drives another reference there: 0.8 m/s from the
 beginning, and a yaw rate that falls linearly from 0.6 to -0.6 rad/s. Both are run. In closed form,
 under damping D per track the roll of the vehicle decays at

@@ -52,10 +52,11 @@ def load_claims(slopes: Slopes) -> list[Claim]:
                 "uniform load ends 4 m off after 15.6 m (25.6 %)",
                 f"{ground.name}: {'; '.join(parts)}",
                 verdict(*agreed) if ground is slopes.grounds[0] and not slopes.missing else "-",
-                "place and heading are not printed. In the authors' code 8.3 starts at (15, 2) with "
-                "heading 0, and 8.1 has a yaw rate that falls linearly; together they have the "
-                f"printed length, (53) has not{scripted}. From {STARTS} places anywhere the gap is {np.median(spread):.2f} m "
-                f"(median), {np.percentile(spread, 90):.2f} m (90 %)",
+                "place and heading are not printed. In the authors' code 8.3 starts at (15, 2) "
+                "with heading 0, and 8.1 has a yaw rate that falls linearly; together they have "
+                f"the printed length, (53) has not{scripted}. From {STARTS} places anywhere the "
+                f"gap is {np.median(spread):.2f} m (median), {np.percentile(spread, 90):.2f} m "
+                "(90 %)",
             )
         )
     printed, table = slopes.decay["as 8.1 prints"], slopes.decay["Table 2"]

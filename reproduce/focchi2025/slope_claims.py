@@ -187,10 +187,12 @@ def tracking_claims(slopes: Slopes) -> list[Claim]:
                 "SLC with slip on slopes: mean 5.9 cm, final 5.6 cm",
                 f"{ground.name}: {both(slope)}; with slip of uniform load {both(other)}; with slip "
                 f"of level ground {both(flat)}",
-                verdict(*near(other, PRINTED_SLC)) if judged else "-",
+                verdict(all(near(slope, PRINTED_SLC)), all(near(other, PRINTED_SLC)))
+                if judged
+                else "-",
                 "4.5 identifies slip of both loads and does not say which one is used: the printed "
-                "errors are those of slip of uniform load where the load is not uniform (verdict; "
-                "a hypothesis); slip of the load that acts leaves less",
+                "errors are those of slip of uniform load where the load is not uniform (a "
+                "hypothesis); slip of the load that acts leaves less",
             ),
         ]
     name = slopes.grounds[0].name

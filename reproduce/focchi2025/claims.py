@@ -1,4 +1,4 @@
-"""What the paper claims in sections 4, 5.2 and 7, what comes out here, and whether the two agree.
+"""What the paper claims in sections 4, 5.2, 7 and 8, what comes out, and whether the two agree.
 
 Every number is computed from the runs; so is every verdict.
 """
@@ -13,6 +13,7 @@ from reproduce.focchi2025 import identification as ident
 from reproduce.focchi2025.chicane import Case
 from reproduce.focchi2025.results import Results
 from reproduce.focchi2025.runs import BEGUN, LENGTHS, RESISTANCE, Floats, Run, vehicle
+from reproduce.focchi2025.slope_claims import slope_claims
 from reproduce.paper_page import Claim, verdict
 
 RATE = chicane.RATES[0]  # [Hz] of the paper's simulation
@@ -278,4 +279,5 @@ def claims(results: Results) -> list[Claim]:
         *spiral_claims(results),
         *chicane_claims(results),
         *further_claims(results),
+        *slope_claims(results.slopes),
     ]

@@ -1,5 +1,5 @@
-"""A closed loop around any plant: the pseudo-kinematic model (27), or the patches with either
-integrator, on any reference. It drives whatever `plants.standalone` calls `Driven`.
+"""A closed loop around any plant: the pseudo-kinematic model (27), the patches with either
+integrator, or the plant on terrain, on any reference: all that `plants.standalone` calls `Driven`.
 """
 
 from collections.abc import Sequence
@@ -9,6 +9,7 @@ import numpy as np
 
 from reproduce.focchi2025.runs import Floats, Run
 from tracked_env import observation as layout
+from tracked_env.physics import state as s
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.plants.standalone import Driven, Rig
 from tracked_env.references.profile import ReferenceProfile, sample
@@ -37,13 +38,13 @@ class Kinematic:
 
 
 def _observations(
-    state: Floats, sprockets: Floats, reference: dict[str, Floats], k: int
+    shown: layout.Layout, state: Floats, sprockets: Floats, reference: dict[str, Floats], k: int
 ) -> np.ndarray[Any, np.dtype[np.float32]]:
     """What ideal sensors show at step k."""
     cosine, sine = np.cos(state[:, 2]), np.sin(state[:, 2])
     ahead_x, ahead_y = reference["x"][k] - state[:, 0], reference["y"][k] - state[:, 1]
     turn = reference["yaw"][k] - state[:, 2]
-    values: dict[str, Any] = dict.fromkeys(layout.NAMES, np.zeros(len(state))) | {
+    values: dict[str, Any] = dict.fromkeys(shown.names, np.zeros(len(state))) | {
         "position_error_x": cosine * ahead_x + sine * ahead_y,
         "position_error_y": cosine * ahead_y - sine * ahead_x,
         "heading_error": (turn + np.pi) % (2.0 * np.pi) - np.pi,
@@ -55,23 +56,32 @@ def _observations(
     }
     for name in ("speed", "acceleration", "jerk", "yaw_rate", "yaw_acceleration"):
         values[f"reference_{name}"] = reference[name][k]
-    return layout.pack(values)
+    if "attitude" in shown.groups:
+        values |= {"roll": state[:, s.ROLL], "pitch": state[:, s.PITCH]}
+    if "tangent_error" in shown.groups:
+        in_plane = layout.GROUPS["tangent_error"].values
+        assert in_plane is not None
+        values |= in_plane(values)
+    return shown.pack(values)
 
 
 def follow(
     policy: Any,
     plant: Driven,
     profiles: Sequence[ReferenceProfile],
-    start: tuple[float, float, float],
+    start: tuple[float, float, float] | None,
     parameters: PlantParameters,
     rate: float,
     duration: float,
     noise: float = 0.0,
     seed: int = 0,
+    shown: layout.Layout = layout.V0,
 ) -> Run:
     """Drive one vehicle per profile from rest at `start` (x, y [m], yaw [rad]); plant: as many.
 
-    rate [Hz] of control. noise [rad/s]: sigma on the sprocket speeds, new at every control step.
+    start: None, from where the plant has them. rate [Hz] of control. shown: what the policy sees;
+    with the attitude the run has z, roll and pitch too. noise [rad/s]: sigma on the sprocket
+    speeds, new at every control step.
     """
     count, steps, period = len(profiles), round(duration * rate), 1.0 / rate
     limit = parameters.sprocket_speed_limit
@@ -79,12 +89,15 @@ def follow(
     sampled = [sample(profile, time)._asdict() for profile in profiles]
     reference = {name: np.stack([one[name] for one in sampled], axis=1) for name in sampled[0]}
     rng, memory = np.random.default_rng(seed), None
-    state, sprockets = plant.states[:, :6], np.zeros((count, 2))
-    state[:] = (*start, 0.0, 0.0, 0.0)
-    states, speeds = np.empty((steps, 6, count)), np.empty((steps, 2, count))
+    state, sprockets = plant.states, np.zeros((count, 2))
+    kept = [*range(6), *((s.Z, s.ROLL, s.PITCH) if "attitude" in shown.groups else ())]
+    if start is not None:
+        state[:, :6] = (*start, 0.0, 0.0, 0.0)
+    states, speeds = np.empty((steps, len(kept), count)), np.empty((steps, 2, count))
     for k in range(steps):
-        states[k], speeds[k] = state.T, sprockets.T
-        action, memory = policy.predict(_observations(state, sprockets, reference, k), memory)
+        states[k], speeds[k] = state[:, kept].T, sprockets.T
+        seen = _observations(shown, state, sprockets, reference, k)
+        action, memory = policy.predict(seen, memory)
         sprockets = limit * action.astype(np.float64) + noise * rng.standard_normal((count, 2))
         sprockets = np.clip(sprockets, -limit, limit)
         plant.advance(sprockets, period)

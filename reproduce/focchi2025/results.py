@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from baselines.slip.slip_sweep import identified_slip
-from reproduce.focchi2025 import chicane, identification, spiral
+from reproduce.focchi2025 import chicane, identification, slope_runs, spiral
 from reproduce.focchi2025.chicane import Case
 from reproduce.focchi2025.identification import Identifications
 from reproduce.focchi2025.runs import LENGTHS, Floats, Numbers, Run, vehicle
+from reproduce.focchi2025.slope_runs import Slopes
 from reproduce.focchi2025.spiral import Spiral
 
 
@@ -21,6 +22,7 @@ class Results(NamedTuple):
     readings: dict[tuple[str, float, float, str], Numbers]  # reading of (53), length, c_r, kind
     integrators: dict[tuple[str, str], Run]  # integrator, kind
     predicted: dict[Case, tuple[Floats, Floats, Floats]]  # slip (T,) of the first vehicle
+    slopes: Slopes  # sections 4.5 and 8
 
 
 def predicted_slip(case: Case, run: Run) -> tuple[Floats, Floats, Floats]:
@@ -32,11 +34,14 @@ def predicted_slip(case: Case, run: Run) -> tuple[Floats, Floats, Floats]:
 
 
 def run_everything(
-    say: Callable[[str], None] = lambda text: None, measured: Path | None = None
+    say: Callable[[str], None] = lambda text: None,
+    measured: Path | None = None,
+    terrain: Path | None = None,
 ) -> Results:
     """Run all experiments; say(text) reports which ones come next.
 
-    measured: file of the runs of the real vehicle, None is `identification.MEASURED`.
+    measured: file of the runs of the real vehicle, None is `identification.MEASURED`. terrain: the
+    authors' height map, None is `uneven_ground.MAP`.
     """
     say("figures 6 to 9: identification of slip")
     identified = identification.run_all(measured)
@@ -56,4 +61,5 @@ def run_everything(
     read, integrated = chicane.readings(), chicane.integrators()
     shown = [Case("table", length, chicane.RATES[0]) for length in LENGTHS]
     predicted = {case: predicted_slip(case, driven[case]) for case in shown}
-    return Results(identified, spirals, driven, read, integrated, predicted)
+    slopes = slope_runs.run_all(say, terrain)
+    return Results(identified, spirals, driven, read, integrated, predicted, slopes)

@@ -47,7 +47,8 @@ class Run(NamedTuple):
     """Time histories of N vehicles over T control steps, at the beginning of each step."""
 
     time: Floats  # (T,) [s]
-    state: Floats  # (T, 6, N) x, y [m], yaw [rad], v_x, v_y [m/s], yaw rate [rad/s]
+    state: Floats  # (T, 6 or 9, N) x, y [m], yaw [rad], v_x, v_y [m/s], yaw rate [rad/s], and of
+    # a plant that moves in space z [m], roll, pitch [rad]
     sprockets: Floats  # (T, 2, N) [rad/s] in force before that time, left and right
     reference: Floats  # (T, 3, N) x, y [m], yaw [rad]
     belief: dict[str, Floats]  # (T, N) estimates by name, empty when the policy has none
@@ -90,7 +91,7 @@ class Run(NamedTuple):
         """Actual slip of the vehicles, (T, N): beta_left, beta_right [m/s] of F (31), alpha [rad]
         of (28), nan where |v_x| is below SLOWEST."""
         left, right = (self.sprockets[:, side].ravel() for side in range(2))
-        motion = self.state[:, 3:].transpose(0, 2, 1).reshape(-1, 3)
+        motion = self.state[:, 3:6].transpose(0, 2, 1).reshape(-1, 3)
         found = slip_data(parameters, left, right, motion)
         alpha = np.where(np.abs(found.v_x) > SLOWEST, found.alpha, np.nan)
         shape = self.state[:, 0].shape

@@ -8,9 +8,9 @@ import pytest
 from tracked_env.physics import state as s
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.state import STATE_NAMES
+from tracked_env.physics.tracked_body import HEIGHT_RATIO
 from tracked_env.plants.standalone import Rig
 from tracked_env.plants.terrain import RELIEF
-from tracked_env.plants.terrain_options import HEIGHT_RATIO
 from tracked_env.plants.terrain_rig import TerrainRig
 from tracked_env.terrain.drawn_relief import RELIEF_COLUMNS
 

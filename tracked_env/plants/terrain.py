@@ -35,15 +35,12 @@ from tracked_env.physics import ground_contact as g
 from tracked_env.physics import state as s
 from tracked_env.physics import terrain_motion, vehicle
 from tracked_env.physics.attitude import matrix_of
-from tracked_env.physics.driven_belts import BeltDrive
-from tracked_env.physics.ground_contact import Footing
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters, row_parameters
 from tracked_env.physics.patch_dynamics import Belts
-from tracked_env.physics.rigid_body import Inertia
 from tracked_env.physics.state import VehicleState
-from tracked_env.physics.terrain_motion import LINEAR, Tracked
-from tracked_env.physics.uniform_load import rocking_of
+from tracked_env.physics.terrain_motion import LINEAR
+from tracked_env.physics.tracked_body import body_of, height_at_rest, set_soil
 from tracked_env.plants.base import Ground, Plant, Prepared
 from tracked_env.plants.derived import derive_free
 from tracked_env.plants.distributed import DISTRIBUTED, LATERAL_LAW, rolling
@@ -52,9 +49,7 @@ from tracked_env.plants.terrain_options import (
     LOADS,
     ROTATIONAL,
     SOIL_AT,
-    height_at_rest,
     made_of,
-    nominal_height,
     patches_of,
     resting,
 )
@@ -79,39 +74,6 @@ _NOTHING_HELD = np.zeros((1, 0))  # commands come from the actions
 
 
 @formula
-def _body(p, lanes, count, made, by_torque, uniform):
-    """Tracked from the parameters in force; made: numbers of the options, see `made_of`."""
-    firmness = p.ground_stiffness_factor if uniform else 1.0  # else of each patch
-    footing = Footing(
-        nominal_height(p, made) + p.centre_of_mass_z, 0.5 * p.contact_length,
-        p.contact_length * p.track_width / count, made[6] * firmness, made[7] * firmness, made[8],
-        p.centre_of_mass_x, p.centre_of_mass_y,
-    )  # fmt: skip
-    roll, pitch = p.roll_inertia_ratio * p.inertia, p.pitch_inertia_ratio * p.inertia
-    inertia = Inertia(p.mass, made[2] + made[3] * roll, made[4] + made[5] * pitch, p.inertia)
-    radius = p.sprocket_radius
-    drive = BeltDrive(
-        radius * radius / p.sprocket_inertia if by_torque else 0.0,
-        1.0 / radius,
-        1.0 / (radius * p.sprocket_speed_limit),
-    )
-    rocking = rocking_of(footing, 0.5 * p.track_gauge, p.track_width, 2 * count)
-    return Tracked(inertia, footing, rocking, drive, lanes, count, uniform)
-
-
-@formula
-def _set_soil(w, first, last, soil_there, patch_area):
-    """Rows of the soil in lanes first .. last - 1."""
-    tangent = math.tan(soil_there.friction_angle)
-    for lane in range(first, last):
-        w[g.FRICTION, lane] = tangent
-        w[g.ADHESION, lane] = soil_there.cohesion * patch_area
-        w[g.INVERSE_MODULUS, lane] = 1.0 / soil_there.shear_deformation_modulus
-        w[g.ROLLING, lane] = soil_there.longitudinal_resistance
-        w[g.FIRMNESS, lane] = soil_there.ground_stiffness_factor
-
-
-@formula
 def _soil_under_patches(batch, i, period, w, pose, body):
     """The same, each patch with the soil of its place; pose: of the centre of mass."""
     terrain = terrain_ground.Terrain(
@@ -121,7 +83,7 @@ def _soil_under_patches(batch, i, period, w, pose, body):
     g.locate(w, 2 * body.patches, (pose.x, pose.y, pose.z), matrix_of(pose.q), body.footing.height)
     for lane in range(2 * body.patches):
         there = terrain_ground.at(level, terrain, w[g.PLACE_X, lane], w[g.PLACE_Y, lane])
-        _set_soil(w, lane, lane + 1, there.soil, body.footing.patch_area)
+        set_soil(w, lane, lane + 1, there.soil, body.footing.patch_area)
 
 
 @formula
@@ -155,11 +117,11 @@ def _move(batch, w, block, pace, options):
     relief = member_of(reliefs, int(floats[i, RELIEF + RELIEF_SIZE]))
     p = row_parameters(floats, i, b.PARAMETERS)
     base, count = row_parameters(floats, i, b.BASE), columns.size * rows.size
-    body = _body(p, g.padded(2 * count), count, made, by_torque, uniform)
+    body = body_of(p, g.padded(2 * count), count, made, by_torque, uniform)
     lanes = g.place_patches(w, columns, rows, 0.5 * p.track_gauge, p.track_width, body.footing)
     rest_height = height_at_rest(base, made)
     pose, twist, belts = moving_body(floats, i, p, rest_height)
-    _set_soil(w, 0, lanes, p, body.footing.patch_area)
+    set_soil(w, 0, lanes, p, body.footing.patch_area)
     if per_patch and batch.counters[i, b.EVENT_COUNT] > 0:
         _soil_under_patches(batch, i, pace.period, w, pose, body)
     command = belts

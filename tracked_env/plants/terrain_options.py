@@ -1,11 +1,6 @@
 """Options of the plant on terrain: defaults with their sources, checks, and where a vehicle rests.
 
-Stiffness and damping are those of F table 2, read per track. The height of the centre of mass,
-0.25 m, is F's for its vehicle with 0.7 m of contact. None scales it with the contact length, and
-gives the inertias about roll and pitch by their ratios to the yaw inertia in force, which are
-parameters (`roll_inertia_ratio`): an ASSUMPTION for every other vehicle (0.71 m and 572, 737 kg m^2
-for the one of Strawa et al., who do not give them). `ground_stiffness_factor` multiplies stiffness
-and damping.
+The numbers of F's vehicle and what they mean for others are in `physics.tracked_body`.
 
 Reference: [1] Focchi et al. (2025), table 2 and section 8.
 """
@@ -17,19 +12,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.ground_contact import LANES
-from tracked_env.physics.jit import formula
-from tracked_env.physics.parameters import FOCCHI_VEHICLE, PlantParameters, Range
+from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.physics.tracked_body import (
+    DAMPING,
+    HEIGHT_RATIO,
+    STIFFNESS,
+    height_at_rest,
+    nominal_height,
+    sinkage_at_rest,
+)
 from tracked_env.plants.distributed import checked_patches
 from tracked_env.validation import checked_number
 
 LOADS = ("nonuniform", "uniform")
 SOIL_AT = ("centre", "patches")
-_FOCCHI_AREA = FOCCHI_VEHICLE.track_width * FOCCHI_VEHICLE.contact_length  # [m^2] of one track
-STIFFNESS = 1e5 / _FOCCHI_AREA  # [N/m^3] F table 2
-DAMPING = 5e3 / _FOCCHI_AREA  # [N s/m^3]
-HEIGHT_RATIO = 0.25 / FOCCHI_VEHICLE.contact_length
 TILT_LIMIT = math.radians(60.0)  # [rad] beyond the tipping angles of F's vehicle: it has fallen
 LONGEST_STEP = 2e-3  # [s] of an integration step; docs/terrain.md has the table of step halving
 _NUMBERS = {
@@ -62,25 +59,6 @@ class Resting(NamedTuple):
     z: float  # [m] as the state has it
     pitch: float  # [rad]
     roll: float  # [rad]
-
-
-@formula
-def nominal_height(p, made):
-    """Height [m] of the nominal centre of mass above the plane of the tracks."""
-    return made[0] + made[1] * p.contact_length
-
-
-@formula
-def sinkage_at_rest(p, made):
-    """Sinkage [m] of the tracks at rest on level ground."""
-    area = 2.0 * p.contact_length * p.track_width
-    return soil.GRAVITY * p.mass / (made[6] * p.ground_stiffness_factor * area)
-
-
-@formula
-def height_at_rest(p, made):
-    """Height [m] of the nominal centre of mass at rest on level ground at height 0."""
-    return nominal_height(p, made) - sinkage_at_rest(p, made)
 
 
 def made_of(options: Mapping[str, Any]) -> NDArray[np.float64]:

@@ -21,9 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 from tracked_env.physics import state as s
 from tracked_env.physics.attitude import Quaternion, angles_of, quaternion_of
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.tracked_body import height_at_rest
 from tracked_env.plants import terrain, terrain_state
 from tracked_env.plants.standalone import Rig
-from tracked_env.plants.terrain_options import LONGEST_STEP, height_at_rest, made_of, resting
+from tracked_env.plants.terrain_options import LONGEST_STEP, made_of, resting
 from tracked_env.terrain.pool import make_pool
 
 Floats = NDArray[np.float64]

@@ -1,0 +1,110 @@
+"""Focchi et al. (2025), 8.1 and 8.2, and the grounds of section 8: what must come out."""
+
+import numpy as np
+import pytest
+
+from reproduce.focchi2025 import load_models as loads
+from reproduce.focchi2025 import slope_claims, slope_runs
+from reproduce.focchi2025 import uneven_ground as ground
+from reproduce.focchi2025.runs import vehicle
+from tracked_env.terrain.height_field import make_height_field
+
+MAP_SLOPES = (0.0277, 0.2788, 0.5300)  # [-] median, 90 %, 99 % of the authors' map
+
+
+@pytest.fixture
+def mapped(reference_data):
+    """The authors' map, or a skip that names the file."""
+    found, missing = ground.authors_map(reference_data / "terrain_mesh" / "height_5cm.npz")
+    if found is None:
+        pytest.skip(missing)
+    return found
+
+
+def test_the_seeded_field_has_the_slopes_of_the_authors_map():
+    np.testing.assert_allclose(ground.slopes(ground.field()), MAP_SLOPES, rtol=0.02)
+
+
+def test_the_authors_map_has_the_slopes_that_the_seeded_field_is_fitted_to(mapped):
+    np.testing.assert_allclose(ground.slopes(mapped), MAP_SLOPES, rtol=0.001)
+
+
+def test_a_fractal_alone_has_no_slopes_with_so_long_a_tail():
+    plain = ground.UnevenGround("fractal", make_height_field(ground.FRACTAL), (0.0, 0.0))
+    median, most, _ = ground.slopes(plain)
+    assert most / median < 2.5 < 10.0 < MAP_SLOPES[1] / MAP_SLOPES[0]
+
+
+def test_a_vehicle_starts_on_a_flank_of_both_grounds(mapped):
+    for one in (mapped, ground.field()):
+        _, slope_x, slope_y = one.field.at(*one.start)
+        assert 0.18 < slope_x < 0.25 and abs(slope_y) < 0.06
+
+
+def test_without_the_map_its_file_is_named_and_the_seeded_field_is_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(loads, "DURATION", 0.5)
+    said = []
+    found = slope_runs.run_all(said.append, tmp_path / "gone.npz")
+    assert "gone.npz" in said[0] and "left out" in said[0] and found.missing == said[0]
+    assert [one.name for one in found.grounds] == ["seeded field"]
+    made = slope_claims.slope_claims(found)
+    assert not any("authors' map:" in claim.ours for claim in made)
+
+
+@pytest.mark.parametrize(("name", "rate"), [("Table 2", 425.0), ("as 8.1 prints", 4250.0)])
+def test_roll_decays_at_the_rate_of_the_closed_form(name, rate):
+    damping = loads.DAMPING[name]
+    assert loads.roll_decay(damping) == pytest.approx(rate, rel=1e-3)
+    assert loads.measured_roll_decay(damping) == pytest.approx(rate, rel=0.005)
+
+
+def test_the_damping_of_8_1_is_too_large_for_its_explicit_steps_and_that_of_table_2_is_not():
+    amplified = {name: abs(1.0 - 1e-3 * loads.roll_decay(d)) for name, d in loads.DAMPING.items()}
+    assert amplified["as 8.1 prints"] > 3.0 and amplified["Table 2"] < 1.0
+
+
+def test_across_a_slope_the_lower_track_is_loaded_by_the_moment_of_the_shear_forces():
+    plant, closed = loads.load_on_a_side_slope(0.25)
+    assert plant == pytest.approx(closed, rel=0.002) and plant > 0.2
+
+
+def test_the_printed_pair_gives_53_9_kn_per_m_and_5_5_with_half_a_metre_the_printed_23():
+    printed, fits = (loads.foremost(*loads.PAIRS[name], 1.4) for name in ("printed", "fits"))
+    assert printed == pytest.approx(5e3 * (1.0 + 10.5 * 1.4 * 0.665))
+    assert fits == pytest.approx(5e3 * (1.0 + 5.5 * 1.4 * 0.475))
+    assert fits == pytest.approx(loads.PRINTED_STIFFNESS, rel=0.02)
+    assert printed > 2.3 * loads.PRINTED_STIFFNESS
+
+
+@pytest.mark.parametrize("reading", loads.PER_AREA)
+@pytest.mark.parametrize("pair", loads.PAIRS)
+def test_a_vehicle_on_stiffening_ground_pitches_until_force_and_moment_balance(pair, reading):
+    run = loads.stiffen(*loads.PAIRS[pair], loads.PER_AREA[reading])
+    assert run.held == pytest.approx(run.equilibrium, rel=0.005)
+    assert run.held < -0.01 and run.pitch[0] == pytest.approx(0.0, abs=1e-3)
+    assert run.raised == ((pair, reading) == ("fits", "per track"))
+    if not run.raised:
+        closed = loads.foremost(*loads.PAIRS[pair], 1.4)
+        assert run.stiffness.max() == pytest.approx(closed, rel=0.005)
+
+
+def test_the_belts_of_the_open_loop_are_those_of_a_unicycle_beyond_any_limit():
+    parameters = vehicle()
+    left, right = loads.belts(parameters, np.array([1.6]), np.array([0.6]))[0]
+    radius, gauge = parameters.sprocket_radius, parameters.track_gauge
+    assert 0.5 * radius * (left + right) == pytest.approx(1.6)
+    assert radius * (right - left) / gauge == pytest.approx(0.6)
+    assert left > parameters.sprocket_speed_limit
+
+
+def test_uniform_load_ends_metres_beside_nonuniform_load_on_the_authors_map(mapped):
+    starts = [(*mapped.start, 0.0)]
+    runs = [loads.drive(mapped.field, load, starts, "linear") for load in loads.LOADS]
+    assert loads.length(runs[0])[0] == pytest.approx(slope_claims.PRINTED_LENGTH, abs=0.1)
+    assert loads.gap(*runs)[0] == pytest.approx(3.68, abs=0.1)
+
+
+def test_on_level_ground_the_load_models_drive_the_same_path_to_a_few_centimetres():
+    runs = [loads.drive("flat", load, [(0.0, 0.0, 0.0)], "(53)") for load in loads.LOADS]
+    assert loads.gap(*runs)[0] < 0.1
+    assert not runs[1].saturated.any()

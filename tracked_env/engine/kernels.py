@@ -170,6 +170,9 @@ def advance_blocks(derive, move, lane_limit, scratch, batch, given, rest):
         lanes = min(lane_limit, stop - first)
         for lane in range(lanes):
             _begin(derive, batch, clock, actions, chosen[first + lane], moving, period)
+        for lane in range(lanes):
+            i = chosen[first + lane]
+            observing.expect(batch.counters, batch.profile, batch.noise, i, period)
         pace = Pace(steps, clock.substep, period)
         move(batch, scratch, Block(chosen, first, lanes), pace, options)
         for lane in range(lanes):

@@ -18,7 +18,10 @@ from functools import partial
 from inspect import signature
 from typing import Any
 
-from numba import njit, typeof
+from llvmlite import ir
+from numba import njit, typeof, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 formula = partial(njit, cache=True, error_model="numpy", forceinline=True)()
 template = partial(njit, error_model="numpy", forceinline=True)()
@@ -31,6 +34,33 @@ summation = partial(
     njit, cache=True, error_model="numpy", forceinline=True,
     fastmath={"reassoc", "contract", "nsz"},
 )()  # fmt: skip
+
+
+def _prefetch(typing_context, array, index):
+    """Ask the processor for the cache line of array[index], an entry that is read soon.
+
+    It waits for nothing, and no result depends on it. index: a tuple of integers.
+    """
+
+    def code(context, builder, signature, arguments):
+        given, place = signature.args
+        found = context.make_array(given)(context, builder, arguments[0])
+        at = [
+            context.cast(builder, one, kind, types.intp)
+            for one, kind in zip(cgutils.unpack_tuple(builder, arguments[1]), place, strict=True)
+        ]
+        entry = cgutils.get_item_pointer(context, builder, given, found, at, wraparound=False)
+        byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        read, keep, data = (ir.Constant(word, value) for value in (0, 3, 1))
+        builder.call(fetch, [builder.bitcast(entry, byte), read, keep, data])
+        return context.get_dummy_value()
+
+    return types.void(array, index), code
+
+
+prefetch: Any = intrinsic(_prefetch)
 
 
 def bound(kernel: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:

@@ -26,7 +26,7 @@ from tracked_env.engine.episode_loading import (
     write_profile,
 )
 from tracked_env.physics.channels import CHANNEL_COUNT
-from tracked_env.physics.jit import loop
+from tracked_env.physics.jit import copy_entries, loop
 from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS
 from tracked_env.references import batch_reference, make_reference
 from tracked_env.sensor_draws import draw_signs, fixed_part
@@ -46,7 +46,7 @@ from tracked_env.uncertainty.compiled import (
 def _write_pose(origins, chosen, pose):
     """Let the references of the chosen vehicles begin at pose (START,)."""
     for k in range(chosen.size):
-        origins[chosen[k], :START] = pose
+        copy_entries(pose, origins[chosen[k]])
 
 
 @loop
@@ -63,8 +63,8 @@ def _load(
     most = 0
     for k in range(chosen.size):
         i = chosen[k]
-        floats[i] = row
-        counters[i] = clocks
+        copy_entries(row, floats[i])
+        copy_entries(clocks, counters[i])
         draw_signs(rngs[k], floats[i, b.BIAS : b.BIAS + CHANNEL_COUNT])
         for p in range(PARAMETER_ROWS):
             floats[i, b.BASE + p] = floats[i, b.PARAMETERS + p] = truths[i, p]
@@ -77,10 +77,11 @@ def _load(
             origins[i, START + j] = start[j]
             floats[i, b.STATE + STARTED[j]] = start[j]
         if first > 0:
-            floats[i, first : first + RELIEF_SIZE] = reliefs[i]
+            copy_entries(reliefs[i], floats[i, first:])
         counters[i, b.EVENT_COUNT] = counts[i]
         if counts[i] <= events.shape[1]:
-            events[i, : counts[i]] = changes[i, : counts[i], : b.EVENT_FIELDS]
+            for n in range(counts[i]):
+                copy_entries(changes[i, n, : b.EVENT_FIELDS], events[i, n])
         most = max(most, counts[i])
         noise.seed_state(states[i], seeds[i])
         noisy[i] = needed

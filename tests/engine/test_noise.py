@@ -62,9 +62,11 @@ def test_a_refill_touches_only_chosen_vehicles_at_the_end_of_their_block():
     block = np.zeros((b.NOISE_BLOCK // b.NOISE_RUN, 4, b.NOISE_RUN, NOISE_COUNT), np.float32)
     states = np.stack([seeded(seed) for seed in range(4)])
     noisy = np.array([True, True, True, False])
-    noise.refill(block, counters, states, noisy, np.array([0, 1, 3]))
+    left = noise.refill(block, counters, states, noisy, np.array([0, 1, 3]))
     assert counters[:, b.NOISE_CURSOR].tolist() == [-1, last - 1, last, -1]
     assert block.any(axis=(0, 2, 3)).tolist() == [True, False, False, False]
-    assert noise.steps_left(counters, np.array([0, 3])) == last
-    assert noise.steps_left(counters, np.array([0, 1])) == 1
-    assert noise.steps_left(counters, np.arange(4)) == 0
+    assert left == 1  # of the vehicle that was one step before the end
+    again = (block, counters, states, noisy)
+    assert noise.refill(*again, np.array([0, 3])) == b.NOISE_BLOCK
+    counters[3, b.NOISE_CURSOR] = 5
+    assert noise.refill(*again, np.array([0, 3])) == last - 5

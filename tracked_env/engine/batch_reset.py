@@ -5,7 +5,7 @@ sensors, starts, noise, each in one kernel over the chosen rows, from the genera
 What only Python can draw (a reference of another kind than "random") is drawn there in its place.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from tracked_env.engine.episode_loading import (
     write_profile,
 )
 from tracked_env.physics.channels import CHANNEL_COUNT
-from tracked_env.physics.jit import loop
+from tracked_env.physics.jit import copy_entries, loop
 from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS
 from tracked_env.references import batch_reference, make_reference
 from tracked_env.sensor_draws import draw_signs, fixed_part
@@ -46,7 +46,7 @@ from tracked_env.uncertainty.compiled import (
 def _write_pose(origins, chosen, pose):
     """Let the references of the chosen vehicles begin at pose (START,)."""
     for k in range(chosen.size):
-        origins[chosen[k], :START] = pose
+        copy_entries(pose, origins[chosen[k]])
 
 
 @loop
@@ -65,8 +65,8 @@ def _load(
     most = 0
     for k in range(chosen.size):
         i = chosen[k]
-        floats[i] = row
-        counters[i] = clocks
+        copy_entries(row, floats[i])
+        copy_entries(clocks, counters[i])
         draw_signs(rngs[k], floats[i, b.BIAS : b.BIAS + CHANNEL_COUNT])
         for p in range(PARAMETER_ROWS):
             floats[i, b.BASE + p] = floats[i, b.PARAMETERS + p] = truths[i, p]
@@ -79,11 +79,12 @@ def _load(
             origins[i, START + j] = start[j]
             floats[i, b.STATE + STARTED[j]] = start[j]
         if first > 0:
-            floats[i, first : first + RELIEF_SIZE] = reliefs[i]
+            copy_entries(reliefs[i], floats[i, first:])
             floats[i, first + RELIEF_SIZE] = integer(rngs[k], terrains)
         counters[i, b.EVENT_COUNT] = counts[i]
         if counts[i] <= events.shape[1]:
-            events[i, : counts[i]] = changes[i, : counts[i], : b.EVENT_FIELDS]
+            for n in range(counts[i]):
+                copy_entries(changes[i, n, : b.EVENT_FIELDS], events[i, n])
         most = max(most, counts[i])
         noise.seed_state(states[i], seeds[i])
         noisy[i] = needed
@@ -115,6 +116,8 @@ class BatchReset:
         self._row = fresh_row(width, self.sensors)
         self._clocks = fresh_counters(self.sensors, settings.max_steps)
         self._delay = int(self.sensors.delay.max())
+        self._known: list[np.random.Generator | None] = [None] * count
+        self._addresses = np.zeros(count, dtype=np.int64)  # of those that are known
 
     def load(
         self,
@@ -122,40 +125,68 @@ class BatchReset:
         chosen: NDArray[np.int64],
         batch: b.Batch,
         running: Running,
+        share: Callable[[Callable[[int, int], int], int], list[int]],
     ) -> b.Batch:
         """Draw and load an episode of each chosen vehicle from its generator.
 
-        Returns the batch, with more room where that was needed. Raises ValueError as
-        `make_reference` does, before any vehicle is touched.
+        share: (function, size) -> results of function(first, last) for shares of `size` vehicles,
+        see `Threads.run`. No two vehicles have the same generator, so that all shares may be drawn
+        at the same time. Returns the batch, with more room where that was needed. Raises ValueError
+        as `make_reference` does, before any vehicle is touched.
         """
-        settings, streams = self._settings, addresses(rngs)
+        settings, streams = self._settings, self._streams(rngs, chosen)
         batch = fitted(batch, 0, self._delay, settings.control_period)
-        origins = running.origins
-        if self._reference is not None:
-            draw_beginnings(streams, chosen, running.seeds, self._starts)
-            self._reference.fill(streams, chosen, batch.profile)
-            _write_pose(origins, chosen, self._pose)
-        else:
+        if self._reference is None:
             self._draw_references(rngs, streams, chosen, batch, running)
-        self._law.fill(
-            Draws(
-                streams, chosen, self._nominal, batch.profile, origins, settings.duration,
-                self._truths, self._changes, self._counts, self._read, self._reliefs,
-            )
-        )  # fmt: skip
-        most = _load(
-            streams, chosen, self._starts, origins, self._numbers, self._changes, self._counts,
-            settings.nominal.contact_length, self._row, self._clocks, batch.floats, batch.counters,
-            batch.profile, batch.events, batch.noise, running.noise_states, running.seeds,
-            running.noisy, self.sensors.noisy, self._reliefs, settings.relief_column,
-            settings.terrains,
-        )  # fmt: skip
+
+        def load(first: int, last: int) -> int:
+            own = slice(first, last)
+            return self._load_share(streams[own], chosen[own], batch, running)
+
+        most = max(share(load, chosen.size))
         if most > batch.events.shape[1]:
             batch = fitted(batch, most, self._delay, settings.control_period)
             for i in chosen:
                 own = slice(0, self._counts[i])
                 batch.events[i, own] = self._changes[i, own, : b.EVENT_FIELDS]
         return batch
+
+    def _streams(
+        self, rngs: Sequence[np.random.Generator], chosen: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Addresses of the generators `rngs`; to ask one for it takes longer than a draw."""
+        for i, rng in zip(chosen.tolist(), rngs, strict=True):
+            if self._known[i] is not rng:
+                self._known[i], self._addresses[i] = rng, addresses([rng])[0]
+        return self._addresses[chosen]
+
+    def _load_share(
+        self,
+        streams: NDArray[np.int64],
+        chosen: NDArray[np.int64],
+        batch: b.Batch,
+        running: Running,
+    ) -> int:
+        """Some of the chosen vehicles; returns the largest number of events of one."""
+        settings, origins = self._settings, running.origins
+        if self._reference is not None:
+            draw_beginnings(streams, chosen, running.seeds, self._starts)
+            self._reference.fill(streams, chosen, batch.profile)
+            _write_pose(origins, chosen, self._pose)
+        self._law.fill(
+            Draws(
+                streams, chosen, self._nominal, batch.profile, origins, settings.duration,
+                self._truths, self._changes, self._counts, self._read, self._reliefs,
+            )
+        )  # fmt: skip
+        most: int = _load(
+            streams, chosen, self._starts, origins, self._numbers, self._changes, self._counts,
+            settings.nominal.contact_length, self._row, self._clocks, batch.floats, batch.counters,
+            batch.profile, batch.events, batch.noise, running.noise_states, running.seeds,
+            running.noisy, self.sensors.noisy, self._reliefs, settings.relief_column,
+            settings.terrains,
+        )  # fmt: skip
+        return most
 
     def _draw_references(
         self,

@@ -37,7 +37,7 @@ from tracked_env.engine import observing
 from tracked_env.engine.columns import Batch
 from tracked_env.physics import reference_profile
 from tracked_env.physics import state as s
-from tracked_env.physics.jit import formula
+from tracked_env.physics.jit import formula, template
 from tracked_env.rewards import reward_and_ending
 from tracked_env.terrain import ground
 
@@ -145,7 +145,7 @@ def _finish(batch, observations, i, moving, period, error_limit):
     return CALM
 
 
-@formula
+@template
 def advance_blocks(derive, move, lane_limit, scratch, batch, given, rest):
     """Advance vehicles chosen[start:stop] by one control step and write their observations.
 
@@ -170,6 +170,9 @@ def advance_blocks(derive, move, lane_limit, scratch, batch, given, rest):
         lanes = min(lane_limit, stop - first)
         for lane in range(lanes):
             _begin(derive, batch, clock, actions, chosen[first + lane], moving, period)
+        for lane in range(lanes):
+            i = chosen[first + lane]
+            observing.expect(batch.counters, batch.profile, batch.noise, i, period)
         pace = Pace(steps, clock.substep, period)
         move(batch, scratch, Block(chosen, first, lanes), pace, options)
         for lane in range(lanes):
@@ -180,7 +183,7 @@ def advance_blocks(derive, move, lane_limit, scratch, batch, given, rest):
     return result
 
 
-@formula
+@template
 def hold_blocks(derive, move, lane_limit, scratch, call):
     """Move vehicles chosen[start:stop] with what their drives are asked held, and nothing else.
 

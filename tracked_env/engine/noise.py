@@ -180,22 +180,17 @@ def draw_block(noise, states, i):
 
 @loop
 def refill(noise, counters, states, noisy, chosen):
-    """Draw the next block of those chosen vehicles that are about to use up theirs.
+    """Draw the next block of those chosen vehicles that have used up theirs.
 
     noisy (N,) bool: which need random numbers. The next step moves a cursor of -1 to the first row.
+    Returns how many steps the chosen vehicles can take until one of them has used up its block.
     """
+    last = -1
     for j in range(chosen.size):
         i = chosen[j]
         if counters[i, b.NOISE_CURSOR] >= b.NOISE_BLOCK - 1:
             if noisy[i]:
                 draw_block(noise, states, i)
             counters[i, b.NOISE_CURSOR] = -1
-
-
-@loop
-def steps_left(counters, chosen):
-    """Steps until the first of the chosen vehicles has used up its block."""
-    last = 0
-    for j in range(chosen.size):
-        last = max(last, counters[chosen[j], b.NOISE_CURSOR])
+        last = max(last, counters[i, b.NOISE_CURSOR])
     return b.NOISE_BLOCK - 1 - last

@@ -17,11 +17,12 @@ from tracked_env.physics import state as s
 from tracked_env.physics.attitude import in_body_plane
 from tracked_env.physics.channels import GROUP_START
 from tracked_env.physics.elementary import rotation, wrap_angle
-from tracked_env.physics.jit import formula
+from tracked_env.physics.jit import formula, prefetch
 from tracked_env.physics.parameters import PARAMETER_INDEX
 
 _RADIUS = b.PARAMETERS + PARAMETER_INDEX["sprocket_radius"]
 _AHEAD_TIMES = np.array(LOOK_AHEAD)
+_SEGMENTS_SHOWN = int(max(LOOK_AHEAD) * reference_profile.INVERSE_DURATION) + 1
 
 # Channels that are shown as they are: (channel, column of the observation).
 _SHOWN = np.array(
@@ -43,6 +44,24 @@ _AHEAD_SPEED, _AHEAD_YAW_RATE = (
 )
 _ACTION = np.array([obs.INDEX[f"previous_action_{side}"] for side in ("left", "right")])
 _AGE = np.array([obs.INDEX[f"{group}_age"] for group in channels.GROUPS])
+
+
+@formula
+def expect(counters, profile, noise, i, period):
+    """Fetch what `observe` reads of vehicle i after the coming step: its noise and its reference.
+
+    Vehicles that are not in step read these from scattered places, and would wait for each.
+    """
+    cursor = counters[i, b.NOISE_CURSOR] + 1
+    run, place = cursor // b.NOISE_RUN, cursor % b.NOISE_RUN
+    prefetch(noise, (run, i, place, 0))
+    prefetch(noise, (run, i, place, channels.NOISE_COUNT - 1))
+    last = profile.shape[0] - 1
+    now, _ = reference_profile.locate(last, counters[i, b.STEP] * period)
+    for ahead in range(_SEGMENTS_SHOWN):
+        segment = min(now + ahead, last)
+        prefetch(profile, (segment, i, 0))
+        prefetch(profile, (segment, i, profile.shape[2] - 1))
 
 
 @formula

@@ -10,7 +10,7 @@ changes what the vehicle, the soil, the reference and the noise are.
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from tracked_env.engine.episode_loading import (
     running_arrays,
     states_of,
 )
-from tracked_env.engine.kernels import SOME_ENDED, Clock
+from tracked_env.engine.kernels import CALM, SOME_ENDED, Clock
 from tracked_env.engine.readings import Readings
 from tracked_env.engine.threads import Threads
 from tracked_env.physics.jit import bound
@@ -42,6 +42,7 @@ from tracked_env.references import number_of_segments
 from tracked_env.uncertainty import ArrayLaw
 from tracked_env.validation import checked_whole
 
+RESETS_SHARED_FROM = 8  # [vehicles] whose resets take longer than to hand half to another thread
 _RUNNING = (  # attributes that change while episodes run
     "batch", "observations", "rngs", "running", "_given", "_until_refill", "some_ended",
     "composer",
@@ -83,7 +84,7 @@ class Simulation(Readings):
         # Of the coming step. A kernel is compiled for the type and order of this one array.
         self.actions: NDArray[np.float32] = np.zeros((count, 2), dtype=np.float32)
         self._kernel = solver.prepared.advance
-        self._threads = Threads(solver.threads, solver.plant.lanes)
+        self._threads = Threads(solver.threads)
         clock = Clock(solver.substeps, solver.substep, solver.error_limit)
         self._tail: tuple[Any, ...] = (*clock, *solver.prepared.options)
         self._ended = np.zeros(count, dtype=bool)
@@ -126,7 +127,9 @@ class Simulation(Readings):
         rngs = generators(self.rngs, chosen)
         plain = options is None or not any(given is not None and given != {} for given in options)
         if plain and self._batch_reset is not None:
-            self.batch = self._batch_reset.load(rngs, chosen, self.batch, self.running)
+            self.batch = self._batch_reset.load(
+                rngs, chosen, self.batch, self.running, self._share_resets
+            )
             for i in chosen.tolist():
                 self._given[i] = None
         else:
@@ -148,6 +151,12 @@ class Simulation(Readings):
                 self.batch, self.observations, chosen, episodes, self.solver.prepared.ground
             )
         return self.observations
+
+    def _share_resets(self, function: Callable[[int, int], int], size: int) -> list[int]:
+        """Results of function(first, last) for shares of `size` vehicles, or for all at once."""
+        if self.count < self._threads_from or size < RESETS_SHARED_FROM:
+            return [function(0, size)]
+        return self._threads.run(function, size)
 
     # --- an episode runs ------------------------------------------------------------------
     def step(
@@ -198,17 +207,21 @@ class Simulation(Readings):
     def _advance_chosen(self, chosen: NDArray[np.int64], refill: bool) -> int:
         """Some of the vehicles, on one thread or several, with new noise where it is due."""
         size = chosen.size
-        if size >= self._threads_from:
-            result = self._step_threaded(self.actions, chosen, refill)
-        else:
+        left = [] if refill else [self._until_refill]
+
+        def run(first: int, last: int) -> int:
             if refill:
-                self._refill(chosen)
-            result = self._advance(self.actions, chosen, 0, size, True)
+                left.append(self._refill(chosen[first:last]))
+            result = self._advance(self.actions, chosen, first, last, True)
             if result < 0:
-                self._compose(chosen, 0, size)
-        self._until_refill -= 1
-        if refill and size:
-            self._until_refill = noise.steps_left(self.batch.counters, chosen)
+                self._compose(chosen, first, last)
+            return result
+
+        if size < self._threads_from:
+            result = run(0, size)
+        elif (result := self._refused(chosen)) == CALM:
+            result = min(self._threads.run(run, size, self.solver.plant.lanes))
+        self._until_refill = min(left, default=0) - 1
         return result
 
     @property
@@ -258,28 +271,21 @@ class Simulation(Readings):
             ground = self.solver.prepared.ground
             self.composer.write(self.batch, self.observations, chosen, start, stop, ground)
 
-    def _step_threaded(
-        self, actions: NDArray[np.float32], chosen: NDArray[np.int64], refill: bool
-    ) -> int:
-        """The same on several threads; refuses a non-finite action before any of them moves."""
-        if not np.isfinite(actions).all():  # of whatever vehicle
-            finite = np.isfinite(actions[chosen]).all(axis=1)
-            if not finite.all():
-                return int(chosen[np.argmin(finite)])
+    def _refused(self, chosen: NDArray[np.int64]) -> int:
+        """The first chosen vehicle with a non-finite action, before a thread moves any; or CALM."""
+        if np.isfinite(self.actions).all():  # of whatever vehicle
+            return CALM
+        finite = np.isfinite(self.actions[chosen]).all(axis=1)
+        return CALM if finite.all() else int(chosen[np.argmin(finite)])
 
-        def run(first: int, last: int) -> int:
-            if refill:
-                self._refill(chosen[first:last])
-            result = self._advance(actions, chosen, first, last, True)
-            self._compose(chosen, first, last)
-            return result
+    def _refill(self, chosen: NDArray[np.int64]) -> int:
+        """Draw the next noise block of those chosen vehicles that have used up theirs.
 
-        return min(self._threads.run(run, chosen.size))
-
-    def _refill(self, chosen: NDArray[np.int64]) -> None:
-        """Draw the next noise block of those chosen vehicles that are about to use up theirs."""
+        Returns the steps that all of them can take until then.
+        """
         data, its = self.batch, self.running
-        noise.refill(data.noise, data.counters, its.noise_states, its.noisy, chosen)
+        left: int = noise.refill(data.noise, data.counters, its.noise_states, its.noisy, chosen)
+        return left
 
     def snapshot(self) -> dict[str, Any]:
         """All that changes while episodes run; can be pickled. `resume` goes on from it."""

@@ -7,9 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 class Threads:
     """Runs a function over equal shares of the rows; threads start with the first run."""
 
-    def __init__(self, count: int, lanes: int) -> None:
-        """count: threads, with that of the caller. lanes: rows that belong together."""
-        self.count, self._lanes = count, lanes
+    def __init__(self, count: int) -> None:
+        """count: threads, with that of the caller."""
+        self.count = count
         self._pool: ThreadPoolExecutor | None = None
 
     @property
@@ -17,12 +17,15 @@ class Threads:
         """Whether there are threads beside that of the caller."""
         return self._pool is not None
 
-    def run(self, function: Callable[[int, int], int], size: int) -> list[int]:
-        """Results of function(first, last) for shares of `size` rows, the caller's share first."""
+    def run(self, function: Callable[[int, int], int], size: int, lanes: int = 1) -> list[int]:
+        """Results of function(first, last) for shares of `size` rows, the caller's share first.
+
+        lanes: rows that belong together; a share begins at a multiple of it.
+        """
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.count - 1, "tracked_env")
-        blocks = -(-size // self._lanes)
-        share = -(-blocks // self.count) * self._lanes
+        blocks = -(-size // lanes)
+        share = -(-blocks // self.count) * lanes
         parts = [
             self._pool.submit(function, first, min(first + share, size))
             for first in range(share, size, share)

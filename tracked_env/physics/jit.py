@@ -5,8 +5,10 @@ branch); no fastmath, so that a batch of any size gives the same bits as one veh
 is `summation`, for loops over the patches of one vehicle.
 `formula` is for the small pure functions (one equation each): they are inlined into the
 loop that calls them, which lets the compiler vectorise that loop over vehicles.
-`template` is for functions that take compiled functions as arguments: they are compiled into their
-callers and never kept on disk, where they would be keyed by functions of another process.
+`template` is for functions that take compiled functions as arguments: they become part of their
+callers before anything is compiled, and are never kept on disk, where they would be keyed by
+functions of another process. Large bodies belong there too: every level of compiled functions
+around them is optimised as a whole, which takes a second or more each time.
 `loop` is for the functions that own such a loop; they release the interpreter lock.
 
 Numba keys its disk cache on the file of the function that is called: after editing an
@@ -18,10 +20,13 @@ from functools import partial
 from inspect import signature
 from typing import Any
 
-from numba import njit, typeof
+from llvmlite import ir
+from numba import njit, typeof, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 formula = partial(njit, cache=True, error_model="numpy", forceinline=True)()
-template = partial(njit, error_model="numpy", forceinline=True)()
+template = partial(njit, error_model="numpy", inline="always")()
 loop = partial(njit, cache=True, error_model="numpy", nogil=True, boundscheck=False)()
 
 # For loops that add up over the patches of ONE vehicle: their order of summation is the choice of
@@ -31,6 +36,50 @@ summation = partial(
     njit, cache=True, error_model="numpy", forceinline=True,
     fastmath={"reassoc", "contract", "nsz"},
 )()  # fmt: skip
+
+
+@formula
+def copy_entries(source, target):
+    """Let target (>= M,) begin with the entries of source (M,).
+
+    Assigning one slice to another takes seconds to compile, most of it for an error message.
+    """
+    for k in range(source.size):
+        target[k] = source[k]
+
+
+@formula
+def fill_entries(target, value):
+    """Set every entry of target (M,)."""
+    for k in range(target.size):
+        target[k] = value
+
+
+def _prefetch(typing_context, array, index):
+    """Ask the processor for the cache line of array[index], an entry that is read soon.
+
+    It waits for nothing, and no result depends on it. index: a tuple of integers.
+    """
+
+    def code(context, builder, signature, arguments):
+        given, place = signature.args
+        found = context.make_array(given)(context, builder, arguments[0])
+        at = [
+            context.cast(builder, one, kind, types.intp)
+            for one, kind in zip(cgutils.unpack_tuple(builder, arguments[1]), place, strict=True)
+        ]
+        entry = cgutils.get_item_pointer(context, builder, given, found, at, wraparound=False)
+        byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        read, keep, data = (ir.Constant(word, value) for value in (0, 3, 1))
+        builder.call(fetch, [builder.bitcast(entry, byte), read, keep, data])
+        return context.get_dummy_value()
+
+    return types.void(array, index), code
+
+
+prefetch: Any = intrinsic(_prefetch)
 
 
 def bound(kernel: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:

@@ -18,7 +18,7 @@ from tracked_env.engine.kernels import advance_blocks, hold_blocks
 from tracked_env.physics import lumped_forces, vehicle
 from tracked_env.physics import state as s
 from tracked_env.physics.elementary import rotation
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import formula, loop, template
 from tracked_env.physics.parameters import (
     IN_SPACE,
     PARAMETER_INDEX,
@@ -39,8 +39,10 @@ from tracked_env.plants.lumped_block import (
     PLANAR,
     SCRATCH_ROWS,
     SINE,
-    integrate,
-    settle,
+    integrate_constrained,
+    integrate_sliding,
+    settle_constrained,
+    settle_sliding,
 )
 from tracked_env.validation import checked_choice
 
@@ -98,41 +100,41 @@ def _store(floats, w, block):
             floats[i, b.STATE + row] = w[row, lane]
 
 
-@formula
-def _move(demand, constrained, floats, w, block, pace, options):
-    """Advance (pace.substeps > 0) and settle one block of vehicles in the scratch array w."""
+@template
+def _move(demand, integrate, settle, floats, w, block, pace, options):
+    """Advance (pace.substeps > 0) and settle one block of vehicles in the scratch array w.
+
+    integrate, settle: of one lateral model, so that a kernel does not compile the other as well.
+    """
     _load(demand, floats, w, block, options)
     lanes = _filled(w, block.lanes)
-    integrate(w, lanes, pace.substeps, pace.h, constrained)
-    if constrained:
-        settle(lumped_forces.constrained_loads, lumped_forces.constrained_accelerations, w, lanes)
-    else:
-        settle(lumped_forces.sliding_loads, lumped_forces.sliding_accelerations, w, lanes)
+    integrate(w, lanes, pace.substeps, pace.h)
+    settle(w, lanes)
     _store(floats, w, block)
 
 
 @formula
 def _move_sliding(batch, w, block, pace, options):
     """As `advance_blocks` takes it."""
-    _move(_asked, False, batch.floats, w, block, pace, options)
+    _move(_asked, integrate_sliding, settle_sliding, batch.floats, w, block, pace, options)
 
 
 @formula
 def _move_constrained(batch, w, block, pace, options):
     """The same with the lateral motion constrained."""
-    _move(_asked, True, batch.floats, w, block, pace, options)
+    _move(_asked, integrate_constrained, settle_constrained, batch.floats, w, block, pace, options)
 
 
 @formula
 def _hold_sliding(batch, w, block, pace, options):
     """As `hold_blocks` takes it."""
-    _move(_held, False, batch.floats, w, block, pace, options)
+    _move(_held, integrate_sliding, settle_sliding, batch.floats, w, block, pace, options)
 
 
 @formula
 def _hold_constrained(batch, w, block, pace, options):
     """The same with the lateral motion constrained."""
-    _move(_held, True, batch.floats, w, block, pace, options)
+    _move(_held, integrate_constrained, settle_constrained, batch.floats, w, block, pace, options)
 
 
 @formula

@@ -91,23 +91,34 @@ def _substep(accelerations, w, lanes, h, limited):
 
 
 @formula
-def integrate(w, lanes, substeps, h, constrained):
-    """Integrate the scratch block over one control step."""
-    for _ in range(substeps):
-        limited = _limits_bind(w, lanes)
-        if constrained:
-            _substep(lumped_forces.constrained_accelerations, w, lanes, h, True)
-        elif limited:
-            _substep(lumped_forces.sliding_accelerations, w, lanes, h, True)
-        else:
-            _substep(lumped_forces.sliding_accelerations, w, lanes, h, False)
+def _come_to_rest(w, lanes):
+    """Let velocities below REST be zero."""
     for row in range(s.V_X, s.YAW_RATE + 1):
         for lane in range(lanes):
             w[row, lane] = w[row, lane] if abs(w[row, lane]) > REST else 0.0
 
 
 @formula
-def settle(loads_of, accelerations, w, lanes):
+def integrate_sliding(w, lanes, substeps, h):
+    """Integrate the scratch block over one control step."""
+    for _ in range(substeps):
+        if _limits_bind(w, lanes):
+            _substep(lumped_forces.sliding_accelerations, w, lanes, h, True)
+        else:
+            _substep(lumped_forces.sliding_accelerations, w, lanes, h, False)
+    _come_to_rest(w, lanes)
+
+
+@formula
+def integrate_constrained(w, lanes, substeps, h):
+    """The same where nothing slides sideways."""
+    for _ in range(substeps):
+        _substep(lumped_forces.constrained_accelerations, w, lanes, h, True)
+    _come_to_rest(w, lanes)
+
+
+@formula
+def _settle(loads_of, accelerations, w, lanes):
     """Algebraic rows of the state of every lane: efforts, slips, accelerations."""
     for i in range(lanes):
         motion = vehicle.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
@@ -126,3 +137,15 @@ def settle(loads_of, accelerations, w, lanes):
         w[s.EFFORT_LEFT, i], w[s.EFFORT_RIGHT, i] = loads.effort_left, loads.effort_right
         w[s.ACCELERATION_X, i], w[s.ACCELERATION_Y, i] = forward, lateral
         w[s.YAW_ACCELERATION, i] = rates[2]
+
+
+@formula
+def settle_sliding(w, lanes):
+    """Settle every lane."""
+    _settle(lumped_forces.sliding_loads, lumped_forces.sliding_accelerations, w, lanes)
+
+
+@formula
+def settle_constrained(w, lanes):
+    """The same with the lateral motion constrained."""
+    _settle(lumped_forces.constrained_loads, lumped_forces.constrained_accelerations, w, lanes)

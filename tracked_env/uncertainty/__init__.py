@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import fill_entries, formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, ParametersRead, PlantParameters
 from tracked_env.references import ReferenceProfile
 from tracked_env.streams import integer, uniform
@@ -108,7 +108,7 @@ def _draw_ranges(rngs, chosen, nominal, truths, counts, reliefs, columns, lows, 
         i = chosen[k]
         truths[i] = nominal[0]
         counts[i] = 0
-        reliefs[i] = 0.0
+        fill_entries(reliefs[i], 0.0)
         for j in range(columns.size):
             truths[i, columns[j]] = uniform(rngs[k], lows[j], highs[j])
 

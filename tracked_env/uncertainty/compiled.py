@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tracked_env import streams
 from tracked_env.events import decode_event
 from tracked_env.physics import parameter_events
-from tracked_env.physics.jit import formula, template
+from tracked_env.physics.jit import copy_entries, fill_entries, formula, template
 from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PlantParameters
 from tracked_env.physics.reference_profile import advance_pose
 from tracked_env.references import ReferenceProfile
@@ -87,7 +87,7 @@ class Changes(NamedTuple):
 def _added(changes, kind, parameter, target):
     """A new row, or the last one, which is free, for a parameter that is not read."""
     row = changes.rows[changes.used[0]]
-    row[:] = 0.0
+    fill_entries(row, 0.0)
     row[0], row[1], row[2] = kind, parameter, target
     if changes.read[parameter]:
         changes.used[0] += 1
@@ -106,7 +106,7 @@ def given(changes, rows):
     """Changes that are always the same, rows (M, 8)."""
     for k in range(rows.shape[0]):
         row = _added(changes, rows[k, 0], np.int64(rows[k, 1]), rows[k, 2])
-        row[3:8] = rows[k, 3:8]
+        copy_entries(rows[k, 3:8], row[3:])
 
 
 @formula
@@ -176,7 +176,7 @@ def draw_each(law, call):
         i = chosen[k]
         truths[i] = there[0] = nominal[0]
         counts[i] = 0
-        reliefs[i] = 0.0
+        fill_entries(reliefs[i], 0.0)
         path = Path(profile[:, i], poses[i], duration)
         changes = Changes(rows[i], counts[i : i + 1], read, there[0], reliefs[i])
         law(rngs[k], nominal[0], path, truths[i], changes)

@@ -29,7 +29,7 @@ from tracked_env.sensors import ADDED
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle and channel
 _RUNNING = (  # attributes that change while episodes run
-    "written", "_sigma", "_bias", "_sample", "_noise", "_past", "_streams", "_scans",
+    "written", "_sigma", "_bias", "_sample", "_noise", "_past", "_streams",
 )  # fmt: skip
 _TRUE = {
     **{name: b.STATE + row for row, name in enumerate(STATE_NAMES)},
@@ -89,12 +89,16 @@ class Composer:
 
     def snapshot(self) -> dict[str, Any]:
         """All that changes while episodes run, as plain data. `resume` goes on from it."""
-        return copy.deepcopy({name: getattr(self, name) for name in _RUNNING})
+        state = {name: getattr(self, name) for name in _RUNNING}
+        scans = {name: scan.running for name, scan in self._scans.items()}
+        return copy.deepcopy({**state, "scans": scans})
 
     def resume(self, snapshot: Mapping[str, Any]) -> None:
         """Go on from what `snapshot` returned, of the same layout and count."""
         for name in _RUNNING:
             setattr(self, name, copy.deepcopy(snapshot[name]))
+        for name, scan in self._scans.items():
+            scan.running = copy.deepcopy(snapshot["scans"][name])
 
     def start(
         self,

@@ -11,6 +11,8 @@ Assumptions: no delay, no occlusion; the sensor is levelled and knows its own he
 """
 
 import zlib
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +36,15 @@ class HeightScan:
         self._name, self._points = name, np.array(points)
         self._held = np.zeros((count, len(points)))
         self._streams: list[np.random.Generator | None] = [None] * count
+
+    @property
+    def running(self) -> dict[str, Any]:
+        """All that changes while episodes run, the arrays and streams themselves."""
+        return {"held": self._held, "streams": self._streams}
+
+    @running.setter
+    def running(self, values: Mapping[str, Any]) -> None:
+        self._held, self._streams = values["held"], values["streams"]
 
     def start(self, i: int, episode: Episode) -> None:
         """Begin an episode on vehicle i."""

@@ -121,7 +121,7 @@ def check_environment(env: str) -> None:
     if not (isinstance(made, type) and issubclass(made, TrackedVehicleVectorEnv)):
         raise ValueError(
             f"--env {env} is not an environment of tracked vehicles; must be {TORQUE_ID}, "
-            f"{SPEED_ID}, or an id registered with their vector_entry_point"
+            f"{SPEED_ID}, {TERRAIN_ID}, or an id registered with their vector_entry_point"
         )
 
 

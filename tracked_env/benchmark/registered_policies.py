@@ -116,7 +116,7 @@ def _policies_of(entry: EntryPoint, found: Any) -> list[tuple[str, str | None, A
         drive = getattr(found, "drive", None)
         if drive is not None and drive not in ENVIRONMENTS:
             raise ValueError(f"its drive is {drive!r}; must be one of {', '.join(ENVIRONMENTS)}")
-        policies = [(entry.name, ENVIRONMENTS.get(drive), found)]
+        policies = [(entry.name, None if drive is None else ENVIRONMENTS[drive], found)]
     else:
         many: Mapping[str, Mapping[str, Any]] = found.policies()
         if set(many) - {*ENVIRONMENTS}:

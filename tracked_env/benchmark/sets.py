@@ -86,11 +86,12 @@ def _indoors(name: str, uncertainty: str, about: str, **given: Any) -> Benchmark
 _SHOWN = (*TERRAIN["observation"], "height_scan")
 
 
-def _on_slopes(name: str, uncertainty: str, about: str, **given: Any) -> BenchmarkSet:
+def _on_slopes(
+    name: str, uncertainty: str, about: str, sensors: str | Mapping[str, Any] = TERRAIN["sensors"]
+) -> BenchmarkSet:
     """A set of Terrain-v0."""
     arguments = {key: TERRAIN[key] for key in ("vehicle", "plant", "drive", "error_limit")}
     arguments["observation"] = _SHOWN
-    sensors = given.get("sensors", TERRAIN["sensors"])
     return BenchmarkSet(
         name, uncertainty, about, sensors, TERRAIN["reference"], 30.0, TERRAIN_ID,
         MappingProxyType(arguments),

@@ -9,6 +9,9 @@ For vehicles driven by their sprocket speeds:
     slc           the slippage-aware one, slip identified beforehand on the nominal soil
     slc-adaptive  the same controller with the slip of the friction that it identifies under way
     slc-oracle    the same controller with the slip of the true soil
+Where the observation shows the attitude (`tracked_env/Terrain-v0`) all of them track in the plane
+of the vehicle, and the slip is that on the slope that is felt, but for
+    slc-flat      slc with the slip that the nominal soil has on level ground
 A factory takes a context with `control_period` [s], `lateral` (its model), `sensors` (data sheet:
 the noise of the sensors, which every policy may use), `drive`, `vehicle`, and `observation` (names
 of its fields). `register` adds a controller.
@@ -26,7 +29,9 @@ from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.lyapunov.slope_errors import shows_attitude
 from baselines.slip.slip_sweep import identified_slip
+from baselines.slip.slope_sweep import identified_slope_slip
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 
 
@@ -146,6 +151,16 @@ def uc(context: Context) -> UnicyclePolicy:
 
 def slc(context: Context) -> SlippageAwarePolicy:
     """The slippage-aware controller that trusts the slip of the nominal soil."""
+    if not shows_attitude(context.observation):
+        return slc_flat(context)
+    arguments = _speed_arguments(context)
+    return SlippageAwarePolicy(
+        slip_model=identified_slope_slip(arguments["parameters"]), **arguments
+    )
+
+
+def slc_flat(context: Context) -> SlippageAwarePolicy:
+    """The slippage-aware controller that trusts the slip of the nominal soil on level ground."""
     arguments = _speed_arguments(context)
     return SlippageAwarePolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
 
@@ -166,6 +181,7 @@ POLICIES: dict[str, Callable[[Any], Any]] = {
     "oracle": oracle,
     "uc": uc,
     "slc": slc,
+    "slc-flat": slc_flat,
     "slc-adaptive": slc_adaptive,
     "slc-oracle": slc_oracle,
 }

@@ -2,7 +2,8 @@
 
     AdaptiveSlipPolicy   slip of the friction that is estimated on line (friction_estimator)
     OracleSlipPolicy     slip of the true friction and shear modulus, from `observe_truth`
-The law is that of SlippageAwarePolicy; only the slip model differs.
+The law is that of SlippageAwarePolicy; only the slip model differs. Where the observation shows the
+attitude, both know slopes.
 
 References: [F] Focchi et al. (2025), section 5.2.
 """
@@ -17,14 +18,18 @@ from baselines.batch_policy import BatchPolicy
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
+from baselines.lyapunov.slope_errors import ATTITUDE, shows_attitude
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
-from baselines.slip.slip_models import Array, SlipFamily
+from baselines.slip.slip_models import Array, SlipFamily, SlipModel
 from baselines.slip.slip_sweep import slip_family, strength_over_weight
+from baselines.slip.slope_models import LEVEL, SlopeSlipFamily, SlopeSlipModel
+from baselines.slip.slope_sweep import slope_slip_family
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 
 LATE = 0.05  # [s] an older velocity gives no information on the present slip
 MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that the oracle knows
+SLOPE_MODULI = (0.5, 8.0)  # the same on slopes, where slip on the straight is linear in K
 _SEEN = [layout.INDEX[n] for n in ("v_x", "v_y", "yaw_rate", "pose_age")]
 _SPROCKETS = [layout.INDEX[n] for n in ("sprocket_speed_left", "sprocket_speed_right")]
 
@@ -54,17 +59,20 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         self.control_period = control_period
         self.nominal_friction = strength_over_weight(parameters)
         self._sheet, self._gains = data_sheet, gains
-        self._view = layout.View(observation, NEEDS)
+        self._slopes = shows_attitude(observation)
+        self._needs = (*NEEDS, *ATTITUDE) if self._slopes else NEEDS
+        self._view = layout.View(observation, self._needs)
         self._made(1)
 
     def _made(self, count: int) -> None:
         """Estimator and controller for `count` vehicles."""
         self.estimator = RecursiveSlipEstimator(
-            self.parameters, self.control_period, self._sheet, count
+            self.parameters, self.control_period, self._sheet, count, slopes=self._slopes
         )
         self._policy = SlippageAwarePolicy(
-            self.parameters, self.control_period, self.estimator, self._gains, self._sheet
-        )
+            self.parameters, self.control_period, self.estimator, self._gains, self._sheet,
+            (*layout.NAMES, *ATTITUDE) if self._slopes else layout.NAMES,
+        )  # fmt: skip
 
     def estimates(self) -> dict[str, tuple[Array, Array]]:
         """(value, standard deviation), (N,), of the angle phi of the friction mu = tan(phi)."""
@@ -91,8 +99,9 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         known = age <= LATE
         left, right = (batch[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]).T
         self.estimator.update(
-            left, right, np.where(known, v_x, np.nan), np.where(known, v_y, np.nan), yaw_rate
-        )
+            left, right, np.where(known, v_x, np.nan), np.where(known, v_y, np.nan), yaw_rate,
+            None if state is None else state.driving.attitude,
+        )  # fmt: skip
         # The friction is worked out once; the controller asks for the slip many times.
         self._policy.slip_model = self.estimator.family.at(self.estimator.friction)
         driving = None if state is None else state.driving
@@ -103,18 +112,25 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
 class KnownSlip:
     """Slip of each vehicle on soil of known friction and shear modulus; a SlipModel.
 
-    parameters: nominal. Between the moduli of the families it is linear in K.
+    parameters: nominal. slopes: whether it is asked on slopes. Between the moduli of the families
+    it is linear in K.
     """
 
-    def __init__(self, parameters: PlantParameters) -> None:
+    def __init__(self, parameters: PlantParameters, slopes: bool = False) -> None:
         nominal = parameters.shear_deformation_modulus
-        self.moduli = nominal * np.array(MODULI)
-        self.families: list[SlipFamily] = [
-            slip_family(parameters._replace(shear_deformation_modulus=float(k)))
-            for k in self.moduli
+        self.moduli = nominal * np.array(SLOPE_MODULI if slopes else MODULI)
+        soils = [parameters._replace(shear_deformation_modulus=float(k)) for k in self.moduli]
+        self.families: list[SlipFamily | SlopeSlipFamily] = [
+            slope_slip_family(soil) if slopes else slip_family(soil) for soil in soils
         ]
         self.friction: Array = np.array([strength_over_weight(parameters)])
         self.modulus: Array = np.array([nominal])
+        self.grade: Array = LEVEL
+
+    def on(self, grade: Array) -> "KnownSlip":
+        """The same where vehicles feel grades (N, 2); without effect if made for level ground."""
+        self.grade = grade
+        return self
 
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
         """(beta_left, beta_right [m/s], alpha [rad]), (N,), or a multiple of N."""
@@ -124,7 +140,10 @@ class KnownSlip:
         for number, family in enumerate(self.families):
             share = np.maximum(1.0 - np.abs(place - number), 0.0)
             if share.any():
-                slip = family.slip(sprocket_left, sprocket_right, self.friction)
+                known: SlipModel = family.at(self.friction)
+                if isinstance(known, SlopeSlipModel):
+                    known = known.on(self.grade)
+                slip = known.slip(sprocket_left, sprocket_right)
                 share = np.concatenate([share] * times)
                 for channel in range(3):
                     total[channel] += share * slip[channel]
@@ -145,9 +164,8 @@ class OracleSlipPolicy(SlippageAwarePolicy):
         gains: LyapunovGains | None = None,
         observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        super().__init__(
-            parameters, control_period, KnownSlip(parameters), gains, data_sheet, observation
-        )
+        known = KnownSlip(parameters, shows_attitude(observation))
+        super().__init__(parameters, control_period, known, gains, data_sheet, observation)
 
     def observe_truth(self, truth: Mapping[str, Any]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""

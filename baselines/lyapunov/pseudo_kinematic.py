@@ -20,7 +20,7 @@ Vehicles (2025), section 3.2.
 """
 
 import math
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,14 @@ class SlipModel(Protocol):
 
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
         """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+
+
+@runtime_checkable
+class SlopeAwareSlipModel(Protocol):
+    """The same on any slope."""
+
+    def on(self, grade: Array) -> SlipModel:
+        """The slip model of vehicles that feel grades (N, 2), see `slip.slope_models`."""
 
 
 class NoSlip:

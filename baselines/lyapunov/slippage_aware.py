@@ -10,6 +10,8 @@ Action: sprocket speed demands over sprocket_speed_limit, left then right. One s
                step to step would turn a jump of the reference into a blow of the tracks.
     law        lyapunov.slippage_aware_law or unicycle_law: v_x and w
     sprockets  r omega = v_x -+ w B/2 + beta, beta at those sprocket speeds (fixed point)
+Where the observation shows the attitude, error and reference are those in the vehicle's plane
+(slope_errors), and slip is that on the slope it feels, if the slip model knows slopes.
 A pose sample that comes late is first carried forward by the mean motion over its age. (By the
 motion now, k_p age >= 1 would make the vehicle rattle: the demand enters its own measurement.)
 A missing sample (NaN) is made up from the belts. Without any pose or reference: standstill.
@@ -30,7 +32,20 @@ from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pseudo_kinematic as kinematics
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
-from baselines.lyapunov.pseudo_kinematic import Array, Geometry, NoSlip, SlipModel
+from baselines.lyapunov.pseudo_kinematic import (
+    Array,
+    Geometry,
+    NoSlip,
+    SlipModel,
+    SlopeAwareSlipModel,
+)
+from baselines.lyapunov.slope_errors import (
+    ATTITUDE,
+    AttitudeFilter,
+    in_vehicle_plane,
+    shows_attitude,
+)
+from baselines.slip.slope_models import grades
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import wrap_angle
 from tracked_env.physics.jit import formula, loop
@@ -64,6 +79,7 @@ class LyapunovState(NamedTuple):
     sprockets: Array  # (N, 2) [rad/s] last demanded
     mean: Array  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], averaged over the age of the pose
     located: NDArray[np.bool_]  # (N,) whether a pose has been seen
+    attitude: Array  # (N, 2) roll, pitch [rad]; 0 where it is not shown
 
 
 @formula
@@ -131,10 +147,10 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
 
     parameters: track_gauge, sprocket_radius and sprocket_speed_limit are used, each a number
     or (N,). control_period [s]: between two calls. slip_model: beta and alpha from sprocket
-    speeds. gains: of the law. data_sheet: noise of the sensors; it sets the filter of the pose.
-    None: no noise, hence no filter. observation: names of the fields that the environment shows.
-    Raises ValueError for arguments that make no sense, and for an observation that lacks a field
-    of NEEDS.
+    speeds, of any slope if it is a SlopeAwareSlipModel. gains: of the law. data_sheet: noise of the
+    sensors; it sets the filter of the pose. None: no noise, hence no filter. observation: names of
+    the fields that the environment shows. Raises ValueError for arguments that make no sense, and
+    for an observation that lacks a field of NEEDS.
     """
 
     def __init__(
@@ -156,13 +172,15 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
                 f"k_p control_period = {self.gains.k_p * control_period:g}; must be below 1, or "
                 "every step overshoots. Is the controller called too rarely?"
             )
-        self._view = layout.View(observation, NEEDS)
+        tilted = shows_attitude(observation)
+        self._view = layout.View(observation, (*NEEDS, *ATTITUDE) if tilted else NEEDS)
         self.control_period = float(control_period)
-        self.slip_model = slip_model
+        self.slip_model = self._felt = slip_model
         self.geometry = Geometry.of(parameters)
         self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count last seen
         none = DataSheet(*(0.0 for _ in DataSheet._fields))
         sheet = none if data_sheet is None else data_sheet
+        self._attitude = AttitudeFilter(sheet, self.control_period) if tilted else None
         self.velocity_measured = sheet.velocity_noise <= VELOCITY_NOISE_LIMIT
         rate = (sheet.velocity_noise, 0.0) if self.velocity_measured else (0.0, BELT_DRIFT)
         self.filter_gains = (
@@ -184,7 +202,13 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         """
         count = len(observation)
         geometry, _thrice = self._rows(count)
-        error, age, last, mean, located = self._start(state, start)
+        error, age, last, mean, located, attitude = self._start(state, start)
+        if self._attitude is not None:
+            attitude = self._attitude.update(observation, attitude, start)
+            observation = in_vehicle_plane(observation, attitude)
+        self._felt = self.slip_model
+        if isinstance(self.slip_model, SlopeAwareSlipModel):
+            self._felt = self.slip_model.on(grades(*attitude.T))
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
         beta, alpha, driven = self._slip(actual, geometry)
@@ -199,7 +223,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         sprockets = self._feed_forward(wanted, beta, geometry)
         sprockets[~moving] = 0.0
         action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
-        return action, LyapunovState(error, age, sprockets, mean, located)
+        return action, LyapunovState(error, age, sprockets, mean, located, attitude)
 
     def _rows(self, count: int) -> tuple[Geometry, Geometry]:
         """Geometry of `count` vehicles, and the same three times over."""
@@ -212,7 +236,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         """A copy of the state, its rows new where an episode starts."""
         if state is None:
             rows, nowhere = np.zeros((len(start), 3)), np.zeros(len(start), dtype=bool)
-            return LyapunovState(rows, rows[:, 0].copy(), rows[:, :2].copy(), rows.copy(), nowhere)
+            pair, mean = rows[:, :2], rows.copy()
+            return LyapunovState(rows, rows[:, 0].copy(), pair.copy(), mean, nowhere, pair.copy())
         self.same_count(len(state.age), len(start))
         copies = LyapunovState._make(values.copy() for values in state)
         for values in copies:
@@ -224,7 +249,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         count = len(sprockets)
         slip, beta, motion = np.empty((count, 3)), np.empty((count, 2)), np.empty((count, 2))
         left, right = sprockets.T.copy()
-        slip[:, 0], slip[:, 1], slip[:, 2] = self.slip_model.slip(left, right)
+        slip[:, 0], slip[:, 1], slip[:, 2] = self._felt.slip(left, right)
         alpha = np.empty(count)
         kinematics.settle(sprockets, slip, *geometry[:2], beta, alpha, motion)
         return beta, alpha, motion

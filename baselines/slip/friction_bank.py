@@ -40,13 +40,13 @@ CHANGED = 12.0  # [-] fall of the sum of squares that is a change: 3.5 sigma
 
 
 # What is remembered of one vehicle: sprocket speeds, whether started, velocities of the plants,
-# A, C, D; then where mu is (k + s), and the curvature there.
+# A, C, D; what else the plants have; then where mu is (k + s), and the curvature there.
 STARTED, VELOCITIES, PLACE, CURVE = 2, 3, -2, -1
 
 
-def columns_for(count: int) -> int:
-    """Columns of the memory for a bank of `count` plants."""
-    return VELOCITIES + CHANNELS * count + 3 * count - 1 + 2
+def columns_for(count: int, more: int = 0) -> int:
+    """Columns of the memory for a bank of `count` plants, with `more` of each before PLACE."""
+    return VELOCITIES + CHANNELS * count + 3 * count - 1 + more * count + 2
 
 
 @formula

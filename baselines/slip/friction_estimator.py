@@ -6,6 +6,10 @@ slip itself: a measured slip belongs to the speeds of the moment, a friction to 
 on the slip that turns was tried beside it and does harm: it also learns what is no steady slip, the
 lag of a yawing vehicle, and the controller acts on that.
 
+On slopes gravity pulls, and a vehicle that is taken to be on level ground seems to slip more than
+its friction explains. There the plants are those of `slope_motion`, each on the slope that the
+vehicle feels, with its load and the transfer of load that the slope makes.
+
 The plants of a bank (friction_bank) are driven by the measured sprocket speeds. Plants and not the
 tables predict, because on slippery ground the vehicle takes seconds to become steady.
 
@@ -27,16 +31,20 @@ from baselines.slip.friction_bank import (
     columns_for,
     compare,
 )
-from baselines.slip.slip_models import Array
+from baselines.slip.slip_models import Array, SlipFamily
 from baselines.slip.slip_sweep import (
     FRICTIONS,
     slip_family,
     strength_over_weight,
     with_friction,
 )
+from baselines.slip.slope_models import SlopeSlipFamily
+from baselines.slip.slope_motion import CONTACT, PLANAR, STATE_SIZE, hold_on_slope
+from baselines.slip.slope_sweep import PATCHES, middles, slope_slip_family
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.patch_dynamics import hold_speeds
 from tracked_env.physics.patch_forces import Patches, make_patches
+from tracked_env.physics.tracked_body import SCALED
 from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
 PULL = 1.0  # [s] over which the plants are drawn to the measured velocities
@@ -53,7 +61,8 @@ class RecursiveSlipEstimator:
 
     parameters: nominal; the vehicle is taken from them, and the friction to begin with.
     control_period [s]: between two updates. data_sheet: noise of velocity, gyro and sprocket
-    speeds is used. count: N. memory_time [s]: of turns, after which evidence has faded.
+    speeds is used. count: N. memory_time [s]: of turns, after which evidence has faded. slopes:
+    whether the attitude is known; the estimator of planar ground takes every place for level.
     All that is remembered is in `memory`: a copy of it resumes. Raises ValueError for arguments
     outside their range.
     """
@@ -68,6 +77,7 @@ class RecursiveSlipEstimator:
         count: int = 1,
         memory_time: float = MEMORY_TIME,
         patches: Patches | None = None,
+        slopes: bool = False,
     ) -> None:
         control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         count = checked_whole("count", count, VEHICLES)
@@ -79,7 +89,10 @@ class RecursiveSlipEstimator:
         for name, sigma in data_sheet._asdict().items():
             checked_number(name, sigma, SIGMA)
         self.control_period = float(control_period)
-        self.family = slip_family(parameters)
+        self.slopes = slopes
+        self.family: SlipFamily | SlopeSlipFamily = (
+            slope_slip_family(parameters) if slopes else slip_family(parameters)
+        )
         self._patches = make_patches() if patches is None else patches
         bank = [with_friction(parameters, mu) for mu in FRICTIONS]
         self._plants = np.tile(np.array(bank, dtype=np.float64), (int(count), 1))
@@ -98,7 +111,8 @@ class RecursiveSlipEstimator:
         self._prior = float(np.interp(math.log(nominal), np.log(FRICTIONS), places))
         self._inverse = 1.0 / np.array(FRICTIONS)
         self._steps = math.ceil(self.control_period / LARGEST_STEP - 1e-9)
-        self.memory = np.zeros((int(count), columns_for(len(FRICTIONS))))
+        more = len(CONTACT) if slopes else 0
+        self.memory = np.zeros((int(count), columns_for(len(FRICTIONS), more)))
         self.reset()
 
     def reset(self, rows: ArrayLike | None = None) -> None:
@@ -115,10 +129,12 @@ class RecursiveSlipEstimator:
         v_x: ArrayLike,
         v_y: ArrayLike,
         yaw_rate: ArrayLike,
+        attitude: Array | None = None,
     ) -> NDArray[np.bool_]:
         """Take one sample of every vehicle: sprocket speeds [rad/s] held since the last one,
         body velocities [m/s] and yaw rate [rad/s] now, each a number or (N,); NaN is missing.
 
+        attitude (N, 2): roll, pitch [rad] since the last one, used with `slopes`; None is level.
         Returns (N,): whether the sample counted. Raises ValueError for another shape.
         """
         n, bank = len(self.memory), len(FRICTIONS)
@@ -134,19 +150,38 @@ class RecursiveSlipEstimator:
         possible = np.abs(measured[:, :2]) < self._fastest[0]  # NaN is not
         held = np.where(possible, measured[:, :2], self.memory[:, :2])
         self.memory[:, :2] = held
-        states, loads = np.zeros((n * bank, 6)), np.empty((n * bank, 6))
-        velocities = self.memory[:, VELOCITIES : VELOCITIES + CHANNELS * bank]
-        states[:, 3:] = velocities.reshape(n * bank, CHANNELS)
-        hold_speeds(
-            states, np.repeat(held, bank, axis=0), self._plants, self._patches,
-            self._steps, self.control_period / self._steps, False, loads,
-        )  # fmt: skip
+        planar = self.memory[:, VELOCITIES : VELOCITIES + CHANNELS * bank]
+        moved = self._moved(planar.reshape(n * bank, CHANNELS), held, attitude)
+        states = np.zeros((n * bank, 6))
+        states[:, 3:] = moved
         used = np.empty(n, dtype=np.bool_)
         compare(
             self.memory, states, measured, self._sigma, self._fastest[1:], self._gain,
             self._turning, self._forgetting, self._prior, used,
         )  # fmt: skip
         return used
+
+    def _moved(self, velocities: Array, held: Array, attitude: Array | None) -> Array:
+        """v_x, v_y, w (N M, 3) of the plants after one control period at sprocket speeds (N, 2)."""
+        count, bank = len(velocities), len(FRICTIONS)
+        speeds, period = np.repeat(held, bank, axis=0), self.control_period / self._steps
+        if not self.slopes:
+            states, loads = np.zeros((count, 6)), np.empty((count, 6))
+            states[:, 3:] = velocities
+            hold_speeds(
+                states, speeds, self._plants, self._patches, self._steps, period, False, loads
+            )
+            return states[:, 3:]
+        level = np.zeros((len(held), 2)) if attitude is None else attitude
+        states = np.empty((count, STATE_SIZE))
+        contact = self.memory[:, -2 - len(CONTACT) * bank : -2]
+        states[:, PLANAR], states[:, CONTACT] = velocities, contact.reshape(count, -1)
+        hold_on_slope(
+            states, np.repeat(level, bank, axis=0), speeds, self._plants, *middles(PATCHES),
+            SCALED, False, self._steps, period, 0.0, 1, np.empty(count),
+        )  # fmt: skip
+        contact[:] = states[:, CONTACT].reshape(contact.shape)
+        return states[:, PLANAR]
 
     def estimates(self) -> dict[str, tuple[Array, Array]]:
         """By name (value, standard deviation), (N,) each: friction mu [-]."""

@@ -34,7 +34,7 @@ from tracked_env.physics import state as s
 from tracked_env.physics import terrain_motion, vehicle
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.attitude import angles_of, matrix_of, quaternion_of
-from tracked_env.physics.ground_contact import Footing, Twist
+from tracked_env.physics.ground_contact import Twist
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
@@ -43,10 +43,9 @@ from tracked_env.physics.parameters import (
     row_parameters,
 )
 from tracked_env.physics.patch_dynamics import Belts
-from tracked_env.physics.rigid_body import Inertia
 from tracked_env.physics.state import VehicleState
-from tracked_env.physics.terrain_motion import LINEAR, BeltDrive, Pose3, Tracked
-from tracked_env.physics.uniform_load import rocking_of
+from tracked_env.physics.terrain_motion import LINEAR, Pose3
+from tracked_env.physics.tracked_body import body_of, set_soil
 from tracked_env.plants.base import Ground, Plant, Prepared
 from tracked_env.plants.derived import derive_free
 from tracked_env.plants.distributed import DISTRIBUTED, LATERAL_LAW, rolling
@@ -82,37 +81,6 @@ _BASE_WIDTH = b.BASE + PARAMETER_INDEX["track_width"]
 
 
 @formula
-def _body(p, lanes, count, made, by_torque, uniform):
-    """Tracked from the parameters in force; made: numbers of the options, see `_made`."""
-    footing = Footing(
-        made[0] + made[1] * p.contact_length, 0.5 * p.contact_length,
-        p.contact_length * p.track_width / count, made[6], made[7], made[8],
-    )  # fmt: skip
-    inertia = Inertia(
-        p.mass, made[2] + made[3] * p.inertia, made[4] + made[5] * p.inertia, p.inertia
-    )
-    radius = p.sprocket_radius
-    drive = BeltDrive(
-        radius * radius / p.sprocket_inertia if by_torque else 0.0,
-        1.0 / radius,
-        1.0 / (radius * p.sprocket_speed_limit),
-    )
-    rocking = rocking_of(footing, 0.5 * p.track_gauge, p.track_width, 2 * count)
-    return Tracked(inertia, footing, rocking, drive, lanes, count, uniform)
-
-
-@formula
-def _set_soil(w, first, last, soil_there, patch_area):
-    """Rows of the soil in lanes first .. last - 1."""
-    tangent = math.tan(soil_there.friction_angle)
-    for lane in range(first, last):
-        w[g.FRICTION, lane] = tangent
-        w[g.ADHESION, lane] = soil_there.cohesion * patch_area
-        w[g.INVERSE_MODULUS, lane] = 1.0 / soil_there.shear_deformation_modulus
-        w[g.ROLLING, lane] = soil_there.longitudinal_resistance
-
-
-@formula
 def _soil_under_patches(batch, i, period, w, pose, body):
     """The same, each patch with the soil of its place."""
     terrain = terrain_ground.Terrain(
@@ -122,7 +90,7 @@ def _soil_under_patches(batch, i, period, w, pose, body):
     g.locate(w, 2 * body.patches, (pose.x, pose.y, pose.z), matrix_of(pose.q), body.footing.height)
     for lane in range(2 * body.patches):
         there = terrain_ground.at(level, terrain, w[g.PLACE_X, lane], w[g.PLACE_Y, lane])
-        _set_soil(w, lane, lane + 1, there.soil, body.footing.patch_area)
+        set_soil(w, lane, lane + 1, there.soil, body.footing.patch_area)
 
 
 @formula
@@ -204,7 +172,7 @@ def _move(batch, w, block, pace, options):
     p = row_parameters(floats, i, b.PARAMETERS)
     half_length, count = 0.5 * p.contact_length, columns.size * rows.size
     lanes = g.place_patches(w, columns, rows, half_length, 0.5 * p.track_gauge, p.track_width)
-    body = _body(p, lanes, count, made, by_torque, uniform)
+    body = body_of(p, lanes, count, made, by_torque, uniform)
     row = b.STATE
     rest_height = height_at_rest(
         floats[i, _BASE_MASS], floats[i, _BASE_LENGTH], floats[i, _BASE_WIDTH], made
@@ -219,7 +187,7 @@ def _move(batch, w, block, pace, options):
         floats[i, row + s.SPROCKET_SPEED_LEFT] * p.sprocket_radius,
         floats[i, row + s.SPROCKET_SPEED_RIGHT] * p.sprocket_radius,
     )
-    _set_soil(w, 0, lanes, p, body.footing.patch_area)
+    set_soil(w, 0, lanes, p, body.footing.patch_area)
     if per_patch and batch.counters[i, b.EVENT_COUNT] > 0:
         _soil_under_patches(batch, i, pace.period, w, pose, body)
     command = belts

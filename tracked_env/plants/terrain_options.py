@@ -1,10 +1,6 @@
 """Options of the plant on terrain: defaults with their sources, checks, and where a vehicle rests.
 
-Stiffness and damping are those of F table 2, read per track. The height of the centre of mass,
-0.25 m, and the inertias about roll and pitch, 2.18 and 2.81 kg m^2, are F's for its vehicle with
-4.5 kg m^2 about yaw and 0.7 m of contact. None scales them with the contact length and with the
-yaw inertia in force: an ASSUMPTION for every other vehicle (0.71 m and 572, 737 kg m^2 for the one
-of Strawa et al., who do not give them).
+The numbers of F's vehicle and what they mean for others are in `physics.tracked_body`.
 
 Reference: [1] Focchi et al. (2025), table 2 and section 8.
 """
@@ -19,19 +15,19 @@ from numpy.typing import NDArray
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.ground_contact import LANES
 from tracked_env.physics.jit import formula
-from tracked_env.physics.parameters import FOCCHI_VEHICLE, PlantParameters, Range
+from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.physics.tracked_body import (
+    DAMPING,
+    HEIGHT_RATIO,
+    PITCH_RATIO,
+    ROLL_RATIO,
+    STIFFNESS,
+)
 from tracked_env.plants.distributed import checked_patches
 from tracked_env.validation import checked_number
 
 LOADS = ("nonuniform", "uniform")
 SOIL_AT = ("centre", "patches")
-_FOCCHI_AREA = FOCCHI_VEHICLE.track_width * FOCCHI_VEHICLE.contact_length  # [m^2] of one track
-STIFFNESS = 1e5 / _FOCCHI_AREA  # [N/m^3] F table 2
-DAMPING = 5e3 / _FOCCHI_AREA  # [N s/m^3]
-_HEIGHT, _ROLL_INERTIA, _PITCH_INERTIA = 0.25, 2.18, 2.81  # [m], [kg m^2] of F's vehicle
-HEIGHT_RATIO = _HEIGHT / FOCCHI_VEHICLE.contact_length
-ROLL_RATIO = _ROLL_INERTIA / FOCCHI_VEHICLE.inertia
-PITCH_RATIO = _PITCH_INERTIA / FOCCHI_VEHICLE.inertia
 TILT_LIMIT = math.radians(60.0)  # [rad] beyond the tipping angles of F's vehicle: it has fallen
 LONGEST_STEP = 2e-3  # [s] of an integration step; docs/terrain.md has the table of step halving
 _NUMBERS = {

@@ -1,0 +1,166 @@
+"""The Lyapunov policies on slopes: errors in the vehicle's plane, slip on the slope it feels."""
+
+import numpy as np
+import pytest
+
+import tracked_env
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.lyapunov.slope_errors import ATTITUDE, AttitudeFilter, in_vehicle_plane
+from baselines.registry import POLICIES
+from baselines.slip.slip_sweep import identified_slip
+from baselines.slip.slope_sweep import identified_slope_slip
+from tracked_env import observation as layout
+from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.policy_interface import needs_truth
+from tracked_env.benchmark.runner import drive
+from tracked_env.observation import make_layout
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.sensors import make_sensors
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+FOCCHI = VEHICLES["focchi"]
+SHOWN = make_layout(tracked_env.TERRAIN["observation"])
+SPEED_POLICIES = ("uc", "slc", "slc-flat", "slc-adaptive", "slc-oracle")
+
+
+def context(sensors="mocap"):
+    return PolicyContext(0.02, "sliding", make_sensors(sensors), "speed", "focchi", SHOWN.names)
+
+
+def environment(count, truth=False, **arguments):
+    chosen = {**tracked_env.TERRAIN, **arguments}
+    return TrackedVehicleVectorEnv(count, **chosen, autoreset_mode="Disabled", expose_truth=truth)
+
+
+def rmse(name, count, **arguments):
+    """(count,) RMSE [m] after 3 s of a named policy on episodes of seeds that no set has."""
+    policy = POLICIES[name](context(arguments.get("sensors", "mocap")))
+    env = environment(count, needs_truth(policy), **arguments)
+    trace, _ = drive(policy, env, range(70000, 70000 + count), lambda: None)
+    assert not trace.terminated.any()
+    return np.sqrt((trace.channel("error")[150:] ** 2).mean(axis=0))
+
+
+def situations(count, rng):
+    """Observations (count, size) in the layout of Terrain-v0, not tilted."""
+    values = {name: np.zeros(count) for name in SHOWN.names}
+    for name, size in {
+        "position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.2, "yaw_rate": 0.2,
+        "v_y": 0.02, "reference_yaw_rate": 0.4, "reference_yaw_acceleration": 0.1,
+    }.items():  # fmt: skip
+        values[name] = size * rng.uniform(-1.0, 1.0, count)
+    values["v_x"] = values["reference_speed"] = rng.uniform(0.1, 0.5, count)
+    values["sprocket_speed_left"], values["sprocket_speed_right"] = rng.uniform(1, 6, (2, count))
+    return values
+
+
+@pytest.mark.parametrize("aware", [True, False])
+def test_on_level_ground_actions_are_those_of_the_planar_policy_to_the_bit(aware):
+    rng = np.random.default_rng(0)
+    sheet = None
+    made = [
+        SlippageAwarePolicy(FOCCHI, 0.02, identified_slip(FOCCHI), None, sheet, names)
+        if aware
+        else UnicyclePolicy(FOCCHI, 0.02, None, sheet, names)
+        for names in (layout.NAMES, SHOWN.names)
+    ]
+    memory = [None, None]
+    for _ in range(20):
+        values = situations(16, rng)
+        seen = [layout.pack({n: values[n] for n in layout.NAMES}), SHOWN.pack(values)]
+        actions = []
+        for k in range(2):
+            action, memory[k] = made[k].predict(seen[k], memory[k])
+            actions.append(action)
+        np.testing.assert_array_equal(*actions)
+
+
+def test_the_slope_table_on_level_ground_gives_nearly_the_planar_actions():
+    rng = np.random.default_rng(1)
+    seen = SHOWN.pack(situations(200, rng))
+    actions = [
+        SlippageAwarePolicy(FOCCHI, 0.02, model, observation=SHOWN.names).predict(seen)[0]
+        for model in (identified_slip(FOCCHI), identified_slope_slip(FOCCHI))
+    ]
+    assert np.percentile(np.abs(actions[0] - actions[1]), 95) < 0.01
+
+
+def test_the_error_in_the_vehicles_plane_is_what_the_observation_shows():
+    """The group tangent_error is the same quantity."""
+    env = environment(8, sensors="ideal", uncertainty="slope", duration=2.0)
+    observation, _ = env.reset(seed=70000)
+    for _ in range(30):
+        observation, *_ = env.step(np.full((8, 2), 0.4, dtype=np.float32))
+    view = layout.View(SHOWN.names, (*layout.NAMES, *ATTITUDE))
+    seen = view(observation)
+    values = SHOWN.unpack(observation)
+    attitude = np.stack([values["roll"], values["pitch"]], axis=1)
+    assert np.abs(attitude).max() > 0.05
+    found = layout.unpack(in_vehicle_plane(seen, attitude)[:, : layout.SIZE])
+    for flat, tangent in (
+        ("position_error_x", "tangent_error_x"),
+        ("position_error_y", "tangent_error_y"),
+        ("heading_error", "tangent_heading_error"),
+    ):
+        np.testing.assert_allclose(found[flat], values[tangent], atol=1e-6)
+    speed = values["reference_speed"] / np.cos(values["pitch"])
+    np.testing.assert_allclose(found["reference_speed"], speed, rtol=1e-5)
+
+
+def test_the_attitude_is_filtered_and_a_missing_sample_is_carried_on():
+    policy = SlippageAwarePolicy(FOCCHI, 0.02, identified_slip(FOCCHI), observation=SHOWN.names)
+    assert policy.predict(SHOWN.pack(situations(2, np.random.default_rng(2))))[0].shape == (2, 2)
+    sheet = context().sensors
+    keep = AttitudeFilter(sheet, 0.02)
+    assert 0.0 < keep.gain < 0.5
+    wide = np.zeros((1, layout.SIZE + 4), dtype=np.float32)
+    wide[0, layout.SIZE :] = np.nan, 0.2, 0.0, 0.5  # roll, pitch, rates over 0.5
+    last, none = np.array([[0.1, 0.0]]), np.array([False])
+    after = keep.update(wide, last, none)
+    assert after[0, 0] == 0.1
+    assert after[0, 1] == pytest.approx(0.005 + keep.gain * (0.1 - 0.005), rel=1e-5)
+    np.testing.assert_allclose(keep.update(wide, last, np.array([True])), [[0.0, 0.1]], atol=1e-7)
+
+
+def test_mirrored_situations_on_slopes_give_mirrored_actions():
+    rng = np.random.default_rng(3)
+    values = situations(50, rng)
+    values["roll"], values["pitch"] = rng.uniform(-0.2, 0.2, (2, 50))
+    seen = SHOWN.pack(values)
+    policy = SlippageAwarePolicy(
+        FOCCHI, 0.02, identified_slope_slip(FOCCHI), observation=SHOWN.names
+    )
+    action, mirrored = policy.predict(seen)[0], policy.predict(SHOWN.mirror(seen))[0]
+    np.testing.assert_allclose(mirrored[:, ::-1], action, atol=1e-5)
+
+
+SIDE_SLOPE = {
+    "sensors": "ideal", "uncertainty": "nominal", "duration": 12.0,
+    "reference": {"kind": "circle", "radius": 2.0, "speed": 0.3},
+    "plant_options": {"terrain": {"kind": "plane", "slope_y": 0.25}},
+}  # fmt: skip
+
+
+def test_on_a_known_slope_the_map_of_slopes_halves_the_error_of_the_planar_map():
+    known, planar, unaware = (rmse(name, 2, **SIDE_SLOPE)[0] for name in ("slc", "slc-flat", "uc"))
+    assert known < 0.5 * planar < 0.5 * unaware
+
+
+def test_across_a_border_of_friction_on_a_slope_the_adaptive_one_beats_the_planar_map():
+    """And it is within a quarter of the one that knows the soil."""
+    found = {
+        name: rmse(name, 12, uncertainty="slope-step", duration=16.0)
+        for name in ("slc-flat", "slc-adaptive")
+    }
+    gain = found["slc-flat"] - found["slc-adaptive"]
+    assert gain.mean() > 2.0 * gain.std(ddof=1) / np.sqrt(len(gain)) > 0.0
+    assert np.median(found["slc-adaptive"]) < 0.7 * np.median(found["slc-flat"])
+
+
+@pytest.mark.parametrize("name", SPEED_POLICIES)
+def test_each_policy_drives_on_hills_with_the_defaults_of_the_environment(name):
+    policy = POLICIES[name](context())
+    env = environment(3, needs_truth(policy), duration=1.0)
+    trace, _ = drive(policy, env, range(70000, 70003), lambda: None)
+    assert np.isfinite(trace.channel("error")).all()
+    assert not trace.terminated.any()

@@ -205,7 +205,7 @@ BY_DRIVE = {
 
 
 # Environments that policies are compared on by default, beside those of each drive.
-BY_ENVIRONMENT = {**BY_DRIVE, "tracked_env/Terrain-v0": BY_DRIVE["speed"]}
+BY_ENVIRONMENT = {**BY_DRIVE, "tracked_env/Terrain-v0": ("uc", "slc-flat", *BY_DRIVE["speed"][1:])}
 
 
 def policies() -> dict[str, dict[str, Any]]:

@@ -142,7 +142,9 @@ def test_installed_without_a_clone_the_entries_of_the_distribution_count(
 def test_of_two_agents_of_one_name_the_one_for_the_environment_is_taken() -> None:
     for env in BY_ENVIRONMENT:
         _, trained = by_name(registered()[0], env)
-        assert trained["ppo-blind"] == shipped_agents(env)["ppo-blind"]
+        shipped = shipped_agents(env)
+        assert {name: trained[name] for name in shipped} == shipped
+    assert shipped_agents("torque")["ppo-blind"] != shipped_agents("speed")["ppo-blind"]
 
 
 def test_an_archive_that_nothing_opens_is_a_clear_error(

@@ -22,13 +22,17 @@ from baselines.lyapunov.slope_errors import ATTITUDE, shows_attitude
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_models import Array, SlipFamily, SlipModel
 from baselines.slip.slip_sweep import slip_family, strength_over_weight
-from baselines.slip.slope_models import LEVEL, SlopeSlipFamily, SlopeSlipModel
+from baselines.slip.slope_models import LEVEL, SlopeSlipFamily, SlopeSlipModel, grades
 from baselines.slip.slope_sweep import slope_slip_family
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 
 LATE = 0.05  # [s] an older velocity gives no information on the present slip
 MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that the oracle knows
+# [-] of the friction that a slope is taken to need at most. Slip grows without bound towards 1, and
+# shear over a longer way than the nominal one looks like little friction: an estimate that is too
+# low does more harm than one that is too high.
+LARGEST_SHARE = 0.5
 SLOPE_MODULI = (0.5, 8.0)  # the same on slopes, where slip on the straight is linear in K
 _SEEN = [layout.INDEX[n] for n in ("v_x", "v_y", "yaw_rate", "pose_age")]
 _SPROCKETS = [layout.INDEX[n] for n in ("sprocket_speed_left", "sprocket_speed_right")]
@@ -103,7 +107,11 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
             None if state is None else state.driving.attitude,
         )  # fmt: skip
         # The friction is worked out once; the controller asks for the slip many times.
-        self._policy.slip_model = self.estimator.family.at(self.estimator.friction)
+        friction = self.estimator.friction
+        if state is not None:
+            taken = np.linalg.norm(grades(*state.driving.attitude.T), axis=1)
+            friction = np.maximum(friction, taken / LARGEST_SHARE)
+        self._policy.slip_model = self.estimator.family.at(friction)
         driving = None if state is None else state.driving
         action, driving = self._policy.act(observation, driving, start)
         return action, AdaptiveSlipState(driving, self.estimator.memory.copy())

@@ -42,7 +42,9 @@ from baselines.lyapunov.pseudo_kinematic import (
 from baselines.lyapunov.slope_errors import (
     ATTITUDE,
     AttitudeFilter,
+    bounded_slip,
     in_vehicle_plane,
+    settled_slip,
     shows_attitude,
 )
 from baselines.slip.slope_models import grades
@@ -80,6 +82,7 @@ class LyapunovState(NamedTuple):
     mean: Array  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], averaged over the age of the pose
     located: NDArray[np.bool_]  # (N,) whether a pose has been seen
     attitude: Array  # (N, 2) roll, pitch [rad]; 0 where it is not shown
+    drift: Array  # (N,) slip angle [rad] that has settled on a slope
 
 
 @formula
@@ -176,6 +179,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self._view = layout.View(observation, (*NEEDS, *ATTITUDE) if tilted else NEEDS)
         self.control_period = float(control_period)
         self.slip_model = self._felt = slip_model
+        self._knows_slopes = isinstance(slip_model, SlopeAwareSlipModel)
         self.geometry = Geometry.of(parameters)
         self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count last seen
         none = DataSheet(*(0.0 for _ in DataSheet._fields))
@@ -202,13 +206,15 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         """
         count = len(observation)
         geometry, _thrice = self._rows(count)
-        error, age, last, mean, located, attitude = self._start(state, start)
+        error, age, last, mean, located, attitude, drift = self._start(state, start)
         if self._attitude is not None:
             attitude = self._attitude.update(observation, attitude, start)
             observation = in_vehicle_plane(observation, attitude)
-        self._felt = self.slip_model
-        if isinstance(self.slip_model, SlopeAwareSlipModel):
-            self._felt = self.slip_model.on(grades(*attitude.T))
+        model = self.slip_model
+        self._knows_slopes = isinstance(model, SlopeAwareSlipModel)
+        self._felt = (
+            model.on(grades(*attitude.T)) if isinstance(model, SlopeAwareSlipModel) else model
+        )
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
         beta, alpha, driven = self._slip(actual, geometry)
@@ -219,11 +225,13 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         )  # fmt: skip
         moving = located & np.isfinite(reference[:, 0])
         reference[~moving] = 0.0
+        if self._knows_slopes:
+            alpha = drift = settled_slip(alpha, drift, start, self.control_period)
         wanted = self._law(error, reference, alpha, geometry)
         sprockets = self._feed_forward(wanted, beta, geometry)
         sprockets[~moving] = 0.0
         action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
-        return action, LyapunovState(error, age, sprockets, mean, located, attitude)
+        return action, LyapunovState(error, age, sprockets, mean, located, attitude, drift)
 
     def _rows(self, count: int) -> tuple[Geometry, Geometry]:
         """Geometry of `count` vehicles, and the same three times over."""
@@ -236,8 +244,10 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         """A copy of the state, its rows new where an episode starts."""
         if state is None:
             rows, nowhere = np.zeros((len(start), 3)), np.zeros(len(start), dtype=bool)
-            pair, mean = rows[:, :2], rows.copy()
-            return LyapunovState(rows, rows[:, 0].copy(), pair.copy(), mean, nowhere, pair.copy())
+            one, pair = rows[:, 0], rows[:, :2]
+            return LyapunovState(
+                rows, one.copy(), pair.copy(), rows.copy(), nowhere, pair.copy(), one.copy()
+            )
         self.same_count(len(state.age), len(start))
         copies = LyapunovState._make(values.copy() for values in state)
         for values in copies:
@@ -292,7 +302,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         _beta, alpha = self._on_the_path(
             reference[:, :2], rate, geometry, beta[:count], alpha[:count]
         )
-        return alpha, rate
+        return bounded_slip(alpha, rate) if self._knows_slopes else (alpha, rate)
 
     def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
         """Motion demanded (N, 2)."""

@@ -6,6 +6,11 @@ with the yaw counted once (`physics.attitude.in_body_plane`). The reference is h
 vehicle above or below it has to drive faster along its own plane to keep up. Roll and pitch come
 from their samples and from two gyros, filtered as the heading is; level ground changes no bit.
 
+On slopes the steady slip angle is no longer small: a slow vehicle that turns where a side slope
+takes half of the friction drifts at 1 rad, and the angle jumps with the demanded yaw rate, while
+the vehicle needs its time to drift. Fed back at once it makes the law chatter. So the angle follows
+with SLIP_TIME, and it and its rate along the reference are bounded.
+
 References: [F] Focchi et al. (2025), section 5.3.
 """
 
@@ -21,6 +26,9 @@ from tracked_env.physics.attitude import in_body_plane
 
 ATTITUDE = ("roll", "pitch", "roll_rate", "pitch_rate")
 STEEPEST_ATTITUDE = 1.4  # [rad] beyond it a vehicle lies on its side
+SLIP_TIME = 0.2  # [s] in which slip settles, about its velocity over mu g
+LARGEST_SLIP_ANGLE = 0.4  # [rad] that the law is told on slopes
+LARGEST_SLIP_RATE = 0.3  # [rad/s] of alpha_d', which has a jump where the reference begins to turn
 _FIRST = layout.SIZE  # a View puts fields that are not of V0 behind those of V0
 _POSE = [layout.INDEX[n] for n in ("position_error_x", "position_error_y", "heading_error")]
 _ALONG = [layout.INDEX[n] for n in ("reference_speed", "reference_acceleration")]
@@ -75,3 +83,19 @@ def in_vehicle_plane(observation: NDArray[np.float32], attitude: Array) -> NDArr
     tilted[:, _ALONG] /= cosines[0][:, None]
     tilted[:, _ABOUT] *= (cosines[0] * cosines[1])[:, None]
     return np.where(level[:, None], observation, tilted)
+
+
+def settled_slip(alpha: Array, last: Array, start: NDArray[np.bool_], period: float) -> Array:
+    """Slip angle (N,) [rad] that follows the one of the belts, alpha, from `last` for a period."""
+    bounded = np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE)
+    share = np.where(start, 1.0, min(period / SLIP_TIME, 1.0))
+    return last + share * (bounded - last)
+
+
+def bounded_slip(alpha: Array, rate: Array) -> tuple[Array, Array]:
+    """alpha_d [rad] and alpha_d' [rad/s], (N,), within what the law is told."""
+    inside = np.abs(alpha) <= LARGEST_SLIP_ANGLE
+    return (
+        np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE),
+        np.where(inside, np.clip(rate, -LARGEST_SLIP_RATE, LARGEST_SLIP_RATE), 0.0),
+    )

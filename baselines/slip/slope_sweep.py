@@ -173,7 +173,7 @@ def _table(motion: Array, grid: Grid, parameters: PlantParameters) -> Array:
     return np.stack([left, right, motion[..., 1]], axis=-1)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def identified_slope_slip(
     parameters: PlantParameters,
     load: str = "nonuniform",

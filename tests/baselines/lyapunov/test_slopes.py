@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 import tracked_env
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import ATTITUDE, AttitudeFilter, in_vehicle_plane
 from baselines.registry import POLICIES
-from baselines.slip.slip_sweep import identified_slip
+from baselines.slip.slip_sweep import identified_slip, with_friction
 from baselines.slip.slope_sweep import identified_slope_slip
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
@@ -164,3 +166,20 @@ def test_each_policy_drives_on_hills_with_the_defaults_of_the_environment(name):
     trace, _ = drive(policy, env, range(70000, 70003), lambda: None)
     assert np.isfinite(trace.channel("error")).all()
     assert not trace.terminated.any()
+
+
+def test_friction_that_is_taken_for_less_than_a_slope_needs_is_not_used():
+    """Long shear looks like little friction; slip near sliding would be overestimated."""
+    slippery = with_friction(FOCCHI, 0.2)
+    policy = AdaptiveSlipPolicy(slippery, 0.02, DataSheet(), observation=SHOWN.names)
+    values = {name: np.zeros(2) for name in SHOWN.names}
+    for name in ("sprocket_speed_left", "sprocket_speed_right"):  # straight on: nothing is learned
+        values[name] = np.full(2, 3.0)
+    values["pitch"], values["v_x"] = np.array([0.0, 0.3]), np.full(2, 0.25)
+    seen, state = SHOWN.pack(values), None
+    for _ in range(3):
+        _action, state = policy.predict(seen, state)
+    np.testing.assert_allclose(policy.estimator.friction, 0.2, rtol=0.01)
+    used = policy._policy.slip_model.friction
+    assert used[1] == pytest.approx(np.tan(0.3) / 0.5, rel=1e-5)
+    assert used[0] == policy.estimator.friction[0]

@@ -37,6 +37,8 @@ leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the 
 	$(BIN)/python benchmarks/publish.py results/leaderboard/v2-seed0-*
 	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/publish.py results/leaderboard/speed-v0-v2-seed0-*
+	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --no-figures --output results/leaderboard
+	$(BIN)/python benchmarks/publish.py results/leaderboard/terrain-v0-terrain-v1-seed0-*
 
 train: $(STAMP) ## train a PPO agent into runs/ppo-blind-seed0
 	$(BIN)/python train.py $(TRAIN_ARGS)

@@ -7,7 +7,7 @@
     seeds = "0:5"                           # 0 to 4; or a list
     sets = ["payload", "ood"]               # evaluated on; default: all of the environment
     episodes = 100                          # of each set
-    compare = ["nominal", "adaptive", "oracle"]  # beside the agents
+    compare = ["nominal", "adaptive", "oracle"]  # beside the agents; default: by environment
     [options]                               # of train.py, for all trainings
     steps = 200000
     ppo.n_steps = 256
@@ -23,13 +23,16 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from agents.training.options import Options
+from tracked_env import SPEED_ID, TERRAIN_ID
 from tracked_env.validation import checked_choice, checked_keys
 
 KEYS = (
     "output", "agents", "augmentations", "uncertainty", "seeds", "sets", "episodes", "compare",
     "options",
 )  # fmt: skip
-ANCHORS = ("nominal", "adaptive", "oracle")  # controllers that give a score its 0 and its 1
+# Controllers that give a score its 0 and its 1: of Torque-v0, and of ids driven by speeds.
+ANCHORS = ("nominal", "adaptive", "oracle")
+SPEED_ANCHORS = ("uc", "slc-adaptive", "slc-oracle")
 # Options that a sweep gives by itself.
 _OWN = ("agent", "augmentation", "uncertainty", "seed", "output", "resume", "overwrite", "quiet")
 
@@ -105,7 +108,8 @@ def _sweep(given: Any, kind: type[Options]) -> Sweep:
     if type(episodes) is not int or episodes < 1:
         raise ValueError(f"episodes = {episodes!r}; must be a whole number of at least 1")
     sets = tuple(_listed(known, "sets", ())) or None
-    return Sweep(Path(output), trainings, sets, episodes, tuple(_listed(known, "compare", ANCHORS)))
+    usual = SPEED_ANCHORS if common.env in (SPEED_ID, TERRAIN_ID) else ANCHORS
+    return Sweep(Path(output), trainings, sets, episodes, tuple(_listed(known, "compare", usual)))
 
 
 def _listed(known: Mapping[str, Any], name: str, default: Sequence[Any]) -> list[Any]:

@@ -38,8 +38,7 @@ def compared(sweep: Sweep, executor: Executor | None) -> str:
     config = BenchmarkConfig(
         sets=sweep.sets or default_sets(first.env), episodes=sweep.episodes, lateral=first.lateral
     )
-    drive = config.context(config.sets[0]).drive
-    registry, shipped = by_name(registered_policies(), drive)
+    registry, shipped = by_name(registered_policies(), config.env)
     trained = archives_of(sweep)
     agents = {**shipped, **trained}
     entries = load_policies([*sweep.compare, *trained], registry, agents, open_archive)

@@ -204,9 +204,13 @@ BY_DRIVE = {
 }
 
 
+# Environments that policies are compared on by default, beside those of each drive.
+BY_ENVIRONMENT = {**BY_DRIVE, "tracked_env/Terrain-v0": ("uc", "slc-flat", *BY_DRIVE["speed"][1:])}
+
+
 def policies() -> dict[str, dict[str, Any]]:
-    """Controllers and shipped agents per drive, as the entry point registers them."""
+    """Controllers and shipped agents per drive or environment id, as the entry point registers."""
     return {
-        drive: {**{name: POLICIES[name] for name in names}, **shipped_agents(drive)}
-        for drive, names in BY_DRIVE.items()
+        env: {**{name: POLICIES[name] for name in names}, **shipped_agents(env)}
+        for env, names in BY_ENVIRONMENT.items()
     }

@@ -200,14 +200,18 @@ def identification(count: int, slip: str) -> Load:
 def controllers() -> list[tuple[str, str]]:
     """(drive, name) of the registered controllers that are not handed the truth."""
     from tracked_env.benchmark.policy_interface import PolicyContext, needs_truth
-    from tracked_env.benchmark.registered_policies import by_name, registered_policies
+    from tracked_env.benchmark.registered_policies import (
+        ENVIRONMENTS,
+        by_name,
+        registered_policies,
+    )
 
     found = []
     for drive, vehicle in (("torque", "strawa"), ("speed", "focchi")):
         entries: dict[str, Any] = by_name(registered_policies(), drive)[0]
         for policy in registered_policies():
             context = PolicyContext(0.02, "sliding", drive=drive, vehicle=vehicle)
-            if policy.drive != drive or policy.is_trained:
+            if policy.env != ENVIRONMENTS[drive] or policy.is_trained:
                 continue
             if not needs_truth(entries[policy.name].make(context)):
                 found.append((drive, policy.name))

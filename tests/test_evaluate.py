@@ -15,10 +15,10 @@ import pytest
 
 import evaluate as evaluate_module
 from baselines.registry import POLICIES
-from tracked_env import SPEED_ID
+from tracked_env import SPEED_ID, TERRAIN_ID
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.report import SEPARATION_RATIO
-from tracked_env.benchmark.sets import EPISODES, SETS, VERSION, default_sets
+from tracked_env.benchmark.sets import EPISODES, SETS, VERSIONS, default_sets
 from tracked_env.observation import SIZE
 
 TINY = ("--sets", "payload", "--episodes", "2", "--duration", "1", "--no-figures")
@@ -111,20 +111,21 @@ def test_a_policy_of_another_package_is_compared_from_its_folder(
     assert {r["policy"] for r in result(tmp_path)["episodes"]} == {"mine:Coast", "oracle"}
 
 
-def test_the_other_environment_has_its_own_policies_sets_and_score(
-    evaluate: Any, tmp_path: Path
+@pytest.mark.parametrize(("env", "duration"), [(SPEED_ID, 3), (TERRAIN_ID, 3)])
+def test_other_environments_have_their_own_policies_sets_and_score(
+    env: str, duration: int, evaluate: Any, tmp_path: Path
 ) -> None:
     policies = ("uc", "slc", "slc-adaptive", "slc-oracle")
     done = evaluate(
-        "--env", "tracked_env/Speed-v0", "--policies", *policies, "--episodes", "2",
-        "--duration", "3", "--no-figures",
+        "--env", env, "--policies", *policies, "--episodes", "2",
+        "--duration", str(duration), "--no-figures",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     document = result(tmp_path)
-    assert {r["set"] for r in document["episodes"]} == set(default_sets(SPEED_ID))
+    assert {r["set"] for r in document["episodes"]} == set(default_sets(env))
     assert {r["policy"] for r in document["episodes"]} == set(policies)
     (folder,) = (tmp_path / "results").iterdir()
-    assert folder.name.startswith("speed-v0-3s-seed0-")
+    assert folder.name.startswith(f"{env.partition('/')[2].lower()}-{duration}s-seed0-")
     agents = json.loads((folder / "leaderboard.json").read_text())["agents"]
     scores = {agent["agent"]: agent["overall"]["score"]["value"] for agent in agents}
     assert scores["uc"] == 0.0
@@ -341,7 +342,7 @@ def test_the_page_on_evaluation_shows_every_metric_and_policy_and_its_examples_r
     assert f"at least {SEPARATION_RATIO}" in text
     assert all(f"| `{s.name}` | `{s.uncertainty}` |" in text for s in SETS.values())
     assert f"first {EPISODES} episodes" in text
-    assert f"version {VERSION}" in text
+    assert all(f"version {name}" in text for name in VERSIONS)
     monkeypatch.chdir(tmp_path)
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
         found: dict[str, Any] = {}

@@ -12,7 +12,7 @@ import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
 from agents.training.joined import shares
-from tracked_env import SPEED_ID, TORQUE_ID
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
 from tracked_env.observation import Layout, make_layout
@@ -30,6 +30,7 @@ MIXTURE = {
         "mixed",
     ),
     SPEED_ID: ("friction", "friction-step", "friction-drift", "floor-mixed"),
+    TERRAIN_ID: ("slope", "hills", "slope-step", "soft-patches"),
 }  # fmt: skip
 # `mixture` of sensors: good ones, and what asks for the past.
 SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
@@ -40,6 +41,7 @@ SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
         {"preset": "rtk", "velocity_measured": 0.0},
     ),
     SPEED_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}),
+    TERRAIN_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}),
 }
 # What an environment draws from where its registration does not say so.
 _DEFAULTS = {
@@ -119,7 +121,7 @@ def check_environment(env: str) -> None:
     if not (isinstance(made, type) and issubclass(made, TrackedVehicleVectorEnv)):
         raise ValueError(
             f"--env {env} is not an environment of tracked vehicles; must be {TORQUE_ID}, "
-            f"{SPEED_ID}, or an id registered with their vector_entry_point"
+            f"{SPEED_ID}, {TERRAIN_ID}, or an id registered with their vector_entry_point"
         )
 
 

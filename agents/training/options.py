@@ -100,7 +100,7 @@ class Options:
 
     output: Folder | None = None
     """Folder of the training. Default:
-    runs/AGENT-AUGMENTATION-seedSEED, and of Speed-v0
+    runs/AGENT-AUGMENTATION-seedSEED, and of another id, as Speed-v0,
     runs/Speed-v0/AGENT-AUGMENTATION-seedSEED."""
 
     resume: bool = False

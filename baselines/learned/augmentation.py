@@ -21,8 +21,9 @@ from baselines.learned.speed_augmentation import SlipEstimates, SlipResidual
 from baselines.learned.torque_augmentation import Estimates, Residual
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
+from baselines.lyapunov.slope_errors import ATTITUDE, shows_attitude
 from baselines.registry import Context
-from tracked_env.observation import joined
+from tracked_env.observation import NAMES, joined
 from tracked_env.physics.parameters import VEHICLES
 
 Floats = NDArray[np.float32]
@@ -89,7 +90,9 @@ def make_augmentation(
     scale = options.get("scale", RESIDUAL_SCALE)
     sheet, vehicle = DataSheet.of(context.sensors), VEHICLES[context.vehicle]
     if context.drive == "speed":
-        driver = AdaptiveSlipPolicy(vehicle, context.control_period, sheet)
+        # A View gives it the fields of V0, and those that it needs besides behind them.
+        names = (*NAMES, *ATTITUDE) if shows_attitude(context.observation) else NAMES
+        driver = AdaptiveSlipPolicy(vehicle, context.control_period, sheet, observation=names)
         if kind == "estimates":
             return SlipEstimates(driver, count)
         return SlipResidual(driver, count, scale)

@@ -49,6 +49,7 @@ class Driven(NamedTuple):
 _REGISTERED = {
     "tracked_env/Torque-v0": Driven("torque", "strawa"),
     "tracked_env/Speed-v0": Driven("speed", "focchi"),
+    "tracked_env/Terrain-v0": Driven("speed", "focchi"),
 }
 
 

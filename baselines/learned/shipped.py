@@ -1,4 +1,4 @@
-"""The agents that come with this package, per drive: DRIVE -> name -> archives, one per seed."""
+"""The agents that come with this package: of an environment, name -> archives, one per seed."""
 
 import re
 from pathlib import Path
@@ -9,10 +9,11 @@ FOLDERS = {"torque": "Torque-v0", "speed": "Speed-v0"}
 _SEEDED = re.compile(r"(.+)-seed(\d+)")
 
 
-def shipped_agents(drive: str) -> dict[str, list[Path]]:
-    """Archives of PRETRAINED for vehicles of this drive, by the name of the agent."""
+def shipped_agents(env: str) -> dict[str, list[Path]]:
+    """Archives of PRETRAINED for an environment, its id or a drive, by the name of the agent."""
     found: dict[str, list[Path]] = {}
-    for path in sorted((PRETRAINED / FOLDERS[drive]).glob("*/agent.zip")):
+    folder = PRETRAINED / FOLDERS.get(env, env.rpartition("/")[2])
+    for path in sorted(folder.glob("*/agent.zip")):
         match = _SEEDED.fullmatch(path.parent.name)
         found.setdefault(match[1] if match else path.parent.name, []).append(path)
     return found

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from baselines.learned.held_policy import HeldState, checked_scale, corrected
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
-from baselines.lyapunov.slippage_aware import NEEDS
 from tracked_env import observation as layout
 
 Floats = NDArray[np.float32]
@@ -42,10 +41,9 @@ class SlipEstimates(HeldState):
     """What the slippage-aware controller knows, as features; the agent drives."""
 
     feature_names: tuple[str, ...] = tuple(KNOWN)
-    needs = NEEDS
 
     def __init__(self, policy: AdaptiveSlipPolicy, count: int) -> None:
-        self.policy, self.count = policy, count
+        self.policy, self.count, self.needs = policy, count, policy.needs
         self.control_period = policy.control_period
 
     def _looked(self, observation: Floats, start: Bools) -> tuple[Floats, Floats]:

@@ -64,8 +64,8 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         self.nominal_friction = strength_over_weight(parameters)
         self._sheet, self._gains = data_sheet, gains
         self._slopes = shows_attitude(observation)
-        self._needs = (*NEEDS, *ATTITUDE) if self._slopes else NEEDS
-        self._view = layout.View(observation, self._needs)
+        self.needs = (*NEEDS, *ATTITUDE) if self._slopes else NEEDS
+        self._view = layout.View(observation, self.needs)
         self._made(1)
 
     def _made(self, count: int) -> None:

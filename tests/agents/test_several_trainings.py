@@ -20,7 +20,9 @@ from agents.several_trainings import Place, planned, train_all
 from agents.sweep_file import parse_seeds, read_sweep
 from agents.training.folder import CONFIG
 from tests.agents.agent_cases import Config, same_parameters, small
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.executors.worker_pool import WorkerPool
+from tracked_env.benchmark.registered_policies import default_names, registered_policies
 
 SMALL = (
     "--quiet", "--vehicles", "4", "--held-out", "2", "--duration", "1", "--uncertainty", "payload",
@@ -196,6 +198,21 @@ def test_the_example_of_the_head_of_the_module_is_a_sweep() -> None:
     assert (training.agent, training.augmentation, training.seed) == ("sac", "history", 3)
     assert training.uncertainty == ("drift", "mixed") and training.steps == 200000
     assert training.folder == Path("runs/history/sac-history-drift-mixed-seed3")
+
+
+@pytest.mark.parametrize(
+    ("env", "low", "high"),
+    [(TORQUE_ID, "nominal", "oracle"), (SPEED_ID, "uc", "slc-oracle"),
+     (TERRAIN_ID, "uc", "slc-oracle")],
+)  # fmt: skip
+def test_a_sweep_is_compared_with_the_controllers_of_its_environment(
+    env: str, low: str, high: str
+) -> None:
+    given = {"output": "swept", "agents": ["ppo"], "options": {"env": env}}
+    Path("sweep.json").write_text(json.dumps(given))
+    compare = read_sweep(Path("sweep.json"), Config).compare
+    assert (compare[0], compare[-1]) == (low, high)
+    assert set(compare) <= set(default_names(registered_policies(), env))
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,16 @@
 """Agents that drive by sprocket speeds are trained and drive."""
 
+import json
+
 import numpy as np
 import pytest
 
 import train
 from agents.loading import agent_entry
 from tests.agents.agent_cases import small
-from tracked_env import SPEED, SPEED_ID
+from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID
 from tracked_env import observation as obs
-from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark import BenchmarkConfig, PolicyContext
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.sensors import MOCAP
 
@@ -29,3 +31,24 @@ def test_every_kind_of_agent_trains_on_speed_v0(kind, tmp_path):
     assert observation.shape == (obs.SIZE,)
     with pytest.raises(ValueError, match="trained to command"):
         agent_entry(tmp_path / "agent.zip").make(CONTEXT._replace(drive="torque"))
+
+
+SEEN = tuple(TERRAIN["observation"])
+
+
+@pytest.mark.parametrize(("kind", "shown"), [("blind", (*SEEN, "height_scan")), ("residual", SEEN)])
+def test_agents_of_terrain_v0_train_and_drive_in_its_evaluation_sets(kind, shown, tmp_path):
+    """The sets show heights behind what the id shows; an agent finds its columns by name."""
+    arguments = json.dumps({"observation": list(shown)})
+    config = small(
+        tmp_path, env=TERRAIN_ID, augmentation=kind, uncertainty=("mixture",), env_args=arguments
+    )
+    assert train.main(config) == 0
+    sets = BenchmarkConfig(sets=("hills",))
+    env = sets.environment("hills", 2, truth=False)
+    observation, _ = env.reset(seed=[0, 1])
+    entry = agent_entry(tmp_path / "agent.zip")
+    action, _ = entry.make(sets.context("hills")).predict(observation)
+    assert action.shape == (2, 2) and np.isfinite(action).all()
+    with pytest.raises(ValueError, match="lacks group attitude"):
+        entry.make(CONTEXT)

@@ -23,7 +23,7 @@ from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import small
 from tests.agents.test_archive import WRONG, Harm, branches, entries, packed, put
 from tests.agents.test_checkpoints import killed_after
-from tracked_env import SPEED_ID, TORQUE_ID
+from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env.engine import columns
 from tracked_env.physics.state import VehicleState
 
@@ -75,11 +75,21 @@ def test_every_kind_of_value_comes_back_to_the_bit(tmp_path):
     assert drawn[0] == drawn[1]
 
 
-@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])
-@pytest.mark.parametrize("augmentation", [*KINDS, "teacher"])
-def test_the_state_of_every_memory_comes_back_to_the_bit(augmentation, env, tmp_path):
+SCAN = json.dumps({"observation": [*TERRAIN["observation"], "height_scan"]})
+MEMORIES = [
+    (augmentation, env, None)
+    for env in (TORQUE_ID, SPEED_ID)
+    for augmentation in (*KINDS, "teacher")
+]
+
+
+@pytest.mark.parametrize(
+    ("augmentation", "env", "shown"),
+    [*MEMORIES, ("blind", TERRAIN_ID, SCAN), ("residual", TERRAIN_ID, None)],
+)
+def test_the_state_of_every_memory_comes_back_to_the_bit(augmentation, env, shown, tmp_path):
     """After some steps: a named tuple that is not in TYPES would be a TypeError."""
-    config = small(tmp_path, augmentation=augmentation, env=env, normalise=True)
+    config = small(tmp_path, augmentation=augmentation, env=env, normalise=True, env_args=shown)
     model = make_model("ppo", config.ppo, make_environment(resolve(config)), 0)
     model.learn(128)
     state = capture(model)

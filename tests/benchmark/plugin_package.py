@@ -28,7 +28,10 @@ NOTHING = 3
 class Several:
     @staticmethod
     def policies():
-        return {"torque": {"coast-too": Coast}, "speed": {"coast": Coast()}}
+        return {
+            "torque": {"coast-too": Coast}, "speed": {"coast": Coast()},
+            "tracked_env/Terrain-v0": {"coast": Coast()},
+        }
 """
 
 

@@ -10,28 +10,57 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tracked_env import SPEED_ID, TORQUE_ID, uncertainty
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, uncertainty
 from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
-from tracked_env.benchmark.sets import EPISODES, VERSION
+from tracked_env.benchmark.sets import (
+    EPISODES,
+    PLANAR,
+    SLOPES,
+    VERSIONS,
+    Version,
+    of_version,
+    version_of,
+)
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.sensors import UNMEASURED, make_sensors
 
 ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
 
 
-@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])
+@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID, TERRAIN_ID])
 def test_every_set_draws_the_episodes_of_the_version(env: str) -> None:
     of_env = tuple(name for name, entry in SETS.items() if entry.env == env)
     answer = check(BenchmarkConfig(sets=of_env, episodes=EPISODES))
     assert answer.comparable, answer.message
-    assert answer.message == f"sets {VERSION}, hash {answer.hash}, {EPISODES} episodes each"
+    version = version_of(env)
+    assert version is not None
+    assert answer.message == f"sets {version.name}, hash {answer.hash}, {EPISODES} episodes each"
 
 
-def test_the_kept_file_holds_every_set_and_its_own_hash() -> None:
-    document = frozen.kept()
-    assert list(document["sets"]) == list(SETS)
-    assert document["hash"] == frozen.total(document["sets"])
-    assert len({entry["hash"] for entry in document["sets"].values()}) == len(SETS)
+def test_the_kept_files_hold_every_set_and_their_own_hash() -> None:
+    documents = [frozen.kept(version) for version in VERSIONS.values()]
+    assert [name for document in documents for name in document["sets"]] == list(SETS)
+    for version, document in zip(VERSIONS.values(), documents, strict=True):
+        assert document["version"] == version.name
+        assert document["hash"] == frozen.total(document["sets"])
+    hashes = {entry["hash"] for document in documents for entry in document["sets"].values()}
+    assert len(hashes) == len(SETS)
+
+
+def test_the_hash_of_the_planar_sets_is_the_one_that_results_were_published_with() -> None:
+    assert frozen.kept(PLANAR)["hash"] == "d6cfd4ef1c09"
+
+
+def test_the_digests_of_slopes_take_in_the_ground_and_those_of_the_plane_do_not_need_it() -> None:
+    env = BenchmarkConfig(sets=("hills",)).environment("hills", 1, truth=False)
+    env.reset(seed=[0])
+    (episode,) = env.simulation.episodes
+    assert episode is not None
+    steeper = episode._replace(relief=(episode.relief[0] + 1e-4, *episode.relief[1:]))
+    higher = episode._replace(state=episode.state._replace(z=episode.state.z + 1e-4))
+    for changed in (steeper, higher):
+        assert of_version(changed, SLOPES) != of_version(episode, SLOPES)
+    assert of_version(higher, PLANAR) == of_version(episode, PLANAR)
 
 
 def test_fewer_episodes_are_a_part_of_the_version_and_more_are_not_in_it() -> None:
@@ -73,7 +102,7 @@ def test_a_law_that_draws_otherwise_is_found_and_named(monkeypatch: pytest.Monke
 def test_other_dynamics_of_the_same_episodes_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     document = frozen.kept()
     document["sets"]["slow-drive"]["driven"][3] *= 1.0 + 1e-4
-    monkeypatch.setattr(frozen, "kept", lambda: document)
+    monkeypatch.setattr(frozen, "kept", lambda version: document)
     answer = check(ONE)
     assert not answer.comparable
     assert "driven or measured differently" in answer.message
@@ -91,22 +120,25 @@ def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_do
     assert frozen.rounded(2**62 + 1) == 2**62 + 1
 
 
-@pytest.mark.parametrize("kernels", ["Haswell", "Sandybridge"])
+@pytest.mark.parametrize(
+    ("kernels", "version", "name"),
+    [("Haswell", PLANAR, "ood"), ("Sandybridge", PLANAR, "ood"), ("Sandybridge", SLOPES, "hills")],
+)
 def test_the_command_that_makes_a_version_prints_what_is_kept_on_every_kind_of_processor(
-    repository: Path, kernels: str
+    repository: Path, kernels: str, version: Version, name: str
 ) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "tracked_env.benchmark.frozen"],
+        [sys.executable, "-m", "tracked_env.benchmark.frozen", version.name],
         cwd=repository,
         capture_output=True,
         text=True,
         check=True,
         env={**os.environ, "OPENBLAS_CORETYPE": kernels},  # read by x86-64 builds of NumPy
     )
-    made, kept = json.loads(done.stdout), frozen.kept()
+    made, kept = json.loads(done.stdout), frozen.kept(version)
     assert list(made) == list(kept)
     assert made["hash"] == kept["hash"]
-    assert made["sets"]["ood"]["driven"] == pytest.approx(kept["sets"]["ood"]["driven"])
+    assert made["sets"][name]["driven"] == pytest.approx(kept["sets"][name]["driven"])
 
 
 def test_a_set_keeps_its_sensors_unless_others_are_given() -> None:

@@ -12,7 +12,7 @@ from tests.benchmark.test_report import records
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark.files import replace_block
 
-TRACKS = ("Torque-v0", "Speed-v0")
+TRACKS = ("Torque-v0", "Speed-v0", "Terrain-v0")
 
 
 def block(path: Path, name: str) -> str:

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from baselines.learned.shipped import PRETRAINED, shipped_agents
-from baselines.registry import BY_DRIVE
+from baselines.registry import BY_ENVIRONMENT
 from tests.benchmark.plugin_package import Install, install
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import PolicyContext, registered_policies
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import (
+    ENVIRONMENTS,
     Registered,
     by_name,
     default_names,
@@ -34,17 +36,22 @@ def registered() -> tuple[list[Registered], list[str]]:
 
 def ours() -> list[tuple[str, str | None]]:
     return [
-        (name, drive) for drive in BY_DRIVE for name in (*BY_DRIVE[drive], *shipped_agents(drive))
+        (name, ENVIRONMENTS[env])
+        for env, names in BY_ENVIRONMENT.items()
+        for name in (*names, *shipped_agents(env))
     ]
 
 
-def test_controllers_and_shipped_agents_are_registered_per_drive_in_their_order() -> None:
+def test_controllers_and_shipped_agents_are_registered_per_environment_in_their_order() -> None:
     policies, said = registered()
-    assert [(policy.name, policy.drive) for policy in policies[: len(ours())]] == ours()
+    assert [(policy.name, policy.env) for policy in policies[: len(ours())]] == ours()
     assert said == []
     assert default_names(policies, "torque")[:3] == ("nominal", "adaptive", "oracle")
     assert "ppo-student" in default_names(policies, "torque")
-    assert "ppo-student" not in default_names(policies, "speed")
+    assert "ppo-student" not in default_names(policies, SPEED_ID)
+    assert default_names(policies, "speed") == default_names(policies, SPEED_ID)
+    on_slopes = default_names(policies, TERRAIN_ID)
+    assert on_slopes[0] == "uc" and {"slc-adaptive", "slc-oracle"} < set(on_slopes)
     assert all(policy.summary and "\n" not in policy.summary for policy in policies)
 
 
@@ -60,7 +67,7 @@ def test_a_policy_of_an_installed_package_is_known_by_its_name(
     policies, said = registered()
     assert said == []
     (coast,) = [policy for policy in policies if policy.name == "coast"]
-    assert (coast.drive, coast.distribution) == ("torque", "other-package")
+    assert (coast.env, coast.distribution) == (TORQUE_ID, "other-package")
     assert coast.summary == "Lets the vehicle coast."
     assert default_names(policies, "torque")[-1] == "coast"  # behind ours
     assert "anywhere" not in default_names(policies, "torque")  # only by its name
@@ -76,8 +83,8 @@ def test_one_entry_can_register_many_policies(plugin: Install) -> None:
     plugin(all_of_them="plugin_policies:Several")
     policies, said = registered()
     assert said == []
-    found = [(p.name, p.drive) for p in policies if p.distribution == "other-package"]
-    assert found == [("coast-too", "torque"), ("coast", "speed")]
+    found = [(p.name, p.env) for p in policies if p.distribution == "other-package"]
+    assert found == [("coast-too", TORQUE_ID), ("coast", SPEED_ID), ("coast", TERRAIN_ID)]
 
 
 @pytest.mark.parametrize(
@@ -85,7 +92,10 @@ def test_one_entry_can_register_many_policies(plugin: Install) -> None:
     [
         ("broken_policies:Policy", "ModuleNotFoundError: No module named 'not_installed_anywhere'"),
         ("plugin_policies:Absent", "AttributeError"),
-        ("plugin_policies:Lost", "its drive is 'wheels'; must be one of torque, speed"),
+        (
+            "plugin_policies:Lost",
+            "its drive is 'wheels'; must be one of torque, speed, tracked_env/",
+        ),
         ("plugin_policies:NOTHING", "no `predict` and is no factory"),
     ],
 )
@@ -108,7 +118,7 @@ def test_a_name_that_we_have_stays_ours(plugin: Install) -> None:
 
 def test_in_a_clone_that_is_not_installed_nothing_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registered_policies, "entry_points", lambda group: ())
-    assert [(policy.name, policy.drive) for policy in registered()[0]] == ours()
+    assert [(policy.name, policy.env) for policy in registered()[0]] == ours()
     assert open_archive(shipped_agents("speed")["ppo-blind"][0]).name == "ppo-blind-seed0"
 
 
@@ -116,7 +126,7 @@ def test_in_a_clone_that_is_installed_too_everything_is_there_once(plugin: Insta
     plugin("Tracked_Env", baselines="baselines.registry")
     policies, said = registered()
     assert said == []
-    assert [(policy.name, policy.drive) for policy in policies] == ours()
+    assert [(policy.name, policy.env) for policy in policies] == ours()
 
 
 def test_installed_without_a_clone_the_entries_of_the_distribution_count(
@@ -126,13 +136,15 @@ def test_installed_without_a_clone_the_entries_of_the_distribution_count(
     plugin("tracked-env", baselines="baselines.registry")
     policies, said = registered()
     assert said == []
-    assert [(policy.name, policy.drive) for policy in policies] == ours()
+    assert [(policy.name, policy.env) for policy in policies] == ours()
 
 
-def test_of_two_agents_of_one_name_the_one_for_the_drive_is_taken() -> None:
-    for drive in BY_DRIVE:
-        _, trained = by_name(registered()[0], drive)
-        assert trained["ppo-blind"] == shipped_agents(drive)["ppo-blind"]
+def test_of_two_agents_of_one_name_the_one_for_the_environment_is_taken() -> None:
+    for env in BY_ENVIRONMENT:
+        _, trained = by_name(registered()[0], env)
+        shipped = shipped_agents(env)
+        assert {name: trained[name] for name in shipped} == shipped
+    assert shipped_agents("torque")["ppo-blind"] != shipped_agents("speed")["ppo-blind"]
 
 
 def test_an_archive_that_nothing_opens_is_a_clear_error(

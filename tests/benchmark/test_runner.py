@@ -9,7 +9,7 @@ import pytest
 
 from baselines.registry import POLICIES
 from tests.benchmark.stub_policies import Constant, Curious, Diverging, Truthful, entry
-from tracked_env import SPEED_ID
+from tracked_env import SPEED_ID, TERRAIN_ID
 from tracked_env.benchmark import (
     DEFAULT_SETS,
     SETS,
@@ -30,7 +30,7 @@ from tracked_env.benchmark.policy_interface import (
 from tracked_env.benchmark.runner import drive, pending
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.sensors import STRAWA
-from tracked_env.uncertainty import UNCERTAINTY_SETS, slopes
+from tracked_env.uncertainty import UNCERTAINTY_SETS
 
 NOMINAL = VEHICLES["strawa"]
 SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
@@ -320,9 +320,9 @@ def test_what_is_kept_for_the_figures_is_small() -> None:
 
 
 def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
-    assert {*DEFAULT_SETS, *default_sets(SPEED_ID)} == set(SETS) - {"nominal", "floor"}
-    drawn = {entry.uncertainty for entry in SETS.values()}
-    assert drawn == set(UNCERTAINTY_SETS) - set(slopes.LAWS)  # no set on slopes is frozen yet
+    named = {*DEFAULT_SETS, *default_sets(SPEED_ID), *default_sets(TERRAIN_ID)}
+    assert named == set(SETS) - {"nominal", "floor", "level"}
+    assert {entry.uncertainty for entry in SETS.values()} == set(UNCERTAINTY_SETS)
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from baselines.learned.shipped import shipped_agents
-from baselines.registry import POLICIES
+from baselines.registry import POLICIES, policies
 from tests.benchmark.plugin_package import Install, install
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.sets import SETS
 from tracked_env.cli import clone, evaluate_command
 from tracked_env.cli.evaluate_options import Config, parsed
@@ -109,8 +109,8 @@ def test_policies_lists_controllers_agents_and_those_of_other_packages(
     shown = capsys.readouterr()
     lines = shown.out.splitlines()
     names = [line.split()[0] for line in lines if line.startswith("  ")]
-    agents = [name for drive in ("torque", "speed") for name in shipped_agents(drive)]
-    assert sorted(names) == sorted([*POLICIES, *agents, "coast"])
+    ours = [name for of in policies().values() for name in of]
+    assert sorted(names) == sorted([*ours, "coast"]) and set(POLICIES) <= set(names)
     assert "Lets the vehicle coast.  [other-package]" in next(li for li in lines if " coast " in li)
     assert shown.err.startswith("warning: policies 'broken' of other-package")
     assert shown.err.count("\n") == 1
@@ -133,10 +133,10 @@ def test_envs_lists_every_environment_and_evaluation_set(
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines if line.startswith("  ")] == list(SETS)
     heads = [line.split()[0] for line in lines if not line.startswith("  ")]
-    assert heads == ["tracked_env/Torque-v0", "tracked_env/Speed-v0"]
+    assert heads == [TORQUE_ID, SPEED_ID, TERRAIN_ID]
 
 
-def test_leaderboard_evaluates_everything_on_both_environments(
+def test_leaderboard_evaluates_everything_on_every_environment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked: list[Config] = []
@@ -146,7 +146,7 @@ def test_leaderboard_evaluates_everything_on_both_environments(
     )
     assert main(["leaderboard", "--episodes", "3", "--output", "board"]) == 0
     shown = {"episodes": 3, "output": Path("board"), "figures": False}
-    assert asked == [Config(**shown), Config(env="tracked_env/Speed-v0", **shown)]  # type: ignore[arg-type]
+    assert asked == [Config(env=env, **shown) for env in (TORQUE_ID, SPEED_ID, TERRAIN_ID)]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4", ".png"])

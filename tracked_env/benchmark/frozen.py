@@ -6,9 +6,10 @@ and as 0 below FLOOR: the last bits, and what should be 0, depend on the process
 adds in another order on each. The equations of motion are not in it, so the first DRIVEN
 episodes are driven for a moment with a constant action, and the mean of where they end and of what
 is then seen is compared as well. The kept numbers are made by `python -m
-tracked_env.benchmark.frozen`, once per version.
+tracked_env.benchmark.frozen VERSION > FILE`, once per version.
 """
 
+import argparse
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -19,9 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.sets import EPISODES, OF_VERSION, SEED, VERSION, of_version
+from tracked_env.benchmark.sets import (
+    EPISODES,
+    OF_VERSION,
+    PLANAR,
+    SEED,
+    VERSIONS,
+    Version,
+    names_of,
+    of_version,
+    version_of,
+)
 
-FILE = f"sets_{VERSION}.json"
 DRIVEN = 8  # episodes
 DRIVEN_STEPS = 100  # [control steps]
 ACTION = (0.35, 0.45)  # [-] left, right: drives off in a wide left turn
@@ -67,7 +77,9 @@ def look(name: str, config: BenchmarkConfig | None = None) -> dict[str, Any]:
     simulation = env.simulation
     env.reset(seed=[SEED + i for i in range(EPISODES)])
     digest = hashlib.sha256()
-    _feed(digest, tuple(of_version(episode) for episode in simulation.episodes if episode))
+    version = version_of(config.env)
+    assert version is not None
+    _feed(digest, tuple(of_version(each, version) for each in simulation.episodes if each))
     env.close()
     env = config.environment(name, DRIVEN, truth=False)
     simulation = env.simulation
@@ -88,9 +100,9 @@ def total(found: Mapping[str, Mapping[str, Any]]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def kept() -> dict[str, Any]:
-    """The numbers of the version, as they are in the package."""
-    text = files("tracked_env.benchmark").joinpath(FILE).read_text(encoding="utf-8")
+def kept(version: Version = PLANAR) -> dict[str, Any]:
+    """The numbers of a version, as they are in the package."""
+    text = files("tracked_env.benchmark").joinpath(version.file).read_text(encoding="utf-8")
     return dict(json.loads(text))
 
 
@@ -118,15 +130,17 @@ def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
 
 def check(config: BenchmarkConfig) -> Check:
     """Compare the sets of a configuration with those of the version."""
-    document = kept()
-    mark = f"{VERSION}, hash {document['hash']}"
+    deviations, version = _deviations(config), version_of(config.env)
+    if version is None:
+        return Check("-", "-", False, f"sets of your own: {', '.join(deviations)}")
+    document = kept(version)
+    mark = f"{version.name}, hash {document['hash']}"
 
     def answer(comparable: bool, text: str) -> Check:
-        return Check(VERSION, document["hash"], comparable, text)
+        return Check(version.name, document["hash"], comparable, text)
 
-    deviations = _deviations(config)
     if deviations:
-        return answer(False, f"sets of your own, not {VERSION}: {', '.join(deviations)}")
+        return answer(False, f"sets of your own, not {version.name}: {', '.join(deviations)}")
     changed = _changed(config.sets, document["sets"])
     if changed:
         return answer(
@@ -144,11 +158,11 @@ def check(config: BenchmarkConfig) -> Check:
     return answer(True, f"sets {mark}, {config.episodes} episodes each{share}")
 
 
-def document() -> dict[str, Any]:
+def document(version: Version) -> dict[str, Any]:
     """The stored record of a version, from the episodes as drawn now."""
-    found = {name: look(name) for name in OF_VERSION}
+    found = {name: look(name) for name in names_of(version)}
     return {
-        "version": VERSION,
+        "version": version.name,
         "hash": total(found),
         "numpy": np.__version__,
         "episodes": EPISODES,
@@ -158,4 +172,6 @@ def document() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(document(), indent=1))
+    parser = argparse.ArgumentParser(description="Print the digests of a version of the sets.")
+    parser.add_argument("version", choices=tuple(VERSIONS))
+    print(json.dumps(document(VERSIONS[parser.parse_args().version]), indent=1))

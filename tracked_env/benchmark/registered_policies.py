@@ -3,10 +3,10 @@
     [project.entry-points."tracked_env.policies"]
     mine = "my_package.policies:Mine"
 The object is what `module:attribute` of a command line may name: a policy, or a class or function
-that makes one. Its attribute `drive` ("torque" or "speed"), if it has one, says which environments
-it is for; those are then compared with it by default. One entry may also register many: an object
-with a function
-    policies() -> {drive: {name: policy, or a list of archives, one per training seed}}
+that makes one. Its attribute `drive`, if it has one, says which environment it is compared on by
+default: "torque" (Torque-v0), "speed" (Speed-v0), or an id such as "tracked_env/Terrain-v0". One
+entry may also register many: an object with a function
+    policies() -> {drive or id: {name: policy, or a list of archives, one per training seed}}
 
 Archives of agents are opened by the entries of the group `tracked_env.archives`, functions that
 take a path and return an object with `make(context)` and `sources`, the folders whose code its
@@ -23,6 +23,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.policy_interface import (
     PolicyEntry,
     PolicyFactory,
@@ -34,7 +35,11 @@ from tracked_env.validation import unknown
 
 POLICIES, ARCHIVES = "tracked_env.policies", "tracked_env.archives"  # groups of entry points
 OURS = "tracked-env"  # our distribution, whose policies come first
-DRIVES = ("torque", "speed")
+# Where policies are compared by default, by what they may call it.
+ENVIRONMENTS = {
+    "torque": TORQUE_ID, "speed": SPEED_ID,
+    **{env: env for env in (TORQUE_ID, SPEED_ID, TERRAIN_ID)},
+}  # fmt: skip
 _PACKAGES = Path(__file__).resolve().parents[2]  # where this package lies
 
 
@@ -42,7 +47,7 @@ class Registered(NamedTuple):
     """A policy under its name."""
 
     name: str
-    drive: str | None  # None: for any
+    env: str | None  # id on which it is compared by default; None: on none, only by its name
     found: Any  # what `module:attribute` names, or a list of archives
     module: str  # whose package is its source
     distribution: str  # that registers it
@@ -106,17 +111,21 @@ def _left_out(distribution: str, entry: EntryPoint, error: BaseException) -> str
 
 
 def _policies_of(entry: EntryPoint, found: Any) -> list[tuple[str, str | None, Any]]:
-    """Name, drive and policy of everything that an entry registers."""
+    """Name, environment and policy of everything that an entry registers."""
     if not callable(getattr(found, "policies", None)):
         drive = getattr(found, "drive", None)
-        if drive is not None and drive not in DRIVES:
-            raise ValueError(f"its drive is {drive!r}; must be one of {', '.join(DRIVES)}")
-        policies = [(entry.name, drive, found)]
+        if drive is not None and drive not in ENVIRONMENTS:
+            raise ValueError(f"its drive is {drive!r}; must be one of {', '.join(ENVIRONMENTS)}")
+        policies = [(entry.name, None if drive is None else ENVIRONMENTS[drive], found)]
     else:
         many: Mapping[str, Mapping[str, Any]] = found.policies()
-        if set(many) - {*DRIVES}:
-            raise ValueError(f"it has policies of drives {sorted(many)}; known are {DRIVES}")
-        policies = [(name, drive, one) for drive, of in many.items() for name, one in of.items()]
+        if set(many) - {*ENVIRONMENTS}:
+            raise ValueError(
+                f"it has policies of {sorted(many)}; known are {', '.join(ENVIRONMENTS)}"
+            )
+        policies = [
+            (name, ENVIRONMENTS[key], one) for key, of in many.items() for name, one in of.items()
+        ]
     for name, _, one in policies:
         if not isinstance(one, list):
             as_factory(name, one)
@@ -136,35 +145,37 @@ def registered_policies(warn: Callable[[str], None] = _to_stderr) -> list[Regist
         except (Exception, SystemExit) as error:
             warn(_left_out(distribution, entry, error))
             continue
-        for name, drive, one in of_entry:
-            new = Registered(name, drive, one, entry.module, distribution)
-            other = known.setdefault((name, drive), new)
+        for name, env, one in of_entry:
+            new = Registered(name, env, one, entry.module, distribution)
+            other = known.setdefault((name, env), new)
             if other is not new:
                 warn(f"policy {name!r} of {distribution} is left out: {other.distribution} has it")
     return list(known.values())
 
 
-def default_names(policies: list[Registered], drive: str) -> tuple[str, ...]:
-    """Names of all that are for this drive."""
-    return tuple(policy.name for policy in policies if policy.drive == drive)
+def default_names(policies: list[Registered], env: str) -> tuple[str, ...]:
+    """Names of all that are compared on an environment by default; env: as in ENVIRONMENTS."""
+    return tuple(policy.name for policy in policies if policy.env == ENVIRONMENTS[env])
 
 
 def by_name(
-    policies: list[Registered], drive: str
+    policies: list[Registered], env: str
 ) -> tuple[dict[str, PolicyFactory | PolicyEntry], dict[str, list[Path]]]:
-    """Policies and archives for `load_policies`; of one name, the one for this drive.
+    """Policies and archives for `load_policies`; of one name, the one for this environment.
 
-    The others are there too: they say themselves that they are for another drive.
+    env: as in ENVIRONMENTS. Policies for other environments are there too: they say themselves
+    what they cannot drive.
     """
+    here = ENVIRONMENTS[env]
     chosen: dict[str, Registered] = {}
-    for policy in sorted(policies, key=lambda each: (each.drive != drive, each.drive is not None)):
+    for policy in sorted(policies, key=lambda each: (each.env != here, each.env is not None)):
         chosen.setdefault(policy.name, policy)
     registry: dict[str, PolicyFactory | PolicyEntry] = {
         name: PolicyEntry(
             name,
             as_factory(name, of.found),
             source_fingerprint(of.module),
-            (registered_policy, (name, drive)),
+            (registered_policy, (name, env)),
         )
         for name, of in chosen.items()
         if not of.is_trained
@@ -172,9 +183,9 @@ def by_name(
     return registry, {name: of.found for name, of in chosen.items() if of.is_trained}
 
 
-def registered_policy(name: str, drive: str) -> PolicyEntry:
+def registered_policy(name: str, env: str) -> PolicyEntry:
     """A policy that is registered under a name. Raises ValueError for an unknown one."""
-    registry, _ = by_name(registered_policies(lambda warning: None), drive)
+    registry, _ = by_name(registered_policies(lambda warning: None), env)
     entry = registry.get(name)
     if not isinstance(entry, PolicyEntry):
         raise unknown("policy", name, registry)

@@ -30,7 +30,6 @@ from tracked_env.benchmark.policy_interface import (
     needs_truth,
 )
 from tracked_env.benchmark.progress_bar import Progress, no_progress
-from tracked_env.benchmark.sets import of_version
 from tracked_env.benchmark.store import Record, Store
 from tracked_env.engine.columns import columns
 from tracked_env.engine.episode import Episode
@@ -91,7 +90,7 @@ def episode_digest(episode: Episode) -> str:
         else:
             digest.update(np.asarray(value).tobytes())
 
-    add(of_version(episode))
+    add(tuple(episode))
     return digest.hexdigest()[:12]
 
 

@@ -2,45 +2,65 @@
 
 A set is a law of vehicles, soils and changes (`tracked_env.uncertainty`), with the environment id,
 the sensors, the reference and the duration of its episodes; episode i is drawn from seed SEED + i.
-Digests of the first EPISODES are kept in `sets_v2.json`, and `frozen` compares with them. A set
-belongs here if it separates policies: nominal from oracle or, in the sets that need memory,
-policies of one observation from policies of many.
+Digests of the first EPISODES are kept in one file per version (`Version.file`), and `frozen`
+compares with them. A set belongs here if it separates policies: nominal from oracle or, in the sets
+that need memory, policies of one observation from policies of many.
 
-To change anything here, or in what is drawn, is to make a new version. `register` adds a set of
-one's own, which is run where it is named and belongs to no version.
+To change anything here, or in what is drawn, is to make a new version of the sets of that
+environment. `register` adds a set of one's own, which is run where it is named and belongs to no
+version.
 """
 
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from tracked_env import SPEED, SPEED_ID, TORQUE_ID
+from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env.engine.episode import Episode
+from tracked_env.physics.parameters import PARAMETER_NAMES
+from tracked_env.physics.state import STATE_NAMES
 from tracked_env.uncertainty import Spec
 
-VERSION = "v2"
 EPISODES = 100  # of each set, that are compared with those of the version
 SEED = 0  # of the first episode
-# Fields of state, parameters and episode that the digests of the version take in; later ones are
-# not drawn, or have no effect on the plants of the version.
-STATE_FIELDS = (
+
+
+class Version(NamedTuple):
+    """Frozen sets of one or more environment ids, whose digests lie in one file.
+
+    The digests take in some fields of state, parameters and episode; later ones are not drawn in
+    its sets, or have no effect on their plants.
+    """
+
+    name: str
+    envs: tuple[str, ...]
+    state_fields: tuple[str, ...]
+    parameter_fields: tuple[str, ...]
+    episode_fields: tuple[str, ...]
+
+    @property
+    def file(self) -> str:
+        """Name of the file of its digests, in this package."""
+        return f"sets_{self.name}.json"
+
+
+_PLANAR_STATE = (
     "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "torque_left", "torque_right", "slip_left",
     "slip_right", "sprocket_speed_left", "sprocket_speed_right", "effort_left", "effort_right",
     "acceleration_x", "acceleration_y", "yaw_acceleration",
 )  # fmt: skip
-
-
-PARAMETER_FIELDS = (
+_PLANAR_PARAMETERS = (
     "mass", "inertia", "track_gauge", "track_width", "contact_length", "sprocket_radius",
     "torque_limit", "sprocket_speed_limit", "drive_time_constant", "sprocket_inertia", "cohesion",
     "friction_angle", "shear_deformation_modulus", "longitudinal_resistance",
     "lateral_resistance", "turning_resistance_factor", "icr_forward",
 )  # fmt: skip
-
-
-EPISODE_FIELDS = (
+_PLANAR_EPISODE = (
     "parameters", "events", "profile", "sensors", "state", "noise_seed", "relief",
 )  # fmt: skip
+PLANAR = Version("v2", (TORQUE_ID, SPEED_ID), _PLANAR_STATE, _PLANAR_PARAMETERS, _PLANAR_EPISODE)
+SLOPES = Version("terrain-v1", (TERRAIN_ID,), STATE_NAMES, PARAMETER_NAMES, Episode._fields)
+VERSIONS = {version.name: version for version in (PLANAR, SLOPES)}
 
 
 class BenchmarkSet(NamedTuple):
@@ -65,6 +85,22 @@ def _indoors(name: str, uncertainty: str, about: str, **given: Any) -> Benchmark
     return BenchmarkSet(
         name, uncertainty, about, sensors, reference, 30.0, SPEED_ID, MappingProxyType(arguments)
     )
+
+
+# Sets of Terrain-v0 show the heights around the vehicle too, behind the groups of the id.
+_SHOWN = (*TERRAIN["observation"], "height_scan")
+
+
+def _on_slopes(
+    name: str, uncertainty: str, about: str, sensors: str | Mapping[str, Any] = TERRAIN["sensors"]
+) -> BenchmarkSet:
+    """A set of Terrain-v0."""
+    arguments = {key: TERRAIN[key] for key in ("vehicle", "plant", "drive", "error_limit")}
+    arguments["observation"] = _SHOWN
+    return BenchmarkSet(
+        name, uncertainty, about, sensors, TERRAIN["reference"], 30.0, TERRAIN_ID,
+        MappingProxyType(arguments),
+    )  # fmt: skip
 
 
 _ALL = (
@@ -103,11 +139,32 @@ _ALL = (
         "floor-late-pose", "friction", "position, heading, velocity come 0.1 s late",
         sensors={"preset": "mocap", "pose_delay": 0.1},
     ),
+    _on_slopes("level", "nominal", "nothing is unknown, level ground"),
+    _on_slopes("slope", "slope", "unknown vehicle on an unknown slope"),
+    _on_slopes("hills", "hills", "the same on unknown hills"),
+    _on_slopes("slope-step", "slope-step", "on a slope, a border to another floor"),
+    _on_slopes("soft-patches", "soft-patches", "hills with soft ground on the path"),
+    _on_slopes("hills-ood", "hills-ood", "steeper hills, heavy loads, little friction"),
+    _on_slopes("slope-payload", "slope-payload", "a load off the middle is put down or taken up"),
+    _on_slopes(
+        "hills-late-pose", "hills", "position, heading, velocity come 0.1 s late",
+        sensors={"preset": "mocap", "pose_delay": 0.1},
+    ),
 )  # fmt: skip
 SETS = {entry.name: entry for entry in _ALL}
 OF_VERSION = tuple(SETS)  # names; those that are registered come on top
 # In `nominal` a controller with nominal parameters knows everything: it separates nothing.
-_KNOWN = ("nominal", "floor")
+_KNOWN = ("nominal", "floor", "level")
+
+
+def version_of(env: str) -> Version | None:
+    """Version of the sets of an environment id; None for an id without frozen sets."""
+    return next((version for version in VERSIONS.values() if env in version.envs), None)
+
+
+def names_of(version: Version) -> tuple[str, ...]:
+    """Names of the sets of a version."""
+    return tuple(name for name in OF_VERSION if SETS[name].env in version.envs)
 
 
 def default_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
@@ -129,9 +186,9 @@ def register(entry: BenchmarkSet) -> BenchmarkSet:
 DEFAULT_SETS = default_sets()
 
 
-def of_version(episode: Episode) -> tuple[Any, ...]:
-    """All that an episode is, with state and parameters as the version knows them."""
-    state = tuple(getattr(episode.state, name) for name in STATE_FIELDS)
-    parameters = tuple(getattr(episode.parameters, name) for name in PARAMETER_FIELDS)
+def of_version(episode: Episode, version: Version) -> tuple[Any, ...]:
+    """All that an episode is, as the version knows it."""
+    state = tuple(getattr(episode.state, name) for name in version.state_fields)
+    parameters = tuple(getattr(episode.parameters, name) for name in version.parameter_fields)
     known = episode._replace(state=state, parameters=parameters)  # type: ignore[arg-type]
-    return tuple(getattr(known, name) for name in EPISODE_FIELDS)
+    return tuple(getattr(known, name) for name in version.episode_fields)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tracked_env import SPEED_ID
+from tracked_env import TORQUE_ID
 from tracked_env.benchmark import (
     BenchmarkConfig,
     Store,
@@ -28,11 +28,11 @@ from tracked_env.benchmark.registered_policies import (
     registered_policies,
 )
 from tracked_env.benchmark.runner import pending, run
-from tracked_env.benchmark.sets import VERSION
+from tracked_env.benchmark.sets import version_of
 from tracked_env.benchmark.store import identity_hash
 from tracked_env.benchmark.summary import Row, rows_of
 from tracked_env.cli import clone
-from tracked_env.cli.evaluate_options import DRIVES, Config, parsed
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, Config, parsed
 from tracked_env.validation import checked_choice, name_or_json
 
 
@@ -48,7 +48,7 @@ INSTALLED = Extras()
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
     """The part of the command line that the benchmark knows. Raises ValueError."""
-    checked_choice("environment", config.env, DRIVES)
+    checked_choice("environment", config.env, ENVIRONMENTS)
     return BenchmarkConfig(
         sets=config.sets or default_sets(config.env),
         episodes=config.episodes,
@@ -70,8 +70,10 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
     ]
     if benchmark.duration is not None:
         labels.append(f"{benchmark.duration:g}s")
-    track = [benchmark.env.partition("/")[2].lower()] if benchmark.env == SPEED_ID else []
-    name = "-".join([*track, *(labels or [VERSION]), f"seed{benchmark.seed}"])
+    track = [benchmark.env.rpartition("/")[2].lower()] if benchmark.env != TORQUE_ID else []
+    version = version_of(benchmark.env)
+    usual = ["own"] if version is None else [version.name]
+    name = "-".join([*track, *(labels or usual), f"seed{benchmark.seed}"])
     return output / f"{name}-{identity_hash(benchmark.identity())[:8]}"
 
 
@@ -167,10 +169,9 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     began = time.perf_counter()
     try:
         benchmark = benchmark_config(config)
-        drive = DRIVES[benchmark.env]
         policies = registered_policies()
-        registry, trained = by_name(policies, drive)
-        specs = config.policies or default_names(policies, drive)
+        registry, trained = by_name(policies, benchmark.env)
+        specs = config.policies or default_names(policies, benchmark.env)
         entries = load_policies(specs, registry, trained, open_with(config, extras))
         for entry in entries:  # reject incompatible policies first
             checked_policy(entry, benchmark.context(benchmark.sets[0]))

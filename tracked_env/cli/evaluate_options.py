@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from tracked_env import SPEED_ID, TORQUE_ID
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.executors.shard import Shard, parse_shard
 
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
@@ -19,7 +19,7 @@ figures.
 
 An interrupted run loses at most the chunk of episodes in progress; run it again to continue.
 """
-DRIVES = {TORQUE_ID: "torque", SPEED_ID: "speed"}
+ENVIRONMENTS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)  # those with evaluation sets
 PAPERS = ("none", "strawa2021", "focchi2025")
 
 
@@ -58,8 +58,8 @@ class Config:
     """What to compare, on what, and where the results go."""
 
     env: str = option(
-        TORQUE_ID, "environment id: sprocket torques as actions, or speeds", type=short_env,
-        choices=tuple(DRIVES),
+        TORQUE_ID, "environment id: sprocket torques as actions, or speeds, on level ground or "
+        "on slopes", type=short_env, choices=ENVIRONMENTS,
     )  # fmt: skip
     policies: tuple[str, ...] | None = option(
         None,

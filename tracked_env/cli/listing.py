@@ -7,7 +7,7 @@ import gymnasium
 
 from tracked_env.benchmark.registered_policies import OURS, registered_policies
 from tracked_env.benchmark.sets import SETS, default_sets
-from tracked_env.cli.evaluate_options import DRIVES, short_env
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, short_env
 from tracked_env.engine.env_config import EnvConfig
 
 
@@ -16,11 +16,11 @@ def policies(envs: Sequence[str]) -> list[str]:
     lines = []
     known = registered_policies()
     width = max((len(policy.name) for policy in known), default=0)
-    for env, drive in [(env, DRIVES[env]) for env in envs] + [("any environment", None)]:
-        found = [policy for policy in known if policy.drive == drive]
+    for env, title in [(env, env) for env in envs] + [(None, "any environment")]:
+        found = [policy for policy in known if policy.env == env]
         if not found:
             continue
-        lines.append(env)
+        lines.append(title)
         for policy in found:
             origin = "" if policy.distribution == OURS else f"  [{policy.distribution}]"
             lines.append(f"  {policy.name:<{width}}  {policy.summary}{origin}")
@@ -58,9 +58,9 @@ def main(arguments: Sequence[str], program: str) -> int:
         else "List the environments and their evaluation sets.",
     )
     parser.add_argument(
-        "--env", type=short_env, choices=tuple(DRIVES), help="of this environment alone"
+        "--env", type=short_env, choices=ENVIRONMENTS, help="of this environment alone"
     )
     chosen = parser.parse_args(arguments).env
-    envs = tuple(DRIVES) if chosen is None else (chosen,)
+    envs = ENVIRONMENTS if chosen is None else (chosen,)
     print("\n".join(policies(envs) if lists_policies else environments(envs)))
     return 0

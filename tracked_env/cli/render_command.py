@@ -11,7 +11,7 @@ from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.cli.evaluate_command import benchmark_config
-from tracked_env.cli.evaluate_options import DRIVES, add_options, config_of
+from tracked_env.cli.evaluate_options import add_options, config_of
 
 _OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk")
 
@@ -40,7 +40,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     given.sets = [(given.set or default_sets(given.env)[0],)]
     try:
         benchmark = benchmark_config(config_of(given))
-        registry, trained = by_name(registered_policies(), DRIVES[benchmark.env])
+        registry, trained = by_name(registered_policies(), benchmark.env)
         entry = load_policies([given.policy], registry, trained, open_archive)[0]
         _write(given, benchmark, entry)
     except (PolicyError, ImportError, OSError) as error:

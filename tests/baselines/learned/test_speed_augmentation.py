@@ -5,12 +5,15 @@ import pytest
 
 from baselines.learned.augmentation import make_augmentation
 from baselines.learned.speed_augmentation import KNOWN
-from tracked_env import SPEED
+from baselines.registry import slc_adaptive
+from tracked_env import SPEED, TERRAIN
 from tracked_env.benchmark import PolicyContext
+from tracked_env.observation import View, make_layout
 from tracked_env.sensors import MOCAP
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
+ON_SLOPES = CONTEXT._replace(observation=make_layout(TERRAIN["observation"]).names)
 
 
 def driven(augmentation, steps=60, seed=0, count=2):
@@ -57,3 +60,22 @@ def test_a_row_that_is_put_back_goes_on_as_if_nothing_had_happened():
     again = augmentation.observe(observation, np.zeros(2, dtype=bool))
     np.testing.assert_array_equal(again[0], first[0])
     assert not np.array_equal(again[1], first[1])
+
+
+@pytest.mark.parametrize(("context", "arguments"), [(CONTEXT, SPEED), (ON_SLOPES, TERRAIN)])
+def test_a_residual_of_nothing_drives_as_the_adaptive_controller_of_its_environment(
+    context, arguments
+):
+    """On slopes that is the one that knows them: its observation shows the attitude."""
+    env = TrackedVehicleVectorEnv(2, **arguments)
+    augmentation, controller = make_augmentation("residual", {}, context, 2), slc_adaptive(context)
+    view, state = View(context.observation, augmentation.needs), None
+    observation, _ = env.reset(seed=3)
+    start = np.ones(2, dtype=bool)
+    for _ in range(40):
+        features = augmentation.observe(view(observation), start)
+        command = augmentation.command(np.zeros((2, 2), np.float32), features)
+        action, state = controller.predict(observation, state, start)
+        np.testing.assert_array_equal(command, action)
+        start = np.zeros(2, dtype=bool)
+        observation, *_ = env.step(action)

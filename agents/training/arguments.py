@@ -30,7 +30,7 @@ MIXTURE = {
         "mixed",
     ),
     SPEED_ID: ("friction", "friction-step", "friction-drift", "floor-mixed"),
-    TERRAIN_ID: ("slope", "hills", "slope-step", "soft-patches"),
+    TERRAIN_ID: ("slope", "hills", "slope-step", "soft-patches", "slope-payload"),
 }  # fmt: skip
 # `mixture` of sensors: good ones, and what asks for the past.
 SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {

@@ -165,17 +165,18 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         data_sheet: DataSheet | None = None,
         observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        gains = LyapunovGains() if gains is None else gains
+        tilted = shows_attitude(observation)
+        if gains is None:
+            gains = law.GAINS_ON_SLOPES if tilted else LyapunovGains()
         self.gains = LyapunovGains(*(float(gain) for gain in gains))
-        if not all(0.0 < gain < math.inf for gain in self.gains):
-            raise ValueError(f"{self.gains}: both gains must be positive and finite")
+        if not (all(0.0 < gain < math.inf for gain in self.gains[:-1]) and self.gains.reach > 0.0):
+            raise ValueError(f"{self.gains}: all must be positive, and gains finite")
         control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         if self.gains.k_p * control_period >= 1.0:
             raise ValueError(
                 f"k_p control_period = {self.gains.k_p * control_period:g}; must be below 1, or "
                 "every step overshoots. Is the controller called too rarely?"
             )
-        tilted = shows_attitude(observation)
         self._view = layout.View(observation, (*NEEDS, *ATTITUDE) if tilted else NEEDS)
         self.control_period = float(control_period)
         self.slip_model = self._felt = slip_model

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.estimators.sensor_samples import DataSheet
-from baselines.lyapunov.lyapunov_laws import PoseError, lyapunov_value
+from baselines.lyapunov.lyapunov_laws import LyapunovGains, PoseError, lyapunov_value
 from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.slip.slip_sweep import identified_slip
@@ -73,6 +73,9 @@ def run_all(length: float = LENGTHS[-1], duration: float = DURATION) -> dict[str
             rows[:, 3] = YAW_ACCELERATION
             alpha = aware.reference_slip(rows)[0]
         errors = zip(run.distance[:, 0], run.heading[:, 0], alpha, strict=True)
-        value = [lyapunov_value(PoseError(e_xy, 0.0, e_h), slip) for e_xy, e_h, slip in errors]
+        gains = LyapunovGains()
+        value = [
+            lyapunov_value(PoseError(e_xy, 0.0, e_h), slip, gains) for e_xy, e_h, slip in errors
+        ]
         found[kind] = Spiral(run, np.array(value))
     return found

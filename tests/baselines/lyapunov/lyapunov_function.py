@@ -2,7 +2,7 @@
 
 import math
 
-from baselines.lyapunov.lyapunov_laws import PoseError
+from baselines.lyapunov.lyapunov_laws import PoseError, distance_weight
 
 
 def pose_error(x, y, yaw, x_d, y_d, yaw_d):
@@ -26,4 +26,6 @@ def lyapunov_rate(error, speed, slip, gains):
     heading = math.sin(error.heading + slip.reference)
     offset = across * math.cos(half) + along * math.sin(half)
     left = 2.0 * math.sin(half) - heading / math.cos(half)
-    return speed * offset * left - gains.k_p * along * along - gains.k_phi * heading * heading
+    distances = speed * offset * left - gains.k_p * along * along
+    weight = distance_weight(error.x, error.y, gains)
+    return weight * distances - gains.k_phi * heading * heading

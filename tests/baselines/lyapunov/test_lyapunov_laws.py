@@ -48,7 +48,7 @@ def printed_law(pose, reference, speed, yaw_rate, slip):
     return (speed + delta_v) * math.cos(slip.alpha), yaw_rate + delta_w
 
 
-def rate_along_the_model(error, speed, yaw_rate, slip, motion):
+def rate_along_the_model(error, speed, yaw_rate, slip, motion, gains=GAINS):
     """V' by a central difference along the model (27) and the reference (35)."""
     yaw_d, h = 0.7, 1e-5
     yaw = yaw_d + error.heading
@@ -61,7 +61,7 @@ def rate_along_the_model(error, speed, yaw_rate, slip, motion):
             x + v_x * t, y + v_y * t, yaw + motion.yaw_rate * t,
             speed * math.cos(yaw_d) * t, speed * math.sin(yaw_d) * t, yaw_d + yaw_rate * t,
         )  # fmt: skip
-        values.append(lyapunov_value(error_then, slip.reference + slip.reference_rate * t))
+        values.append(lyapunov_value(error_then, slip.reference + slip.reference_rate * t, gains))
     return (values[1] - values[0]) / (2.0 * h)
 
 
@@ -89,6 +89,36 @@ def test_the_slippage_aware_law_decreases_v_as_in_48_when_the_slip_is_that_of_th
         )
         assert rate == pytest.approx(expected, abs=1e-6)
         assert expected <= 0.0
+
+
+@pytest.mark.parametrize("k_y", [0.2, 40.0])
+@pytest.mark.parametrize("reach", [0.1, 1.0, math.inf])
+def test_the_laws_decrease_v_with_every_weight_of_distances(k_y, reach):
+    gains = LyapunovGains(5.0, 3.0, k_y, reach)
+    for error, speed, yaw_rate, slip in situations(500):
+        distance = math.hypot(error.x, error.y) / reach
+        weight = k_y / math.sqrt(1.0 + distance**2)
+        for aware in (True, False):
+            s = slip._replace(reference=slip.alpha) if aware else NO_SLIP
+            motion = (
+                law.slippage_aware_law(error, speed, yaw_rate, s, gains)
+                if aware
+                else law.unicycle_law(error, speed, yaw_rate, gains)
+            )
+            along = error.x * math.cos(s.alpha) + error.y * math.sin(s.alpha)
+            heading = math.sin(error.heading + s.alpha)
+            expected = -weight * gains.k_p * along**2 - gains.k_phi * heading**2
+            rate = rate_along_the_model(error, speed, yaw_rate, s, motion, gains)
+            assert rate == pytest.approx(expected, rel=1e-5, abs=1e-5)
+            assert lyapunov_rate(error, speed, s, gains) == pytest.approx(expected, abs=1e-9)
+
+
+def test_far_from_the_path_the_demanded_yaw_rate_stays_within_the_reach():
+    gains = LyapunovGains(5.0, 3.0, 40.0, 0.1)
+    near = law.unicycle_law(PoseError(0.0, 0.01, 0.0), 0.3, 0.0, gains).yaw_rate
+    assert near == pytest.approx(-40.0 * 0.3 * 0.01, rel=0.01)
+    far = law.unicycle_law(PoseError(0.0, 5.0, 0.0), 0.3, 0.0, gains).yaw_rate
+    assert far == pytest.approx(-40.0 * 0.1 * 0.3, rel=0.01)
 
 
 def test_another_slip_than_the_reference_has_leaves_a_term_that_48_lacks():

@@ -6,6 +6,7 @@ import pytest
 import tracked_env
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
+from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import ATTITUDE, AttitudeFilter, in_vehicle_plane
 from baselines.registry import POLICIES
@@ -34,13 +35,22 @@ def environment(count, truth=False, **arguments):
     return TrackedVehicleVectorEnv(count, **chosen, autoreset_mode="Disabled", expose_truth=truth)
 
 
-def rmse(name, count, **arguments):
-    """(count,) RMSE [m] after 3 s of a named policy on episodes of seeds that no set has."""
-    policy = POLICIES[name](context(arguments.get("sensors", "mocap")))
+def driven(policy, count, **arguments):
+    """(count,) RMSE [m] and action rate [rad/s^2] after 3 s, on episodes of seeds that no set has."""
     env = environment(count, needs_truth(policy), **arguments)
     trace, _ = drive(policy, env, range(70000, 70000 + count), lambda: None)
     assert not trace.terminated.any()
-    return np.sqrt((trace.channel("error")[150:] ** 2).mean(axis=0))
+    error = np.sqrt((trace.channel("error")[150:] ** 2).mean(axis=0))
+    changes = [
+        np.abs(np.diff(trace.channel(n)[150:], axis=0)) for n in ("action_left", "action_right")
+    ]
+    return error, np.mean(changes, axis=(0, 1)) * trace.demand_limit / trace.control_period
+
+
+def rmse(name, count, **arguments):
+    """(count,) RMSE [m] after 3 s of a named policy."""
+    policy = POLICIES[name](context(arguments.get("sensors", "mocap")))
+    return driven(policy, count, **arguments)[0]
 
 
 def situations(count, rng):
@@ -61,9 +71,9 @@ def test_on_level_ground_actions_are_those_of_the_planar_policy_to_the_bit(aware
     rng = np.random.default_rng(0)
     sheet = None
     made = [
-        SlippageAwarePolicy(FOCCHI, 0.02, identified_slip(FOCCHI), None, sheet, names)
+        SlippageAwarePolicy(FOCCHI, 0.02, identified_slip(FOCCHI), LyapunovGains(), sheet, names)
         if aware
-        else UnicyclePolicy(FOCCHI, 0.02, None, sheet, names)
+        else UnicyclePolicy(FOCCHI, 0.02, LyapunovGains(), sheet, names)
         for names in (layout.NAMES, SHOWN.names)
     ]
     memory = [None, None]
@@ -157,6 +167,35 @@ def test_across_a_border_of_friction_on_a_slope_the_adaptive_one_beats_the_plana
     gain = found["slc-flat"] - found["slc-adaptive"]
     assert gain.mean() > 2.0 * gain.std(ddof=1) / np.sqrt(len(gain)) > 0.0
     assert np.median(found["slc-adaptive"]) < 0.7 * np.median(found["slc-flat"])
+
+
+def test_the_gains_of_slopes_hold_where_the_attitude_is_shown_and_only_there():
+    for names, expected in ((layout.NAMES, LyapunovGains()), (SHOWN.names, GAINS_ON_SLOPES)):
+        assert UnicyclePolicy(FOCCHI, 0.02, observation=names).gains == expected
+        assert AdaptiveSlipPolicy(FOCCHI, 0.02, DataSheet(), None, names)._policy.gains == expected
+
+
+def test_the_gains_of_slopes_leave_less_than_half_of_the_error_of_the_papers_gains():
+    sheet = context().sensors
+    found = {
+        gains: driven(
+            UnicyclePolicy(FOCCHI, 0.02, gains, DataSheet.of(sheet), SHOWN.names), 8,
+            uncertainty="slope-step", duration=12.0,
+        )
+        for gains in (LyapunovGains(), GAINS_ON_SLOPES)
+    }  # fmt: skip
+    (paper, its_rate), (ours, our_rate) = found.values()
+    assert np.median(ours) < 0.5 * np.median(paper)
+    assert our_rate.mean() < its_rate.mean() + 0.5
+
+
+def test_slip_that_is_known_on_slopes_costs_no_action_rate():
+    """The slip angle jumps with the demanded yaw rate; fed back at once it makes the law chatter."""
+    rates = [
+        driven(POLICIES[name](context()), 8, uncertainty="soft-patches", duration=8.0)[1].mean()
+        for name in ("slc-flat", "slc-oracle")
+    ]
+    assert rates[1] < 2.0 * rates[0] < 10.0
 
 
 @pytest.mark.parametrize("name", SPEED_POLICIES)

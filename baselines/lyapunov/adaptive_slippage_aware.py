@@ -38,6 +38,11 @@ _SEEN = [layout.INDEX[n] for n in ("v_x", "v_y", "yaw_rate", "pose_age")]
 _SPROCKETS = [layout.INDEX[n] for n in ("sprocket_speed_left", "sprocket_speed_right")]
 
 
+def at_least(friction: Array, grade: Array) -> Array:
+    """Friction (N,) [-] that is not below what slopes of grades (N, 2) are taken to need."""
+    return np.maximum(friction, np.linalg.norm(grade, axis=1) / LARGEST_SHARE)
+
+
 class AdaptiveSlipState(NamedTuple):
     """State of the policy between two calls."""
 
@@ -109,8 +114,7 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         # The friction is worked out once; the controller asks for the slip many times.
         friction = self.estimator.friction
         if state is not None:
-            taken = np.linalg.norm(grades(*state.driving.attitude.T), axis=1)
-            friction = np.maximum(friction, taken / LARGEST_SHARE)
+            friction = at_least(friction, grades(*state.driving.attitude.T))
         self._policy.slip_model = self.estimator.family.at(friction)
         driving = None if state is None else state.driving
         action, driving = self._policy.act(observation, driving, start)
@@ -142,13 +146,14 @@ class KnownSlip:
 
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
         """(beta_left, beta_right [m/s], alpha [rad]), (N,), or a multiple of N."""
-        times = len(sprocket_left) // len(self.friction)
+        friction = at_least(self.friction, self.grade)
+        times = len(sprocket_left) // len(self.modulus)
         place = np.interp(self.modulus, self.moduli, np.arange(len(self.moduli)))
         total = np.zeros((3, len(sprocket_left)))
         for number, family in enumerate(self.families):
             share = np.maximum(1.0 - np.abs(place - number), 0.0)
             if share.any():
-                known: SlipModel = family.at(self.friction)
+                known: SlipModel = family.at(friction)
                 if isinstance(known, SlopeSlipModel):
                     known = known.on(self.grade)
                 slip = known.slip(sprocket_left, sprocket_right)

@@ -36,7 +36,7 @@ def environment(count, truth=False, **arguments):
 
 
 def driven(policy, count, **arguments):
-    """(count,) RMSE [m] and action rate [rad/s^2] after 3 s, on episodes of seeds that no set has."""
+    """(count,) RMSE [m] and action rate [rad/s^2] after 3 s, on seeds that no set has."""
     env = environment(count, needs_truth(policy), **arguments)
     trace, _ = drive(policy, env, range(70000, 70000 + count), lambda: None)
     assert not trace.terminated.any()
@@ -159,13 +159,14 @@ def test_on_a_known_slope_the_map_of_slopes_halves_the_error_of_the_planar_map()
 
 
 def test_across_a_border_of_friction_on_a_slope_the_adaptive_one_beats_the_planar_map():
-    """And it is within a quarter of the one that knows the soil."""
+    """In nearly every episode (a sign test: p = 0.003), not by a few large ones alone."""
     found = {
         name: rmse(name, 12, uncertainty="slope-step", duration=16.0)
         for name in ("slc-flat", "slc-adaptive")
     }
     gain = found["slc-flat"] - found["slc-adaptive"]
-    assert gain.mean() > 2.0 * gain.std(ddof=1) / np.sqrt(len(gain)) > 0.0
+    assert (gain > 0.0).sum() >= 11
+    assert gain.mean() > 0.02
     assert np.median(found["slc-adaptive"]) < 0.7 * np.median(found["slc-flat"])
 
 
@@ -189,13 +190,13 @@ def test_the_gains_of_slopes_leave_less_than_half_of_the_error_of_the_papers_gai
     assert our_rate.mean() < its_rate.mean() + 0.5
 
 
-def test_slip_that_is_known_on_slopes_costs_no_action_rate():
-    """The slip angle jumps with the demanded yaw rate; fed back at once it makes the law chatter."""
+def test_slip_that_is_known_on_slopes_costs_little_action_rate():
+    """The slip angle jumps with the demanded yaw rate; fed back at once the law oscillates."""
     rates = [
-        driven(POLICIES[name](context()), 8, uncertainty="soft-patches", duration=8.0)[1].mean()
+        driven(POLICIES[name](context()), 8, uncertainty="slope-step", duration=12.0)[1].mean()
         for name in ("slc-flat", "slc-oracle")
     ]
-    assert rates[1] < 2.0 * rates[0] < 10.0
+    assert rates[1] < 2.0 * rates[0] < 5.0
 
 
 @pytest.mark.parametrize("name", SPEED_POLICIES)

@@ -99,7 +99,7 @@ def driven_by_torque(h, soil, resistance):
     simulation = Simulation(RANDOM_RUNS, config)
     simulation.rngs = [np.random.default_rng(i) for i in range(RANDOM_RUNS)]
     ground = SOILS[soil]._replace(longitudinal_resistance=resistance)._asdict()
-    del ground["lateral_resistance"]
+    del ground["lateral_resistance"], ground["ground_stiffness_factor"]  # it reads neither
     simulation.reset(simulation.all, [{"soil": ground}] * RANDOM_RUNS)
     limit = simulation.solver.nominal.torque_limit
     demands = np.stack([random_torques(i).torque / limit for i in range(RANDOM_RUNS)], axis=1)

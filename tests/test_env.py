@@ -14,7 +14,7 @@ from tracked_env import rewards
 from tracked_env.engine import columns as b
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics import state as s
-from tracked_env.physics.parameters import GROUPS, RANGES
+from tracked_env.physics.parameters import GROUPS, IN_SPACE, RANGES
 from tracked_env.references import REFERENCES
 from tracked_env.sensors import PRESETS
 from tracked_env.uncertainty import UNCERTAINTY_SETS
@@ -85,6 +85,7 @@ def test_every_parameter_set_by_options_reaches_the_physics(group, name):
     lateral_model = "constrained" if name == "icr_forward" else "sliding"
     arguments = {"uncertainty": "nominal", "sensors": "ideal", "expose_truth": True}
     plant = "distributed" if name == "sprocket_inertia" else "lumped"
+    plant = "terrain" if name in IN_SPACE else plant
     env = make(lateral=lateral_model, plant=plant, error_limit=1e3, **arguments)
     soil = {"cohesion": 2000.0, "friction_angle": 0.5, "longitudinal_resistance": 0.2}
     actions = np.tile([0.15, 0.6], (100, 1))

@@ -10,6 +10,7 @@ import numpy as np
 from reproduce.focchi2025.runs import Floats, Run
 from tracked_env import observation as layout
 from tracked_env.physics import state as s
+from tracked_env.physics.attitude import in_body_plane
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.plants.standalone import Driven, Rig
 from tracked_env.references.profile import ReferenceProfile, sample
@@ -59,9 +60,12 @@ def _observations(
     if "attitude" in shown.groups:
         values |= {"roll": state[:, s.ROLL], "pitch": state[:, s.PITCH]}
     if "tangent_error" in shown.groups:
-        in_plane = layout.GROUPS["tangent_error"].values
-        assert in_plane is not None
-        values |= in_plane(values)
+        errors = (values[n] for n in ("position_error_x", "position_error_y", "heading_error"))
+        pitch, roll = ((np.cos(values[n]), np.sin(values[n])) for n in ("pitch", "roll"))
+        shown_errors = in_body_plane(*errors, pitch, roll)
+        values |= dict(
+            zip((f.name for f in layout.GROUPS["tangent_error"].fields), shown_errors, strict=True)
+        )
     return shown.pack(values)
 
 

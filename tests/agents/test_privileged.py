@@ -64,7 +64,8 @@ def test_no_privileged_input_is_clipped_in_the_sets_of_an_environment(env, uncer
     for _ in range(250):
         largest = max(largest, np.abs(privileged(info["truth"], nominal)).max())
         info = vehicles.step(random.uniform(-1.0, 1.0, (64, 2)).astype(np.float32))[-1]
-    assert 0.02 < largest < 5.0
+    # under soft patches the shear modulus is up to 30 times the nominal one: ln(30) / 0.5
+    assert 0.02 < largest < (6.81 if uncertainty == "soft-patches" else 5.0)
 
 
 @pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])

@@ -101,7 +101,7 @@ ARGUMENTS = {
             (lumped_forces.constrained_accelerations, TURN, *RK4_TORQUES, K_FIXED, LIMITS, 0.0025),
         ],
     },
-    parameters: {"row_parameters": [(np.arange(40.0).reshape(2, 20), 1, 3)]},
+    parameters: {"row_parameters": [(np.arange(60.0).reshape(2, 30), 1, 3)]},
     patch_forces: {
         "patch_count": [(PATCHES,)],
         "resistance": SHEAR,

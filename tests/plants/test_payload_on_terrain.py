@@ -135,7 +135,9 @@ def test_mirrored_shift_ground_and_commands_mirror_the_motion(load):
             continue
         one, other = (getattr(rig.state, name)[0] for rig in rigs)
         other = -other if name in names else other
-        assert one == pytest.approx(other, abs=2e-14), name
+        # an acceleration is a sum of forces of 80 patches: rounding of 32 rad/s^2 in yaw
+        allowed = 1e-13 if "acceleration" in name else 2e-14
+        assert one == pytest.approx(other, abs=allowed), name
 
 
 @pytest.mark.parametrize("load", ["nonuniform", "uniform"])

@@ -134,13 +134,14 @@ def nominal_values(nominal: PlantParameters = VEHICLES["strawa"]) -> dict[str, f
 def scales(
     names: Sequence[str], truth: NDArray[np.float64], known: Mapping[str, float]
 ) -> NDArray[np.float64]:
-    """Scale of a relative error, (P, K): the true value, not too close to 0; 1 for slips.
+    """Scale of a relative error, (P, K): the true value, not too close to 0; 1 in SI units for
+    slips and for what is nominally 0.
 
     known: the nominal values.
     """
     floor = [[LEAST_SCALE * abs(known[name])] for name in names]
-    slips = [[name in _SLIPS] for name in names]
-    return np.where(slips, 1.0, np.maximum(np.abs(truth), floor))
+    absolute = [[name in _SLIPS or known[name] == 0.0] for name in names]
+    return np.where(absolute, 1.0, np.maximum(np.abs(truth), floor))
 
 
 def _mean(values: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -183,7 +183,7 @@ def gathering(kind: Any, arguments: str, entries: Mapping[str, str], **uses: Any
     in its class alone: kernels make named tuples of expressions and not of sequences.
     """
     listed = ", ".join(f"{name}={entries[name]}" for name in kind._fields)
-    made: dict[str, Any] = {"kind": kind, **uses}
+    made: dict[str, Any] = {"kind": kind, "__name__": __name__, **uses}
     exec(f"def gather({arguments}):\n    return kind({listed})", made)
     return template(made["gather"])
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.planners.trajectory import checked_poses
+from baselines.planners.trajectory import checked_pairs
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
@@ -159,15 +159,10 @@ def dubins(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> DubinsPath:
 
 def prepared(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> tuple[Array, Array, Array]:
     """Poses (N, 3) twice and radii (N,) of what was given. Raises ValueError."""
-    starts, goals = checked_poses("start", start), checked_poses("goal", goal)
     for value in np.ravel(radius):
         checked_number("radius", float(value), RADIUS)
-    counts = sorted({len(starts), len(goals), np.size(radius)} - {1})
-    if len(counts) > 1:
-        raise ValueError(f"{counts} starts, goals or radii; must be one number, or 1")
-    count = counts[0] if counts else 1
-    starts, goals = (np.ascontiguousarray(np.broadcast_to(p, (count, 3))) for p in (starts, goals))
-    radii = np.broadcast_to(np.asarray(radius, dtype=np.float64).ravel(), count)
+    starts, goals = checked_pairs(start, goal, np.size(radius))
+    radii = np.broadcast_to(np.asarray(radius, dtype=np.float64).ravel(), len(goals))
     return starts, goals, np.ascontiguousarray(radii)
 
 

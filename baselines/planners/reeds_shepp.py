@@ -1,20 +1,17 @@
 """Shortest path between two poses with bounded curvature, forwards and in reverse.
 
-Reeds and Shepp give nine formulas, here twelve kinds of words with those that are read from the
-goal to the start; each holds with gears reversed, sides mirrored, and both. Here, in radii, seen from the start, with the polar form of xi, eta as (rho, theta):
+There are nine formulas, here twelve kinds of words with those that are read from the goal to the
+start; each holds with gears reversed, sides mirrored, and both. In radii, seen from the start, with
+the polar form (rho, theta) of (xi, eta), | a change of gear and Q an arc of pi/2:
 
-    8.1   L S L        xi = x - sin(phi), eta = y - 1 + cos(phi)
-    8.2   L S R        xi = x + sin(phi), eta = y - 1 - cos(phi)
-    8.3   L|R|L, 8.4 L|R L and L R|L                as 8.1
-    8.7   L R|L R, 8.8 L|R L|R                      as 8.2
-    8.9   L|R(pi/2) S L and L S R(pi/2)|L           as 8.1
-    8.10  L|R(pi/2) S R and L S L(pi/2)|R           as 8.2
-    8.11  L|R(pi/2) S L(pi/2)|R                     as 8.2
-| is a change of gear. A negative segment is driven in reverse. Every candidate is driven to its
-end before it is accepted, so a branch of an inverse function that does not hold cannot pass.
+    xi = x - sin(phi), eta = y - 1 + cos(phi)    L S L, L|R|L, L|R L, L R|L, L|Q S L, L S Q|L
+    xi = x + sin(phi), eta = y - 1 - cos(phi)    L S R, L R|L R, L|R L|R, L|Q S R, L S Q|R,
+                                                 L|Q S Q|R
+A negative segment is driven in reverse. Every candidate is driven to its end before it is accepted,
+so a branch of an inverse function that does not hold cannot pass.
 
 References: [1] Reeds and Shepp, Optimal paths for a car that goes both forwards and backwards,
-Pacific Journal of Mathematics 145 (1990), section 8.
+Pacific Journal of Mathematics 145 (1990).
 """
 
 import math

@@ -163,6 +163,20 @@ def checked_poses(what: str, given: Any) -> Array:
     return made
 
 
+def checked_pairs(start: Any, goal: Any, further: int = 1) -> tuple[Array, Array]:
+    """Starts and goals as (N, 3) each, with N the one number above 1 among them and `further`.
+
+    Raises ValueError.
+    """
+    starts, goals = checked_poses("start", start), checked_poses("goal", goal)
+    counts = sorted({len(starts), len(goals), further} - {1})
+    if len(counts) > 1:
+        raise ValueError(f"{counts} poses; starts and goals must be as many, or one")
+    shape = (counts[0] if counts else 1, 3)
+    starts, goals = (np.ascontiguousarray(np.broadcast_to(p, shape)) for p in (starts, goals))
+    return starts, goals
+
+
 def checked_limits(limits: Limits, vehicle: PlantParameters) -> Limits:
     """`limits` that leave the vehicle something to do. Raises ValueError."""
     positive = ("sprocket_speed", "sprocket_acceleration", "acceleration", "curvature")

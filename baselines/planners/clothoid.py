@@ -1,7 +1,7 @@
 """One clothoid between two poses: curvature linear in the way along it (G1 interpolation).
 
     yaw(s) = yaw_0 + k_0 s + k' s^2 / 2        k(s) = k_0 + k' s
-With phi_0, phi_1 the yaw at both ends relative to the line between them, in (-pi, pi], delta =
+With phi_0, phi_1 the yaw at both ends relative to the line between them, in [-pi, pi], delta =
 phi_1 - phi_0 and u = s / length in [0, 1], the angle to that line is A u^2 + (delta - A) u + phi_0.
 A is the root of
 
@@ -68,8 +68,9 @@ class Clothoid(NamedTuple):
 
 @formula
 def _wrapped(angle):
-    """The angle in (-pi, pi]: of two mirrored clothoids to a goal behind, the one to the left."""
-    return angle - 2.0 * math.pi * math.ceil(angle / (2.0 * math.pi) - 0.5)
+    """The angle in [-pi, pi]; a half turn changes its sign, as the library of [1] has it."""
+    turns = angle / (2.0 * math.pi)
+    return angle - 2.0 * math.pi * math.copysign(math.floor(abs(turns) + 0.5), turns)
 
 
 @formula

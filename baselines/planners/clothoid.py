@@ -115,7 +115,7 @@ def _fit(start, goal, curvature, sharpness, length, iterations, residual):
 
 
 def clothoid(start: ArrayLike, goal: ArrayLike) -> Clothoid:
-    """The clothoid of N pairs of poses with the least turning, as [1] chooses it.
+    """The clothoid of each of N pairs of poses.
 
     start, goal: (N, 3) or (3,) x, y [m], yaw [rad]. Raises ValueError for what is not finite and
     where start and goal are one place, which no clothoid joins.
@@ -127,7 +127,8 @@ def clothoid(start: ArrayLike, goal: ArrayLike) -> Clothoid:
             f"start and goal {np.argmin(apart)} are {apart.min():g} m apart; a clothoid needs at "
             f"least {CLOSEST:g} m. Turn on the spot, or plan with dubins."
         )
-    made = [np.empty(len(goals)) for _ in range(5)]
-    made[3] = np.zeros(len(goals), dtype=np.int64)
-    _fit(starts, goals, *made)
-    return Clothoid(*made)
+    fitted = np.empty((3, len(goals)))
+    rounds, residual = np.zeros(len(goals), dtype=np.int64), np.empty(len(goals))
+    curvature, sharpness, length = fitted
+    _fit(starts, goals, curvature, sharpness, length, rounds, residual)
+    return Clothoid(curvature, sharpness, length, rounds, residual)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.planners.trajectory import checked_goals
+from baselines.planners.trajectory import checked_pairs
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
@@ -135,36 +135,41 @@ def dubins_words(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> Dubins
 
     start, goal: (3,) x, y [m], yaw [rad]; radius: [m]. Raises ValueError.
     """
-    pairs, lengths = _prepared(start, goal, radius)
-    if len(lengths) != 1:
-        raise ValueError(f"{len(lengths)} pairs of poses; must be one")
-    total = lengths[0].sum(axis=1)
+    starts, goals, radii = prepared(start, goal, radius)
+    if len(radii) != 1:
+        raise ValueError(f"{len(radii)} pairs of poses; must be one. Use dubins for many.")
+    lengths = _of_words(starts, goals, radii)[0]
+    total = lengths.sum(axis=1)
     order = [int(word) for word in np.argsort(total, kind="stable") if np.isfinite(total[word])]
-    return _path(lengths[0][order], np.array(order), np.repeat(pairs[:1], len(order)))
+    return _path(lengths[order], np.array(order), np.repeat(radii, len(order)))
 
 
 def dubins(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> DubinsPath:
     """The shortest path of N pairs of poses.
 
     start, goal: (N, 3) or (3,) x, y [m], yaw [rad]; radius: (N,) or a number [m]. The first of the
-    WORDS is taken where several are shortest. Raises ValueError for what is not finite.
+    WORDS is taken where several are shortest. Raises ValueError.
     """
-    radii, lengths = _prepared(start, goal, radius)
+    starts, goals, radii = prepared(start, goal, radius)
+    lengths = _of_words(starts, goals, radii)
     total = np.where(np.isnan(lengths[..., 0]), np.inf, lengths.sum(axis=2))
     word = np.argmin(total, axis=1)
     return _path(lengths[np.arange(len(word)), word], word, radii)
 
 
-def _prepared(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> tuple[Array, Array]:
-    starts, goals = checked_goals(start), checked_goals(goal)
-    count = max(len(starts), len(goals), np.size(radius))
-    starts, goals = (np.ascontiguousarray(np.broadcast_to(p, (count, 3))) for p in (starts, goals))
+def prepared(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> tuple[Array, Array, Array]:
+    """Poses (N, 3) twice and radii (N,) of what was given. Raises ValueError."""
     for value in np.ravel(radius):
         checked_number("radius", float(value), RADIUS)
-    radii = np.ascontiguousarray(np.broadcast_to(np.asarray(radius, dtype=np.float64), count))
-    lengths = np.empty((count, len(WORDS), 3))
+    starts, goals = checked_pairs(start, goal, np.size(radius))
+    radii = np.broadcast_to(np.asarray(radius, dtype=np.float64).ravel(), len(goals))
+    return starts, goals, np.ascontiguousarray(radii)
+
+
+def _of_words(starts: Array, goals: Array, radii: Array) -> Array:
+    lengths = np.empty((len(radii), len(WORDS), 3))
     _words(starts, goals, radii, lengths)
-    return radii, lengths
+    return lengths
 
 
 def _path(segments: Array, word: NDArray[np.int64], radii: Array) -> DubinsPath:

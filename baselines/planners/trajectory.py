@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.validation import checked_number
@@ -141,7 +141,7 @@ class Trajectory(NamedTuple):
 
 def checked_start(start: Start | Sequence[float]) -> Start:
     """`start` with finite numbers. Raises ValueError."""
-    made = start if isinstance(start, Start) else Start(*_poses("start", start)[0])
+    made = start if isinstance(start, Start) else Start(*checked_poses("start", start)[0])
     allowed = (PLACE, PLACE, ANGLE, SPEED, YAW_RATE, SPROCKET, SPROCKET)
     for name, value, inside in zip(Start._fields, made, allowed, strict=True):
         if value is not None:
@@ -149,23 +149,32 @@ def checked_start(start: Start | Sequence[float]) -> Start:
     return made
 
 
-def checked_goals(goal: ArrayLike) -> Array:
-    """Goals as (N, 3): x, y [m], yaw [rad]. Raises ValueError."""
-    made = _poses("goal", goal)
-    for row in made:
-        for name, value, inside in zip(Goal._fields, row, (PLACE, PLACE, ANGLE), strict=True):
-            checked_number(f"goal {name}", float(value), inside)
-    return made
-
-
-def _poses(what: str, given: Any) -> Array:
+def checked_poses(what: str, given: Any) -> Array:
+    """Poses as (N, 3): x, y [m], yaw [rad]; what: "start" or "goal". Raises ValueError."""
     try:
         made = np.atleast_2d(np.asarray(given, dtype=np.float64))
     except (TypeError, ValueError) as error:
         raise ValueError(f"{what} = {given!r}; must be numbers x, y [m], yaw [rad]") from error
     if made.ndim != 2 or made.shape[1] != 3:
         raise ValueError(f"{what} has shape {np.shape(given)}; must be (3,) or (N, 3): x, y, yaw")
+    for name, column, inside in zip(Goal._fields, made.T, (PLACE, PLACE, ANGLE), strict=True):
+        for value in (np.min(column), np.max(column)):
+            checked_number(f"{what} {name}", float(value), inside)
     return made
+
+
+def checked_pairs(start: Any, goal: Any, further: int = 1) -> tuple[Array, Array]:
+    """Starts and goals as (N, 3) each, with N the one number above 1 among them and `further`.
+
+    Raises ValueError.
+    """
+    starts, goals = checked_poses("start", start), checked_poses("goal", goal)
+    counts = sorted({len(starts), len(goals), further} - {1})
+    if len(counts) > 1:
+        raise ValueError(f"{counts} poses; starts and goals must be as many, or one")
+    shape = (counts[0] if counts else 1, 3)
+    starts, goals = (np.ascontiguousarray(np.broadcast_to(p, shape)) for p in (starts, goals))
+    return starts, goals
 
 
 def checked_limits(limits: Limits, vehicle: PlantParameters) -> Limits:

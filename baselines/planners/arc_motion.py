@@ -68,15 +68,11 @@ def arc_jet(v_x, v_y, w, duration, per_interval, direction, move, turn):
     move[MOVE_TT] = last * v * complex(0.0, n * w.value)
     move[MOVE_TP] = last * (v_p + v * complex(0.0, d * w.p))
     move[MOVE_TQ] = last * (v_q + v * complex(0.0, d * w.q))
-    move[MOVE_PP] = (
-        a * complex(v_x.pp, v_y.pp) + 2.0 * w.p * b * v_p + w.pp * bv + w.p * w.p * cv
-    )
+    move[MOVE_PP] = a * complex(v_x.pp, v_y.pp) + 2.0 * w.p * b * v_p + w.pp * bv + w.p * w.p * cv
     move[MOVE_PQ] = (
         a * complex(v_x.pq, v_y.pq) + b * (w.p * v_q + w.q * v_p) + w.pq * bv + w.p * w.q * cv
     )
-    move[MOVE_QQ] = (
-        a * complex(v_x.qq, v_y.qq) + 2.0 * w.q * b * v_q + w.qq * bv + w.q * w.q * cv
-    )
+    move[MOVE_QQ] = a * complex(v_x.qq, v_y.qq) + 2.0 * w.q * b * v_q + w.qq * bv + w.q * w.q * cv
     turn[TURN], turn[TURN_T] = w.value * d, n * w.value
     turn[TURN_P], turn[TURN_Q] = d * w.p, d * w.q
     turn[TURN_TP], turn[TURN_TQ] = n * w.p, n * w.q

@@ -10,7 +10,7 @@ by Newton's method from the approximation of [1]; then, with the distance d and 
 integral of the cosine,
 
     length = d / h    k_0 = (delta - A) / length    k' = 2 A / length^2
-Integrals by Gauss-Legendre quadrature on PANELS parts. The curvature has no bound: look at it
+Integrals by Gauss-Legendre quadrature. The curvature has no bound: look at it
 before driving (`plan` does).
 
 References: [1] Bertolazzi and Frego, G1 fitting with clothoids, Mathematical Methods in the
@@ -28,14 +28,11 @@ from tracked_env.physics.jit import formula, loop
 
 Array = NDArray[np.float64]
 
-PANELS = 2
-ORDER = 18  # nodes a panel
+ORDER = 18  # nodes of the quadrature: exact to rounding for all pairs of angles
 ITERATIONS = 20  # of Newton's method at most; 3 or 4 are the rule
 CLOSEST = 1e-9  # [m] between the poses, below which there is no clothoid
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
-_STARTS = np.arange(PANELS)[:, None] / PANELS
-NODES = np.ravel(_STARTS + (_NODES + 1.0) / (2.0 * PANELS))  # [-] in [0, 1]
-WEIGHTS = np.tile(_WEIGHTS / (2.0 * PANELS), PANELS)
+NODES, WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS  # [-] over [0, 1]
 # Approximation of A by its symmetric polynomial in phi_0 / pi, phi_1 / pi.
 GUESS = (2.989696028701907, 0.716228953608281, -0.458969738821509,
          -0.502821153340377, 0.261062141752652, -0.045854475238709)  # fmt: skip

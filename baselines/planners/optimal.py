@@ -1,4 +1,5 @@
 """Draft."""
+
 import math
 import numpy as np
 from typing import NamedTuple
@@ -57,12 +58,20 @@ def solve_all(starts, goals, surface, bounds, setting, before, out, belts, first
             for part in range(3):
                 turning += SIGNS[word, part] * angles[word, part]
             task = ip.Task(
-                starts[row, 2], goals[row, 0] - starts[row, 0], goals[row, 1] - starts[row, 1],
-                turning, before[row, 0], before[row, 1], setting.ramp, setting.smoothing,
+                starts[row, 2],
+                goals[row, 0] - starts[row, 0],
+                goals[row, 1] - starts[row, 1],
+                turning,
+                before[row, 0],
+                before[row, 1],
+                setting.ramp,
+                setting.smoothing,
             )
             segments = angles[word] * radius
             duration = _guess(segments, SIGNS[word], radius, speed, surface.half_gauge, w.belts)
-            duration, cost, converged, used = ip.solve(task, bounds, surface, duration, w, a, setting.iterations)
+            duration, cost, converged, used = ip.solve(
+                task, bounds, surface, duration, w, a, setting.iterations
+            )
             out[row, 3] += used
             out[row, 5] += 1
             if converged and cost < out[row, 1]:

@@ -70,6 +70,8 @@ def test_every_limit_is_held_along_a_path_with_a_change_of_gear():
     for side in belts(profile, at):
         assert np.abs(side).max() <= 6.0 * FOCCHI.sprocket_radius * 1.02  # k changes in an interval
     assert profile.speed[np.argmin(np.abs(profile.distance - 3.5))] == pytest.approx(0.0, abs=1e-9)
+    gained = np.diff(profile.speed**2) / (2.0 * np.diff(profile.distance))
+    np.testing.assert_allclose(gained, profile.acceleration, atol=1e-6)
     # something binds everywhere: no other profile within the limits is faster
     slack = np.minimum.reduce(
         [

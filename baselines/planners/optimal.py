@@ -31,7 +31,7 @@ from baselines.planners.interior_point import solve
 from baselines.planners.interval_limits import Bounds
 from baselines.planners.planning_problem import Task, make_work
 from baselines.planners.riccati import make_stages
-from baselines.planners.slip_surface import SlipSurface
+from baselines.planners.slip_surface import SlipSurface, motion_jets
 from baselines.planners.surface_fit import surface_of
 from baselines.planners.trajectory import (
     Limits,
@@ -51,7 +51,10 @@ INTERVALS = Range(2, 2000, "-", "It is the number of intervals, not their durati
 SMOOTHING = Range(1e-6, 1e6, "-", "It is the weight w_s.")
 PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
 THREADS = Range(1, 256, "-", "It is the number of threads.")
-ITERATIONS = 60  # of the interior point method from one start
+ITERATIONS, FURTHER = 60, 30  # of the interior point method from one start; after a plan was found
+SPARE = 0.7  # [-] of the fastest turn of the belts: on the arcs of the words
+HALVINGS = 12  # of the interval in which the belts of an arc are found
+SLOWEST_TURN = 1e-3  # [rad/s] of the words
 LONGER, EXTRA = 1.1, 0.3  # [-], [m]
 RADIUS = 0.4  # [-] of the track gauge: turning radius of the words
 INSIDE = 0.9  # [-] of the way from v_min to v_max: speed along the words
@@ -65,8 +68,8 @@ DURATION, COST, CONVERGED, USED, RESULTS = 0, 1, 2, 3, 4
 class Setting(NamedTuple):
     """What the plans of a batch have in common."""
 
-    radius: float  # [m] of the words
-    speed: float  # [m/s] along them
+    radius: float  # [m] of the words, at least
+    speed: float  # [m/s] of the belts' mean along them
     before_p: float  # [m/s] belt speeds at the start
     before_q: float
     ramp: bool  # whether the first interval must be reached from them
@@ -74,8 +77,33 @@ class Setting(NamedTuple):
 
 
 @formula
-def _guess(segments, signs, radius, speed, half_gauge, belts):
-    """Belts (N, 2) of a word at constant speed, means over equal intervals; the duration."""
+def _tightest(surface, bounds, setting, w):
+    """Radius of the words [m], and belts q [m/s] and ground speed [m/s] on it.
+
+    It is at least setting.radius, and so wide that with slip SPARE of what the belts can do is
+    enough.
+    """
+    p = setting.speed
+    low, high = 0.0, SPARE * (bounds.belt - p)
+    for step in range(HALVINGS + 1):
+        q = high if step == 0 else 0.5 * (low + high)
+        v_x, v_y, turn = motion_jets(surface, p, q, w.rows, w.columns)
+        speed = math.hypot(v_x.value, v_y.value)
+        if turn.value * setting.radius < speed:  # a wider turn than wanted
+            if step == 0:
+                return speed / max(turn.value, SLOWEST_TURN), q, speed
+            low = q
+        else:
+            high = q
+    return setting.radius, q, speed
+
+
+@formula
+def _guess(segments, signs, speed, p, q, belts):
+    """Belts (N, 2) of a word, means over equal intervals; the duration.
+
+    p, q [m/s]: belts on its arcs; speed [m/s]: on the ground there.
+    """
     n = len(belts)
     total = segments[0] + segments[1] + segments[2]
     length = total / n
@@ -85,7 +113,7 @@ def _guess(segments, signs, radius, speed, half_gauge, belts):
             end = begin + segments[part]
             turned += signs[part] * max(min(end, (k + 1) * length) - max(begin, k * length), 0.0)
             begin = end
-        belts[k, 0], belts[k, 1] = speed, turned / length / radius * speed * half_gauge
+        belts[k, 0], belts[k, 1] = p, turned / length * q
     return total / speed
 
 
@@ -110,12 +138,13 @@ def _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, res
     n = belts.shape[1]
     w, a = make_work(n), make_stages(n)
     angles, totals, turnings = np.empty((6, 3)), np.empty(6), np.empty(6)
+    radius, q, speed = _tightest(surface, bounds, setting, w)
     for row in range(first, last):
-        x, y, phi = relative(starts, goals, row, setting.radius)
-        segments_of_words(x, y, phi, SNAP / max(1.0, setting.radius), angles)
+        x, y, phi = relative(starts, goals, row, radius)
+        segments_of_words(x, y, phi, SNAP / max(1.0, radius), angles)
         for word in range(6):
             total = angles[word, 0] + angles[word, 1] + angles[word, 2]
-            totals[word] = total * setting.radius if total > 0.0 else math.inf  # NaN: no such word
+            totals[word] = total * radius if total > 0.0 else math.inf  # NaN: no such word
         enough, found = LONGER * np.min(totals) + EXTRA, 0
         best = results[row]
         best[COST], best[CONVERGED], best[USED] = math.inf, 0.0, 0.0
@@ -130,9 +159,8 @@ def _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, res
             if _was_found(turnings, found, turning):
                 continue
             duration = _guess(
-                angles[word] * setting.radius, SIGNS[word], setting.radius, setting.speed,
-                bounds.half_gauge, w.belts,
-            )  # fmt: skip
+                angles[word] * radius, SIGNS[word], speed, setting.speed, q, w.belts
+            )
             rising = bounds.slowest - setting.before_p if setting.ramp else 0.0
             task = Task(
                 starts[row, 2], goals[row, 0] - starts[row, 0], goals[row, 1] - starts[row, 1],
@@ -142,7 +170,7 @@ def _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, res
                 setting.smoothing,
             )  # fmt: skip
             duration, cost, converged, used = solve(
-                task, bounds, surface, duration, w, a, ITERATIONS
+                task, bounds, surface, duration, w, a, FURTHER if found else ITERATIONS
             )
             best[USED] += used
             if converged:

@@ -27,26 +27,37 @@ from tracked_env.physics.jit import formula, loop
 
 Array = NDArray[np.float64]
 
-ROWS, COLUMNS = 7, 4  # Chebyshev terms in p, and in q of one parity (degree 6)
+ROWS, COLUMNS = 7, 8  # Chebyshev terms in p, and in q of one parity (degree 15)
 CHEBYSHEV, EXPONENTIAL = 0, 1  # kinds of surface
 STEEPEST = 700.0  # [-] argument of exp() below which slip is 0
 
 
 class SlipSurface(NamedTuple):
-    """Slip of one vehicle on one soil for the kernels of the planner."""
+    """Slip of one vehicle on one soil for the kernels of the planner; a SlipModel."""
 
     kind: int  # CHEBYSHEV or EXPONENTIAL
     terms: Array  # (3, ROWS, COLUMNS) [m/s] of S, D, Y; constants of F (54): [:, 0, :2]
     fastest: float  # [m/s] p up to which it holds
     fastest_turn: float  # [m/s] |q| up to which it holds
     half_gauge: float  # [m] B / 2
+    radius: float  # [m] r
 
     def motion(self, p: ArrayLike, q: ArrayLike) -> Array:
-        """(N, 3) v_x, v_y [m/s], w [rad/s] at belt speeds p, q [m/s]."""
+        """(N, 3) v_x, v_y [m/s], w [rad/s] at belt speeds p, q [m/s]; reverse mirrors forward."""
         p, q = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (p, q)))
         out = np.empty((p.size, 3))
-        _motions(self, p.ravel(), q.ravel(), out)
+        _motions(self, np.abs(p.ravel()), q.ravel(), out)
+        out[:, :2] *= np.where(p.ravel() < 0.0, -1.0, 1.0)[:, None]
         return out
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+        left, right = self.radius * np.asarray(sprocket_left), self.radius * np.asarray(sprocket_right)
+        v_x, v_y, turn = self.motion(0.5 * (left + right), 0.5 * (right - left)).T
+        moving = v_x != 0.0
+        alpha = np.where(moving, np.arctan(v_y / np.where(moving, v_x, 1.0)), 0.0)
+        across = self.half_gauge * turn
+        return left - (v_x - across), right - (v_x + across), alpha
 
 
 class Jet(NamedTuple):

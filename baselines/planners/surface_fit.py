@@ -1,6 +1,6 @@
 """Slip surfaces of slip models: fitted to tables, trees and families; F (54) and no slip as they are.
 
-A model is fitted by least squares at SAMPLES x SAMPLES pairs of belt speeds that its sprockets can
+A model is fitted by least squares at SAMPLES pairs of belt speeds that its sprockets can
 drive. v_y = v_x tan(alpha) is fitted, not alpha, which jumps where v_x changes sign.
 Friction: coefficients are linear in 1 / mu between those of the layers of a family, as its tables
 are; so a plan is continuous in an estimated friction.
@@ -25,14 +25,14 @@ from tracked_env.physics.parameters import PlantParameters
 
 Array = NDArray[np.float64]
 
-SAMPLES = 25  # speeds p, and q, at which a model is fitted
+SAMPLES = 25, 49  # speeds p, and q, at which a model is fitted
 TILT = 1.4  # [rad] largest c_1 of alpha: its tangent must stay finite
 
 
 def no_slip(vehicle: PlantParameters) -> SlipSurface:
     """The surface of a vehicle whose tracks do not slip; holds at any speed."""
     terms = np.zeros((3, ROWS, COLUMNS))
-    return SlipSurface(CHEBYSHEV, terms, 1e6, 1e6, 0.5 * vehicle.track_gauge)
+    return SlipSurface(CHEBYSHEV, terms, 1e6, 1e6, 0.5 * vehicle.track_gauge, vehicle.sprocket_radius)
 
 
 def surface_of(
@@ -49,7 +49,7 @@ def surface_of(
     if slip_model is None or isinstance(slip_model, NoSlip):
         return no_slip(vehicle)
     if isinstance(slip_model, ExponentialSlipModel):
-        return _exponential_surface(slip_model)
+        return _exponential_surface(slip_model, vehicle.sprocket_radius)
     radius, half_gauge = vehicle.sprocket_radius, 0.5 * vehicle.track_gauge
     reach = radius * sprocket_speed, min(fastest, radius * sprocket_speed)
     family = getattr(slip_model, "family", None)  # of an estimator of friction too
@@ -66,10 +66,10 @@ def surface_of(
         terms = _kept(slip_model, radius, *reach)
     else:  # one that learns is another model each time
         terms = _fitted(slip_model, radius, *reach)
-    return SlipSurface(CHEBYSHEV, terms, reach[1], reach[0], half_gauge)
+    return SlipSurface(CHEBYSHEV, terms, reach[1], reach[0], half_gauge, radius)
 
 
-def _exponential_surface(model: ExponentialSlipModel) -> SlipSurface:
+def _exponential_surface(model: ExponentialSlipModel, radius: float) -> SlipSurface:
     steepest = float(np.abs(model.constants[2, 0]))
     if steepest > TILT:
         raise ValueError(
@@ -78,7 +78,7 @@ def _exponential_surface(model: ExponentialSlipModel) -> SlipSurface:
         )
     terms = np.zeros((3, ROWS, COLUMNS))
     terms[:, 0, :2] = model.constants
-    return SlipSurface(EXPONENTIAL, terms, 1e6, 1e6, 0.5 * model.track_gauge)
+    return SlipSurface(EXPONENTIAL, terms, 1e6, 1e6, 0.5 * model.track_gauge, radius)
 
 
 def _of_friction(
@@ -109,7 +109,7 @@ def _kept(model: SlipModel, radius: float, belt: float, fastest: float) -> Array
 
 def _fitted(model: SlipModel, radius: float, belt: float, fastest: float) -> Array:
     p, q = (a.ravel() for a in np.meshgrid(
-        np.linspace(0.0, fastest, SAMPLES), np.linspace(0.0, belt, SAMPLES), indexing="ij"
+        np.linspace(0.0, fastest, SAMPLES[0]), np.linspace(0.0, belt, SAMPLES[1]), indexing="ij"
     ))  # fmt: skip
     driven = p + q <= belt * (1.0 + 1e-9)  # the others need a faster sprocket
     p, q = p[driven], q[driven]

@@ -3,8 +3,8 @@
 Each iteration takes a step of Newton's method towards s = g, s y = mu, pose_N = goal (newton_step).
 The step is shortened to 99.5 % of the way to s = 0 and y = 0, then until a merit function falls:
 the cost, minus mu times the logarithms of the slacks, plus a penalty on what is missed. Where the
-problem is not convex, or no such step is found, the step is Gauss-Newton's. mu follows the mean of
-s y downwards.
+problem is not convex, or no such step is found, the second derivatives are damped, and in the end
+Gauss-Newton's are taken. mu follows the mean of s y downwards.
 
 References: [1] J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), ch. 19.
 """
@@ -26,6 +26,8 @@ STILL = 1e-3  # [m/s, s] step at which it is; the next one is its square
 LEAST_SLACK = 1e-2  # [m/s] slack at first
 SUFFICIENT = 1e-4  # [-] share of the predicted fall of the merit function
 HALVINGS = 8  # of a step
+ATTEMPTS = 5  # at a step: with more and more damping, the last one Gauss-Newton's
+LEAST_DAMPING, MORE_DAMPING, LESS_DAMPING = 0.3, 6.0, 0.3  # [s/(m/s)^2], [-], [-]
 
 
 @formula
@@ -173,14 +175,21 @@ def solve(task, bounds, surface, duration, w, a, iterations):
             w.duals[k, i] = barrier / w.slacks[k, i]
     w.nu[:] = 0.0
     least = 0.5 * GAP / (n * active)
+    usual = 0.0
     for it in range(1, iterations + 1):
-        share = 0.0
-        for exact in (True, False):
-            if newton_step(a, w, weights, w.belts, active, barrier, bounds.fixed, exact):
+        share, damping = 0.0, 0.0
+        for attempt in range(ATTEMPTS):
+            exact = attempt < ATTEMPTS - 1
+            if attempt > 0:
+                damping = max(usual, LEAST_DAMPING) if attempt == 1 else MORE_DAMPING * damping
+            if not exact:
+                damping = LEAST_DAMPING
+            if newton_step(a, w, weights, w.belts, active, barrier, bounds.fixed, exact, damping):
                 share, duration, cost = _line_search(
                     task, bounds, surface, duration, cost, barrier, weights, active, a, w
                 )
             if share > 0.0:
+                usual = LESS_DAMPING * damping if exact else 0.0
                 break
         if share == 0.0:
             return duration, cost, False, it

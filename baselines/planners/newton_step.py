@@ -16,11 +16,10 @@ from tracked_env.physics.jit import formula, loop
 
 VARIABLES = (BEFORE_P, BEFORE_Q, DURATION, P, Q)  # of the limits' derivatives, as in z
 RHO = 30.0  # [s/m^2, s/rad^2] weight of the terminal error that makes the problem convex
-DAMPING = 1e-3  # [s/(m/s)^2] added where the step is Gauss-Newton's
 
 
 @loop
-def _assemble_motion(a, w, n, exact):
+def _assemble_motion(a, w, n, exact, damping):
     """F of each interval, and second derivatives of motion weighted by nu, from the last one on."""
     m = complex(w.nu[0], -w.nu[1])
     i_m = m * 1j
@@ -46,9 +45,8 @@ def _assemble_motion(a, w, n, exact):
             h[P, Q] = (m * e[arc.MOVE_PQ]).real + yaw_nu * r[arc.TURN_PQ]
             h[Q, Q] = (m * e[arc.MOVE_QQ]).real + yaw_nu * r[arc.TURN_QQ]
             yaw_nu += (i_m * e[arc.MOVE]).real
-        else:
-            h[P, P] = DAMPING
-            h[Q, Q] = DAMPING
+        h[P, P] += damping
+        h[Q, Q] += damping
 
 
 @formula
@@ -105,10 +103,13 @@ def _give_speed(a, n):
 
 
 @loop
-def newton_step(a, w, weights, belts, active, barrier, fixed, exact):
-    """Step of all unknowns into a.step, w.slack_steps, w.dual_steps; False where there is none."""
+def newton_step(a, w, weights, belts, active, barrier, fixed, exact, damping):
+    """Step of all unknowns into a.step, w.slack_steps, w.dual_steps; False where there is none.
+
+    exact: with second derivatives of motion and limits. damping [s/(m/s)^2]: added to those in p, q.
+    """
     n = len(belts)
-    _assemble_motion(a, w, n, exact)
+    _assemble_motion(a, w, n, exact, damping)
     _assemble_cost(a, weights, belts, fixed)
     _assemble_limits(a, w, n, active, barrier, exact)
     if fixed:

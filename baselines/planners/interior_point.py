@@ -4,7 +4,8 @@ Each iteration takes a step of Newton's method towards s = g, s y = mu, pose_N =
 The step is shortened to 99.5 % of the way to s = 0 and y = 0, then until a merit function falls:
 the cost, minus mu times the logarithms of the slacks, plus a penalty on what is missed. Where the
 problem is not convex, or no such step is found, the second derivatives are damped, and in the end
-Gauss-Newton's are taken. mu follows the mean of s y downwards.
+Gauss-Newton's are taken. mu follows the mean of s y downwards. Where vehicles turn on the spot the
+cost hardly depends on how: once it is flat, damped Gauss-Newton steps only mend what is missed.
 
 References: [1] J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), ch. 19.
 """
@@ -19,7 +20,7 @@ from tracked_env.physics.jit import formula, loop
 
 BOUNDARY = 0.995  # [-] share of the way to the boundary
 FIRST_BARRIER = 1e-2  # [s] mu at first
-BARRIER_FALL = 0.15  # [-] of mu in an iteration after a full step
+BARRIER_FALL = 0.08  # [-] of mu in an iteration after a full step
 GAP = 2e-4  # [s] sum of s y at which a plan is good enough
 MISSED = 1e-8  # [m, rad] terminal error at which it is
 STILL = 1e-3  # [m/s, s] step at which it is; the next one is its square
@@ -27,6 +28,9 @@ LEAST_SLACK = 1e-2  # [m/s] slack at first
 SUFFICIENT = 1e-4  # [-] share of the predicted fall of the merit function
 HALVINGS = 8  # of a step
 ATTEMPTS = 5  # at a step: with more and more damping, the last one Gauss-Newton's
+FLAT, FLAT_STEPS = 1e-4, 2  # [s] change of the cost, and steps of it in turn: good enough
+FINISHING, FINISHING_STEPS = 1e3, 5  # [s/(m/s)^2] damping that leaves the plan as it is; steps
+PAUSE = 6  # flat steps until finishing is tried again
 LEAST_DAMPING, MORE_DAMPING, LESS_DAMPING = 0.3, 6.0, 0.3  # [s/(m/s)^2], [-], [-]
 
 
@@ -157,6 +161,33 @@ def _still(a, n):
     return largest
 
 
+@formula
+def _iterate(
+    task, bounds, surface, duration, cost, barrier, weights, active, usual, finishing, a, w
+):
+    """One step, with more and more damping until the merit function falls.
+
+    finishing: only towards what is missed. Returns (share of the step, duration, cost, damping that
+    served); share 0: there is none.
+    """
+    share, damping = 0.0, 0.0
+    for attempt in range(ATTEMPTS):
+        exact = attempt < ATTEMPTS - 1 and not finishing
+        if attempt == 1:
+            damping = max(LESS_DAMPING * usual, LEAST_DAMPING)
+        elif attempt > 1:
+            damping = MORE_DAMPING * damping if exact else LEAST_DAMPING
+        if finishing:
+            damping = FINISHING
+        if newton_step(a, w, weights, w.belts, active, barrier, bounds.fixed, exact, damping):
+            share, duration, cost = _line_search(
+                task, bounds, surface, duration, cost, barrier, weights, active, a, w
+            )
+        if share > 0.0 or finishing:
+            break
+    return share, duration, cost, damping if attempt < ATTEMPTS - 1 else 0.0
+
+
 @loop
 def solve(task, bounds, surface, duration, w, a, iterations):
     """Improve the plan in w.belts of a duration [s].
@@ -168,38 +199,32 @@ def solve(task, bounds, surface, duration, w, a, iterations):
     weight = task.smoothing * n / NODES
     weights = (weight, weight / (bounds.half_gauge * bounds.half_gauge))
     cost = evaluate(task, bounds, surface, duration, w.belts, active, w)
-    barrier = FIRST_BARRIER
+    barrier, least = FIRST_BARRIER, 0.5 * GAP / (n * active)
     for k in range(n):
         for i in range(active):
             w.slacks[k, i] = max(w.values[k, i], LEAST_SLACK)
             w.duals[k, i] = barrier / w.slacks[k, i]
     w.nu[:] = 0.0
-    least = 0.5 * GAP / (n * active)
-    usual = 0.0
+    usual, flat, finished = 0.0, 0, 0
     for it in range(1, iterations + 1):
-        share, damping = 0.0, 0.0
-        for attempt in range(ATTEMPTS):
-            exact = attempt < ATTEMPTS - 1
-            if attempt > 0:
-                damping = max(usual, LEAST_DAMPING) if attempt == 1 else MORE_DAMPING * damping
-            if not exact:
-                damping = LEAST_DAMPING
-            if newton_step(a, w, weights, w.belts, active, barrier, bounds.fixed, exact, damping):
-                share, duration, cost = _line_search(
-                    task, bounds, surface, duration, cost, barrier, weights, active, a, w
-                )
-            if share > 0.0:
-                usual = LESS_DAMPING * damping if exact else 0.0
-                break
-        if share == 0.0:
+        before, finishing = cost, flat >= FLAT_STEPS
+        share, duration, cost, usual = _iterate(
+            task, bounds, surface, duration, cost, barrier, weights, active, usual, finishing, a, w
+        )
+        if share == 0.0 and not finishing:
             return duration, cost, False, it
         gap = 0.0
         for k in range(n):
             for i in range(active):
                 gap += w.slacks[k, i] * w.duals[k, i]
-        missed = _infeasibility(w, n, active)
-        if missed <= MISSED and gap <= GAP and _still(a, n) <= STILL:
+        near = gap <= GAP and (finishing or _still(a, n) <= STILL)
+        if near and _infeasibility(w, n, active) <= MISSED:
             return duration, cost, True, it
+        finished = finished + 1 if finishing else 0
+        if finishing and (share == 0.0 or finished == FINISHING_STEPS):
+            flat = -PAUSE
+        elif not finishing:
+            flat = flat + 1 if gap <= GAP and abs(cost - before) <= FLAT else min(flat, 0)
         fall = BARRIER_FALL if share > 0.9 else (0.5 if share > 0.4 else 1.0)
         barrier = max(least, min(barrier, fall * gap / (n * active)))
     return duration, cost, False, iterations

@@ -10,6 +10,7 @@ d = T / N. `Bounds` names the values.
     7, 8    curvature             h (curvature v_x -+ w) >= 0
     9..12   sprocket acceleration belt_rate d -+ (p - p_) -+ (q - q_) >= 0
     13, 14  acceleration          rate d -+ (p - p_) >= 0
+    15, 16  stop, last interval   belt_rate d - p -+ q >= 0: at rest one interval later
 With |q| <= belt - p neither sprocket exceeds its limit in reverse, as p >= 0. The ground speed is
 bounded only where p is free: at a given p it follows from the turning rate.
 """
@@ -19,8 +20,8 @@ from typing import NamedTuple
 
 from tracked_env.physics.jit import formula, loop
 
-COUNT = 15  # inequalities of an interval
-FREE_SPEED = (2, 3, 4, 13, 14)  # those that have no meaning where p is given
+COUNT = 17  # inequalities of an interval
+FREE_SPEED = (2, 3, 4, 13, 14, 15, 16)  # those that have no meaning where p is given
 NONE = 1.0  # [m/s] value of an inequality that does not exist on an interval
 
 
@@ -36,6 +37,7 @@ class Bounds(NamedTuple):
     rate: float  # [m/s^2] of the mean of both
     half_gauge: float  # [m] h
     fixed: bool  # whether p is given
+    stop: bool  # whether the vehicle rests at the end
 
 
 @formula
@@ -50,8 +52,10 @@ def choose(bounds, chosen):
             needed = bounds.curvature < math.inf
         elif 9 <= i <= 12:
             needed = bounds.belt_rate < math.inf
-        elif i >= 13:
+        elif i == 13 or i == 14:
             needed = needed and bounds.rate < math.inf
+        elif i >= 15:
+            needed = needed and bounds.stop
         if needed:
             chosen[n] = i
             n += 1
@@ -93,12 +97,15 @@ def _of_speeds(i, b, v_x, v_y, w, row, bend):
 
 
 @loop
-def inequality(i, b, speeds, before, has_before, interval, v_x, v_y, w, row, bend):
-    """Value of inequality i; its gradient in (p_, q_, T, p, q) into row (5,), second derivatives pp, pq, qq into bend.
+def inequality(i, b, speeds, before, place, interval, v_x, v_y, w, row, bend):
+    """Value of inequality i; its gradient in (p_, q_, T, p, q) into row (5,), second derivatives pp,
+    pq, qq into bend.
 
-    speeds = (p, q); before = (p_, q_), where has_before; interval = (d, 1 / N).
+    speeds = (p, q); before = (p_, q_). place: whether there is an interval before, whether the
+    vehicle may be slower than `slowest`, whether it is the last. interval = (d, 1 / N).
     """
     p, q = speeds
+    has_before, slow, last = place
     if i <= 1:
         side = 1.0 if i == 0 else -1.0
         _put(row, bend, 0.0, 0.0, 0.0, -1.0, -side)
@@ -106,12 +113,17 @@ def inequality(i, b, speeds, before, has_before, interval, v_x, v_y, w, row, ben
     if i <= 3:
         side = 1.0 if i == 2 else -1.0
         _put(row, bend, 0.0, 0.0, 0.0, side, 0.0)
-        return side * (p - (b.slowest if i == 2 else b.fastest))
+        slowest = 0.0 if slow else b.slowest
+        return side * (p - (slowest if i == 2 else b.fastest))
     if i <= 8:
         return _of_speeds(i, b, v_x, v_y, w, row, bend)
-    if not has_before:
+    if not (last if i >= 15 else has_before):
         _put(row, bend, 0.0, 0.0, 0.0, 0.0, 0.0)
         return NONE
+    if i >= 15:
+        side = 1.0 if i == 15 else -1.0
+        _put(row, bend, 0.0, 0.0, b.belt_rate * interval[1], -1.0, -side)
+        return b.belt_rate * interval[0] - p - side * q
     along = 1.0 if i % 2 == 1 else -1.0
     across = 0.0 if i >= 13 else (1.0 if i <= 10 else -1.0)
     rate = b.rate if i >= 13 else b.belt_rate

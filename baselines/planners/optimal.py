@@ -1,90 +1,286 @@
-"""Draft."""
+"""Plans of least time for a vehicle whose tracks slip: F 6.3.
+
+Belt speeds are held over N equal intervals, and slip is a smooth surface over them (surface_fit).
+The interior point method starts from Dubins words of the start and the goal, shortest first: left
+and right turns are different minima, and the whole turns of a word are the yaw that its plan ends
+at. A longer word is tried while its length is below LONGER of the shortest plus EXTRA, unless a
+plan with the same whole turns was found, and as long as none was. The plan of least cost is taken.
+
+Constant speed (v_min = v_max): the belts' mean is given from the first moment to the last. Other-
+wise, with a limit on sprocket acceleration, the first interval must be reached from the sprocket
+speeds of the start, within one interval, and with `stop` rest from the last one; v_min does not
+hold while the vehicle gathers speed there. The ground speed is at most v_max too, as with slip the
+vehicle would else drift faster than its belts run.
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), sections 6.3, 7.2.
+"""
 
 import math
-import numpy as np
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
-from baselines.planners.dubins import SIGNS, SNAP, segments_of_words, relative
-from baselines.planners import interior_point as ip
-from baselines.planners import riccati
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.lyapunov.pseudo_kinematic import SlipModel
+from baselines.planners.dubins import SIGNS, SNAP, relative, segments_of_words
+from baselines.planners.held_motion import COLUMN_COUNT, samples
+from baselines.planners.interior_point import solve
 from baselines.planners.interval_limits import Bounds
+from baselines.planners.planning_problem import Task, make_work
+from baselines.planners.riccati import make_stages
+from baselines.planners.slip_surface import SlipSurface, motion_jets
+from baselines.planners.surface_fit import surface_of
+from baselines.planners.trajectory import (
+    Limits,
+    Start,
+    Trajectory,
+    checked_limits,
+    checked_poses,
+    checked_start,
+)
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.validation import checked_number, checked_whole
+
+Array = NDArray[np.float64]
+
+INTERVALS = Range(2, 2000, "-", "It is the number of intervals, not their duration.")
+SMOOTHING = Range(1e-6, 1e6, "-", "It is the weight w_s.")
+PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
+THREADS = Range(1, 256, "-", "It is the number of threads.")
+ITERATIONS, FURTHER = 40, 20  # of the interior point method from one start; after a plan was found
+SPARE = 0.7  # [-] of the fastest turn of the belts: on the arcs of the words
+HALVINGS = 12  # of the interval in which the belts of an arc are found
+SLOWEST_TURN = 1e-3  # [rad/s] of the words
+LONGER, EXTRA = 1.1, 0.3  # [-], [m]
+RADIUS = 0.4  # [-] of the track gauge: turning radius of the words
+INSIDE = 0.9  # [-] of the way from v_min to v_max: speed along the words
+SAME = 1e-9  # [m, rad] poses that differ by less are one
+FOUND = 0.1  # [rad] yaws at the end that differ by less have the same whole turns
+SHARE = 4  # blocks of a batch per thread: plans take different times
+# Columns of what a row of a batch gives.
+DURATION, COST, CONVERGED, USED, RESULTS = 0, 1, 2, 3, 4
+
+
+class Setting(NamedTuple):
+    """What the plans of a batch have in common."""
+
+    radius: float  # [m] of the words, at least
+    speed: float  # [m/s] of the belts' mean along them
+    before_p: float  # [m/s] belt speeds at the start
+    before_q: float
+    ramp: bool  # whether the first interval must be reached from them
+    smoothing: float  # [-] w_s
 
 
 @formula
-def _guess(segments, signs, radius, speed, half_gauge, belts):
-    """Belt speeds of a Dubins path (3,) [m] at constant speed: means over equal intervals."""
+def _tightest(surface, bounds, setting, w):
+    """Radius of the words [m], and belts q [m/s] and ground speed [m/s] on it.
+
+    It is at least setting.radius, and so wide that with slip SPARE of what the belts can do is
+    enough.
+    """
+    p = setting.speed
+    low, high = 0.0, SPARE * (bounds.belt - p)
+    for step in range(HALVINGS + 1):
+        q = high if step == 0 else 0.5 * (low + high)
+        v_x, v_y, turn = motion_jets(surface, p, q, w.rows, w.columns)
+        speed = math.hypot(v_x.value, v_y.value)
+        if turn.value * setting.radius < speed:  # a wider turn than wanted
+            if step == 0:
+                return speed / max(turn.value, SLOWEST_TURN), q, speed
+            low = q
+        else:
+            high = q
+    return setting.radius, q, speed
+
+
+@formula
+def _guess(segments, signs, speed, p, q, belts):
+    """Belts (N, 2) of a word, means over equal intervals; the duration.
+
+    p, q [m/s]: belts on its arcs; speed [m/s]: on the ground there.
+    """
     n = len(belts)
     total = segments[0] + segments[1] + segments[2]
     length = total / n
     for k in range(n):
-        first, turn, begin = k * length, 0.0, 0.0
+        turned, begin = 0.0, 0.0
         for part in range(3):
             end = begin + segments[part]
-            inside = min(end, first + length) - max(begin, first)
-            turn += signs[part] * max(inside, 0.0)
+            turned += signs[part] * max(min(end, (k + 1) * length) - max(begin, k * length), 0.0)
             begin = end
-        belts[k, 0] = speed
-        belts[k, 1] = turn / length / radius * speed * half_gauge if length > 0.0 else 0.0
+        belts[k, 0], belts[k, 1] = p, turned / length * q
     return total / speed
 
 
+@formula
+def _slow_intervals(missing, bounds, step):
+    """Intervals of `step` [s] in which the belts gain `missing` [m/s], and two to spare."""
+    rate = min(bounds.belt_rate, bounds.rate)
+    return 0 if missing <= 0.0 else int(min(missing / (rate * step), 1e6)) + 2
+
+
+@formula
+def _was_found(turnings, found, turning):
+    for i in range(found):
+        if abs(turnings[i] - turning) < FOUND:
+            return True
+    return False
+
+
 @loop
-def solve_all(starts, goals, surface, bounds, setting, before, out, belts, first, last):
-    """Plans of rows first to last. out (B, 6): duration, cost, converged, iterations, turning, starts."""
+def _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, results):
+    """Plans of rows first to last: belts (B, N, 2) and results (B, RESULTS)."""
     n = belts.shape[1]
-    w, a = ip.make_work(n), riccati.make_stages(n)
-    angles = np.empty((6, 3))
-    totals = np.empty(6)
-    radius, speed = setting.radius, setting.speed
+    w, a = make_work(n), make_stages(n)
+    angles, totals, turnings = np.empty((6, 3)), np.empty(6), np.empty(6)
+    radius, q, speed = _tightest(surface, bounds, setting, w)
     for row in range(first, last):
         x, y, phi = relative(starts, goals, row, radius)
         segments_of_words(x, y, phi, SNAP / max(1.0, radius), angles)
         for word in range(6):
             total = angles[word, 0] + angles[word, 1] + angles[word, 2]
-            totals[word] = total * radius if total == total else math.inf
-        out[row, 1] = math.inf
-        out[row, 2] = 0.0
-        out[row, 3] = 0.0
-        out[row, 5] = 0.0
-        shortest = totals.min()
-        for _ in range(setting.starts):
+            totals[word] = total * radius if total > 0.0 else math.inf  # NaN: no such word
+        enough, found = LONGER * np.min(totals) + EXTRA, 0
+        best = results[row]
+        best[COST], best[CONVERGED], best[USED] = math.inf, 0.0, 0.0
+        for _ in range(6):
             word = np.argmin(totals)
-            if totals[word] == math.inf:
-                break
-            if out[row, 2] > 0.0 and totals[word] > setting.longer * shortest + setting.extra:
+            if totals[word] == math.inf or (found > 0 and totals[word] > enough):
                 break
             totals[word] = math.inf
             turning = 0.0
             for part in range(3):
                 turning += SIGNS[word, part] * angles[word, part]
-            task = ip.Task(
-                starts[row, 2],
-                goals[row, 0] - starts[row, 0],
-                goals[row, 1] - starts[row, 1],
-                turning,
-                before[row, 0],
-                before[row, 1],
-                setting.ramp,
+            if _was_found(turnings, found, turning):
+                continue
+            duration = _guess(
+                angles[word] * radius, SIGNS[word], speed, setting.speed, q, w.belts
+            )
+            rising = bounds.slowest - setting.before_p if setting.ramp else 0.0
+            task = Task(
+                starts[row, 2], goals[row, 0] - starts[row, 0], goals[row, 1] - starts[row, 1],
+                turning, setting.before_p, setting.before_q, setting.ramp,
+                _slow_intervals(rising, bounds, duration / n),
+                _slow_intervals(bounds.slowest if bounds.stop else 0.0, bounds, duration / n),
                 setting.smoothing,
+            )  # fmt: skip
+            duration, cost, converged, used = solve(
+                task, bounds, surface, duration, w, a, FURTHER if found else ITERATIONS
             )
-            segments = angles[word] * radius
-            duration = _guess(segments, SIGNS[word], radius, speed, surface.half_gauge, w.belts)
-            duration, cost, converged, used = ip.solve(
-                task, bounds, surface, duration, w, a, setting.iterations
-            )
-            out[row, 3] += used
-            out[row, 5] += 1
-            if converged and cost < out[row, 1]:
-                out[row, 0], out[row, 1], out[row, 2], out[row, 4] = duration, cost, 1.0, turning
+            best[USED] += used
+            if converged:
+                turnings[found] = turning
+                found += 1
+            if (converged and cost < best[COST]) or (not converged and found == 0):
+                best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
+                best[COST] = cost if converged else math.inf
                 belts[row] = w.belts
 
 
-class Setting(NamedTuple):
-    radius: float
-    speed: float
-    starts: int
-    longer: float
-    extra: float
-    ramp: bool
-    smoothing: float
-    iterations: int
+def optimal(
+    start: Start | Sequence[float], goal: ArrayLike, limits: Limits, vehicle: PlantParameters,
+    slip_model: SlipModel | None = None, *, intervals: int = 40, smoothing: float = 1.0,
+    stop: bool = False, period: float | None = None, threads: int = 1,
+) -> Trajectory | list[Trajectory]:  # fmt: skip
+    """Plans of least time from a start to a goal (3,), or to N goals (N, 3).
+
+    slip_model: None plans as if the tracks did not slip. intervals: N. smoothing: w_s of F (51a),
+    for any number of intervals. stop: rest one interval after the end. period [s]: samples are
+    taken so often and at the ends of the intervals, which None are all. threads: for N goals.
+    Returns a Trajectory, or a list of N for N goals; look at `converged` before it is driven.
+    Raises ValueError for what is not finite, out of range or contradictory.
+    """
+    begin, goals = checked_start(start), checked_poses("goal", goal)
+    allowed = checked_limits(limits, vehicle)
+    count = checked_whole("intervals", intervals, INTERVALS)
+    checked_number("smoothing", smoothing, SMOOTHING)
+    if period is not None:
+        checked_number("period", period, PERIOD)
+    bounds, setting = _prepared(begin, allowed, vehicle, stop, float(smoothing))
+    surface = surface_of(slip_model, vehicle, allowed.sprocket_used, allowed.v_max)
+    starts = np.tile(np.array(begin[:3], dtype=np.float64), (len(goals), 1))
+    belts, results = np.zeros((len(goals), count, 2)), np.zeros((len(goals), RESULTS))
+
+    def block(first: int, last: int) -> None:
+        _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, results)
+
+    workers = min(checked_whole("threads", threads, THREADS), len(goals))
+    if workers == 1:
+        block(0, len(goals))
+    else:
+        edges = np.linspace(0, len(goals), SHARE * workers + 1).astype(int)
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(block, edges[:-1], edges[1:]))
+    made = [
+        _trajectory(starts[row], goals[row], results[row], belts[row], surface, vehicle, period)
+        for row in range(len(goals))
+    ]
+    return made[0] if np.ndim(goal) == 1 else made
+
+
+def _prepared(
+    start: Start, limits: Limits, vehicle: PlantParameters, stop: bool, smoothing: float
+) -> tuple[Bounds, Setting]:
+    """Limits of the intervals, and what the plans of a batch have in common. Raises ValueError."""
+    radius, half_gauge = vehicle.sprocket_radius, 0.5 * vehicle.track_gauge
+    belt, fixed = radius * limits.sprocket_used, limits.fixed
+    limited = math.isfinite(limits.sprocket_acceleration)
+    if stop and (fixed or not limited):
+        raise ValueError(
+            "stop = True; must be False at constant speed, and without a finite limit of the "
+            f"sprocket acceleration ({limits.sprocket_acceleration:g} rad/s^2): nothing to brake by"
+        )
+    bounds = Bounds(
+        belt, limits.v_min, limits.v_max, limits.lateral_acceleration, limits.curvature,
+        radius * limits.sprocket_acceleration, limits.acceleration, half_gauge, fixed, stop,
+    )  # fmt: skip
+    speed = limits.v_max
+    if not fixed:
+        speed = min(limits.v_min + INSIDE * (limits.v_max - limits.v_min), INSIDE * belt)
+    widest = max(RADIUS * vehicle.track_gauge, 1.0 / (INSIDE * limits.curvature_at(speed, vehicle)))
+    left, right = start.sprockets(vehicle)
+    return Bounds(*(v if isinstance(v, bool) else float(v) for v in bounds)), Setting(
+        float(widest), float(speed), 0.5 * radius * (left + right), 0.5 * radius * (right - left),
+        limited and not fixed, smoothing,
+    )  # fmt: skip
+
+
+def _trajectory(
+    start: Array, goal: Array, result: Array, belts: Array, surface: SlipSurface,
+    vehicle: PlantParameters, period: float | None,
+) -> Trajectory:  # fmt: skip
+    """The trajectory of one plan."""
+    turn = 2.0 * math.pi
+    distance = math.hypot(goal[0] - start[0], goal[1] - start[1])
+    if distance < SAME and abs(math.remainder(goal[2] - start[2], turn)) < SAME:
+        none = np.zeros(1)
+        x, y, yaw = (start[i : i + 1].copy() for i in range(3))
+        return Trajectory(
+            none, x, y, yaw, yaw, *(none for _ in range(8)), 0.0, True, 0, distance, 0.0,
+            "optimal", "start and goal are one pose",
+        )  # fmt: skip
+    duration = float(result[DURATION])
+    times = duration * np.arange(len(belts) + 1) / len(belts)
+    if period is not None:
+        between = np.arange(1, int(duration / period) + 1) * period
+        near = np.abs(np.remainder(between / duration * len(belts) + 0.5, 1.0) - 0.5) > 1e-6
+        times = np.sort(np.append(times, between[near & (between < duration)]))
+    out = np.empty((len(times), COLUMN_COUNT))
+    x, y, yaw = samples(start, duration, belts, surface, vehicle.sprocket_radius, times, out)
+    error = math.hypot(x - goal[0], y - goal[1])
+    converged, used = bool(result[CONVERGED]), int(result[USED])
+    message = ""
+    if not converged:
+        message = (
+            f"no plan in {used} iterations: the last one ends {error:.3g} m from the goal. Is the "
+            "goal out of reach of the limits?"
+        )
+    return Trajectory(
+        *out.T.copy(), float(result[COST]), converged, used,
+        error, abs(math.remainder(yaw - goal[2], turn)), "optimal", message,
+    )  # fmt: skip

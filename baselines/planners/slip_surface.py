@@ -7,13 +7,10 @@
     the map, with which slip would turn the vehicle more
 A left turn is a right turn mirrored: S is even in q, D and Y are odd. A vehicle that turns on the
 spot (p = 0) goes nowhere: S and Y are p times a smooth function.
-    identified   Chebyshev products in (p, q), ROWS x COLUMNS of the parity of each, fitted to a
-                 sweep of steady runs; v_y instead of alpha, which has no value at v_x = 0
+    identified   Chebyshev products in (p, q), ROWS x COLUMNS of the parity of each, fitted to a slip
+                 model, that of a sweep for example; v_y instead of alpha, which jumps at v_x = 0
     exponential  F (54): beta, alpha = -+ c_1 exp(-c_2 |R|), R = p B / (2 q), and v_y = v_x tan(alpha)
     none         S = D = Y = 0
-Friction: coefficients are linear in 1 / mu between those of a few mu, as the tables of slip_models
-are; so a plan is continuous in an estimated friction.
-
 Validity: 0 <= p <= fastest, |q| <= fastest_turn; the fit is coarsest where one belt stands.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
@@ -21,42 +18,46 @@ Vehicles (2025), sections 3.2, 4, 7.2.3.
 """
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.slip.slip_models import ExponentialSlipModel
-from baselines.slip.slip_sweep import FRICTIONS, STEP, sweep, with_friction
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters
 
 Array = NDArray[np.float64]
 
-ROWS, COLUMNS = 7, 4  # Chebyshev terms in p, and in q of one parity (degree 6)
+ROWS, COLUMNS = 7, 8  # Chebyshev terms in p, and in q of one parity (degree 15)
 CHEBYSHEV, EXPONENTIAL = 0, 1  # kinds of surface
-FASTEST = 0.5  # [m/s] p up to which a surface is fitted
 STEEPEST = 700.0  # [-] argument of exp() below which slip is 0
-TILT = 1.4  # [rad] largest c_1 of alpha: its tangent must stay finite
 
 
 class SlipSurface(NamedTuple):
-    """Slip of one vehicle on one soil for the kernels of the planner."""
+    """Slip of one vehicle on one soil for the kernels of the planner; a SlipModel."""
 
     kind: int  # CHEBYSHEV or EXPONENTIAL
     terms: Array  # (3, ROWS, COLUMNS) [m/s] of S, D, Y; constants of F (54): [:, 0, :2]
     fastest: float  # [m/s] p up to which it holds
     fastest_turn: float  # [m/s] |q| up to which it holds
     half_gauge: float  # [m] B / 2
+    radius: float  # [m] r
 
     def motion(self, p: ArrayLike, q: ArrayLike) -> Array:
-        """(N, 3) v_x, v_y [m/s], w [rad/s] at belt speeds p, q [m/s]."""
+        """(N, 3) v_x, v_y [m/s], w [rad/s] at belt speeds p, q [m/s]; reverse mirrors forward."""
         p, q = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (p, q)))
         out = np.empty((p.size, 3))
-        _motions(self, p.ravel(), q.ravel(), out)
+        _motions(self, np.abs(p.ravel()), q.ravel(), out)
+        out[:, :2] *= np.where(p.ravel() < 0.0, -1.0, 1.0)[:, None]
         return out
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+        left, right = self.radius * np.asarray(sprocket_left), self.radius * np.asarray(sprocket_right)
+        v_x, v_y, turn = self.motion(0.5 * (left + right), 0.5 * (right - left)).T
+        moving = v_x != 0.0
+        alpha = np.where(moving, np.arctan(v_y / np.where(moving, v_x, 1.0)), 0.0)
+        across = self.half_gauge * turn
+        return left - (v_x - across), right - (v_x + across), alpha
 
 
 class Jet(NamedTuple):
@@ -189,97 +190,3 @@ def _motions(surface, p, q, out):
     for k in range(p.size):
         v_x, v_y, turn = motion_jets(surface, p[k], q[k], rows, columns)
         out[k, 0], out[k, 1], out[k, 2] = v_x.value, v_y.value, turn.value
-
-
-def no_slip(parameters: PlantParameters) -> SlipSurface:
-    """The surface of a vehicle whose tracks do not slip; holds at any speed."""
-    terms = np.zeros((3, ROWS, COLUMNS))
-    return SlipSurface(CHEBYSHEV, terms, 1e6, 1e6, 0.5 * parameters.track_gauge)
-
-
-def exponential_surface(model: ExponentialSlipModel) -> SlipSurface:
-    """The surface of F (54). Raises ValueError for a c_1 of alpha beyond TILT."""
-    steepest = float(np.abs(model.constants[2, 0]))
-    if steepest > TILT:
-        raise ValueError(
-            f"c_1 of alpha = {steepest:g} rad; must be in [0, {TILT:g}] rad, or the vehicle drifts "
-            "sideways faster than it drives. Is it in degrees?"
-        )
-    terms = np.zeros((3, ROWS, COLUMNS))
-    terms[:, 0, :2] = model.constants
-    return SlipSurface(EXPONENTIAL, terms, 1e6, 1e6, 0.5 * model.track_gauge)
-
-
-@lru_cache(maxsize=64)
-def identified_surface(
-    parameters: PlantParameters, sprocket_speed: float | None = None, fastest: float = FASTEST
-) -> SlipSurface:
-    """The surface of a vehicle on its soil, fitted to a sweep at steady sprocket speeds.
-
-    sprocket_speed [rad/s]: up to which plans go; None is the vehicle's limit. fastest [m/s]: up to
-    which belts go on the mean. A sweep takes 0.05 to 1 s and is kept. Raises ValueError as `sweep`
-    does, and for a `fastest` that is no speed of the belts.
-    """
-    limit = parameters.sprocket_speed_limit if sprocket_speed is None else float(sprocket_speed)
-    radius = parameters.sprocket_radius
-    if not 0.0 < fastest <= radius * limit:
-        raise ValueError(
-            f"fastest = {fastest:g} m/s; must be in (0, {radius * limit:g}] m/s, the belts at "
-            f"{limit:g} rad/s. Is it in rad/s?"
-        )
-    data = sweep(parameters, STEP, limit)
-    p = 0.5 * radius * (data.sprocket_left + data.sprocket_right)
-    q = 0.5 * radius * (data.sprocket_right - data.sprocket_left)
-    inside = (p >= -1e-9) & (p <= fastest + 0.5 * radius * STEP) & (q >= -1e-9)
-    p, q, runs = p[inside], q[inside], data.rows(inside)
-    rows = chebvander(2.0 * p / fastest - 1.0, ROWS - 1)
-    columns = chebvander(q / (radius * limit), 2 * COLUMNS - 1)
-    share = (p / fastest)[:, None]
-    half_sum = 0.5 * (runs.beta_left + runs.beta_right)
-    half_difference = 0.5 * (runs.beta_right - runs.beta_left)
-    terms = [
-        _fitted(share * rows, columns[:, 0::2], half_sum),
-        _fitted(rows, columns[:, 1::2], half_difference),
-        _fitted(share * rows, columns[:, 1::2], runs.v_y),
-    ]
-    half = 0.5 * parameters.track_gauge
-    return SlipSurface(CHEBYSHEV, np.array(terms), float(fastest), radius * limit, half)
-
-
-def _fitted(rows: Array, columns: Array, values: Array) -> Array:
-    """(ROWS, COLUMNS) coefficients of least squares."""
-    products = (rows[:, :, None] * columns[:, None, :]).reshape(len(values), -1)
-    found = np.linalg.lstsq(products, values, rcond=None)[0]
-    return np.asarray(found).reshape(ROWS, COLUMNS)
-
-
-class SurfaceFamily:
-    """Surfaces of a vehicle over friction, for an estimated mu.
-
-    Arguments as of `identified_surface`; the soil of `parameters` is not used. A surface is fitted
-    when its friction is first asked for.
-    """
-
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        sprocket_speed: float | None = None,
-        fastest: float = FASTEST,
-    ) -> None:
-        self._soilless = parameters._replace(cohesion=0.0, friction_angle=0.0)
-        self._range = sprocket_speed, fastest
-
-    def at(self, friction: float) -> SlipSurface:
-        """The surface at mu [-], brought into the range of FRICTIONS. Raises ValueError for NaN."""
-        mu = float(friction)
-        if math.isnan(mu):
-            raise ValueError("friction = nan; must be a number. Has the estimator a value yet?")
-        mu = min(max(mu, FRICTIONS[0]), FRICTIONS[-1])
-        upper = min(max(int(np.searchsorted(FRICTIONS, mu)), 1), len(FRICTIONS) - 1)
-        low, high = FRICTIONS[upper - 1], FRICTIONS[upper]
-        share = (1.0 / low - 1.0 / mu) / (1.0 / low - 1.0 / high)
-        a, b = (
-            identified_surface(with_friction(self._soilless, end), *self._range)
-            for end in (low, high)
-        )
-        return a._replace(terms=(1.0 - share) * a.terms + share * b.terms)

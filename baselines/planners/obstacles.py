@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from baselines.planners.trajectory import PLACE
 from tracked_env.physics.jit import formula, loop
@@ -40,7 +40,7 @@ class Footprint(NamedTuple):
         """Discs over contact length by gauge plus track width, and a margin [m] around."""
         half = 0.5 * vehicle.contact_length / DISCS
         across = 0.5 * (vehicle.track_gauge + vehicle.track_width)
-        offset = (2.0 * np.arange(DISCS) + 1.0 - DISCS) * half
+        offset = np.array([(2.0 * disc + 1.0 - DISCS) * half for disc in range(DISCS)])
         return cls(offset, math.hypot(half, across) + margin + SPACING * math.sqrt(0.5))
 
 
@@ -127,16 +127,13 @@ class Obstacles(NamedTuple):
         known = np.where(self.occupied, -inside, outside)
         if not self.occupied.any():
             known = np.full(self.occupied.shape, 1e6)
-        columns = np.rint((xs - self.origin[0]) / self.cell).astype(int)
-        rows = np.rint((ys - self.origin[1]) / self.cell).astype(int)
+        columns, rows = (xs - self.origin[0]) / self.cell, (ys - self.origin[1]) / self.cell
         ny, nx = self.occupied.shape
-        # Outside the cells: at least the distance of the cell at their edge.
-        beyond = np.hypot(
-            (columns - np.clip(columns, 0, nx - 1)) * self.cell,
-            ((rows - np.clip(rows, 0, ny - 1)) * self.cell)[:, None],
-        )
-        near = known[np.ix_(np.clip(rows, 0, ny - 1), np.clip(columns, 0, nx - 1))]
-        return np.where(beyond > 0.0, np.maximum(near, 0.0) + beyond, near)
+        # Beyond the grid a lower bound: nothing is occupied there.
+        inner = np.meshgrid(np.clip(rows, 0, ny - 1), np.clip(columns, 0, nx - 1), indexing="ij")
+        near = map_coordinates(known, inner, order=1)
+        beyond = np.hypot(rows[:, None] - inner[0], columns - inner[1]) * self.cell
+        return np.where(beyond > 0.0, np.maximum(beyond, near - beyond), near)
 
 
 @formula

@@ -158,9 +158,7 @@ def _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, res
                 turning += SIGNS[word, part] * angles[word, part]
             if _was_found(turnings, found, turning):
                 continue
-            duration = _guess(
-                angles[word] * radius, SIGNS[word], speed, setting.speed, q, w.belts
-            )
+            duration = _guess(angles[word] * radius, SIGNS[word], speed, setting.speed, q, w.belts)
             rising = bounds.slowest - setting.before_p if setting.ramp else 0.0
             task = Task(
                 starts[row, 2], goals[row, 0] - starts[row, 0], goals[row, 1] - starts[row, 1],

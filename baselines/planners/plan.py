@@ -5,21 +5,26 @@
     clothoid      one clothoid; another method where it breaks a limit or goes far round
     optimal       least time under slip (`baselines.planners.optimal`)
 With equal v_min and v_max the speed is constant from the first moment on, as in [F]; otherwise a
-path is driven as fast as the limits allow, from the start's speed to rest.
+path is driven as fast as the limits allow, from the start's speed to rest. With obstacles, a plan
+that touches one is replaced by a chain of plans along a route around them (`baselines.planners.
+chain`); so are way points.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), section 6.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.lyapunov.pseudo_kinematic import SlipModel
-from baselines.planners import speed_profile
+from baselines.planners import chain, speed_profile
 from baselines.planners.clothoid import CLOSEST, clothoid
 from baselines.planners.dubins import dubins
+from baselines.planners.obstacles import Obstacles
+from baselines.planners.optimal import optimal
 from baselines.planners.path import Path
 from baselines.planners.reeds_shepp import reeds_shepp
 from baselines.planners.timed_path import driven
@@ -108,6 +113,30 @@ def _along(
 METHODS = ("optimal", "dubins", "reeds-shepp", "clothoid")
 
 
+class Planner(NamedTuple):
+    """One way to plan, to be called with a start and a goal."""
+
+    limits: Limits
+    vehicle: PlantParameters
+    slip_model: SlipModel | None
+    method: str
+    period: float  # [s]
+    intervals: int
+
+    def __call__(self, start: Start, goal: Array) -> Trajectory:
+        """One trajectory to a goal (3,)."""
+        if self.method == "optimal":
+            made = optimal(
+                start, goal, self.limits, self.vehicle, self.slip_model, intervals=self.intervals,
+                period=self.period,
+            )  # fmt: skip
+            assert isinstance(made, Trajectory)
+            return made
+        return _along(
+            start, goal, self.limits, self.vehicle, self.slip_model, self.method, self.period
+        )
+
+
 def plan(
     start: Start | Sequence[float],
     goal: ArrayLike,
@@ -115,20 +144,64 @@ def plan(
     slip_model: SlipModel | None = None,
     method: str = "optimal",
     vehicle: str | PlantParameters = "focchi",
+    *,
+    obstacles: Obstacles | None = None,
     period: float = 0.02,
+    intervals: int = 40,
+    threads: int = 1,
 ) -> Trajectory | list[Trajectory]:
     """Plan from a start to a goal (3,), or to N goals (N, 3): x, y [m], yaw [rad].
 
     start: pose, or `Start` for a moving vehicle. limits: those of the vehicle on its soil by
-    default. vehicle: parameters, or a key of VEHICLES. period: time between samples [s].
+    default. slip_model: of `baselines.slip`; None plans as if the tracks did not slip. vehicle:
+    parameters, or a key of VEHICLES. period: time between samples [s]. intervals: N of the optimal
+    planner. threads: for N goals without obstacles by the optimal planner.
     Returns a Trajectory, or a list of N for N goals. Look at `converged` and `message` before it is
     driven. Raises ValueError for what is not finite, out of range, unknown or contradictory.
     """
+    planner, begin = _prepared(start, limits, slip_model, method, vehicle, period, intervals)
+    goals = checked_poses("goal", goal)
+    if obstacles is not None:
+        made = [chain.around(planner, begin, row, obstacles) for row in goals]
+    elif method == "optimal" and threads > 1:
+        several = optimal(
+            begin, goals, planner.limits, planner.vehicle, slip_model, intervals=intervals,
+            period=period, threads=threads,
+        )  # fmt: skip
+        made = several if isinstance(several, list) else [several]
+    else:
+        made = [planner(begin, row) for row in goals]
+    return made[0] if np.ndim(goal) == 1 else made
+
+
+def plan_through(
+    start: Start | Sequence[float],
+    points: ArrayLike,
+    limits: Limits | None = None,
+    slip_model: SlipModel | None = None,
+    method: str = "optimal",
+    vehicle: str | PlantParameters = "focchi",
+    *,
+    obstacles: Obstacles | None = None,
+    period: float = 0.02,
+    intervals: int = 40,
+) -> Trajectory:
+    """One trajectory through way points (N, 3): x, y [m], yaw [rad]; all else as in `plan`.
+
+    Every leg begins with the motion in which the one before ended.
+    """
+    planner, begin = _prepared(start, limits, slip_model, method, vehicle, period, intervals)
+    return chain.through(planner, begin, checked_poses("points", points), obstacles)
+
+
+def _prepared(
+    start: Start | Sequence[float], limits: Limits | None, slip_model: SlipModel | None,
+    method: str, vehicle: str | PlantParameters, period: float, intervals: int,
+) -> tuple[Planner, Start]:  # fmt: skip
     checked_choice("method", method, METHODS)
     checked_number("period", period, _PERIOD)
     if isinstance(vehicle, str):
         vehicle = VEHICLES[checked_choice("vehicle", vehicle, VEHICLES)]
-    begin, goals = checked_start(start), checked_poses("goal", goal)
+    begin = checked_start(start)
     allowed = checked_limits(Limits.of(vehicle) if limits is None else limits, vehicle)
-    made = [_along(begin, row, allowed, vehicle, slip_model, method, period) for row in goals]
-    return made[0] if np.ndim(goal) == 1 else made
+    return Planner(allowed, vehicle, slip_model, method, period, intervals), begin

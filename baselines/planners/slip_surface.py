@@ -52,7 +52,10 @@ class SlipSurface(NamedTuple):
 
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
         """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-        left, right = self.radius * np.asarray(sprocket_left), self.radius * np.asarray(sprocket_right)
+        left, right = (
+            self.radius * np.asarray(sprocket_left),
+            self.radius * np.asarray(sprocket_right),
+        )
         v_x, v_y, turn = self.motion(0.5 * (left + right), 0.5 * (right - left)).T
         moving = v_x != 0.0
         alpha = np.where(moving, np.arctan(v_y / np.where(moving, v_x, 1.0)), 0.0)

@@ -25,7 +25,9 @@ def made(vehicle="focchi", mu=0.4, limit=18.0, fastest=0.4):
 def belts(limit, count=40):
     """Belt speeds p, q of a moving vehicle whose sprockets are within the limit."""
     radius = FOCCHI.sprocket_radius
-    p, q = (a.ravel() for a in np.meshgrid(np.linspace(0.1, 0.4, count), np.linspace(-0.5, 0.5, count)))
+    p, q = (
+        a.ravel() for a in np.meshgrid(np.linspace(0.1, 0.4, count), np.linspace(-0.5, 0.5, count))
+    )
     inside = p + np.abs(q) <= radius * limit
     return p[inside], q[inside]
 

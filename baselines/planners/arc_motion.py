@@ -27,7 +27,9 @@ def _chord_series(x):
     t = x * x
     s = 1.0 - t / 6.0 * (1.0 - t / 20.0 * (1.0 - t / 42.0 * (1.0 - t / 72.0)))
     c = 0.5 * x * (1.0 - t / 12.0 * (1.0 - t / 30.0 * (1.0 - t / 56.0 * (1.0 - t / 90.0))))
-    s_1 = x * (-1.0 / 3.0 + t * (1.0 / 30.0 - t * (1.0 / 840.0 - t * (1.0 / 45360.0 - t / 3991680.0))))
+    s_1 = x * (
+        -1.0 / 3.0 + t * (1.0 / 30.0 - t * (1.0 / 840.0 - t * (1.0 / 45360.0 - t / 3991680.0)))
+    )
     c_1 = 0.5 - t * (0.125 - t * (1.0 / 144.0 - t * (1.0 / 5760.0 - t / 403200.0)))
     s_2 = -1.0 / 3.0 + t * (0.1 - t * (1.0 / 168.0 - t * (1.0 / 6480.0 - t / 443520.0)))
     c_2 = x * (-0.25 + t * (1.0 / 36.0 - t * (1.0 / 960.0 - t * (1.0 / 50400.0 - t / 4354560.0))))
@@ -68,15 +70,11 @@ def arc_jet(v_x, v_y, w, duration, per_interval, direction, move, turn):
     move[MOVE_TT] = last * v * complex(0.0, n * w.value)
     move[MOVE_TP] = last * (v_p + v * complex(0.0, d * w.p))
     move[MOVE_TQ] = last * (v_q + v * complex(0.0, d * w.q))
-    move[MOVE_PP] = (
-        a * complex(v_x.pp, v_y.pp) + 2.0 * w.p * b * v_p + w.pp * bv + w.p * w.p * cv
-    )
+    move[MOVE_PP] = a * complex(v_x.pp, v_y.pp) + 2.0 * w.p * b * v_p + w.pp * bv + w.p * w.p * cv
     move[MOVE_PQ] = (
         a * complex(v_x.pq, v_y.pq) + b * (w.p * v_q + w.q * v_p) + w.pq * bv + w.p * w.q * cv
     )
-    move[MOVE_QQ] = (
-        a * complex(v_x.qq, v_y.qq) + 2.0 * w.q * b * v_q + w.qq * bv + w.q * w.q * cv
-    )
+    move[MOVE_QQ] = a * complex(v_x.qq, v_y.qq) + 2.0 * w.q * b * v_q + w.qq * bv + w.q * w.q * cv
     turn[TURN], turn[TURN_T] = w.value * d, n * w.value
     turn[TURN_P], turn[TURN_Q] = d * w.p, d * w.q
     turn[TURN_TP], turn[TURN_TQ] = n * w.p, n * w.q

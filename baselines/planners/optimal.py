@@ -128,10 +128,7 @@ def _slow_intervals(missing, bounds, step):
 
 @formula
 def _was_found(turnings, found, turning):
-    for i in range(found):
-        if abs(turnings[i] - turning) < FOUND:
-            return True
-    return False
+    return any(abs(turnings[i] - turning) < FOUND for i in range(found))
 
 
 @formula

@@ -1,4 +1,4 @@
-"""Slip surfaces of slip models: fitted to tables, trees and families; F (54) and no slip as they are.
+"""Slip surfaces of slip models: tables, trees and families are fitted, F (54) is taken as it is.
 
 A model is fitted by least squares at SAMPLES pairs of belt speeds that its sprockets can
 drive. v_y = v_x tan(alpha) is fitted, not alpha, which jumps where v_x changes sign.
@@ -32,7 +32,9 @@ TILT = 1.4  # [rad] largest c_1 of alpha: its tangent must stay finite
 def no_slip(vehicle: PlantParameters) -> SlipSurface:
     """The surface of a vehicle whose tracks do not slip; holds at any speed."""
     terms = np.zeros((3, ROWS, COLUMNS))
-    return SlipSurface(CHEBYSHEV, terms, 1e6, 1e6, 0.5 * vehicle.track_gauge, vehicle.sprocket_radius)
+    return SlipSurface(
+        CHEBYSHEV, terms, 1e6, 1e6, 0.5 * vehicle.track_gauge, vehicle.sprocket_radius
+    )
 
 
 def surface_of(
@@ -96,9 +98,7 @@ def _of_friction(
 
 
 @lru_cache(maxsize=64)
-def _fitted_layer(
-    family: SlipFamily, k: int, radius: float, belt: float, fastest: float
-) -> Array:
+def _fitted_layer(family: SlipFamily, k: int, radius: float, belt: float, fastest: float) -> Array:
     return _fitted(family.at(family.frictions[k]), radius, belt, fastest)
 
 

@@ -92,8 +92,8 @@ def test_the_goals_are_those_of_the_published_code():
 def test_durations_of_the_goal_of_figure_16_are_those_of_an_independent_solver():
     """IPOPT on surfaces of 7 x 7 terms: 8.55 s without slip, 8.70 s with it, at any speed."""
     durations = {
-        (v_min, slip is None): optimal(ORIGIN, GOAL, limits_of(FOCCHI, v_min), FOCCHI, slip).duration
-        for v_min in (0.4, 0.0) for slip in (None, SLIP)
+        (v, slip is None): optimal(ORIGIN, GOAL, limits_of(FOCCHI, v), FOCCHI, slip).duration
+        for v in (0.4, 0.0) for slip in (None, SLIP)
     }  # fmt: skip
     for v_min in (0.4, 0.0):
         assert durations[v_min, True] == pytest.approx(8.55, abs=0.01)
@@ -123,7 +123,9 @@ def test_sprocket_speeds_replayed_on_the_model_end_at_the_goal(v_min):
 def test_a_plan_that_knows_no_slip_misses_by_decimetres():
     model, goals = PseudoKinematicModel(FOCCHI, SLIP), halton_goals(1.0)[:20]
     blind = optimal(ORIGIN, goals, limits_of(FOCCHI, 0.4), FOCCHI)
-    errors = [np.hypot(*(replayed(model, m)[:2] - g[:2])) for m, g in zip(blind, goals, strict=True)]
+    errors = [
+        np.hypot(*(replayed(model, m)[:2] - g[:2])) for m, g in zip(blind, goals, strict=True)
+    ]
     assert np.mean(errors) > 0.4
 
 
@@ -204,7 +206,8 @@ def test_the_cost_hardly_depends_on_the_number_of_intervals():
 
 def test_smoothing_smooths():
     rough, smooth = (
-        optimal(ORIGIN, GOAL, limits_of(FOCCHI, 0.4), FOCCHI, SLIP, smoothing=w) for w in (0.1, 10.0)
+        optimal(ORIGIN, GOAL, limits_of(FOCCHI, 0.4), FOCCHI, SLIP, smoothing=w)
+        for w in (0.1, 10.0)
     )
     assert rough.duration < smooth.duration
     assert np.abs(np.diff(rough.yaw_rate)).max() > 2.0 * np.abs(np.diff(smooth.yaw_rate)).max()

@@ -41,7 +41,9 @@ def motion(surface):
         ) for c, odd in enumerate((0, 1, 1))
     )  # fmt: skip
     share = p / surface.fastest
-    return casadi.Function("motion", [p, q], [p - share * s, share * y, (q - d) / surface.half_gauge])
+    return casadi.Function(
+        "motion", [p, q], [p - share * s, share * y, (q - d) / surface.half_gauge]
+    )
 
 
 def stepped(rates, state, belts, duration, parts=4):
@@ -67,7 +69,9 @@ def guess(goal, speed, radius=0.4):
     ends = np.append(0.0, np.cumsum(path.segments[0]))
     states, belts = [], []
     for way in np.linspace(0.0, path.length[0], COUNT + 1):
-        states.append(drive((0, 0, 0), np.clip(way - ends[:-1], 0.0, path.segments[0]), path.curvature[0]))
+        states.append(
+            drive((0, 0, 0), np.clip(way - ends[:-1], 0.0, path.segments[0]), path.curvature[0])
+        )
     for turn in np.diff(np.array(states)[:, 2]) * COUNT / path.length[0]:
         belts.append((speed, turn * speed * 0.5 * FOCCHI.track_gauge))
     return path.length[0] / speed, np.array(belts), np.array(states)
@@ -76,7 +80,11 @@ def guess(goal, speed, radius=0.4):
 def ipopt(goal, limits, surface):
     """(cost, yaw at the end) of IPOPT's plan from the shortest Dubins path."""
     rates, half = motion(surface), surface.half_gauge
-    duration, u, s = casadi.SX.sym("T"), casadi.SX.sym("u", 2, COUNT), casadi.SX.sym("s", 3, COUNT + 1)
+    duration, u, s = (
+        casadi.SX.sym("T"),
+        casadi.SX.sym("u", 2, COUNT),
+        casadi.SX.sym("s", 3, COUNT + 1),
+    )
     cost, rows = duration, [(s[:, 0], 0.0, 0.0)]
     belt = FOCCHI.sprocket_radius * limits.sprocket_used
     for k in range(COUNT):

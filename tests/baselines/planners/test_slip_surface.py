@@ -25,7 +25,9 @@ def made(vehicle="focchi", mu=0.4, limit=18.0, fastest=0.4):
 def belts(limit, count=40):
     """Belt speeds p, q of a moving vehicle whose sprockets are within the limit."""
     radius = FOCCHI.sprocket_radius
-    p, q = (a.ravel() for a in np.meshgrid(np.linspace(0.1, 0.4, count), np.linspace(-0.5, 0.5, count)))
+    p, q = (
+        a.ravel() for a in np.meshgrid(np.linspace(0.1, 0.4, count), np.linspace(-0.5, 0.5, count))
+    )
     inside = p + np.abs(q) <= radius * limit
     return p[inside], q[inside]
 
@@ -64,7 +66,7 @@ def test_slip_turns_a_vehicle_less_than_its_belts_would():
         turning = np.abs(q) > 0.05
         unslipped = q[turning] / (0.5 * parameters.track_gauge)
         ratio = surface.motion(p, q)[turning, 2] / unslipped
-        assert ((0.0 < ratio) & (ratio < 0.95)).all()
+        assert ((ratio > 0.0) & (ratio < 0.95)).all()
 
 
 def test_a_right_turn_is_a_left_turn_mirrored_and_reverse_is_forward_mirrored():

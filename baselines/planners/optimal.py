@@ -20,7 +20,7 @@ Vehicles (2025), sections 6.3, 7.2.
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,7 +52,7 @@ INTERVALS = Range(2, 2000, "-", "It is the number of intervals, not their durati
 SMOOTHING = Range(1e-6, 1e6, "-", "It is the weight w_s.")
 PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
 THREADS = Range(1, 256, "-", "It is the number of threads.")
-ITERATIONS = 40  # of the interior point method from one word
+ITERATIONS = 30  # of the interior point method from one word
 FURTHER, PATIENT = 20, 200  # from a word after a plan was found; from each, where none was
 SPARE = 0.7  # [-] of the fastest turn of the belts: on the arcs of the words
 HALVINGS = 12  # of the interval in which the belts of an arc are found
@@ -128,7 +128,11 @@ def _slow_intervals(missing, bounds, step):
 
 @formula
 def _was_found(turnings, found, turning):
-    return any(abs(turnings[i] - turning) < FOUND for i in range(found))
+    """Whether one of the first `found` of turnings [rad] has the whole turns of `turning`."""
+    same = False
+    for i in range(found):
+        same = same or abs(turnings[i] - turning) < FOUND
+    return same
 
 
 @formula
@@ -256,15 +260,16 @@ def _prepared(
             f"sprocket acceleration ({limits.sprocket_acceleration:g} rad/s^2): nothing to brake by"
         )
     bounds = Bounds(
-        belt, limits.v_min, limits.v_max, limits.lateral_acceleration, limits.curvature,
-        radius * limits.sprocket_acceleration, limits.acceleration, half_gauge, fixed, stop,
+        float(belt), float(limits.v_min), float(limits.v_max), float(limits.lateral_acceleration),
+        float(limits.curvature), float(radius * limits.sprocket_acceleration),
+        float(limits.acceleration), half_gauge, fixed, bool(stop),
     )  # fmt: skip
     speed = limits.v_max
     if not fixed:
         speed = min(limits.v_min + INSIDE * (limits.v_max - limits.v_min), INSIDE * belt)
     widest = max(RADIUS * vehicle.track_gauge, 1.0 / (INSIDE * limits.curvature_at(speed, vehicle)))
     left, right = start.sprockets(vehicle)
-    return Bounds(*(v if isinstance(v, bool) else float(v) for v in bounds)), Setting(
+    return bounds, Setting(
         float(widest), float(speed), 0.5 * radius * (left + right), 0.5 * radius * (right - left),
         limited and not fixed, smoothing,
     )  # fmt: skip
@@ -278,11 +283,11 @@ def _trajectory(
     turn = 2.0 * math.pi
     distance = math.hypot(goal[0] - start[0], goal[1] - start[1])
     if distance < SAME and abs(math.remainder(goal[2] - start[2], turn)) < SAME:
-        none = np.zeros(1)
-        x, y, yaw = (start[i : i + 1].copy() for i in range(3))
-        return Trajectory(
-            none, x, y, yaw, yaw, *(none for _ in range(8)), 0.0, True, 0, distance, 0.0,
-            "optimal", "start and goal are one pose",
+        out = np.zeros((1, COLUMN_COUNT))
+        out[0, 1:5] = *start, start[2]
+        return _of_samples(
+            out, cost=0.0, converged=True, iterations=0, end_error=distance, end_yaw_error=0.0,
+            message="start and goal are one pose",
         )  # fmt: skip
     duration = float(result[DURATION])
     times = duration * np.arange(len(belts) + 1) / len(belts)
@@ -300,7 +305,13 @@ def _trajectory(
             f"no plan in {used} iterations: the last one ends {error:.3g} m from the goal. Is the "
             "goal out of reach of the limits?"
         )
-    return Trajectory(
-        *out.T.copy(), float(result[COST]), converged, used,
-        error, abs(math.remainder(yaw - goal[2], turn)), "optimal", message,
+    return _of_samples(
+        out, cost=float(result[COST]), converged=converged, iterations=used, end_error=error,
+        end_yaw_error=abs(math.remainder(yaw - goal[2], turn)), message=message,
     )  # fmt: skip
+
+
+def _of_samples(out: Array, **rest: Any) -> Trajectory:
+    """The trajectory of samples (M, COLUMN_COUNT)."""
+    columns: dict[str, Any] = dict(zip(Trajectory._fields, out.T.copy(), strict=False))
+    return Trajectory(**columns, method="optimal", **rest)

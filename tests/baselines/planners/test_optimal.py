@@ -176,6 +176,32 @@ def test_limits_are_kept_on_every_interval(v_min):
         assert np.abs(np.diff(belts)).max() <= rate * step + slack
 
 
+@pytest.mark.parametrize(
+    ("name", "v_min", "given", "bound"),
+    [
+        ("belt", 0.4, {"sprocket_speed": 10.0, "reserve": 0.2}, 0.8 * 0.856),
+        ("lateral", 0.4, {"lateral_acceleration": 0.3}, 0.3),
+        ("curvature", 0.4, {"curvature": 1.5}, 1.5), ("ground", 0.0, {}, 0.4),
+        ("slowest", 0.15, {}, -0.15),
+    ],
+)  # fmt: skip
+def test_a_limit_is_reached_and_kept(name, v_min, given, bound):
+    """Goals behind need turns as tight, and as slow, as the limit allows."""
+    goals, largest = [(-1.0, 0.6, 0.0), (-0.5, -1.0, 2.0), (0.3, 1.0, 3.0)], []
+    for made in optimal(ORIGIN, goals, limits_of(FOCCHI, v_min, **given), FOCCHI, SLIP):
+        assert made.converged
+        p, q = held(FOCCHI, made)
+        used = 8.0 if name == "belt" else 18.0
+        v_x, v_y, turn = surface_of(SLIP, FOCCHI, used, 0.4).motion(p, q).T
+        value = {
+            "belt": p + np.abs(q), "lateral": np.abs(v_x * turn), "curvature": np.abs(turn) / v_x,
+            "ground": np.hypot(v_x, v_y), "slowest": -p,
+        }[name]  # fmt: skip
+        largest.append(value.max())
+    assert max(largest) <= bound + 1e-5
+    assert max(largest) >= bound - 0.01 * abs(bound)
+
+
 def test_v_min_holds_but_while_the_vehicle_gathers_speed_and_stops():
     limits = limits_of(FOCCHI, 0.15, sprocket_acceleration=5.0)
     made = optimal(ORIGIN, GOAL, limits, FOCCHI, SLIP, stop=True)

@@ -207,6 +207,31 @@ def plant_alone(count: int, euler: bool) -> Load:
     )
 
 
+def planned(v_min: float, goals: int, threads: int) -> Load:
+    """Slippage-aware plans of the light vehicle, up to 0.4 m/s; one goal of several after another,
+    or all at once."""
+    from baselines.planners.optimal import optimal
+    from baselines.planners.trajectory import Limits
+    from baselines.slip.slip_sweep import identified_slip
+    from tracked_env.physics.parameters import VEHICLES
+
+    vehicle = VEHICLES["focchi"]
+    slip, limits = identified_slip(vehicle), Limits.of(vehicle, v_min=v_min, v_max=0.4)
+    generator = np.random.default_rng(0)
+    distance, direction, yaw = generator.uniform((1.0, 0.0, 0.0), (4.0, 6.28, 6.28), (100, 3)).T
+    places = np.stack([distance * np.cos(direction), distance * np.sin(direction), yaw], axis=1)
+    if goals > 1:
+        given = places[:goals]
+        return Load(lambda: optimal((0, 0, 0), given, limits, vehicle, slip, threads=threads))
+    turn = [0]
+
+    def call() -> object:
+        turn[0] = (turn[0] + 1) % len(places)
+        return optimal((0, 0, 0), places[turn[0]], limits, vehicle, slip)
+
+    return Load(call, multiple=len(places))
+
+
 def controllers() -> list[tuple[str, str]]:
     """(drive, name) of the registered controllers that are not handed the truth."""
     from tracked_env.benchmark.policy_interface import PolicyContext, needs_truth
@@ -268,9 +293,17 @@ def policy_rows(known: Sequence[tuple[str, str]]) -> Iterator[Row]:
                       CARTPOLE, partial(plant_alone, count, euler))  # fmt: skip
 
 
+def planner_rows() -> Iterator[Row]:
+    """Plans: mean over goals 1 to 4 m away."""
+    for v_min, speed in ((0.4, "constant speed"), (0.15, "variable speed")):
+        yield Row(f"planner optimal, {speed}", 1, CARTPOLE, partial(planned, v_min, 1, 1))
+        yield Row(f"planner optimal, {speed}, 100 goals on two threads", 100, CARTPOLE,
+                  partial(planned, v_min, 100, 2))  # fmt: skip
+
+
 def rows(known: Sequence[tuple[str, str]]) -> list[Row]:
     """All rows, peers first; known: what `controllers` returns."""
-    return [*environment_rows(), *policy_rows(known)]
+    return [*environment_rows(), *policy_rows(known), *planner_rows()]
 
 
 def calls_of_a_pass(load: Load, seconds: float) -> int:

@@ -98,9 +98,9 @@ def _of_speeds(i, b, v_x, v_y, w, row, bend):
 
 @loop
 def inequality(i, b, speeds, before, place, interval, v_x, v_y, w, row, bend):
-    """Value of inequality i; its gradient in (p_, q_, T, p, q) into row (5,), second derivatives pp,
-    pq, qq into bend.
+    """Value of inequality i, with its derivatives.
 
+    row (5,): gradient in (p_, q_, T, p, q); bend (3,): second derivatives pp, pq, qq, both out.
     speeds = (p, q); before = (p_, q_). place: whether there is an interval before, whether the
     vehicle may be slower than `slowest`, whether it is the last. interval = (d, 1 / N).
     """

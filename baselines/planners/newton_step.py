@@ -1,4 +1,4 @@
-"""Newton step of the interior point method: second derivatives of the problem, interval by interval.
+"""Newton step of the interior point method: the problem to second order on every interval.
 
 With multipliers nu of the terminal pose, slacks s = g and multipliers y of the limits, s y = mu,
 eliminating slacks and their multipliers leaves stages (riccati) with
@@ -106,7 +106,8 @@ def _give_speed(a, n):
 def newton_step(a, w, weights, belts, active, barrier, fixed, exact, damping):
     """Step of all unknowns into a.step, w.slack_steps, w.dual_steps; False where there is none.
 
-    exact: with second derivatives of motion and limits. damping [s/(m/s)^2]: added to those in p, q.
+    exact: with second derivatives of motion and limits. damping [s/(m/s)^2]: added to those of
+    p and q.
     """
     n = len(belts)
     _assemble_motion(a, w, n, exact, damping)

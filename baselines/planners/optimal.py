@@ -4,7 +4,8 @@ Belt speeds are held over N equal intervals, and slip is a smooth surface over t
 The interior point method starts from Dubins words of the start and the goal, shortest first: left
 and right turns are different minima, and the whole turns of a word are the yaw that its plan ends
 at. A longer word is tried while its length is below LONGER of the shortest plus EXTRA, unless a
-plan with the same whole turns was found, and as long as none was. The plan of least cost is taken.
+plan with the same whole turns was found, and as long as none was; where no word leads to a plan,
+all are tried again with more patience. The plan of least cost is taken.
 
 Constant speed (v_min = v_max): the belts' mean is given from the first moment to the last. Other-
 wise, with a limit on sprocket acceleration, the first interval must be reached from the sprocket
@@ -19,7 +20,7 @@ Vehicles (2025), sections 6.3, 7.2.
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,7 +52,8 @@ INTERVALS = Range(2, 2000, "-", "It is the number of intervals, not their durati
 SMOOTHING = Range(1e-6, 1e6, "-", "It is the weight w_s.")
 PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
 THREADS = Range(1, 256, "-", "It is the number of threads.")
-ITERATIONS, FURTHER = 40, 20  # of the interior point method from one start; after a plan was found
+ITERATIONS = 30  # of the interior point method from one word
+FURTHER, PATIENT = 20, 200  # from a word after a plan was found; from each, where none was
 SPARE = 0.7  # [-] of the fastest turn of the belts: on the arcs of the words
 HALVINGS = 12  # of the interval in which the belts of an arc are found
 SLOWEST_TURN = 1e-3  # [rad/s] of the words
@@ -126,10 +128,57 @@ def _slow_intervals(missing, bounds, step):
 
 @formula
 def _was_found(turnings, found, turning):
+    """Whether one of the first `found` of turnings [rad] has the whole turns of `turning`."""
+    same = False
     for i in range(found):
-        if abs(turnings[i] - turning) < FOUND:
-            return True
-    return False
+        same = same or abs(turnings[i] - turning) < FOUND
+    return same
+
+
+@formula
+def _task(start, goal, turning, step, bounds, setting):
+    """The plan from start (3,) to goal (3,) with a change of yaw; step: about an interval [s]."""
+    rising = bounds.slowest - setting.before_p if setting.ramp else 0.0
+    return Task(
+        start[2], goal[0] - start[0], goal[1] - start[1], turning, setting.before_p,
+        setting.before_q, setting.ramp, _slow_intervals(rising, bounds, step),
+        _slow_intervals(bounds.slowest if bounds.stop else 0.0, bounds, step), setting.smoothing,
+    )  # fmt: skip
+
+
+@loop
+def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bounds, setting, w, a,
+                 turnings, belts, best):  # fmt: skip
+    """Plans from the words of totals (6,) [m], shortest first; the best into belts and `best`.
+
+    on_arc: radius [m], belts q [m/s] and ground speed [m/s] there. Returns how many converged.
+    """
+    radius, q, speed = on_arc
+    left, found = totals.copy(), 0
+    enough = LONGER * np.min(totals) + EXTRA
+    for _ in range(6):
+        word = np.argmin(left)
+        if left[word] == math.inf or (found > 0 and left[word] > enough):
+            break
+        left[word] = math.inf
+        turning = 0.0
+        for part in range(3):
+            turning += SIGNS[word, part] * angles[word, part]
+        if _was_found(turnings, found, turning):
+            continue
+        duration = _guess(angles[word] * radius, SIGNS[word], speed, setting.speed, q, w.belts)
+        task = _task(start, goal, turning, duration / len(w.belts), bounds, setting)
+        most = FURTHER if found > 0 else iterations
+        duration, cost, converged, used = solve(task, bounds, surface, duration, w, a, most)
+        best[USED] += used
+        if converged:
+            turnings[found] = turning
+            found += 1
+        if (converged and cost < best[COST]) or (not converged and found == 0):
+            best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
+            best[COST] = cost if converged else math.inf
+            belts[:, :] = w.belts
+    return found
 
 
 @loop
@@ -138,46 +187,23 @@ def _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, res
     n = belts.shape[1]
     w, a = make_work(n), make_stages(n)
     angles, totals, turnings = np.empty((6, 3)), np.empty(6), np.empty(6)
-    radius, q, speed = _tightest(surface, bounds, setting, w)
+    on_arc = _tightest(surface, bounds, setting, w)
+    radius = on_arc[0]
     for row in range(first, last):
         x, y, phi = relative(starts, goals, row, radius)
         segments_of_words(x, y, phi, SNAP / max(1.0, radius), angles)
         for word in range(6):
             total = angles[word, 0] + angles[word, 1] + angles[word, 2]
             totals[word] = total * radius if total > 0.0 else math.inf  # NaN: no such word
-        enough, found = LONGER * np.min(totals) + EXTRA, 0
         best = results[row]
         best[COST], best[CONVERGED], best[USED] = math.inf, 0.0, 0.0
-        for _ in range(6):
-            word = np.argmin(totals)
-            if totals[word] == math.inf or (found > 0 and totals[word] > enough):
-                break
-            totals[word] = math.inf
-            turning = 0.0
-            for part in range(3):
-                turning += SIGNS[word, part] * angles[word, part]
-            if _was_found(turnings, found, turning):
-                continue
-            duration = _guess(angles[word] * radius, SIGNS[word], speed, setting.speed, q, w.belts)
-            rising = bounds.slowest - setting.before_p if setting.ramp else 0.0
-            task = Task(
-                starts[row, 2], goals[row, 0] - starts[row, 0], goals[row, 1] - starts[row, 1],
-                turning, setting.before_p, setting.before_q, setting.ramp,
-                _slow_intervals(rising, bounds, duration / n),
-                _slow_intervals(bounds.slowest if bounds.stop else 0.0, bounds, duration / n),
-                setting.smoothing,
+        for iterations in (ITERATIONS, PATIENT):
+            found = _solve_words(
+                starts[row], goals[row], totals, angles, on_arc, iterations, surface, bounds,
+                setting, w, a, turnings, belts[row], best,
             )  # fmt: skip
-            duration, cost, converged, used = solve(
-                task, bounds, surface, duration, w, a, FURTHER if found else ITERATIONS
-            )
-            best[USED] += used
-            if converged:
-                turnings[found] = turning
-                found += 1
-            if (converged and cost < best[COST]) or (not converged and found == 0):
-                best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
-                best[COST] = cost if converged else math.inf
-                belts[row] = w.belts
+            if found > 0:
+                break
 
 
 def optimal(
@@ -234,15 +260,16 @@ def _prepared(
             f"sprocket acceleration ({limits.sprocket_acceleration:g} rad/s^2): nothing to brake by"
         )
     bounds = Bounds(
-        belt, limits.v_min, limits.v_max, limits.lateral_acceleration, limits.curvature,
-        radius * limits.sprocket_acceleration, limits.acceleration, half_gauge, fixed, stop,
+        float(belt), float(limits.v_min), float(limits.v_max), float(limits.lateral_acceleration),
+        float(limits.curvature), float(radius * limits.sprocket_acceleration),
+        float(limits.acceleration), half_gauge, fixed, bool(stop),
     )  # fmt: skip
     speed = limits.v_max
     if not fixed:
         speed = min(limits.v_min + INSIDE * (limits.v_max - limits.v_min), INSIDE * belt)
     widest = max(RADIUS * vehicle.track_gauge, 1.0 / (INSIDE * limits.curvature_at(speed, vehicle)))
     left, right = start.sprockets(vehicle)
-    return Bounds(*(v if isinstance(v, bool) else float(v) for v in bounds)), Setting(
+    return bounds, Setting(
         float(widest), float(speed), 0.5 * radius * (left + right), 0.5 * radius * (right - left),
         limited and not fixed, smoothing,
     )  # fmt: skip
@@ -256,11 +283,11 @@ def _trajectory(
     turn = 2.0 * math.pi
     distance = math.hypot(goal[0] - start[0], goal[1] - start[1])
     if distance < SAME and abs(math.remainder(goal[2] - start[2], turn)) < SAME:
-        none = np.zeros(1)
-        x, y, yaw = (start[i : i + 1].copy() for i in range(3))
-        return Trajectory(
-            none, x, y, yaw, yaw, *(none for _ in range(8)), 0.0, True, 0, distance, 0.0,
-            "optimal", "start and goal are one pose",
+        out = np.zeros((1, COLUMN_COUNT))
+        out[0, 1:5] = *start, start[2]
+        return _of_samples(
+            out, cost=0.0, converged=True, iterations=0, end_error=distance, end_yaw_error=0.0,
+            message="start and goal are one pose",
         )  # fmt: skip
     duration = float(result[DURATION])
     times = duration * np.arange(len(belts) + 1) / len(belts)
@@ -278,7 +305,13 @@ def _trajectory(
             f"no plan in {used} iterations: the last one ends {error:.3g} m from the goal. Is the "
             "goal out of reach of the limits?"
         )
-    return Trajectory(
-        *out.T.copy(), float(result[COST]), converged, used,
-        error, abs(math.remainder(yaw - goal[2], turn)), "optimal", message,
+    return _of_samples(
+        out, cost=float(result[COST]), converged=converged, iterations=used, end_error=error,
+        end_yaw_error=abs(math.remainder(yaw - goal[2], turn)), message=message,
     )  # fmt: skip
+
+
+def _of_samples(out: Array, **rest: Any) -> Trajectory:
+    """The trajectory of samples (M, COLUMN_COUNT)."""
+    columns: dict[str, Any] = dict(zip(Trajectory._fields, out.T.copy(), strict=False))
+    return Trajectory(**columns, method="optimal", **rest)

@@ -2,8 +2,8 @@
 
     minimise   T + w_s N / 40 sum_k [(p_{k+1} - p_k)^2 + (w_{k+1} - w_k)^2]     w = 2 q / B
     subject to pose_N = goal,  g(p_k, q_k, p_{k-1}, q_{k-1}, T) >= 0
-F (51a) sums over N = 40 intervals: its smoothing halves when N doubles. With the factor N / 40 it is
-w_s / 40 times the integral of the squared derivatives over the share t / T of the plan, and at
+F (51a) sums over N = 40 intervals: its smoothing halves when N doubles. With the factor N / 40 it
+is w_s / 40 times the integral of the squared derivatives over the share t / T of the plan, and at
 N = 40 it is the sum of F. The speeds in it are those of the belts, as in the code of F.
 
 The unknowns are T and the belt speeds alone: poses follow from them exactly (arc_motion).

@@ -106,7 +106,7 @@ def _linear(linear, forward, gradient, vector):
 
 @formula
 def _eliminate(m, vector, gains, offsets, value, linear, terminal):
-    """Gains of one interval, P and linear terms of its beginning; False where M_uu has no inverse."""
+    """Gains of one interval, P and linear terms of its beginning; False: M_uu is not positive."""
     pp, pq, qq = m[P, P], m[P, Q], m[Q, Q]
     rest = qq - pq * pq / pp
     if not (pp > PIVOT and rest > PIVOT):

@@ -7,9 +7,9 @@
     the map, with which slip would turn the vehicle more
 A left turn is a right turn mirrored: S is even in q, D and Y are odd. A vehicle that turns on the
 spot (p = 0) goes nowhere: S and Y are p times a smooth function.
-    identified   Chebyshev products in (p, q), ROWS x COLUMNS of the parity of each, fitted to a slip
-                 model, that of a sweep for example; v_y instead of alpha, which jumps at v_x = 0
-    exponential  F (54): beta, alpha = -+ c_1 exp(-c_2 |R|), R = p B / (2 q), and v_y = v_x tan(alpha)
+    identified   Chebyshev products in (p, q), ROWS x COLUMNS of the parity of each, fitted to a
+                 slip model; v_y instead of alpha, which jumps at v_x = 0
+    exponential  F (54): beta, alpha = -+ c_1 exp(-c_2 |R|), R = p B / (2 q); v_y = v_x tan(alpha)
     none         S = D = Y = 0
 Validity: 0 <= p <= fastest, |q| <= fastest_turn; the fit is coarsest where one belt stands.
 

@@ -1,4 +1,4 @@
-"""Slip surfaces of slip models: fitted to tables, trees and families; F (54) and no slip as they are.
+"""Slip surfaces of slip models: tables, trees and families are fitted, F (54) is taken as it is.
 
 A model is fitted by least squares at SAMPLES pairs of belt speeds that its sprockets can
 drive. v_y = v_x tan(alpha) is fitted, not alpha, which jumps where v_x changes sign.

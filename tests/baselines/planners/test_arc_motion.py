@@ -24,7 +24,8 @@ SURFACES = {
 # Orders of the derivatives in (T, p, q), as the columns of a move and of a turn.
 ORDERS = ((0,), (1,), (2,), (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 TURNS = {(0,): arc.TURN_T, (1,): arc.TURN_P, (2,): arc.TURN_Q, (0, 1): arc.TURN_TP,
-         (0, 2): arc.TURN_TQ, (1, 1): arc.TURN_PP, (1, 2): arc.TURN_PQ, (2, 2): arc.TURN_QQ}  # fmt: skip
+         (0, 2): arc.TURN_TQ, (1, 1): arc.TURN_PP, (1, 2): arc.TURN_PQ,
+         (2, 2): arc.TURN_QQ}  # fmt: skip
 
 
 def evaluate(surface, duration, p, q, count=10, yaw=0.0):

@@ -28,6 +28,7 @@ def random_stages(seed, shift=0.0):
         stages.hessian[k, Q, Q] += 3.0 + shift
         stages.gradient[k] = rng.standard_normal(ALL)
         stages.gradient[k, : YAW + 1] = 0.0
+    stages.hessian[0, DURATION, DURATION] += 10.0 * shift
     stages.hessian[:] = np.triu(stages.hessian)
     return stages, rng.standard_normal(3)
 
@@ -66,14 +67,13 @@ def test_it_solves_the_dense_system_whatever_the_weight_of_the_terminal_error(rh
         np.testing.assert_allclose(stages.step[k], z @ solution[:FREE], rtol=1e-7, atol=1e-9)
 
 
-def test_it_is_solved_exactly_where_the_problem_is_convex_on_its_constraint():
-    """With a large weight a pivot is negative where a direction of negative curvature is left."""
-    verdicts = set()
+def test_it_is_refused_exactly_where_it_is_not_convex():
+    """With the weighted terminal error in it, the condensed Hessian has a negative eigenvalue."""
+    verdicts, rho = set(), 30.0
     for seed in range(60):
-        stages, error = random_stages(seed, shift=-2.5)
+        stages, error = random_stages(seed, shift=seed - 20.0)
         _, hessian, _, jacobian = dense(stages)
-        free = np.linalg.svd(jacobian)[2][3:]
-        convex = np.linalg.eigvalsh(free @ hessian @ free.T)[0] > 0.0
-        assert solve(stages, COUNT, error, 1e4, np.empty(3)) == convex
-        verdicts.add(bool(convex))
+        smallest = np.linalg.eigvalsh(hessian + rho * jacobian.T @ jacobian)[0]
+        assert solve(stages, COUNT, error, rho, np.empty(3)) == (smallest > 0.0)
+        verdicts.add(bool(smallest > 0.0))
     assert verdicts == {True, False}

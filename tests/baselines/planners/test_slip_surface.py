@@ -66,7 +66,7 @@ def test_slip_turns_a_vehicle_less_than_its_belts_would():
         turning = np.abs(q) > 0.05
         unslipped = q[turning] / (0.5 * parameters.track_gauge)
         ratio = surface.motion(p, q)[turning, 2] / unslipped
-        assert ((0.0 < ratio) & (ratio < 0.95)).all()
+        assert ((ratio > 0.0) & (ratio < 0.95)).all()
 
 
 def test_a_right_turn_is_a_left_turn_mirrored_and_reverse_is_forward_mirrored():

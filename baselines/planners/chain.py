@@ -3,7 +3,8 @@
 Around obstacles, the plan straight to the goal is taken if it is free. Otherwise a route of arcs is
 searched (`route`), and legs are planned to poses on it: as far along as the leg's plan is free,
 found by halving. Where not even a short leg is, the goal is not reached, and the trajectory says
-so. A leg begins with the motion in which the one before ended.
+so. A leg of the optimal planner begins with the motion in which the one
+before ended; paths with a speed profile end every leg at rest.
 """
 
 import math
@@ -37,8 +38,8 @@ class Planner(Protocol):
     def vehicle(self) -> PlantParameters:
         """The vehicle."""
 
-    def __call__(self, start: Start, goal: Array) -> Trajectory:
-        """One trajectory to a goal (3,)."""
+    def __call__(self, start: Start, goal: Array, last: bool = True) -> Trajectory:
+        """One trajectory to a goal (3,); last: to rest there."""
 
 
 def end_of(made: Trajectory) -> Start:
@@ -81,10 +82,11 @@ def through(
 ) -> Trajectory:
     """One trajectory through way points (N, 3); it ends at the first that is not reached."""
     legs, begin = [], start
-    for point in points:
-        leg = planner(begin, point)
+    for number, point in enumerate(points):
+        last = number == len(points) - 1
+        leg = planner(begin, point, last)
         if obstacles is not None:
-            leg = around(planner, begin, point, obstacles, leg)
+            leg = around(planner, begin, point, obstacles, last, leg)
         legs.append(leg)
         if not leg.converged:
             break
@@ -93,7 +95,7 @@ def through(
 
 
 def around(
-    planner: Planner, start: Start, goal: Array, obstacles: Obstacles,
+    planner: Planner, start: Start, goal: Array, obstacles: Obstacles, last: bool = True,
     direct: Trajectory | None = None,
 ) -> Trajectory:  # fmt: skip
     """One trajectory to a goal (3,) that touches no obstacle; direct: the plan without them."""
@@ -106,13 +108,13 @@ def around(
                 f"the vehicle at its {name} is {-clear:.3g} m too near to an obstacle, margin "
                 "included; must be clear of it. Is the obstacle in the vehicle's own frame?"
             )
-    direct = planner(start, goal) if direct is None else direct
+    direct = planner(start, goal, last) if direct is None else direct
     if direct.converged and is_free(direct, field, footprint):
         return direct
     path = find_route(start[:3], goal, _radius(planner), field, footprint).path
     if path is None:
         return _failed(direct, "no way around the obstacles was found")
-    return _along(planner, start, goal, path, field, footprint)
+    return _along(planner, start, goal, last, path, field, footprint)
 
 
 def is_free(made: Trajectory, field: Clearance, footprint: Footprint) -> bool:
@@ -122,7 +124,13 @@ def is_free(made: Trajectory, field: Clearance, footprint: Footprint) -> bool:
 
 
 def _along(
-    planner: Planner, start: Start, goal: Array, path: Path, field: Clearance, footprint: Footprint
+    planner: Planner,
+    start: Start,
+    goal: Array,
+    last: bool,
+    path: Path,
+    field: Clearance,
+    footprint: Footprint,
 ) -> Trajectory:
     """Legs to poses on the route, each as long as its plan is free."""
     legs: list[Trajectory] = []
@@ -133,7 +141,7 @@ def _along(
         while True:
             place = places(path, [to])
             target = goal if to == length else np.array([place.x[0], place.y[0], place.yaw[0]])
-            leg = planner(begin, target)
+            leg = planner(begin, target, last and to == length)
             if leg.converged and is_free(leg, field, footprint):
                 break
             to = at + 0.5 * (to - at)

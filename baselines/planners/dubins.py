@@ -130,20 +130,6 @@ def _words(start, goal, radius, out):
                 out[i, word, part] *= radius[i]
 
 
-def dubins_words(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> DubinsPath:
-    """All words of one pair of poses, shortest first; those that do not exist are left out.
-
-    start, goal: (3,) x, y [m], yaw [rad]; radius: [m]. Raises ValueError.
-    """
-    starts, goals, radii = prepared(start, goal, radius)
-    if len(radii) != 1:
-        raise ValueError(f"{len(radii)} pairs of poses; must be one. Use dubins for many.")
-    lengths = _of_words(starts, goals, radii)[0]
-    total = lengths.sum(axis=1)
-    order = [int(word) for word in np.argsort(total, kind="stable") if np.isfinite(total[word])]
-    return _path(lengths[order], np.array(order), np.repeat(radii, len(order)))
-
-
 def dubins(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> DubinsPath:
     """The shortest path of N pairs of poses.
 

@@ -5,7 +5,8 @@
     clothoid      one clothoid; another method where it breaks a limit or goes far round
     optimal       least time under slip (`baselines.planners.optimal`)
 With equal v_min and v_max the speed is constant from the first moment on, as in [F]; otherwise a
-path is driven as fast as the limits allow, from the start's speed to rest. With obstacles, a plan
+path is driven as fast as the limits allow, from the start's speed to rest, and the optimal plan
+ends at rest if the sprocket acceleration has a limit. With obstacles, a plan
 that touches one is replaced by a chain of plans along a route around them (`baselines.planners.
 chain`); so are way points.
 
@@ -13,6 +14,7 @@ References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning 
 Vehicles (2025), section 6.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -123,12 +125,17 @@ class Planner(NamedTuple):
     period: float  # [s]
     intervals: int
 
-    def __call__(self, start: Start, goal: Array) -> Trajectory:
-        """One trajectory to a goal (3,)."""
+    @property
+    def brakes(self) -> bool:
+        """Whether the optimal planner can end at rest: speed and its rate of change have limits."""
+        return not self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
+
+    def __call__(self, start: Start, goal: Array, last: bool = True) -> Trajectory:
+        """One trajectory to a goal (3,); last: to rest there, if the limits say how to brake."""
         if self.method == "optimal":
             made = optimal(
                 start, goal, self.limits, self.vehicle, self.slip_model, intervals=self.intervals,
-                period=self.period,
+                period=self.period, stop=last and self.brakes,
             )  # fmt: skip
             assert isinstance(made, Trajectory)
             return made
@@ -145,6 +152,7 @@ def plan(
     method: str = "optimal",
     vehicle: str | PlantParameters = "focchi",
     *,
+    via: ArrayLike = (),
     obstacles: Obstacles | None = None,
     period: float = 0.02,
     intervals: int = 40,
@@ -154,44 +162,26 @@ def plan(
 
     start: pose, or `Start` for a moving vehicle. limits: those of the vehicle on its soil by
     default. slip_model: of `baselines.slip`; None plans as if the tracks did not slip. vehicle:
-    parameters, or a key of VEHICLES. period: time between samples [s]. intervals: N of the optimal
-    planner. threads: for N goals without obstacles by the optimal planner.
+    parameters, or a key of VEHICLES. via: way points (K, 3) to be passed before the goal. period:
+    time between samples [s]. intervals: N of the optimal planner. threads: for N goals by the
+    optimal planner, without obstacles and way points.
     Returns a Trajectory, or a list of N for N goals. Look at `converged` and `message` before it is
     driven. Raises ValueError for what is not finite, out of range, unknown or contradictory.
     """
     planner, begin = _prepared(start, limits, slip_model, method, vehicle, period, intervals)
     goals = checked_poses("goal", goal)
-    if obstacles is not None:
-        made = [chain.around(planner, begin, row, obstacles) for row in goals]
+    if obstacles is not None or np.size(via):
+        before = checked_poses("via", via) if np.size(via) else np.zeros((0, 3))
+        made = [chain.through(planner, begin, np.vstack([before, row]), obstacles) for row in goals]
     elif method == "optimal" and threads > 1:
         several = optimal(
             begin, goals, planner.limits, planner.vehicle, slip_model, intervals=intervals,
-            period=period, threads=threads,
+            period=period, threads=threads, stop=planner.brakes,
         )  # fmt: skip
         made = several if isinstance(several, list) else [several]
     else:
         made = [planner(begin, row) for row in goals]
     return made[0] if np.ndim(goal) == 1 else made
-
-
-def plan_through(
-    start: Start | Sequence[float],
-    points: ArrayLike,
-    limits: Limits | None = None,
-    slip_model: SlipModel | None = None,
-    method: str = "optimal",
-    vehicle: str | PlantParameters = "focchi",
-    *,
-    obstacles: Obstacles | None = None,
-    period: float = 0.02,
-    intervals: int = 40,
-) -> Trajectory:
-    """One trajectory through way points (N, 3): x, y [m], yaw [rad]; all else as in `plan`.
-
-    Every leg begins with the motion in which the one before ended.
-    """
-    planner, begin = _prepared(start, limits, slip_model, method, vehicle, period, intervals)
-    return chain.through(planner, begin, checked_poses("points", points), obstacles)
 
 
 def _prepared(

@@ -8,7 +8,7 @@ import pytest
 from baselines.planners.chain import end_of
 from baselines.planners.obstacles import Footprint, Obstacles, clearances
 from baselines.planners.path import places
-from baselines.planners.plan import plan, plan_through
+from baselines.planners.plan import plan
 from baselines.planners.route import find_route
 from baselines.planners.trajectory import Limits
 from tests.baselines.planners.pairs import missed
@@ -112,7 +112,7 @@ def test_a_goal_in_a_closed_box_is_not_reached_and_says_so():
 def test_a_chain_passes_its_way_points_and_goes_on_in_motion():
     points = np.array([(1.0, 1.0, 1.0), (0.0, 2.0, 3.0), (-2.0, 0.0, -1.0)])
     limits = Limits.of(FOCCHI, sprocket_acceleration=20.0)
-    made = plan_through((0, 0, 0), points, limits)
+    made = plan((0, 0, 0), points[-1], limits, via=points[:-1])
     assert made.converged
     poses = np.stack([made.x, made.y, made.yaw], axis=1)
     for point in points:

@@ -48,6 +48,16 @@ def test_from_rest_to_rest_it_starts_and_ends_at_rest():
     assert made.sprocket_left[-1] == made.sprocket_right[-1] == 0.0
 
 
+def test_the_optimal_plan_can_brake_to_rest_within_one_interval_of_its_end():
+    limits = Limits.of(FOCCHI, sprocket_acceleration=20.0)
+    made = plan((0, 0, 0), GOAL, limits, period=10.0)
+    moving = plan((0, 0, 0), GOAL, limits._replace(sprocket_acceleration=math.inf), period=10.0)
+    within = 20.0 * made.duration / 40
+    for side in ("sprocket_left", "sprocket_right"):
+        assert abs(getattr(made, side)[-1]) <= within + 1e-6
+    assert max(moving.sprocket_left[-1], moving.sprocket_right[-1]) > 1.0
+
+
 def test_a_moving_vehicle_goes_on_at_its_speed():
     made = plan(Start(speed=0.3), GOAL, Limits.of(FOCCHI, v_min=0.0), method="clothoid")
     assert made.speed[0] == pytest.approx(0.3)

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
+import speed_planners
 import speed_plants
 
 TORQUE, SPEED = "tracked_env/Torque-v0", "tracked_env/Speed-v0"
@@ -275,9 +276,26 @@ def _of_plant(make: Callable[..., speed_plants.Calls], *arguments: Any) -> Load:
     return Load(*make(*arguments))
 
 
+def planner_rows() -> Iterator[Row]:
+    """Paths of 1000 goals at once; slippage-aware plans, mean over goals 1 to 4 m away."""
+    for method in speed_planners.PATHS:
+        yield Row(f"planner {method}, path, of 1000 goals", 1000, CARTPOLE,
+                  partial(_planned, speed_planners.paths, method))  # fmt: skip
+    for v_min, speed in ((0.4, "constant speed"), (0.15, "variable speed")):
+        yield Row(f"planner optimal, {speed}", 1, CARTPOLE,
+                  partial(_planned, speed_planners.one_by_one, v_min))  # fmt: skip
+        yield Row(f"planner optimal, {speed}, 100 goals on two threads", 100, CARTPOLE,
+                  partial(_planned, speed_planners.at_once, v_min))  # fmt: skip
+
+
+def _planned(make: Callable[..., tuple[Callable[[], object], int]], *arguments: Any) -> Load:
+    call, multiple = make(*arguments)
+    return Load(call, multiple=multiple)
+
+
 def rows(known: Sequence[tuple[str, str]]) -> list[Row]:
     """All rows, peers first; known: what `controllers` returns."""
-    return [*environment_rows(), *policy_rows(known), *plant_rows()]
+    return [*environment_rows(), *policy_rows(known), *plant_rows(), *planner_rows()]
 
 
 def calls_of_a_pass(load: Load, seconds: float) -> int:

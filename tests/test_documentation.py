@@ -18,6 +18,7 @@ PAGES = [
         f"docs/{name}.md"
         for name in (
             "quickstart", "index", "register", "train", "compare", "datasets", "rllib", "slip",
+            "planners",
             "distributed", "terrain_env",
         )
     ),

@@ -60,9 +60,9 @@ def _observations(
     if "attitude" in shown.groups:
         values |= {"roll": state[:, s.ROLL], "pitch": state[:, s.PITCH]}
     if "tangent_error" in shown.groups:
-        errors = (values[n] for n in ("position_error_x", "position_error_y", "heading_error"))
+        ahead, left = values["position_error_x"], values["position_error_y"]
         pitch, roll = ((np.cos(values[n]), np.sin(values[n])) for n in ("pitch", "roll"))
-        shown_errors = in_body_plane(*errors, pitch, roll)
+        shown_errors = in_body_plane(ahead, left, values["heading_error"], pitch, roll)
         values |= dict(
             zip((f.name for f in layout.GROUPS["tangent_error"].fields), shown_errors, strict=True)
         )

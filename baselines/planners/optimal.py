@@ -1,0 +1,317 @@
+"""Plans of least time for a vehicle whose tracks slip: F 6.3.
+
+Belt speeds are held over N equal intervals, and slip is a smooth surface over them (surface_fit).
+The interior point method starts from Dubins words of the start and the goal, shortest first: left
+and right turns are different minima, and the whole turns of a word are the yaw that its plan ends
+at. A longer word is tried while its length is below LONGER of the shortest plus EXTRA, unless a
+plan with the same whole turns was found, and as long as none was; where no word leads to a plan,
+all are tried again with more patience. The plan of least cost is taken.
+
+Constant speed (v_min = v_max): the belts' mean is given from the first moment to the last. Other-
+wise, with a limit on sprocket acceleration, the first interval must be reached from the sprocket
+speeds of the start, within one interval, and with `stop` rest from the last one; v_min does not
+hold while the vehicle gathers speed there. The ground speed is at most v_max too, as with slip the
+vehicle would else drift faster than its belts run.
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), sections 6.3, 7.2.
+"""
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.lyapunov.pseudo_kinematic import SlipModel
+from baselines.planners.dubins import SIGNS, SNAP, relative, segments_of_words
+from baselines.planners.held_motion import COLUMN_COUNT, samples
+from baselines.planners.interior_point import solve
+from baselines.planners.interval_limits import Bounds
+from baselines.planners.planning_problem import Task, make_work
+from baselines.planners.riccati import make_stages
+from baselines.planners.slip_surface import SlipSurface, motion_jets
+from baselines.planners.surface_fit import surface_of
+from baselines.planners.trajectory import (
+    Limits,
+    Start,
+    Trajectory,
+    checked_limits,
+    checked_poses,
+    checked_start,
+)
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.validation import checked_number, checked_whole
+
+Array = NDArray[np.float64]
+
+INTERVALS = Range(2, 2000, "-", "It is the number of intervals, not their duration.")
+SMOOTHING = Range(1e-6, 1e6, "-", "It is the weight w_s.")
+PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
+THREADS = Range(1, 256, "-", "It is the number of threads.")
+ITERATIONS = 30  # of the interior point method from one word
+FURTHER, PATIENT = 20, 200  # from a word after a plan was found; from each, where none was
+SPARE = 0.7  # [-] of the fastest turn of the belts: on the arcs of the words
+HALVINGS = 12  # of the interval in which the belts of an arc are found
+SLOWEST_TURN = 1e-3  # [rad/s] of the words
+LONGER, EXTRA = 1.1, 0.3  # [-], [m]
+RADIUS = 0.4  # [-] of the track gauge: turning radius of the words
+INSIDE = 0.9  # [-] of the way from v_min to v_max: speed along the words
+SAME = 1e-9  # [m, rad] poses that differ by less are one
+FOUND = 0.1  # [rad] yaws at the end that differ by less have the same whole turns
+SHARE = 4  # blocks of a batch per thread: plans take different times
+# Columns of what a row of a batch gives.
+DURATION, COST, CONVERGED, USED, RESULTS = 0, 1, 2, 3, 4
+
+
+class Setting(NamedTuple):
+    """What the plans of a batch have in common."""
+
+    radius: float  # [m] of the words, at least
+    speed: float  # [m/s] of the belts' mean along them
+    before_p: float  # [m/s] belt speeds at the start
+    before_q: float
+    ramp: bool  # whether the first interval must be reached from them
+    smoothing: float  # [-] w_s
+
+
+@formula
+def _tightest(surface, bounds, setting, w):
+    """Radius of the words [m], and belts q [m/s] and ground speed [m/s] on it.
+
+    It is at least setting.radius, and so wide that with slip SPARE of what the belts can do is
+    enough.
+    """
+    p = setting.speed
+    low, high = 0.0, SPARE * (bounds.belt - p)
+    for step in range(HALVINGS + 1):
+        q = high if step == 0 else 0.5 * (low + high)
+        v_x, v_y, turn = motion_jets(surface, p, q, w.rows, w.columns)
+        speed = math.hypot(v_x.value, v_y.value)
+        if turn.value * setting.radius < speed:  # a wider turn than wanted
+            if step == 0:
+                return speed / max(turn.value, SLOWEST_TURN), q, speed
+            low = q
+        else:
+            high = q
+    return setting.radius, q, speed
+
+
+@formula
+def _guess(segments, signs, speed, p, q, belts):
+    """Belts (N, 2) of a word, means over equal intervals; the duration.
+
+    p, q [m/s]: belts on its arcs; speed [m/s]: on the ground there.
+    """
+    n = len(belts)
+    total = segments[0] + segments[1] + segments[2]
+    length = total / n
+    for k in range(n):
+        turned, begin = 0.0, 0.0
+        for part in range(3):
+            end = begin + segments[part]
+            turned += signs[part] * max(min(end, (k + 1) * length) - max(begin, k * length), 0.0)
+            begin = end
+        belts[k, 0], belts[k, 1] = p, turned / length * q
+    return total / speed
+
+
+@formula
+def _slow_intervals(missing, bounds, step):
+    """Intervals of `step` [s] in which the belts gain `missing` [m/s], and two to spare."""
+    rate = min(bounds.belt_rate, bounds.rate)
+    return 0 if missing <= 0.0 else int(min(missing / (rate * step), 1e6)) + 2
+
+
+@formula
+def _was_found(turnings, found, turning):
+    """Whether one of the first `found` of turnings [rad] has the whole turns of `turning`."""
+    same = False
+    for i in range(found):
+        same = same or abs(turnings[i] - turning) < FOUND
+    return same
+
+
+@formula
+def _task(start, goal, turning, step, bounds, setting):
+    """The plan from start (3,) to goal (3,) with a change of yaw; step: about an interval [s]."""
+    rising = bounds.slowest - setting.before_p if setting.ramp else 0.0
+    return Task(
+        start[2], goal[0] - start[0], goal[1] - start[1], turning, setting.before_p,
+        setting.before_q, setting.ramp, _slow_intervals(rising, bounds, step),
+        _slow_intervals(bounds.slowest if bounds.stop else 0.0, bounds, step), setting.smoothing,
+    )  # fmt: skip
+
+
+@loop
+def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bounds, setting, w, a,
+                 turnings, belts, best):  # fmt: skip
+    """Plans from the words of totals (6,) [m], shortest first; the best into belts and `best`.
+
+    on_arc: radius [m], belts q [m/s] and ground speed [m/s] there. Returns how many converged.
+    """
+    radius, q, speed = on_arc
+    left, found = totals.copy(), 0
+    enough = LONGER * np.min(totals) + EXTRA
+    for _ in range(6):
+        word = np.argmin(left)
+        if left[word] == math.inf or (found > 0 and left[word] > enough):
+            break
+        left[word] = math.inf
+        turning = 0.0
+        for part in range(3):
+            turning += SIGNS[word, part] * angles[word, part]
+        if _was_found(turnings, found, turning):
+            continue
+        duration = _guess(angles[word] * radius, SIGNS[word], speed, setting.speed, q, w.belts)
+        task = _task(start, goal, turning, duration / len(w.belts), bounds, setting)
+        most = FURTHER if found > 0 else iterations
+        duration, cost, converged, used = solve(task, bounds, surface, duration, w, a, most)
+        best[USED] += used
+        if converged:
+            turnings[found] = turning
+            found += 1
+        if (converged and cost < best[COST]) or (not converged and found == 0):
+            best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
+            best[COST] = cost if converged else math.inf
+            belts[:, :] = w.belts
+    return found
+
+
+@loop
+def _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, results):
+    """Plans of rows first to last: belts (B, N, 2) and results (B, RESULTS)."""
+    n = belts.shape[1]
+    w, a = make_work(n), make_stages(n)
+    angles, totals, turnings = np.empty((6, 3)), np.empty(6), np.empty(6)
+    on_arc = _tightest(surface, bounds, setting, w)
+    radius = on_arc[0]
+    for row in range(first, last):
+        x, y, phi = relative(starts, goals, row, radius)
+        segments_of_words(x, y, phi, SNAP / max(1.0, radius), angles)
+        for word in range(6):
+            total = angles[word, 0] + angles[word, 1] + angles[word, 2]
+            totals[word] = total * radius if total > 0.0 else math.inf  # NaN: no such word
+        best = results[row]
+        best[COST], best[CONVERGED], best[USED] = math.inf, 0.0, 0.0
+        for iterations in (ITERATIONS, PATIENT):
+            found = _solve_words(
+                starts[row], goals[row], totals, angles, on_arc, iterations, surface, bounds,
+                setting, w, a, turnings, belts[row], best,
+            )  # fmt: skip
+            if found > 0:
+                break
+
+
+def optimal(
+    start: Start | Sequence[float], goal: ArrayLike, limits: Limits, vehicle: PlantParameters,
+    slip_model: SlipModel | None = None, *, intervals: int = 40, smoothing: float = 1.0,
+    stop: bool = False, period: float | None = None, threads: int = 1,
+) -> Trajectory | list[Trajectory]:  # fmt: skip
+    """Plans of least time from a start to a goal (3,), or to N goals (N, 3).
+
+    slip_model: None plans as if the tracks did not slip. intervals: N. smoothing: w_s of F (51a),
+    for any number of intervals. stop: rest one interval after the end. period [s]: samples are
+    taken so often and at the ends of the intervals, which None are all. threads: for N goals.
+    Returns a Trajectory, or a list of N for N goals; look at `converged` before it is driven.
+    Raises ValueError for what is not finite, out of range or contradictory.
+    """
+    begin, goals = checked_start(start), checked_poses("goal", goal)
+    allowed = checked_limits(limits, vehicle)
+    count = checked_whole("intervals", intervals, INTERVALS)
+    checked_number("smoothing", smoothing, SMOOTHING)
+    if period is not None:
+        checked_number("period", period, PERIOD)
+    bounds, setting = _prepared(begin, allowed, vehicle, stop, float(smoothing))
+    surface = surface_of(slip_model, vehicle, allowed.sprocket_used, allowed.v_max)
+    starts = np.tile(np.array(begin[:3], dtype=np.float64), (len(goals), 1))
+    belts, results = np.zeros((len(goals), count, 2)), np.zeros((len(goals), RESULTS))
+
+    def block(first: int, last: int) -> None:
+        _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, results)
+
+    workers = min(checked_whole("threads", threads, THREADS), len(goals))
+    if workers == 1:
+        block(0, len(goals))
+    else:
+        edges = np.linspace(0, len(goals), SHARE * workers + 1).astype(int)
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(block, edges[:-1], edges[1:]))
+    made = [
+        _trajectory(starts[row], goals[row], results[row], belts[row], surface, vehicle, period)
+        for row in range(len(goals))
+    ]
+    return made[0] if np.ndim(goal) == 1 else made
+
+
+def _prepared(
+    start: Start, limits: Limits, vehicle: PlantParameters, stop: bool, smoothing: float
+) -> tuple[Bounds, Setting]:
+    """Limits of the intervals, and what the plans of a batch have in common. Raises ValueError."""
+    radius, half_gauge = vehicle.sprocket_radius, 0.5 * vehicle.track_gauge
+    belt, fixed = radius * limits.sprocket_used, limits.fixed
+    limited = math.isfinite(limits.sprocket_acceleration)
+    if stop and (fixed or not limited):
+        raise ValueError(
+            "stop = True; must be False at constant speed, and without a finite limit of the "
+            f"sprocket acceleration ({limits.sprocket_acceleration:g} rad/s^2): nothing to brake by"
+        )
+    bounds = Bounds(
+        float(belt), float(limits.v_min), float(limits.v_max), float(limits.lateral_acceleration),
+        float(limits.curvature), float(radius * limits.sprocket_acceleration),
+        float(limits.acceleration), half_gauge, fixed, bool(stop),
+    )  # fmt: skip
+    speed = limits.v_max
+    if not fixed:
+        speed = min(limits.v_min + INSIDE * (limits.v_max - limits.v_min), INSIDE * belt)
+    widest = max(RADIUS * vehicle.track_gauge, 1.0 / (INSIDE * limits.curvature_at(speed, vehicle)))
+    left, right = start.sprockets(vehicle)
+    return bounds, Setting(
+        float(widest), float(speed), 0.5 * radius * (left + right), 0.5 * radius * (right - left),
+        limited and not fixed, smoothing,
+    )  # fmt: skip
+
+
+def _trajectory(
+    start: Array, goal: Array, result: Array, belts: Array, surface: SlipSurface,
+    vehicle: PlantParameters, period: float | None,
+) -> Trajectory:  # fmt: skip
+    """The trajectory of one plan."""
+    turn = 2.0 * math.pi
+    distance = math.hypot(goal[0] - start[0], goal[1] - start[1])
+    if distance < SAME and abs(math.remainder(goal[2] - start[2], turn)) < SAME:
+        out = np.zeros((1, COLUMN_COUNT))
+        out[0, 1:5] = *start, start[2]
+        return _of_samples(
+            out, cost=0.0, converged=True, iterations=0, end_error=distance, end_yaw_error=0.0,
+            message="start and goal are one pose",
+        )  # fmt: skip
+    duration = float(result[DURATION])
+    times = duration * np.arange(len(belts) + 1) / len(belts)
+    if period is not None:
+        between = np.arange(1, int(duration / period) + 1) * period
+        near = np.abs(np.remainder(between / duration * len(belts) + 0.5, 1.0) - 0.5) > 1e-6
+        times = np.sort(np.append(times, between[near & (between < duration)]))
+    out = np.empty((len(times), COLUMN_COUNT))
+    x, y, yaw = samples(start, duration, belts, surface, vehicle.sprocket_radius, times, out)
+    error = math.hypot(x - goal[0], y - goal[1])
+    converged, used = bool(result[CONVERGED]), int(result[USED])
+    message = ""
+    if not converged:
+        message = (
+            f"no plan in {used} iterations: the last one ends {error:.3g} m from the goal. Is the "
+            "goal out of reach of the limits?"
+        )
+    return _of_samples(
+        out, cost=float(result[COST]), converged=converged, iterations=used, end_error=error,
+        end_yaw_error=abs(math.remainder(yaw - goal[2], turn)), message=message,
+    )  # fmt: skip
+
+
+def _of_samples(out: Array, **rest: Any) -> Trajectory:
+    """The trajectory of samples (M, COLUMN_COUNT)."""
+    columns: dict[str, Any] = dict(zip(Trajectory._fields, out.T.copy(), strict=False))
+    return Trajectory(**columns, method="optimal", **rest)

@@ -1,0 +1,197 @@
+"""`plan`: from a start to a goal, by the method that is asked for.
+
+    dubins        shortest path with bounded curvature, forwards
+    reeds-shepp   the same, forwards and in reverse
+    clothoid      one clothoid; another method where it breaks a limit or goes far round
+    optimal       least time under slip (`baselines.planners.optimal`)
+With equal v_min and v_max the speed is constant from the first moment on, as in [F]; otherwise a
+path is driven as fast as the limits allow, from the start's speed to rest, and the optimal plan
+ends at rest if the sprocket acceleration has a limit. With obstacles, a plan
+that touches one is replaced by a chain of plans along a route around them (`baselines.planners.
+chain`); so are way points.
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), section 6.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.lyapunov.pseudo_kinematic import SlipModel
+from baselines.planners import chain, speed_profile
+from baselines.planners.clothoid import CLOSEST, clothoid
+from baselines.planners.dubins import dubins
+from baselines.planners.obstacles import Obstacles
+from baselines.planners.optimal import optimal
+from baselines.planners.path import Path
+from baselines.planners.reeds_shepp import reeds_shepp
+from baselines.planners.timed_path import driven
+from baselines.planners.trajectory import (
+    Limits,
+    Start,
+    Trajectory,
+    checked_limits,
+    checked_poses,
+    checked_start,
+)
+from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
+from tracked_env.validation import checked_choice, checked_number
+
+Array = NDArray[np.float64]
+
+LONGEST = 3.0  # [-] times the Dubins path: a longer clothoid is not driven
+_PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
+
+
+def arc_radius(limits: Limits, vehicle: PlantParameters) -> float:
+    """Least turning radius [m] of arcs at v_max. Raises ValueError where the limits allow none."""
+    bend = limits.curvature_at(limits.v_max, vehicle)
+    if bend <= 0.0:
+        belt = vehicle.sprocket_radius * limits.sprocket_used
+        raise ValueError(
+            f"limits v_max = {limits.v_max:g} m/s; must be below {belt:g} m/s for any turn, the "
+            f"belts at {limits.sprocket_used:g} rad/s. Is the reserve too large?"
+        )
+    return 1.0 / bend
+
+
+def _dubins(start: Start, goal: Array, limits: Limits, vehicle: PlantParameters) -> Path:
+    pose = start[:3]
+    made = dubins(pose, goal, arc_radius(limits, vehicle))
+    return Path.of(pose, made.segments[0], made.curvature[0])
+
+
+def _reeds_shepp(start: Start, goal: Array, limits: Limits, vehicle: PlantParameters) -> Path:
+    pose = start[:3]
+    made = reeds_shepp(pose, goal, arc_radius(limits, vehicle))
+    return Path.of(pose, made.segments[0], made.curvature[0])
+
+
+def _clothoid(
+    start: Start, goal: Array, limits: Limits, vehicle: PlantParameters
+) -> tuple[Path | None, str]:
+    """The clothoid, or none and why it is not driven."""
+    pose = start[:3]
+    if np.hypot(*(goal[:2] - pose[:2])) < CLOSEST:
+        return None, "start and goal are one place, which no clothoid joins"
+    made = clothoid(pose, goal)
+    path = Path.of(pose, made.length, made.curvature, made.sharpness)
+    bend = path.largest_curvature
+    if bend > limits.curvature:
+        return None, f"the clothoid has a curvature of {bend:.3g} of {limits.curvature:.3g} 1/m"
+    allowed = float(speed_profile.bound_speed(np.array([bend]), limits, vehicle)[0])
+    needed = limits.v_min
+    if allowed < needed * (1.0 - 1e-12):
+        return None, f"the clothoid can be driven at {allowed:.3g} m/s of {needed:.3g} at least"
+    shortest = float(dubins(pose, goal, arc_radius(limits, vehicle)).length[0])
+    if path.whole_length > LONGEST * max(shortest, float(np.hypot(*(goal[:2] - pose[:2])))):
+        return None, f"the clothoid is {path.whole_length:.3g} m long, Dubins' {shortest:.3g} m"
+    return path, ""
+
+
+def _along(
+    start: Start, goal: Array, limits: Limits, vehicle: PlantParameters,
+    slip_model: SlipModel | None, method: str, period: float,
+) -> Trajectory:  # fmt: skip
+    """A path of `method`, with its speed."""
+    path, message, used = None, "", method
+    if method == "clothoid":
+        path, why = _clothoid(start, goal, limits, vehicle)
+        if path is None:
+            message, used = f"{why}: Dubins path instead", "dubins"
+    if path is None:
+        path = (_reeds_shepp if used == "reeds-shepp" else _dubins)(start, goal, limits, vehicle)
+    if limits.fixed:
+        profile = speed_profile.constant(path, limits.v_max, limits, vehicle)
+    else:
+        profile = speed_profile.fastest(path, limits, vehicle, max(start.speed, 0.0))
+    return driven(path, profile, goal, limits, vehicle, used, slip_model, message, period)
+
+
+METHODS = ("optimal", "dubins", "reeds-shepp", "clothoid")
+
+
+class Planner(NamedTuple):
+    """One way to plan, to be called with a start and a goal."""
+
+    limits: Limits
+    vehicle: PlantParameters
+    slip_model: SlipModel | None
+    method: str
+    period: float  # [s]
+    intervals: int
+
+    @property
+    def brakes(self) -> bool:
+        """Whether the optimal planner can end at rest: speed and its rate of change have limits."""
+        return not self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
+
+    def __call__(self, start: Start, goal: Array, last: bool = True) -> Trajectory:
+        """One trajectory to a goal (3,); last: to rest there, if the limits say how to brake."""
+        if self.method == "optimal":
+            made = optimal(
+                start, goal, self.limits, self.vehicle, self.slip_model, intervals=self.intervals,
+                period=self.period, stop=last and self.brakes,
+            )  # fmt: skip
+            assert isinstance(made, Trajectory)
+            return made
+        return _along(
+            start, goal, self.limits, self.vehicle, self.slip_model, self.method, self.period
+        )
+
+
+def plan(
+    start: Start | Sequence[float],
+    goal: ArrayLike,
+    limits: Limits | None = None,
+    slip_model: SlipModel | None = None,
+    method: str = "optimal",
+    vehicle: str | PlantParameters = "focchi",
+    *,
+    via: ArrayLike = (),
+    obstacles: Obstacles | None = None,
+    period: float = 0.02,
+    intervals: int = 40,
+    threads: int = 1,
+) -> Trajectory | list[Trajectory]:
+    """Plan from a start to a goal (3,), or to N goals (N, 3): x, y [m], yaw [rad].
+
+    start: pose, or `Start` for a moving vehicle. limits: those of the vehicle on its soil by
+    default. slip_model: of `baselines.slip`; None plans as if the tracks did not slip. vehicle:
+    parameters, or a key of VEHICLES. via: way points (K, 3) to be passed before the goal. period:
+    time between samples [s]. intervals: N of the optimal planner. threads: for N goals by the
+    optimal planner, without obstacles and way points.
+    Returns a Trajectory, or a list of N for N goals. Look at `converged` and `message` before it is
+    driven. Raises ValueError for what is not finite, out of range, unknown or contradictory.
+    """
+    planner, begin = _prepared(start, limits, slip_model, method, vehicle, period, intervals)
+    goals = checked_poses("goal", goal)
+    if obstacles is not None or np.size(via):
+        before = checked_poses("via", via) if np.size(via) else np.zeros((0, 3))
+        made = [chain.through(planner, begin, np.vstack([before, row]), obstacles) for row in goals]
+    elif method == "optimal" and threads > 1:
+        several = optimal(
+            begin, goals, planner.limits, planner.vehicle, slip_model, intervals=intervals,
+            period=period, threads=threads, stop=planner.brakes,
+        )  # fmt: skip
+        made = several if isinstance(several, list) else [several]
+    else:
+        made = [planner(begin, row) for row in goals]
+    return made[0] if np.ndim(goal) == 1 else made
+
+
+def _prepared(
+    start: Start | Sequence[float], limits: Limits | None, slip_model: SlipModel | None,
+    method: str, vehicle: str | PlantParameters, period: float, intervals: int,
+) -> tuple[Planner, Start]:  # fmt: skip
+    checked_choice("method", method, METHODS)
+    checked_number("period", period, _PERIOD)
+    if isinstance(vehicle, str):
+        vehicle = VEHICLES[checked_choice("vehicle", vehicle, VEHICLES)]
+    begin = checked_start(start)
+    allowed = checked_limits(Limits.of(vehicle) if limits is None else limits, vehicle)
+    return Planner(allowed, vehicle, slip_model, method, period, intervals), begin

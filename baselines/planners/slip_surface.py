@@ -1,0 +1,195 @@
+"""Steady slip as smooth surfaces over the belt speeds, with first and second derivatives.
+
+    p = r (omega_R + omega_L) / 2      q = r (omega_R - omega_L) / 2 = w_b B / 2       [m/s]
+    v_x = p - S(p, q)     w = 2 (q - D(p, q)) / B     v_y = Y(p, q)                  F (29), (30)
+    S = (beta_L + beta_R) / 2     D = (beta_R - beta_L) / 2
+    beta = r omega - v_track is subtracted: F (29) prints the opposite sign for this direction of
+    the map, with which slip would turn the vehicle more
+A left turn is a right turn mirrored: S is even in q, D and Y are odd. A vehicle that turns on the
+spot (p = 0) goes nowhere: S and Y are p times a smooth function.
+    identified   Chebyshev products in (p, q), ROWS x COLUMNS of the parity of each, fitted to a
+                 slip model; v_y instead of alpha, which jumps at v_x = 0
+    exponential  F (54): beta, alpha = -+ c_1 exp(-c_2 |R|), R = p B / (2 q); v_y = v_x tan(alpha)
+    none         S = D = Y = 0
+Validity: 0 <= p <= fastest, |q| <= fastest_turn; the fit is coarsest where one belt stands.
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), sections 3.2, 4, 7.2.3.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tracked_env.physics.jit import formula, loop
+
+Array = NDArray[np.float64]
+
+ROWS, COLUMNS = 7, 8  # Chebyshev terms in p, and in q of one parity (degree 15)
+CHEBYSHEV, EXPONENTIAL = 0, 1  # kinds of surface
+STEEPEST = 700.0  # [-] argument of exp() below which slip is 0
+
+
+class SlipSurface(NamedTuple):
+    """Slip of one vehicle on one soil for the kernels of the planner; a SlipModel."""
+
+    kind: int  # CHEBYSHEV or EXPONENTIAL
+    terms: Array  # (3, ROWS, COLUMNS) [m/s] of S, D, Y; constants of F (54): [:, 0, :2]
+    fastest: float  # [m/s] p up to which it holds
+    fastest_turn: float  # [m/s] |q| up to which it holds
+    half_gauge: float  # [m] B / 2
+    radius: float  # [m] r
+
+    def motion(self, p: ArrayLike, q: ArrayLike) -> Array:
+        """(N, 3) v_x, v_y [m/s], w [rad/s] at belt speeds p, q [m/s]; reverse mirrors forward."""
+        p, q = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (p, q)))
+        out = np.empty((p.size, 3))
+        _motions(self, np.abs(p.ravel()), q.ravel(), out)
+        out[:, :2] *= np.where(p.ravel() < 0.0, -1.0, 1.0)[:, None]
+        return out
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+        left, right = (
+            self.radius * np.asarray(sprocket_left),
+            self.radius * np.asarray(sprocket_right),
+        )
+        v_x, v_y, turn = self.motion(0.5 * (left + right), 0.5 * (right - left)).T
+        moving = v_x != 0.0
+        alpha = np.where(moving, np.arctan(v_y / np.where(moving, v_x, 1.0)), 0.0)
+        across = self.half_gauge * turn
+        return left - (v_x - across), right - (v_x + across), alpha
+
+
+class Jet(NamedTuple):
+    """A quantity with its derivatives in p and q."""
+
+    value: float
+    p: float
+    q: float
+    pp: float
+    pq: float
+    qq: float
+
+
+@formula
+def _chebyshev(x, n, terms):
+    """T_n, T_n', T_n'' at x into terms (3, n), by recurrence."""
+    terms[0, 0], terms[1, 0], terms[2, 0] = 1.0, 0.0, 0.0
+    terms[0, 1], terms[1, 1], terms[2, 1] = x, 1.0, 0.0
+    for k in range(2, n):
+        terms[0, k] = 2.0 * x * terms[0, k - 1] - terms[0, k - 2]
+        terms[1, k] = 2.0 * (terms[0, k - 1] + x * terms[1, k - 1]) - terms[1, k - 2]
+        terms[2, k] = 4.0 * terms[1, k - 1] + 2.0 * x * terms[2, k - 1] - terms[2, k - 2]
+
+
+@formula
+def _product(coefficients, odd, rows, columns, scale, turn_scale):
+    """Jet of sum c_ij T_i(P) T_2j+odd(Q) from terms (3, n) of P and Q."""
+    value, p, q, pp, pq, qq = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(ROWS):
+        a, b, c = 0.0, 0.0, 0.0
+        for j in range(COLUMNS):
+            k = 2 * j + odd
+            a += coefficients[i, j] * columns[0, k]
+            b += coefficients[i, j] * columns[1, k]
+            c += coefficients[i, j] * columns[2, k]
+        value += rows[0, i] * a
+        p += rows[1, i] * a
+        pp += rows[2, i] * a
+        q += rows[0, i] * b
+        pq += rows[1, i] * b
+        qq += rows[0, i] * c
+    s, t = scale, turn_scale
+    return Jet(value, s * p, t * q, s * s * pp, s * t * pq, t * t * qq)
+
+
+@formula
+def _times(jet, p, scale):
+    """Jet of (scale p) f from the jet of f."""
+    x = scale * p
+    return Jet(
+        x * jet.value, x * jet.p + scale * jet.value, x * jet.q,
+        x * jet.pp + 2.0 * scale * jet.p, x * jet.pq + scale * jet.q, x * jet.qq,
+    )  # fmt: skip
+
+
+@formula
+def _identified(surface, p, q, rows, columns):
+    """Jets of S, D, Y of a Chebyshev surface."""
+    scale, turn_scale = 2.0 / surface.fastest, 1.0 / surface.fastest_turn
+    _chebyshev(scale * p - 1.0, ROWS, rows)
+    _chebyshev(turn_scale * q, 2 * COLUMNS, columns)
+    s = _product(surface.terms[0], 0, rows, columns, scale, turn_scale)
+    d = _product(surface.terms[1], 1, rows, columns, scale, turn_scale)
+    y = _product(surface.terms[2], 1, rows, columns, scale, turn_scale)
+    return _times(s, p, 1.0 / surface.fastest), d, _times(y, p, 1.0 / surface.fastest)
+
+
+@formula
+def _decay(c_1, c_2, p, q):
+    """Jet of -sign(q) c_1 exp(-c_2 p / |q|); flat at q = 0."""
+    side = 1.0 if q > 0.0 else -1.0
+    if q == 0.0 or c_2 * p > STEEPEST * abs(q):
+        return Jet(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    value = -side * c_1 * math.exp(-c_2 * p / abs(q))
+    z_p, z_q = -c_2 / abs(q), c_2 * p * side / (q * q)
+    z_pq, z_qq = c_2 * side / (q * q), -2.0 * c_2 * p / abs(q * q * q)
+    return Jet(
+        value, value * z_p, value * z_q, value * z_p * z_p,
+        value * (z_p * z_q + z_pq), value * (z_q * z_q + z_qq),
+    )  # fmt: skip
+
+
+@formula
+def _exponential(surface, p, q):
+    """Jets of S, D, Y of F (54)."""
+    c, b = surface.terms, surface.half_gauge
+    left = _decay(c[0, 0, 0], c[0, 0, 1] * b, p, q)
+    right = _decay(c[1, 0, 0], c[1, 0, 1] * b, p, q)
+    a = _decay(c[2, 0, 0], c[2, 0, 1] * b, p, q)
+    s = Jet(
+        0.5 * (left.value + right.value), 0.5 * (left.p + right.p), 0.5 * (left.q + right.q),
+        0.5 * (left.pp + right.pp), 0.5 * (left.pq + right.pq), 0.5 * (left.qq + right.qq),
+    )  # fmt: skip
+    d = Jet(
+        0.5 * (right.value - left.value), 0.5 * (right.p - left.p), 0.5 * (right.q - left.q),
+        0.5 * (right.pp - left.pp), 0.5 * (right.pq - left.pq), 0.5 * (right.qq - left.qq),
+    )  # fmt: skip
+    t = math.tan(a.value)
+    m = 1.0 + t * t
+    v, v_p, v_q = p - s.value, 1.0 - s.p, -s.q
+    y = Jet(
+        v * t, v_p * t + v * m * a.p, v_q * t + v * m * a.q,
+        -s.pp * t + m * (2.0 * v_p * a.p + v * (a.pp + 2.0 * t * a.p * a.p)),
+        -s.pq * t + m * (v_p * a.q + v_q * a.p + v * (a.pq + 2.0 * t * a.p * a.q)),
+        -s.qq * t + m * (2.0 * v_q * a.q + v * (a.qq + 2.0 * t * a.q * a.q)),
+    )  # fmt: skip
+    return s, d, y
+
+
+@loop
+def motion_jets(surface, p, q, rows, columns):
+    """Jets of v_x, v_y [m/s] and w [rad/s] at belt speeds p, q [m/s].
+
+    rows (3, ROWS), columns (3, 2 COLUMNS): work space.
+    """
+    if surface.kind == EXPONENTIAL:
+        s, d, y = _exponential(surface, p, q)
+    else:
+        s, d, y = _identified(surface, p, q, rows, columns)
+    i = 1.0 / surface.half_gauge
+    v_x = Jet(p - s.value, 1.0 - s.p, -s.q, -s.pp, -s.pq, -s.qq)
+    turn = Jet(i * (q - d.value), -i * d.p, i * (1.0 - d.q), -i * d.pp, -i * d.pq, -i * d.qq)
+    return v_x, y, turn
+
+
+@loop
+def _motions(surface, p, q, out):
+    """v_x, v_y, w (N, 3) at belt speeds p, q (N,)."""
+    rows, columns = np.empty((3, ROWS)), np.empty((3, 2 * COLUMNS))
+    for k in range(p.size):
+        v_x, v_y, turn = motion_jets(surface, p[k], q[k], rows, columns)
+        out[k, 0], out[k, 1], out[k, 2] = v_x.value, v_y.value, turn.value

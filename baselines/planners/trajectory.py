@@ -1,0 +1,202 @@
+"""What a planner is given and what it returns: start, limits, trajectory.
+
+A trajectory carries two descriptions of one motion: the pose with the yaw of the vehicle, which a
+controller that repeats planned sprocket speeds follows, and the course chi = yaw + alpha with the
+ground speed V along it, which a controller that compensates slip follows. Without slip, alpha is 0
+and both are the same.
+
+    x' = V cos(chi)   y' = V sin(chi)   yaw' = w   v_k = V cos(alpha) -+ w B / 2
+    belt k runs at r omega_k = v_k + beta_k; beta_k [m/s] is the slip velocity of the track
+Frame: world, SI units. Yaw and course are continuous, not wrapped.
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), sections 3.2 and 6.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.validation import checked_number
+
+Array = NDArray[np.float64]
+
+PLACE = Range(-1e6, 1e6, "m", "Did you pass millimetres?")
+ANGLE = Range(-1e4, 1e4, "rad", "Did you pass degrees?")
+SPEED = Range(-1e3, 1e3, "m/s", "Did you pass km/h?")
+YAW_RATE = Range(-1e3, 1e3, "rad/s", "Did you pass degrees a second?")
+SPROCKET = Range(-1e4, 1e4, "rad/s", "Did you pass rpm?")
+
+
+class Start(NamedTuple):
+    """Pose and motion from which a plan begins; all zero: at rest in the origin."""
+
+    x: float = 0.0  # [m] world
+    y: float = 0.0  # [m]
+    yaw: float = 0.0  # [rad]
+    speed: float = 0.0  # [m/s] v_x, along the vehicle
+    yaw_rate: float = 0.0  # [rad/s]
+    sprocket_left: float | None = None  # [rad/s]; None: as without slip
+    sprocket_right: float | None = None  # [rad/s]
+
+    def sprockets(self, vehicle: PlantParameters) -> tuple[float, float]:
+        """Sprocket speeds (left, right) [rad/s]; without slip where they are not given."""
+        turn = 0.5 * self.yaw_rate * vehicle.track_gauge
+        left = (self.speed - turn) / vehicle.sprocket_radius
+        right = (self.speed + turn) / vehicle.sprocket_radius
+        given = self.sprocket_left, self.sprocket_right
+        return (left if given[0] is None else given[0], right if given[1] is None else given[1])
+
+
+class Goal(NamedTuple):
+    """The pose to reach; whole turns in its yaw have no meaning."""
+
+    x: float  # [m] world
+    y: float  # [m]
+    yaw: float  # [rad]
+
+
+class Limits(NamedTuple):
+    """What a plan may ask of the vehicle; equal v_min and v_max: constant speed."""
+
+    sprocket_speed: float  # [rad/s] of either sprocket, both directions
+    reserve: float = 0.0  # [-] share of `sprocket_speed` that is left to the controller
+    sprocket_acceleration: float = math.inf  # [rad/s^2] of either sprocket
+    v_min: float = 0.15  # [m/s] of the mean of both belts
+    v_max: float = 0.4  # [m/s] of the mean of both belts, and of the ground speed
+    acceleration: float = math.inf  # [m/s^2] along the path
+    curvature: float = math.inf  # [1/m]
+    lateral_acceleration: float = math.inf  # [m/s^2] mu g at most
+
+    @classmethod
+    def of(cls, vehicle: PlantParameters, **given: float) -> "Limits":
+        """Limits of a vehicle on its soil: its sprockets, and accelerations that friction allows.
+
+        Raises TypeError for a name that is no limit.
+        """
+        grip = 9.81 * math.tan(vehicle.friction_angle)
+        known = {
+            "sprocket_speed": vehicle.sprocket_speed_limit,
+            "acceleration": grip,
+            "lateral_acceleration": grip,
+        }
+        return cls(**{**known, **given})
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the speed is constant."""
+        return self.v_min == self.v_max
+
+    @property
+    def sprocket_used(self) -> float:
+        """Sprocket speed up to which a plan goes [rad/s]."""
+        return self.sprocket_speed * (1.0 - self.reserve)
+
+    def curvature_at(self, speed: float, vehicle: PlantParameters) -> float:
+        """Largest curvature [1/m] at a speed [m/s], no slip: sprockets, friction, own limit."""
+        gauge, belt = vehicle.track_gauge, vehicle.sprocket_radius * self.sprocket_used
+        by_sprocket = 2.0 * (belt - speed) / (gauge * speed)
+        return min(self.curvature, by_sprocket, self.lateral_acceleration / speed**2)
+
+
+class Trajectory(NamedTuple):
+    """A planned motion: M samples in time, world frame, and how well it was found."""
+
+    time: Array  # [s] (M,) from 0, increasing
+    x: Array  # [m] (M,)
+    y: Array  # [m] (M,)
+    yaw: Array  # [rad] (M,) of the vehicle, continuous
+    course: Array  # [rad] (M,) direction of motion of the centre (of its back, in reverse)
+    speed: Array  # [m/s] (M,) ground speed along the course, negative in reverse
+    acceleration: Array  # [m/s^2] (M,) its derivative
+    course_rate: Array  # [rad/s] (M,)
+    course_acceleration: Array  # [rad/s^2] (M,) its derivative
+    yaw_rate: Array  # [rad/s] (M,)
+    yaw_acceleration: Array  # [rad/s^2] (M,) its derivative
+    sprocket_left: Array  # [rad/s] (M,)
+    sprocket_right: Array  # [rad/s] (M,)
+    cost: float  # [s] duration, and what the method adds to it
+    converged: bool  # False: not to be driven; `message` says why
+    iterations: int  # of the method; 0 for closed forms
+    end_error: float  # [m] distance to the goal after integrating the model
+    end_yaw_error: float  # [rad] yaw to the goal there, wrapped
+    method: str  # that made it: "dubins", "clothoid", "optimal", ...
+    message: str  # empty, or what the caller has to know
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self.time[-1])
+
+    @property
+    def length(self) -> float:
+        """Way of the centre [m], forwards and in reverse."""
+        steps = np.diff(self.time)
+        return float(np.sum(0.5 * np.abs(self.speed[1:] + self.speed[:-1]) * steps))
+
+
+def checked_start(start: Start | Sequence[float]) -> Start:
+    """`start` with finite numbers. Raises ValueError."""
+    made = start if isinstance(start, Start) else Start(*checked_poses("start", start)[0])
+    allowed = (PLACE, PLACE, ANGLE, SPEED, YAW_RATE, SPROCKET, SPROCKET)
+    for name, value, inside in zip(Start._fields, made, allowed, strict=True):
+        if value is not None:
+            checked_number(f"start {name}", value, inside)
+    return made
+
+
+def checked_poses(what: str, given: Any) -> Array:
+    """Poses as (N, 3): x, y [m], yaw [rad]; what: "start" or "goal". Raises ValueError."""
+    try:
+        made = np.atleast_2d(np.asarray(given, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{what} = {given!r}; must be numbers x, y [m], yaw [rad]") from error
+    if made.ndim != 2 or made.shape[1] != 3:
+        raise ValueError(f"{what} has shape {np.shape(given)}; must be (3,) or (N, 3): x, y, yaw")
+    for name, column, inside in zip(Goal._fields, made.T, (PLACE, PLACE, ANGLE), strict=True):
+        for value in (np.min(column), np.max(column)):
+            checked_number(f"{what} {name}", float(value), inside)
+    return made
+
+
+def checked_pairs(start: Any, goal: Any, further: int = 1) -> tuple[Array, Array]:
+    """Starts and goals as (N, 3) each, with N the one number above 1 among them and `further`.
+
+    Raises ValueError.
+    """
+    starts, goals = checked_poses("start", start), checked_poses("goal", goal)
+    counts = sorted({len(starts), len(goals), further} - {1})
+    if len(counts) > 1:
+        raise ValueError(f"{counts} poses; starts and goals must be as many, or one")
+    shape = (counts[0] if counts else 1, 3)
+    starts, goals = (np.ascontiguousarray(np.broadcast_to(p, shape)) for p in (starts, goals))
+    return starts, goals
+
+
+def checked_limits(limits: Limits, vehicle: PlantParameters) -> Limits:
+    """`limits` that leave the vehicle something to do. Raises ValueError."""
+    positive = ("sprocket_speed", "sprocket_acceleration", "acceleration", "curvature")
+    for name in (*positive, "lateral_acceleration", "v_max"):
+        value = getattr(limits, name)
+        if not value > 0.0:
+            raise ValueError(f"limits {name} = {value}; must be above 0")
+    if not 0.0 <= limits.reserve < 1.0:
+        raise ValueError(
+            f"limits reserve = {limits.reserve}; must be in [0, 1). It is a share of the speed."
+        )
+    if not 0.0 <= limits.v_min <= limits.v_max:
+        raise ValueError(
+            f"limits v_min = {limits.v_min}, v_max = {limits.v_max} m/s; must be 0 <= v_min <= "
+            "v_max. Did you swap them?"
+        )
+    belt = vehicle.sprocket_radius * limits.sprocket_used
+    if limits.v_min >= belt:
+        raise ValueError(
+            f"limits v_min = {limits.v_min:g} m/s; must be below {belt:g} m/s, the belts at "
+            f"{limits.sprocket_used:g} rad/s. Is the reserve too large?"
+        )
+    return limits

@@ -1,0 +1,78 @@
+"""Exact arcs: derivatives against differences, motion against fine Runge-Kutta steps."""
+
+import cmath
+
+import numpy as np
+import pytest
+
+from baselines.planners import arc_motion as arc
+from baselines.planners.arc_motion import SMALL, arc_jet, chord
+from baselines.planners.slip_surface import COLUMNS, ROWS, Jet, motion_jets
+from baselines.planners.surface_fit import surface_of
+from baselines.slip.slip_models import ExponentialSlipModel
+from baselines.slip.slip_sweep import identified_slip
+from tracked_env.physics.parameters import VEHICLES
+
+FOCCHI = VEHICLES["focchi"]
+EXPONENTIAL = ExponentialSlipModel([[0.1, 2.0], [-0.12, 2.5], [0.4, 1.5]], FOCCHI.track_gauge)
+LIMIT = FOCCHI.sprocket_speed_limit
+SURFACES = {
+    "none": surface_of(None, FOCCHI, LIMIT, 0.4),
+    "identified": surface_of(identified_slip(FOCCHI), FOCCHI, LIMIT, 0.4),
+    "exponential": surface_of(EXPONENTIAL, FOCCHI, LIMIT, 0.4),
+}
+# Orders of the derivatives in (T, p, q), as the columns of a move and of a turn.
+ORDERS = ((0,), (1,), (2,), (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+TURNS = {(0,): arc.TURN_T, (1,): arc.TURN_P, (2,): arc.TURN_Q, (0, 1): arc.TURN_TP,
+         (0, 2): arc.TURN_TQ, (1, 1): arc.TURN_PP, (1, 2): arc.TURN_PQ,
+         (2, 2): arc.TURN_QQ}  # fmt: skip
+
+
+def evaluate(surface, duration, p, q, count=10, yaw=0.0):
+    """Moves (10,) and turns (9,) of one of `count` intervals of a plan of `duration`."""
+    rows, columns = np.empty((3, ROWS)), np.empty((3, 2 * COLUMNS))
+    v_x, v_y, w = (Jet(*jet) for jet in motion_jets(surface, p, q, rows, columns))
+    move, turn = np.empty(10, complex), np.empty(9)
+    arc_jet(v_x, v_y, w, duration / count, 1.0 / count, cmath.exp(1j * yaw), move, turn)
+    return move, turn
+
+
+@pytest.mark.parametrize("name", SURFACES)
+@pytest.mark.parametrize("point", [(8.0, 0.3, 0.2), (2.0, 0.2, -0.02), (20.0, 0.35, 0.35)])
+def test_derivatives_are_those_of_differences(name, point):
+    surface, step = SURFACES[name], 1e-4
+    move, turn = evaluate(surface, *point, yaw=0.7)
+    for column, order in enumerate(ORDERS, start=1):
+        axis, rest = order[-1], order[:-1]
+        shift = step * np.eye(3)[axis] * (10.0 if axis == 0 else 1.0)
+        ends = [evaluate(surface, *(np.array(point) + s * shift), yaw=0.7) for s in (1, -1, 2, -2)]
+        lower = 0 if not rest else ORDERS.index(rest) + 1
+        values = [e[0][lower] for e in ends]
+        slope = (8 * (values[0] - values[1]) - (values[2] - values[3])) / (12 * shift[axis])
+        assert abs(slope - move[column]) < 1e-6 * max(1.0, abs(move[column]))
+        if order in TURNS:
+            place = 0 if not rest else TURNS[rest]
+            values = [e[1][place] for e in ends]
+            slope = (8 * (values[0] - values[1]) - (values[2] - values[3])) / (12 * shift[axis])
+            assert slope == pytest.approx(turn[TURNS[order]], rel=1e-6, abs=1e-7)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, -0.05, SMALL, -SMALL])
+def test_the_series_of_a_small_angle_is_the_closed_form(angle):
+    """sigma from numerical quadrature of exp(i x t) over t in [0, 1], and of its derivatives."""
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    t = 0.5 * (nodes + 1.0)
+    for order, value in enumerate(chord(angle)[:3]):
+        exact = np.sum(0.5 * weights * (1j * t) ** order * np.exp(1j * angle * t))
+        assert abs(value - exact) < 3e-15
+    assert abs(chord(angle * 1.000001 + 1e-12)[2] - chord(angle)[2]) < 1e-6
+
+
+def test_an_arc_is_what_fine_runge_kutta_steps_find():
+    surface, steps = SURFACES["identified"], 2000
+    v_x, v_y, w = surface.motion(0.3, 0.25)[0]
+    move, turn = evaluate(surface, 15.0, 0.3, 0.25, yaw=-0.4)
+    yaws = -0.4 + w * 1.5 * (np.arange(steps) + 0.5) / steps
+    middle = np.sum(np.exp(1j * yaws)) * 1.5 / steps * complex(v_x, v_y)
+    assert turn[arc.TURN] == pytest.approx(1.5 * w)
+    assert abs(move[arc.MOVE] - middle) < 1e-7

@@ -1,0 +1,340 @@
+"""Plans of least time under slip: they reach the goal, keep the limits, and know the slip."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
+from baselines.planners.dubins import dubins
+from baselines.planners.optimal import optimal
+from baselines.planners.surface_fit import surface_of
+from baselines.planners.trajectory import Limits, Start
+from baselines.slip.slip_sweep import identified_slip, with_friction
+from tests.baselines.planners.pairs import missed
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.patch_dynamics import hold_speeds
+from tracked_env.physics.patch_forces import make_patches
+
+GOAL = (2.0, 2.5, -0.4)  # F, figure 16
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+def vehicle_on(mu, name="focchi", limit=18.0):
+    """A vehicle of F on friction mu with fast sprockets, and its slip."""
+    made = with_friction(VEHICLES[name], mu)._replace(sprocket_speed_limit=limit)
+    return made, identified_slip(made)
+
+
+FOCCHI, SLIP = vehicle_on(0.4)
+
+
+def limits_of(vehicle, v_min, **given):
+    """Limits of F 7.2: up to 0.4 m/s."""
+    return Limits.of(vehicle, **{"v_min": v_min, "v_max": 0.4, "acceleration": math.inf, **given})
+
+
+def halton_goals(nearest):
+    """The first hundred goals that the code of F draws in an annulus from `nearest` to 4 m."""
+    draws = qmc.Halton(d=3, scramble=True, seed=0).random(400)
+    x, y, yaw = 4.0 * (2.0 * draws[:, 0] - 1.0), 4.0 * (2.0 * draws[:, 1] - 1.0), draws[:, 2]
+    distance = np.hypot(x, y)
+    inside = (nearest < distance) & (distance < 4.0)
+    return np.stack([x, y, 2.0 * math.pi * yaw], axis=1)[inside][:100]
+
+
+def random_goals(count=500):
+    """Goals from 0.1 to 4 m away, in any direction and yaw."""
+    rng = np.random.default_rng(1)
+    distance, direction = rng.uniform(0.1, 4.0, count), rng.uniform(-math.pi, math.pi, count)
+    yaw = rng.uniform(-math.pi, math.pi, count)
+    return np.stack([distance * np.cos(direction), distance * np.sin(direction), yaw], axis=1)
+
+
+def held(vehicle, made):
+    """Belt speeds p, q [m/s] (N,) of a plan's intervals."""
+    left, right = made.sprocket_left[:-1], made.sprocket_right[:-1]
+    return 0.5 * vehicle.sprocket_radius * np.stack([left + right, right - left])
+
+
+def replayed(model, made):
+    """The pose at the end of a plan's sprocket speeds on a pseudo-kinematic model."""
+    pose = np.array([[made.x[0], made.y[0], made.yaw[0]]])
+    for k, duration in enumerate(np.diff(made.time)):
+        speeds = np.array([[made.sprocket_left[k], made.sprocket_right[k]]])
+        for _ in range(8):
+            pose = model.step(pose, speeds, duration / 8)
+    return pose[0]
+
+
+@pytest.mark.parametrize("goals", ["1 m", "2 m", "random"])
+@pytest.mark.parametrize("v_min", [0.4, 0.15, 0.0])
+@pytest.mark.parametrize("mu", [0.4, 0.1])
+@pytest.mark.parametrize("name", ["focchi", "focchi-short"])
+def test_every_goal_has_a_plan_that_ends_there(name, mu, v_min, goals):
+    vehicle, slip = vehicle_on(mu, name, 18.0 if mu > 0.2 else 10.0)
+    wanted = random_goals() if goals == "random" else halton_goals(float(goals[0]))
+    made = optimal(ORIGIN, wanted, limits_of(vehicle, v_min), vehicle, slip)
+    assert all(plan.converged for plan in made)
+    assert max(plan.end_error for plan in made) < 1e-6
+    assert max(plan.end_yaw_error for plan in made) < 1e-6
+    for goal, plan in zip(wanted, made, strict=True):
+        assert missed(np.array([plan.x[-1], plan.y[-1], plan.yaw[-1]]), goal) < 1e-7
+
+
+def test_the_goals_are_those_of_the_published_code():
+    first = [0.792974239075002, 1.76464342816245, 4.40310690628574]
+    assert halton_goals(1.0)[0] == pytest.approx(first, abs=1e-12)
+    assert len(halton_goals(1.0)) == len(halton_goals(2.0)) == 100
+
+
+def test_durations_of_the_goal_of_figure_16_are_those_of_an_independent_solver():
+    """IPOPT on surfaces of 7 x 7 terms: 8.55 s without slip, 8.70 s with it, at any speed."""
+    durations = {
+        (v, slip is None): optimal(ORIGIN, GOAL, limits_of(FOCCHI, v), FOCCHI, slip).duration
+        for v in (0.4, 0.0) for slip in (None, SLIP)
+    }  # fmt: skip
+    for v_min in (0.4, 0.0):
+        assert durations[v_min, True] == pytest.approx(8.55, abs=0.01)
+        assert durations[v_min, False] == pytest.approx(8.70, abs=0.02)
+
+
+def test_slippery_ground_takes_longer():
+    durations = []
+    for mu in (0.4, 0.2, 0.1):
+        vehicle, slip = vehicle_on(mu, limit=10.0)
+        durations.append(optimal(ORIGIN, GOAL, limits_of(vehicle, 0.0), vehicle, slip).duration)
+    assert durations == sorted(durations)
+    assert durations[2] - durations[0] > 0.2
+
+
+@pytest.mark.parametrize("v_min", [0.4, 0.0])
+def test_sprocket_speeds_replayed_on_the_model_end_at_the_goal(v_min):
+    surface = surface_of(SLIP, FOCCHI, 18.0, 0.4)
+    model, table = PseudoKinematicModel(FOCCHI, surface), PseudoKinematicModel(FOCCHI, SLIP)
+    goals = halton_goals(1.0)[:20]
+    limits = limits_of(FOCCHI, v_min)
+    for goal, made in zip(goals, optimal(ORIGIN, goals, limits, FOCCHI, SLIP), strict=True):
+        assert missed(replayed(model, made), goal) < 1e-3
+        assert missed(replayed(table, made), goal) < 0.06  # the surface is within 2 mm/s of it
+
+
+def test_a_plan_that_knows_no_slip_misses_by_decimetres():
+    model, goals = PseudoKinematicModel(FOCCHI, SLIP), halton_goals(1.0)[:20]
+    blind = optimal(ORIGIN, goals, limits_of(FOCCHI, 0.4), FOCCHI)
+    errors = [
+        np.hypot(*(replayed(model, m)[:2] - g[:2])) for m, g in zip(blind, goals, strict=True)
+    ]
+    assert np.mean(errors) > 0.4
+
+
+def test_the_distributed_plant_driven_by_a_plan_ends_near_the_goal():
+    """From the plan's first speeds, for the plant has inertia and the model has none."""
+    off = []
+    goals = halton_goals(1.0)[:10]
+    for goal, made in zip(
+        goals, optimal(ORIGIN, goals, limits_of(FOCCHI, 0.4), FOCCHI, SLIP), strict=True
+    ):
+        state, loads = np.zeros((1, 6)), np.empty((1, 6))
+        state[0, 3:] = made.speed[0] * math.cos(made.course[0]), 0.0, made.yaw_rate[0]
+        state[0, 4] = made.speed[0] * math.sin(made.course[0] - made.yaw[0])
+        row = np.array([FOCCHI], dtype=np.float64)
+        for k, duration in enumerate(np.diff(made.time)):
+            speeds = np.array([[made.sprocket_left[k], made.sprocket_right[k]]])
+            steps = math.ceil(duration / 0.005)
+            hold_speeds(state, speeds, row, make_patches(), steps, duration / steps, False, loads)
+        off.append(np.hypot(*(state[0, :2] - goal[:2])))
+    assert np.mean(off) < 0.12
+
+
+@pytest.mark.parametrize("v_min", [0.4, 0.15, 0.0])
+def test_limits_are_kept_on_every_interval(v_min):
+    limits = limits_of(
+        FOCCHI, v_min, sprocket_speed=14.0, reserve=0.2, curvature=2.0, lateral_acceleration=0.5,
+        sprocket_acceleration=20.0,
+    )  # fmt: skip
+    start = Start(speed=max(v_min, 0.2))
+    goals = halton_goals(1.0)[:30]
+    for made in optimal(start, goals, limits, FOCCHI, SLIP, stop=v_min < 0.4):
+        assert made.converged
+        p, q = held(FOCCHI, made)
+        belt, rate = FOCCHI.sprocket_radius * 14.0 * 0.8, 20.0 * FOCCHI.sprocket_radius
+        slack, step = 1e-6, made.duration / 40
+        assert (p + np.abs(q)).max() <= belt + slack
+        assert p.max() <= 0.4 + slack
+        v_x, v_y, turn = surface_of(SLIP, FOCCHI, 11.2, 0.4).motion(p, q).T
+        assert np.abs(v_x * turn).max() <= 0.5 + slack
+        assert (np.abs(turn) - 2.0 * v_x).max() <= slack
+        belts = np.stack([p - q, p + q])
+        if v_min < 0.4:
+            assert np.hypot(v_x, v_y).max() <= 0.4 + slack
+            first = FOCCHI.sprocket_radius * np.array(start.sprockets(FOCCHI))
+            belts = np.hstack([first[:, None], belts, np.zeros((2, 1))])
+        else:
+            assert np.abs(p - 0.4).max() <= 1e-12
+        assert np.abs(np.diff(belts)).max() <= rate * step + slack
+
+
+@pytest.mark.parametrize(
+    ("name", "v_min", "given", "bound"),
+    [
+        ("belt", 0.4, {"sprocket_speed": 10.0, "reserve": 0.2}, 0.8 * 0.856),
+        ("lateral", 0.4, {"lateral_acceleration": 0.3}, 0.3),
+        ("curvature", 0.4, {"curvature": 1.5}, 1.5), ("ground", 0.0, {}, 0.4),
+        ("slowest", 0.15, {}, -0.15),
+    ],
+)  # fmt: skip
+def test_a_limit_is_reached_and_kept(name, v_min, given, bound):
+    """Goals behind need turns as tight, and as slow, as the limit allows."""
+    goals, largest = [(-1.0, 0.6, 0.0), (-0.5, -1.0, 2.0), (0.3, 1.0, 3.0)], []
+    for made in optimal(ORIGIN, goals, limits_of(FOCCHI, v_min, **given), FOCCHI, SLIP):
+        assert made.converged
+        p, q = held(FOCCHI, made)
+        used = 8.0 if name == "belt" else 18.0
+        v_x, v_y, turn = surface_of(SLIP, FOCCHI, used, 0.4).motion(p, q).T
+        value = {
+            "belt": p + np.abs(q), "lateral": np.abs(v_x * turn), "curvature": np.abs(turn) / v_x,
+            "ground": np.hypot(v_x, v_y), "slowest": -p,
+        }[name]  # fmt: skip
+        largest.append(value.max())
+    assert max(largest) <= bound + 1e-5
+    assert max(largest) >= bound - 0.01 * abs(bound)
+
+
+def test_v_min_holds_but_while_the_vehicle_gathers_speed_and_stops():
+    limits = limits_of(FOCCHI, 0.15, sprocket_acceleration=5.0)
+    made = optimal(ORIGIN, GOAL, limits, FOCCHI, SLIP, stop=True)
+    p, _ = held(FOCCHI, made)
+    assert made.converged
+    assert p[0] <= 5.0 * FOCCHI.sprocket_radius * made.duration / 40 + 1e-6
+    assert p[-1] <= 5.0 * FOCCHI.sprocket_radius * made.duration / 40 + 1e-6
+    assert p[5:-5].min() >= 0.15 - 1e-6
+    assert made.duration > optimal(ORIGIN, GOAL, limits_of(FOCCHI, 0.15), FOCCHI, SLIP).duration
+
+
+def test_a_moving_vehicle_goes_on_from_its_sprocket_speeds():
+    limits = limits_of(FOCCHI, 0.0, sprocket_acceleration=3.0)
+    made = optimal(Start(sprocket_left=1.0, sprocket_right=4.0), GOAL, limits, FOCCHI, SLIP)
+    change = 3.0 * made.duration / 40 + 1e-5
+    assert abs(made.sprocket_left[0] - 1.0) <= change
+    assert abs(made.sprocket_right[0] - 4.0) <= change
+
+
+def test_the_cost_hardly_depends_on_the_number_of_intervals():
+    costs = [
+        optimal(ORIGIN, GOAL, limits_of(FOCCHI, 0.0), FOCCHI, SLIP, intervals=n).cost
+        for n in (40, 80, 160, 320)
+    ]
+    assert max(costs) - min(costs) < 0.02 * costs[0]
+    assert abs(costs[3] - costs[2]) < abs(costs[1] - costs[0])
+
+
+def test_smoothing_smooths():
+    rough, smooth = (
+        optimal(ORIGIN, GOAL, limits_of(FOCCHI, 0.4), FOCCHI, SLIP, smoothing=w)
+        for w in (0.1, 10.0)
+    )
+    assert rough.duration < smooth.duration
+    assert np.abs(np.diff(rough.yaw_rate)).max() > 2.0 * np.abs(np.diff(smooth.yaw_rate)).max()
+
+
+def test_plans_take_the_whole_turns_of_a_short_path():
+    """With goals' yaws in [0, 2 pi) taken as they stand, half of the plans wind a turn more."""
+    goals = halton_goals(1.0)
+    made = optimal(ORIGIN, goals, limits_of(FOCCHI, 0.4), FOCCHI, SLIP)
+    shortest = dubins(ORIGIN, goals, 0.106241234).length / 0.4
+    ratio = np.array([plan.duration for plan in made]) / shortest
+    assert np.mean(ratio) < 1.13
+    assert max(abs(plan.yaw[-1]) for plan in made) < 2.0 * math.pi + 1e-6
+
+
+def test_a_mirrored_goal_has_the_mirrored_plan():
+    goals = halton_goals(1.0)[:20]
+    limits = limits_of(FOCCHI, 0.15)
+    left = optimal(ORIGIN, goals, limits, FOCCHI, SLIP)
+    right = optimal(ORIGIN, goals * [1.0, -1.0, -1.0], limits, FOCCHI, SLIP)
+    for a, b in zip(left, right, strict=True):
+        assert a.cost == pytest.approx(b.cost, abs=1e-3)
+        assert a.duration == pytest.approx(b.duration, rel=1e-2)
+
+
+def test_a_turned_and_moved_start_moves_the_plan():
+    made = optimal(ORIGIN, GOAL, limits_of(FOCCHI, 0.4), FOCCHI, SLIP)
+    turn, x, y = 1.2, 5.0, -3.0
+    rotation = complex(math.cos(turn), math.sin(turn))
+    moved = complex(GOAL[0], GOAL[1]) * rotation + complex(x, y)
+    goal = (moved.real, moved.imag, GOAL[2] + turn)
+    again = optimal((x, y, turn), goal, limits_of(FOCCHI, 0.4), FOCCHI, SLIP)
+    np.testing.assert_allclose(again.sprocket_left, made.sprocket_left, atol=1e-6)
+    np.testing.assert_allclose(again.yaw, made.yaw + turn, atol=1e-6)
+
+
+def test_a_batch_gives_the_bits_of_single_plans_on_any_number_of_threads():
+    goals, limits = halton_goals(1.0)[:9], limits_of(FOCCHI, 0.15)
+    one, two = (optimal(ORIGIN, goals, limits, FOCCHI, SLIP, threads=n) for n in (1, 2))
+    for goal, a, b in zip(goals, one, two, strict=True):
+        single = optimal(ORIGIN, goal, limits, FOCCHI, SLIP)
+        for name in ("time", "yaw", "sprocket_left", "cost", "iterations"):
+            assert np.array_equal(getattr(a, name), getattr(b, name))
+            assert np.array_equal(getattr(a, name), getattr(single, name))
+
+
+def test_samples_between_the_intervals_lie_on_the_arcs():
+    limits = limits_of(FOCCHI, 0.15)
+    knots, fine = (optimal(ORIGIN, GOAL, limits, FOCCHI, SLIP, period=p) for p in (None, 0.02))
+    assert np.diff(fine.time).max() <= 0.02 + 1e-12
+    at = np.searchsorted(fine.time, knots.time - 1e-9)
+    np.testing.assert_allclose(fine.time[at], knots.time, atol=1e-9)
+    for name in ("x", "y", "yaw", "sprocket_left", "speed"):
+        np.testing.assert_allclose(getattr(fine, name)[at], getattr(knots, name), atol=1e-9)
+    model = PseudoKinematicModel(FOCCHI, surface_of(SLIP, FOCCHI, 18.0, 0.4))
+    assert missed(replayed(model, fine), GOAL) < 1e-6
+
+
+def test_rates_are_the_slopes_of_what_they_are_rates_of():
+    made = optimal(ORIGIN, GOAL, limits_of(FOCCHI, 0.0), FOCCHI, SLIP, intervals=320)
+    for value, rate, allowed in (
+        (made.yaw, made.yaw_rate, 0.02), (made.speed, made.acceleration, 0.02),
+        (made.course, made.course_rate, 0.05), (made.yaw_rate, made.yaw_acceleration, 0.1),
+        (made.course_rate, made.course_acceleration, 0.3),
+    ):  # fmt: skip
+        slope = np.gradient(value, made.time)
+        assert np.abs(slope - rate)[3:-3].max() < allowed
+
+
+def test_one_pose_is_a_plan_of_no_time():
+    made = optimal(ORIGIN, (0.0, 0.0, 2.0 * math.pi), limits_of(FOCCHI, 0.4), FOCCHI, SLIP)
+    assert made.converged
+    assert made.duration == made.cost == 0.0
+    assert made.message == "start and goal are one pose"
+
+
+def test_a_goal_out_of_reach_of_the_limits_is_said_to_be():
+    """Two intervals at constant speed have three unknowns: not enough for a pose behind."""
+    made = optimal(
+        ORIGIN, (-1.0, 1e-3, 0.0), limits_of(FOCCHI, 0.4), FOCCHI, SLIP, intervals=2
+    )  # fmt: skip
+    assert not made.converged
+    assert made.message.startswith("no plan in ")
+    assert math.isinf(made.cost)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"goal": (math.nan, 0.0, 0.0)}, "goal x = nan"),
+        ({"start": Start(yaw=math.inf)}, "start yaw = inf"),
+        ({"limits": Limits(sprocket_speed=18.0, v_min=0.5)}, "v_min = 0.5, v_max = 0.4"),
+        ({"intervals": 1}, "intervals = 1"), ({"intervals": 40.5}, "must be a whole number"),
+        ({"smoothing": 0.0}, "smoothing = 0.0"), ({"period": -0.02}, "period = -0.02"),
+        ({"threads": 0}, "threads = 0"), ({"stop": True}, "stop = True; must be False"),
+        ({"limits": Limits(sprocket_speed=20.0)}, "the slip model ends at 18 rad/s"),
+    ],
+)  # fmt: skip
+def test_bad_input_gets_one_line(change, message):
+    arguments = {"start": ORIGIN, "goal": GOAL, "limits": limits_of(FOCCHI, 0.4), "vehicle": FOCCHI,
+                 "slip_model": SLIP, **change}  # fmt: skip
+    with pytest.raises(ValueError, match=message) as error:
+        optimal(**arguments)
+    assert "\n" not in str(error.value)

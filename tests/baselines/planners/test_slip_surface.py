@@ -1,0 +1,158 @@
+"""Slip surfaces: near their models, mirrored, with the sign of slip, and over friction."""
+
+import math
+
+import numpy as np
+import pytest
+
+from baselines.planners.slip_surface import SlipSurface
+from baselines.planners.surface_fit import surface_of
+from baselines.slip.slip_models import ExponentialSlipModel
+from baselines.slip.slip_sweep import identified_slip, slip_family, with_friction
+from tracked_env.physics.parameters import VEHICLES
+
+FOCCHI = VEHICLES["focchi"]
+EXPONENTIAL = ExponentialSlipModel([[0.1, 2.0], [-0.12, 2.5], [0.4, 1.5]], FOCCHI.track_gauge)
+
+
+def made(vehicle="focchi", mu=0.4, limit=18.0, fastest=0.4):
+    """(surface, table, parameters) of a vehicle on friction mu, identified up to a limit."""
+    parameters = with_friction(VEHICLES[vehicle], mu)._replace(sprocket_speed_limit=limit)
+    table = identified_slip(parameters)
+    return surface_of(table, parameters, limit, fastest), table, parameters
+
+
+def belts(limit, count=40):
+    """Belt speeds p, q of a moving vehicle whose sprockets are within the limit."""
+    radius = FOCCHI.sprocket_radius
+    p, q = (
+        a.ravel() for a in np.meshgrid(np.linspace(0.1, 0.4, count), np.linspace(-0.5, 0.5, count))
+    )
+    inside = p + np.abs(q) <= radius * limit
+    return p[inside], q[inside]
+
+
+def motion_of(model, p, q, radius, half_gauge):
+    """v_x, v_y, w of a slip model by F (27) and (29) with beta = r omega - v."""
+    left, right = (p - q) / radius, (p + q) / radius
+    beta_left, beta_right, alpha = model.slip(left, right)
+    v_left, v_right = radius * left - beta_left, radius * right - beta_right
+    v_x = 0.5 * (v_left + v_right)
+    return np.stack([v_x, v_x * np.tan(alpha), 0.5 * (v_right - v_left) / half_gauge], axis=1)
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "mu", "limit", "allowed"),
+    [
+        ("focchi", 0.4, 10.0, 0.7e-3), ("focchi", 0.4, 18.0, 2.0e-3), ("focchi", 0.1, 10.0, 2.0e-3),
+        ("focchi-short", 0.4, 18.0, 1.5e-3), ("focchi-short", 0.1, 10.0, 2.0e-3),
+    ],
+)  # fmt: skip
+def test_a_surface_is_within_millimetres_a_second_of_the_table_it_is_fitted_to(
+    vehicle, mu, limit, allowed
+):
+    surface, table, parameters = made(vehicle, mu, limit)
+    p, q = belts(limit)
+    half = 0.5 * parameters.track_gauge
+    off = surface.motion(p, q) - motion_of(table, p, q, parameters.sprocket_radius, half)
+    off[:, 2] *= half
+    assert np.sqrt(np.mean(off**2, axis=0)).max() < allowed
+
+
+def test_slip_turns_a_vehicle_less_than_its_belts_would():
+    for mu in (0.1, 0.4):
+        surface, _, parameters = made(mu=mu, limit=10.0)
+        p, q = belts(10.0)
+        turning = np.abs(q) > 0.05
+        unslipped = q[turning] / (0.5 * parameters.track_gauge)
+        ratio = surface.motion(p, q)[turning, 2] / unslipped
+        assert ((ratio > 0.0) & (ratio < 0.95)).all()
+
+
+def test_a_right_turn_is_a_left_turn_mirrored_and_reverse_is_forward_mirrored():
+    surface, _, _ = made()
+    p, q = belts(18.0)
+    left, right, reverse = surface.motion(p, q), surface.motion(p, -q), surface.motion(-p, q)
+    np.testing.assert_allclose(right, left * [1.0, -1.0, -1.0], atol=1e-15)
+    np.testing.assert_allclose(reverse, left * [-1.0, -1.0, 1.0], atol=1e-15)
+
+
+def test_a_vehicle_that_turns_on_the_spot_goes_nowhere():
+    surface, _, _ = made()
+    v_x, v_y, turn = surface.motion(np.zeros(9), np.linspace(0.1, 1.5, 9)).T
+    assert (v_x == 0.0).all() and (v_y == 0.0).all() and (turn > 0.0).all()
+
+
+@pytest.mark.parametrize("kind", ["identified", "exponential"])
+def test_a_surface_is_a_slip_model_that_gives_its_own_motion(kind):
+    surface = made()[0] if kind == "identified" else surface_of(EXPONENTIAL, FOCCHI, 18.0, 0.4)
+    p, q = belts(18.0)
+    again = motion_of(surface, p, q, FOCCHI.sprocket_radius, 0.5 * FOCCHI.track_gauge)
+    np.testing.assert_allclose(again, surface.motion(p, q), atol=1e-12)
+
+
+def test_the_exponential_form_is_taken_as_it_is():
+    surface = surface_of(EXPONENTIAL, FOCCHI, 18.0, 0.4)
+    p, q = belts(18.0)
+    expected = motion_of(EXPONENTIAL, p, q, FOCCHI.sprocket_radius, 0.5 * FOCCHI.track_gauge)
+    np.testing.assert_allclose(surface.motion(p, q), expected, atol=1e-12)
+
+
+def test_no_slip_moves_as_the_belts():
+    surface = surface_of(None, FOCCHI, 18.0, 0.4)
+    expected = [0.3, 0.0, 0.2 / (0.5 * FOCCHI.track_gauge)]
+    np.testing.assert_allclose(surface.motion(0.3, 0.2), [expected], atol=1e-15)
+
+
+def test_an_estimated_friction_selects_a_surface_near_that_of_the_soil():
+    family = slip_family(FOCCHI)
+    p, q = belts(10.0)
+    for mu in (0.1, 0.2, 0.4):
+        own = made(mu=mu, limit=10.0)[0].motion(p, q)
+        selected = surface_of(family.at(mu), FOCCHI, 10.0, 0.4).motion(p, q)
+        assert np.sqrt(np.mean((selected - own)[:, :2] ** 2)) < 4e-3
+
+
+def test_surfaces_are_continuous_in_friction():
+    family = slip_family(FOCCHI)
+    p, q = belts(10.0)
+    for mu in family.frictions[1:-1]:
+        below, above = (
+            surface_of(family.at(mu * (1.0 + s)), FOCCHI, 10.0, 0.4).motion(p, q)
+            for s in (-1e-9, 1e-9)
+        )
+        np.testing.assert_allclose(below, above, atol=1e-7)
+
+
+class Estimator:
+    """What a plan reads of an estimator of friction."""
+
+    def __init__(self, friction):
+        self.family, self.friction = slip_family(FOCCHI), np.array([friction])
+
+
+def test_an_estimator_is_its_family_at_the_friction_it_estimates():
+    estimator = Estimator(0.1)
+    expected = surface_of(estimator.family.at(0.1), FOCCHI, 10.0, 0.4)
+    assert isinstance(expected, SlipSurface)
+    assert (surface_of(estimator, FOCCHI, 10.0, 0.4).terms == expected.terms).all()
+    estimator.friction[:] = 0.4  # it has learnt: not the surface of before
+    assert (surface_of(estimator, FOCCHI, 10.0, 0.4).terms != expected.terms).any()
+
+
+@pytest.mark.parametrize(
+    ("model", "limit", "message"),
+    [
+        (identified_slip(FOCCHI), 18.0, "sprocket speed = 18 rad/s; the slip model ends at 10"),
+        (slip_family(FOCCHI).at([0.1, 0.4]), 10.0, "must be one number for a plan"),
+        (slip_family(FOCCHI).at(math.nan), 10.0, "must be one number for a plan"),
+        (
+            ExponentialSlipModel([[0.1, 2.0], [-0.1, 2.0], [1.6, 1.0]], 0.606), 10.0,
+            r"c_1 of alpha = 1.6 rad; must be in \[0, 1.4\] rad",
+        ),
+    ],
+)  # fmt: skip
+def test_a_model_that_makes_no_surface_is_refused_in_one_line(model, limit, message):
+    with pytest.raises(ValueError, match=message) as error:
+        surface_of(model, FOCCHI, limit, 0.4)
+    assert "\n" not in str(error.value)

@@ -5,7 +5,7 @@ import pytest
 
 import tracked_env
 from baselines.estimators.sensor_samples import DataSheet
-from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
+from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, KnownSlip
 from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import ATTITUDE, AttitudeFilter, in_vehicle_plane
@@ -223,3 +223,15 @@ def test_friction_that_is_taken_for_less_than_a_slope_needs_is_not_used():
     used = policy._policy.slip_model.friction
     assert used[1] == pytest.approx(np.tan(0.3) / 0.5, rel=1e-5)
     assert used[0] == policy.estimator.friction[0]
+
+
+def test_known_slip_is_that_of_twice_the_friction_that_the_slope_needs_at_least():
+    known = KnownSlip(FOCCHI, slopes=True)
+    left, right, grade = np.full(2, 2.0), np.full(2, 4.0), np.array([[0.0, 0.25], [0.0, 0.0]])
+    slips = []
+    for friction in (0.3, 0.5):
+        known.friction = np.full(2, friction)
+        known.modulus = np.full(2, FOCCHI.shear_deformation_modulus)
+        slips.append(np.array(known.on(grade).slip(left, right)))
+    np.testing.assert_array_equal(slips[0][:, 0], slips[1][:, 0])
+    assert (np.abs(slips[0] - slips[1])[:, 1] > 1e-4).any()

@@ -178,14 +178,13 @@ def test_the_gains_of_slopes_hold_where_the_attitude_is_shown_and_only_there():
 
 def test_the_gains_of_slopes_leave_less_than_half_of_the_error_of_the_papers_gains():
     sheet = context().sensors
-    found = {
-        gains: driven(
+    (paper, its_rate), (ours, our_rate) = (
+        driven(
             UnicyclePolicy(FOCCHI, 0.02, gains, DataSheet.of(sheet), SHOWN.names), 8,
             uncertainty="slope-step", duration=12.0,
         )
         for gains in (LyapunovGains(), GAINS_ON_SLOPES)
-    }  # fmt: skip
-    (paper, its_rate), (ours, our_rate) = found.values()
+    )  # fmt: skip
     assert np.median(ours) < 0.5 * np.median(paper)
     assert our_rate.mean() < its_rate.mean() + 0.5
 
@@ -193,8 +192,8 @@ def test_the_gains_of_slopes_leave_less_than_half_of_the_error_of_the_papers_gai
 def test_slip_that_is_known_on_slopes_costs_little_action_rate():
     """The slip angle jumps with the demanded yaw rate; fed back at once the law oscillates."""
     rates = [
-        driven(POLICIES[name](context()), 8, uncertainty="slope-step", duration=12.0)[1].mean()
-        for name in ("slc-flat", "slc-oracle")
+        driven(POLICIES[name](context()), 12, uncertainty="hills", duration=20.0)[1].mean()
+        for name in ("slc-flat", "slc")
     ]
     assert rates[1] < 2.0 * rates[0] < 5.0
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_sweep import identified_slip
@@ -82,15 +83,16 @@ def parameters_of(length: float) -> PlantParameters:
 
 
 def policy(kind: str, load: str, length: float) -> SlippageAwarePolicy:
-    """A controller of KINDS with ideal sensors."""
+    """A controller of KINDS with the gains of F and ideal sensors."""
     parameters, period = parameters_of(length), 1.0 / RATE
     sheet = DataSheet.of(PRESETS["ideal"])
+    given = (LyapunovGains(), sheet, SHOWN.names)
     if kind == "uc":
-        return UnicyclePolicy(parameters, period, data_sheet=sheet, observation=SHOWN.names)
+        return UnicyclePolicy(parameters, period, *given)
     slip: SlipModel = identified_slip(parameters)
     if kind != "flat":
         slip = model(load if kind == "slope" else "uniform", length)
-    return SlippageAwarePolicy(parameters, period, slip, data_sheet=sheet, observation=SHOWN.names)
+    return SlippageAwarePolicy(parameters, period, slip, *given)
 
 
 def profile(place: tuple[float, float], heading: float) -> ReferenceProfile:

@@ -10,14 +10,23 @@ from baselines.learned.recipe import STUDENT, normalisation_of
 from baselines.learned.shipped import shipped_agents
 from baselines.learned.student_network import inference_layers
 from baselines.learned.trained_agent import open_agent
-from tracked_env import SPEED
+from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
+from tracked_env.observation import make_layout
 from tracked_env.sensors import MOCAP
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
+SLOPES = {**TERRAIN, "observation": [*TERRAIN["observation"], "height_scan"]}
+SHOWN = make_layout(SLOPES["observation"]).names
 CONTEXTS = {
     "torque": PolicyContext(0.02, "sliding"),
     "speed": PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi"),
+    TERRAIN_ID: PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi", observation=SHOWN),
+}
+OPTIONS = {
+    "torque": {"uncertainty": "mixed"},
+    "speed": SPEED,
+    TERRAIN_ID: {**SLOPES, "uncertainty": "hills"},
 }
 FAMILIES = [(drive, name) for drive in CONTEXTS for name in shipped_agents(drive)]
 NETWORKS = [
@@ -92,12 +101,11 @@ def with_torch(path, context):
     return policy_of(model, kind, options, context, normalisation)
 
 
-@pytest.mark.parametrize(("drive", "name"), FAMILIES)
+@pytest.mark.parametrize(("drive", "name"), [f for f in FAMILIES if f[0] != TERRAIN_ID])
 def test_a_shipped_agent_acts_over_an_episode_as_with_pytorch(drive, name):
     path, context = shipped_agents(drive)[name][0], CONTEXTS[drive]
     ours, theirs = open_agent(path).make(context), with_torch(path, context)
-    options = SPEED if drive == "speed" else {"uncertainty": "mixed"}
-    env = TrackedVehicleVectorEnv(3, **options, duration=12.0, autoreset_mode="SameStep")
+    env = TrackedVehicleVectorEnv(3, **OPTIONS[drive], duration=12.0, autoreset_mode="SameStep")
     observation, _ = env.reset(seed=11)
     start, state, their_state = np.ones(3, dtype=bool), None, None
     largest = 0.0
@@ -125,7 +133,7 @@ def test_a_row_of_a_batch_has_the_bits_of_the_row_alone(algorithm):
 @pytest.mark.parametrize(("drive", "name"), FAMILIES)
 def test_a_shipped_agent_drives_a_row_of_a_batch_as_one_vehicle(drive, name):
     path = shipped_agents(drive)[name][0]
-    options = SPEED if drive == "speed" else {"uncertainty": "mixed"}
+    options = OPTIONS[drive]
 
     def commands(count, seed):
         env = TrackedVehicleVectorEnv(count, **options)

@@ -22,10 +22,11 @@ AGAIN = [
     ("Torque-v0", "ppo-residual-seed0", "soil-and-mass"),
     ("Torque-v0", "ppo-blind-seed0", "soil-and-mass"),
     ("Speed-v0", "ppo-residual-seed0", "friction"),
+    ("Terrain-v0", "ppo-residual-seed0", "slope"),
 ]
 
 
-@pytest.mark.parametrize("track", ["Torque-v0", "Speed-v0"])
+@pytest.mark.parametrize("track", ["Torque-v0", "Speed-v0", "Terrain-v0"])
 def test_there_are_agents_of_five_seeds(track: str) -> None:
     names = [folder.name.rpartition("-seed")[0] for folder in AGENTS if folder.parent.name == track]
     assert {"ppo-blind", "ppo-residual"} <= {name for name in names if names.count(name) >= 5}

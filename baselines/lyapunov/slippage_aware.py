@@ -180,7 +180,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self._view = layout.View(observation, (*NEEDS, *ATTITUDE) if tilted else NEEDS)
         self.control_period = float(control_period)
         self.slip_model = self._felt = slip_model
-        self._knows_slopes = isinstance(slip_model, SlopeAwareSlipModel)
+        self._knows_slopes = False
         self.geometry = Geometry.of(parameters)
         self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count last seen
         none = DataSheet(*(0.0 for _ in DataSheet._fields))
@@ -212,7 +212,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
             attitude = self._attitude.update(observation, attitude, start)
             observation = in_vehicle_plane(observation, attitude)
         model = self.slip_model
-        self._knows_slopes = isinstance(model, SlopeAwareSlipModel)
+        self._knows_slopes = self._attitude is not None and isinstance(model, SlopeAwareSlipModel)
         self._felt = (
             model.on(grades(*attitude.T)) if isinstance(model, SlopeAwareSlipModel) else model
         )

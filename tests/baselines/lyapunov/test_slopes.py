@@ -87,6 +87,27 @@ def test_on_level_ground_actions_are_those_of_the_planar_policy_to_the_bit(aware
         np.testing.assert_array_equal(*actions)
 
 
+class WithoutSlopes:
+    """A slip model that cannot be asked on slopes."""
+
+    def __init__(self, model):
+        self.slip = model.slip
+
+
+def test_where_no_attitude_is_shown_a_model_that_knows_slopes_is_one_that_does_not():
+    known = KnownSlip(FOCCHI)
+    rng, memory = np.random.default_rng(2), [None, None]
+    made = [SlippageAwarePolicy(FOCCHI, 0.02, model) for model in (known, WithoutSlopes(known))]
+    for _ in range(20):
+        values = situations(16, rng)
+        seen = layout.pack({n: values[n] for n in layout.NAMES})
+        actions = []
+        for k in range(2):
+            action, memory[k] = made[k].predict(seen, memory[k])
+            actions.append(action)
+        np.testing.assert_array_equal(*actions)
+
+
 def test_the_slope_table_on_level_ground_gives_nearly_the_planar_actions():
     rng = np.random.default_rng(1)
     seen = SHOWN.pack(situations(200, rng))

@@ -60,13 +60,17 @@ def test_the_command_of_an_agent_says_its_whole_configuration(folder: Path) -> N
         assert today[name] == recipe["config"][name], name
 
 
-@pytest.mark.parametrize("track", ["Torque-v0", "Speed-v0"])
+# Some vehicles are stuck or slide away there, whatever is known: intervals are wide.
+WIDE = {"soft-patches", "hills-ood"}
+
+
+@pytest.mark.parametrize("track", ["Torque-v0", "Speed-v0", "Terrain-v0"])
 def test_every_set_separates_ignorance_from_knowledge(track: str) -> None:
     scores = json.loads((FOLDER / track / "scores.json").read_text(encoding="utf-8"))
     low, high = ("nominal", "oracle") if track == "Torque-v0" else ("uc", "slc-oracle")
     ignorant, knowing = (scores["controllers"][name] for name in (low, high))
     assert set(ignorant) == set(default_sets(f"tracked_env/{track}"))
-    for of_set in ignorant:
+    for of_set in set(ignorant) - WIDE:
         assert ignorant[of_set]["low"] > 1.2 * knowing[of_set]["high"], of_set
 
 

@@ -6,12 +6,12 @@ import gymnasium
 import numpy as np
 import pytest
 
+from tests.plants.mirrored import assert_mirrored
 from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env.physics import state as s
 from tracked_env.physics.attitude import Quaternion, matrix_of
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, row_parameters
 from tracked_env.physics.rigid_body import Inertia, with_payload
-from tracked_env.physics.state import STATE_NAMES
 from tracked_env.plants.terrain_rig import TerrainRig
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -128,16 +128,7 @@ def test_mirrored_shift_ground_and_commands_mirror_the_motion(load):
         rig = rig_with((0.05, side * 0.06, 0.02), terrain=terrain, load=load)
         rig.advance(STILL, 0.2, to=[[6.0, 4.0] if side > 0 else [4.0, 6.0]])
         rigs.append(rig)
-    names = ("y", "yaw", "v_y", "yaw_rate", "roll", "roll_rate", "acceleration_y",
-             "yaw_acceleration")  # fmt: skip
-    for name in STATE_NAMES:
-        if name.endswith(("_left", "_right")):
-            continue
-        one, other = (getattr(rig.state, name)[0] for rig in rigs)
-        other = -other if name in names else other
-        # an acceleration is a sum of forces of 80 patches: rounding of 32 rad/s^2 in yaw
-        allowed = 1e-13 if "acceleration" in name else 2e-14
-        assert one == pytest.approx(other, abs=allowed), name
+    assert_mirrored(rigs, 2e-14)
 
 
 @pytest.mark.parametrize("load", ["nonuniform", "uniform"])

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from tests.plants.mirrored import assert_mirrored
 from tracked_env.physics import state as s
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.state import STATE_NAMES
 from tracked_env.physics.tracked_body import HEIGHT_RATIO
 from tracked_env.plants.standalone import Rig
 from tracked_env.plants.terrain import RELIEF
@@ -157,16 +157,7 @@ def test_mirrored_ground_and_commands_mirror_the_motion(load):
         rig = TerrainRig(FOCCHI, {"terrain": terrain, "load": load})
         rig.advance(STILL, 0.2, to=[[6.0, 4.0] if side > 0 else [4.0, 6.0]])
         rigs.append(rig)
-    names = ("y", "yaw", "v_y", "yaw_rate", "roll", "roll_rate", "acceleration_y",
-             "yaw_acceleration")  # fmt: skip
-    for name in STATE_NAMES:
-        if name.endswith(("_left", "_right")):
-            continue
-        one, other = (getattr(rig.state, name)[0] for rig in rigs)
-        other = -other if name in names else other
-        # an acceleration is a sum of forces of 80 patches: rounding of 32 rad/s^2 in yaw
-        allowed = 1e-13 if "acceleration" in name else 1e-14
-        assert one == pytest.approx(other, abs=allowed), name
+    assert_mirrored(rigs, 1e-14)
     assert rigs[0].state.effort_left == pytest.approx(rigs[1].state.effort_right, abs=1e-11)
 
 

@@ -1,8 +1,10 @@
 """Pairs of poses for the tests of planners, degenerate ones among them, and ways to drive."""
 
+import csv
 import math
 
 import numpy as np
+import pytest
 
 HALF = 0.5 * math.pi
 
@@ -40,3 +42,14 @@ def missed(pose, goal):
     """The larger of distance [m] and wrapped yaw [rad] between two poses."""
     away = np.asarray(goal) - pose
     return max(math.hypot(away[0], away[1]), abs(math.remainder(away[2], 2.0 * math.pi)))
+
+
+def published_targets(reference_data, column):
+    """Goals (N, 3) of F 7.2.1 and a column (N,) of their file; skips where that is absent."""
+    path = reference_data / "planners" / "targets.csv"
+    if not path.exists():
+        pytest.skip(f"no targets at {path}: they are not part of the project")
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    goals = np.array([[float(row[name]) for name in ("x", "y", "yaw")] for row in rows])
+    return goals, np.array([float(row[column]) for row in rows])

@@ -1,6 +1,5 @@
 """Clothoids: driven to their goal, closed forms, symmetries, pyclothoids as a second method."""
 
-import csv
 import math
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 
 from baselines.planners.clothoid import clothoid
 from baselines.planners.path import Path, end_errors, places
-from tests.baselines.planners.pairs import HALF, drive, missed, random_pairs
+from tests.baselines.planners.pairs import HALF, drive, missed, published_targets, random_pairs
 
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -64,13 +63,7 @@ def test_a_clothoid_is_as_long_from_the_goal_and_mirrored():
 
 
 def test_published_targets_have_their_length(reference_data):
-    path = reference_data / "planners" / "targets.csv"
-    if not path.exists():
-        pytest.skip(f"no targets at {path}: they are not part of the project")
-    with path.open() as file:
-        rows = list(csv.DictReader(file))
-    goals = np.array([[float(row[name]) for name in ("x", "y", "yaw")] for row in rows])
-    length = np.array([float(row["clothoid_length"]) for row in rows])
+    goals, length = published_targets(reference_data, "clothoid_length")
     np.testing.assert_allclose(clothoid(ORIGIN, goals).length, length, atol=1e-9)
 
 

@@ -1,13 +1,12 @@
 """Dubins paths: closed forms, degenerate poses, symmetries, and a search as a second method."""
 
-import csv
 import math
 
 import numpy as np
 import pytest
 
 from baselines.planners.dubins import WORDS, dubins
-from tests.baselines.planners.pairs import HALF, drive, missed, random_pairs
+from tests.baselines.planners.pairs import HALF, drive, missed, published_targets, random_pairs
 
 PI = math.pi
 ORIGIN = (0.0, 0.0, 0.0)
@@ -151,13 +150,7 @@ def test_reversed_in_time_the_path_is_as_long():
 
 
 def test_published_targets_have_their_length(reference_data):
-    path = reference_data / "planners" / "targets.csv"
-    if not path.exists():
-        pytest.skip(f"no targets at {path}: they are not part of the project")
-    with path.open() as file:
-        rows = list(csv.DictReader(file))
-    goals = np.array([[float(row[name]) for name in ("x", "y", "yaw")] for row in rows])
-    length = np.array([float(row["dubins_length"]) for row in rows])
+    goals, length = published_targets(reference_data, "dubins_length")
     np.testing.assert_allclose(dubins(ORIGIN, goals, 0.106241234).length, length, atol=1e-8)
 
 

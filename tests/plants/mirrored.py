@@ -1,0 +1,22 @@
+"""Two vehicles of which one is the mirror image of the other."""
+
+from typing import Any
+
+import pytest
+
+from tracked_env.physics.state import STATE_NAMES
+
+ODD = ("y", "yaw", "v_y", "yaw_rate", "roll", "roll_rate", "acceleration_y", "yaw_acceleration")
+# [rad/s^2] The yaw acceleration is a sum over 80 patches whose order is the compiler's: 600 N at
+# 0.35 m over 4.5 kg m^2, 47 rad/s^2, times the rounding unit 1.1e-16 and the root of 80.
+YAW_ACCELERATION = 4.7e-14
+
+
+def assert_mirrored(rigs: list[Any], allowed: float) -> None:
+    """The states of two rigs are mirror images, within `allowed` in SI units."""
+    for name in STATE_NAMES:
+        if name.endswith(("_left", "_right")):
+            continue
+        one, other = (getattr(rig.state, name)[0] for rig in rigs)
+        within = YAW_ACCELERATION if name == "yaw_acceleration" else allowed
+        assert one == pytest.approx(-other if name in ODD else other, abs=within), name

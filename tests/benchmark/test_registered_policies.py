@@ -132,7 +132,7 @@ def test_in_a_clone_that_is_installed_too_everything_is_there_once(plugin: Insta
 def test_installed_without_a_clone_the_entries_of_the_distribution_count(
     plugin: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(registered_policies, "_PACKAGES", tmp_path)
+    monkeypatch.setattr(entry_points, "_PACKAGES", tmp_path)
     plugin("tracked-env", baselines="baselines.registry")
     policies, said = registered()
     assert said == []
@@ -153,6 +153,6 @@ def test_an_archive_that_nothing_opens_is_a_clear_error(
     def entries(group: str) -> list[tuple[str, EntryPoint]]:
         return []
 
-    monkeypatch.setattr(registered_policies, "_declared", entries)
+    monkeypatch.setattr(registered_policies, "declared", entries)
     with pytest.raises(ValueError, match="no installed package opens archives"):
         open_archive(tmp_path / "agent.zip")

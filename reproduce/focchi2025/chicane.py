@@ -19,7 +19,7 @@ from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_regression import fit_exponential, train_trees
 from baselines.slip.slip_sweep import identified_slip, sweep, upsample
 from reproduce.focchi2025.identification import MEASURED_LIMIT, within
-from reproduce.focchi2025.loop import follow, patches
+from reproduce.focchi2025.loop import follow, patches, sampled
 from reproduce.focchi2025.runs import (
     FRICTION,
     LENGTHS,
@@ -223,7 +223,8 @@ def readings(
                 true = vehicle(length, FRICTION, resistance)
                 made = policy(case)
                 plant = patches(true, len(profiles), False, 2.5e-3)
-                run = follow(made, plant, profiles, START, true, rate, DURATION)
+                reference = sampled(profiles, rate, DURATION)
+                run = follow(made, plant, reference, START, true, rate)
                 for i, name in enumerate(READINGS):
                     found[name, length, resistance, kind] = run.only(slice(i, i + 1)).numbers()
     return found
@@ -244,5 +245,6 @@ def integrators(length: float = LENGTHS[-1]) -> dict[tuple[str, str], Run]:
         for kind in KINDS:
             case = Case(kind, length)
             made, plant = policy(case), patches(true, 1, euler, step)
-            found[name, kind] = follow(made, plant, [profile], START, true, case.rate, DURATION)
+            reference = sampled([profile], case.rate, DURATION)
+            found[name, kind] = follow(made, plant, reference, START, true, case.rate)
     return found

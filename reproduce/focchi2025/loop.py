@@ -2,7 +2,7 @@
 integrator, or the plant on terrain, on any reference: all that `plants.standalone` calls `Driven`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from tracked_env.physics.attitude import in_body_plane
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.plants.standalone import Driven, Rig
 from tracked_env.references.profile import ReferenceProfile, sample
+
+Samples = Mapping[str, Floats]
 
 
 def patches(parameters: PlantParameters, count: int, euler: bool, step: float = 1e-3) -> Rig:
@@ -39,7 +41,7 @@ class Kinematic:
 
 
 def _observations(
-    shown: layout.Layout, state: Floats, sprockets: Floats, reference: dict[str, Floats], k: int
+    shown: layout.Layout, state: Floats, sprockets: Floats, reference: Samples, k: int
 ) -> np.ndarray[Any, np.dtype[np.float32]]:
     """What ideal sensors show at step k."""
     cosine, sine = np.cos(state[:, 2]), np.sin(state[:, 2])
@@ -69,31 +71,38 @@ def _observations(
     return shown.pack(values)
 
 
+def sampled(profiles: Sequence[ReferenceProfile], rate: float, duration: float) -> Samples:
+    """References of N vehicles at the control steps, each field (T, N); rate [Hz]."""
+    time = np.arange(round(duration * rate), dtype=np.float64) * (1.0 / rate)
+    each = [sample(profile, time)._asdict() for profile in profiles]
+    return {name: np.stack([one[name] for one in each], axis=1) for name in each[0]}
+
+
 def follow(
     policy: Any,
     plant: Driven,
-    profiles: Sequence[ReferenceProfile],
+    reference: Samples,
     start: tuple[float, float, float] | None,
     parameters: PlantParameters,
     rate: float,
-    duration: float,
     noise: float = 0.0,
     seed: int = 0,
     shown: layout.Layout = layout.V0,
+    sprockets: Floats | None = None,
 ) -> Run:
-    """Drive one vehicle per profile from rest at `start` (x, y [m], yaw [rad]); plant: as many.
+    """Drive one vehicle per reference from rest at `start` (x, y [m], yaw [rad]); plant: as many.
 
-    start: None, from where the plant has them. rate [Hz] of control. shown: what the policy sees;
-    with the attitude the run has z, roll and pitch too. noise [rad/s]: sigma on the sprocket
-    speeds, new at every control step.
+    reference: at the T control steps. start: None, from where and as the plant has them. rate
+    [Hz] of control. shown: what the policy sees; with the attitude the run has z, roll and pitch
+    too. noise [rad/s]: sigma on the sprocket speeds, new at every control step. sprockets [rad/s]
+    (N, 2): in force before the first step, None at rest.
     """
-    count, steps, period = len(profiles), round(duration * rate), 1.0 / rate
-    limit = parameters.sprocket_speed_limit
+    steps, count = reference["x"].shape
+    limit, period = parameters.sprocket_speed_limit, 1.0 / rate
     time = np.arange(steps, dtype=np.float64) * period
-    sampled = [sample(profile, time)._asdict() for profile in profiles]
-    reference = {name: np.stack([one[name] for one in sampled], axis=1) for name in sampled[0]}
     rng, memory = np.random.default_rng(seed), None
-    state, sprockets = plant.states, np.zeros((count, 2))
+    state = plant.states
+    sprockets = np.zeros((count, 2)) if sprockets is None else sprockets
     kept = [*range(6), *((s.Z, s.ROLL, s.PITCH) if "attitude" in shown.groups else ())]
     if start is not None:
         state[:, :6] = (*start, 0.0, 0.0, 0.0)

@@ -23,7 +23,7 @@ from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import chicane
 from reproduce.focchi2025.load_models import DURATION, FRICTION, HEIGHT
-from reproduce.focchi2025.loop import follow
+from reproduce.focchi2025.loop import follow, sampled
 from reproduce.focchi2025.runs import LENGTHS, Floats, Run, vehicle
 from reproduce.focchi2025.slope_identification import SPROCKET_LIMIT, model
 from reproduce.focchi2025.uneven_ground import UnevenGround
@@ -117,7 +117,9 @@ def drive(grounds: Sequence[UnevenGround], asked: Sequence[SlopeCase]) -> dict[S
             rig.stand(*ground.start, case.heading, row)
         profiles = [profile(ground.start, case.heading) for case in members]
         made = policy(alike.kind, alike.load, alike.length)
-        run = follow(made, rig, profiles, None, parameters, RATE, DURATION, shown=SHOWN)
+        run = follow(
+            made, rig, sampled(profiles, RATE, DURATION), None, parameters, RATE, shown=SHOWN
+        )
         for row, case in enumerate(members):
             found[case] = run.only(slice(row, row + 1))
     return found

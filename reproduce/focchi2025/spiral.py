@@ -14,7 +14,7 @@ from baselines.lyapunov.lyapunov_laws import LyapunovGains, PoseError, lyapunov_
 from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.slip.slip_sweep import identified_slip
-from reproduce.focchi2025.loop import Kinematic, follow
+from reproduce.focchi2025.loop import Kinematic, follow, sampled
 from reproduce.focchi2025.runs import LENGTHS, Floats, Run, vehicle
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.references import ReferenceProfile
@@ -65,7 +65,8 @@ def run_all(length: float = LENGTHS[-1], duration: float = DURATION) -> dict[str
     found = {}
     for kind, policy in policies.items():
         plant = Kinematic(PseudoKinematicModel(parameters, model))
-        run = follow(policy, plant, [profile()], START, parameters, RATE, duration)
+        reference = sampled([profile()], RATE, duration)
+        run = follow(policy, plant, reference, START, parameters, RATE)
         alpha: Floats = np.zeros(len(run.time))
         if policy is aware:
             rows = np.zeros((len(run.time), 4))

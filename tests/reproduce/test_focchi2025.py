@@ -97,8 +97,8 @@ def test_the_closed_loop_on_patches_moves_as_the_environment_does():
     inside = chicane.drive([case], seeds=1, duration=4.0)[case]
     policy = chicane.policy(case)
     outside = loop.follow(
-        policy, loop.patches(vehicle(), 1, False, 2.5e-3), [chicane.reading("v_max t")],
-        chicane.START, vehicle(), 200.0, 4.0,
+        policy, loop.patches(vehicle(), 1, False, 2.5e-3),
+        loop.sampled([chicane.reading("v_max t")], 200.0, 4.0), chicane.START, vehicle(), 200.0,
     )  # fmt: skip
     np.testing.assert_allclose(outside.reference, inside.reference, atol=1e-9)
     np.testing.assert_allclose(outside.state, inside.state, atol=1e-4)

@@ -1,0 +1,134 @@
+"""What a controller follows of a plan: the course with the ground speed, or the body and belts."""
+
+import math
+
+import numpy as np
+import pytest
+
+from baselines.planners.hand_over import FRAMES, hand_over, held_intervals
+from baselines.planners.plan import METHODS, plan
+from baselines.planners.trajectory import Limits
+from baselines.slip.slip_sweep import identified_slip, with_friction
+from tracked_env.physics.parameters import VEHICLES
+
+FOCCHI = with_friction(VEHICLES["focchi"], 0.4)._replace(sprocket_speed_limit=18.0)
+SLIP = identified_slip(FOCCHI)
+GOAL = (2.0, 2.5, -0.4)
+RATES = {
+    "constant speed": Limits.of(FOCCHI, reserve=0.1, v_min=0.4),
+    "from rest to rest": Limits.of(FOCCHI, reserve=0.1, sprocket_acceleration=20.0),
+}
+
+
+def planned(method="optimal", speed="constant speed", slip=SLIP, **given):
+    """A plan to the goal of figure 16 of F, or to another one."""
+    made = plan((0, 0, 0), given.pop("goal", GOAL), RATES[speed], slip, method, FOCCHI, **given)
+    assert made.converged or method != "optimal"
+    return made
+
+
+@pytest.fixture(scope="module", params=RATES)
+def made(request):
+    return planned(speed=request.param)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("method", METHODS)
+def test_at_the_samples_of_a_plan_it_is_where_the_plan_is(method, frame):
+    plan_ = planned(method, slip=None if method != "optimal" else SLIP)
+    found = hand_over(plan_, plan_.time, FOCCHI, frame)
+    np.testing.assert_allclose(found.x, plan_.x, atol=1e-12)
+    np.testing.assert_allclose(found.y, plan_.y, atol=1e-12)
+    if frame == "body" or method != "optimal":
+        np.testing.assert_allclose(found.yaw, plan_.yaw, atol=1e-9)
+
+
+def test_between_the_samples_of_held_inputs_it_is_on_their_arcs():
+    coarse, fine = (planned(period=period) for period in (10.0, 0.01))
+    for frame in FRAMES:
+        a, b = (hand_over(p, fine.time, FOCCHI, frame) for p in (coarse, fine))
+        for name in ("x", "y", "yaw", "speed", "yaw_rate", "acceleration", "yaw_acceleration"):
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-6)
+
+
+def test_the_course_is_continuous_though_that_of_held_inputs_jumps(made):
+    times = np.linspace(0.0, made.duration * (1.0 - 1e-9), 100_001)
+    found = hand_over(made, times, FOCCHI)
+    ends = held_intervals(made).first[1:]
+    jumps = np.abs(np.diff(made.course - made.yaw)[ends - 1])
+    assert jumps.max() > 0.01
+    assert np.abs(np.diff(found.yaw)).max() < 1e-3
+    held = held_intervals(made)
+    alpha = (made.course - made.yaw)[held.first]
+    yaw = hand_over(made, held.middle, FOCCHI, "body").yaw
+    np.testing.assert_allclose(
+        hand_over(made, held.middle, FOCCHI).yaw, yaw + alpha, atol=1e-9
+    )  # fmt: skip
+
+
+def test_the_course_frame_is_a_unicycle_on_the_planned_path(made):
+    times = np.linspace(0.0, made.duration * (1.0 - 1e-9), 200_001)
+    found, step = hand_over(made, times, FOCCHI), times[1]
+    velocity = found.speed * np.exp(1j * found.yaw)
+    place = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step))
+    assert np.abs(place - (found.x + 1j * found.y)).max() < 1e-3
+    turned = np.append(0.0, np.cumsum(0.5 * (found.yaw_rate[1:] + found.yaw_rate[:-1]) * step))
+    np.testing.assert_allclose(turned, found.yaw - found.yaw[0], atol=1e-3)
+
+
+def test_the_body_frame_repeats_the_sprocket_speeds(made):
+    found = hand_over(made, made.time[:-1], FOCCHI, "body")
+    turn = 0.5 * FOCCHI.track_gauge * found.yaw_rate
+    for belt, omega in (
+        (found.speed - turn, made.sprocket_left), (found.speed + turn, made.sprocket_right),
+    ):  # fmt: skip
+        np.testing.assert_allclose(belt, FOCCHI.sprocket_radius * omega[:-1], atol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["dubins", "clothoid"])
+def test_the_frames_of_a_path_with_slip_differ_by_alpha(method):
+    made = planned(method, slip=SLIP)
+    course, body = (hand_over(made, made.time[:-1], FOCCHI, frame) for frame in FRAMES)
+    np.testing.assert_allclose(course.yaw - body.yaw, (made.course - made.yaw)[:-1], atol=1e-9)
+    np.testing.assert_allclose(course.speed, 0.4, atol=1e-9)
+    belts = 0.5 * FOCCHI.sprocket_radius * (made.sprocket_left + made.sprocket_right)[:-1]
+    np.testing.assert_allclose(body.speed, belts, atol=1e-12)
+
+
+def test_a_path_in_reverse_has_negative_speeds_and_moves_against_its_course():
+    made = planned("reeds-shepp", "from rest to rest", None, goal=(-1.0, 0.0, 0.0))
+    times = np.linspace(0.0, made.duration, 2001)
+    found = hand_over(made, times, FOCCHI)
+    assert found.speed.min() < -0.2 and found.speed.max() <= 0.0
+    moved = np.gradient(found.x, times)[2:-2]
+    np.testing.assert_allclose(moved, (found.speed * np.cos(found.yaw))[2:-2], atol=0.05)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("method", METHODS)
+def test_after_its_end_a_plan_stands_at_the_goal_with_the_yaw_of_the_vehicle(method, frame):
+    made = planned(method, slip=SLIP)
+    times = made.duration + np.array([0.0, 1e-3, 5.0])
+    found = hand_over(made, times, FOCCHI, frame)
+    for name, value in zip(("x", "y"), GOAL, strict=False):
+        np.testing.assert_allclose(getattr(found, name), value, atol=1e-6)
+    np.testing.assert_allclose(found.yaw, made.yaw[-1], atol=1e-12)
+    assert not np.any(found[3:])
+
+
+def test_a_plan_of_no_time_stands():
+    found = hand_over(planned(goal=(0.0, 0.0, 0.0)), [0.0, 1.0], FOCCHI)
+    assert not np.any(found)
+
+
+@pytest.mark.parametrize(
+    ("times", "frame", "message"),
+    [
+        ([-1.0], "course", "must be .* finite and >= 0"), ([math.nan], "body", "finite"),
+        ([[0.0]], "course", "must be"), ([0.0], "chassis", "unknown frame 'chassis'"),
+    ],
+)  # fmt: skip
+def test_bad_input_gets_one_line(times, frame, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        hand_over(planned(), times, FOCCHI, frame)
+    assert "\n" not in str(caught.value)

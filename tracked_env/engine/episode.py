@@ -74,6 +74,7 @@ class EpisodeSettings(NamedTuple):
     terrains: int = 1  # of which an episode draws one
     reference_rows: int = 0  # of the table of a reference that was drawn as a trial
     reference_columns: int = UNIFORM_COLUMNS  # of its table: knots of its own need more
+    shows_goal: bool = False  # in the observation: then a reference has to have one
 
     @property
     def max_steps(self) -> int:
@@ -105,17 +106,28 @@ def make_settings(
     channels: tuple[str, ...] = (),
     relief_column: int = 0,
     terrains: int = 1,
+    shows_goal: bool = False,
 ) -> EpisodeSettings:
     """Check everything that an environment is built from. Raises ValueError."""
     length = checked_number("duration", duration, DURATION_RANGE)
     profile = make_reference(reference, length, np.random.default_rng(0), nominal)
+    _check_goal(profile, shows_goal)
     law = make_uncertainty(uncertainty, reads)
     if isinstance(law, CheckedLaw):  # somebody's own: an error in it shows here, not in an episode
         law(np.random.default_rng(0), nominal, profile, length)
     return EpisodeSettings(
         reference, law, nominal, make_sensors(sensors), length, control_period, reads, channels,
-        relief_column, terrains, *profile.table.shape,
+        relief_column, terrains, len(profile.table), profile.table.shape[1], shows_goal,
     )  # fmt: skip
+
+
+def _check_goal(profile: ReferenceProfile, shows_goal: bool) -> None:
+    """Raise ValueError where a goal is to be shown of a reference that has none."""
+    if shows_goal and not profile.knots.size:
+        raise ValueError(
+            "observation group 'goal': the reference has no goal; must be of the kind \"plan\": "
+            'reference={"kind": "plan", "goals": "halton"}'
+        )
 
 
 def _overridden(
@@ -216,6 +228,7 @@ def _given_reference(
     """A reference of the options. Raises ValueError where the environment has no room for it."""
     rng = np.random.default_rng(noise_seed)
     profile = make_reference(spec, settings.duration, rng, settings.nominal)
+    _check_goal(profile, settings.shows_goal)
     columns = profile.table.shape[1]
     if columns > settings.reference_columns:
         frame = ' and "frame": "body"' if columns > COURSE_COLUMNS else ""

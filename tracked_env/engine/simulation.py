@@ -62,6 +62,7 @@ class Simulation(Readings):
             config.reference, config.uncertainty, config.sensors, config.duration,
             solver.control_period, solver.nominal, solver.reads, self.layout.channels,
             solver.plant.relief_column, solver.prepared.terrains,
+            any(group.goal for group in self.layout.parts),
         )  # fmt: skip
         self.batch = b.allocate(
             count, self.settings.reference_rows, solver.plant.columns,

@@ -104,7 +104,7 @@ def _move(profile, time, end, x, y, cos_yaw, sin_yaw, yaw):
         x, y, yaw, tau = row[POSE], row[POSE + 1], row[POSE + 2], 0.0
         cos_yaw, sin_yaw = rotation(yaw)
     last = max(end, 0.0) - row[START]
-    pieces = max(int(math.ceil((last - tau) / uniform.PIECE_LIMIT)), 1)
+    pieces = max(math.ceil((last - tau) / uniform.PIECE_LIMIT), 1)
     step = (last - tau) / pieces
     for n in range(pieces):
         travel_x, travel_y, angle = _travel(row, tau + n * step, step)

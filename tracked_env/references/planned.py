@@ -30,9 +30,7 @@ from tracked_env.references.profile import ReferenceProfile
 from tracked_env.validation import checked_choice, checked_flag, checked_keys, checked_number
 
 Pose = tuple[float, float, float]
-Planner = Callable[
-    [PlantParameters, Mapping[str, float], bool, str, Pose], PlannedRows
-]  # as above
+Planner = Callable[[PlantParameters, Mapping[str, float], bool, str, Pose], PlannedRows]  # as above
 
 PLANNERS = "tracked_env.planners"  # group of entry points
 FRAMES = ("course", "body")
@@ -104,9 +102,8 @@ def _planned(
 def _pose(what: str, given: Any) -> Pose:
     if isinstance(given, (str, Mapping)) or np.shape(given) != (3,):
         raise ValueError(f"{what} = {given!r}; must be [x, y, yaw] in m and rad")
-    ranges = {"x": _PLACE, "y": _PLACE, "yaw": _YAW}
-    x, y, yaw = (checked_number(f"{what} {k}", v, ranges[k]) for k, v in zip("x y yaw".split(), given))
-    return x, y, yaw
+    x, y = (checked_number(f"{what} {name}", given[k], _PLACE) for k, name in enumerate("xy"))
+    return x, y, checked_number(f"{what} yaw", given[2], _YAW)
 
 
 def _goals(given: Mapping[str, Any], scale: float) -> tuple[list[Pose], bool]:
@@ -127,7 +124,7 @@ def _goals(given: Mapping[str, Any], scale: float) -> tuple[list[Pose], bool]:
             raise ValueError(f"annulus = {ends!r} m; must be [nearest, farthest]. Swap the two.")
         return [tuple(goal) for goal in halton_goals(near, far).tolist()], True
     if not isinstance(given["goals"], (list, tuple, np.ndarray)) or not len(given["goals"]):
-        raise ValueError(f"goals = {given['goals']!r}; must be \"halton\" or a list of [x, y, yaw]")
+        raise ValueError(f'goals = {given["goals"]!r}; must be "halton" or a list of [x, y, yaw]')
     return [_pose("goals", goal) for goal in given["goals"]], True
 
 
@@ -194,6 +191,5 @@ def _placed(rows: NDArray[np.float64], start: Pose) -> ReferenceProfile:
     knots[:, own], knots[:, own + 1] = places.real + x, places.imag + y
     knots[:, own + 2] += yaw
     begin = knots[0, own : own + 3].tolist()
-    return ReferenceProfile(
-        rows[:, :6].copy(), rows[:, 6:UNIFORM_COLUMNS].copy(), *begin, knots=knots
-    )
+    speed, yaw_rate = rows[:, :6].copy(), rows[:, 6:UNIFORM_COLUMNS].copy()
+    return ReferenceProfile(speed, yaw_rate, begin[0], begin[1], begin[2], knots)

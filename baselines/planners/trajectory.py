@@ -138,6 +138,13 @@ class Trajectory(NamedTuple):
         steps = np.diff(self.time)
         return float(np.sum(0.5 * np.abs(self.speed[1:] + self.speed[:-1]) * steps))
 
+    def slip(self, vehicle: PlantParameters) -> tuple[Array, Array, Array]:
+        """(beta_left, beta_right [m/s], alpha [rad]) (M,) that the plan has taken into account."""
+        alpha, radius = self.course - self.yaw, vehicle.sprocket_radius
+        forward, across = self.speed * np.cos(alpha), 0.5 * vehicle.track_gauge * self.yaw_rate
+        left = radius * self.sprocket_left - (forward - across)
+        return left, radius * self.sprocket_right - (forward + across), alpha
+
 
 def checked_start(start: Start | Sequence[float]) -> Start:
     """`start` with finite numbers. Raises ValueError."""

@@ -131,9 +131,11 @@ def test_envs_lists_every_environment_and_evaluation_set(
 ) -> None:
     assert main(["envs"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines if line.startswith("  ")] == list(SETS)
-    heads = [line.split()[0] for line in lines if not line.startswith("  ")]
-    assert heads == [TORQUE_ID, SPEED_ID, TERRAIN_ID]
+    ids = [TORQUE_ID, SPEED_ID, TERRAIN_ID]
+    of_ids = [name for env in ids for name, entry in SETS.items() if entry.env == env]
+    assert len(of_ids) == len(SETS)
+    assert [line.split()[0] for line in lines if line.startswith("  ")] == of_ids
+    assert [line.split()[0] for line in lines if not line.startswith("  ")] == ids
 
 
 def test_leaderboard_evaluates_everything_on_every_environment(

@@ -86,7 +86,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         |--|--|--|
         | `reference` | `"random"` | name or dict, see `tracked_env.references` |
         | `uncertainty` | `"soil-and-mass"` | set by name, {parameter: [low, high]}, or a function |
-        | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, `mocap`, or dict of overrides |
+        | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, `mocap`, .., or dict of overrides |
         | `duration` | 30 | [s] of an episode |
         | `control_rate` | 50 | [Hz] of actions and observations |
         | `lateral` | `"sliding"` | of the lumped plant; or `"constrained"`, which patches refuse |

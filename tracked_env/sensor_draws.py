@@ -4,6 +4,10 @@ Laws of the draws, once per episode and vehicle:
     gyro and accelerometer bias     = s b, s = -1 or +1 with equal odds, b the data-sheet bias
     noise, every sample             = N(0, sigma^2)
     dropout, every sample and group : lost with probability p; the last sample stays
+    outages of the pose = U(gap), U(length), U(gap), ... [s], a renewal process; the first sample of
+                          an episode comes always
+Outages are drawn while the episode runs (`engine.observing.outage`), by numbers of its noise that
+no sample uses, so that all other numbers stay what they are.
 """
 
 from functools import lru_cache
@@ -33,6 +37,7 @@ class SensorDraw(NamedTuple):
     noisy: bool  # False: no random number is needed
     velocity: float  # 1, or 0 where v_x and v_y are not measured
     added: tuple[tuple[str, float, float], ...] = ()  # registered channels: name, sigma, |bias|
+    outage: tuple[float, ...] = ()  # [control steps] gap low, high, length low, high; empty: none
 
 
 def _error(sensors: Sensors, channel: Channel, field: str) -> float:
@@ -73,6 +78,8 @@ def _own_part(sensors: Sensors, control_period: float) -> SensorDraw:
     """The same without registered channels."""
     probability = np.array([getattr(sensors, f"{group}_dropout") for group in GROUPS])
     periods, delays = _steps(sensors, control_period)
+    bounds = (*sensors.pose_outage_gap, *sensors.pose_outage_length)
+    outage = tuple(time / control_period for time in bounds) if any(bounds) else ()
     sigma = np.array([_error(sensors, channel, channel.noise) for channel in TABLE])
     # The two accelerometers' biases differ by sqrt(2) of one, in the mean square.
     bias = np.array([_error(sensors, channel, channel.bias) for channel in TABLE])
@@ -83,8 +90,9 @@ def _own_part(sensors: Sensors, control_period: float) -> SensorDraw:
         ndtri(probability),
         np.array(periods, dtype=np.int64),
         np.array(delays, dtype=np.int64),
-        bool(np.any(sigma > 0.0) or np.any(probability > 0.0)),
+        bool(np.any(sigma > 0.0) or np.any(probability > 0.0) or outage),
         sensors.velocity_measured,
+        outage=outage,
     )
 
 

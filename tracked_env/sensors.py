@@ -7,6 +7,8 @@ Three groups share a sampling clock each: `pose` (INS/GNSS), `inertial` (IMU), `
     rtk     RTK-GNSS and a tactical IMU, the default
     strawa  the low-cost set of Strawa et al. (2021), section 5.2
     mocap   motion capture and encoders indoors, the default of Speed-v0
+    rtk-outages, mocap-outages      the same, with outages of the pose
+In an outage position, heading and velocity are missing; inertial and drive group go on.
 The draw of an episode is in `tracked_env.sensor_draws`.
 `register` adds a channel: its noise and bias are then fields of the presets like the others.
 """
@@ -18,10 +20,17 @@ import numpy as np
 
 from tracked_env.physics.channels import ATTITUDE, CHANNELS, GROUPS, Channel
 from tracked_env.physics.parameters import Range
-from tracked_env.validation import SIGMA, checked_choice, checked_keys, checked_number
+from tracked_env.validation import (
+    SIGMA,
+    checked_choice,
+    checked_interval,
+    checked_keys,
+    checked_number,
+)
 
 DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
 PERIOD_LIMIT = 10.0  # [s] longest sampling period
+OUTAGE_LIMIT = 3600.0  # [s] longest outage of the pose, and time between two
 UNMEASURED = 1e3  # [m/s] velocity noise that a data sheet states where nothing is measured
 
 
@@ -52,6 +61,8 @@ class Sensors(NamedTuple):
     inertial_dropout: float = 0.0  # [-]
     drive_dropout: float = 0.0  # [-]
     velocity_measured: float = 1.0  # [-] 0: v_x and v_y read 0, and velocity_noise is UNMEASURED
+    pose_outage_gap: tuple[float, float] = (0.0, 0.0)  # [s] = U(low, high) with a pose, then
+    pose_outage_length: tuple[float, float] = (0.0, 0.0)  # [s] = U(low, high) without; 0, 0: none
     further: tuple[tuple[str, float], ...] = ()  # (field, value) of registered channels, SI
 
     def value(self, field: str) -> float:
@@ -100,7 +111,21 @@ MOCAP = Sensors(
     sprocket_speed_noise=0.02,
     torque_noise=0.1,
 )
-PRESETS = {"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA, "mocap": MOCAP}
+
+
+def _with_outages(sensors: Sensors) -> Sensors:
+    """Behind trees or a wall without satellites, behind an obstacle without markers."""
+    return sensors._replace(pose_outage_gap=(5.0, 10.0), pose_outage_length=(3.0, 10.0))
+
+
+PRESETS = {
+    "ideal": IDEAL,
+    "rtk": RTK,
+    "strawa": STRAWA,
+    "mocap": MOCAP,
+    "rtk-outages": _with_outages(RTK),
+    "mocap-outages": _with_outages(MOCAP),
+}
 
 _RANGES = {
     **{name: SIGMA for name in Sensors._fields if name.endswith(("_noise", "_bias"))},
@@ -118,6 +143,8 @@ _RANGES = {
     "velocity_measured": Range(0.0, 1.0, "-", "It is 1, measured, or 0, not measured."),
 }
 
+_OUTAGE = Range(0.0, OUTAGE_LIMIT, "s", "Did you pass control steps?")
+_INTERVALS = {"pose_outage_gap": _OUTAGE, "pose_outage_length": _OUTAGE}
 _FIELDS = tuple(name for name in Sensors._fields if name != "further")
 ADDED = {channel.name: channel for channel in ATTITUDE}  # sampled where shown, and registered
 
@@ -163,6 +190,13 @@ def _preset(name: str) -> Sensors:
     return preset._replace(further=tuple(further.items()))
 
 
+def _checked(name: str, value: Any) -> Any:
+    """A field inside its range. Raises ValueError."""
+    if name in _INTERVALS:
+        return checked_interval(name, value, _INTERVALS[name])
+    return checked_number(name, value, _RANGES.get(name, SIGMA))
+
+
 def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -> Sensors:
     """Sensors from a preset name, or a dict {"preset": name, field: value, ...}.
 
@@ -172,9 +206,7 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
     preset or field and for a value outside its range.
     """
     if isinstance(spec, Sensors):
-        fields = {
-            name: checked_number(name, getattr(spec, name), _RANGES[name]) for name in _FIELDS
-        }
+        fields = {name: _checked(name, getattr(spec, name)) for name in _FIELDS}
         registered = ((name, checked_number(name, value, SIGMA)) for name, value in spec.further)
         return _stated(Sensors(**fields, further=tuple(registered)))
     if spec is None:
@@ -190,9 +222,7 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
     given = {**checked_keys("sensors", dict(given.pop("further", ())), added), **given}
     if "preset" in given:
         base = _preset(given.pop("preset"))
-    checked = {
-        name: checked_number(name, value, _RANGES.get(name, SIGMA)) for name, value in given.items()
-    }
+    checked = {name: _checked(name, value) for name, value in given.items()}
     values = {name: value for name, value in checked.items() if name in _FIELDS}
     own = {name: value for name, value in checked.items() if name in added}
     again = values.get("velocity_measured", 0.0) > base.velocity_measured
@@ -203,7 +233,14 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
 
 
 def _stated(sensors: Sensors) -> Sensors:
-    """Sensors whose data sheet is true where the velocity is not measured. Raises ValueError."""
+    """Sensors whose data sheet is true where the velocity is not measured, and whose outages, if
+    there are any, have a length and a gap. Raises ValueError."""
+    gap, length = sensors.pose_outage_gap, sensors.pose_outage_length
+    if (gap[1] > 0.0) != (length[1] > 0.0):
+        raise ValueError(
+            f"pose_outage_gap = {list(gap)} s and pose_outage_length = {list(length)} s; outages "
+            "need both, and [0, 0] of both means none. Did you forget one?"
+        )
     if sensors.velocity_measured == 0.0:
         return sensors._replace(velocity_noise=UNMEASURED)
     if sensors.velocity_measured != 1.0:

@@ -67,6 +67,16 @@ def checked_number(what: str, value: object, allowed: Range) -> float:
     return number
 
 
+def checked_interval(what: str, value: object, allowed: Range) -> tuple[float, float]:
+    """[low, high] as two floats inside the range, low <= high."""
+    if not isinstance(value, (list, tuple)) or len(value) != 2:
+        raise ValueError(f"{what} = {value!r}; must be [low, high], two numbers. Did you pass one?")
+    low, high = (checked_number(what, bound, allowed) for bound in value)
+    if low > high:
+        raise ValueError(f"{what} = [{low:g}, {high:g}]; low must be <= high. Are they swapped?")
+    return low, high
+
+
 def checked_whole(what: str, value: object, allowed: Range) -> int:
     """`value` as an int inside its range; 64.0 is a whole number, 1.5 and True are not."""
     number = checked_number(what, value, allowed)

@@ -191,6 +191,21 @@ register(BenchmarkSet("weak-actuator", "weak-actuator", "drives give 0.4 to 0.7 
 register(BenchmarkSet("actuator-fault", "actuator-fault", "one drive loses torque on the way"))
 DEFAULT_SETS = default_sets()
 
+# Beside the versions: outages of the pose, of 3 to 10 s; inertial and drive group stay.
+for _entry in (
+    BenchmarkSet("outages", "soil-and-mass", "seconds without pose", "rtk-outages"),
+    BenchmarkSet("outages-weak-soil", "weak-soil", "the same with large slip", "rtk-outages"),
+    BenchmarkSet(
+        "outages-alternating", "alternating-soils", "the same, another soil every 2 s",
+        "rtk-outages",
+    ),
+    _indoors(
+        "floor-outages", "friction", "seconds without pose on an unknown floor",
+        sensors="mocap-outages",
+    ),
+):  # fmt: skip
+    register(_entry)
+
 
 def of_version(episode: Episode, version: Version) -> tuple[Any, ...]:
     """All that an episode is, as the version knows it."""

@@ -67,7 +67,8 @@ BIAS = SIGMA + CHANNEL_COUNT  # per channel
 CROSS_COUPLING = BIAS + CHANNEL_COUNT  # [-]
 VELOCITY = CROSS_COUPLING + 1  # [-] 1, or 0 where v_x and v_y are not measured
 DROPOUT = VELOCITY + 1  # per group: a normal number below it loses the sample
-SAMPLE = DROPOUT + GROUP_COUNT  # latest samples, and the step each group was sampled
+OUTAGE = DROPOUT + GROUP_COUNT  # [control steps] gap low, high, length low, high
+SAMPLE = OUTAGE + 4  # latest samples, and the step each group was sampled
 DELIVERED = SAMPLE + DELIVERED_COUNT  # samples after their delay; unused while nobody has one
 # What a step reports lies together, so that one pass over the batch collects it.
 ERROR_DISTANCE = DELIVERED + DELIVERED_COUNT  # [m] true distance from vehicle to reference
@@ -109,7 +110,9 @@ EVENT_COUNT = 4
 MAX_STEP = 5  # [control steps] of the episode
 PERIOD = 6  # per group, [control steps] between samples
 DELAY = PERIOD + GROUP_COUNT  # per group, [control steps]
-COUNTER_COLUMNS = DELAY + GROUP_COUNT
+OUTAGE_FROM = DELAY + GROUP_COUNT  # step at which the next outage of the pose begins; -1: never
+OUTAGE_UNTIL = OUTAGE_FROM + 1  # step at which the last one ends or has ended
+COUNTER_COLUMNS = OUTAGE_UNTIL + 1
 
 COUNTER = {
     "step": STEP, "noise_cursor": NOISE_CURSOR, "terminated": TERMINATED, "truncated": TRUNCATED,

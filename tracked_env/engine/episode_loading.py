@@ -247,6 +247,8 @@ def fresh_row(size: int, sensors: SensorDraw) -> NDArray[np.float64]:
     row[b.BIAS : b.BIAS + CHANNEL_COUNT] = sensors.bias
     row[b.CROSS_COUPLING], row[b.VELOCITY] = sensors.cross_coupling, sensors.velocity
     row[b.DROPOUT : b.DROPOUT + b.GROUP_COUNT] = sensors.dropout
+    if sensors.outage:
+        row[b.OUTAGE : b.OUTAGE + len(sensors.outage)] = sensors.outage
     return row
 
 
@@ -256,4 +258,5 @@ def fresh_counters(sensors: SensorDraw, max_steps: int) -> NDArray[np.int64]:
     row[b.PERIOD : b.PERIOD + b.GROUP_COUNT] = sensors.period
     row[b.DELAY : b.DELAY + b.GROUP_COUNT] = sensors.delay
     row[b.MAX_STEP] = max_steps
+    row[b.OUTAGE_FROM] = 0 if sensors.outage else -1
     return row

@@ -29,6 +29,7 @@ _SHOWN = np.array(
     [(c, obs.INDEX[name]) for c, name in enumerate(channels.CHANNELS) if name in obs.INDEX]
 )
 _X, _Y, _YAW = (channels.CHANNELS.index(name) for name in ("x", "y", "yaw"))
+_HALF_ROOT = math.sqrt(0.5)
 _ERROR_X, _ERROR_Y = obs.INDEX["position_error_x"], obs.INDEX["position_error_y"]
 _HEADING_ERROR = obs.INDEX["heading_error"]
 # Columns of v, dv/dt, d2v/dt2, w, dw/dt of the reference, in the order of `reference_profile`.
@@ -80,6 +81,33 @@ def reference_rates(floats, profile, i, time):
 
 
 @formula
+def _steps_between(low, high, normal):
+    """U(low, high) as a whole number of control steps, at least one, by a normal number."""
+    share = 0.5 * math.erfc(-normal * _HALF_ROOT)
+    return max(int(low + (high - low) * share + 0.5), 1)
+
+
+@formula
+def outage(floats, counters, noise, i, step, run, place):
+    """Whether vehicle i is without pose in this step, which is called once for each.
+
+    When an outage begins, its length and the gap behind it are drawn by the numbers for the noise
+    of x and for the dropout, of which an outage makes no use. At the start there is a gap only.
+    """
+    if step == counters[i, b.OUTAGE_FROM]:
+        length = _steps_between(
+            floats[i, b.OUTAGE + 2], floats[i, b.OUTAGE + 3], noise[run, i, place, _X]
+        )
+        gap = _steps_between(
+            floats[i, b.OUTAGE], floats[i, b.OUTAGE + 1],
+            noise[run, i, place, channels.CHANNEL_COUNT],
+        )  # fmt: skip
+        counters[i, b.OUTAGE_UNTIL] = step + (length if step > 0 else 0)
+        counters[i, b.OUTAGE_FROM] = counters[i, b.OUTAGE_UNTIL] + gap
+    return step < counters[i, b.OUTAGE_UNTIL]
+
+
+@formula
 def sample_sensors(floats, counters, noise, i, step):
     """Take this step's samples of vehicle i; `step` counts control steps since reset."""
     cursor = counters[i, b.NOISE_CURSOR]
@@ -87,11 +115,12 @@ def sample_sensors(floats, counters, noise, i, step):
     truth = channels.signals(
         floats, i, floats[i, _RADIUS], floats[i, b.CROSS_COUPLING], floats[i, b.VELOCITY]
     )
+    missing = outage(floats, counters, noise, i, step, run, place)
     for g in range(b.GROUP_COUNT):
         period = counters[i, b.PERIOD + g]
         due = period == 1 or step % period == 0
         lost = noise[run, i, place, channels.CHANNEL_COUNT + g] < floats[i, b.DROPOUT + g]
-        if due and (not lost or step == 0):
+        if due and (not (lost or (missing and g == 0)) or step == 0):
             for c in range(GROUP_START[g], GROUP_START[g + 1]):
                 error = floats[i, b.BIAS + c] + floats[i, b.SIGMA + c] * noise[run, i, place, c]
                 floats[i, b.SAMPLE + c] = truth[c] + error

@@ -32,7 +32,7 @@ from tracked_env.uncertainty.law import Draw
 
 RECORD = np.dtype([(name, np.float64) for name in PARAMETER_NAMES])
 HURST = 0.8  # [-] of drawn hills: 1 is smooth, 0 is rough
-CHANGES_LIMIT = 8  # [-] of one episode, drawn by a law
+CHANGES_LIMIT = 48  # [-] of one episode, drawn by a law
 CHANGE_FIELDS = 9  # eight as `events` has them, and the direction of a line [rad]
 
 MASS, INERTIA = PARAMETER_INDEX["mass"], PARAMETER_INDEX["inertia"]

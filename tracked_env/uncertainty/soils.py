@@ -36,6 +36,7 @@ SOILS: dict[str, SoilParameters] = {
 }
 FIRM = ("heavy_clay", "sandy_loam")
 WEAK = ("lete_sand", "dry_sand", "clayey_soil")
+ALTERNATION = 2.0  # [s] from one soil to the other
 LOOSE = ("sandy_loam", "lete_sand", "dry_sand")
 
 # (44): mu_l = 0.7 + 0.02 X cos(0.3 Y);  (45): mu_t = 0.6 + 0.03 X sin(0.2 X) exp(-0.01 Y)
@@ -220,6 +221,25 @@ def _actuator_fault(rng, nominal, path, truth, changes):
     c.ramp(changes, side, gain, start, 0.0)
 
 
+@formula
+def _alternating_soils(rng, nominal, path, truth, changes):
+    """Every 2 s another soil, for 34 s: a firm one, a weak one, and back; mass *U(0.8, 1.3)."""
+    weak_first = random(rng) < 0.5
+    firm, weak = _one_of(rng, _FIRM), _one_of(rng, _WEAK)
+    share = uniform(rng, 0.8, 1.3)
+    truth.mass, truth.inertia = nominal.mass * share, nominal.inertia * share
+    truth.cohesion, truth.friction_angle, truth.shear_deformation_modulus = (
+        weak if weak_first else firm
+    )
+    truth.longitudinal_resistance = uniform(rng, 0.1, 0.16)  # =U(0.1, 0.16): the weak soil must do
+    truth.lateral_resistance = uniform(rng, 0.45, 0.65)  # =U(0.45, 0.65)
+    for k in range(1, c.CHANGES_LIMIT // 3 + 1):
+        cohesion, friction_angle, modulus = weak if weak_first == (k % 2 == 0) else firm
+        c.ramp(changes, c.COHESION, cohesion, k * ALTERNATION, 0.0)
+        c.ramp(changes, c.FRICTION_ANGLE, friction_angle, k * ALTERNATION, 0.0)
+        c.ramp(changes, c.SHEAR_DEFORMATION_MODULUS, modulus, k * ALTERNATION, 0.0)
+
+
 @loop
 def _each_soil_and_mass(*call):
     c.draw_each(_soil_and_mass, call)
@@ -280,6 +300,11 @@ def _each_actuator_fault(*call):
     c.draw_each(_actuator_fault, call)
 
 
+@loop
+def _each_alternating_soils(*call):
+    c.draw_each(_alternating_soils, call)
+
+
 LAWS = c.laws(
     ("soil-and-mass", _each_soil_and_mass, _soil_and_mass),
     ("payload", _each_payload, _payload),
@@ -293,4 +318,5 @@ LAWS = c.laws(
     ("loose-soil", _each_loose_soil, _loose_soil),
     ("weak-actuator", _each_weak_actuator, _weak_actuator),
     ("actuator-fault", _each_actuator_fault, _actuator_fault),
+    ("alternating-soils", _each_alternating_soils, _alternating_soils),
 )

@@ -1,0 +1,137 @@
+"""Outages of the pose: a renewal process of its own, in which inertial and drive sensors go on."""
+
+import copy
+import json
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+
+from tracked_env import observation as obs
+from tracked_env import sensors
+from tracked_env.env import TrackedVehicleEnv
+from tracked_env.physics.channels import CHANNELS
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+PERIOD = 0.02  # [s]
+GAP, LENGTH = (0.4, 1.2), (0.2, 0.8)  # [s]
+OUTAGES = {"pose_outage_gap": GAP, "pose_outage_length": LENGTH}
+ACTION = np.array([0.3, 0.2], dtype=np.float32)
+POSE = CHANNELS[:5]
+AGE = obs.INDEX["pose_age"]
+
+
+def vehicles(count, **given):
+    given = {"sensors": {"preset": "rtk", **OUTAGES}, "error_limit": 1e6, **given}
+    return TrackedVehicleVectorEnv(count, autoreset_mode="Disabled", **given)
+
+
+def driven(env, steps, seed=0, **given):
+    """Observations (steps + 1, N, D) under one action."""
+    actions = np.tile(ACTION, (env.num_envs, 1))
+    seen = [env.reset(seed=seed, **given)[0]]
+    return np.array(seen + [env.step(actions)[0] for _ in range(steps)])
+
+
+def runs(missing):
+    """(gaps, lengths) [steps] of one vehicle that are complete: (steps,) bool."""
+    edges = np.flatnonzero(np.diff(missing.astype(int)))
+    pieces = np.diff(np.concatenate([[-1], edges]))
+    return pieces[::2], pieces[1::2]
+
+
+def test_gaps_and_lengths_are_uniform_in_their_ranges_and_independent():
+    env = vehicles(300, duration=40.0)
+    missing = driven(env, 1500)[:, :, AGE] > 0.5 * PERIOD
+    gaps, lengths = zip(*(runs(row) for row in missing.T), strict=True)
+    assert not missing[0].any()
+    for pieces, (low, high) in ((gaps, GAP), (lengths, LENGTH)):
+        first = np.array([row[:12] for row in pieces]) * PERIOD  # of all as many: no bias
+        assert first.min() == pytest.approx(low, abs=PERIOD)
+        assert first.max() == pytest.approx(high, abs=PERIOD)
+        assert first.mean() == pytest.approx(0.5 * (low + high), rel=0.02)
+        assert first.std() == pytest.approx((high - low) / np.sqrt(12.0), rel=0.05)
+        inside = (first - first.mean()) / first.std()
+        assert abs((inside[:, 1:] * inside[:, :-1]).mean()) < 0.06  # 3.5 standard deviations
+        assert abs((inside[1:] * inside[:-1]).mean()) < 0.06  # of vehicles that are neighbours
+    pairs = [np.array([row[:12] for row in pieces], float) for pieces in (gaps, lengths)]
+    gap, length = ((p - p.mean()) / p.std() for p in pairs)
+    assert abs((gap * length).mean()) < 0.06
+    assert abs((gap[:, 1:] * length[:, :-1]).mean()) < 0.06
+
+
+def test_outages_leave_every_other_number_as_it_is():
+    plain, holed = (
+        driven(vehicles(8, sensors=given), 300) for given in ("rtk", {"preset": "rtk", **OUTAGES})
+    )
+    missing = holed[:, :, AGE] > 0.5 * PERIOD
+    assert 0.2 < missing.mean() < 0.6
+    assert np.array_equal(plain[~missing], holed[~missing])
+    pose = {"position_error_x", "position_error_y", "heading_error", "pose_age", *POSE}
+    alive = [k for k, name in enumerate(obs.NAMES) if name not in pose]
+    assert np.array_equal(plain[:, :, alive], holed[:, :, alive])
+
+
+def test_in_an_outage_velocity_holds_its_age_grows_and_the_inertial_group_goes_on():
+    seen = driven(vehicles(1), 300)[:, 0]
+    missing = seen[:, AGE] > 0.5 * PERIOD
+    assert missing.any()
+    gone = np.flatnonzero(missing)
+    ages = seen[gone, AGE] * obs.SCALE[AGE]
+    began = np.array([np.flatnonzero(~missing[:k])[-1] for k in gone])
+    assert np.allclose(ages, (gone - began) * PERIOD, atol=1e-5)
+    for name in ("v_x", "v_y"):
+        assert np.array_equal(seen[gone, obs.INDEX[name]], seen[began, obs.INDEX[name]])
+    for name in ("acceleration_x", "yaw_rate", "sprocket_speed_left", "torque_right"):
+        assert (np.diff(seen[:, obs.INDEX[name]]) != 0.0).all()
+    assert (seen[:, [obs.INDEX["inertial_age"], obs.INDEX["drive_age"]]] == 0.0).all()
+
+
+@pytest.mark.parametrize("preset", ["ideal", "rtk"])
+def test_single_and_vector_environment_meet_the_same_outages_bit_for_bit(preset):
+    given = {"sensors": {"preset": preset, **OUTAGES}, "error_limit": 1e6}
+    together = driven(vehicles(3, sensors=given["sensors"]), 200, seed=5)
+    for i in range(3):
+        env = TrackedVehicleEnv(**given)
+        alone = [env.reset(seed=5 + i)[0]] + [env.step(ACTION)[0] for _ in range(200)]
+        assert np.array_equal(together[:, i], np.array(alone))
+
+
+@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_in_the_middle_of_an_outage_goes_on_bit_for_bit(how):
+    env = TrackedVehicleEnv(sensors={"preset": "rtk", **OUTAGES}, error_limit=1e6)
+    seen, _ = env.reset(seed=1)
+    while seen[AGE] < 5.5 * PERIOD:
+        seen = env.step(ACTION)[0]
+    other = how(env)
+    ours, theirs = (np.array([one.step(ACTION)[0] for _ in range(200)]) for one in (env, other))
+    assert np.array_equal(ours, theirs)
+    assert (np.diff(ours[:, AGE]) < 0.0).any()
+
+
+def test_outages_are_an_option_of_one_episode_and_a_preset():
+    env = vehicles(2, sensors="rtk")
+    assert (driven(env, 150)[:, :, AGE] == 0.0).all()
+    assert (driven(env, 150, options={"sensors": OUTAGES})[:, :, AGE] > 0.0).any()
+    assert (driven(env, 150)[:, :, AGE] == 0.0).all()
+    made = gymnasium.make("tracked_env:tracked_env/Speed-v0", sensors="mocap-outages").unwrapped
+    assert made.simulation.settings.sensors.pose_outage_length == (3.0, 10.0)
+    known = sensors.make_sensors("rtk-outages")
+    assert known._replace(pose_outage_gap=(0.0, 0.0), pose_outage_length=(0.0, 0.0)) == sensors.RTK
+    assert sensors.make_sensors(json.loads(json.dumps(known._asdict()))) == known
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"pose_outage_gap": 3.0, "pose_outage_length": LENGTH}, r"3\.0; must be \[low, high\]"),
+        ({"pose_outage_gap": [2, 1], "pose_outage_length": LENGTH}, "low must be <= high"),
+        ({"pose_outage_gap": GAP, "pose_outage_length": [-1, 1]}, r"-1\.0 s; must be a number in"),
+        ({"pose_outage_gap": GAP}, "Did you forget one"),
+        ({"pose_outage_length": LENGTH}, "Did you forget one"),
+    ],
+)
+def test_ranges_that_make_no_sense_are_refused_with_the_reason(given, message):
+    with pytest.raises(ValueError, match=message):
+        sensors.make_sensors({"preset": "rtk", **given})

@@ -12,6 +12,7 @@ Written as terminal table, Markdown, JSON and one HTML page (see `leaderboard_pa
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -161,6 +162,9 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
         ["agent", "success", "ended early", "recovery [s]", "peak [m]", "energy [kJ]", "effort",
          "saturated", f"action rate [{unit}]", "predict [us]"],
     ]  # fmt: skip
+    goals = any(not math.isnan(p.overall.means["goal_reached"]) for p in board.places)
+    if goals:
+        cells[0] += ["goals reached", "time to goal [s]"]
     for place in board.places:
         o, m = place.overall, place.overall.means
         change = [f"{m['recovery_time']:.1f}", f"{m['peak_after_change']:.2f}"]
@@ -168,7 +172,8 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
             [place.agent, f"{m['success']:.1%}", f"{m['terminated']:.1%}",
              *(change if o.changed else ["-", "-"]), f"{m['energy'] / 1e3:.4g}",
              f"{m['effort']:.4f}", f"{m['saturation_share']:.1%}", f"{action_rate(m)[0]:.4g}",
-             f"{'' if o.timed_alone else '~'}{o.predict_time * 1e6:.1f}"]
+             f"{'' if o.timed_alone else '~'}{o.predict_time * 1e6:.1f}",
+             *([f"{m['goal_reached']:.0%}", f"{m['goal_time']:.1f}"] if goals else [])]
         )  # fmt: skip
     return cells
 

@@ -3,12 +3,17 @@
 import numpy as np
 import pytest
 
-from baselines.registry import BY_ENVIRONMENT
-from tests.benchmark.stub_policies import Constant
+from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import BenchmarkConfig
 from tracked_env.benchmark.goal_metrics import GOAL_ANGLE, GOAL_DISTANCE, goals_of, reaching
+from tracked_env.benchmark.leaderboard import goal_table, leaderboard
+from tracked_env.benchmark.registered_policies import registered_policy
+from tracked_env.benchmark.report import markdown
+from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.sets import GOAL_REACHING, default_sets, names_of, version_of
+from tracked_env.benchmark.store import Store
+from tracked_env.benchmark.summary import rows_of, summarise
 
 LENGTH, PERIOD, STEPS = 0.7, 0.1, 50
 POWER = 3.0  # [W]
@@ -49,6 +54,14 @@ def test_an_episode_that_ends_early_has_the_time_of_a_whole_one_and_what_it_has_
     assert energy == pytest.approx(2.0 * POWER) and miss == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_of_a_pose_that_is_not_finite_the_last_finite_one_counts(bad):
+    x = 0.1 * np.arange(1, STEPS + 1)
+    x[19] = bad
+    reached, time, _, miss = measured(x, np.zeros(STEPS), steps=20)
+    assert (reached, time, miss) == (0.0, pytest.approx(5.0), pytest.approx(2.1))
+
+
 def test_without_a_goal_there_is_no_number():
     goal = (np.nan, np.nan, np.nan)
     assert np.isnan(measured(np.zeros(STEPS), np.zeros(STEPS), goal=goal)).all()
@@ -77,18 +90,17 @@ def test_sets_with_goals_are_a_version_of_their_own_and_not_run_by_default():
 
 
 def test_a_policy_that_follows_the_plan_reaches_more_goals_than_one_that_stands(tmp_path):
-    from tracked_env.benchmark.policy_interface import as_entry
-    from tracked_env.benchmark.report import markdown
-    from tracked_env.benchmark.runner import run
-    from tracked_env.benchmark.store import Store
-    from tracked_env.benchmark.summary import summarise
-
     config = BenchmarkConfig(sets=("goals",), episodes=8)
-    entries = [as_entry("stands", Constant()), as_entry("slc", BY_ENVIRONMENT)]
+    entries = [
+        entry("stands", lambda context: Constant(0.0, 0.0)),
+        registered_policy("slc", SPEED_ID),
+    ]
     records = run(config, entries, Store(tmp_path, config.identity()))
     summary = summarise(records)
-    stands, slc = (summary.policies["goals"][name].means for name in ("stands", "slc"))
-    assert stands["goal_reached"] == 0.0 and slc["goal_reached"] >= 0.75
-    assert slc["goal_time"] < 0.75 * stands["goal_time"] == 15.0
-    assert slc["goal_miss"] < 0.1 < stands["goal_miss"]
+    still, slc = (summary.policies["goals"][name].means for name in ("stands", "slc"))
+    assert still["goal_reached"] == 0.0 and slc["goal_reached"] >= 0.75
+    assert still["goal_time"] == 20.0 and slc["goal_time"] < 15.0
+    assert slc["goal_miss"] < 0.1 < still["goal_miss"]
+    board = leaderboard(summary, rows_of(records))
+    assert [row[:2] for row in goal_table(board)[1:]] == [["slc", "100%"], ["stands", "0%"]]
     assert "goals reached" in markdown(summary)

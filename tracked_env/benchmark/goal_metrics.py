@@ -5,7 +5,7 @@ power of both sprockets, l the contact length and N the steps driven:
     reached    d_k <= GOAL_DISTANCE l and |yaw - goal's| <= GOAL_ANGLE in some step
     time       h k of the first such step; the length of the episode where there is none
     energy     sum of h P_k until then; of the whole drive where there is none
-    miss       d_N, at the end of the drive
+    miss       d_N, at the end of the drive, or where the pose was finite last
 All are NaN in episodes whose reference has no goal.
 """
 
@@ -49,7 +49,7 @@ def reaching(
     goals (n, 3); contact_length [m] of the nominal vehicle; period [s] of a step, whole [s] of an
     episode.
     """
-    x, y, yaw = poses - goals.T[:, None]
+    x, y, yaw = np.where(np.isfinite(poses), poses, np.nan) - goals.T[:, None]
     away = np.hypot(x, y)
     turned = np.abs(np.remainder(yaw + np.pi, 2.0 * np.pi) - np.pi)
     driven = np.arange(len(away))[:, None] < steps
@@ -59,7 +59,8 @@ def reaching(
     spent = np.where(np.arange(len(away))[:, None] <= last, power, 0.0)
     spent = np.where(np.isfinite(spent), spent, 0.0)
     energy = np.ascontiguousarray(spent.T).sum(axis=-1) * period
-    miss = away[steps - 1, np.arange(len(steps))]
+    ends = np.where(driven & np.isfinite(away), np.arange(len(away))[:, None], 0).max(axis=0)
+    miss = away[ends, np.arange(len(steps))]
     known = np.isfinite(goals).all(axis=1)
     found = (reached.astype(float), np.where(reached, (first + 1) * period, whole), energy, miss)
     return GoalReaching(*(np.where(known, values, np.nan) for values in found))

@@ -21,7 +21,16 @@ import numpy as np
 
 from tracked_env.benchmark.changes import RECOVERED
 from tracked_env.benchmark.reliability import FEW_SEEDS, estimate, fewest
-from tracked_env.benchmark.report import aligned, escaped_lines, markdown_rows, marked, plain
+from tracked_env.benchmark.report import (
+    GOAL_COLUMNS,
+    GOAL_LEGEND,
+    aligned,
+    escaped_lines,
+    goal_cells,
+    markdown_rows,
+    marked,
+    plain,
+)
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary, action_rate
@@ -162,9 +171,6 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
         ["agent", "success", "ended early", "recovery [s]", "peak [m]", "energy [kJ]", "effort",
          "saturated", f"action rate [{unit}]", "predict [us]"],
     ]  # fmt: skip
-    goals = any(not math.isnan(p.overall.means["goal_reached"]) for p in board.places)
-    if goals:
-        cells[0] += ["goals reached", "time to goal [s]"]
     for place in board.places:
         o, m = place.overall, place.overall.means
         change = [f"{m['recovery_time']:.1f}", f"{m['peak_after_change']:.2f}"]
@@ -172,9 +178,17 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
             [place.agent, f"{m['success']:.1%}", f"{m['terminated']:.1%}",
              *(change if o.changed else ["-", "-"]), f"{m['energy'] / 1e3:.4g}",
              f"{m['effort']:.4f}", f"{m['saturation_share']:.1%}", f"{action_rate(m)[0]:.4g}",
-             f"{'' if o.timed_alone else '~'}{o.predict_time * 1e6:.1f}",
-             *([f"{m['goal_reached']:.0%}", f"{m['goal_time']:.1f}"] if goals else [])]
+             f"{'' if o.timed_alone else '~'}{o.predict_time * 1e6:.1f}"]
         )  # fmt: skip
+    return cells
+
+
+def goal_table(board: Leaderboard) -> list[list[str]]:
+    """Rows of cells, the header first: goals, over all sets that have any; no row without."""
+    cells = [["agent", *GOAL_COLUMNS]]
+    for place in board.places:
+        if not math.isnan(place.overall.means["goal_reached"]):
+            cells.append([place.agent, *goal_cells(place.overall.means)])
     return cells
 
 
@@ -202,11 +216,14 @@ def terminal(board: Leaderboard) -> str:
         f"{aligned(set_table(board), 1)}\n\nScore, and in brackets the IQM of the RMSE [m]"
     )
     parts.append(f"{aligned(cost_table(board), 1)}\n\n{COSTS}")
+    if len(goals := goal_table(board)) > 1:
+        parts.append(f"{aligned(goals, 1)}\n\n{GOAL_LEGEND}")
     return "\n\n".join([*parts, board.conditions]).rstrip()
 
 
 def markdown(board: Leaderboard) -> str:
     """The leaderboard as Markdown."""
+    goals = goal_table(board)
     parts = [
         markdown_rows(table(board)),
         escaped_lines(explanation(board)).replace("\n*", "\n\n\\*"),
@@ -214,6 +231,7 @@ def markdown(board: Leaderboard) -> str:
         "Score, and in brackets the IQM of the RMSE [m].",
         markdown_rows(cost_table(board), 1),
         COSTS,
+        *((markdown_rows(goals, 1), escaped_lines(GOAL_LEGEND)) if len(goals) > 1 else ()),
         escaped_lines(board.conditions),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"

@@ -34,6 +34,7 @@ __all__ = [
     "markdown_rows", "summarise", "terminal", "write",
 ]  # fmt: skip
 
+GOAL_COLUMNS = ("goals reached", "time [s]", "energy [kJ]", "miss at the end [m]")
 RECORD_COLUMNS = ("set", "policy", "episode", "seed", "digest", "ended", *METRICS, "predict_time")
 
 
@@ -103,18 +104,20 @@ def recovery_table(summary: Summary) -> list[list[str]]:
     return rows
 
 
+def goal_cells(means: Mapping[str, float]) -> list[str]:
+    """Cells of GOAL_COLUMNS."""
+    reached, time, energy, miss = (means[metric] for metric in OF_GOALS)
+    return [f"{reached:.0%}", f"{time:.1f}", f"{energy / 1e3:.2f}", f"{miss:.3f}"]
+
+
 def goal_table(summary: Summary) -> list[list[str]]:
     """Rows of cells, the header first: one row per set with goals and policy."""
-    rows = [["set", "policy", "goals reached", "time [s]", "energy [kJ]", "miss at the end [m]"]]
-    for name, by_policy in summary.policies.items():
-        for policy, p in by_policy.items():
-            reached, time, energy, miss = (p.means[metric] for metric in OF_GOALS)
-            if not math.isnan(reached):
-                rows.append(
-                    [name, policy, f"{reached:.0%}", f"{time:.1f}", f"{energy / 1e3:.2f}",
-                     f"{miss:.3f}"]
-                )  # fmt: skip
-    return rows
+    return [["set", "policy", *GOAL_COLUMNS]] + [
+        [name, policy, *goal_cells(p.means)]
+        for name, by_policy in summary.policies.items()
+        for policy, p in by_policy.items()
+        if not math.isnan(p.means["goal_reached"])
+    ]
 
 
 def _share(value: float) -> str:

@@ -17,7 +17,7 @@ EASY = np.linspace(0.04, 0.06, 16)
 
 
 def records(uncertainty_set: str, **rmse: Any) -> list[dict[str, Any]]:
-    """Records of one set with the given RMSE per policy; the other metrics are 0.5, and no goals."""
+    """Records of one set with the given RMSE per policy; the others are 0.5, and no goals."""
     return [
         {
             **dict.fromkeys(METRICS, 0.5), **dict.fromkeys(OF_GOALS),

@@ -109,8 +109,8 @@ def _on_slopes(
     )  # fmt: skip
 
 
-# Sets with a goal, which is shown too. The reference is a plan in closed form, because the last bits
-# of what is searched for depend on the processor. It takes 4 to 16 s.
+# Sets with a goal, which is shown too. The reference is a plan in closed form, because the last
+# bits of what is searched for depend on the processor. It takes 4 to 16 s.
 _PLAN = {"kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"curvature": 2.0}}
 _TO_GOALS = (*V0.groups, "goal")
 _GOAL_TIME = 20.0  # [s]

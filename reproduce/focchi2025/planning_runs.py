@@ -111,9 +111,9 @@ def computation(ground: Ground, goals: Floats) -> dict[str, Seconds]:
     return found
 
 
-def run_all(say: Callable[[str], None] = lambda text: None, goals: int = GOALS) -> Planning:
-    """Run all; say(text) reports which ones come next. goals: how many at most."""
-    ground, every = SHOWN.ground, halton_goals(goals)
+def run_all(say: Callable[[str], None] = lambda text: None) -> Planning:
+    """Run all; say(text) reports which ones come next."""
+    ground, every = SHOWN.ground, halton_goals(GOALS)
     some = every[:SOME]
     tracked = {}
     for length, setup in PAPER.items():
@@ -127,7 +127,7 @@ def run_all(say: Callable[[str], None] = lambda text: None, goals: int = GOALS) 
     say("figures 16 to 18, table 5, signs and conventions of the planner")
     ratios = {}
     for nearest in (1.0, 2.0):
-        drawn = halton_goals(goals, nearest)
+        drawn = halton_goals(GOALS, nearest)
         found = [durations(plans(ground, name, drawn)).mean() for name in ("clothoid", "dubins")]
         ratios[nearest] = float(found[0] / found[1])
     about = machine()

@@ -3,20 +3,23 @@
 import numpy as np
 
 from reproduce.focchi2025.planning_claims import TABLE_4, TABLE_5
-from reproduce.focchi2025.planning_runs import Planning
+from reproduce.focchi2025.planning_runs import PAPER, Planning
 from reproduce.focchi2025.results import Results
 from reproduce.paper_page import Rows
+
+NONE = (None, None)  # printed for no pair of that condition
 
 
 def tracking_table(results: Results) -> Rows:
     """Table 4 in every condition."""
     rows = [["length [m]", "mu", "start", "sprockets planned to", "goals", "pair",
-             "paper: e_xy [m]", "e_xy [m]", "paper: e_phi [rad]", "e_phi [rad]", "end: distance [m]", "end: yaw [rad]",
-             "T / Dubins", "saturated"]]  # fmt: skip
-    for (ground, start), found in results.planning.tracked.items():
+             "paper: e_xy [m]", "e_xy [m]", "paper: e_phi [rad]", "e_phi [rad]",
+             "end: distance [m]", "end: yaw [rad]", "T / Dubins", "saturated"]]  # fmt: skip
+    for setup, found in results.planning.tracked.items():
+        ground, start = setup
         base = next(one.duration.mean() for pair, one in found.items() if pair.planner == "dubins")
         for pair, one in found.items():
-            printed = TABLE_4.get(pair, (None, None)) if start == "rest" else (None, None)
+            printed = TABLE_4.get(pair, NONE) if setup in PAPER.values() else NONE
             rows.append(
                 [f"{ground.length:g}", f"{ground.friction:g}", start,
                  f"{100 * (1.0 - ground.reserve):g} %", f"{len(one.distance)}", pair.name,

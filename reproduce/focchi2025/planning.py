@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from time import process_time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import qmc
@@ -35,7 +35,6 @@ FIGURE_16 = (2.0, 2.5, -0.4)  # [m, m, rad] the goal of figures 16 and 17
 SPEED = 0.4  # [m/s] v_max, and v_min at constant speed
 SLOWEST = 0.15  # [m/s] v_min of "optimal, variable"
 PERIOD = 0.02  # [s] between samples of a plan
-RADIUS = 0.5  # [m] of "dubins, wide"
 FRICTION = 0.4  # [-] mu of 7.2
 SLIPPERY = 0.1  # [-] mu of 7.1
 FASTER, SLOWER = 18.0, 10.0  # [rad/s] omega_max of 7.2, and of 7.1 at SLIPPERY
@@ -43,8 +42,10 @@ REACH = 4.0  # [m] outer radius of the annulus, and half the edge of the square
 NEAREST = 1.0  # [m] inner radius in the code; 2 m is printed
 DRAWS = 400  # of which the first hundred inside count
 PLANNERS = (
-    "dubins", "dubins, wide", "clothoid", "optimal", "optimal, variable", "optimal, from 0",
+    "dubins", "clothoid", "optimal", "optimal, variable", "optimal, from 0",
+    "optimal, beta added", "dubins, 0.16 m", "dubins, 0.5 m",
 )  # fmt: skip
+RADII = {"dubins, 0.16 m": 0.16, "dubins, 0.5 m": 0.5}  # [m]; 0.106 m at the limit
 V_MIN = {"optimal, variable": SLOWEST, "optimal, from 0": 0.0}  # [m/s]
 
 
@@ -75,6 +76,21 @@ class Ground(NamedTuple):
         return Limits(self.sprocket_speed, self.reserve, v_min=v_min, v_max=v_max)
 
 
+class AddedSlip(NamedTuple):
+    """A slip model whose beta has the other sign, so that a planner adds it.
+
+    (29) as printed does so in the forward map, and so does the code's planner: slip turns the
+    vehicle more. Data and controller have beta = r omega - v_track, which is subtracted.
+    """
+
+    slip_model: SlipModel
+
+    def slip(self, sprocket_left: Any, sprocket_right: Any) -> tuple[Floats, Floats, Floats]:
+        """(beta_left, beta_right [m/s], alpha [rad])."""
+        left, right, alpha = self.slip_model.slip(sprocket_left, sprocket_right)
+        return -left, -right, alpha
+
+
 @lru_cache(maxsize=8)
 def _drawn(nearest: float) -> Floats:
     unit = qmc.Halton(d=3, scramble=True, seed=0).random(DRAWS)
@@ -99,11 +115,13 @@ def plans(
     if planner == "clothoid":
         return [_clothoid(goal, limits, made) for goal in goals]
     if planner.startswith("dubins"):
-        bend = 1.0 / RADIUS if planner == "dubins, wide" else math.inf
+        radius = RADII.get(planner, 0.0)
+        bend = 1.0 / radius if radius else math.inf
         found = plan(ORIGIN, goals, limits._replace(curvature=bend), None, "dubins", made,
                      period=PERIOD)  # fmt: skip
     else:
         slip = identified_slip(made) if slip is None else slip
+        slip = AddedSlip(slip) if planner == "optimal, beta added" else slip
         found = optimal(ORIGIN, goals, limits, made, slip, period=PERIOD)
     assert isinstance(found, list)
     return found

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel, SlipModel
+from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
 from baselines.planners.interior_point import solve
 from baselines.planners.interval_limits import Bounds
 from baselines.planners.optimal import optimal
@@ -36,17 +36,6 @@ LEVELS = {"normal": (1.0, 1.0), "medium": (3.0, 0.5), "high": (4.0, 0.25)}  # [-
 PRINTED_LEVELS = {"normal": 5.2, "medium": 4.9, "high": 4.12}  # [s] T of 7.2.2
 SIGNS = {"subtracted": 1.0, "added": -1.0}  # of beta in the forward map
 SUBSTEPS = 8  # of the model in a held interval
-
-
-class AddedSlip(NamedTuple):
-    """A slip model whose beta has the other sign, so that a planner adds it."""
-
-    slip_model: SlipModel
-
-    def slip(self, sprocket_left: Any, sprocket_right: Any) -> tuple[Floats, Floats, Floats]:
-        """(beta_left, beta_right [m/s], alpha [rad])."""
-        left, right, alpha = self.slip_model.slip(sprocket_left, sprocket_right)
-        return -left, -right, alpha
 
 
 def replayed(found: Sequence[Trajectory], vehicle: PlantParameters, goals: Floats) -> Floats:
@@ -84,7 +73,7 @@ def unwrapped(ground: Ground, goals: Floats) -> Unwrapped:
     bounds = Bounds(float(belt), SPEED, SPEED, none, none, none, none, float(half), True, False)
     w, a = make_work(INTERVALS), make_stages(INTERVALS)
     rows = []
-    for goal, guess in zip(goals, plans(ground, "dubins, wide", goals), strict=True):
+    for goal, guess in zip(goals, plans(ground, "dubins, 0.5 m", goals), strict=True):
         x, y, yaw = (float(value) for value in goal)
         task = Task(0.0, x, y, yaw, 0.0, 0.0, False, 0, 0, 1.0)
         knots = np.linspace(0.0, guess.duration, INTERVALS + 1)

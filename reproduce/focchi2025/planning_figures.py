@@ -68,8 +68,8 @@ def tracking(results: Results) -> Figure:
     axes[0].set_xlabel("time / duration of the plan")
     axes[0].set_ylabel("Cartesian error [cm]")
     axes[0].set_title("goal of figure 16")
-    axes[0].set_ylim(bottom=0.0)
-    axes[0].legend(fontsize=8)
+    axes[0].set_ylim(0.0, 1.45 * axes[0].get_ylim()[1])
+    axes[0].legend(fontsize=8, ncols=2)
     setups = {"from rest": PAPER[LENGTHS[-1]], "moving": MOVING[LENGTHS[-1]]}
     for pair in (UC_SLP, SLC_SLP, VARIABLE):
         for (name, setup), style in zip(setups.items(), ("-", ":"), strict=True):
@@ -83,7 +83,8 @@ def tracking(results: Results) -> Figure:
     axes[1].set_xlabel("RMSE of the Cartesian error [cm]")
     axes[1].set_ylabel("share of the goals below it")
     axes[1].set_title("all goals, 0.7 m")
-    axes[1].legend(fontsize=8)
+    axes[1].set_ylim(0.0, 1.5)
+    axes[1].legend(fontsize=8, ncols=2)
     return figure
 
 

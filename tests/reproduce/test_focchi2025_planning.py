@@ -7,7 +7,15 @@ from baselines.lyapunov.pseudo_kinematic import NoSlip
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import planning_as_coded as coded
 from reproduce.focchi2025 import planning_loop as loop
-from reproduce.focchi2025.planning import FIGURE_16, Ground, durations, halton_goals, plans, seconds
+from reproduce.focchi2025.planning import (
+    FIGURE_16,
+    AddedSlip,
+    Ground,
+    durations,
+    halton_goals,
+    plans,
+    seconds,
+)
 from reproduce.focchi2025.planning_claims import SLC_SLP, UC_DP, UC_SLP, near
 from reproduce.focchi2025.planning_loop import Job, Pair
 from tests.baselines.planners.pairs import published_targets
@@ -65,7 +73,7 @@ def test_plans_that_add_beta_end_farther_from_the_goal_than_plans_without_slip(g
     missed = {
         name: coded.replayed(plans(GROUND, "optimal", goals, model), GROUND.vehicle, goals).mean()
         for name, model in (
-            ("right", table), ("none", NoSlip()), ("added", coded.AddedSlip(table)),
+            ("right", table), ("none", NoSlip()), ("added", AddedSlip(table)),
         )
     }  # fmt: skip
     assert missed["right"] < 0.01

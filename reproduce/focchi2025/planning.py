@@ -5,7 +5,8 @@ Goals: scipy's Halton points as in the code, 4 (2 u - 1) in x and y, kept in an 
 
     dubins     at v, turning radius at the limit of the sprockets, slip ignored
     clothoid   one G1 clothoid at v, whatever its length and curvature: none is bounded in F
-    optimal    least time under slip (`baselines.planners.optimal`), v_min = v_max or v_min below
+    optimal    least time under slip (`baselines.planners.optimal`), v_min = v_max or v_min below;
+               "rest to rest" begins and ends at rest, which no plan of F does
 F has v = 0.4 m/s, sprockets up to 18 rad/s (10 at mu = 0.1, 7.1), and no other limit.
 """
 
@@ -43,10 +44,11 @@ NEAREST = 1.0  # [m] inner radius in the code; 2 m is printed
 DRAWS = 400  # of which the first hundred inside count
 PLANNERS = (
     "dubins", "clothoid", "optimal", "optimal, variable", "optimal, from 0",
-    "optimal, beta added", "dubins, 0.16 m", "dubins, 0.5 m",
+    "optimal, beta added", "optimal, rest to rest", "dubins, 0.16 m", "dubins, 0.5 m",
 )  # fmt: skip
 RADII = {"dubins, 0.16 m": 0.16, "dubins, 0.5 m": 0.5}  # [m]; 0.106 m at the limit
-V_MIN = {"optimal, variable": SLOWEST, "optimal, from 0": 0.0}  # [m/s]
+V_MIN = {"optimal, variable": SLOWEST, "optimal, rest to rest": SLOWEST, "optimal, from 0": 0.0}
+GENTLE = 5.0  # [rad/s^2] sprocket acceleration of "optimal, rest to rest"; F has no such limit
 
 
 class Ground(NamedTuple):
@@ -122,7 +124,10 @@ def plans(
     else:
         slip = identified_slip(made) if slip is None else slip
         slip = AddedSlip(slip) if planner == "optimal, beta added" else slip
-        found = optimal(ORIGIN, goals, limits, made, slip, period=PERIOD)
+        stop = planner == "optimal, rest to rest"
+        if stop:
+            limits = limits._replace(sprocket_acceleration=GENTLE)
+        found = optimal(ORIGIN, goals, limits, made, slip, period=PERIOD, stop=stop)
     assert isinstance(found, list)
     return found
 

@@ -10,6 +10,7 @@ from reproduce.focchi2025.planning_loop import (
     EXCHANGED,
     FROM_ZERO,
     PRINTED,
+    REST,
     TIGHT,
     VARIABLE,
     WIDE,
@@ -189,7 +190,8 @@ def moving_claim(results: Planning) -> Claim:
                   for n, f in found.items()),
         verdict(*(f[SLC_SLP].distance.mean() <= 0.015 for f in found.values())),
         "goal: 0.015 m. Sprockets planned up to 90 %. From rest the plan asks for 0.4 m/s at once, "
-        "and the lateral part of that error leaves in k_phi / v^2 = 6 s",
+        "and the lateral part of that error leaves in k_phi / v^2 = 6 s. Plans from rest to rest "
+        f"with 5 rad/s^2, 0.7 m: {pair_numbers(results.tracked[SHOWN], *REST)}",
     )  # fmt: skip
 
 

@@ -59,13 +59,14 @@ PRINTED = tuple(
     for controller in ("uc", "slc")
 )
 VARIABLE, FROM_ZERO = Pair("slc", "optimal, variable"), Pair("slc", "optimal, from 0")
+REST = tuple(Pair(controller, "optimal, rest to rest") for controller in ("uc", "slc"))
 WIDE = tuple(Pair(controller, "dubins, 0.5 m") for controller in ("uc", "slc"))
 TIGHT = tuple(Pair(controller, "dubins, 0.16 m") for controller in ("uc", "slc"))
 # As the code of F: plans that add beta, and the body of the plan for both controllers.
 AS_CODED = tuple(Pair(kind, "optimal, beta added", kind == "slc") for kind in ("uc", "slc"))
 EXCHANGED = tuple(Pair(controller, "optimal", True) for controller in ("uc", "slc"))
 USUAL = (*PRINTED, VARIABLE)
-ALL = (*USUAL, *AS_CODED, FROM_ZERO, *TIGHT, *WIDE, *EXCHANGED)
+ALL = (*USUAL, *AS_CODED, FROM_ZERO, *REST, *TIGHT, *WIDE, *EXCHANGED)
 
 
 class Tracked(NamedTuple):

@@ -110,6 +110,13 @@ def test_from_rest_the_start_is_most_of_the_error_and_the_exchanged_frame_misses
     assert exchanged.turned.mean() > 5.0 * own.turned.mean()
 
 
+def test_plans_from_rest_to_rest_are_followed_from_rest_and_end_at_the_goal(goals):
+    found = loop.track(Ground(reserve=0.1), "rest", loop.REST, goals[:10])
+    for one in found.values():
+        assert one.distance.mean() < 0.01 and one.missed.mean() < 0.015
+        assert one.turned.mean() < 0.015
+
+
 def test_a_moving_start_is_the_motion_and_the_sprockets_of_the_plan():
     (made,) = plans(GROUND, "optimal", np.array([FIGURE_16]))
     state, sprockets = loop.begin(Job(SLC_SLP, 0, made), "moving", GROUND.vehicle)

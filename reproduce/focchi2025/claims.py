@@ -1,4 +1,4 @@
-"""What the paper claims in sections 4, 5.2, 7 and 8, what comes out, and whether the two agree.
+"""What the paper claims in sections 4 to 8, what comes out, and whether the two agree.
 
 Every number is computed from the runs; so is every verdict.
 """
@@ -11,6 +11,7 @@ from baselines.slip.slip_regression import Scores
 from reproduce.focchi2025 import chicane, spiral
 from reproduce.focchi2025 import identification as ident
 from reproduce.focchi2025.chicane import Case
+from reproduce.focchi2025.planning_claims import planning_claims
 from reproduce.focchi2025.results import Results
 from reproduce.focchi2025.runs import BEGUN, LENGTHS, RESISTANCE, Floats, Run, vehicle
 from reproduce.focchi2025.slope_claims import slope_claims
@@ -279,5 +280,6 @@ def claims(results: Results) -> list[Claim]:
         *spiral_claims(results),
         *chicane_claims(results),
         *further_claims(results),
+        *planning_claims(results.planning),
         *slope_claims(results.slopes),
     ]

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from reproduce.focchi2025 import claims, slope_tables, tables
+from reproduce.focchi2025 import claims, planning_tables, slope_tables, tables
 from reproduce.focchi2025.results import Results
 from reproduce.paper_page import Figures, PaperPage
 
-HEAD = """# Focchi et al. (2025) run again: sections 4, 5.2, 7.1 and 8
+HEAD = """# Focchi et al. (2025) run again: sections 4 to 8
 
 *Pseudo-Kinematic Trajectory Control and Planning of Tracked Vehicles* (2025). Written by
 `python evaluate.py --paper focchi2025`; every number below is computed by that run.
@@ -22,7 +22,10 @@ a table of the sweep of section 4; decision trees as in the paper have a line of
 On slopes (4.5, 8) mu = 0.6 and h = 0.25 m; the grounds are the height map that the authors
 publish with their code, where its file is at hand, and a seeded field with slopes like it.
 
-Not covered: sections 6 and 7.2 except (54) (planners); figure 15, because the path of the real
+Plans (6, 7.2): mu = 0.4, 0.4 m/s, sprockets up to 18 rad/s, 100 goals from 1 to 4 m away, control
+at 200 Hz, ideal sensors, no noise, from rest; further conditions are in a table.
+
+Not covered: figure 15, because the path of the real
 vehicle is not available; neural networks against decision trees (4.2), of which only the trees are
 implemented; the statement of 7.1 that actual sprocket speeds predict slip better than desired ones,
 because here the two differ by the noise alone.
@@ -68,6 +71,7 @@ TABLES = {
         tables.size_table,
         "Figure 9 in numbers, within ±4.6 rad/s.",
     ),
+    **planning_tables.TABLES,
     **slope_tables.TABLES,
 }
 
@@ -75,11 +79,11 @@ TABLES = {
 def save_figures(results: Results, folder: Path) -> Figures:
     """Write all figures, in the order of the page. Raises ImportError without matplotlib."""
     from reproduce import paper_figures
-    from reproduce.focchi2025 import control_figures, slope_figures, surfaces
+    from reproduce.focchi2025 import control_figures, planning_figures, slope_figures, surfaces
 
     return paper_figures.save(
         results, folder, "focchi2025", surfaces.drawings, control_figures.drawings,
-        slope_figures.drawings,
+        planning_figures.drawings, slope_figures.drawings,
     )  # fmt: skip
 
 

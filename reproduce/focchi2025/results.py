@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from baselines.slip.slip_sweep import identified_slip
-from reproduce.focchi2025 import chicane, identification, slope_runs, spiral
+from reproduce.focchi2025 import chicane, identification, planning_runs, slope_runs, spiral
 from reproduce.focchi2025.chicane import Case
 from reproduce.focchi2025.identification import Identifications
+from reproduce.focchi2025.planning_runs import Planning
 from reproduce.focchi2025.runs import LENGTHS, Floats, Numbers, Run, vehicle
 from reproduce.focchi2025.slope_runs import Slopes
 from reproduce.focchi2025.spiral import Spiral
@@ -23,6 +24,7 @@ class Results(NamedTuple):
     integrators: dict[tuple[str, str], Run]  # integrator, kind
     predicted: dict[Case, tuple[Floats, Floats, Floats]]  # slip (T,) of the first vehicle
     slopes: Slopes  # sections 4.5 and 8
+    planning: Planning  # sections 6 and 7.2
 
 
 def predicted_slip(case: Case, run: Run) -> tuple[Floats, Floats, Floats]:
@@ -62,4 +64,5 @@ def run_everything(
     shown = [Case("table", length, chicane.RATES[0]) for length in LENGTHS]
     predicted = {case: predicted_slip(case, driven[case]) for case in shown}
     slopes = slope_runs.run_all(say, terrain)
-    return Results(identified, spirals, driven, read, integrated, predicted, slopes)
+    planning = planning_runs.run_all(say)
+    return Results(identified, spirals, driven, read, integrated, predicted, slopes, planning)

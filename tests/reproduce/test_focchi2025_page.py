@@ -14,6 +14,7 @@ from reproduce.focchi2025 import (
     claims,
     identification,
     load_models,
+    planning_runs,
     results,
     slope_chicane,
     slope_identification,
@@ -63,6 +64,8 @@ def found(module_patch, tmp_path_factory):
     for module in (load_models, slope_chicane):
         module_patch.setattr(module, "DURATION", 1.0)
     module_patch.setattr(slope_chicane, "RATE", 50.0)
+    module_patch.setattr(planning_runs, "GOALS", 6)
+    module_patch.setattr(planning_runs, "SOME", 2)
     module_patch.setattr(slope_identification, "SPEED_STEP", 6.0)
     module_patch.setattr(slope_identification, "PROBES", 40)
     said = []
@@ -80,14 +83,14 @@ def test_the_page_is_written_and_all_its_links_resolve(found, tmp_path):
     files = PAGE.write(found, tmp_path)
     text = (tmp_path / "page.md").read_text(encoding="utf-8")
     links = re.findall(r"\]\(([^)]+)\)", text)
-    assert len(links) == 12 and all("/" not in link for link in links)
+    assert len(links) == 15 and all("/" not in link for link in links)
     for link in links:
         assert 5_000 < (tmp_path / link).stat().st_size < 500_000
     assert {file.name for file in files} == {file.name for file in tmp_path.iterdir()}
     numbers = set()
     for first, last in re.findall(r"[Ff]igures? (\d+)(?: (?:to|and) (\d+))?", text):
         numbers |= set(range(int(first), int(last or first) + 1))
-    assert {6, 7, 8, 9, 10, 12, 13, 14, 21, 22, 23} <= numbers
+    assert {6, 7, 8, 9, 10, 12, 13, 14, 16, 17, 18, 19, 21, 22, 23} <= numbers
 
 
 def test_without_figures_the_page_links_to_nothing(found, tmp_path):
@@ -117,6 +120,7 @@ def test_the_claims_cover_every_experiment_and_their_verdicts_are_known(found):
     made = claims.claims(found)
     places = " ".join(claim.place for claim in made)
     asked = ("fig. 8", "fig. 9", "fig. 10", "fig. 13", "fig. 14", "(54)", "figs 6, 7", "2.3",
+             "fig. 16", "Table 4", "fig. 17", "fig. 18", "Table 5", "(29)",
              "(34)", "8.1, fig. 21", "8.2", "8.3, fig. 23")  # fmt: skip
     assert all(place in places for place in asked)
     verdicts = {claim.agrees for claim in made}

@@ -36,6 +36,7 @@ from baselines.planners.slip_surface import SlipSurface
 from baselines.planners.start_words import Setting, arc_of, duration_of, gathering, guess
 from baselines.planners.surface_fit import surface_of
 from baselines.planners.trajectory import (
+    ANGLE,
     Limits,
     Start,
     Trajectory,
@@ -113,7 +114,7 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
         turning = 0.0
         for part in range(3):
             turning += SIGNS[word, part] * angles[word, part]
-        if _was_found(turnings, found, turning):
+        if _was_found(turnings, found, turning) or abs(turning - setting.turning) > math.pi:
             continue
         total, segments = totals[word], angles[word] * radius
         least = gathering(np.sum(segments), bounds, setting)
@@ -168,12 +169,14 @@ def optimal(
     start: Start | Sequence[float], goal: ArrayLike, limits: Limits, vehicle: PlantParameters,
     slip_model: SlipModel | None = None, *, intervals: int = 40, smoothing: float = 1.0,
     stop: bool = False, period: float | None = None, threads: int = 1,
+    turning: float | None = None,
 ) -> Trajectory | list[Trajectory]:  # fmt: skip
     """Plans of least time from a start to a goal (3,), or to N goals (N, 3).
 
     slip_model: None plans as if the tracks did not slip. intervals: N. smoothing: w_s of F (51a),
     for any number of intervals. stop: rest one interval after the end. period [s]: samples are
     taken so often and at the ends of the intervals, which None are all. threads: for N goals.
+    turning [rad]: change of yaw of the plan to within half a turn, where its whole turns are wanted.
     Returns a Trajectory, or a list of N for N goals; look at `converged` before it is driven.
     Raises ValueError for what is not finite, out of range or contradictory.
     """
@@ -183,7 +186,8 @@ def optimal(
     checked_number("smoothing", smoothing, SMOOTHING)
     if period is not None:
         checked_number("period", period, PERIOD)
-    bounds, setting = _prepared(begin, allowed, vehicle, stop, float(smoothing))
+    wanted = math.nan if turning is None else checked_number("turning", turning, ANGLE)
+    bounds, setting = _prepared(begin, allowed, vehicle, stop, float(smoothing), wanted)
     given = bounds._replace(fixed=True, stop=False)
     surface = surface_of(slip_model, vehicle, allowed.sprocket_used, allowed.v_max)
     starts = np.tile(np.array(begin[:3], dtype=np.float64), (len(goals), 1))
@@ -207,8 +211,9 @@ def optimal(
 
 
 def _prepared(
-    start: Start, limits: Limits, vehicle: PlantParameters, stop: bool, smoothing: float
-) -> tuple[Bounds, Setting]:
+    start: Start, limits: Limits, vehicle: PlantParameters, stop: bool, smoothing: float,
+    turning: float,
+) -> tuple[Bounds, Setting]:  # fmt: skip
     """Limits of the intervals, and what the plans of a batch have in common. Raises ValueError."""
     radius, half_gauge = vehicle.sprocket_radius, 0.5 * vehicle.track_gauge
     belt, fixed = radius * limits.sprocket_used, limits.fixed
@@ -230,7 +235,7 @@ def _prepared(
     left, right = start.sprockets(vehicle)
     return bounds, Setting(
         float(widest), float(speed), 0.5 * radius * (left + right), 0.5 * radius * (right - left),
-        limited and not fixed, smoothing,
+        limited and not fixed, smoothing, turning,
     )  # fmt: skip
 
 

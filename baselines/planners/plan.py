@@ -145,18 +145,22 @@ class Planner(NamedTuple):
             start, goal, self.limits, self.vehicle, self.slip_model, self.method, self.period
         )
 
-    def _level(self, start: Start, goal: Array, last: bool) -> Trajectory:
+    def _level(
+        self, start: Start, goal: Array, last: bool, turning: float | None = None
+    ) -> Trajectory:
         """The optimal plan on level ground, in the gears that are allowed."""
         if not self.reverse:
-            return self._forwards(start, goal, last)
+            return self._forwards(start, goal, last, turning)
         radius = max(arc_radius(self.limits, self.vehicle), RADIUS * self.vehicle.track_gauge)
         jumps = self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
         return gears.cheapest(self._forwards, start, goal, None if jumps else radius, last)
 
-    def _forwards(self, start: Start, goal: Array, last: bool) -> Trajectory:
+    def _forwards(
+        self, start: Start, goal: Array, last: bool, turning: float | None = None
+    ) -> Trajectory:
         made = optimal(
             start, goal, self.limits, self.vehicle, self.slip_model, intervals=self.intervals,
-            period=self.period, stop=last and self.brakes,
+            period=self.period, stop=last and self.brakes, turning=turning,
         )  # fmt: skip
         assert isinstance(made, Trajectory)
         return made

@@ -2,9 +2,10 @@
 
 The planner's slip is that of level ground. Its sprocket speeds are driven on the slope, with the
 slip of the grade at the pose of every step, and it plans again to a goal that is moved by what was
-missed, until they end at the goal: each pass leaves a share of what the one before has missed. The
-ground is z = h(x, y) with the slopes h_x, h_y at the centre; u is the direction of yaw, v to its
-left, c^2 = 1 + h_u^2, g^2 = 1 + h_x^2 + h_y^2:
+missed, until they end at the goal (Broyden's method, with shorter steps where the plan changes to
+another word and misses more). The whole turns stay those of the first plan. The ground is z =
+h(x, y) with the slopes h_x, h_y at the centre; u is the direction of yaw, v to its left,
+c^2 = 1 + h_u^2, g^2 = 1 + h_x^2 + h_y^2:
     grade       t_x = -h_u g / c     t_y = -h_v / c                    of slip.slope_models
     axes        e_x = (cos, sin) / c     e_y = (-sin - h_y h_u, cos + h_x h_u) / (g c)
     motion      (x', y') = v_x e_x + v_y e_y     yaw' = w c^2 / g
@@ -17,7 +18,7 @@ References: [F] Focchi et al. (2025), section 4.5.
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,14 +34,15 @@ Array = NDArray[np.float64]
 # (x, y) (M,) [m] -> height [m] and its slopes in x and y [-], (M,) each
 Heights = Callable[[Array, Array], tuple[Array, Array, Array]]
 Ground = Heights | Sequence[float]  # or the slopes of a plane in x and y
-Planned = Callable[[Start, Array, bool], Trajectory]
+Planned = Callable[[Start, Array, bool, float | None], Trajectory]  # with its change of yaw
 
 STEP = 0.02  # [s] of the integration at most
-REACHED = 2e-4, 2e-4  # [m], [rad] missed at which a plan is good enough
-MISSED = 1e-3, 1e-3  # [m], [rad] with which it still is one
-PASSES = 12  # at most
+REACHED = 2e-4  # [m], [rad] missed at which a plan is good enough
+MISSED = 1e-3  # [m], [rad] with which it still is one
+PASSES = 20  # at most
+LOOKS = 2  # integrations of a pass: the second one takes the slopes where the first one was
 SLOPE = Range(-1.0, 1.0, "-", "It is a slope, not an angle in degrees.")
-POSE, SPEEDS = slice(0, 3), slice(3, 6)  # columns of what is driven
+POSE = slice(0, 3)  # columns of what is driven
 
 
 def slopes_of(ground: Ground) -> Heights:
@@ -137,6 +139,36 @@ def driven_on(
     return driven
 
 
+class _Pass(NamedTuple):
+    """A plan and what it does on the ground."""
+
+    made: Trajectory
+    driven: Array  # (M, 6) poses and speeds
+    missed: Array  # (3,) end less goal: x, y [m], yaw [rad]
+
+    @property
+    def off(self) -> float:
+        """The larger of distance [m] and yaw [rad] missed."""
+        return max(math.hypot(self.missed[0], self.missed[1]), abs(self.missed[2]))
+
+
+def _driven_to(
+    goal: Array, heights: Heights, made: Trajectory, model: SlopeSlipModel,
+    vehicle: PlantParameters, before: _Pass | None,
+) -> _Pass:  # fmt: skip
+    """What a plan does on the ground, with the slopes that it meets there."""
+    along = None
+    if before is not None:
+        share, then = (np.linspace(0.0, 1.0, len(rows)) for rows in (made.time, before.driven))
+        along = np.stack([np.interp(share, then, c) for c in before.driven[:, :2].T], axis=1)
+    for _ in range(LOOKS):
+        driven = driven_on(heights, made, model, vehicle, along)
+        along = driven[:, :2]
+    missed: Array = driven[-1, POSE] - goal
+    missed[2] = math.remainder(missed[2], 2.0 * math.pi)
+    return _Pass(made, driven, missed)
+
+
 def on_ground(
     planned: Planned, start: Start, goal: Array, last: bool, ground: Ground, model: Any,
     vehicle: PlantParameters,
@@ -150,32 +182,36 @@ def on_ground(
             f"slip_model = {type(model).__name__} with a ground; must know slopes: "
             "`identified_slope_slip(vehicle)` of baselines.slip.slope_sweep"
         )
-    heights, aim, iterations = slopes_of(ground), goal.copy(), 0
-    along: Array | None = None
-    best: tuple[float, Trajectory, Array] | None = None
+    heights, iterations = slopes_of(ground), 0
+    away: Array = np.zeros(3)
+    jacobian: Array = np.eye(3)
+    aim = from_aim = goal
+    shorter = 1.0
+    best: _Pass | None = None
+    turning: float | None = None
     for _ in range(PASSES):
-        made = planned(start, aim, last)
+        made = planned(start, aim, last, turning)
         iterations += made.iterations
-        if not made.converged:
+        if not made.converged and best is None:
+            return made._replace(iterations=iterations)
+        if made.converged:
+            found = _driven_to(goal, heights, made, model, vehicle, best)
+            turning = float(made.yaw[-1] - made.yaw[0])
+            off = found.missed - (0.0 if best is None else best.missed)
+            jumped = best is not None and np.abs(off - jacobian @ away).max() > np.abs(away).max()
+            if best is not None and not jumped:
+                jacobian += np.outer(off - jacobian @ away, away) / (away @ away)
+        if made.converged and (best is None or found.off < best.off):
+            best, shorter, from_aim = found, 1.0, aim
+        else:
+            shorter *= 0.5
+        assert best is not None
+        if best.off < REACHED:
             break
-        if along is not None and len(along) != len(made.time):
-            share = np.linspace(0.0, 1.0, len(made.time))
-            before = np.linspace(0.0, 1.0, len(along))
-            along = np.stack([np.interp(share, before, column) for column in along.T], axis=1)
-        driven = driven_on(heights, made, model, vehicle, along)
-        driven = driven_on(heights, made, model, vehicle, driven[:, :2])
-        along = driven[:, :2]
-        missed = driven[-1, POSE] - goal
-        missed[2] = math.remainder(missed[2], 2.0 * math.pi)
-        off = max(math.hypot(missed[0], missed[1]), abs(missed[2]))
-        if best is None or off < best[0]:
-            best = off, made, driven
-        if off < min(REACHED):
-            break
-        aim = aim - missed
-    if best is None:
-        return made._replace(iterations=iterations)
-    return _of_driven(best[1], best[2], goal, iterations, model, heights)
+        away = np.asarray(-shorter * np.linalg.solve(jacobian, best.missed), dtype=np.float64)
+        aim = from_aim + away
+    assert best is not None
+    return _of_driven(best.made, best.driven, goal, iterations, model, heights)
 
 
 def _of_driven(
@@ -198,7 +234,7 @@ def _of_driven(
     missed = math.hypot(x[-1] - goal[0], y[-1] - goal[1])
     turned = abs(math.remainder(float(yaw[-1] - goal[2]), 2.0 * math.pi))
     notes = [made.message] if made.message else []
-    reached = missed <= MISSED[0] and turned <= MISSED[1]
+    reached = missed <= MISSED and turned <= MISSED
     if not reached:
         notes.append(f"on the slope the plan ends {missed:.3g} m and {turned:.3g} rad off")
     slides = float(np.mean(~held[:-1])) if len(held) > 1 else 0.0

@@ -28,6 +28,7 @@ class Setting(NamedTuple):
     before_q: float
     ramp: bool  # whether the first interval must be reached from them
     smoothing: float  # [-] w_s
+    turning: float  # [rad] change of yaw, of which words differ by less than a half turn; NaN: any
 
 
 @formula

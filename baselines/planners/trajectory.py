@@ -61,7 +61,11 @@ class Goal(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What a plan may ask of the vehicle; equal v_min and v_max: constant speed."""
+    """What a plan may ask of the vehicle; equal v_min and v_max: constant speed.
+
+    In reverse the same limits hold for speeds backwards: v_min and v_max are never negative, and
+    `plan(..., reverse=True)` chooses the gear.
+    """
 
     sprocket_speed: float  # [rad/s] of either sprocket, both directions
     reserve: float = 0.0  # [-] share of `sprocket_speed` that is left to the controller
@@ -198,7 +202,7 @@ def checked_limits(limits: Limits, vehicle: PlantParameters) -> Limits:
     if not 0.0 <= limits.v_min <= limits.v_max:
         raise ValueError(
             f"limits v_min = {limits.v_min}, v_max = {limits.v_max} m/s; must be 0 <= v_min <= "
-            "v_max. Did you swap them?"
+            "v_max. Did you swap them? In reverse (`reverse=True`) the same limits hold."
         )
     belt = vehicle.sprocket_radius * limits.sprocket_used
     if limits.v_min >= belt:

@@ -87,6 +87,14 @@ def test_less_friction_takes_longer_and_no_slip_has_none(
     assert np.abs(planned((2.0, 2.5, -0.4), slips=False).slip).max() < 1e-12
 
 
+def test_a_goal_behind_is_reached_sooner_in_reverse(capsys: pytest.CaptureFixture[str]) -> None:
+    durations = []
+    for more in ((), ("--reverse",)):
+        assert main(["plan", "--goal", "-1", "0.1", "0.1", *more, "--no-figure"]) == 0
+        durations.append(float(printed(capsys.readouterr().out)["duration"].split()[0]))
+    assert durations[1] < 0.7 * durations[0]
+
+
 def test_the_outline_of_a_vehicle_turns_with_its_yaw() -> None:
     vehicle = planned((1.0, 0.0, 0.0), method="dubins", slips=False).vehicle
     front_left = outline(np.array([1.0, 2.0, 0.5 * np.pi]), vehicle)[0]
@@ -104,6 +112,8 @@ def test_the_outline_of_a_vehicle_turns_with_its_yaw() -> None:
         (["--reserve", "0.9"], 2, "Is the reserve too large"),
         (["--friction", "-0.1"], 2, "mu = -0.1"),
         (["--obstacle-circle", "2", "2.5", "0.3"], 2, "the vehicle at its goal is"),
+        (["--reverse"], 2, "must be False with method = 'dubins'"),
+        (["--slope", "0.1", "0"], 2, "slope without slip"),
     ],
 )
 def test_what_cannot_be_planned_is_one_line(

@@ -47,6 +47,9 @@ def _parser(program: str) -> argparse.ArgumentParser:
     parser.add_argument("--vehicle", default="focchi", help="(default: focchi)")
     parser.add_argument("--friction", type=float, metavar="MU",
                         help="of the soil (default: that of the vehicle)")  # fmt: skip
+    parser.add_argument("--slope", nargs=2, type=float, metavar=("DZ/DX", "DZ/DY"),
+                        help="of the ground (default: level)")  # fmt: skip
+    parser.add_argument("--reverse", action="store_true", help="allow driving backwards")
     parser.add_argument("--no-slip", action="store_true", help="plan as if tracks did not slip")
     for name, text in LIMITS.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=text)
@@ -65,6 +68,7 @@ def main(arguments: Sequence[str], program: str) -> int:
         found = command_function("plan")(
             given.goal, given.start, given.method, given.vehicle, given.friction,
             not given.no_slip, limits, given.via, given.obstacle_circle,
+            given.reverse, given.slope,
         )  # fmt: skip
         print("\n".join(table(found)))
         _write(given, found)

@@ -75,6 +75,9 @@ def unused_definitions(root: Path) -> list[str]:
     names: Counter[str] = Counter()
     for tree in trees.values():
         names.update(used(tree))
+    project = root / "pyproject.toml"
+    if project.exists():  # its entry points
+        names.update(re.findall(r'"[\w.]+:(\w+)"', project.read_text(encoding="utf-8")))
     return [
         f"{path.relative_to(root)}:{line} {name}"
         for path, tree in trees.items()

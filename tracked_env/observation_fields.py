@@ -41,7 +41,7 @@ class Group(NamedTuple):
                    those named in `reads`; a tenth of the time. It has to be compiled with `nogil`,
                    as by `physics.jit.loop`, for threads to run side by side
     With neither, each field is the channel of its name. A group with `scan` shows heights of the
-    ground there.
+    ground there, one with `goal` that of the reference, which has to be planned.
     """
 
     name: str
@@ -51,6 +51,7 @@ class Group(NamedTuple):
     scan: tuple[tuple[float, float], ...] = ()  # [contact lengths] (ahead, left) of each field
     compiled: Callable[[NDArray[np.float64], NDArray[np.float64]], None] | None = None
     reads: tuple[str, ...] = ()  # by `compiled`, in the order of the columns of `known`
+    goal: bool = False  # its fields are those of `engine.goal_reading`
 
 
 def _ahead(kind: str, unit: str, scale: float, bound: float, mirrored: bool) -> tuple[Field, ...]:
@@ -123,6 +124,16 @@ _TANGENT_ERROR = (
 )
 
 
+# Of references of the kind "plan"; see `engine.goal_reading`.
+_GOAL = (
+    Field("goal_x", "m", 2.0, 200.0, "goal ahead of the measured position", False),
+    Field("goal_y", "m", 2.0, 200.0, "goal to the left of it", True),
+    Field("goal_cosine", "-", 1.0, 1.0, "cosine of the goal's heading less the yaw", False),
+    Field("goal_sine", "-", 1.0, 1.0, "sine of the same", True),
+    Field("goal_time", "s", 10.0, 3600.0, "until the plan arrives", signed=False),
+)
+
+
 def _scanned(ahead: float, left: float) -> str:
     """Name of the field of a point of the scan."""
     name = f"height_{'behind' if ahead < 0.0 else 'ahead'}_{abs(ahead):g}"
@@ -168,5 +179,6 @@ GROUPS: dict[str, Group] = {
         reads=(*(field.name for field in _POSE_ERROR), "roll", "pitch"),
     ),
     "height_scan": Group("height_scan", _HEIGHTS, scan=_SCAN),
+    "goal": Group("goal", _GOAL, goal=True),
 }  # fmt: skip
 VERSIONS = {"v0": tuple(_COMPILED)}  # layouts by name; what a name stands for never changes

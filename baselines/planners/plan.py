@@ -93,11 +93,19 @@ def _clothoid(
     return path, ""
 
 
-def _along(
-    start: Start, goal: Array, limits: Limits, vehicle: PlantParameters,
-    slip_model: SlipModel | None, method: str, period: float,
-) -> Trajectory:  # fmt: skip
-    """A path of `method`, with its speed."""
+class TimedPath(NamedTuple):
+    """A path with the speed along it."""
+
+    path: Path
+    speed: speed_profile.SpeedProfile
+    method: str  # that made it
+    message: str  # why it is not the one that was asked for
+
+
+def timed_path(
+    start: Start, goal: Array, limits: Limits, vehicle: PlantParameters, method: str
+) -> TimedPath:
+    """A path of `method`, any but "optimal", with its speed. Raises ValueError as `plan`."""
     path, message, used = None, "", method
     if method == "clothoid":
         path, why = _clothoid(start, goal, limits, vehicle)
@@ -109,7 +117,7 @@ def _along(
         profile = speed_profile.constant(path, limits.v_max, limits, vehicle)
     else:
         profile = speed_profile.fastest(path, limits, vehicle, max(start.speed, 0.0))
-    return driven(path, profile, goal, limits, vehicle, used, slip_model, message, period)
+    return TimedPath(path, profile, used, message)
 
 
 METHODS = ("optimal", "dubins", "reeds-shepp", "clothoid")
@@ -133,15 +141,17 @@ class Planner(NamedTuple):
     def __call__(self, start: Start, goal: Array, last: bool = True) -> Trajectory:
         """One trajectory to a goal (3,); last: to rest there, if the limits say how to brake."""
         if self.method == "optimal":
-            made = optimal(
+            best = optimal(
                 start, goal, self.limits, self.vehicle, self.slip_model, intervals=self.intervals,
                 period=self.period, stop=last and self.brakes,
             )  # fmt: skip
-            assert isinstance(made, Trajectory)
-            return made
-        return _along(
-            start, goal, self.limits, self.vehicle, self.slip_model, self.method, self.period
-        )
+            assert isinstance(best, Trajectory)
+            return best
+        made = timed_path(start, goal, self.limits, self.vehicle, self.method)
+        return driven(
+            made.path, made.speed, goal, self.limits, self.vehicle, made.method, self.slip_model,
+            made.message, self.period,
+        )  # fmt: skip
 
 
 def plan(

@@ -10,7 +10,7 @@ import pytest
 from baselines.learned.shipped import PRETRAINED, shipped_agents
 from baselines.registry import BY_ENVIRONMENT
 from tests.benchmark.plugin_package import Install, install
-from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, entry_points
 from tracked_env.benchmark import PolicyContext, registered_policies
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import (
@@ -117,7 +117,7 @@ def test_a_name_that_we_have_stays_ours(plugin: Install) -> None:
 
 
 def test_in_a_clone_that_is_not_installed_nothing_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registered_policies, "entry_points", lambda group: ())
+    monkeypatch.setattr(entry_points, "entry_points", lambda group: ())
     assert [(policy.name, policy.env) for policy in registered()[0]] == ours()
     assert open_archive(shipped_agents("speed")["ppo-blind"][0]).name == "ppo-blind-seed0"
 
@@ -132,7 +132,7 @@ def test_in_a_clone_that_is_installed_too_everything_is_there_once(plugin: Insta
 def test_installed_without_a_clone_the_entries_of_the_distribution_count(
     plugin: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(registered_policies, "_PACKAGES", tmp_path)
+    monkeypatch.setattr(entry_points, "_PACKAGES", tmp_path)
     plugin("tracked-env", baselines="baselines.registry")
     policies, said = registered()
     assert said == []
@@ -153,6 +153,6 @@ def test_an_archive_that_nothing_opens_is_a_clear_error(
     def entries(group: str) -> list[tuple[str, EntryPoint]]:
         return []
 
-    monkeypatch.setattr(registered_policies, "_declared", entries)
+    monkeypatch.setattr(registered_policies, "declared", entries)
     with pytest.raises(ValueError, match="no installed package opens archives"):
         open_archive(tmp_path / "agent.zip")

@@ -11,15 +11,11 @@ entry may also register many: an object with a function
 Archives of agents are opened by the entries of the group `tracked_env.archives`, functions that
 take a path and return an object with `make(context)` and `sources`, the folders whose code its
 actions depend on, or raise ValueError.
-
-A clone that is not installed registers what its pyproject.toml says.
 """
 
-import re
 import sys
-import tomllib
 from collections.abc import Callable, Mapping
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,16 +27,15 @@ from tracked_env.benchmark.policy_interface import (
     source_fingerprint,
 )
 from tracked_env.benchmark.policy_lookup import OpenedArchive, archive_entry
+from tracked_env.entry_points import declared
 from tracked_env.validation import unknown
 
 POLICIES, ARCHIVES = "tracked_env.policies", "tracked_env.archives"  # groups of entry points
-OURS = "tracked-env"  # our distribution, whose policies come first
 # Where policies are compared by default, by what they may call it.
 ENVIRONMENTS = {
     "torque": TORQUE_ID, "speed": SPEED_ID,
     **{env: env for env in (TORQUE_ID, SPEED_ID, TERRAIN_ID)},
 }  # fmt: skip
-_PACKAGES = Path(__file__).resolve().parents[2]  # where this package lies
 
 
 class Registered(NamedTuple):
@@ -67,37 +62,10 @@ class Registered(NamedTuple):
         return text.strip().partition("\n")[0]
 
 
-def _name(distribution: str) -> str:
-    return re.sub(r"[-_.]+", "-", distribution).lower()
-
-
-def _of_clone(group: str) -> list[EntryPoint]:
-    """What the pyproject.toml beside this package says, nothing where there is none."""
-    try:
-        project = tomllib.loads((_PACKAGES / "pyproject.toml").read_text(encoding="utf-8"))
-        if _name(project["project"]["name"]) != OURS:
-            return []
-        known = project["project"]["entry-points"].get(group, {})
-    except (OSError, KeyError, tomllib.TOMLDecodeError):
-        return []
-    return [EntryPoint(name, value, group) for name, value in known.items()]
-
-
-def _declared(group: str) -> list[tuple[str, EntryPoint]]:
-    """Distribution and entry, ours first, then by name."""
-    own = _of_clone(group)
-    found = [(OURS, entry) for entry in own]
-    for entry in entry_points(group=group):
-        distribution = _name(entry.dist.name) if entry.dist else "?"
-        if not (own and distribution == OURS):
-            found.append((distribution, entry))
-    return sorted(found, key=lambda each: (each[0] != OURS, each[0], each[1].name))
-
-
 def _loaded(group: str, warn: Callable[[str], None]) -> list[tuple[str, EntryPoint, Any]]:
     """What can be imported; the others are left out with a warning."""
     loaded = []
-    for distribution, entry in _declared(group):
+    for distribution, entry in declared(group):
         try:
             loaded.append((distribution, entry, entry.load()))
         except (Exception, SystemExit) as error:

@@ -5,10 +5,11 @@ from collections.abc import Sequence
 
 import gymnasium
 
-from tracked_env.benchmark.registered_policies import OURS, registered_policies
+from tracked_env.benchmark.registered_policies import registered_policies
 from tracked_env.benchmark.sets import SETS, default_sets
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, short_env
 from tracked_env.engine.env_config import EnvConfig
+from tracked_env.entry_points import OURS
 
 
 def policies(envs: Sequence[str]) -> list[str]:

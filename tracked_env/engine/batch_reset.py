@@ -23,6 +23,7 @@ from tracked_env.engine.episode_loading import (
     fresh_row,
     pose,
     states_of,
+    with_rows,
     write_profile,
 )
 from tracked_env.physics.channels import CHANNEL_COUNT
@@ -137,7 +138,7 @@ class BatchReset:
         settings, streams = self._settings, self._streams(rngs, chosen)
         batch = fitted(batch, 0, self._delay, settings.control_period)
         if self._reference is None:
-            self._draw_references(rngs, streams, chosen, batch, running)
+            batch = self._draw_references(rngs, streams, chosen, batch, running)
 
         def load(first: int, last: int) -> int:
             own = slice(first, last)
@@ -195,16 +196,23 @@ class BatchReset:
         chosen: NDArray[np.int64],
         batch: b.Batch,
         running: Running,
-    ) -> None:
-        """Beginnings and references, where only Python can draw these. Raises ValueError."""
+    ) -> b.Batch:
+        """Beginnings and references, where only Python can draw these. Raises ValueError.
+
+        Returns the batch, with more room where references need it.
+        """
         settings, before = self._settings, states_of(rngs)
         seeds, starts = np.empty(chosen.size, dtype=np.int64), np.empty((chosen.size, 4))
         draw_beginnings(streams, np.arange(chosen.size), seeds, starts)
         profiles = each_drawn(
-            lambda k: make_reference(settings.reference, settings.duration, rngs[k]),
+            lambda k: make_reference(
+                settings.reference, settings.duration, rngs[k], settings.nominal
+            ),
             before, chosen, batch,
         )  # fmt: skip
+        batch = with_rows(batch, profiles)
         running.seeds[chosen], self._starts[chosen] = seeds, starts
         for i, profile in zip(chosen, profiles, strict=True):
             write_profile(batch, i, profile)
-            running.origins[i, :START] = pose(*profile[2:])
+            running.origins[i, :START] = pose(*profile[2:5])
+        return batch

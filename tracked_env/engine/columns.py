@@ -3,7 +3,8 @@
 Everything the kernels touch lives in a few arrays, one vehicle per row:
     floats    (N, PLANT + own)     state, parameters, reference, sensors, bookkeeping, the plant's
     counters  (N, COUNTER_COLUMNS) integers: clocks and flags
-    profile   (S, N, 12)           reference: polynomials of speed (6) and of yaw rate (6)
+    profile   (S, N, 12 or more)   reference: polynomials of speed (6) and of yaw rate (6), and
+                                   its knots where it has its own, see `physics.reference_knots`
     events    (N, E, EVENT_FIELDS) what changes inside the episode
     noise     (NOISE_BLOCK / NOISE_RUN, N, NOISE_RUN, NOISE_COUNT) float32 normal numbers
               drawn ahead; NOISE_RUN steps lie together because writing is scattered too
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from tracked_env.observation_fields import LOOK_AHEAD
 from tracked_env.physics.channels import CHANNEL_COUNT, GROUPS, NOISE_COUNT
 from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS
+from tracked_env.physics.reference_knots import UNIFORM_COLUMNS
 from tracked_env.physics.state import STATE_NAMES, STATE_ROWS
 from tracked_env.physics.vehicle import Coefficients, DriveLimits
 
@@ -182,13 +184,14 @@ def columns(names: Iterable[str]) -> list[int]:
 
 
 def allocate(
-    count: int, segments: int, own_columns: int = 0, events: int = 1, history: int = 1
-) -> Batch:
+    count: int, segments: int, own_columns: int = 0, events: int = 1, history: int = 1,
+    reference_columns: int = UNIFORM_COLUMNS,
+) -> Batch:  # fmt: skip
     """Zeroed arrays for `count` vehicles, of a plant with so many columns of its own."""
     return Batch(
         np.zeros((count, PLANT + own_columns)),
         np.zeros((count, COUNTER_COLUMNS), dtype=np.int64),
-        np.zeros((segments, count, 12)),
+        np.zeros((segments, count, reference_columns)),
         np.zeros((count, events, EVENT_FIELDS)),
         np.zeros((NOISE_BLOCK // NOISE_RUN, count, NOISE_RUN, NOISE_COUNT), dtype=np.float32),
         np.zeros((count, history, DELIVERED_COUNT)),

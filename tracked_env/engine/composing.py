@@ -17,6 +17,7 @@ from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.engine.added_channels import AddedChannels, Named, Values, checked
 from tracked_env.engine.episode import Episode
+from tracked_env.engine.goal_reading import read_goal
 from tracked_env.engine.height_scan import HeightScan
 from tracked_env.observation_fields import Group
 from tracked_env.physics.jit import loop
@@ -61,7 +62,7 @@ class Composer:
     """
 
     def __init__(self, layout: obs.Layout, count: int, control_period: float) -> None:
-        self.layout = layout
+        self.layout, self._period = layout, control_period
         self.written: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
         self._channels = AddedChannels(layout.channels, count, control_period)
         scans = {group.name: group.scan for group in layout.parts if group.scan}
@@ -71,7 +72,7 @@ class Composer:
         self._computed: list[tuple[Group, slice, NDArray[np.int64]]] = []
         first, sources = 0, list[int]()
         for group in layout.parts:
-            made = bool(group.values or group.compiled or group.scan)
+            made = bool(group.values or group.compiled or group.scan or group.goal)
             for field in group.fields:
                 sources.append(self._places[field.name] if not made else len(self._places) + first)
                 first += 1 if made else 0
@@ -139,6 +140,8 @@ class Composer:
             values = shown[:, own]
             if group.name in self._scans:
                 self._scans[group.name].read(batch, rows, ground, values)
+            elif group.goal:
+                read_goal(batch, rows, self._period, values)
             elif group.compiled is not None:
                 known = np.empty((rows.size, read.size))
                 _gather(self.written, delivered, rows, read, obs.SCALE, known)

@@ -30,6 +30,7 @@ from tracked_env.physics.parameters import (
     PlantParameters,
     Range,
 )
+from tracked_env.physics.reference_knots import COURSE_COLUMNS, UNIFORM_COLUMNS
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile, make_reference
 from tracked_env.sensor_draws import SensorDraw, draw_sensors
@@ -71,6 +72,9 @@ class EpisodeSettings(NamedTuple):
     channels: tuple[str, ...] = ()  # registered sensor channels that are sampled
     relief_column: int = 0  # where the plant reads a drawn relief; 0: nowhere
     terrains: int = 1  # of which an episode draws one
+    reference_rows: int = 0  # of the table of a reference that was drawn as a trial
+    reference_columns: int = UNIFORM_COLUMNS  # of its table: knots of its own need more
+    shows_goal: bool = False  # in the observation: then a reference has to have one
 
     @property
     def max_steps(self) -> int:
@@ -102,17 +106,28 @@ def make_settings(
     channels: tuple[str, ...] = (),
     relief_column: int = 0,
     terrains: int = 1,
+    shows_goal: bool = False,
 ) -> EpisodeSettings:
     """Check everything that an environment is built from. Raises ValueError."""
     length = checked_number("duration", duration, DURATION_RANGE)
-    profile = make_reference(reference, length, np.random.default_rng(0))
+    profile = make_reference(reference, length, np.random.default_rng(0), nominal)
+    _check_goal(profile, shows_goal)
     law = make_uncertainty(uncertainty, reads)
     if isinstance(law, CheckedLaw):  # somebody's own: an error in it shows here, not in an episode
         law(np.random.default_rng(0), nominal, profile, length)
     return EpisodeSettings(
         reference, law, nominal, make_sensors(sensors), length, control_period, reads, channels,
-        relief_column, terrains,
+        relief_column, terrains, len(profile.table), profile.table.shape[1], shows_goal,
     )  # fmt: skip
+
+
+def _check_goal(profile: ReferenceProfile, shows_goal: bool) -> None:
+    """Raise ValueError where a goal is to be shown of a reference that has none."""
+    if shows_goal and not profile.knots.size:
+        raise ValueError(
+            "observation group 'goal': the reference has no goal; must be of the kind \"plan\": "
+            'reference={"kind": "plan", "goals": "halton"}'
+        )
 
 
 def _overridden(
@@ -207,6 +222,23 @@ def _terrain(options: Mapping[str, Any], drawn: int, count: int) -> int:
     )
 
 
+def _given_reference(
+    spec: str | Mapping[str, Any], settings: EpisodeSettings, noise_seed: int
+) -> ReferenceProfile:
+    """A reference of the options. Raises ValueError where the environment has no room for it."""
+    rng = np.random.default_rng(noise_seed)
+    profile = make_reference(spec, settings.duration, rng, settings.nominal)
+    _check_goal(profile, settings.shows_goal)
+    columns = profile.table.shape[1]
+    if columns > settings.reference_columns:
+        frame = ' and "frame": "body"' if columns > COURSE_COLUMNS else ""
+        raise ValueError(
+            "options['reference'] is a plan, for which this environment keeps no knots: make it "
+            f'with reference={{"kind": "plan", ...}}{frame}, then options may give another one'
+        )
+    return profile
+
+
 def draw_episode(
     rng: np.random.Generator, settings: EpisodeSettings, options: Mapping[str, Any] | None
 ) -> Episode:
@@ -218,12 +250,10 @@ def draw_episode(
     seeds, start_draws = np.empty(1, dtype=np.int64), np.empty((1, 4))
     draw_beginnings(addresses([rng]), np.zeros(1, dtype=np.int64), seeds, start_draws)
     noise_seed = int(seeds[0])
-    profile = make_reference(settings.reference, settings.duration, rng)
+    profile = make_reference(settings.reference, settings.duration, rng, settings.nominal)
     truth = settings.law(rng, settings.nominal, profile, settings.duration)
     if options.get("reference") is not None:
-        profile = make_reference(
-            options["reference"], settings.duration, np.random.default_rng(noise_seed)
-        )
+        profile = _given_reference(options["reference"], settings, noise_seed)
     sensors = settings.sensors
     if options.get("sensors") is not None:
         sensors = make_sensors(options["sensors"], base=sensors)

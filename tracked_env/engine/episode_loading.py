@@ -19,9 +19,12 @@ from tracked_env.engine.episode import Episode, EpisodeSettings
 from tracked_env.physics import state as s
 from tracked_env.physics.channels import CHANNEL_COUNT
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.reference_knots import START as START_TIME
+from tracked_env.physics.reference_knots import UNIFORM_COLUMNS
 from tracked_env.physics.state import VehicleState
 from tracked_env.plants.base import Prepared, unchanged
 from tracked_env.references import ReferenceProfile
+from tracked_env.references.profile import of_table, with_knots
 from tracked_env.sensor_draws import SensorDraw, longest_delay_steps
 from tracked_env.terrain.drawn_relief import RELIEF_SIZE
 
@@ -93,7 +96,26 @@ def each_drawn(
 
 def write_profile(batch: b.Batch, i: int, profile: ReferenceProfile) -> None:
     """Write a reference into the arrays of vehicle i."""
-    batch.profile[:, i, :6], batch.profile[:, i, 6:] = profile.speed, profile.yaw_rate
+    if batch.profile.shape[2] == UNIFORM_COLUMNS:
+        batch.profile[:, i, :6], batch.profile[:, i, 6:] = profile.speed, profile.yaw_rate
+        return
+    table = with_knots(profile, batch.profile.shape[2])
+    batch.profile[: len(table), i] = table
+    batch.profile[len(table) :, i] = 0.0
+    batch.profile[len(table) :, i, START_TIME] = np.inf
+
+
+def with_rows(batch: b.Batch, profiles: Sequence[ReferenceProfile]) -> b.Batch:
+    """The batch with room for the rows of these references."""
+    own = batch.profile
+    if own.shape[2] == UNIFORM_COLUMNS:
+        return batch
+    rows = max(len(profile.speed) + (not profile.knots.size) for profile in profiles)
+    if rows <= len(own):
+        return batch
+    more = np.zeros((rows, *own.shape[1:]))
+    more[: len(own)], more[len(own) :, :, START_TIME] = own, np.inf
+    return batch._replace(profile=more)
 
 
 def fitted(batch: b.Batch, events: int, delay: int, control_period: float) -> b.Batch:
@@ -124,7 +146,7 @@ def load_episode(
         f[settings.relief_column + RELIEF_SIZE] = episode.terrain
     batch.base()[i] = batch.parameters()[i] = episode.parameters
     write_profile(batch, i, episode.profile)
-    running.origins[i, :START] = pose(*episode.profile[2:])
+    running.origins[i, :START] = pose(*episode.profile[2:5])
     running.origins[i, START:] = f[b.STATE + STARTED] = np.array(episode.state)[STARTED]
     f[b.REFERENCE_X : b.REFERENCE_X + START] = running.origins[i, :START]
     c[b.EVENT_COUNT] = len(episode.events)
@@ -146,6 +168,7 @@ def load_each(
     events = max(len(episode.events) for episode in drawn)
     delay = max(int(episode.sensors.delay.max()) for episode in drawn)
     batch = fitted(batch, events, delay, settings.control_period)
+    batch = with_rows(batch, [episode.profile for episode in drawn])
     for i, episode in zip(chosen.tolist(), drawn, strict=True):
         load_episode(batch, running, i, episode, settings)
     return batch
@@ -199,11 +222,10 @@ class Episodes(Sequence[Episode | None]):
             return given
         x, y, yaw, v_x, yaw_rate = origins[i, START:].tolist()
         relief = batch.floats[i, self._relief]
-        speed, turn = batch.profile[:, i, :6].copy(), batch.profile[:, i, 6:].copy()
         self._given[i] = Episode(
             PlantParameters(*batch.base()[i].tolist()),
             batch.events[i, : batch.counters[i, b.EVENT_COUNT]].copy(),
-            ReferenceProfile(speed, turn, *origins[i, :3].tolist()),
+            of_table(batch.profile[:, i], *origins[i, :3].tolist()),
             self._sensors._replace(bias=batch.floats[i, b.BIAS : b.BIAS + CHANNEL_COUNT].copy()),
             VehicleState(x, y, yaw, v_x, yaw_rate=yaw_rate),
             int(self._running.seeds[i]),

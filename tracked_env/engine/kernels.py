@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from tracked_env.engine import columns as b
 from tracked_env.engine import observing
 from tracked_env.engine.columns import Batch
-from tracked_env.physics import reference_profile
+from tracked_env.physics import reference_knots
 from tracked_env.physics import state as s
 from tracked_env.physics.jit import formula, template
 from tracked_env.rewards import reward_and_ending
@@ -75,19 +75,21 @@ class Pace(NamedTuple):
 @formula
 def _advance_reference(floats, counters, profile, i, period):
     """Move the reference pose of vehicle i on by one control step."""
-    x, y, cosine, sine, rotation = reference_profile.advance_pose(
-        profile[:, i, :6],
-        profile[:, i, 6:],
-        counters[i, b.STEP] * period,
+    step = counters[i, b.STEP]
+    x, y, cosine, sine, yaw = reference_knots.advance(
+        profile[:, i],
+        step * period,
+        (step + 1) * period,
         period,
         floats[i, b.REFERENCE_X],
         floats[i, b.REFERENCE_Y],
         floats[i, b.REFERENCE_COSINE],
         floats[i, b.REFERENCE_COSINE + 1],
+        floats[i, b.REFERENCE_YAW],
     )
     floats[i, b.REFERENCE_X], floats[i, b.REFERENCE_Y] = x, y
     floats[i, b.REFERENCE_COSINE], floats[i, b.REFERENCE_COSINE + 1] = cosine, sine
-    floats[i, b.REFERENCE_YAW] += rotation
+    floats[i, b.REFERENCE_YAW] = yaw
 
 
 @formula

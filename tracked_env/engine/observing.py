@@ -12,7 +12,7 @@ import numpy as np
 from tracked_env import observation as obs
 from tracked_env.engine import columns as b
 from tracked_env.observation_fields import LOOK_AHEAD
-from tracked_env.physics import channels, reference_profile
+from tracked_env.physics import channels, reference_knots, reference_profile
 from tracked_env.physics import state as s
 from tracked_env.physics.attitude import in_body_plane
 from tracked_env.physics.channels import GROUP_START
@@ -56,6 +56,8 @@ def expect(counters, profile, noise, i, period):
     run, place = cursor // b.NOISE_RUN, cursor % b.NOISE_RUN
     prefetch(noise, (run, i, place, 0))
     prefetch(noise, (run, i, place, channels.NOISE_COUNT - 1))
+    if profile.shape[2] != reference_knots.UNIFORM_COLUMNS:
+        return
     last = profile.shape[0] - 1
     now, _ = reference_profile.locate(last, counters[i, b.STEP] * period)
     for ahead in range(_SEGMENTS_SHOWN):
@@ -67,12 +69,12 @@ def expect(counters, profile, noise, i, period):
 @formula
 def reference_rates(floats, profile, i, time):
     """Reference rates at `time` [s] and ahead, into their rows."""
-    speed, yaw_rate = profile[:, i, :6], profile[:, i, 6:]
-    rates = reference_profile.evaluate(speed, yaw_rate, time)
+    its = profile[:, i]
+    rates = reference_knots.rates_at(its, time)
     for row in range(5):
         floats[i, b.REFERENCE_MOTION + row] = rates[row]
     for j in range(b.AHEAD):
-        v, w = reference_profile.speed_and_yaw_rate(speed, yaw_rate, time + _AHEAD_TIMES[j])
+        v, w = reference_knots.speeds_at(its, time + _AHEAD_TIMES[j])
         floats[i, b.AHEAD_SPEED + j] = v
         floats[i, b.AHEAD_YAW_RATE + j] = w
 

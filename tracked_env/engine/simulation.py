@@ -38,7 +38,6 @@ from tracked_env.engine.readings import Readings
 from tracked_env.engine.threads import Threads
 from tracked_env.physics.jit import bound
 from tracked_env.physics.parameters import Range
-from tracked_env.references import number_of_segments
 from tracked_env.uncertainty import ArrayLaw
 from tracked_env.validation import checked_whole
 
@@ -63,9 +62,12 @@ class Simulation(Readings):
             config.reference, config.uncertainty, config.sensors, config.duration,
             solver.control_period, solver.nominal, solver.reads, self.layout.channels,
             solver.plant.relief_column, solver.prepared.terrains,
+            any(group.goal for group in self.layout.parts),
         )  # fmt: skip
-        segments = number_of_segments(self.settings.duration)
-        self.batch = b.allocate(count, segments, solver.plant.columns)
+        self.batch = b.allocate(
+            count, self.settings.reference_rows, solver.plant.columns,
+            reference_columns=self.settings.reference_columns,
+        )  # fmt: skip
         self.observations: NDArray[np.float32] = np.zeros((count, self.layout.size), np.float32)
         # Where the layout is not the one that the kernels write:
         self.composer: Composer | None = None

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tracked_env.physics import reference_knots
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, sample_profile
 
 FloatArray = NDArray[np.float64]
@@ -30,6 +31,40 @@ class ReferenceProfile(NamedTuple):
     x: float = 0.0  # [m]
     y: float = 0.0  # [m]
     yaw: float = 0.0  # [rad]
+    # (S, 4) or (S, 22) further columns of `physics.reference_knots`; empty: the uniform grid
+    knots: FloatArray = np.zeros((0, 0))
+
+    @property
+    def table(self) -> FloatArray:
+        """(S, W) all columns, as the kernels take them."""
+        parts = [self.speed, self.yaw_rate, *([self.knots] if self.knots.size else [])]
+        return np.concatenate(parts, axis=1)
+
+
+def of_table(table: FloatArray, x: float, y: float, yaw: float) -> ReferenceProfile:
+    """The reference of a table (S, W) with its start pose; rows that are not used are left out."""
+    width = reference_knots.UNIFORM_COLUMNS
+    if table.shape[1] == width:
+        return ReferenceProfile(table[:, :6].copy(), table[:, 6:].copy(), x, y, yaw)
+    used = table[np.isfinite(table[:, reference_knots.START])]
+    speed, yaw_rate, knots = used[:, :6].copy(), used[:, 6:width].copy(), used[:, width:].copy()
+    return ReferenceProfile(speed, yaw_rate, x, y, yaw, knots)
+
+
+def with_knots(profile: ReferenceProfile, width: int) -> FloatArray:
+    """The table (K, W) with knots of a reference, W = `width` >= that of its own."""
+    table = profile.table
+    if not profile.knots.size:
+        ends = SEGMENT_DURATION * np.arange(len(table) + 1, dtype=np.float64)
+        at = sample(profile, ends)
+        table = np.vstack([table, np.zeros(reference_knots.UNIFORM_COLUMNS)])
+        table[-1, 0], table[-1, DEGREE + 1] = at.speed[-1], at.yaw_rate[-1]
+        table = np.column_stack([table, ends, at.x, at.y, at.yaw])
+    if table.shape[1] < width:
+        moving = np.zeros((len(table), width - table.shape[1]))
+        moving[:, : DEGREE + 1], moving[:, -DEGREE - 1 :] = table[:, :6], table[:, 6:12]
+        table = np.concatenate([table, moving], axis=1)
+    return table
 
 
 class ReferenceSamples(NamedTuple):
@@ -99,6 +134,9 @@ def sample(profile: ReferenceProfile, times: ArrayLike) -> ReferenceSamples:
             "Sort them first, or pass the time since the start of the episode."
         )
     out = np.empty((len(ReferenceSamples._fields), times.size))
+    if profile.knots.size:
+        reference_knots.sample_knots(profile.table, times, out)
+        return ReferenceSamples(*out)
     cos_yaw, sin_yaw = math.cos(profile.yaw), math.sin(profile.yaw)
     sample_profile(profile.speed, profile.yaw_rate, times, cos_yaw, sin_yaw, out)
     out[0] += profile.x

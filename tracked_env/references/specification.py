@@ -15,8 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
 from tracked_env.references import catalogue
+from tracked_env.references.planned import plan_reference
 from tracked_env.references.profile import FloatArray, ReferenceProfile
 from tracked_env.references.random_path import RandomPaths, random_paths, random_smooth
 from tracked_env.references.waypoints import waypoints
@@ -26,6 +28,7 @@ POINTS_LIMIT = 1000  # [-] way-points of one reference
 POSITION_LIMIT = 1e5  # [m] beyond it the coordinates lose digits
 
 POSE = ("x", "y", "yaw")
+PLAN = "plan"  # the kind that a planner makes
 
 
 class Quantity(NamedTuple):
@@ -208,20 +211,28 @@ def _check(kind: str, values: Mapping[str, Any], profile: ReferenceProfile) -> N
 
 
 def make_reference(
-    spec: str | Mapping[str, Any], duration: float, rng: np.random.Generator
-) -> ReferenceProfile:
+    spec: str | Mapping[str, Any], duration: float, rng: np.random.Generator,
+    vehicle: PlantParameters | None = None,
+) -> ReferenceProfile:  # fmt: skip
     """Return the reference that `spec` describes, for an episode of `duration` [s].
 
     spec: a name of `REFERENCES`, or {"kind": name, parameter: value, ...}; parameters and
     defaults are the arguments of the builder, and the start pose x, y [m], yaw [rad]. A
-    missing "kind" is "random". Raises ValueError for whatever is unknown or out of range.
+    missing "kind" is "random"; "plan" is made by a planner for the nominal `vehicle`, see
+    `references.planned`. Raises ValueError for whatever is unknown or out of range.
     """
     if not isinstance(spec, (str, Mapping)):
         raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
     given = {"kind": spec} if isinstance(spec, str) else dict(spec)
     kind = given.pop("kind", "random")
-    if not isinstance(kind, str) or kind not in REFERENCES:
-        raise ValueError(f"reference kind {kind!r}; must be one of {', '.join(REFERENCES)}.")
+    if not isinstance(kind, str) or kind not in (*REFERENCES, PLAN):
+        known = ", ".join((*REFERENCES, PLAN))
+        raise ValueError(f"reference kind {kind!r}; must be one of {known}.")
+    horizon = _number("duration", duration, Quantity(*DURATION_RANGE, "s"))
+    if kind == PLAN:
+        profile = plan_reference(given, horizon, rng, vehicle)
+        _check(kind, {}, profile)
+        return profile
     names = _parameter_names(kind)
     unknown = sorted(set(given) - set(names), key=str)
     if unknown:
@@ -231,7 +242,6 @@ def make_reference(
         )
     if kind == "waypoints" and "points" not in given:
         raise ValueError("reference 'waypoints': points missing; must be a list of [x, y] [m].")
-    horizon = _number("duration", duration, Quantity(*DURATION_RANGE, "s"))
     arguments = _ARGUMENTS[kind]
     values = {name: arguments[name].default for name in names if name in arguments}
     values |= {name: _resolve(kind, name, given[name], rng) for name in names if name in given}

@@ -24,7 +24,7 @@ from tracked_env.events import decode_event
 from tracked_env.physics import parameter_events
 from tracked_env.physics.jit import copy_entries, fill_entries, formula, template
 from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PlantParameters
-from tracked_env.physics.reference_profile import advance_pose
+from tracked_env.physics.reference_knots import UNIFORM_COLUMNS, advance
 from tracked_env.references import ReferenceProfile
 from tracked_env.streams import uniform
 from tracked_env.terrain.drawn_relief import DRAWN_WAVES, RELIEF_SIZE
@@ -55,7 +55,7 @@ class Draws(NamedTuple):
     streams: NDArray[np.int64]  # (n,) addresses of the generators of the chosen vehicles
     chosen: NDArray[np.int64]  # (n,) rows of the arrays below
     nominal: NDArray[np.void]  # (1,) of RECORD
-    profile: NDArray[np.float64]  # (S, N, 12) references
+    profile: NDArray[np.float64]  # (S, N, W) references
     poses: NDArray[np.float64]  # (N, >= 5) x, y, yaw, cos, sin where they begin
     duration: float  # [s] of the episode
     truths: NDArray[np.void]  # (N,) of RECORD
@@ -68,7 +68,7 @@ class Draws(NamedTuple):
 class Path(NamedTuple):
     """The reference of one episode, inside a kernel."""
 
-    profile: NDArray[np.float64]  # (S, 12) speed and yaw rate
+    profile: NDArray[np.float64]  # (S, W) of one vehicle, see `physics.reference_knots`
     pose: NDArray[np.float64]  # (>= 5,) x, y, yaw, cos, sin where it begins
     duration: float  # [s]
 
@@ -112,9 +112,16 @@ def given(changes, rows):
 @formula
 def border(path, time):
     """(x, y, direction): where the reference is at `time` [s], and where it heads."""
-    speed, yaw_rate, pose = path.profile[:, :6], path.profile[:, 6:], path.pose
-    x, y, _, _, turned = advance_pose(speed, yaw_rate, 0.0, time, 0.0, 0.0, pose[3], pose[4])
-    return x + pose[0], y + pose[1], turned + pose[2]
+    pose = path.pose
+    if path.profile.shape[1] == UNIFORM_COLUMNS:
+        x, y, _, _, yaw = advance(
+            path.profile, 0.0, time, time, 0.0, 0.0, pose[3], pose[4], pose[2]
+        )
+        return x + pose[0], y + pose[1], yaw
+    x, y, _, _, yaw = advance(
+        path.profile, 0.0, time, time, pose[0], pose[1], pose[3], pose[4], pose[2]
+    )
+    return x, y, yaw
 
 
 @formula
@@ -204,7 +211,7 @@ class ArrayLaw:
         """Draw one episode. A law that changes nothing along the path needs no profile."""
         if profile is None:
             profile = ReferenceProfile(np.zeros((1, 6)), np.zeros((1, 6)))
-        both = np.concatenate([profile.speed, profile.yaw_rate], axis=1)[:, None]
+        both = profile.table[:, None]
         yaw = profile.yaw
         draws = Draws(
             streams.addresses([rng]),

@@ -1,0 +1,231 @@
+"""Environments whose reference is a plan, and the observation of its goal."""
+
+import copy
+import math
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+
+from tests.test_vector_env import assert_same
+from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
+from tracked_env import observation as obs
+from tracked_env.engine import columns as b
+from tracked_env.references import sample
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+GOAL = [2.0, 2.5, -0.4]
+PLAN = {"kind": "plan", "goal": GOAL}
+DRAWN = {"kind": "plan", "goals": "halton"}
+SHOWN = [*obs.V0.groups, "goal"]
+FRAMES = ("course", "body")
+REST = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0}
+REFERENCE = slice(b.REFERENCE_X, b.REFERENCE_X + 3)
+
+
+def make(env_id=SPEED_ID, **arguments):
+    given = {"reference": PLAN, "observation": SHOWN, "sensors": "ideal", "uncertainty": "nominal"}
+    return gymnasium.make(env_id, **{**given, "error_limit": 1e3, **arguments}).unwrapped
+
+
+def indoors(count, **arguments):
+    from tracked_env import SPEED
+
+    given = {**SPEED, "reference": DRAWN, "observation": SHOWN, "duration": 20.0}
+    return TrackedVehicleVectorEnv(count, **{**given, **arguments})
+
+
+def walked(env, steps, action=(0.0, 0.0)):
+    """References (steps + 1, 3) and observations in SI units of a constant action."""
+    floats = env.simulation.batch.floats
+    references, seen = [floats[0, REFERENCE].copy()], []
+    for _ in range(steps):
+        seen.append(env.step(np.float32(action))[0])
+        references.append(floats[0, REFERENCE].copy())
+    return np.array(references), env.layout.unpack(np.array(seen))
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("env_id", [SPEED_ID, TORQUE_ID])
+def test_the_reference_of_an_environment_follows_the_plan_and_stands_at_its_end(env_id, frame):
+    env = make(env_id, reference={**DRAWN, "frame": frame})
+    env.reset(seed=4)
+    profile = env.simulation.episodes[0].profile
+    references, seen = walked(env, 1499)
+    expected = sample(profile, 0.02 * np.arange(1500))
+    np.testing.assert_allclose(references[:, 0], expected.x, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(references[:, 1], expected.y, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(references[:, 2], expected.yaw, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(seen["reference_speed"], expected.speed[1:], atol=1e-6)
+    np.testing.assert_allclose(
+        seen["reference_yaw_rate_ahead_0.5"][:-25], expected.yaw_rate[26:], atol=1e-6
+    )
+    assert tuple(references[-1]) == tuple(profile.knots[-1, 1:4])
+    end = int(profile.knots[-1, 0] / 0.02) + 2
+    assert np.ptp(references[end:], axis=0).max() == 0.0
+    assert end < 1400
+
+
+@pytest.mark.parametrize("env_id", [SPEED_ID, TORQUE_ID, TERRAIN_ID])
+def test_the_goal_is_shown_in_the_axes_of_the_vehicle(env_id):
+    shown = [*TERRAIN["observation"], "goal"] if env_id == TERRAIN_ID else SHOWN
+    env = make(env_id, observation=shown, expose_truth=True)
+    env.reset(seed=1)
+    for _ in range(60):
+        seen, *_, info = env.step(np.float32([0.05, 0.2]))
+    truth, known = info["truth"], env.layout.unpack(seen)
+    away = (GOAL[0] - truth["x"] + 1j * (GOAL[1] - truth["y"])) * np.exp(-1j * truth["yaw"])
+    assert known["goal_x"] == pytest.approx(away.real, abs=1e-5)
+    assert known["goal_y"] == pytest.approx(away.imag, abs=1e-5)
+    assert known["goal_cosine"] == pytest.approx(math.cos(GOAL[2] - truth["yaw"]), abs=1e-6)
+    assert known["goal_sine"] == pytest.approx(math.sin(GOAL[2] - truth["yaw"]), abs=1e-6)
+    duration = env.simulation.episodes[0].profile.knots[-1, 0]
+    assert known["goal_time"] == pytest.approx(duration - 0.02 * 60, abs=1e-4)
+    assert abs(truth["yaw"]) > 0.05
+
+
+def test_the_goal_that_is_shown_is_as_late_as_the_measured_pose():
+    env = make(sensors={"preset": "ideal", "pose_delay": 0.2}, expose_truth=True)
+    env.reset(seed=1)
+    places = []
+    for _ in range(60):
+        seen, *_, info = env.step(np.float32([0.3, 0.4]))
+        places.append((info["truth"]["x"], info["truth"]["y"], info["truth"]["yaw"]))
+    known, (x, y, yaw) = env.layout.unpack(seen), places[-11]
+    away = (GOAL[0] - x + 1j * (GOAL[1] - y)) * np.exp(-1j * yaw)
+    assert known["goal_x"] == pytest.approx(away.real, abs=1e-5)
+    assert known["goal_y"] == pytest.approx(away.imag, abs=1e-5)
+
+
+def test_a_mirrored_goal_is_the_observation_of_the_mirrored_vehicle():
+    seen = []
+    for sign in (1.0, -1.0):
+        goal = [GOAL[0], sign * GOAL[1], sign * GOAL[2]]
+        env = make(reference={"kind": "plan", "goal": goal, "planner": "dubins"})
+        start = {**REST, "offset_y": 0.2 * sign, "offset_yaw": 0.3 * sign}
+        env.reset(seed=0, options={"start": start})
+        action = np.float32([0.2, 0.3] if sign > 0.0 else [0.3, 0.2])
+        for _ in range(50):
+            last = env.step(action)[0]
+        seen.append(last)
+    np.testing.assert_allclose(env.layout.mirror(seen[0]), seen[1], atol=1e-6)
+    names = env.layout.index
+    assert abs(seen[0][names["goal_y"]]) > 0.1 and abs(seen[0][names["goal_sine"]]) > 0.1
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_rows_of_a_batch_are_single_environments_to_the_bit(frame):
+    given = {"reference": {**DRAWN, "frame": frame}, "duration": 12.0}
+    many = indoors(5, **given, autoreset_mode="SameStep")
+    singles = [gymnasium.make(SPEED_ID, observation=SHOWN, **given).unwrapped for _ in range(5)]
+    rows, _ = many.reset(seed=20)
+    for i, env in enumerate(singles):
+        assert_same(rows[i], env.reset(seed=20 + i)[0])
+    rng = np.random.default_rng(0)
+    for _ in range(700):  # over the end of the episodes
+        actions = rng.uniform(-0.3, 0.6, (5, 2)).astype(np.float32)
+        rows, rewards, terminated, truncated, _ = many.step(actions)
+        for i, env in enumerate(singles):
+            seen, reward, *ends, _ = env.step(actions[i])
+            assert (reward, *ends) == (rewards[i], terminated[i], truncated[i])
+            if any(ends):
+                seen = env.reset()[0]
+            assert_same(rows[i], seen)
+    assert np.isfinite(rows).all()
+
+
+def test_goals_follow_the_seed_and_differ_between_episodes():
+    env = indoors(4)
+    env.reset(seed=9)
+    first = [episode.profile.knots[-1, 1:].copy() for episode in env.simulation.episodes]
+    env.reset()
+    second = [episode.profile.knots[-1, 1:].copy() for episode in env.simulation.episodes]
+    env.reset(seed=9)
+    again = [episode.profile.knots[-1, 1:] for episode in env.simulation.episodes]
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, second)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copied_environment_goes_on_to_the_same_goal_bit_for_bit(copied):
+    env = indoors(3)
+    env.reset(seed=2)
+    action = np.full((3, 2), 0.3, np.float32)
+    for _ in range(40):
+        env.step(action)
+    twin = copied(env)
+    for _ in range(200):
+        assert_same(env.step(action)[0], twin.step(action)[0])
+    saved = env.simulation.snapshot()
+    ahead = np.array([env.simulation.step(action).copy() for _ in range(30)])
+    env.simulation.resume(saved)
+    assert_same(ahead, np.array([env.simulation.step(action).copy() for _ in range(30)]))
+
+
+def test_options_may_give_another_goal_with_more_knots_and_another_kind_of_reference():
+    env = make(observation="v0", duration=40.0, reference={**PLAN, "planner": "dubins"})
+    env.reset(seed=0)
+    rows = len(env.simulation.batch.profile)
+    env.reset(options={"reference": {"kind": "plan", "goal": [1.0, -1.0, 0.3]}})
+    assert len(env.simulation.batch.profile) > rows
+    references, _ = walked(env, 700)
+    np.testing.assert_allclose(references[-1, :2], [1.0, -1.0], rtol=0.0, atol=1e-12)
+    circle = {"kind": "circle", "radius": 2.0, "speed": 0.4}
+    env.reset(options={"reference": circle, "start": REST})
+    references, _ = walked(env, 1999)
+    turned = 0.2 * 0.02 * np.arange(2000)
+    np.testing.assert_allclose(references[:, 0], 2.0 * np.sin(turned), atol=1e-9)
+    np.testing.assert_allclose(references[:, 2], turned, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "said"),
+    [
+        ({"reference": "random"}, None, "group 'goal': the reference has no goal"),
+        ({"observation": "v0", "reference": "random"}, PLAN, "keeps no knots"),
+        ({"observation": "v0"}, {**PLAN, "frame": "body"}, '"frame": "body"'),
+        ({}, "circle", "group 'goal': the reference has no goal"),
+        ({"duration": 5.0}, None, "it takes .* s of an episode of 5 s"),
+    ],
+)
+def test_a_goal_that_cannot_be_shown_or_kept_is_refused_in_one_line(arguments, options, said):
+    with pytest.raises(ValueError, match=said) as error:
+        env = make(**arguments)
+        env.reset(seed=0)
+        assert options is not None
+        env.reset(options={"reference": options})
+    assert "\n" not in str(error.value)
+
+
+def test_a_refused_reset_leaves_the_episode_and_the_random_numbers_as_they_were():
+    env, twin = make(reference=DRAWN), make(reference=DRAWN)
+    for each in (env, twin):
+        each.reset(seed=3)
+    with pytest.raises(ValueError, match="it takes"):
+        env.reset(options={"reference": {"kind": "plan", "goal": [50.0, 0.0, 0.0]}})
+    action = np.float32([0.1, 0.2])
+    assert_same(env.step(action)[0], twin.step(action)[0])
+    assert_same(env.reset()[0], twin.reset()[0])
+
+
+def test_the_goal_stays_finite_where_the_state_does_not():
+    env = make()
+    env.reset(seed=0)
+    env.simulation.batch.column("v_x")[0] = 1e200
+    seen = env.step(np.float32([0.1, 0.1]))[0]
+    assert np.isfinite(seen).all() and env.observation_space.contains(seen)
+
+
+@pytest.mark.parametrize("uncertainty", ["terrain-transition", "mixed"])
+def test_changes_on_the_path_lie_on_the_plan(uncertainty):
+    given = {"reference": DRAWN, "uncertainty": uncertainty, "observation": "v0"}
+    many = TrackedVehicleVectorEnv(6, duration=30.0, **given)
+    many.reset(seed=5)
+    lines = 0
+    for episode in many.simulation.episodes:
+        path = sample(episode.profile, np.linspace(0.0, 30.0, 3001))
+        for event in episode.events[episode.events[:, 0] == 2]:
+            lines += 1
+            assert np.hypot(path.x - event[3], path.y - event[4]).min() < 0.05
+    assert lines > 0

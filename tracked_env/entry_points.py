@@ -1,0 +1,39 @@
+"""What installed packages register by entry points, and a clone by its pyproject.toml.
+
+A clone that is not installed registers what the pyproject.toml beside this package says.
+"""
+
+import re
+import tomllib
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+OURS = "tracked-env"  # our distribution, which comes first
+_PACKAGES = Path(__file__).resolve().parents[1]  # where this package lies
+
+
+def _name(distribution: str) -> str:
+    return re.sub(r"[-_.]+", "-", distribution).lower()
+
+
+def _of_clone(group: str) -> list[EntryPoint]:
+    """What the pyproject.toml beside this package says, nothing where there is none."""
+    try:
+        project = tomllib.loads((_PACKAGES / "pyproject.toml").read_text(encoding="utf-8"))
+        if _name(project["project"]["name"]) != OURS:
+            return []
+        known = project["project"]["entry-points"].get(group, {})
+    except (OSError, KeyError, tomllib.TOMLDecodeError):
+        return []
+    return [EntryPoint(name, value, group) for name, value in known.items()]
+
+
+def declared(group: str) -> list[tuple[str, EntryPoint]]:
+    """Distribution and entry, ours first, then by name."""
+    own = _of_clone(group)
+    found = [(OURS, entry) for entry in own]
+    for entry in entry_points(group=group):
+        distribution = _name(entry.dist.name) if entry.dist else "?"
+        if not (own and distribution == OURS):
+            found.append((distribution, entry))
+    return sorted(found, key=lambda each: (each[0] != OURS, each[0], each[1].name))

@@ -13,6 +13,8 @@ as to a reference that stands there: a new plan changes nothing in the filter. A
 the filter has the vehicle, with the belts that drive its speed and yaw rate in steady state. (The
 commanded belts are no state of the vehicle: on slippery ground they run ahead of it by seconds.)
 
+Speeds and lengths below are for the indoor vehicle of [F] and grow with the track gauge.
+
 Limits of plans. On friction mu a vehicle changes its motion by mu g at most; plans use GRIP of
 that for the vehicle and its belts, for slip is in steady state in a plan and not in the vehicle.
 
@@ -20,7 +22,8 @@ Which plan is followed. One that is not found is dropped, and the one before fol
 whose way is longer by DETOUR than what is left of the one before, while the vehicle is within NEAR
 of that: it would drive a circle to correct a few centimetres to the side, and at its end another.
 With less than FINAL left the plan is driven to its end, where the vehicle has the yaw of the goal,
-for without speed there is no course, and rests after SETTLE. A vehicle without any plan stands, and asks again.
+for without speed there is no course, and rests after SETTLE. A vehicle without any plan stands,
+and asks again.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 5.2, 6.3.
@@ -47,7 +50,7 @@ from baselines.slip.slip_models import Array, FrictionSlipModel
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
 
 REPLAN_PERIOD = 1.0  # [s] between two plans
@@ -150,6 +153,7 @@ class PlanFollower(SlippageAwarePolicy):
     ) -> None:  # fmt: skip
         super().__init__(parameters, control_period, NoSlip(), gains, data_sheet)
         self._vehicle, self._limits, self._replan_period = parameters, limits, replan_period
+        self._size = _size(parameters)
         self.plans = Plans.none(0)
 
     def _followed(
@@ -195,7 +199,9 @@ class PlanFollower(SlippageAwarePolicy):
             new.asked[i] = 0.0
             if not made.converged:
                 new.not_found[i] += 1
-            elif off[i] < NEAR and made.length > plans.way_left(i) + DETOUR:
+            elif (
+                off[i] < self._size * NEAR and made.length > plans.way_left(i) + self._size * DETOUR
+            ):
                 new.refused[i] += 1
             else:
                 new.followed[i] += 1
@@ -254,9 +260,10 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
                 f"{control_period:g} s or more. Did you pass a frequency?"
             )
         if limits is None:
+            slowest, fastest = (_size(parameters) * speed for speed in (SLOWEST, FASTEST))
             limits = Limits.of(
                 parameters, reserve=RESERVE, sprocket_acceleration=SPROCKET_ACCELERATION,
-                v_min=SLOWEST, v_max=FASTEST, acceleration=math.inf, lateral_acceleration=math.inf,
+                v_min=slowest, v_max=fastest, acceleration=math.inf, lateral_acceleration=math.inf,
             )  # fmt: skip
         checked_limits(limits, parameters)
         if limits.fixed or limits.sprocket_speed > parameters.sprocket_speed_limit:
@@ -291,8 +298,15 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
         known = Plans.none(len(start)) if state is None else state.plans.begun(start)
         self._follower.plans = known
         seen = to_goal(observation)
-        action, adaptive = self._adaptive.act(seen, None if state is None else state.adaptive, start)
+        action, adaptive = self._adaptive.act(
+            seen, None if state is None else state.adaptive, start
+        )
         return action, ReplanningState(adaptive, self._follower.plans)
+
+
+def _size(parameters: PlantParameters) -> float:
+    """Track gauge in units of that of the indoor vehicle."""
+    return parameters.track_gauge / VEHICLES["focchi"].track_gauge
 
 
 def to_goal(observation: NDArray[np.float32]) -> NDArray[np.float32]:

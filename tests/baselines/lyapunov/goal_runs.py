@@ -18,12 +18,12 @@ PERIOD = 0.02  # [s]
 IDEAL = DataSheet(*(0.0 for _ in DataSheet._fields))
 
 
-def goals_after(first, count):
-    """Goals (count, 3) 1 to 4 m from the origin; the first 32 were used to choose constants."""
+def draw_goals(count):
+    """Goals (count, 3) 1 to 4 m from the origin; constants were chosen on others, those of F."""
     drawn = qmc.Halton(3, scramble=True, rng=0).random(400)
     goals = np.column_stack([4.0 * (2.0 * drawn[:, :2] - 1.0), np.pi * (2.0 * drawn[:, 2] - 1.0)])
     distance = np.hypot(*goals.T[:2])
-    return goals[(distance > 1.0) & (distance < 4.0)][first : first + count]
+    return goals[(distance > 1.0) & (distance < 4.0)][:count]
 
 
 def make(**changes):

@@ -14,10 +14,12 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, uncertainty
 from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
 from tracked_env.benchmark.sets import (
     EPISODES,
+    GOAL_REACHING,
     PLANAR,
     SLOPES,
     VERSIONS,
     Version,
+    names_of,
     of_version,
     version_of,
 )
@@ -27,13 +29,15 @@ from tracked_env.sensors import UNMEASURED, make_sensors
 ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
 
 
-@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID, TERRAIN_ID])
-def test_every_set_draws_the_episodes_of_the_version(env: str) -> None:
-    of_env = tuple(name for name, entry in SETS.items() if entry.env == env)
+@pytest.mark.parametrize(
+    ("env", "version"),
+    [(TORQUE_ID, PLANAR), (SPEED_ID, PLANAR), (TERRAIN_ID, SLOPES), (SPEED_ID, GOAL_REACHING)],
+)
+def test_every_set_draws_the_episodes_of_the_version(env: str, version: Version) -> None:
+    of_env = tuple(name for name in names_of(version) if SETS[name].env == env)
     answer = check(BenchmarkConfig(sets=of_env, episodes=EPISODES))
     assert answer.comparable, answer.message
-    version = version_of(env)
-    assert version is not None
+    assert version_of(env, of_env) is version
     assert answer.message == f"sets {version.name}, hash {answer.hash}, {EPISODES} episodes each"
 
 
@@ -45,6 +49,11 @@ def test_the_kept_files_hold_every_set_and_their_own_hash() -> None:
         assert document["hash"] == frozen.total(document["sets"])
     hashes = {entry["hash"] for document in documents for entry in document["sets"].values()}
     assert len(hashes) == len(SETS)
+
+
+def test_sets_of_two_versions_are_comparable_with_neither() -> None:
+    answer = check(BenchmarkConfig(sets=("friction", "goals"), episodes=EPISODES))
+    assert not answer.comparable and "set goals" in answer.message
 
 
 def test_the_hash_of_the_planar_sets_is_the_one_that_results_were_published_with() -> None:

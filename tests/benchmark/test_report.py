@@ -11,16 +11,17 @@ import pytest
 
 from tracked_env.benchmark import report
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
-from tracked_env.benchmark.metrics import METRICS
+from tracked_env.benchmark.metrics import METRICS, OF_GOALS
 
 EASY = np.linspace(0.04, 0.06, 16)
 
 
 def records(uncertainty_set: str, **rmse: Any) -> list[dict[str, Any]]:
-    """Records of one set with the given RMSE per policy; the other metrics are 0.5."""
+    """Records of one set with the given RMSE per policy; the others are 0.5, and no goals."""
     return [
         {
-            **dict.fromkeys(METRICS, 0.5), "set": uncertainty_set, "policy": policy, "episode": i,
+            **dict.fromkeys(METRICS, 0.5), **dict.fromkeys(OF_GOALS),
+            "set": uncertainty_set, "policy": policy, "episode": i,
             "seed": i, "digest": f"{uncertainty_set}{i}", "ended": "time", "predict_time": 2e-6,
             "tracking_rmse": float(value),
         }

@@ -321,7 +321,7 @@ def test_what_is_kept_for_the_figures_is_small() -> None:
 
 def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
     named = {*DEFAULT_SETS, *default_sets(SPEED_ID), *default_sets(TERRAIN_ID)}
-    assert named == set(SETS) - {"nominal", "floor", "level"}
+    assert named == set(SETS) - {"nominal", "floor", "level", "goals", "goals-step"}
     assert {entry.uncertainty for entry in SETS.values()} == set(UNCERTAINTY_SETS)
 
 

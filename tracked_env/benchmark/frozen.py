@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.sets import (
     EPISODES,
-    OF_VERSION,
     PLANAR,
     SEED,
     VERSIONS,
@@ -77,7 +76,7 @@ def look(name: str, config: BenchmarkConfig | None = None) -> dict[str, Any]:
     simulation = env.simulation
     env.reset(seed=[SEED + i for i in range(EPISODES)])
     digest = hashlib.sha256()
-    version = version_of(config.env)
+    version = version_of(config.env, config.sets)
     assert version is not None
     _feed(digest, tuple(of_version(each, version) for each in simulation.episodes if each))
     env.close()
@@ -106,14 +105,15 @@ def kept(version: Version = PLANAR) -> dict[str, Any]:
     return dict(json.loads(text))
 
 
-def _deviations(config: BenchmarkConfig) -> list[str]:
+def _deviations(config: BenchmarkConfig, version: Version | None) -> list[str]:
     """Settings that differ from those of the sets, in words."""
     said = [
         f"{name} = {getattr(config, name)!r}"
         for name, fixed in FIXED.items()
         if getattr(config, name) != fixed
     ]
-    return said + [f"set {name}" for name in config.sets if name not in OF_VERSION]
+    known = () if version is None else names_of(version)
+    return said + [f"set {name}" for name in config.sets if name not in known]
 
 
 def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
@@ -130,7 +130,8 @@ def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
 
 def check(config: BenchmarkConfig) -> Check:
     """Compare the sets of a configuration with those of the version."""
-    deviations, version = _deviations(config), version_of(config.env)
+    version = version_of(config.env, config.sets)
+    deviations = _deviations(config, version)
     if version is None:
         return Check("-", "-", False, f"sets of your own: {', '.join(deviations)}")
     document = kept(version)

@@ -12,6 +12,7 @@ Written as terminal table, Markdown, JSON and one HTML page (see `leaderboard_pa
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +21,16 @@ import numpy as np
 
 from tracked_env.benchmark.changes import RECOVERED
 from tracked_env.benchmark.reliability import FEW_SEEDS, estimate, fewest
-from tracked_env.benchmark.report import aligned, escaped_lines, markdown_rows, marked, plain
+from tracked_env.benchmark.report import (
+    GOAL_COLUMNS,
+    GOAL_LEGEND,
+    aligned,
+    escaped_lines,
+    goal_cells,
+    markdown_rows,
+    marked,
+    plain,
+)
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary, action_rate
@@ -173,6 +183,15 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
     return cells
 
 
+def goal_table(board: Leaderboard) -> list[list[str]]:
+    """Rows of cells, the header first: goals, over all sets that have any; no row without."""
+    cells = [["agent", *GOAL_COLUMNS]]
+    for place in board.places:
+        if not math.isnan(place.overall.means["goal_reached"]):
+            cells.append([place.agent, *goal_cells(place.overall.means)])
+    return cells
+
+
 def explanation(board: Leaderboard) -> str:
     """Meaning of the columns."""
     few = any(0 < place.seeds <= FEW_SEEDS for place in board.places)
@@ -197,11 +216,14 @@ def terminal(board: Leaderboard) -> str:
         f"{aligned(set_table(board), 1)}\n\nScore, and in brackets the IQM of the RMSE [m]"
     )
     parts.append(f"{aligned(cost_table(board), 1)}\n\n{COSTS}")
+    if len(goals := goal_table(board)) > 1:
+        parts.append(f"{aligned(goals, 1)}\n\n{GOAL_LEGEND}")
     return "\n\n".join([*parts, board.conditions]).rstrip()
 
 
 def markdown(board: Leaderboard) -> str:
     """The leaderboard as Markdown."""
+    goals = goal_table(board)
     parts = [
         markdown_rows(table(board)),
         escaped_lines(explanation(board)).replace("\n*", "\n\n\\*"),
@@ -209,6 +231,7 @@ def markdown(board: Leaderboard) -> str:
         "Score, and in brackets the IQM of the RMSE [m].",
         markdown_rows(cost_table(board), 1),
         COSTS,
+        *((markdown_rows(goals, 1), escaped_lines(GOAL_LEGEND)) if len(goals) > 1 else ()),
         escaped_lines(board.conditions),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"

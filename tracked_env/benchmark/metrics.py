@@ -14,7 +14,7 @@ An episode that ends early counts e_k = E for the time it lacks, and e_k never c
 E: leaving the path is never better than staying on it. Heading, speed, effort, energy, saturation
 and action rate are taken over the time driven; read them beside the share of terminations. Recovery
 and peak after an abrupt change of the true parameters are defined in `changes`; they are NaN where
-there is none.
+there is none. Goals are those of planned references, see `goal_metrics`.
 """
 
 from typing import NamedTuple
@@ -23,6 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.changes import CHANGING, RECOVERED, Change, abrupt_changes, recovery
+from tracked_env.benchmark.goal_metrics import (
+    GOAL_ANGLE,
+    GOAL_DISTANCE,
+    GoalReaching,
+    reaching,
+)
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 FloatArray = NDArray[np.float64]
@@ -61,6 +67,7 @@ class Trace(NamedTuple):
     control_period: float  # [s]
     drive: str = "torque"  # what the demand is, a key of ACTION_RATES
     nominal: PlantParameters = VEHICLES["strawa"]  # what its policies expect
+    goals: FloatArray | None = None  # (n, 3) x, y, yaw of the goals of references that have one
 
     def channel(self, name: str) -> FloatArray:
         """One channel, (T, n)."""
@@ -105,9 +112,16 @@ METRICS = {
         "s", f"time after an abrupt change until the distance stays below {RECOVERED:g} l"
     ),
     "peak_after_change": Metric("m", "largest distance to the reference after that change"),
+    "goal_reached": Metric(
+        "-", f"the goal was reached within l/{1.0 / GOAL_DISTANCE:g} and {GOAL_ANGLE:g} rad"
+    ),
+    "goal_time": Metric("s", "time until then; the whole episode without"),
+    "goal_energy": Metric("J", "work of the sprockets until then"),
+    "goal_miss": Metric("m", "distance to the goal at the end"),
 }
-# Metrics that an episode may lack: of the other drive, and without an abrupt change.
-OPTIONAL = (*ACTION_RATES.values(), "recovery_time", "peak_after_change")
+OF_GOALS = ("goal_reached", "goal_time", "goal_energy", "goal_miss")
+# Metrics that an episode may lack: of the other drive, without an abrupt change, without a goal.
+OPTIONAL = (*ACTION_RATES.values(), "recovery_time", "peak_after_change", *OF_GOALS)
 
 
 def counted_error(trace: Trace) -> FloatArray:
@@ -153,6 +167,15 @@ def ending(trace: Trace) -> list[str]:
     return [ENDINGS[k] for k in kind]
 
 
+def _reaching(trace: Trace, power: FloatArray) -> GoalReaching:
+    """The numbers of OF_GOALS; power [W] (T, n)."""
+    goals = np.full((len(trace.steps), 3), np.nan) if trace.goals is None else trace.goals
+    poses = np.stack([trace.channel(name) for name in ("x", "y", "yaw")])
+    period = trace.control_period
+    length = trace.nominal.contact_length
+    return reaching(poses, power, trace.steps, goals, length, period, trace.max_steps * period)
+
+
 def evaluate(trace: Trace) -> dict[str, FloatArray]:
     """Every metric of METRICS, (n,) each; NaN only in OPTIONAL ones."""
     period = trace.control_period
@@ -185,4 +208,5 @@ def evaluate(trace: Trace) -> dict[str, FloatArray]:
         "driven_time": trace.steps * period,
         "recovery_time": np.array([time for time, _ in after]),
         "peak_after_change": np.array([peak for _, peak in after]),
+        **dict(zip(OF_GOALS, _reaching(trace, power), strict=True)),
     }

@@ -1,7 +1,8 @@
 """The summary of a benchmark as terminal table, Markdown, JSON and CSV.
 
 Tables: every policy on every set; every policy against the baseline; what happens after abrupt
-changes, if there are any; how good the estimates are, if a policy makes any.
+changes, if there are any; which goals are reached, if references have any; how good the estimates
+are, if a policy makes any.
 """
 
 import csv
@@ -13,8 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from tracked_env.benchmark.changes import RECOVERED
+from tracked_env.benchmark.goal_metrics import GOAL_ANGLE, GOAL_DISTANCE
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
-from tracked_env.benchmark.metrics import METRICS
+from tracked_env.benchmark.metrics import METRICS, OF_GOALS
 from tracked_env.benchmark.reliability import FEW_SEEDS
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record, write_atomically
@@ -32,6 +34,7 @@ __all__ = [
     "markdown_rows", "summarise", "terminal", "write",
 ]  # fmt: skip
 
+GOAL_COLUMNS = ("goals reached", "time [s]", "energy [kJ]", "miss at the end [m]")
 RECORD_COLUMNS = ("set", "policy", "episode", "seed", "digest", "ended", *METRICS, "predict_time")
 
 
@@ -99,6 +102,22 @@ def recovery_table(summary: Summary) -> list[list[str]]:
                 recovery, peak = (p.means[m] for m in ("recovery_time", "peak_after_change"))
                 rows.append([name, policy, f"{p.changed}", f"{recovery:.1f}", f"{peak:.2f}"])
     return rows
+
+
+def goal_cells(means: Mapping[str, float]) -> list[str]:
+    """Cells of GOAL_COLUMNS."""
+    reached, time, energy, miss = (means[metric] for metric in OF_GOALS)
+    return [f"{reached:.0%}", f"{time:.1f}", f"{energy / 1e3:.2f}", f"{miss:.3f}"]
+
+
+def goal_table(summary: Summary) -> list[list[str]]:
+    """Rows of cells, the header first: one row per set with goals and policy."""
+    return [["set", "policy", *GOAL_COLUMNS]] + [
+        [name, policy, *goal_cells(p.means)]
+        for name, by_policy in summary.policies.items()
+        for policy, p in by_policy.items()
+        if not math.isnan(p.means["goal_reached"])
+    ]
 
 
 def _share(value: float) -> str:
@@ -207,6 +226,10 @@ RECOVERY_LEGEND = (
     "After the first abrupt change of the true parameters: time until the distance stays below "
     f"{RECOVERED:g} contact lengths, and its\nlargest value; means over the episodes with a change."
 )
+GOAL_LEGEND = (
+    f"Reached: within {GOAL_DISTANCE:.3g} contact lengths and {GOAL_ANGLE:g} rad of the goal. Time "
+    "and energy until then,\nor of the whole episode where it was not; means over the episodes."
+)
 IDENTIFICATION_LEGEND = (
     "Error settled: median relative RMS error after 5 s. Settling: median time after the last "
     "abrupt change until\nwithin 10 % for good. NEES: 1 expected; in 3 sigma: 99.7 % expected."
@@ -219,6 +242,7 @@ def _parts(summary: Summary) -> list[tuple[list[list[str]], int, str]]:
         (policy_table(summary), 2, legend(summary)),
         (comparison_table(summary), 2, rule(summary)),
         (recovery_table(summary), 2, RECOVERY_LEGEND),
+        (goal_table(summary), 2, GOAL_LEGEND),
         (identification_table(summary), 3, IDENTIFICATION_LEGEND),
         (
             nis_table(summary),

@@ -20,6 +20,7 @@ from tracked_env.benchmark.benchmark_config import CHUNK_MIN, BenchmarkConfig
 from tracked_env.benchmark.executors import Executor
 from tracked_env.benchmark.executors.sent_policies import Comparison, received, sent
 from tracked_env.benchmark.figure_data import FIGURE_ERRORS, figure_data
+from tracked_env.benchmark.goal_metrics import goals_of
 from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
@@ -110,6 +111,7 @@ def drive(
     solver = simulation.solver
     observation, info = env.reset(seed=list(seeds))
     max_steps = simulation.settings.max_steps
+    goals = goals_of([episode for episode in simulation.episodes if episode is not None])
     values = np.empty((max_steps, env.num_envs, len(_COLUMNS)))
     over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
     start: NDArray[np.bool_] = np.ones(env.num_envs, dtype=bool)
@@ -146,6 +148,7 @@ def drive(
         solver.control_period,
         solver.drive.name,
         solver.nominal,
+        goals,
     )
     return trace, float(np.mean(times[1:] or times))
 

@@ -11,12 +11,13 @@ environment. `register` adds a set of one's own, which is run where it is named 
 version.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env.engine.episode import Episode
+from tracked_env.observation import V0
 from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.physics.state import STATE_NAMES
 from tracked_env.uncertainty import Spec
@@ -37,6 +38,7 @@ class Version(NamedTuple):
     state_fields: tuple[str, ...]
     parameter_fields: tuple[str, ...]
     episode_fields: tuple[str, ...]
+    sets: tuple[str, ...] = ()  # those it holds; none: all of `envs` that no other version holds
 
     @property
     def file(self) -> str:
@@ -60,7 +62,11 @@ _PLANAR_EPISODE = (
 )  # fmt: skip
 PLANAR = Version("v2", (TORQUE_ID, SPEED_ID), _PLANAR_STATE, _PLANAR_PARAMETERS, _PLANAR_EPISODE)
 SLOPES = Version("terrain-v1", (TERRAIN_ID,), STATE_NAMES, PARAMETER_NAMES, Episode._fields)
-VERSIONS = {version.name: version for version in (PLANAR, SLOPES)}
+GOAL_REACHING = Version(
+    "goals-v1", (SPEED_ID,), _PLANAR_STATE, _PLANAR_PARAMETERS, _PLANAR_EPISODE,
+    ("goals", "goals-step"),
+)  # fmt: skip
+VERSIONS = {version.name: version for version in (PLANAR, SLOPES, GOAL_REACHING)}
 
 
 class BenchmarkSet(NamedTuple):
@@ -101,6 +107,20 @@ def _on_slopes(
         name, uncertainty, about, sensors, TERRAIN["reference"], 30.0, TERRAIN_ID,
         MappingProxyType(arguments),
     )  # fmt: skip
+
+
+# Sets with a goal, which is shown too. The reference is a plan in closed form, because the last
+# bits of what is searched for depend on the processor. It takes 4 to 16 s.
+_PLAN = {"kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"curvature": 2.0}}
+_TO_GOALS = (*V0.groups, "goal")
+_GOAL_TIME = 20.0  # [s]
+
+
+def _to_goals(name: str, uncertainty: str, about: str) -> BenchmarkSet:
+    """A set of Speed-v0 with goals."""
+    indoors = _indoors(name, uncertainty, about, reference=_PLAN)
+    arguments = MappingProxyType({**indoors.arguments, "observation": _TO_GOALS})
+    return indoors._replace(duration=_GOAL_TIME, arguments=arguments)
 
 
 _ALL = (
@@ -150,26 +170,37 @@ _ALL = (
         "hills-late-pose", "hills", "position, heading, velocity come 0.1 s late",
         sensors={"preset": "mocap", "pose_delay": 0.1},
     ),
+    _to_goals("goals", "friction", "a goal to be reached on an unknown floor"),
+    _to_goals("goals-step", "friction-step", "the same across a border to another floor"),
 )  # fmt: skip
 SETS = {entry.name: entry for entry in _ALL}
 OF_VERSION = tuple(SETS)  # names; those that are registered come on top
 # In `nominal` a controller with nominal parameters knows everything: it separates nothing.
 _KNOWN = ("nominal", "floor", "level")
+_HELD = tuple(name for version in VERSIONS.values() for name in version.sets)  # by name
 
 
-def version_of(env: str) -> Version | None:
-    """Version of the sets of an environment id; None for an id without frozen sets."""
+def version_of(env: str, sets: Sequence[str] = ()) -> Version | None:
+    """Version of these sets of an environment id; None for an id without frozen sets.
+
+    Where they are of several versions, or none is named, it is that of the most of the id's sets.
+    """
+    for version in VERSIONS.values():
+        if sets and set(sets) <= set(version.sets):
+            return version
     return next((version for version in VERSIONS.values() if env in version.envs), None)
 
 
 def names_of(version: Version) -> tuple[str, ...]:
     """Names of the sets of a version."""
-    return tuple(name for name in OF_VERSION if SETS[name].env in version.envs)
+    return version.sets or tuple(
+        name for name in OF_VERSION if SETS[name].env in version.envs and name not in _HELD
+    )
 
 
 def default_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
     """Names of the sets of an environment id that are run where none is named."""
-    return tuple(n for n in OF_VERSION if SETS[n].env == env and n not in _KNOWN)
+    return tuple(n for n in OF_VERSION if SETS[n].env == env and n not in (*_KNOWN, *_HELD))
 
 
 def register(entry: BenchmarkSet) -> BenchmarkSet:

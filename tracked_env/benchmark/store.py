@@ -31,7 +31,7 @@ from tracked_env.benchmark.files import Lock, file_name, sweep, write_atomically
 from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.benchmark.records import BESIDE, Record, checked_chunk, checked_header
 
-FORMAT = 2  # of the file; a change of the columns needs a new one
+FORMAT = 3  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"
 LOCK = ".lock"
 SHARDS = "shard-*-of-*"  # folders of shards

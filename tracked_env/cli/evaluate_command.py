@@ -71,7 +71,7 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
     if benchmark.duration is not None:
         labels.append(f"{benchmark.duration:g}s")
     track = [benchmark.env.rpartition("/")[2].lower()] if benchmark.env != TORQUE_ID else []
-    version = version_of(benchmark.env)
+    version = version_of(benchmark.env, benchmark.sets)
     usual = ["own"] if version is None else [version.name]
     name = "-".join([*track, *(labels or usual), f"seed{benchmark.seed}"])
     return output / f"{name}-{identity_hash(benchmark.identity())[:8]}"

@@ -48,6 +48,7 @@ class _Stage:
         self.times: NDArray[np.float64] = np.linspace(0.0, shot.duration, count)
         path = sample(shot.episode.profile, self.times)
         self.path: Points = np.stack([path.x, path.y], axis=1)
+        self.goal = _goal(shot)
         length = shot.sizes.length
         if pixels_per_metre is None:
             self.zoom = sizes.default_zoom(length)
@@ -67,12 +68,29 @@ class _Stage:
 
 
 def _lines(stage: _Stage, shot: Snapshot, done: int) -> list[tuple[Points, canvas.Colour]]:
-    """Past and future of the reference and the driven path, each (P, 2) [m], with its colour."""
+    """Past and future of the reference, the driven path and the goal, each (P, 2) [m]."""
     now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])
     past = np.concatenate([stage.path[:done], now])
     future = np.concatenate([now, stage.path[done:]])
     driven = np.concatenate([stage.memory.trail, here])
-    return [(past, canvas.PALE_BLUE), (future, canvas.BLUE), (driven, canvas.INK)]
+    lines = [(past, canvas.PALE_BLUE), (future, canvas.BLUE), (driven, canvas.INK)]
+    return lines if stage.goal is None else [(stage.goal, canvas.PURPLE), *lines]
+
+
+def _goal(shot: Snapshot) -> Points | None:
+    """Outline (P, 2) [m] of the vehicle at the goal of a plan, with an arrowhead; else None."""
+    knots = shot.episode.profile.knots
+    if not knots.size:
+        return None
+    x, y, yaw = knots[-1, 1:4].tolist()
+    front = 0.5 * shot.nominal.contact_length
+    outline = scene.footprint(shot.nominal, shot.sizes.length)
+    head = [(front, 0.0), (0.0, -0.4 * front), (0.0, 0.4 * front), (front, 0.0)]
+    middle = next(k for k, point in enumerate(outline) if point[0] == front) + 1
+    drawn = np.array([*outline[:middle], *head, *outline[middle:], outline[0]])
+    corners = drawn[:, 0] + 1j * drawn[:, 1]
+    place = x + 1j * y + corners * np.exp(1j * yaw)
+    return np.column_stack([place.real, place.imag])
 
 
 class Renderer:

@@ -9,6 +9,9 @@ For vehicles driven by their sprocket speeds:
     slc           the slippage-aware one, slip identified beforehand on the nominal soil
     slc-adaptive  the same controller with the slip of the friction that it identifies under way
     slc-oracle    the same controller with the slip of the true soil
+Where the observation shows the goal (group `goal`), beside these
+    slc-replan    slc-adaptive on plans of its own to the goal, a new one every second
+    slc-once      the same with one plan, made at the start
 Where the observation shows the attitude (`tracked_env/Terrain-v0`) all of them track in the plane
 of the vehicle, and the slip is that on the slope that is felt, but for
     slc-flat      slc with the slip that the nominal soil has on level ground
@@ -17,6 +20,7 @@ the noise of the sensors, which every policy may use), `drive`, `vehicle`, and `
 of its fields). `register` adds a controller.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
@@ -28,6 +32,7 @@ from baselines.learned.shipped import shipped_agents
 from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
+from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import shows_attitude
 from baselines.slip.slip_sweep import identified_slip
@@ -175,6 +180,16 @@ def slc_oracle(context: Context) -> OracleSlipPolicy:
     return OracleSlipPolicy(**_speed_arguments(context))
 
 
+def slc_replan(context: Context) -> ReplanningPolicy:
+    """The slippage-aware controller that plans to the goal again every second."""
+    return ReplanningPolicy(**_speed_arguments(context))
+
+
+def slc_once(context: Context) -> ReplanningPolicy:
+    """The same controller with one plan, made at the start."""
+    return ReplanningPolicy(**_speed_arguments(context), replan_period=math.inf)
+
+
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
     "adaptive": adaptive,
@@ -184,6 +199,8 @@ POLICIES: dict[str, Callable[[Any], Any]] = {
     "slc-flat": slc_flat,
     "slc-adaptive": slc_adaptive,
     "slc-oracle": slc_oracle,
+    "slc-replan": slc_replan,
+    "slc-once": slc_once,
 }
 
 

@@ -53,7 +53,8 @@ class AdaptiveSlipState(NamedTuple):
 class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
     """slc with unknown friction; arguments as SlippageAwarePolicy, without the slip model.
 
-    parameters: nominal; the friction in them is where the estimate starts.
+    parameters: nominal; the friction in them is where the estimate starts. controller: that of the
+    arguments by default; its slip model is set at every step.
     """
 
     def __init__(
@@ -63,25 +64,26 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         data_sheet: DataSheet,
         gains: LyapunovGains | None = None,
         observation: Sequence[str] = layout.NAMES,
+        controller: SlippageAwarePolicy | None = None,
     ) -> None:
         self.parameters = parameters
         self.control_period = control_period
         self.nominal_friction = strength_over_weight(parameters)
-        self._sheet, self._gains = data_sheet, gains
+        self._sheet = data_sheet
         self._slopes = shows_attitude(observation)
         self.needs = (*NEEDS, *ATTITUDE) if self._slopes else NEEDS
         self._view = layout.View(observation, self.needs)
         self._made(1)
+        self._policy = controller or SlippageAwarePolicy(
+            parameters, control_period, self.estimator, gains, data_sheet,
+            (*layout.NAMES, *ATTITUDE) if self._slopes else layout.NAMES,
+        )  # fmt: skip
 
     def _made(self, count: int) -> None:
-        """Estimator and controller for `count` vehicles."""
+        """An estimator for `count` vehicles."""
         self.estimator = RecursiveSlipEstimator(
             self.parameters, self.control_period, self._sheet, count, slopes=self._slopes
         )
-        self._policy = SlippageAwarePolicy(
-            self.parameters, self.control_period, self.estimator, self._gains, self._sheet,
-            (*layout.NAMES, *ATTITUDE) if self._slopes else layout.NAMES,
-        )  # fmt: skip
 
     def estimates(self) -> dict[str, tuple[Array, Array]]:
         """(value, standard deviation), (N,), of the angle phi of the friction mu = tan(phi)."""

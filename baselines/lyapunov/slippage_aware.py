@@ -226,13 +226,24 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         )  # fmt: skip
         moving = located & np.isfinite(reference[:, 0])
         reference[~moving] = 0.0
+        followed, reference, moving = self._followed(observation, error, reference, moving, driven)
         if self._knows_slopes:
             alpha = drift = settled_slip(alpha, drift, start, self.control_period)
-        wanted = self._law(error, reference, alpha, geometry)
+        wanted = self._law(followed, reference, alpha, geometry)
         sprockets = self._feed_forward(wanted, beta, geometry)
         sprockets[~moving] = 0.0
         action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
         return action, LyapunovState(error, age, sprockets, mean, located, attitude, drift)
+
+    def _followed(
+        self, observation: NDArray[np.float32], error: Array, reference: Array,
+        moving: NDArray[np.bool_], driven: Array,
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:  # fmt: skip
+        """Error, reference and moving vehicles for the law; a subclass may have its own reference.
+
+        driven (N, 2): motion that the belts say.
+        """
+        return error, reference, moving
 
     def _rows(self, count: int) -> tuple[Geometry, Geometry]:
         """Geometry of `count` vehicles, and the same three times over."""

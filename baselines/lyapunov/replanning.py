@@ -1,0 +1,318 @@
+"""The slippage-aware controller that plans to a goal, and plans again while it drives.
+
+    PlanFollower       slc with a reference of its own: the newest plan of each vehicle
+    ReplanningPolicy   the same with the friction that is identified under way
+Every REPLAN_PERIOD a plan of least time (planners.optimal) is made from the pose, speed and yaw
+rate of the moment, with the slip of the identified friction, and followed with the slippage-aware
+law in the course frame (planners.hand_over). Poses are those in the frame of the goal, which is
+the origin with yaw 0: with the goal at (g_x, g_y) in the vehicle's axes and h its heading less the
+vehicle's yaw,
+    (x, y) = -R(-h) (g_x, g_y)        yaw = -h
+where an error of the measured yaw drops out of x and y. What is filtered is the error to the goal,
+as to a reference that stands there: a new plan changes nothing in the filter. A plan begins where
+the filter has the vehicle, with the belts that drive its speed and yaw rate in steady state. (The
+commanded belts are no state of the vehicle: on slippery ground they run ahead of it by seconds.)
+
+Speeds and lengths below are for the indoor vehicle of [F] and grow with the track gauge.
+
+Limits of plans. On friction mu a vehicle changes its motion by mu g at most; plans use GRIP of
+that for the vehicle and its belts, for slip is in steady state in a plan and not in the vehicle.
+
+Which plan is followed. One that is not found is dropped, and the one before followed on. So is one
+whose way is longer by DETOUR than what is left of the one before, while the vehicle is within NEAR
+of that: it would drive a circle to correct a few centimetres to the side, and at its end another.
+With less than FINAL left the plan is driven to its end, where the vehicle has the yaw of the goal,
+for without speed there is no course, and rests after SETTLE. A vehicle without any plan stands,
+and asks again.
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), sections 5.2, 6.3.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.batch_policy import BatchPolicy
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov import lyapunov_laws as law
+from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, AdaptiveSlipState
+from baselines.lyapunov.lyapunov_laws import LyapunovGains
+from baselines.lyapunov.pseudo_kinematic import NoSlip
+from baselines.lyapunov.slippage_aware import NEEDS, SlippageAwarePolicy
+from baselines.planners.hand_over import hand_over
+from baselines.planners.optimal import optimal
+from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits
+from baselines.slip.slip_models import Array, FrictionSlipModel
+from tracked_env import observation as layout
+from tracked_env.physics.elementary import rotation, wrap_angle
+from tracked_env.physics.jit import loop
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.terramechanics import GRAVITY
+
+REPLAN_PERIOD = 1.0  # [s] between two plans
+FINAL = 2.5  # [s] left of a plan, below which it is driven to its end
+SETTLE = 3.0  # [s] after the end, until the belts stand
+NEAR = 0.1  # [m] from the plan: one that goes round is not taken
+DETOUR = 0.3  # [m] by which the way of such a plan is longer; a circle has 1 m at least
+GRIP = 0.2  # [-] share of mu g for accelerations in plans
+RESERVE = 0.2  # [-] share of the sprocket speed that plans leave to the controller
+SPROCKET_ACCELERATION = 20.0  # [rad/s^2] of plans, on any ground
+SLOWEST, FASTEST = 0.15, 0.4  # [m/s] of the belts in plans
+INTERVALS, PER_INTERVAL = 40, 5  # of a plan, and samples kept of each
+LAST = INTERVALS * PER_INTERVAL  # sample
+
+GOAL = ("goal_x", "goal_y", "goal_cosine", "goal_sine")
+_I, _SCALE = layout.INDEX, layout.SCALE
+_ERRORS = ("position_error_x", "position_error_y", "heading_error")
+_REFERENCE = ("reference_speed", "reference_yaw_rate", "reference_acceleration",
+              "reference_yaw_acceleration")  # fmt: skip
+_MEASURED = tuple(name for name in NEEDS if name not in (*_ERRORS, *_REFERENCE))
+_POSE, _PATH = [_I[name] for name in _ERRORS], [_I[name] for name in _REFERENCE]
+_MOTION = [_I["v_x"], _I["yaw_rate"]]
+_GOAL_SCALE = layout.make_layout(["goal"]).scale[: len(GOAL)]
+
+
+class Plans(NamedTuple):
+    """The plans of N vehicles, in the frame of each one's goal; never changed in place."""
+
+    samples: Array  # (N, LAST + 1, 7) x, y [m], course [rad], V, chi', V', chi''; even in time
+    duration: Array  # (N,) [s] of the plan
+    since: Array  # (N,) [s] since it began; NaN: no plan yet
+    asked: Array  # (N,) [s] since a plan was asked for, followed or not
+    followed: NDArray[np.int64]  # (N,) plans that were, in this episode
+    not_found: NDArray[np.int64]  # (N,) plans that did not converge
+    refused: NDArray[np.int64]  # (N,) plans that went round
+
+    @classmethod
+    def none(cls, count: int) -> "Plans":
+        """No plans yet."""
+        zeros, counted = np.zeros(count), np.zeros(count, dtype=np.int64)
+        return cls(
+            np.zeros((count, LAST + 1, 7)), zeros, zeros + math.nan, zeros + math.inf,
+            counted, counted.copy(), counted.copy(),
+        )  # fmt: skip
+
+    def begun(self, start: NDArray[np.bool_]) -> "Plans":
+        """Those of vehicles whose episode starts are forgotten."""
+        if not start.any():
+            return self
+        copies = Plans._make(values.copy() for values in self)
+        for values, new in zip(copies, Plans.none(int(start.sum())), strict=True):
+            values[start] = new
+        return copies
+
+    def way_left(self, i: int) -> float:
+        """Way [m] of vehicle i until its plan ends; infinite without a plan."""
+        if math.isnan(self.since[i]):
+            return math.inf
+        spacing = self.duration[i] / LAST
+        first = min(int(self.since[i] / max(spacing, 1e-9)), LAST)
+        return float(np.sum(np.abs(self.samples[i, first:, 3])) * spacing)
+
+
+@loop
+def follow(error, samples, since, duration, to_plan, motion):
+    """Error to the plan (N, 3), body axes, and its v_d, w_d, v_d', w_d' (N, 4), both out.
+
+    error (N, 3): to the goal. samples, since, duration: of Plans. Zeros without a plan.
+    """
+    at = np.empty(7)
+    for i in range(error.shape[0]):
+        to_plan[i], motion[i] = 0.0, 0.0
+        if not math.isfinite(since[i]):
+            continue
+        place = min(since[i] / duration[i], 1.0) * LAST if duration[i] > 0.0 else LAST
+        first = min(int(place), LAST - 1)
+        share = place - first
+        for k in range(7):
+            at[k] = (1.0 - share) * samples[i, first, k] + share * samples[i, first + 1, k]
+        cosine, sine = rotation(error[i, 2])
+        # The plan's position in body axes, of the frame turned by yaw = error[i, 2].
+        to_plan[i, 0] = error[i, 0] - (cosine * at[0] + sine * at[1])
+        to_plan[i, 1] = error[i, 1] - (cosine * at[1] - sine * at[0])
+        to_plan[i, 2] = wrap_angle(error[i, 2] - at[2])
+        for k in range(4):
+            motion[i, k] = at[3 + k]
+
+
+class PlanFollower(SlippageAwarePolicy):
+    """slc on a friction, shown its error to the goal and no reference: it follows plans there.
+
+    Its slip model has to be a FrictionSlipModel. `plans` are handed over before a call of `act`,
+    and new after it. limits: of plans, beside what the friction allows. replan_period [s]: infinite
+    for one plan alone. Other arguments as SlippageAwarePolicy.
+    """
+
+    def __init__(
+        self, parameters: PlantParameters, control_period: float, gains: LyapunovGains,
+        data_sheet: DataSheet, limits: Limits, replan_period: float,
+    ) -> None:  # fmt: skip
+        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet)
+        self._vehicle, self._limits, self._replan_period = parameters, limits, replan_period
+        self._size = _size(parameters)
+        self.plans = Plans.none(0)
+
+    def _followed(
+        self, observation: NDArray[np.float32], error: Array, reference: Array,
+        moving: NDArray[np.bool_], driven: Array,
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:  # fmt: skip
+        """Error to the plan and motion of the plan, of vehicles that have one."""
+        period, soon = self.control_period, 0.5 * self.control_period  # the clock is a sum
+        plans = self.plans._replace(
+            since=self.plans.since + period, asked=self.plans.asked + period
+        )
+        again = plans.duration - plans.since > FINAL
+        again &= plans.asked > self._replan_period - soon
+        first = np.isnan(plans.since) & (plans.asked > REPLAN_PERIOD - soon)
+        due = np.flatnonzero(moving & (first | again))
+        to_plan, motion = np.empty((len(error), 3)), np.empty((len(error), 4))
+        if len(due):
+            follow(error, plans.samples, plans.since, plans.duration, to_plan, motion)
+            measured = observation[:, _MOTION] * _SCALE[_MOTION]
+            belts = self._steady_belts(np.where(np.isfinite(measured), measured, driven))
+            plans = self._planned(plans, due, error, np.hypot(*to_plan.T[:2]), belts)
+        self.plans = plans
+        follow(error, plans.samples, plans.since, plans.duration, to_plan, motion)
+        return to_plan, motion, moving & (plans.since < plans.duration + SETTLE)
+
+    def _steady_belts(self, motion: Array) -> Array:
+        """Sprocket speeds (N, 2) [rad/s] that drive motion (N, 2), within the limits of plans."""
+        geometry, _thrice = self._rows(len(motion))
+        belts = self._feed_forward(motion, np.zeros_like(motion), geometry)
+        return np.clip(belts, -self._limits.sprocket_used, self._limits.sprocket_used)
+
+    def _planned(
+        self, plans: Plans, rows: NDArray[np.int64], error: Array, off: Array, belts: Array
+    ) -> Plans:
+        """The plans after `rows` were asked for; off (N,) [m]: from the ones before."""
+        new = Plans._make(values.copy() for values in plans)
+        model = self.slip_model
+        assert isinstance(model, FrictionSlipModel)
+        friction = np.broadcast_to(model.friction, len(error))
+        for i in rows:
+            on = model._replace(friction=friction[i : i + 1])
+            made = self._plan(error[i], belts[i], on)
+            new.asked[i] = 0.0
+            if not made.converged:
+                new.not_found[i] += 1
+            elif (
+                off[i] < self._size * NEAR and made.length > plans.way_left(i) + self._size * DETOUR
+            ):
+                new.refused[i] += 1
+            else:
+                new.followed[i] += 1
+                new.since[i], new.duration[i] = 0.0, made.duration
+                times = np.linspace(0.0, made.duration, LAST + 1)
+                x, y, course, speed, gain, turn, bend = hand_over(made, times, self._vehicle)
+                new.samples[i] = np.stack([x, y, course, speed, turn, gain, bend], axis=1)
+        return new
+
+    def _plan(self, error: Array, belts: Array, model: FrictionSlipModel) -> Trajectory:
+        """The plan of one vehicle at `error` (3,) to the goal, its belts at (2,) [rad/s]."""
+        grip = GRIP * GRAVITY * float(model.friction[0])
+        limits = self._limits._replace(
+            acceleration=min(self._limits.acceleration, grip),
+            lateral_acceleration=min(self._limits.lateral_acceleration, grip),
+            sprocket_acceleration=min(
+                self._limits.sprocket_acceleration, grip / self._vehicle.sprocket_radius
+            ),
+        )
+        ahead, left, yaw = (float(value) for value in error)
+        cosine, sine = math.cos(yaw), math.sin(yaw)
+        place = cosine * ahead - sine * left, sine * ahead + cosine * left
+        start = Start(*place, yaw, sprocket_left=belts[0], sprocket_right=belts[1])
+        made = optimal(
+            start, (0.0, 0.0, 0.0), limits, self._vehicle, model, intervals=INTERVALS, stop=True
+        )
+        assert isinstance(made, Trajectory)
+        return made
+
+
+class ReplanningState(NamedTuple):
+    """State of the policy between two calls."""
+
+    adaptive: AdaptiveSlipState
+    plans: Plans
+
+
+class ReplanningPolicy(BatchPolicy[ReplanningState]):
+    """Drives to the goal that the observation shows (group `goal`); see the head of the file.
+
+    parameters: nominal; the friction in them is where the estimate starts. replan_period [s]:
+    math.inf for one plan alone. limits: of plans, beside what the friction allows. Other arguments
+    as SlippageAwarePolicy. Ground that is not level is driven as if it were.
+    Raises ValueError for arguments that make no sense, and for an observation without a goal.
+    """
+
+    def __init__(
+        self, parameters: PlantParameters, control_period: float, data_sheet: DataSheet,
+        gains: LyapunovGains = law.GAINS_ON_SLOPES, observation: Sequence[str] = layout.NAMES,
+        replan_period: float = REPLAN_PERIOD, limits: Limits | None = None,
+    ) -> None:  # fmt: skip
+        self._view = layout.View(observation, (*_MEASURED, *GOAL))
+        if not replan_period >= control_period:
+            raise ValueError(
+                f"replan_period = {replan_period} s; must be the control period of "
+                f"{control_period:g} s or more. Did you pass a frequency?"
+            )
+        if limits is None:
+            slowest, fastest = (_size(parameters) * speed for speed in (SLOWEST, FASTEST))
+            limits = Limits.of(
+                parameters, reserve=RESERVE, sprocket_acceleration=SPROCKET_ACCELERATION,
+                v_min=slowest, v_max=fastest, acceleration=math.inf, lateral_acceleration=math.inf,
+            )  # fmt: skip
+        checked_limits(limits, parameters)
+        if limits.fixed or limits.sprocket_speed > parameters.sprocket_speed_limit:
+            raise ValueError(
+                f"limits v_min = {limits.v_min:g}, v_max = {limits.v_max:g} m/s, sprocket_speed = "
+                f"{limits.sprocket_speed:g} rad/s; must be v_min < v_max, to start and stop, and "
+                f"at most {parameters.sprocket_speed_limit:g} rad/s. Are they another vehicle's?"
+            )
+        self._follower = PlanFollower(
+            parameters, control_period, gains, data_sheet, limits, float(replan_period)
+        )
+        self._adaptive = AdaptiveSlipPolicy(
+            parameters, control_period, data_sheet, controller=self._follower
+        )
+
+    def estimates(self) -> dict[str, tuple[Array, Array]]:
+        """As AdaptiveSlipPolicy.estimates."""
+        return self._adaptive.estimates()
+
+    def act(
+        self,
+        observation: NDArray[np.float32],
+        state: ReplanningState | None,
+        start: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.float32], ReplanningState]:
+        """Sprocket speeds over their limit, and the new state.
+
+        Raises ValueError for a state of another number of vehicles.
+        """
+        if state is not None:
+            self.same_count(len(state.plans.since), len(start))
+        known = Plans.none(len(start)) if state is None else state.plans.begun(start)
+        self._follower.plans = known
+        seen = to_goal(observation)
+        action, adaptive = self._adaptive.act(
+            seen, None if state is None else state.adaptive, start
+        )
+        return action, ReplanningState(adaptive, self._follower.plans)
+
+
+def _size(parameters: PlantParameters) -> float:
+    """Track gauge in units of that of the indoor vehicle."""
+    return parameters.track_gauge / VEHICLES["focchi"].track_gauge
+
+
+def to_goal(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Observations (N, SIZE) whose reference stands at the goal; GOAL stands behind those given."""
+    goal = observation[:, layout.SIZE :] * _GOAL_SCALE
+    made = observation[:, : layout.SIZE].copy()
+    error = np.column_stack([goal[:, 0], goal[:, 1], np.arctan2(goal[:, 3], goal[:, 2])])
+    made[:, _POSE], made[:, _PATH] = error / _SCALE[_POSE], 0.0
+    return made

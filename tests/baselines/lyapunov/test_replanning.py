@@ -1,0 +1,191 @@
+"""The controller that plans to the goal again every second, on the distributed plant."""
+
+import math
+
+import numpy as np
+import pytest
+
+from baselines.lyapunov import replanning
+from baselines.lyapunov.replanning import FINAL, SETTLE
+from baselines.planners.trajectory import Limits
+from baselines.registry import POLICIES
+from tests.baselines.lyapunov.goal_runs import FOCCHI, PERIOD, SHOWN, draw_goals, drive, make
+from tracked_env.benchmark import PolicyContext
+from tracked_env.sensors import MOCAP
+
+GOALS = draw_goals(64)
+FLOORS = {"step": (0.4, 0.1), "same": (0.4, 0.4)}  # mu in the first 4 s, and then
+COUNT = {"step": 64, "same": 24}
+FAR = np.array([[2.0, 2.5, -0.4], [-3.0, -1.0, 2.0]])
+BEHIND = np.array([[-2.0, 0.0, 0.0], [-1.0, 0.1, 3.0], [0.0, -1.5, 0.0], [3.0, 1.0, -3.0]])
+
+
+@pytest.fixture(scope="module")
+def driven():
+    """Runs by floor and period of replanning."""
+    return {
+        (floor, period): drive(make(replan_period=period), GOALS[: COUNT[floor]], mu, change=4.0)
+        for floor, mu in FLOORS.items()
+        for period in (1.0, math.inf)
+    }
+
+
+def interval(values):
+    """95 % interval of a mean."""
+    half = 1.96 * np.std(values, ddof=1) / math.sqrt(len(values))
+    return np.mean(values) - half, np.mean(values) + half
+
+
+def test_plans_of_the_moment_end_nearer_to_the_goal_where_the_floor_turns_slippery(driven):
+    again, once = driven["step", 1.0], driven["step", math.inf]
+    low, _high = interval(once.off - again.off)
+    assert low > 0.0
+    assert again.off.mean() < 0.6 * once.off.mean()
+
+
+def test_where_nothing_changes_plans_of_the_moment_are_as_good_as_one(driven):
+    again, once = driven["same", 1.0], driven["same", math.inf]
+    _low, high = interval(again.off - once.off)
+    assert high < 0.002
+    assert again.off.max() < 0.01
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_vehicles_come_to_rest_at_the_goal_with_its_yaw(driven, floor):
+    run = driven[floor, 1.0]
+    plans = run.memory.plans
+    assert (plans.since > plans.duration + SETTLE).all()
+    assert run.off.max() < 0.05
+    assert run.turned.max() < 0.01
+    np.testing.assert_array_equal(run.actions[-1], 0.0)
+    assert np.abs(run.states[-1, :, 3:]).max() < 1e-3
+    assert plans.followed.mean() > 5.0
+    assert (plans.not_found == 0).all()
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+def test_no_vehicle_drives_circles_to_correct_what_is_left_of_its_error(driven, floor):
+    turned = {
+        period: PERIOD * np.abs(driven[floor, period].states[:, :, 5]).sum(axis=0)
+        for period in (1.0, math.inf)
+    }
+    assert (turned[1.0] < turned[math.inf] + math.pi / 2.0).all()
+    assert driven[floor, 1.0].memory.plans.refused.sum() > 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "farthest"),
+    [({}, 0.02), ({"speed": 0.35}, 0.02), ({"late": 8}, 0.04), ({"frictions": (0.1, 0.6)}, 0.03)],
+    ids=["from rest", "in motion", "pose 0.16 s late", "from ice"],
+)
+def test_goals_behind_and_beside_are_reached(changes, farthest):
+    run = drive(make(), BEHIND, **{"frictions": (0.4, 0.4), **changes})
+    assert run.off.max() < farthest
+    assert run.turned.max() < 0.05
+
+
+def test_a_plan_that_is_not_found_leaves_the_one_before_and_is_counted(monkeypatch):
+    goal, found, calls = FAR[:1], replanning.optimal, []
+
+    def only_first(*arguments, **options):
+        calls.append(arguments)
+        return found(*arguments, **options)._replace(converged=len(calls) == 1)
+
+    once = drive(make(replan_period=math.inf), goal, duration=7.0)
+    monkeypatch.setattr(replanning, "optimal", only_first)
+    kept = drive(make(), goal, duration=7.0)
+    np.testing.assert_array_equal(kept.actions, once.actions)
+    assert kept.memory.plans.not_found[0] == len(calls) - 1 == 6
+    assert kept.memory.plans.followed[0] == 1
+
+
+def test_without_any_plan_the_vehicle_stands_and_asks_again(monkeypatch):
+    found, calls = replanning.optimal, []
+
+    def third(*arguments, **options):
+        calls.append(arguments)
+        return found(*arguments, **options)._replace(converged=len(calls) >= 3)
+
+    monkeypatch.setattr(replanning, "optimal", third)
+    run = drive(make(replan_period=math.inf), FAR[:1], duration=3.0)
+    begun = np.flatnonzero(np.abs(run.actions[:, 0]).max(axis=1) > 0.0)[0]
+    assert begun == round(2.0 / PERIOD)
+    assert run.memory.plans.not_found[0] == 2
+
+
+def test_plans_are_asked_for_every_second_until_little_is_left():
+    run = drive(make(), FAR[:1], (0.4, 0.4), duration=12.0)
+    policy, memory, asked, left = make(), None, [], []
+    for k, seen in enumerate(run.observations):
+        before = None if memory is None else memory.plans
+        _action, memory = policy.predict(seen, memory)
+        if memory.plans.asked[0] == 0.0:
+            asked.append(k)
+            left.append(math.inf if before is None else float(before.duration[0] - before.since[0]))
+    assert set(np.diff(asked)) == {round(1.0 / PERIOD)}
+    assert min(left) > FINAL
+    assert memory.plans.duration[0] - (12.0 - PERIOD * asked[-1]) < FINAL
+
+
+def test_a_row_of_a_batch_with_another_clock_is_the_vehicle_alone_to_the_bit():
+    count, steps = 64, 150
+    rng = np.random.default_rng(5)
+    begins = rng.integers(0, 60, count)
+    starts = np.zeros((steps, count), dtype=bool)
+    starts[begins, np.arange(count)] = True
+    goals = np.tile(draw_goals(16), (4, 1))
+    run = drive(make(), goals, (0.4, 0.2), change=1.0, duration=steps * PERIOD, starts=starts)
+    assert len(set(run.memory.plans.since)) > 30
+    for i in (0, 17, 63):
+        alone, memory = make(), None
+        for k in range(begins[i], steps):
+            action, memory = alone.predict(run.observations[k, i], memory)
+            np.testing.assert_array_equal(action, run.actions[k, i])
+        np.testing.assert_array_equal(memory.plans.samples[0], run.memory.plans.samples[i])
+
+
+def test_the_state_that_is_handed_back_is_all_that_is_remembered():
+    run = drive(make(), FAR, duration=2.5)
+    policy, memory = make(), None
+    for k, seen in enumerate(run.observations):
+        if k == 60:
+            policy = make()  # as after a restart
+        action, memory = policy.predict(seen, memory)
+        np.testing.assert_array_equal(action, run.actions[k])
+
+
+@pytest.mark.parametrize("first", [0, 30], ids=["from the start", "under way"])
+def test_missing_samples_are_no_error(first):
+    run = drive(make(), FAR, duration=2.0)
+    policy, memory = make(), None
+    for k, seen in enumerate(run.observations):
+        lost = np.full_like(seen, np.nan) if first <= k < first + 40 else seen
+        action, memory = policy.predict(lost, memory)
+        assert np.isfinite(action).all()
+        if first == 0 and k < 40:
+            np.testing.assert_array_equal(action, 0.0)
+    assert (memory.plans.followed >= 1).all()
+
+
+def test_an_observation_without_a_goal_is_refused_in_one_line():
+    context = PolicyContext(PERIOD, "sliding", MOCAP, "speed", "focchi")
+    for name in ("slc-replan", "slc-once"):
+        with pytest.raises(ValueError, match=r"the observation lacks .*goal") as refused:
+            POLICIES[name](context)
+        assert "\n" not in str(refused.value)
+        POLICIES[name](context._replace(observation=SHOWN.names))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"replan_period": 0.001}, "replan_period = 0.001 s; must be the control period"),
+        ({"replan_period": math.nan}, "replan_period = nan s"),
+        ({"limits": Limits.of(FOCCHI, v_min=0.4, v_max=0.4)}, "must be v_min < v_max"),
+        ({"limits": Limits.of(FOCCHI, sprocket_speed=20.0)}, "at most 10 rad/s"),
+        ({"limits": Limits.of(FOCCHI, v_min=2.0)}, "must be 0 <= v_min <= v_max"),
+    ],
+)
+def test_arguments_that_make_no_plan_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        make(**changes)

@@ -140,15 +140,15 @@ def _carried(z, i, side, model):
 
 
 @formula
-def _correct(memory, i, side, rate, span, model):
-    """Take the torque that waits of one drive, 0 left, 1 right, at domega/dt = rate [rad/s^2], a
-    difference over span [s]. Returns (innovation squared over its variance, whether it was used).
+def _correct(memory, i, side, rate, rate_variance, model):
+    """Take the torque that waits of one drive, 0 left, 1 right, at domega/dt = rate [rad/s^2].
+
+    Returns (innovation squared over its variance, whether it was used).
     """
     torque, inertia = memory[i, HELD + side], memory[i, INERTIA]
     memory[i, PHI + 1 - side] = 0.0
     memory[i, PHI + side] = memory[i, DB + side]
     memory[i, PHI + 2], memory[i, PHI + 3] = memory[i, DA + side], -rate
-    rate_variance = model.speed_variance / (span * span)
     spread = model.variance + inertia * inertia * rate_variance
     for row in range(ORDER):
         entry = 0.0
@@ -188,15 +188,21 @@ def _correct(memory, i, side, rate, span, model):
 
 
 @formula
-def _take(memory, i, taken, model):
+def _take(memory, z, i, taken, model):
     """Use the sample that waits, whose neighbours are known now; returns (sum of normalised
-    innovations squared, drives used, whether a sample was refused)."""
+    innovations squared, drives used, whether a sample was refused).
+
+    domega/dt is as uncertain as the sensor makes it, and as what it changes by meanwhile.
+    """
     span = (taken + 1.0 - memory[i, BEFORE]) * model.period
     total, used, refused = 0.0, 0, False
     for side in range(2):
-        rate = (memory[i, SPEED + side] - memory[i, EARLIER + side]) / span
-        if math.isfinite(memory[i, HELD + side]) and math.isfinite(rate):
-            nis, good = _correct(memory, i, side, rate, span, model)
+        newest, before = z[i, _SPROCKET + side], memory[i, EARLIER + side]
+        rate = (newest - before) / span
+        bend = (newest - memory[i, SPEED + side] - memory[i, SPEED + side] + before) / span
+        if math.isfinite(memory[i, HELD + side]) and math.isfinite(rate + bend):
+            variance = model.speed_variance / (span * span) + bend * bend
+            nis, good = _correct(memory, i, side, rate, variance, model)
             total += nis
             used += 1
             refused = refused or not good
@@ -240,17 +246,14 @@ def update_all(z, fresh, age, command_left, command_right, memory, model, out):
         while memory[i, MODELLED] < until:
             _advance(memory, i, model)
         if new:
-            # The speeds of the newest sample are in place of those of the one that waits, which are
-            # kept in turn: `_take` needs the newest and the one before the waiting one.
-            speeds = memory[i, SPEED], memory[i, SPEED + 1]
-            memory[i, SPEED], memory[i, SPEED + 1] = z[i, _SPROCKET], z[i, _SPROCKET + 1]
             close = taken + 1.0 - memory[i, BEFORE] <= model.longest
             if memory[i, BEFORE] > 0.0 and close and waiting == memory[i, MODELLED]:
-                nis, used, refused = _take(memory, i, taken, model)
+                nis, used, refused = _take(memory, z, i, taken, model)
                 status = REJECTED if refused else HOLDING
-            memory[i, EARLIER], memory[i, EARLIER + 1] = speeds
             memory[i, BEFORE], memory[i, WAITING] = memory[i, WAITING], taken + 1.0
             for side in range(2):
+                memory[i, EARLIER + side] = memory[i, SPEED + side]
+                memory[i, SPEED + side] = z[i, _SPROCKET + side]
                 torque = z[i, _TORQUE + side]
                 if not math.isfinite(torque + z[i, _V_X] + z[i, _W] + z[i, _SPROCKET + side]):
                     memory[i, SKIPPED] += 1.0

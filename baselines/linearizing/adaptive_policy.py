@@ -2,7 +2,8 @@
 
 Certainty equivalence: at every control step the controller uses the estimates as if they were true,
     mass, mu_l, inertia, mu_t     always: without information from the data they stay constant
-    gains and lag of the drives   always; commands lead a lag that is longer than the nominal one
+    gains and lag of the drives   where the observation shows the commands that were sent; commands
+                                  lead a lag that is longer than the nominal one
     F_max, K                      where the data determine the traction limit, else nominal
 and uses the filtered pose and velocity instead of the measured ones. It starts from its nominal
 parameters in every episode, uses observations only, and no true parameter.
@@ -18,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import BatchPolicy
+from baselines.estimators.actuator_step import LEAST_DECAY
+from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
@@ -32,6 +35,7 @@ from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
+from tracked_env.physics.vehicle import torque_decay
 
 _ROW = PARAMETER_INDEX
 _I, _SCALE, _SIZE = layout.INDEX, layout.SCALE, layout.SIZE
@@ -160,8 +164,11 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         noisy = max(self.data_sheet[:3]) > 0.0
         self.filtered = noisy if filtered is None else bool(filtered)
         self.uses_soil = bool(uses_soil)
+        # Without the commands that were sent nothing can be said of the drives.
+        self._commanded = all(name in observation for name in COMMANDS)
         self._options: dict[str, Any] = {
-            "regression": regression, "slip": slip, "attitude": sloped, "further": ("actuators",)
+            "regression": regression, "slip": slip, "attitude": sloped,
+            "further": ("actuators",) if self._commanded else (),
         }  # fmt: skip
         # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates.
         self.given_parameters: NDArray[np.float64] | None = None
@@ -181,6 +188,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self._base = float(p.track_width * p.contact_length)
         self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
         self._nothing_known = np.zeros(count, dtype=bool)
+        decay = torque_decay(self.controller.control_period, self._nominal[_LAG])
+        drives = (p.actuator_gain_left, p.actuator_gain_right, max(decay, LEAST_DECAY))
+        self._nominal_drives = np.tile(np.array(drives, dtype=np.float64), (count, 1))
 
     def act(
         self,
@@ -211,10 +221,11 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         )  # fmt: skip
         action, xi = self.controller.act(observation, None if state is None else state.xi, start)
         given = np.zeros((count, 2)) if state is None else state.given.copy()
-        lead_all(
-            observation, start, self.controller.parameters, self.parameters.drive_time_constant,
-            self.controller.control_period, given, action,
-        )  # fmt: skip
+        if self._commanded:
+            lead_all(
+                observation, start, self.controller.parameters, self._nominal[_LAG],
+                self.controller.control_period, given, action,
+            )  # fmt: skip
         self.known = known
         self._given = AdaptiveState(xi, self.stack.memories(), given)
         return action, self._given
@@ -227,7 +238,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         answers = known.parts.answers
         hand_over(
             self.controller.parameters, answers["longitudinal"], answers["turning"],
-            answers["actuators"], answers["soil"][0],
+            answers.get("actuators", self._nominal_drives), answers["soil"][0],
             known.traction_known if self.uses_soil else self._nothing_known,
             self._nominal, self._base, self.controller.control_period,
         )  # fmt: skip

@@ -108,7 +108,7 @@ def test_the_claimed_deviations_are_those_of_the_errors():
     assert 0.6 < nis.mean() / 2.0 < 1.2
 
 
-def test_a_gain_that_steps_is_found_within_six_samples_and_the_rest_stays():
+def test_a_gain_that_steps_is_found_within_eight_samples_and_the_rest_stays():
     actions, step = commands(200), 100
     gain = np.ones((200, 1, 2))
     gain[step:, :, 0] = 0.5

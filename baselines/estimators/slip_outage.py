@@ -27,7 +27,6 @@ import math
 
 from baselines.estimators.sensor_samples import COLUMN, INERTIAL
 from baselines.estimators.slip_kinematics import (
-    IGNORED,
     SIDE_SLIP,
     SLIP_LEFT,
     SLIP_LIMIT,
@@ -43,6 +42,7 @@ from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula
 
 OUTAGE_TIME = 10.0  # [s] over which the error of the soil is one and the same
+UNSEEN = 1e9  # [SI] variance of a row of z that says nothing, through a long outage
 SLIP_SHOWN = 0.8  # [-] slips count as at most that in an outage
 LARGEST_BRAKING = 0.5  # [-] slip by the effort beyond which a braked belt does not tell the speed
 SPEED_FLOOR = 0.01  # [m/s] sigma of the speed by the effort, beside that of the soil
@@ -51,6 +51,8 @@ SOIL_DRIFT = 0.1  # [1/sqrt(s)] of ln F_max and ln K, since the last pose
 DISAGREEMENT = 4.0  # [-] squared innovation, in its variance, from which the soil is another one
 WILD_TURN = 3.0  # [rad/s] a gyro that differs more from the belts is not used
 PROBE_SPEED = 1e-3  # [m/s] at which the slope of the lateral friction is taken
+LARGEST_ACCELERATION = 100.0  # [m/s^2] anything beyond is a fault of the sensor, as NaN is
+LARGEST_SPEED = 100.0  # [m/s] likewise
 LARGEST_SIDE = 0.5  # [-] |v_y| over the speed, as the controller bounds it
 
 # What is remembered of one vehicle, from column `at` of its memory on.
@@ -135,14 +137,16 @@ def carry(memory, i, at, x, last_left, last_right, left, right, values, incline,
     (the variance per step [-] of what both slips share, or -1 where they are random walks; belts).
     """
     v, w = _speeds(x, last_left, last_right, k)
+    v, w = min(max(v, -LARGEST_SPEED), LARGEST_SPEED), min(max(w, -WILD_TURN), WILD_TURN)
     if memory[i, at + P_BB] == 0.0:
         _restart(memory, i, at, v, k)
         memory[i, at + TURNED], memory[i, at + P_TT] = x[YAW], 1.0
         memory[i, at + P_BB], memory[i, at + P_GG] = k.bias_variance, k.turn_bias_variance
         a = values[i, _A_X]
-        memory[i, at + TURNS], memory[i, at + FELT] = w, a if math.isfinite(a) else 0.0
+        memory[i, at + TURNS] = w
+        memory[i, at + FELT] = a if abs(a) < LARGEST_ACCELERATION else 0.0
     if not silent(memory, i, at, k):
-        v = memory[i, at + SPEED]
+        v = min(max(memory[i, at + SPEED], -LARGEST_SPEED), LARGEST_SPEED)
     memory[i, at + SILENT] += 1.0
     gyro = values[i, _YAW_RATE]
     turns = abs(gyro - w) < WILD_TURN
@@ -153,7 +157,7 @@ def carry(memory, i, at, x, last_left, last_right, left, right, values, incline,
     memory[i, at + TURNS] = turning
     c, s = rotation(x[SIDE_SLIP])
     a = values[i, _A_X] + soil.GRAVITY * incline.down_x + w * v * s / c - memory[i, at + BIAS]
-    felt = math.isfinite(a)
+    felt = abs(a) < LARGEST_ACCELERATION
     if felt:
         v += 0.5 * k.period * (memory[i, at + FELT] + a)
         memory[i, at + FELT] = a
@@ -201,7 +205,8 @@ def add_shown(memory, i, at, x, left, right, sign, k):
 def see(memory, i, at, v, yaw, age, values, k):
     """Take down by how much v [m/s] and yaw [rad] of a sample differ from inertial ones, then."""
     a, w = values[i, _A_X] - memory[i, at + BIAS], values[i, _YAW_RATE] - memory[i, at + TURN_BIAS]
-    a, w = a if math.isfinite(a) else 0.0, w if math.isfinite(w) else 0.0
+    a = a if abs(a) < LARGEST_ACCELERATION else 0.0
+    w = w if abs(w) < WILD_TURN else 0.0
     memory[i, at + SEEN_SPEED] = v - (memory[i, at + SPEED] - age * a)
     memory[i, at + SEEN_TURN] = wrap_angle(yaw - (memory[i, at + TURNED] - age * w))
 
@@ -223,7 +228,7 @@ def settle(memory, i, at, x, left, right, used, k):
         memory[i, at + TURNED] = x[YAW]
         memory[i, at + P_TT], memory[i, at + P_TG] = 1.0, 0.0
     memory[i, at + SILENT] = 0.0
-    if math.isfinite(memory[i, at + SEEN_SPEED]):
+    if abs(memory[i, at + SEEN_SPEED]) < LARGEST_SPEED:
         _compare(memory, i, at + SPEED, memory[i, at + SEEN_SPEED], k.velocity_variance)
     _compare(memory, i, at + TURNED, memory[i, at + SEEN_TURN], k.yaw_variance)
 
@@ -252,22 +257,24 @@ def _of_effort(memory, i, at, values, side, k):
 def _speed_row(memory, i, at, values, v, p, left, right, k):
     """(v [m/s] by the effort of both tracks, its variance for one sample)."""
     if memory[i, at + EFFORT_MAXIMUM] <= 0.0:
-        return v, IGNORED
+        return v, UNSEEN
     one, f_left, k_left = _of_effort(memory, i, at, values, 0, k)
     two, f_right, k_right = _of_effort(memory, i, at, values, 1, k)
     by_effort, f, twist = 0.5 * (one + two), 0.5 * (f_left + f_right), 0.5 * (k_left + k_right)
     changed = SOIL_DRIFT * SOIL_DRIFT * memory[i, at + SILENT] * k.period
-    changed = changed if memory[i, at + P_FF] > 0.0 else 0.0  # of a soil that is certain
+    changed = changed if memory[i, at + P_FF] > 0.0 else 0.0  # a soil that is certain
     spread = f * f * (memory[i, at + P_FF] + changed)
     spread += twist * twist * (memory[i, at + P_KK] + changed)
     spread = max(spread + 2.0 * f * twist * memory[i, at + P_FK], 0.0)
     known = _speed_variance(p, left, right)
     floor = SPEED_FLOOR * SPEED_FLOOR
     error = by_effort - v
-    if error * error > DISAGREEMENT * (known + spread + floor):
+    certain = memory[i, at + P_FF] == 0.0
+    if not certain and error * error > DISAGREEMENT * (known + spread + floor):
         spread += error * error
     variance = floor + spread * OUTAGE_TIME / k.period
-    return (by_effort, variance) if math.isfinite(by_effort + variance) else (v, IGNORED)
+    usable = abs(by_effort) < LARGEST_SPEED and variance < math.inf
+    return (by_effort, variance) if usable else (v, UNSEEN)
 
 
 @formula
@@ -277,8 +284,8 @@ def _side_row(memory, i, at, values, v, w, press, k):
     if k.constrained > 0.0:
         return min(max(-k.icr_forward * w, -bound), bound), SIDE_FLOOR * SIDE_FLOOR
     felt, friction = values[i, _A_Y], memory[i, at + FRICTION]
-    if not (friction > 0.0 and math.isfinite(felt)):
-        return 0.0, IGNORED
+    if not (friction > 0.0 and abs(felt) < LARGEST_ACCELERATION):
+        return 0.0, UNSEEN
     intensity = friction * soil.GRAVITY * press / k.contact_length
     force, _moment = soil.lateral_friction(PROBE_SPEED, w, intensity, k.contact_length)
     v_y = felt * PROBE_SPEED / min(force, -1e-9)
@@ -291,13 +298,13 @@ def measure(memory, i, at, values, fresh, expected, p, left, right, press, k, z,
     noise[:, :] = 0.0
     for row in range(6):
         z[row] = expected[row]
-        noise[row, row] = IGNORED
+        noise[row, row] = UNSEEN
     gyro = values[i, _YAW_RATE]
     if fresh[i, INERTIAL] and abs(gyro - expected[5]) < WILD_TURN:
         z[5], noise[5, 5] = gyro - memory[i, at + TURN_BIAS], k.gyro_variance
     z[3], noise[3, 3] = _speed_row(memory, i, at, values, expected[3], p, left, right, k)
     side, variance = _side_row(memory, i, at, values, expected[3], z[5], press, k)
-    if variance < IGNORED and abs(expected[3]) > STANDING_VEHICLE:
+    if variance < UNSEEN and abs(expected[3]) > STANDING_VEHICLE:
         z[4], noise[4, 4] = side, variance
 
 

@@ -25,8 +25,8 @@ from baselines.estimators.slip_unscented import BETA, SPREAD
 from tracked_env.physics.jit import formula, loop
 
 # One row of numbers passes between Python and the kernels: calls with tuples cost more.
-_WAY, _GYRO, _USED, _OUTCOME = 18, 28, 38, 39  # its first columns are the Inputs
-_LINK = 40
+_WAY, _GYRO, _USED, _OUTCOME = 20, 30, 40, 41  # its first columns are the Inputs
+_LINK = 42
 
 
 @formula
@@ -34,7 +34,8 @@ def _constants(c):
     """Constants from an array."""
     return Constants(
         c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7],
-        c[8], c[9], c[10], c[11], c[12], c[13], c[14],
+        c[8], c[9], c[10], c[11], c[12], c[13], c[14], c[15],
+        c[16], c[17], c[18], c[19], c[20], c[21], c[22], c[23],
     )  # fmt: skip
 
 
@@ -43,7 +44,7 @@ def _inputs(r):
     """Inputs from the link row."""
     return Inputs(
         r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8], r[9], r[10], r[11],
-        r[12], r[13], r[14], r[15], r[16], r[17],
+        r[12], r[13], r[14], r[15], r[16], r[17], r[18], r[19],
     )  # fmt: skip
 
 
@@ -101,18 +102,22 @@ def look(memory, i, slots, yaw, values, fresh, age, constants, link, x, p, z, no
     step.reckon(memory, i, slots, yaw, u, k)
     link[_OUTCOME], link[_USED] = 1.0, 0.0
     new, usable = step.has_pose(values, fresh, i)
-    if not new:
-        return False
-    if not usable:
+    if new and not usable:
         memory[i, step.SKIPPED] += 1.0
         link[_OUTCOME] = 2.0
+    if new and usable:
+        way, gyro = step.take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise)
+        link[_USED] = 1.0
+    elif step.is_blind(memory, i, k):
+        way, gyro = step.take_motion(memory, i, values, fresh, x, p, u, k, z, noise)
+    else:
         return False
-    way, gyro = step.take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise)
     for column in range(_GYRO - _WAY):
         link[_WAY + column] = way[column]
         link[_GYRO + column] = gyro[column]
     if memory[i, step.STARTED] == 0.0:
         step.start(memory, i, x, p, z, noise, way)
+        link[_USED] = 0.0
         return False
     return True
 
@@ -131,11 +136,13 @@ def inflate(p, z, x, pose_nis, nis, constants):
 
 
 @loop
-def end(memory, i, link, x, p, value, covariance, summary, status):
+def end(memory, i, link, x, p, constants, value, covariance, summary, status):
     """Bounds, memory and answers of vehicle i."""
     u, used, outcome = _inputs(link), link[_USED] > 0.0, int(link[_OUTCOME])
     root = np.empty((STATES, STATES))
-    summary[i, 0], summary[i, 1], status[i] = step.finish(memory, i, x, p, root, u, used, outcome)
+    summary[i, 0], summary[i, 1], status[i] = step.finish(
+        memory, i, x, p, root, u, used, outcome, _constants(constants)
+    )
     summary[i, 3] = memory[i, step.SKIPPED]
     value[i] = x
     covariance[i] = p
@@ -198,7 +205,18 @@ class FilterpySlipObserver(SlipObserver):
                 self._numbers, link, ukf.x, ukf.P, self._z, self._noise,
             ):  # fmt: skip
                 summary[i, 2] = self._update(i)
-            end(self.memory, i, link, ukf.x, ukf.P, value, covariance, summary, status)
+            end(
+                self.memory,
+                i,
+                link,
+                ukf.x,
+                ukf.P,
+                self._numbers,
+                value,
+                covariance,
+                summary,
+                status,
+            )
 
     def _predict(self, yaw: float) -> float:
         """Predict; returns the heading in the middle of the step."""
@@ -208,7 +226,7 @@ class FilterpySlipObserver(SlipObserver):
         return 0.5 * (yaw + float(ukf.x[2]))
 
     def _update(self, i: int) -> float:
-        """Update with the sample, unless it is an outlier. Returns its NIS."""
+        """Update with the sample, unless it is an outlier. Returns its NIS, NaN of no pose."""
         ukf, inner = self._filter, {"link": self._link, "constants": self._numbers}
         rows = ukf.R.shape[0]
         z, noise = self._z[:rows], self._noise[:rows, :rows]
@@ -218,7 +236,7 @@ class FilterpySlipObserver(SlipObserver):
         verdict = innovation_verdict(self.memory, i, nis, self._numbers)
         if verdict == 1:
             ukf.x, ukf.P = x, p
-            self._link[_OUTCOME] = 2.0
+            self._link[_OUTCOME], self._link[_USED] = 2.0, 0.0
             return nis
         if verdict == 2:
             pose_nis = float(ukf.y[:3] @ np.linalg.solve(ukf.S[:3, :3], ukf.y[:3]))
@@ -226,5 +244,4 @@ class FilterpySlipObserver(SlipObserver):
             ukf.x, ukf.P = x, p
             ukf.sigmas_f = ukf.points_fn.sigma_points(x, p)
             ukf.update(z, R=noise, **inner)
-        self._link[_USED] = 1.0
-        return nis
+        return nis if self._link[_USED] > 0.0 else math.nan

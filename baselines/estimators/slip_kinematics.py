@@ -56,6 +56,8 @@ ICR_OFFSET = 0.2  # [m] x_icr of a turn on the spot, whose v_y = -x_icr w alpha 
 BELT_SIGMAS = 5.0  # [-] of its noise: a belt that changes by more within a step really moves
 BIAS_WINDOW = 0.5  # [s] over it the gyro's bias does not average out, the noise does
 IGNORED = 1e4  # [SI] variance of a row of z that is missing
+SILENCE = 0.25  # [s] a pose that is only late or rare comes within it, see slip_outage
+BLENDING = 0.5  # [s] time constant with which what is shown follows the first pose after an outage
 LEAST_PIVOT = 1e-13  # [-] share of a variance that rounding leaves: below it P has lost digits
 LEAST_SIGMA = 1e-4  # [m, rad, m/s, rad/s] of ideal sensors: keeps the covariance well conditioned
 
@@ -78,6 +80,15 @@ class Constants(NamedTuple):
     side_slip_drift: float  # [rad^2] per step
     gate: float  # [-] NIS of an outlier
     rows: float  # [-] of z that are used: 3 or 6
+    silence: float  # [steps] without pose that are more than a late or rare one
+    acceleration_variance: float  # [m^2/s^4]
+    bias_variance: float  # [m^2/s^4] of the accelerometer, before anything is known of it
+    gyro_variance: float  # [rad^2/s^2] white
+    turn_bias_variance: float  # [rad^2/s^2] of the gyro
+    contact_length: float  # [m] l
+    constrained: float  # [-] 1 with the constrained lateral model, else 0
+    icr_forward: float  # [m] d, of that model
+    fading: float  # [-] share of the gap behind an outage that is left after a step
 
 
 class Inputs(NamedTuple):
@@ -101,6 +112,8 @@ class Inputs(NamedTuple):
     turn: float  # [-] d psi/dt = turn w + carried; 1
     carried: float  # [rad/s] 0
     steep: float  # [-] squared sine of the tilt
+    press: float  # [-] normal load over the weight
+    common: float  # [-] variance per step of what both slips share; -1: they walk on their own
 
 
 def make_constants(
@@ -110,6 +123,7 @@ def make_constants(
     drifts: tuple[float, float, float, float],
     gate: float,
     rows: int,
+    lateral: str,
 ) -> Constants:
     """Constants from the nominal parameters, the data sheet and drifts per sqrt(second)."""
     radius = parameters.sprocket_radius
@@ -128,6 +142,15 @@ def make_constants(
         *(drift * drift * period for drift in drifts),
         gate,
         rows,
+        SILENCE / period if rows == ROWS else math.inf,
+        sheet.acceleration_noise**2,
+        max(sheet.acceleration_bias, LEAST_SIGMA) ** 2,
+        max(sheet.gyro_noise, LEAST_SIGMA) ** 2,
+        max(sheet.gyro_bias, LEAST_SIGMA) ** 2,
+        parameters.contact_length,
+        lateral == "constrained",
+        parameters.icr_forward,
+        math.exp(-period / BLENDING),
     )
     return Constants(*(float(number) for number in numbers))
 
@@ -140,7 +163,8 @@ def ramp(speed, standing):
 
 @formula
 def make_inputs(
-    last_left, last_right, left, right, slip_left, slip_right, side_slip, incline, pitch_rate, k
+    last_left, last_right, left, right, slip_left, slip_right, side_slip, incline, pitch_rate,
+    common, k,
 ):  # fmt: skip
     """Inputs of a step in which the belts went from `last` to the present speeds [m/s]."""
     ahead, _ = on_map(1.0, 0.0, incline)
@@ -169,6 +193,8 @@ def make_inputs(
         turn,
         carried,
         incline.down_x * incline.down_x + incline.down_y * incline.down_y,
+        incline.press,
+        common,
     )
 
 
@@ -267,6 +293,12 @@ def fill_process_noise(noise, yaw, u, k):
     noise[YAW, YAW] = 4.0 * sum_ * k.inverse_gauge * k.inverse_gauge + share * k.yaw_drift
     slip_drift = k.slip_drift + u.steep * k.period * SLOPE_SLIP_DRIFT**2
     side_slip_drift = k.side_slip_drift + u.steep * k.period * SLOPE_SIDE_SLIP_DRIFT**2
+    if u.common >= 0.0:  # half of it is that of the difference, which walks as ever
+        noise[SLIP_LEFT, SLIP_RIGHT] = min(u.fade_left, u.fade_right) * (
+            u.common - 0.5 * slip_drift
+        )
+        noise[SLIP_RIGHT, SLIP_LEFT] = noise[SLIP_LEFT, SLIP_RIGHT]
+        slip_drift = u.common + 0.5 * slip_drift
     noise[SLIP_LEFT, SLIP_LEFT] = u.fade_left * slip_drift
     noise[SLIP_RIGHT, SLIP_RIGHT] = u.fade_right * slip_drift
     noise[SIDE_SLIP, SIDE_SLIP] = u.fade_side * side_slip_drift

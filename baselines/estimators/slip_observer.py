@@ -6,6 +6,7 @@ the rest of a step in slip_step. slip_filterpy is the same observer around the f
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
 """
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
-from baselines.estimators import dead_reckoning, slip_kinematics, slip_unscented
+from baselines.estimators import dead_reckoning, slip_kinematics, slip_outage, slip_unscented
 from baselines.estimators import slip_step as step
 from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity, Setting
 from baselines.estimators.sensor_samples import ATTITUDE, DataSheet, Measurement, attitude_of
@@ -51,23 +52,42 @@ def motion_all(memory, k, motion):
         alpha = memory[i, step.STATE + slip_kinematics.SIDE_SLIP]
         u = slip_kinematics.make_inputs(
             belt_left, belt_right, belt_left, belt_right, slip_left, slip_right, alpha,
-            LEVEL, 0.0, k,
+            LEVEL, 0.0, -1.0, k,
         )  # fmt: skip
         left, right, tangent = slip_kinematics.gains(slip_left, slip_right, alpha, u)
         velocity = slip_kinematics.body_velocity(left, right, belt_left, belt_right, tangent, k)
+        gap = step.OUTAGE + slip_outage.GAP_X
         for a in range(3):
-            motion[i, a] = memory[i, step.STATE + a]
+            motion[i, a] = memory[i, step.STATE + a] + memory[i, gap + a]
             motion[i, 3 + a] = velocity[a]
+        motion[i, 3] += memory[i, step.OUTAGE + slip_outage.GAP_SPEED]
 
 
 @loop
-def read_slips(memory, slips, variances):
-    """i_L, i_R and their variances of all vehicles, (N, 2) each."""
+def read_slips(memory, k, slips, variances):
+    """i_L, i_R and their variances of all vehicles, (N, 2) each; inf in an outage, where slips are
+    what the soil is thought to be."""
     for i in range(memory.shape[0]):
         for side in range(2):
             state = slip_kinematics.SLIP_LEFT + side
             slips[i, side] = memory[i, step.STATE + state]
             variances[i, side] = memory[i, step.COVARIANCE + (STATES + 1) * state]
+            if slip_outage.silent(memory, i, step.OUTAGE, k):
+                variances[i, side] = math.inf
+
+
+@loop
+def take_ground_all(memory, k, soil, covariance, friction):
+    """soil (N, 2) F_max, K, their covariance (N, 2, 2) and mu_t (N,), for outages."""
+    for i in range(memory.shape[0]):
+        maximum, modulus = soil[i, 0], soil[i, 1]
+        slip_outage.take_ground(
+            memory, i, step.OUTAGE, maximum, modulus,
+            covariance[i, 0, 0] / (maximum * maximum),
+            covariance[i, 0, 1] / (maximum * modulus),
+            covariance[i, 1, 1] / (modulus * modulus),
+            friction[i], k,
+        )  # fmt: skip
 
 
 class Motion(NamedTuple):
@@ -95,7 +115,8 @@ class SlipObserver(AnsweringEstimator):
     position_drift [m/sqrt(s)], yaw_drift [rad/sqrt(s)]: what the kinematics leave out, bumps and
     flexing tracks. slip_drift [1/sqrt(s)]: a slip changes by 0.02 in a second, straight into a
     turn on clay. side_slip_drift [rad/sqrt(s)]: likewise.
-    longest_delay [s]: of the pose group; older samples count as that old.
+    longest_delay [s]: of the pose group; older samples count as that old. lateral: lateral model
+    of the nominal vehicle, used in outages.
 
     Raises ValueError for arguments outside their range.
     """
@@ -121,6 +142,7 @@ class SlipObserver(AnsweringEstimator):
         slip_drift: float = 0.02,
         side_slip_drift: float = 0.03,
         longest_delay: float = 1.0,
+        lateral: str = "sliding",
     ) -> None:
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         count = checked_whole("count", count, VEHICLES)
@@ -136,7 +158,7 @@ class SlipObserver(AnsweringEstimator):
         rows = ROWS if velocity else 3
         gate = float(chi2.isf(FALSE_ALARM, rows))
         self._constants = slip_kinematics.make_constants(
-            parameters, self.control_period, data_sheet, drifts, gate, rows
+            parameters, self.control_period, data_sheet, drifts, gate, rows, lateral
         )
         self._slots = dead_reckoning.slots_for(longest_delay, self.control_period)
         columns = step.RING + dead_reckoning.columns_for(self._slots)
@@ -146,7 +168,10 @@ class SlipObserver(AnsweringEstimator):
     @classmethod
     def for_stack(cls, setting: Setting) -> "SlipObserver":
         """As a part of the identification stack."""
-        part = cls(setting.parameters, setting.control_period, setting.data_sheet, setting.count)
+        part = cls(
+            setting.parameters, setting.control_period, setting.data_sheet, setting.count,
+            lateral=setting.lateral,
+        )  # fmt: skip
         if setting.attitude:
             part.needs = (*cls.needs, *ATTITUDE)
         return part
@@ -158,6 +183,16 @@ class SlipObserver(AnsweringEstimator):
         """Forget all, of the vehicles named (indices or a mask), or of all."""
         every = np.arange(len(self.memory))
         forget(self.memory, every if rows is None else np.atleast_1d(every[np.asarray(rows)]))
+
+    def take_ground(
+        self,
+        soil: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+        friction: NDArray[np.float64],
+    ) -> None:
+        """What is known of the ground, for outages: F_max [N] of a track and K [m] (N, 2), their
+        covariance (N, 2, 2), mu_t (N,)."""
+        take_ground_all(self.memory, self._constants, soil, covariance, friction)
 
     def compute(self, measurement: Measurement) -> Answer:
         """Take one sample; returns the bare answer: value, covariance, summary, status."""
@@ -228,5 +263,5 @@ class SlipObserver(AnsweringEstimator):
         """`slips` and `slip_variances`."""
         count = len(self.memory)
         slips, variances = np.empty((count, 2)), np.empty((count, 2))
-        read_slips(self.memory, slips, variances)
+        read_slips(self.memory, self._constants, slips, variances)
         return slips, variances

@@ -18,7 +18,7 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2. [2] O. K.
 
 import math
 
-from baselines.estimators import dead_reckoning, slip_kinematics
+from baselines.estimators import dead_reckoning, slip_kinematics, slip_outage
 from baselines.estimators.dead_reckoning import Way
 from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, POSE
 from baselines.estimators.slip_kinematics import (
@@ -36,7 +36,7 @@ from baselines.estimators.slip_kinematics import (
     X,
     Y,
 )
-from tracked_env.physics.attitude import incline_of
+from tracked_env.physics.attitude import heading_rate, incline_of
 from tracked_env.physics.elementary import signed, wrap_angle
 from tracked_env.physics.jit import formula
 from tracked_env.physics.terramechanics import slip_ratio, track_speed_from_belt
@@ -57,7 +57,8 @@ COVARIANCE = STATE + STATES
 BELT_L, BELT_R, HELD_L, HELD_R, STARTED, OUTLIERS, SKIPPED = range(
     COVARIANCE + STATES * STATES, COVARIANCE + STATES * STATES + 7
 )  # belt speeds and for how many steps they are held, a pose came (1 = yes), in a row, counted
-RING = SKIPPED + 1
+OUTAGE = SKIPPED + 1  # what slip_outage remembers
+RING = OUTAGE + slip_outage.COLUMNS
 
 _SPEED_L, _SPEED_R = COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]
 _YAW_RATE = COLUMN["yaw_rate"]
@@ -102,6 +103,12 @@ def _slip_of_jump(x, p, state, last, belt, steps, k):
 
 
 @formula
+def is_blind(memory, i, k):
+    """Whether vehicle i is in an outage."""
+    return slip_outage.silent(memory, i, OUTAGE, k)
+
+
+@formula
 def take_drive(memory, i, values, fresh, attitude, x, p, k):
     """Inputs of this step; the belt speeds are remembered. attitude (N, 3): ATTITUDE."""
     last_left, last_right = memory[i, BELT_L], memory[i, BELT_R]
@@ -109,20 +116,31 @@ def take_drive(memory, i, values, fresh, attitude, x, p, k):
     memory[i, HELD_L] += 1.0
     memory[i, HELD_R] += 1.0
     seen_left, seen_right = abs(left) < FASTEST_BELT, abs(right) < FASTEST_BELT
+    blind = is_blind(memory, i, k)
     if seen_left:
-        _slip_of_jump(x, p, SLIP_LEFT, last_left, left, memory[i, HELD_L], k)
+        if not blind:
+            _slip_of_jump(x, p, SLIP_LEFT, last_left, left, memory[i, HELD_L], k)
         memory[i, BELT_L] = left
         memory[i, HELD_L] = 0.0 if fresh[i, DRIVE] else memory[i, HELD_L]
     if seen_right:
-        _slip_of_jump(x, p, SLIP_RIGHT, last_right, right, memory[i, HELD_R], k)
+        if not blind:
+            _slip_of_jump(x, p, SLIP_RIGHT, last_right, right, memory[i, HELD_R], k)
         memory[i, BELT_R] = right
         memory[i, HELD_R] = 0.0 if fresh[i, DRIVE] else memory[i, HELD_R]
     if not (seen_left and seen_right):
         memory[i, SKIPPED] += 1.0
+    incline, common = incline_of(attitude[i, 1], attitude[i, 0]), -1.0
+    if memory[i, STARTED] > 0.0:
+        turn, carried = heading_rate(incline, attitude[i, 2])
+        common, left, right = slip_outage.carry(
+            memory, i, OUTAGE, x, last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
+            values, incline, carried, turn, k,
+        )  # fmt: skip
+        if common >= 0.0:
+            memory[i, BELT_L], memory[i, BELT_R] = left, right
     return slip_kinematics.make_inputs(
         last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
-        x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP],
-        incline_of(attitude[i, 1], attitude[i, 0]), attitude[i, 2], k,
+        x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP], incline, attitude[i, 2], common, k,
     )  # fmt: skip
 
 
@@ -159,7 +177,10 @@ def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
     are missing, and a gyro without a new sample, are replaced by the model's with a huge variance.
     The drive's own delay counts: its latest belt speed is one of `age` ago.
     """
+    if slip_outage.silent(memory, i, OUTAGE, k):
+        slip_outage.add_shown(memory, i, OUTAGE, x, memory[i, BELT_L], memory[i, BELT_R], 1.0, k)
     drive, pose = _steps(age[i, DRIVE], k), _steps(age[i, POSE], k)
+    slip_outage.see(memory, i, OUTAGE, values[i, 3], values[i, 2], pose * k.period, values, k)
     sums = dead_reckoning.since(memory, i, RING, slots, pose)
     way = Way(
         sums.d_left, sums.d_right, sums.c_left, sums.s_left, sums.c_right, sums.s_right,
@@ -189,6 +210,22 @@ def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
 
 
 @formula
+def take_motion(memory, i, values, fresh, x, p, u, k, z, noise):
+    """In an outage: what gyro, effort and friction say into z (ROWS,), its R into noise.
+
+    Returns (no way, present belt speeds), as `take_pose`.
+    """
+    left, right = memory[i, BELT_L], memory[i, BELT_R]
+    memory[i, OUTLIERS] = 0.0
+    now = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, left, right, left, right)
+    expected = slip_kinematics.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, now, now, k)
+    slip_outage.measure(
+        memory, i, OUTAGE, values, fresh, expected, p, left, right, u.press, k, z, noise
+    )
+    return now, now
+
+
+@formula
 def has_pose(values, fresh, i):
     """(a new pose sample came, it can be used)."""
     x, y, yaw = values[i, 0], values[i, 1], values[i, 2]
@@ -209,8 +246,11 @@ def start(memory, i, x, p, z, noise, way):
 
 @formula
 def innovation_verdict(memory, i, nis, k):
-    """0 = use the sample, 1 = outlier, 2 = one too many outliers: follow it."""
-    if nis <= k.gate:
+    """0 = use the sample, 1 = outlier, 2 = one too many outliers: follow it.
+
+    The first pose after an outage is believed.
+    """
+    if nis <= k.gate or slip_outage.silent(memory, i, OUTAGE, k):
         memory[i, OUTLIERS] = 0.0
         return 0
     memory[i, OUTLIERS] += 1.0
@@ -276,8 +316,8 @@ def information(p):
 
 
 @formula
-def finish(memory, i, x, p, root, u, used, outcome):
-    """Bounds, memory; root (STATES, STATES) is scratch.
+def finish(memory, i, x, p, root, u, used, outcome, k):
+    """Bounds, memory; root (STATES, STATES) is scratch; used: a pose was.
 
     Returns (excitation, condition, status as estimate.Status).
     """
@@ -292,6 +332,8 @@ def finish(memory, i, x, p, root, u, used, outcome):
             p[a, :] = 0.0
             p[:, a] = 0.0
             p[a, a] = variance
+    if memory[i, STARTED] > 0.0:
+        slip_outage.settle(memory, i, OUTAGE, x, memory[i, BELT_L], memory[i, BELT_R], used, k)
     store(memory, i, x, p)
     smallest, largest = information(p)
     moves = min(min(u.fade_left, u.fade_right), u.fade_side) > 0.0

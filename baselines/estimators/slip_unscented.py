@@ -162,7 +162,11 @@ def update_all(
         if new and not usable:
             memory[i, step.SKIPPED] += 1.0
             outcome = 2
-        elif new:
+        if step.is_blind(memory, i, k) and not (new and usable):
+            way, gyro = step.take_motion(memory, i, values, fresh, x, p, u, k, z, noise)
+            compare(x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e)
+            _correct(x, p, ROWS, w, e)
+        elif new and usable:
             way, gyro = step.take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise)
             if not started:
                 step.start(memory, i, x, p, z, noise, way)
@@ -181,7 +185,7 @@ def update_all(
                 if used:
                     _correct(x, p, int(k.rows), w, e)
         summary[i, 0], summary[i, 1], status[i] = step.finish(
-            memory, i, x, p, root, u, used, outcome
+            memory, i, x, p, root, u, used, outcome, k
         )
         summary[i, 2] = nis
         summary[i, 3] = memory[i, step.SKIPPED]

@@ -91,7 +91,7 @@ def _sample(values, i, side, given, slips, variances, sensing):
     forward = slip if effort >= 0.0 else -slip
     reach = CONTRADICTION * math.sqrt(variance)
     good = abs(effort) > sensing.least_effort and speed > SLOWEST
-    good = good and forward > -reach and forward < 1.0 + reach
+    good = good and forward > -reach and forward < 1.0 + reach and variance < math.inf
     missing = math.isnan(slip + variance + effort + belt)
     size = abs(effort) if good else 0.0
     return Sample(forward, math.nan if missing else size, variance)

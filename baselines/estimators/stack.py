@@ -229,6 +229,8 @@ class IdentificationStack:
                 estimates.add(name, part.compute(measurement), part.estimate)
             else:
                 estimates.add_made(name, part.update(measurement))
+        soil, covariance, _summary, _status = estimates.answers["soil"]
+        self.slip.take_ground(soil, covariance, estimates.answers["turning"][:, 1].copy())
         links.advance(motion, behind, paired.values, attitude_of(latest))
         return Identification(reading, motion, estimates, self.quantities, self.soil.limit_known)
 

@@ -32,9 +32,15 @@ from baselines.linearizing.linearizing_policy import (
     shows_attitude,
 )
 from tracked_env import observation as layout
+from tracked_env.physics import vehicle
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
+from tracked_env.physics.parameters import (
+    PARAMETER_INDEX,
+    PlantParameters,
+    plant_parameters,
+    row_parameters,
+)
 from tracked_env.physics.vehicle import torque_decay
 
 _ROW = PARAMETER_INDEX
@@ -127,6 +133,16 @@ def hand_over(parameters, longitudinal, turning, actuators, soil, known, nominal
         parameters[_MODULUS, i] = soil[i, 1] if known[i] else nominal[_MODULUS]
 
 
+@loop
+def ground_of(parameters, soil, friction):
+    """F_max, K (N, 2) and mu_t (N,) of parameters (PARAMETER_ROWS, N)."""
+    for i in range(parameters.shape[1]):
+        p = row_parameters(parameters.T, i, 0)
+        soil[i, 0] = vehicle.drive_limits(p).effort_maximum
+        soil[i, 1] = p.shear_deformation_modulus
+        friction[i] = p.lateral_resistance
+
+
 class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     """Controller and estimators as one policy, for one vehicle or a batch.
 
@@ -211,6 +227,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         if state is not None and state is not self._given:
             self.stack.restore(state.memories)
         self._given = None  # until this call has ended well, `stack` is in no known state
+        if self.given_parameters is not None:
+            self._give_ground(self.given_parameters)
         known = self.stack.update(observation, start)
         self._adapt(known)
         latest, answers = known.reading.latest, known.parts.answers
@@ -229,6 +247,13 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self.known = known
         self._given = AdaptiveState(xi, self.stack.memories(), given)
         return action, self._given
+
+    def _give_ground(self, parameters: NDArray[np.float64]) -> None:
+        """The ground of given parameters (PARAMETER_ROWS, N) for the filter, certain."""
+        count = parameters.shape[1]
+        soil, friction = np.empty((count, 2)), np.empty(count)
+        ground_of(parameters, soil, friction)
+        self.stack.slip.take_ground(soil, np.zeros((count, 2, 2)), friction)
 
     def _adapt(self, known: Identification) -> None:
         """Pass the estimates to the controller, or the parameters given in their place."""

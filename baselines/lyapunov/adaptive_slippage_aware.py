@@ -118,6 +118,7 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         if state is not None:
             friction = at_least(friction, grades(*state.driving.attitude.T))
         self._policy.slip_model = self.estimator.family.at(friction)
+        self._policy.driven = self.estimator.velocities()
         driving = None if state is None else state.driving
         action, driving = self._policy.act(observation, driving, start)
         return action, AdaptiveSlipState(driving, self.estimator.memory.copy())

@@ -58,6 +58,7 @@ PASSES = 3  # evaluations of the slip in the feed-forward; the next step starts 
 PATH_PASSES = 6  # the same for alpha_d, which starts from nothing: 0.4^6 = 0.4 % is left of beta
 LOOK_ASIDE = 0.05  # [s] to both sides, for alpha_d': short against a turn, long against the grid
 VELOCITY_NOISE_LIMIT = 1.0  # [m/s] a data sheet above it has no velocity: the belts give it
+OUTAGE = 0.25  # [s] a pose that is older is missing, a younger one only late
 BELT_DRIFT = 0.05  # [m/s] slow error of the belts' velocity: slip that the model does not know
 
 # Fields of the observation that the law and its filter read.
@@ -181,6 +182,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self.control_period = float(control_period)
         self.slip_model = self._felt = slip_model
         self._knows_slopes = False
+        self.driven: Array | None = None  # (N, 2) v_x, v_y [m/s] of a model that the belts drive
         self.geometry = Geometry.of(parameters)
         self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count last seen
         none = DataSheet(*(0.0 for _ in DataSheet._fields))
@@ -219,9 +221,10 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
         beta, alpha, driven = self._slip(actual, geometry)
+        motion, side = self._without_pose(observation, driven, alpha)
         reference = np.empty((count, 4))
         locate(
-            observation, driven, alpha, self.velocity_measured, self.filter_gains,
+            observation, motion, side, self.velocity_measured, self.filter_gains,
             self.control_period, error, age, mean, located, reference,
         )  # fmt: skip
         moving = located & np.isfinite(reference[:, 0])
@@ -244,6 +247,21 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         driven (N, 2): motion that the belts say.
         """
         return error, reference, moving
+
+    def _without_pose(
+        self, observation: NDArray[np.float32], motion: Array, alpha: Array
+    ) -> tuple[Array, Array]:
+        """Motion (N, 2) and slip angle (N,) by which the pose is carried on: those that the belts
+        settle at, and after OUTAGE without a pose those of `driven`, where there is one."""
+        blind = observation[:, _AGE] * _SCALE[_AGE] > OUTAGE
+        if self.driven is None or not blind.any():
+            return motion, alpha
+        forward, lateral = self.driven.T
+        slow = np.abs(forward) < kinematics.SLOW
+        angle = np.arctan(lateral / np.where(slow, np.inf, forward))
+        mixed = motion.copy()
+        mixed[:, 0] = np.where(blind, forward, motion[:, 0])
+        return mixed, np.where(blind, angle, alpha)
 
     def _rows(self, count: int) -> tuple[Geometry, Geometry]:
         """Geometry of `count` vehicles, and the same three times over."""

@@ -191,6 +191,16 @@ class RecursiveSlipEstimator:
         mu = 1.0 / (self._inverse[k] - (place - k) * apart)
         return {"friction": (mu, mu * mu * apart / np.sqrt(curve))}
 
+    def velocities(self) -> Array:
+        """v_x, v_y [m/s] (N, 2) of the plant on the friction estimated, as driven so far."""
+        place = self.memory[:, PLACE]
+        k = np.minimum(place.astype(np.int64), len(FRICTIONS) - 2)
+        share = (place - k)[:, None]
+        rows, first = np.arange(len(k))[:, None], VELOCITIES + CHANNELS * k[:, None]
+        below = self.memory[rows, first + np.arange(2)]
+        above = self.memory[rows, first + CHANNELS + np.arange(2)]
+        return (1.0 - share) * below + share * above
+
     @property
     def friction(self) -> Array:
         """(N,) mu [-]."""

@@ -149,10 +149,11 @@ def test_a_missing_velocity_is_left_out_and_the_rest_used(name):
     assert observer.update(run.measurements[-1]).skipped[0] == 301
 
 
-def test_without_a_pose_sample_uncertainty_grows_up_to_the_prior_and_nothing_else_happens():
+def test_with_nothing_but_belts_uncertainty_grows_up_to_the_prior_and_nothing_else_happens():
     run = simulate(np.full((6000, 1, 2), 2.0), SLIPS, 0.0)
     for m in run.measurements[200:]:
-        m.fresh[:, 0] = False
+        m.fresh[:, :2] = False
+        m.values[:, COLUMN["acceleration_x"] : COLUMN["sprocket_speed_left"]] = np.nan
     _, covariance, status, nis = follow(_observer(), run.measurements)
     sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))[:, 0]
     assert np.all(np.diff(sigma[201:, 3:], axis=0) >= 0.0) and np.all(sigma <= 100.0)

@@ -1,0 +1,317 @@
+"""Motion without a pose: inertial speed, gyro, slip from effort and side slip from friction.
+
+While poses come, two Kalman filters of two states run beside the slip filter and learn the biases
+of accelerometer and gyro from the samples of speed and heading:
+    v+ = v + dt (f_x + g_x + w v_y - b),    psi+ = psi + dt (w - b_w)
+After `silence` steps without a pose (more than a late or rare one), slips are no random walks:
+    tracks    V_L, V_R = v -+ w B / 2 by that v and the gyro's w; i_L, i_R follow with the belts.
+              A belt that stands or turns against its track says nothing of the way: in the place
+              of the belts are then those that with slips of at most SLIP_SHOWN give V_L, V_R.
+              What both share walks by the noise of f_x and the deviation sigma_b of the bias:
+              var v per step = dt^2 sigma_a^2 + 3 sigma_b^2 t dt (of a constant error, at least its
+              effect on the way: t^4 / 4 <= 1.5 t^4 / 6)
+    effort    v is measured by S (7) inverted: i = slip_from_effort(F; F_max, K), with the variance
+              of the identified [ln F_max, ln K]; that error lasts, so that all samples of
+              OUTAGE_TIME together count as one. It grows, as the soil may change; where the
+              two contradict each other, it is another one: the squared difference adds to it
+    friction  v_y is measured: F_y(v_y, w) = m f_y with the identified mu_t, f_y the lateral
+              accelerometer; -d w with the constrained lateral model
+    turn      the gyro, as ever
+The first pose afterwards is believed. The filter jumps to it, and what is shown to a controller
+follows: the difference fades with BLENDING.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, sections 2 and 7.2.
+"""
+
+import math
+
+from baselines.estimators.sensor_samples import COLUMN, INERTIAL
+from baselines.estimators.slip_kinematics import (
+    SIDE_SLIP,
+    SLIP_LEFT,
+    SLIP_LIMIT,
+    SLIP_RIGHT,
+    STANDING_VEHICLE,
+    YAW,
+    X,
+    Y,
+    ramp,
+)
+from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.elementary import rotation, wrap_angle
+from tracked_env.physics.jit import formula
+
+OUTAGE_TIME = 10.0  # [s] over which the error of the soil is one and the same
+UNSEEN = 1e9  # [SI] variance of a row of z that says nothing, through a long outage
+SLIP_SHOWN = 0.8  # [-] slips count as at most that in an outage
+LARGEST_BRAKING = 0.5  # [-] slip by the effort beyond which a braked belt does not tell the speed
+SPEED_FLOOR = 0.01  # [m/s] sigma of the speed by the effort, beside that of the soil
+SIDE_FLOOR = 0.01  # [m/s] sigma of v_y by the friction
+SOIL_DRIFT = 0.1  # [1/sqrt(s)] of ln F_max and ln K, since the last pose
+DISAGREEMENT = 4.0  # [-] squared innovation, in its variance, from which the soil is another one
+WILD_TURN = 3.0  # [rad/s] a gyro that differs more from the belts is not used
+PROBE_SPEED = 1e-3  # [m/s] at which the slope of the lateral friction is taken
+LARGEST_ACCELERATION = 100.0  # [m/s^2] anything beyond is a fault of the sensor, as NaN is
+LARGEST_SPEED = 100.0  # [m/s] likewise
+LARGEST_SIDE = 0.5  # [-] |v_y| over the speed, as the controller bounds it
+
+# What is remembered of one vehicle, from column `at` of its memory on.
+(
+    SILENT,  # [steps] since the last pose
+    SPEED, BIAS, P_SS, P_SB, P_BB,  # [m/s], [m/s^2], their covariance
+    TURNED, TURN_BIAS, P_TT, P_TG, P_GG,  # [rad], [rad/s], their covariance
+    EFFORT_MAXIMUM, SHEAR_LENGTH, P_FF, P_FK, P_KK, FRICTION,  # of the ground; 0 = not known
+    GAP_X, GAP_Y, GAP_YAW, GAP_SPEED,  # shown minus filtered
+    SEEN_SPEED, SEEN_TURN,  # [m/s], [rad] innovations of the last pose
+    FELT, TURNS,  # [m/s^2], [rad/s] at the last step
+) = range(25)  # fmt: skip
+COLUMNS = 25
+
+_A_X, _A_Y, _YAW_RATE = COLUMN["acceleration_x"], COLUMN["acceleration_y"], COLUMN["yaw_rate"]
+_SPROCKET, _TORQUE = COLUMN["sprocket_speed_left"], COLUMN["torque_left"]
+
+
+@formula
+def silent(memory, i, at, k):
+    """Whether there has been no pose for longer than a late or rare one is away."""
+    return memory[i, at + SILENT] > k.silence
+
+
+@formula
+def _speeds(x, left, right, k):
+    """(v [m/s], w [rad/s]) by belts [m/s] and slips."""
+    v_left = soil.track_speed_from_belt(left, x[SLIP_LEFT])
+    v_right = soil.track_speed_from_belt(right, x[SLIP_RIGHT])
+    return 0.5 * (v_left + v_right), (v_right - v_left) * k.inverse_gauge
+
+
+@formula
+def _restart(memory, i, at, speed, k):
+    """The inertial speed begins anew with `speed` [m/s]; the bias stays."""
+    memory[i, at + SPEED] = speed
+    memory[i, at + P_SS], memory[i, at + P_SB] = 1.0, 0.0
+
+
+@formula
+def _drift(memory, i, first, variance, k):
+    """Covariance of (sum, bias) in columns `first` ff. after a step; variance: of one sample."""
+    square = k.period * k.period
+    memory[i, first] += square * (memory[i, first + 2] + variance)
+    memory[i, first] -= 2.0 * k.period * memory[i, first + 1]
+    memory[i, first + 1] -= k.period * memory[i, first + 2]
+
+
+@formula
+def _compare(memory, i, value, error, variance):
+    """Update (sum, bias) in columns `value` ff. by an error of the sum and its variance."""
+    first = value + 2
+    ss, sb = memory[i, first], memory[i, first + 1]
+    share = 1.0 / (ss + variance)
+    memory[i, value] += ss * share * error
+    memory[i, value + 1] += sb * share * error
+    memory[i, first + 2] -= sb * sb * share
+    memory[i, first + 1] -= ss * sb * share
+    memory[i, first] -= ss * ss * share
+
+
+@formula
+def _slip(belt, speed, held, k):
+    """Slip of a track with `speed` [m/s] over the ground; `held` where its belt stands."""
+    moves = ramp(belt, k.standing_belt) > 0.0
+    slip = soil.slip_ratio(belt, speed) if moves else held
+    return min(max(slip, -SLIP_SHOWN), SLIP_SHOWN)
+
+
+@formula
+def _belt(speed, slip):
+    """Belt speed [m/s] that with this slip gives the speed over the ground."""
+    gain = soil.track_speed_from_belt(1.0, slip if speed >= 0.0 else -slip)
+    return speed / gain
+
+
+@formula
+def carry(memory, i, at, x, last_left, last_right, left, right, values, incline, carried, turn, k):
+    """Inertial speed and heading of one step; without a pose, the slips that they make.
+
+    Belts [m/s] before and now; incline, with turn, carried of `attitude.heading_rate`. Returns
+    (the variance per step [-] of what both slips share, or -1 where they are random walks; belts).
+    """
+    v, w = _speeds(x, last_left, last_right, k)
+    v, w = min(max(v, -LARGEST_SPEED), LARGEST_SPEED), min(max(w, -WILD_TURN), WILD_TURN)
+    if memory[i, at + P_BB] == 0.0:
+        _restart(memory, i, at, v, k)
+        memory[i, at + TURNED], memory[i, at + P_TT] = x[YAW], 1.0
+        memory[i, at + P_BB], memory[i, at + P_GG] = k.bias_variance, k.turn_bias_variance
+        a = values[i, _A_X]
+        memory[i, at + TURNS] = w
+        memory[i, at + FELT] = a if abs(a) < LARGEST_ACCELERATION else 0.0
+    if not silent(memory, i, at, k):
+        v = min(max(memory[i, at + SPEED], -LARGEST_SPEED), LARGEST_SPEED)
+    memory[i, at + SILENT] += 1.0
+    gyro = values[i, _YAW_RATE]
+    turns = abs(gyro - w) < WILD_TURN
+    w = gyro - memory[i, at + TURN_BIAS] if turns else w
+    _drift(memory, i, at + P_TT, k.gyro_variance if turns else 1.0 / k.period, k)
+    turning = turn * w + carried
+    memory[i, at + TURNED] += 0.5 * k.period * (memory[i, at + TURNS] + turning)
+    memory[i, at + TURNS] = turning
+    c, s = rotation(x[SIDE_SLIP])
+    a = values[i, _A_X] + soil.GRAVITY * incline.down_x + w * v * s / c - memory[i, at + BIAS]
+    felt = abs(a) < LARGEST_ACCELERATION
+    if felt:
+        v += 0.5 * k.period * (memory[i, at + FELT] + a)
+        memory[i, at + FELT] = a
+        _drift(memory, i, at + P_SS, k.acceleration_variance, k)
+        memory[i, at + SPEED] = v
+    else:
+        _restart(memory, i, at, v, k)
+    if not silent(memory, i, at, k):
+        return -1.0, left, right
+    if memory[i, at + SILENT] < k.silence + 1.5:  # since the last pose the gyro has turned
+        x[YAW] = memory[i, at + TURNED]
+    half = 0.5 * w / k.inverse_gauge
+    x[SLIP_LEFT] = _slip(left, v - half, x[SLIP_LEFT], k)
+    x[SLIP_RIGHT] = _slip(right, v + half, x[SLIP_RIGHT], k)
+    left = _belt(v - half, x[SLIP_LEFT])
+    right = _belt(v + half, x[SLIP_RIGHT])
+    if not felt:
+        return 0.5 * k.slip_drift, left, right
+    mean = max(0.5 * (abs(left) + abs(right)), STANDING_VEHICLE)
+    time = memory[i, at + SILENT] * k.period
+    noise = k.period * k.acceleration_variance + 3.0 * memory[i, at + P_BB] * time
+    return k.period * noise / (mean * mean), left, right
+
+
+@formula
+def _speed_variance(p, left, right):
+    """Variance [m^2/s^2] of the speed by slips of covariance p and belts [m/s]."""
+    both = 2.0 * left * right * p[SLIP_LEFT, SLIP_RIGHT]
+    return 0.25 * abs(
+        left * left * p[SLIP_LEFT, SLIP_LEFT] + right * right * p[SLIP_RIGHT, SLIP_RIGHT] + both
+    )
+
+
+@formula
+def add_shown(memory, i, at, x, left, right, sign, k):
+    """Add the filtered pose and speed to the gap (sign 1) before the first pose after an outage
+    is used, and take them off (-1) afterwards: what is shown stays where it was."""
+    memory[i, at + GAP_X] += sign * x[X]
+    memory[i, at + GAP_Y] += sign * x[Y]
+    memory[i, at + GAP_YAW] += sign * x[YAW]
+    memory[i, at + GAP_SPEED] += sign * _speeds(x, left, right, k)[0]
+
+
+@formula
+def see(memory, i, at, v, yaw, age, values, k):
+    """Take down by how much v [m/s] and yaw [rad] of a sample differ from inertial ones, then."""
+    a, w = values[i, _A_X] - memory[i, at + BIAS], values[i, _YAW_RATE] - memory[i, at + TURN_BIAS]
+    a = a if abs(a) < LARGEST_ACCELERATION else 0.0
+    w = w if abs(w) < WILD_TURN else 0.0
+    memory[i, at + SEEN_SPEED] = v - (memory[i, at + SPEED] - age * a)
+    memory[i, at + SEEN_TURN] = wrap_angle(yaw - (memory[i, at + TURNED] - age * w))
+
+
+@formula
+def settle(memory, i, at, x, left, right, used, k):
+    """At the end of a step, with belts [m/s]; used: a pose was, and inertial speed and
+    heading are compared with it."""
+    v, _w = _speeds(x, left, right, k)
+    for column in range(GAP_X, GAP_SPEED + 1):
+        memory[i, at + column] *= k.fading
+    if not used:
+        if silent(memory, i, at, k):
+            memory[i, at + SPEED] = v
+        return
+    if silent(memory, i, at, k):
+        add_shown(memory, i, at, x, left, right, -k.fading, k)
+        _restart(memory, i, at, v, k)
+        memory[i, at + TURNED] = x[YAW]
+        memory[i, at + P_TT], memory[i, at + P_TG] = 1.0, 0.0
+    memory[i, at + SILENT] = 0.0
+    if abs(memory[i, at + SEEN_SPEED]) < LARGEST_SPEED:
+        _compare(memory, i, at + SPEED, memory[i, at + SEEN_SPEED], k.velocity_variance)
+    _compare(memory, i, at + TURNED, memory[i, at + SEEN_TURN], k.yaw_variance)
+
+
+@formula
+def _of_effort(memory, i, at, values, side, k):
+    """(speed [m/s] of a track by belt and torque, its change [m/s] per ln F_max, per ln K).
+
+    NaN where a braked belt does not tell it.
+    """
+    belt = k.radius * values[i, _SPROCKET + side]
+    effort, maximum = values[i, _TORQUE + side] / k.radius, memory[i, at + EFFORT_MAXIMUM]
+    length = memory[i, at + SHEAR_LENGTH]
+    slip = soil.slip_from_effort(effort, maximum, length)
+    u = abs(slip) * length
+    share, rise = soil.mobilised_shear(u), soil.mobilised_shear_slope(u)
+    bend = -share / (max(rise, 1e-9) * length)
+    bend = bend if effort >= 0.0 else -bend
+    if slip * belt < -LARGEST_BRAKING * abs(belt) or abs(belt) < k.standing_belt:
+        return math.nan, 0.0, 0.0
+    slip = min(max(slip, -SLIP_LIMIT), SLIP_LIMIT)
+    return soil.track_speed_from_belt(belt, slip), -belt * bend, -belt * slip
+
+
+@formula
+def _speed_row(memory, i, at, values, v, p, left, right, k):
+    """(v [m/s] by the effort of both tracks, its variance for one sample)."""
+    if memory[i, at + EFFORT_MAXIMUM] <= 0.0:
+        return v, UNSEEN
+    one, f_left, k_left = _of_effort(memory, i, at, values, 0, k)
+    two, f_right, k_right = _of_effort(memory, i, at, values, 1, k)
+    by_effort, f, twist = 0.5 * (one + two), 0.5 * (f_left + f_right), 0.5 * (k_left + k_right)
+    changed = SOIL_DRIFT * SOIL_DRIFT * memory[i, at + SILENT] * k.period
+    changed = changed if memory[i, at + P_FF] > 0.0 else 0.0  # a soil that is certain
+    spread = f * f * (memory[i, at + P_FF] + changed)
+    spread += twist * twist * (memory[i, at + P_KK] + changed)
+    spread = max(spread + 2.0 * f * twist * memory[i, at + P_FK], 0.0)
+    known = _speed_variance(p, left, right)
+    floor = SPEED_FLOOR * SPEED_FLOOR
+    error = by_effort - v
+    certain = memory[i, at + P_FF] == 0.0
+    if not certain and error * error > DISAGREEMENT * (known + spread + floor):
+        spread += error * error
+    variance = floor + spread * OUTAGE_TIME / k.period
+    usable = abs(by_effort) < LARGEST_SPEED and variance < math.inf
+    return (by_effort, variance) if usable else (v, UNSEEN)
+
+
+@formula
+def _side_row(memory, i, at, values, v, w, press, k):
+    """(v_y [m/s] by the lateral friction, its variance)."""
+    bound = LARGEST_SIDE * abs(v)
+    if k.constrained > 0.0:
+        return min(max(-k.icr_forward * w, -bound), bound), SIDE_FLOOR * SIDE_FLOOR
+    felt, friction = values[i, _A_Y], memory[i, at + FRICTION]
+    if not (friction > 0.0 and abs(felt) < LARGEST_ACCELERATION):
+        return 0.0, UNSEEN
+    intensity = friction * soil.GRAVITY * press / k.contact_length
+    force, _moment = soil.lateral_friction(PROBE_SPEED, w, intensity, k.contact_length)
+    v_y = felt * PROBE_SPEED / min(force, -1e-9)
+    return min(max(v_y, -bound), bound), SIDE_FLOOR * SIDE_FLOOR
+
+
+@formula
+def measure(memory, i, at, values, fresh, expected, p, left, right, press, k, z, noise):
+    """z (ROWS,) and its R (ROWS, ROWS) of a step without a pose; expected: z by the model."""
+    noise[:, :] = 0.0
+    for row in range(6):
+        z[row] = expected[row]
+        noise[row, row] = UNSEEN
+    gyro = values[i, _YAW_RATE]
+    if fresh[i, INERTIAL] and abs(gyro - expected[5]) < WILD_TURN:
+        z[5], noise[5, 5] = gyro - memory[i, at + TURN_BIAS], k.gyro_variance
+    z[3], noise[3, 3] = _speed_row(memory, i, at, values, expected[3], p, left, right, k)
+    side, variance = _side_row(memory, i, at, values, expected[3], z[5], press, k)
+    if variance < UNSEEN and abs(expected[3]) > STANDING_VEHICLE:
+        z[4], noise[4, 4] = side, variance
+
+
+@formula
+def take_ground(memory, i, at, maximum, modulus, ff, fk, kk, friction, k):
+    """F_max [N] of a track, K [m], variances of their logarithms and mu_t, as identified."""
+    memory[i, at + EFFORT_MAXIMUM] = maximum
+    memory[i, at + SHEAR_LENGTH] = k.contact_length / modulus
+    memory[i, at + P_FF], memory[i, at + P_FK], memory[i, at + P_KK] = ff, fk, kk
+    memory[i, at + FRICTION] = friction

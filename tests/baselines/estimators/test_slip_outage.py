@@ -1,0 +1,257 @@
+"""Outages of the pose: what the slip observer goes by, what it claims, and how it comes back."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from baselines.estimators import slip_outage, slip_step
+from baselines.estimators.sensor_samples import COLUMN, DataSheet
+from baselines.estimators.slip_filterpy import FilterpySlipObserver
+from baselines.estimators.slip_observer import SlipObserver
+from baselines.estimators.stack import IdentificationStack
+from baselines.registry import adaptive, oracle
+from tests.baselines.episodes import context
+from tests.baselines.estimators.slip_cases import PARAMETERS, PERIOD, RTK, weaving
+from tests.baselines.estimators.slip_cases import simulate as slipping
+from tracked_env.engine import columns as b
+from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.parameters import plant_parameters
+from tracked_env.sensors import make_sensors
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+SEED = 70_500
+STEPS, COUNT = 1500, 16
+BEGIN, END = 400, 700  # [steps] of the outage of simulated kinematics
+_RADIUS = PARAMETERS.sprocket_radius
+
+
+def blind(measurements, begin=BEGIN, end=END):
+    """The same without new poses from `begin` to `end`."""
+    for k, m in enumerate(measurements):
+        if begin <= k < end:
+            m.fresh[:, 0] = False
+            m.values[:, :5] = measurements[begin - 1].values[:, :5]
+            m.age[:, 0] = (k - begin + 1) * PERIOD
+    return measurements
+
+
+def felt(run, rng=None, sheet=RTK, bias=0.0):
+    """Accelerometers into the measurements of a kinematic run, from its velocities."""
+    v, w = run.velocity[..., :2], run.velocity[..., 2]
+    rate = np.gradient(v, PERIOD, axis=0)
+    noise = np.zeros((*w.shape, 2)) if rng is None else rng.standard_normal((*w.shape, 2))
+    for k, m in enumerate(run.measurements):
+        sigma = sheet.acceleration_noise
+        m.values[:, COLUMN["acceleration_x"]] = rate[k, :, 0] - w[k] * v[k, :, 1] + bias
+        m.values[:, COLUMN["acceleration_y"]] = rate[k, :, 1] + w[k] * v[k, :, 0]
+        m.values[:, COLUMN["acceleration_x"] : COLUMN["yaw_rate"]] += sigma * noise[k]
+    return run
+
+
+class Driven:
+    """Episodes with outages: what the observer claims and errs, (steps, N, ..)."""
+
+    def __init__(self, factory, uncertainty, sensors="rtk-outages", count=COUNT):
+        env = TrackedVehicleVectorEnv(
+            count, uncertainty=uncertainty, sensors=sensors, duration=STEPS * PERIOD,
+            expose_truth=True, autoreset_mode="Disabled",
+        )  # fmt: skip
+        policy = factory(context(make_sensors(sensors)))
+        observation, info = env.reset(seed=SEED)
+        arrays, state = env.simulation.batch, None
+        kept = {name: [] for name in ("error", "sigma", "nees", "missing", "tracking", "action")}
+        for _ in range(STEPS):
+            if getattr(policy, "needs_truth", False):
+                policy.observe_truth(info["truth"])
+            true = np.stack([arrays.column(n) for n in ("x", "y", "yaw")], axis=1)
+            path = np.stack([arrays.column(f"reference_{n}") for n in ("x", "y", "yaw")], axis=1)
+            step, until = arrays.counters[:, b.STEP], arrays.counters[:, b.OUTAGE_UNTIL]
+            kept["missing"].append(step < until)
+            action, state = policy.predict(observation, state)
+            known = getattr(policy, "_policy", policy).known
+            value, covariance = known.parts.answers["slip"][:2]
+            error = (value[:, :3] - known.reading.reference) - (true - path)
+            error[:, 2] = (error[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+            p = covariance[:, :3, :3]
+            kept["error"].append(error)
+            kept["sigma"].append(np.sqrt(np.diagonal(p, axis1=1, axis2=2)))
+            kept["nees"].append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(p), error) / 3.0)
+            observation, *_, info = env.step(action)
+            kept["tracking"].append(info["tracking_error"][:, 0])
+            kept["action"].append(action)
+        for name, rows in kept.items():
+            setattr(self, name, np.array(rows))
+        self.missing[:100] = False
+
+
+@cache
+def driven(factory, uncertainty, sensors="rtk-outages"):
+    return Driven(factory, uncertainty, sensors)
+
+
+SETS = ("soil-and-mass", "weak-soil", "alternating-soils")
+
+
+@pytest.mark.parametrize("uncertainty", SETS)
+def test_in_an_outage_the_claimed_covariance_of_the_pose_is_true(uncertainty):
+    run = driven(adaptive, uncertainty)
+    assert run.missing.mean() > 0.3
+    assert run.nees[run.missing].mean() < 2.0
+    inside = np.abs(run.error) <= 3.0 * run.sigma
+    assert (inside[run.missing].mean(axis=0) >= 0.97).all()
+    # and it is not padded: claims are of the size of the errors
+    claimed, made = (np.sqrt((x[run.missing][:, :2] ** 2).mean()) for x in (run.sigma, run.error))
+    assert claimed < 4.0 * made
+
+
+@pytest.mark.parametrize("uncertainty", SETS)
+def test_ten_seconds_without_a_pose_cost_a_few_centimetres(uncertainty):
+    run = driven(adaptive, uncertainty)
+    assert np.sqrt((run.error[run.missing][:, :2] ** 2).mean()) < 0.06  # [m]; 0.3 by random walks
+
+
+def test_who_knows_the_soil_errs_less_where_slip_is_large():
+    ours, known = (driven(factory, "weak-soil") for factory in (adaptive, oracle))
+    along = [np.median((r.error[..., :2] ** 2).sum(axis=2)[r.missing]) for r in (ours, known)]
+    assert along[1] < along[0]
+    assert known.sigma[known.missing][:, 0].mean() < ours.sigma[ours.missing][:, 0].mean()
+
+
+@pytest.mark.parametrize("uncertainty", SETS)
+def test_the_first_pose_after_an_outage_makes_no_jump_of_the_action(uncertainty):
+    run = driven(adaptive, uncertainty)
+    change = np.abs(np.diff(run.action, axis=0)).max(axis=2)
+    returned = run.missing[:-1] & ~run.missing[1:]
+    assert returned.sum() > 10
+    assert change[returned].max() < 0.05  # [-] of the torque limit; 1 without blending
+
+
+def test_effort_and_known_soil_hold_the_speed_where_the_accelerometer_is_missing():
+    """Slip 0.2 on both tracks by S (7); before the outage the filter has seen a slip of 0.1."""
+    sheet = DataSheet(*[0.0] * 7, 1.0, 0.0, 0.0)
+    belts = np.full((END, 1, 2), 2.0)
+    slips = np.where(np.arange(END)[:, None, None] < BEGIN, 0.1, 0.2)
+    run = slipping(belts, slips, 0.0, sheet)
+    maximum, modulus = 8000.0, 0.02
+    length = PARAMETERS.contact_length / modulus
+    for k, m in enumerate(blind(run.measurements)):
+        effort = soil.tractive_effort(float(slips[k, 0, 0]), maximum, length)
+        for side in ("left", "right"):
+            m.values[:, COLUMN[f"torque_{side}"]] = effort * _RADIUS
+    errors = []
+    for known in (True, False):
+        observer = SlipObserver(PARAMETERS, PERIOD, sheet)
+        for m in run.measurements:
+            if known:
+                ground = np.array([[maximum, modulus]])
+                observer.take_ground(ground, np.zeros((1, 2, 2)), np.array([0.6]))
+            answer = observer.update(m)
+        errors.append(float(run.state[-1, 0, 0] - answer.value[0, 0]))
+    assert abs(errors[0]) < 0.1  # of 9.6 m; most of it in the first 0.25 s and until v has settled
+    assert errors[1] == pytest.approx(-0.1 * 2.0 * (END - BEGIN) * PERIOD, rel=0.05)
+
+
+def test_the_inertial_speed_carries_slips_that_change_unseen_and_its_bias_is_learned():
+    rng, bias = np.random.default_rng(3), 0.02
+    belts = weaving(END + 1, 4)
+    slips = np.full((END + 1, 4, 2), 0.05)
+    slips[BEGIN + 20 :] = 0.3  # another soil
+    slips[BEGIN + 20 : BEGIN + 60] = np.linspace(0.05, 0.3, 40)[:, None, None]
+    run = felt(slipping(belts, slips, 0.0), rng, bias=bias)
+    observer = SlipObserver(PARAMETERS, PERIOD, RTK, 4)
+    for m in blind(run.measurements)[:END]:
+        answer = observer.update(m)
+    way = np.linalg.norm(run.state[END - 1, :, :2] - answer.value[:, :2], axis=1)
+    assert way.max() < 0.15  # [m]; 2.5 m by the slips of before
+    assert np.allclose(answer.value[:, 3:5], 0.3, atol=0.03)
+    learned = observer.memory[:, slip_step.OUTAGE + slip_outage.BIAS]
+    assert np.allclose(learned, bias, atol=0.01)
+
+
+def test_the_gyro_holds_the_heading_and_its_bias_is_learned():
+    rng, bias = np.random.default_rng(4), 0.01
+    run = felt(slipping(weaving(END, 4), 0.05, 0.0), rng)
+    for m in run.measurements:
+        m.values[:, COLUMN["yaw_rate"]] += bias
+    sheet = RTK._replace(gyro_bias=bias)
+    observer = SlipObserver(PARAMETERS, PERIOD, sheet, 4)
+    for m in blind(run.measurements):
+        answer = observer.update(m)
+    learned = observer.memory[:, slip_step.OUTAGE + slip_outage.TURN_BIAS]
+    assert np.allclose(learned, bias, atol=0.0015)
+    assert np.abs(run.state[END - 1, :, 2] - answer.value[:, 2]).max() < 0.02  # 0.06 by the bias
+
+
+def test_a_belt_that_stands_while_the_track_slides_does_not_stop_the_vehicle():
+    belts = np.full((END, 1, 2), 2.0)
+    run = felt(slipping(belts, 0.0, 0.0))
+    for m in blind(run.measurements)[BEGIN + 30 :]:  # the left track is locked and slides on
+        m.values[:, COLUMN["sprocket_speed_left"]] = 0.0
+    observer = SlipObserver(PARAMETERS, PERIOD, RTK)
+    for m in run.measurements:
+        answer = observer.update(m)
+    assert abs(run.state[-1, 0, 0] - answer.value[0, 0]) < 0.1
+
+
+def test_a_pose_that_is_only_late_or_rare_is_no_outage():
+    """Within 0.25 s nothing but the random walk: same numbers with and without accelerometers."""
+    plain, more = (slipping(weaving(300), 0.1, 0.03, delay=10) for _ in range(2))
+    felt(more, bias=0.5)
+    one, other = (SlipObserver(PARAMETERS, PERIOD, RTK) for _ in range(2))
+    for k, (a, c) in enumerate(zip(plain.measurements, more.measurements, strict=True)):
+        a.fresh[:, 0] = c.fresh[:, 0] = k % 12 == 0
+        ours, theirs = one.update(a), other.update(c)
+        assert np.array_equal(ours.value, theirs.value)
+        assert np.array_equal(ours.covariance, theirs.covariance)
+
+
+def test_the_soil_learns_nothing_from_slips_that_it_has_predicted_itself():
+    observer = SlipObserver(PARAMETERS, PERIOD, RTK, 2)
+    run = slipping(weaving(END, 2), 0.1, 0.0)
+    for k, m in enumerate(blind(run.measurements)):
+        observer.update(m)
+        silent = k >= BEGIN + 12  # 0.25 s
+        assert np.isinf(observer.slip_variances).all() == silent
+    stack = IdentificationStack(plant_parameters(), PERIOD)
+    stack.soil.provide_slip(np.full((1, 2), 0.1), np.full((1, 2), np.inf))
+    before = stack.soil.memory.copy()
+    m.values[:, COLUMN["torque_left"]] = m.values[:, COLUMN["torque_right"]] = 2000.0
+    stack.soil.update(type(m)(m.values[:1], m.fresh[:1], m.age[:1]))
+    assert np.array_equal(stack.soil.memory, before)
+
+
+def test_both_observers_agree_through_outages():
+    one = SlipObserver(PARAMETERS, PERIOD, RTK, 2)
+    other = FilterpySlipObserver(PARAMETERS, PERIOD, RTK, 2)
+    run = felt(slipping(weaving(500, 2), 0.1, 0.03), np.random.default_rng(2))
+    measurements = blind(blind(run.measurements, 100, 250), 320, 420)
+    for k, m in enumerate(measurements):
+        m.values[:, COLUMN["torque_left"]] = m.values[:, COLUMN["torque_right"]] = 1500.0
+        if k == 150:
+            m.values[:] = np.nan
+        for each in (one, other):
+            ground, spread = np.array([[9e3, 0.02]] * 2), np.array([np.diag([1e5, 1e-6])] * 2)
+            each.take_ground(ground, spread, np.array([0.6, 0.8]))
+        ours, theirs = one.update(m), other.update(m)
+        limit = 1e-9 if k >= 50 else 1e-8
+        assert np.abs(ours.value - theirs.value).max() < limit
+        assert np.abs(ours.covariance - theirs.covariance).max() < limit
+        assert np.array_equal(ours.nis, theirs.nis, equal_nan=True) or np.allclose(
+            ours.nis, theirs.nis, rtol=1e-7, equal_nan=True
+        )
+        assert np.array_equal(ours.status, theirs.status)
+    assert np.abs(one.memory - other.memory)[:, : slip_step.RING].max() < 1e-9
+
+
+def test_a_batch_is_its_vehicles_alone_bit_for_bit_through_an_outage():
+    run = felt(slipping(weaving(400, 3), 0.1, 0.03), np.random.default_rng(2))
+    measurements = blind(run.measurements, 150, 300)
+    together = SlipObserver(PARAMETERS, PERIOD, RTK, 3)
+    alone = [SlipObserver(PARAMETERS, PERIOD, RTK) for _ in range(3)]
+    for m in measurements:
+        whole = together.update(m)
+        for i, each in enumerate(alone):
+            own = each.update(type(m)(*(array[i : i + 1] for array in m)))
+            assert np.array_equal(own.value[0], whole.value[i])
+            assert np.array_equal(own.covariance[0], whole.covariance[i])

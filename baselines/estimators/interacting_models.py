@@ -229,13 +229,33 @@ def _watch(memory, i, sample, prior, table, hold_1):
 
 
 @formula
-def learn_apart(memory, i, sample, prior):
-    """Take an equation on parameter 1 alone into all models and the monitor; it ages nothing."""
+def wait(memory, i, prior, table):
+    """A control step without a sample. During an alarm parameter 2 is taken to walk on, as fast as
+    it can; else nothing is known to change, and all is kept."""
+    if memory[i, ALARM] <= 0.0 or memory[i, ODDS] == 0.0:
+        return
+    memory[i, ALARM] = max(memory[i, ALARM] - table[SLOW, AVERAGED] * TREND_TIME, 0.0)
     for k in range(MODELS + 1):
+        _walk(memory, i, _FIRST + k * ls.SIZE, prior, 0.0, table[FAST, WALK_2])
+    mix(memory, i)
+
+
+@formula
+def learn_apart(memory, i, sample, prior):
+    """Take an equation on parameter 1 alone into all models, not into the monitor; it ages nothing."""
+    for k in range(MODELS):
         h = _FIRST + k * ls.SIZE
         error, _gain = ls.innovation(memory, i, h, sample, prior)
         ls.learn(memory, i, h, sample, prior, error, False)
     mix(memory, i)
+
+
+@formula
+def watched(memory, i, prior):
+    """(theta_1, its variance) as the monitor has them, which takes no equation apart."""
+    p_11, _p_12, _p_22 = _covariance(memory, i, _MONITOR)
+    theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, _MONITOR + ls.X_1]
+    return max(theta_1, prior.low_1), p_11 * prior.sigma_1 * prior.sigma_1
 
 
 @formula

@@ -44,7 +44,7 @@ INSIDE = 0.6  # [-] of the half contact: the ICR must lie inside it
 ERROR = 0.03  # [-] of the equation, relative
 ERROR_TIME = 10.0  # [s] for which that error lasts
 RATIO_TIME = 15.0  # [s] of calm time over which the equation is compared
-RATIO = 0.15  # [-] by which the ratio may differ from 1
+RATIO = 0.2  # [-] by which the ratio may differ from 1
 
 _V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
 _A_Y = COLUMN["acceleration_y"]
@@ -86,9 +86,9 @@ def expected(z, i, known, inverse_mass, friction, friction_variance, press):
 def _agrees(memory, i):
     """Whether the ratio of measured to expected v_y is 1, as far as it is known."""
     square = memory[i, SQUARE]
-    if square <= 0.0:
-        return True
-    return abs(memory[i, PRODUCT] / square - 1.0) <= max(RATIO, 2.0 / math.sqrt(square))
+    if square <= 4.0:
+        return False
+    return abs(memory[i, PRODUCT] / square - 1.0) <= max(RATIO, 1.0 / math.sqrt(square))
 
 
 @loop
@@ -109,15 +109,22 @@ def update_all(z, fresh, age, attitude, memory, longitudinal, prior, turning, ot
         _inertia, friction = ls.values(turning, i, other_prior)
         _i_i, _i_c, c_c = ls.covariance(turning, i, other_prior)
         found, variance = expected(z, i, known, inverse_mass, friction, c_c, press)
+        known_apart, p_11 = im.watched(longitudinal, i, prior)
         calm = longitudinal[i, im.ALARM] <= 0.0 and turning[i, im.ALARM] <= 0.0
         if calm and longitudinal[i, im.ODDS] > 0.5:
-            memory[i, SQUARE] = known.keep * memory[i, SQUARE] + found * found / variance
-            memory[i, PRODUCT] = known.keep * memory[i, PRODUCT] + found * v_y / variance
+            apart = found * inverse_mass / known_apart
+            doubt = variance + apart * apart * p_11 / (known_apart * known_apart) * known.lasting
+            memory[i, SQUARE] = known.keep * memory[i, SQUARE] + apart * apart / doubt
+            memory[i, PRODUCT] = known.keep * memory[i, PRODUCT] + apart * v_y / doubt
         slope = -found / inverse_mass
         sample = ls.Sample(v_y - found + slope * inverse_mass, slope, 0.0, variance, 0.0)
         error, gain = ls.innovation(longitudinal, i, 0, sample, prior)
         usual = error * error < im.OUTLIER_GATE * (gain + variance)
-        if usual and _agrees(memory, i):
+        agrees = _agrees(memory, i)
+        square = memory[i, SQUARE]
+        if square > 0.0 and abs(memory[i, PRODUCT] / square - 1.0) > max(0.25, 3.0 / math.sqrt(square)):
+            turning[i, im.ALARM] = im.TREND_HELD
+        if usual and agrees:
             im.learn_apart(longitudinal, i, sample, prior)
 
 

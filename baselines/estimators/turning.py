@@ -88,6 +88,8 @@ def update_all(z, fresh, attitude, memory, prior, table, known, mass, variance, 
                 status = REJECTED
             elif moving:
                 status, nis = take(memory, i, sample, prior, table)
+            elif table.shape[0] > 0:
+                im.wait(memory, i, prior, table)
         answer(memory, i, prior, status, nis, out)
         per_mass(out, i, mass, variance, known)
 

@@ -50,6 +50,7 @@ LEAST_EVIDENCE = -6.0  # [-] log of the likelihood ratio of one sample to the be
 TREND_TIME = 1.5  # [s] over which the monitor averages
 TREND_HELD = 4.0  # [s] that an alarm lasts
 MOST_NORMALISED = 3.0  # [-] that a sample may count in that mean: a change is no trend
+JUMPED = 0.15  # [-] odds of a jump from which on other estimators are told
 RESTART = 0.3  # [-] odds of a border or jump from which on the monitor begins anew
 
 # Blocks of `memory`, in columns: 0 is the mixture, then the models, then the monitor.
@@ -223,7 +224,9 @@ def _watch(memory, i, sample, prior, table, hold_1):
     normalised = min(max(normalised, -MOST_NORMALISED), MOST_NORMALISED)
     memory[i, TREND] += share * (normalised - memory[i, TREND])
     squared = memory[i, TREND] * memory[i, TREND] * (2.0 - share) / share
-    if squared > table[SLOW, GATE] and memory[i, ALARM] == 0.0:
+    smallest, _largest = ls.eigenvalues(memory, i)
+    determined = smallest >= ls.EXCITED
+    if squared > table[SLOW, GATE] and memory[i, ALARM] == 0.0 and determined:
         memory[i, ALARM] = TREND_HELD
     ls.learn(memory, i, _MONITOR, sample, prior, error, hold_1)
 
@@ -256,6 +259,20 @@ def watched(memory, i, prior):
     p_11, _p_12, _p_22 = _covariance(memory, i, _MONITOR)
     theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, _MONITOR + ls.X_1]
     return max(theta_1, prior.low_1), p_11 * prior.sigma_1 * prior.sigma_1
+
+
+@formula
+def jumped(memory, i):
+    """Whether parameter 1 of vehicle i is seen to jump in this control step."""
+    return memory[i, ODDS + JUMP] > JUMPED
+
+
+@formula
+def let_jump(memory, i, prior, table):
+    """Something outside says that the parameters of vehicle i have jumped."""
+    for k in range(MODELS + 1):
+        _walk(memory, i, _FIRST + k * ls.SIZE, prior, table[JUMP, WALK_1], table[JUMP, WALK_2])
+    mix(memory, i)
 
 
 @formula

@@ -102,13 +102,15 @@ def per_mass_all(out, mass, variance, known):
 
 
 @loop
-def hand_on(answer, longitudinal, memory, mass, variance, resistance):
+def hand_on(answer, longitudinal, memory, prior, table, mass, variance, resistance):
     """What the longitudinal estimator answers, for this one: mass, its variance and mu_l (N,).
 
     longitudinal: the memory of that estimator; an alarm in one of the two memories is one in both.
     """
     for i in range(memory.shape[0]):
         im.share_alarm(memory, longitudinal, i)
+        if table.shape[0] > 0 and memory[i, im.ODDS] > 0.0 and im.jumped(longitudinal, i):
+            im.let_jump(memory, i, prior, table)
         mass[i] = 1.0 / answer[i, VALUE_1]
         variance[i] = answer[i, P_11] * mass[i] ** 4
         resistance[i] = answer[i, VALUE_2]
@@ -204,13 +206,9 @@ class TurningEstimator(TwoParameterEstimator):
         source = parts["longitudinal"]
         assert isinstance(source, LongitudinalEstimator)
         hand_on(
-            source.answer,
-            source.memory,
-            self.memory,
-            self.mass,
-            self.mass_variance,
-            self.resistance,
-        )
+            source.answer, source.memory, self.memory, self.prior, self.table,
+            self.mass, self.mass_variance, self.resistance,
+        )  # fmt: skip
 
     def known(self) -> tuple[Any, ...]:
         """Constants of the equation, and what the longitudinal estimator knows."""

@@ -54,6 +54,7 @@ MODEL_NOISE = 0.02  # [m/s^2] of the equation itself: what the model leaves out
 
 _V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
 _A_X, _TORQUE = COLUMN["acceleration_x"], COLUMN["torque_left"]
+_SPROCKET = COLUMN["sprocket_speed_left"]
 
 
 class Known(NamedTuple):
@@ -70,6 +71,12 @@ class Known(NamedTuple):
 
 
 @formula
+def _against(belt, track, slowest):
+    """Whether a belt runs against its track: then the sign of the filtered speed is in doubt."""
+    return belt * track < 0.0 and abs(belt) > slowest
+
+
+@formula
 def equation(z, i, known, press):
     """The Sample of vehicle i from its measurement z (N, 13), and whether the tracks move.
 
@@ -79,6 +86,11 @@ def equation(z, i, known, press):
     left, right = v_x - w * known.half_gauge, v_x + w * known.half_gauge
     force = (z[i, _TORQUE] + z[i, _TORQUE + 1]) * known.inverse_radius
     slowest = min(abs(left), abs(right)) if known.coupled else abs(v_x)
+    belt_left = z[i, _SPROCKET] / known.inverse_radius
+    belt_right = z[i, _SPROCKET + 1] / known.inverse_radius
+    doubt = known.coupled and (
+        _against(belt_left, left, known.slowest) or _against(belt_right, right, known.slowest)
+    )
     if known.coupled:
         y = z[i, _A_X]
         side = 0.5 * (math.copysign(1.0, left) + math.copysign(1.0, right))
@@ -89,7 +101,7 @@ def equation(z, i, known, press):
     variance = known.acceleration_variance + scale * known.effort_variance
     return ls.Sample(
         y, force, -soil.GRAVITY * press * side, variance, known.effort_variance
-    ), slowest > known.slowest
+    ), slowest > known.slowest and not doubt
 
 
 @loop

@@ -10,7 +10,8 @@ change slowly. Its variance: velocity, lateral accelerometer with its bias, C, a
 itself, whose error lasts for ERROR_TIME: a sample counts that much less.
 It holds where friction is that of the lumped lateral model. Elsewhere it would falsify the mass, so
 it is compared with the longitudinal regression while nothing changes: the ratio of measured to
-expected v_y must be 1 within RATIO, or within two deviations of what is known of it.
+expected v_y must be known to PROVEN, and be 1 within RATIO or its own deviation. Where it is
+clearly another, friction is not that of the lumped model, and the inertia is let walk (an alarm).
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 3 (lateral friction).
 """
@@ -19,15 +20,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
+from baselines.estimators.estimate import Setting
 from baselines.estimators.sensor_samples import (
     COLUMN,
     INERTIAL,
     POSE,
-    DataSheet,
     Measurement,
     attitude_of,
 )
@@ -35,7 +36,6 @@ from baselines.estimators.turning_equation import lever
 from baselines.estimators.two_parameters import TwoParameterEstimator
 from tracked_env.physics.attitude import incline_of
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
 
 LEAST_TURN = 0.1  # [rad/s] slower turns say nothing
@@ -44,7 +44,10 @@ INSIDE = 0.6  # [-] of the half contact: the ICR must lie inside it
 ERROR = 0.03  # [-] of the equation, relative
 ERROR_TIME = 10.0  # [s] for which that error lasts
 RATIO_TIME = 15.0  # [s] of calm time over which the equation is compared
+CALM_ODDS = 0.5  # [-] of the calm model, from which on the time is calm
+PROVEN = 0.5  # [-] deviation of the ratio from which on the equation may be used
 RATIO = 0.2  # [-] by which the ratio may differ from 1
+WRONG = 0.25  # [-] and three deviations: then the yaw equation is not that of this vehicle either
 
 _V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
 _A_Y = COLUMN["acceleration_y"]
@@ -83,64 +86,84 @@ def expected(z, i, known, inverse_mass, friction, friction_variance, press):
 
 
 @formula
-def _agrees(memory, i):
-    """Whether the ratio of measured to expected v_y is 1, as far as it is known."""
+def _compare(memory, i, known, found, v_y, variance, relative):
+    """Add a sample to the sums for the ratio of measured v_y to `found`, the expected one.
+
+    relative [-]: variance of the mass it was found with, over its square; that error lasts.
+    """
+    weight = 1.0 / (variance + found * found * relative * known.lasting)
+    memory[i, SQUARE] = known.keep * memory[i, SQUARE] + found * found * weight
+    memory[i, PRODUCT] = known.keep * memory[i, PRODUCT] + found * v_y * weight
+
+
+@formula
+def _ratio(memory, i):
+    """(difference of the ratio from 1, its standard deviation); infinite while nothing is known."""
     square = memory[i, SQUARE]
-    if square <= 4.0:
-        return False
-    return abs(memory[i, PRODUCT] / square - 1.0) <= max(RATIO, 1.0 / math.sqrt(square))
+    if square <= 0.0:
+        return math.inf, math.inf
+    return abs(memory[i, PRODUCT] / square - 1.0), 1.0 / math.sqrt(square)
+
+
+@formula
+def _usable(z, i, fresh, age, known):
+    """Whether velocity and acceleration are of one moment, of a vehicle that turns forward."""
+    together = fresh[i, POSE] and fresh[i, INERTIAL] and age[i, POSE] == age[i, INERTIAL]
+    v_x, v_y, w = z[i, _V_X], z[i, _V_Y], z[i, _W]
+    inside = abs(v_y) < INSIDE * known.half_length * abs(w)
+    finite = math.isfinite(v_x + v_y + w + z[i, _A_Y])
+    return together and finite and inside and v_x > LEAST_SPEED and abs(w) > LEAST_TURN
+
+
+@formula
+def _take(memory, i, longitudinal, prior, known, v_y, found, variance, inverse_mass):
+    """Use the measured v_y for 1/m, where the equation has been found to hold."""
+    slope = -found / inverse_mass
+    sample = ls.Sample(v_y - found + slope * inverse_mass, slope, 0.0, variance, 0.0)
+    error, gain = ls.innovation(longitudinal, i, 0, sample, prior)
+    usual = error * error < im.OUTLIER_GATE * (gain + variance)
+    off, deviation = _ratio(memory, i)
+    if usual and deviation < PROVEN and off <= max(RATIO, deviation):
+        im.learn_apart(longitudinal, i, sample, prior)
 
 
 @loop
 def update_all(z, fresh, age, attitude, memory, longitudinal, prior, turning, other_prior, known):
     """One sample of every vehicle: z (N, CHANNELS), fresh, age and attitude (N, 3), memory (N, 2)
-    and that of the longitudinal regression in and out, and that of the turning one."""
+    and those of the longitudinal and the turning regression in and out."""
     for i in range(z.shape[0]):
-        together = fresh[i, POSE] and fresh[i, INERTIAL] and age[i, POSE] == age[i, INERTIAL]
-        v_x, v_y, w = z[i, _V_X], z[i, _V_Y], z[i, _W]
-        if not (together and math.isfinite(v_y + z[i, _A_Y]) and v_x > LEAST_SPEED):
-            continue
-        if not (abs(w) > LEAST_TURN and abs(v_y) < INSIDE * known.half_length * abs(w)):
-            continue
-        if longitudinal[i, im.ODDS] == 0.0 or turning[i, im.ODDS] == 0.0:
+        started = longitudinal[i, im.ODDS] > 0.0 and turning[i, im.ODDS] > 0.0
+        if not (started and _usable(z, i, fresh, age, known)):
             continue
         press = incline_of(attitude[i, 1], attitude[i, 0]).press
         inverse_mass, _resistance = ls.values(longitudinal, i, prior)
         _inertia, friction = ls.values(turning, i, other_prior)
         _i_i, _i_c, c_c = ls.covariance(turning, i, other_prior)
         found, variance = expected(z, i, known, inverse_mass, friction, c_c, press)
-        known_apart, p_11 = im.watched(longitudinal, i, prior)
         calm = longitudinal[i, im.ALARM] <= 0.0 and turning[i, im.ALARM] <= 0.0
-        if calm and longitudinal[i, im.ODDS] > 0.5:
-            apart = found * inverse_mass / known_apart
-            doubt = variance + apart * apart * p_11 / (known_apart * known_apart) * known.lasting
-            memory[i, SQUARE] = known.keep * memory[i, SQUARE] + apart * apart / doubt
-            memory[i, PRODUCT] = known.keep * memory[i, PRODUCT] + apart * v_y / doubt
-        slope = -found / inverse_mass
-        sample = ls.Sample(v_y - found + slope * inverse_mass, slope, 0.0, variance, 0.0)
-        error, gain = ls.innovation(longitudinal, i, 0, sample, prior)
-        usual = error * error < im.OUTLIER_GATE * (gain + variance)
-        agrees = _agrees(memory, i)
-        square = memory[i, SQUARE]
-        if square > 0.0 and abs(memory[i, PRODUCT] / square - 1.0) > max(0.25, 3.0 / math.sqrt(square)):
+        if calm and longitudinal[i, im.ODDS + im.CALM] > CALM_ODDS:
+            # The monitor's mass owes nothing to this equation: it is no witness in its own cause.
+            apart, p_11 = im.watched(longitudinal, i, prior)
+            there = found * inverse_mass / apart
+            _compare(memory, i, known, there, z[i, _V_Y], variance, p_11 / (apart * apart))
+        off, deviation = _ratio(memory, i)
+        if off > max(WRONG, 3.0 * deviation):
             turning[i, im.ALARM] = im.TREND_HELD
-        if usual and agrees:
-            im.learn_apart(longitudinal, i, sample, prior)
+        _take(memory, i, longitudinal, prior, known, z[i, _V_Y], found, variance, inverse_mass)
 
 
 class SideslipRow:
     """The equation for N vehicles; see the head of the file. It changes the longitudinal memory."""
 
-    def __init__(
-        self, parameters: PlantParameters, control_period: float, sheet: DataSheet, count: int
-    ) -> None:
-        self.memory = np.zeros((count, 2))
+    def __init__(self, setting: Setting) -> None:
+        period, sheet = setting.control_period, setting.data_sheet
+        self.memory = np.zeros((setting.count, 2))
         self._known = Known(
-            0.5 * float(parameters.contact_length),
+            0.5 * float(setting.parameters.contact_length),
             sheet.velocity_noise**2,
             sheet.acceleration_noise**2 + sheet.acceleration_bias**2,
-            ERROR_TIME / control_period,
-            1.0 - control_period / RATIO_TIME,
+            ERROR_TIME / period,
+            1.0 - min(period / RATIO_TIME, 1.0),
         )
 
     def compute(
@@ -158,6 +181,3 @@ class SideslipRow:
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
         self.memory[slice(None) if rows is None else np.asarray(rows)] = 0.0
-
-
-__all__ = ["NDArray", "SideslipRow"]

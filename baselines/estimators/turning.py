@@ -167,7 +167,8 @@ class TurningEstimator(TwoParameterEstimator):
         )  # fmt: skip
         super().__init__(
             parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior,
-            im.table(WALKS, TREND_GATE, FRICTION_SIGMA, control_period) if regression == "coupled" else PLAIN,
+            im.table(WALKS, TREND_GATE, FRICTION_SIGMA, control_period)
+            if regression == "coupled" else PLAIN,
         )  # fmt: skip
         sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius

@@ -3,23 +3,14 @@
 Model: y = phi . theta + e, e ~ N(0, R), R known sample by sample from the sensors' data sheets.
 In units of the prior, theta = theta_0 + sigma_0 x, with J the information of the data,
     eps = y - phi . theta                                              S 7.1.1
-    J   = F(lambda J) + phi phi^T / R,   P = (J + 1)^-1
+    J   = lambda J + phi phi^T / R,   P = (J + 1)^-1
     x  += P phi eps / R
-lambda forgets exponentially, as in S. The soil changes faster than the vehicle, so parameter 2
-may also walk: F adds drift_2 to its variance. (A forgetting factor of its own would do the same
-to the estimate, but leave a P that takes the walking parameter for known: the mass would seem
-ten times surer than it is.) The 1 is the prior: it never fades, so P never exceeds the prior
-covariance, however long nothing is excited (no wind-up), yet it does not pull back: it is
-centred on the present estimate. Per sample:
+lambda forgets exponentially, as in S. Parameters that change need more than that: several such
+estimates with random walks, in interacting_models. The 1 is the prior: it never fades, so P never
+exceeds the prior covariance, however long nothing is excited (no wind-up), yet it does not pull
+back: it is centred on the present estimate. Per sample:
     excitation gate  samples that gain nothing, phi^T P phi < GAIN_GATE R, are not used and do
                      not age what is known
-    outliers         eps^2 > OUTLIER_GATE (phi^T P phi + R) is rejected; PATIENCE in a row are a
-                     change of the parameters, and so is an alarm of the two-sided CUSUM of
-                     eps / sqrt(S)
-    changes          parameter 2 (of the soil) moves often, parameter 1 (of the vehicle) jumps
-                     seldom: after a change parameter 2 is released, and on trial a second
-                     hypothesis is followed in which parameter 1 was. It takes over when the
-                     likelihood of what is seen speaks for it clearly
     noisy regressor  the noise of phi_1 would bias theta_1 towards 0; its known variance V is
                      taken out of the normal equations: J_11 -= V / R, and V theta_1 added to
                      phi_1 eps (bias-compensated least squares)
@@ -28,8 +19,8 @@ centred on the present estimate. Per sample:
                      theta_2 learns
     projection       on the bounds, in the metric of J
 
-References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.1. [2] E. S. Page
-(1954): cumulative sums. [3] S. Sagara, K. Wada (1977): on-line bias compensation.
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.1. [2] S. Sagara, K. Wada
+(1977): on-line bias compensation.
 """
 
 import math
@@ -37,32 +28,24 @@ from typing import NamedTuple
 
 from tracked_env.physics.jit import formula
 
-OUTLIER_GATE = 25.0  # [-] five standard deviations
-PATIENCE = 4  # [samples] that many outliers in a row are a change
-CUSUM_SLACK = 0.75  # [-] standard deviations of bias that do not count as a change
-CUSUM_LIMIT = 10.0  # [-] a bias of 2 sigma is found in 8 samples; false alarms once in 1e6
 GAIN_GATE = 1e-6  # [-] share of R by which a sample must reduce the uncertainty
 EXCITED = 1.0  # [-] excitation from which on the data determine every parameter
-TRIAL = 500.0  # [samples] for which both explanations of a change are followed
-DECIDED = 12.0  # [-] log of the likelihood ratio that decides; a ramp of the soil gathers some
-LARGEST_EVIDENCE = 3.0  # [-] that one sample may add: an outlier decides nothing
 LARGEST = 1e12  # [-] information that J may hold: beyond it the determinant would cancel
 VARIES = 3.0  # [-] of phi_1 against phi_2 in units of the variance of its noise: not noise alone
 VARIES_SHARE = 0.05  # [-] of a sample in the mean of that: 20 samples
 VARIES_MOST = 100.0  # [-] that a sample may count
 
-# What is remembered of one vehicle, the columns of `memory`: two hypotheses of SIZE columns
-# (the second one is on trial while TRIAL_LEFT > 0), then what belongs to both.
+# What is remembered of one vehicle, the columns of `memory`: the estimate, in SIZE columns, and
+# behind BLOCKS of those, which interacting_models needs, what belongs to all.
 X_1, X_2, J_11, J_12, J_22 = range(5)
 SIZE = 5
-(
-    OUTLIERS, CUSUM_UP, CUSUM_DOWN, SKIPPED, CHANGES, TRIAL_LEFT, EVIDENCE, JUMPS, VARIATION,
-) = range(2 * SIZE, 2 * SIZE + 9)  # fmt: skip
-MEMORY = 2 * SIZE + 9
+BLOCKS = 6
+SKIPPED, VARIATION = range(SIZE * BLOCKS, SIZE * BLOCKS + 2)
+PLAIN_MEMORY = VARIATION + 1
 
 
 class Prior(NamedTuple):
-    """Prior and bounds of two parameters, and how fast each is forgotten."""
+    """Prior and bounds of two parameters, and how fast both are forgotten."""
 
     mean_1: float
     mean_2: float
@@ -73,9 +56,6 @@ class Prior(NamedTuple):
     high_1: float
     high_2: float
     forgetting: float  # [-] lambda, per used sample, of both
-    drift_2: float  # [-] variance that parameter 2 gains per sample, in units of sigma_2^2
-    jump_keeps_2: bool  # a jump of parameter 1 leaves parameter 2 as it was
-    follows_changes: bool  # False: no gate for outliers and no search for changes, as in S
 
 
 class Sample(NamedTuple):
@@ -121,20 +101,8 @@ def eigenvalues(memory, i):
 
 
 @formula
-def _forget(memory, i, h, prior, hold_1):
-    """Time update of hypothesis h: exponential forgetting, unless parameter 1 is held, then the
-    random walk of parameter 2."""
-    share = 1.0 if hold_1 else prior.forgetting
-    a, b, c = memory[i, h + J_11] * share, memory[i, h + J_12] * share, memory[i, h + J_22] * share
-    walk = 1.0 / (1.0 + prior.drift_2 * c)
-    memory[i, h + J_11] = a - prior.drift_2 * walk * b * b
-    memory[i, h + J_12] = b * walk
-    memory[i, h + J_22] = c * walk
-
-
-@formula
-def _project(memory, i, h, prior):
-    """Move the estimate into its bounds along the least-cost direction of J."""
+def project(memory, i, h, prior):
+    """Move the estimate in block h into its bounds along the least-cost direction of J."""
     low = (prior.low_1 - prior.mean_1) / prior.sigma_1
     high = (prior.high_1 - prior.mean_1) / prior.sigma_1
     moved = min(max(memory[i, h + X_1], low), high) - memory[i, h + X_1]
@@ -149,8 +117,8 @@ def _project(memory, i, h, prior):
 
 
 @formula
-def _innovation(memory, i, h, sample, prior):
-    """(eps, phi^T P phi) of hypothesis h before the sample."""
+def innovation(memory, i, h, sample, prior):
+    """(eps, phi^T P phi) of the estimate in block h before the sample."""
     theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, h + X_1]
     theta_2 = prior.mean_2 + prior.sigma_2 * memory[i, h + X_2]
     error = sample.y - sample.phi_1 * theta_1 - sample.phi_2 * theta_2
@@ -160,7 +128,7 @@ def _innovation(memory, i, h, sample, prior):
 
 
 @formula
-def _noise_alone(memory, i, sample, prior):
+def noise_alone(memory, i, sample, prior):
     """Whether phi_1 has lately varied against phi_2 by no more than its noise."""
     if sample.noise_1 <= 0.0:
         return False
@@ -172,9 +140,16 @@ def _noise_alone(memory, i, sample, prior):
 
 
 @formula
-def _learn(memory, i, h, sample, prior, error, hold_1):
-    """Forget a little, and take the sample into hypothesis h; hold_1: parameter 1 is kept."""
-    _forget(memory, i, h, prior, hold_1)
+def forget(memory, i, h, prior):
+    """Exponential forgetting of the estimate in block h."""
+    memory[i, h + J_11] *= prior.forgetting
+    memory[i, h + J_12] *= prior.forgetting
+    memory[i, h + J_22] *= prior.forgetting
+
+
+@formula
+def learn(memory, i, h, sample, prior, error, hold_1):
+    """Take the sample into the estimate in block h; hold_1: parameter 1 is kept."""
     p_1, p_2 = sample.phi_1 * prior.sigma_1, sample.phi_2 * prior.sigma_2
     weight = min(1.0 / sample.variance, LARGEST / (p_1 * p_1 + p_2 * p_2))
     noise = sample.noise_1 * prior.sigma_1
@@ -195,65 +170,7 @@ def _learn(memory, i, h, sample, prior, error, hold_1):
         scale = weight / ((a + 1.0) * (c + 1.0) - b * b)
         memory[i, h + X_1] += scale * ((c + 1.0) * g_1 - b * g_2)
         memory[i, h + X_2] += scale * ((a + 1.0) * g_2 - b * g_1)
-    _project(memory, i, h, prior)
-
-
-@formula
-def _alarm(memory, i, normalised):
-    """Count this innovation (in standard deviations); True when the parameters have changed."""
-    outlier = normalised * normalised > OUTLIER_GATE
-    memory[i, OUTLIERS] = memory[i, OUTLIERS] + 1.0 if outlier else 0.0
-    bounded = min(max(normalised, -5.0), 5.0)
-    memory[i, CUSUM_UP] = max(memory[i, CUSUM_UP] + bounded - CUSUM_SLACK, 0.0)
-    memory[i, CUSUM_DOWN] = max(memory[i, CUSUM_DOWN] - bounded - CUSUM_SLACK, 0.0)
-    largest = max(memory[i, CUSUM_UP], memory[i, CUSUM_DOWN])
-    return largest > CUSUM_LIMIT or memory[i, OUTLIERS] >= PATIENCE
-
-
-@formula
-def release(memory, i, h, parameter_1, parameter_2):
-    """Forget all that the data said of the parameters marked; the other keeps what is left
-    when they may be anything."""
-    a, b, c = memory[i, h + J_11], memory[i, h + J_12], memory[i, h + J_22]
-    memory[i, h + J_11] = 0.0 if parameter_1 else a - (b * b / (c + 1.0) if parameter_2 else 0.0)
-    memory[i, h + J_22] = 0.0 if parameter_2 else c - (b * b / (a + 1.0) if parameter_1 else 0.0)
-    memory[i, h + J_12] = 0.0 if parameter_1 or parameter_2 else b
-
-
-@formula
-def _branch(memory, i, prior):
-    """A change: parameter 2 has moved, or on trial, parameter 1 has jumped."""
-    memory[i, OUTLIERS] = 0.0
-    memory[i, CUSUM_UP] = 0.0
-    memory[i, CUSUM_DOWN] = 0.0
-    memory[i, CHANGES] += 1.0
-    if memory[i, TRIAL_LEFT] <= 0.0:
-        for k in range(SIZE):
-            memory[i, SIZE + k] = memory[i, k]
-        memory[i, TRIAL_LEFT] = TRIAL
-        memory[i, EVIDENCE] = 0.0
-        release(memory, i, SIZE, True, not prior.jump_keeps_2)
-    release(memory, i, 0, False, True)
-
-
-@formula
-def _compare_hypotheses(memory, i, sample, prior, error, total):
-    """Follow the hypothesis on trial and decide when the evidence is clear."""
-    other, gain = _innovation(memory, i, SIZE, sample, prior)
-    spread = gain + sample.variance
-    evidence = 0.5 * (error * error / total - other * other / spread + math.log(total / spread))
-    memory[i, EVIDENCE] += min(max(evidence, -LARGEST_EVIDENCE), LARGEST_EVIDENCE)
-    memory[i, TRIAL_LEFT] -= 1.0
-    if other * other > OUTLIER_GATE * spread:
-        release(memory, i, SIZE, False, True)
-    _learn(memory, i, SIZE, sample, prior, other, False)
-    if memory[i, EVIDENCE] > DECIDED:
-        for k in range(SIZE):
-            memory[i, k] = memory[i, SIZE + k]
-        memory[i, JUMPS] += 1.0
-        memory[i, TRIAL_LEFT] = 0.0
-    if memory[i, EVIDENCE] < -DECIDED:
-        memory[i, TRIAL_LEFT] = 0.0
+    project(memory, i, h, prior)
 
 
 @formula
@@ -262,7 +179,7 @@ def step(memory, i, sample, prior):
 
     Status 1 (holding) when the sample gains nothing or some direction is not excited.
     """
-    error, gain = _innovation(memory, i, 0, sample, prior)
+    error, gain = innovation(memory, i, 0, sample, prior)
     total = gain + sample.variance
     nis = error * error / total
     status = 1
@@ -270,21 +187,10 @@ def step(memory, i, sample, prior):
         memory[i, SKIPPED] += 1.0
         status = 2
     elif gain > GAIN_GATE * sample.variance:
-        refused = False
-        if prior.follows_changes:
-            refused = nis > OUTLIER_GATE
-            if _alarm(memory, i, error / math.sqrt(total)):
-                _branch(memory, i, prior)
-                error, gain = _innovation(memory, i, 0, sample, prior)
-                total = gain + sample.variance
-                refused = False
-        if refused:
-            status = 2
-        else:
-            hold_1 = _noise_alone(memory, i, sample, prior)
-            _learn(memory, i, 0, sample, prior, error, hold_1)
-            if memory[i, TRIAL_LEFT] > 0.0:
-                _compare_hypotheses(memory, i, sample, prior, error, total)
-            smallest, _largest = eigenvalues(memory, i)
-            status = 0 if smallest >= EXCITED and not hold_1 else 1
+        hold_1 = noise_alone(memory, i, sample, prior)
+        if not hold_1:
+            forget(memory, i, 0, prior)
+        learn(memory, i, 0, sample, prior, error, hold_1)
+        smallest, _largest = eigenvalues(memory, i)
+        status = 0 if smallest >= EXCITED and not hold_1 else 1
     return status, nis

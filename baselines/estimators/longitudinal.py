@@ -18,18 +18,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Quantity, Setting
 from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
 from baselines.estimators.two_parameters import (
     HOLDING,
+    PLAIN,
     REJECTED,
     SLOWEST,
     TORQUE_MARGIN,
     TwoParameterEstimator,
     answer,
     as_printed,
-    tuning,
+    chosen_forgetting,
+    take,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.attitude import incline_of
@@ -38,7 +41,12 @@ from tracked_env.physics.parameters import RANGES, PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
-RESISTANCE_DRIFT = 0.01  # [1/sqrt(s)] random walk of mu_l: 0.02 in a second, more by `changes`
+# Models of interacting_models, with walks [1/sqrt(s)] of 1/m, relative, and of mu_l.
+WALKS = {
+    im.CALM: (0.0, 0.005), im.FAST: (0.005, 0.2), im.BORDER: (0.0, 0.8), im.JUMP: (3.0, 0.01),
+    im.ALARMED: (0.04, 0.08), im.SLOW: (0.0, 0.003),
+}  # fmt: skip
+TREND_GATE = 2.0  # [-] the variance of the equation is rather large: four deviations of the mean
 INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
 RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
 MASS_FACTOR = 5.0  # [-] mass is sought between nominal / factor and nominal * factor
@@ -46,6 +54,7 @@ MODEL_NOISE = 0.02  # [m/s^2] of the equation itself: what the model leaves out
 
 _V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
 _A_X, _TORQUE = COLUMN["acceleration_x"], COLUMN["torque_left"]
+_SPROCKET = COLUMN["sprocket_speed_left"]
 
 
 class Known(NamedTuple):
@@ -62,6 +71,12 @@ class Known(NamedTuple):
 
 
 @formula
+def _against(belt, track, slowest):
+    """Whether a belt runs against its track: then the sign of the filtered speed is in doubt."""
+    return belt * track < 0.0 and abs(belt) > slowest
+
+
+@formula
 def equation(z, i, known, press):
     """The Sample of vehicle i from its measurement z (N, 13), and whether the tracks move.
 
@@ -71,6 +86,11 @@ def equation(z, i, known, press):
     left, right = v_x - w * known.half_gauge, v_x + w * known.half_gauge
     force = (z[i, _TORQUE] + z[i, _TORQUE + 1]) * known.inverse_radius
     slowest = min(abs(left), abs(right)) if known.coupled else abs(v_x)
+    belt_left = z[i, _SPROCKET] / known.inverse_radius
+    belt_right = z[i, _SPROCKET + 1] / known.inverse_radius
+    doubt = known.coupled and (
+        _against(belt_left, left, known.slowest) or _against(belt_right, right, known.slowest)
+    )
     if known.coupled:
         y = z[i, _A_X]
         side = 0.5 * (math.copysign(1.0, left) + math.copysign(1.0, right))
@@ -81,15 +101,15 @@ def equation(z, i, known, press):
     variance = known.acceleration_variance + scale * known.effort_variance
     return ls.Sample(
         y, force, -soil.GRAVITY * press * side, variance, known.effort_variance
-    ), slowest > known.slowest
+    ), slowest > known.slowest and not doubt
 
 
 @loop
-def update_all(z, fresh, attitude, memory, prior, known, out):
+def update_all(z, fresh, attitude, memory, prior, table, known, out):
     """One sample of every vehicle: z (N, 13), fresh and attitude (N, 3), memory (N, MEMORY) in and
     out."""
     for i in range(z.shape[0]):
-        status, nis, jumps = HOLDING, np.nan, memory[i, ls.JUMPS]
+        status, nis = HOLDING, np.nan
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
             press = incline_of(attitude[i, 1], attitude[i, 0]).press
             sample, moving = equation(z, i, known, press)
@@ -100,17 +120,15 @@ def update_all(z, fresh, attitude, memory, prior, known, out):
             elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > known.largest_torque:
                 status = REJECTED
             elif moving:
-                status, nis = ls.step(memory, i, sample, prior)
-        answer(memory, i, prior, status, nis, jumps, out)
+                status, nis = take(memory, i, sample, prior, table)
+        answer(memory, i, prior, status, nis, out)
 
 
 class LongitudinalEstimator(TwoParameterEstimator):
     """Estimates [1/m, mu_l] of N vehicles; see the head of the file.
 
     regression: "coupled" (default), "paper" or "printed", see two_parameters. forgetting: factor
-    per sample. drift [1/sqrt(s)]: random walk of mu_l. None takes the defaults of the
-    regression; "paper" and "printed" have lambda = 0.998 and no walk. follows_changes: outlier
-    gate and search for changes; None = True for "coupled" alone.
+    per sample; None takes the default of the regression, 0.998 for "paper" and "printed".
     """
 
     names = ("inverse_mass", "longitudinal_resistance")
@@ -129,26 +147,23 @@ class LongitudinalEstimator(TwoParameterEstimator):
         count: int = 1,
         regression: str = "coupled",
         forgetting: float | None = None,
-        drift: float | None = None,
-        follows_changes: bool | None = None,
     ) -> None:
         control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        forgetting, drift, follows_changes = tuning(
-            regression, forgetting, drift, follows_changes, (FORGETTING, RESISTANCE_DRIFT)
-        )
-        walk = drift * drift * control_period / RESISTANCE_SIGMA**2
+        forgetting = chosen_forgetting(regression, forgetting, FORGETTING)
         nominal = 1.0 / parameters.mass
         bounds = RANGES["longitudinal_resistance"]
         prior = ls.Prior(
             nominal, parameters.longitudinal_resistance,
             INVERSE_MASS_SIGMA * nominal, RESISTANCE_SIGMA,
             nominal / MASS_FACTOR, bounds.low, nominal * MASS_FACTOR, bounds.high,
-            forgetting, walk, True, follows_changes,
+            forgetting,
         )  # fmt: skip
         printed = regression == "printed"
+        coupled = regression == "coupled"
         super().__init__(
-            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior
-        )
+            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior,
+            im.table(WALKS, TREND_GATE, RESISTANCE_SIGMA, control_period) if coupled else PLAIN,
+        )  # fmt: skip
         sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius
         self._known = Known(
@@ -159,7 +174,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
             0.0 if printed else 2.0 * effort * effort,
             math.inf if printed else TORQUE_MARGIN * p.torque_limit,
             -1.0 if printed else SLOWEST,
-            regression == "coupled",
+            coupled,
         )
 
     @classmethod

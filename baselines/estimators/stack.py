@@ -1,7 +1,8 @@
 """All estimators together: from observations to what is known of vehicle and soil.
 
     observation -> reader -> measurement -> slip observer (UKF)        pose, velocities, slips
-                                         -> longitudinal least squares 1/m, mu_l
+                                         -> steady side slip           1/m         (with m mu_t)
+                         -> longitudinal least squares 1/m, mu_l
                                          -> turning least squares      I, mu_t     (with m, mu_l)
                                          -> soil estimator (GNR)       F_max, K    (with the slips)
                                          -> actuators (gains, lag), and those that are
@@ -25,6 +26,7 @@ from baselines.estimators.estimate import AnsweringEstimator, Estimator, Setting
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.observation_reader import NEEDS, ObservationReader
 from baselines.estimators.sensor_samples import DataSheet, WiderMeasurement, attitude_of
+from baselines.estimators.sideslip import SideslipRow
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.stack_identification import (
@@ -116,6 +118,8 @@ class IdentificationStack:
                     f"{sorted(REGISTERED)}"
                 )
             self.parts[name] = REGISTERED[name](setting)
+        own_law = regression == "coupled" and lateral == "sliding"
+        self._sideslip = SideslipRow(setting) if own_law else None
         # The filter comes first: its velocities are what the regressions see.
         self._after = [(name, part) for name, part in self.parts.items() if name != "slip"]
         # Fields besides sensors that are needed: commands, and registered ones, behind those of v0.
@@ -130,7 +134,8 @@ class IdentificationStack:
         self._shape = (self.reader.memory.shape[0], layout.SIZE + len(behind))
         self._none = np.zeros(self._shape[0], dtype=bool)
         self._behind = np.empty(self._shape[0])
-        self._remembering: tuple[Any, ...] = (self.reader, *self.parts.values())
+        apart = () if self._sideslip is None else (self._sideslip,)
+        self._remembering: tuple[Any, ...] = (self.reader, *self.parts.values(), *apart)
 
     def _check_needs(self, order: Sequence[str]) -> None:
         """Raise ValueError unless all that an estimator needs is there when it runs."""
@@ -214,10 +219,12 @@ class IdentificationStack:
             self.reset(start)
         reading = self.reader.take(observation, start)
         latest, paired, behind = reading.latest, reading.paired, self._behind
-        links.date(latest.age, reading.drive_delay, behind)
         if self._added:
             added = self._samples(observation)
             latest, paired = (WiderMeasurement.of(one, added) for one in (latest, paired))
+        if self._sideslip is not None:
+            self._sideslip.compute(latest, self.longitudinal, self.turning)
+        links.date(latest.age, reading.drive_delay, behind)
         estimates = Estimates()
         estimates.add("slip", self.slip.compute(latest), self.slip.estimate)
         motion = self.slip.motion_rows()

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
 from baselines.estimators.longitudinal import LongitudinalEstimator
@@ -20,10 +21,10 @@ from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataShe
 from baselines.estimators.turning_equation import Known, equation
 from baselines.estimators.two_parameters import (
     HOLDING,
-    JUMPED,
     P_11,
     P_12,
     P_22,
+    PLAIN,
     REJECTED,
     SLOWEST,
     TORQUE_MARGIN,
@@ -32,7 +33,8 @@ from baselines.estimators.two_parameters import (
     TwoParameterEstimator,
     answer,
     as_printed,
-    tuning,
+    chosen_forgetting,
+    take,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.attitude import incline_of
@@ -41,7 +43,13 @@ from tracked_env.physics.parameters import RANGES, PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
-FRICTION_DRIFT = 0.02  # [1/sqrt(s)] random walk of m mu_t, of its nominal value
+# Models of interacting_models, with walks [1/sqrt(s)] of the inertia, relative, and of m mu_t, in
+# units of its nominal value.
+WALKS = {
+    im.CALM: (0.0, 0.01), im.FAST: (0.005, 0.15), im.BORDER: (0.0, 1.5), im.JUMP: (3.0, 3.0),
+    im.ALARMED: (0.03, 0.08), im.SLOW: (0.0, 0.005),
+}  # fmt: skip
+TREND_GATE = 9.0  # [-] three standard deviations of the mean
 INERTIA_SIGMA = 0.4  # [-] of the nominal inertia: prior standard deviation
 FRICTION_SIGMA = 0.4  # [-] of the nominal m mu_t
 INERTIA_FACTOR = 6.0  # [-] inertia is sought between nominal / factor and nominal * factor
@@ -49,12 +57,6 @@ MODEL_NOISE = 20.0  # [N m] of the equation itself
 SAME_WEIGHT = 1e6  # [N^2 m^2] variance of every sample, regression "printed": any number will do
 
 _V_X, _TORQUE = COLUMN["v_x"], COLUMN["torque_left"]
-
-
-@formula
-def release(memory, i):
-    """Forget what the data said of inertia and friction of vehicle i."""
-    memory[i, ls.J_11] = memory[i, ls.J_12] = memory[i, ls.J_22] = 0.0
 
 
 @formula
@@ -69,11 +71,11 @@ def per_mass(out, i, mass, variance, known):
 
 
 @loop
-def update_all(z, fresh, attitude, memory, prior, known, mass, variance, resistance, out):
+def update_all(z, fresh, attitude, memory, prior, table, known, mass, variance, resistance, out):
     """One sample of every vehicle: z (N, 13), fresh and attitude (N, 3), memory (N, MEMORY) in and
     out, mass, its variance and mu_l (N,) as known."""
     for i in range(z.shape[0]):
-        status, nis, jumps = HOLDING, np.nan, memory[i, ls.JUMPS]
+        status, nis = HOLDING, np.nan
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
             inertia, friction = ls.values(memory, i, prior)
             press = incline_of(attitude[i, 1], attitude[i, 0]).press
@@ -85,8 +87,10 @@ def update_all(z, fresh, attitude, memory, prior, known, mass, variance, resista
             elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > known.largest_torque:
                 status = REJECTED
             elif moving:
-                status, nis = ls.step(memory, i, sample, prior)
-        answer(memory, i, prior, status, nis, jumps, out)
+                status, nis = take(memory, i, sample, prior, table)
+            elif table.shape[0] > 0:
+                im.wait(memory, i, prior, table)
+        answer(memory, i, prior, status, nis, out)
         per_mass(out, i, mass, variance, known)
 
 
@@ -98,17 +102,18 @@ def per_mass_all(out, mass, variance, known):
 
 
 @loop
-def hand_on(answer, memory, mass, variance, resistance):
+def hand_on(answer, longitudinal, memory, prior, table, mass, variance, resistance):
     """What the longitudinal estimator answers, for this one: mass, its variance and mu_l (N,).
 
-    Where the mass has jumped, the inertia in `memory` is released: payload changes both.
+    longitudinal: the memory of that estimator; an alarm in one of the two memories is one in both.
     """
     for i in range(memory.shape[0]):
+        im.share_alarm(memory, longitudinal, i)
+        if table.shape[0] > 0 and memory[i, im.ODDS] > 0.0 and im.jumped(longitudinal, i):
+            im.let_jump(memory, i, prior, table)
         mass[i] = 1.0 / answer[i, VALUE_1]
         variance[i] = answer[i, P_11] * mass[i] ** 4
         resistance[i] = answer[i, VALUE_2]
-        if answer[i, JUMPED] > 0.0:
-            release(memory, i)
 
 
 class TurningEstimator(TwoParameterEstimator):
@@ -116,9 +121,8 @@ class TurningEstimator(TwoParameterEstimator):
 
     mass, mass_variance, resistance: arrays (N,) that the owner keeps up to date; they start
     at the nominal values with variance 0. lateral: lateral model, "sliding" or "constrained".
-    forgetting: factor per sample. drift [1/sqrt(s)]: random walk of m mu_t. None takes the
-    defaults of the regression; "paper" and "printed" have lambda = 0.998, no walk, and search no
-    changes; "printed" has the constrained lateral model alone.
+    forgetting: factor per sample; None takes the default of the regression, 0.998 for "paper" and
+    "printed". "printed" has the constrained lateral model alone.
     """
 
     names = ("inertia", "lateral_resistance")
@@ -141,8 +145,6 @@ class TurningEstimator(TwoParameterEstimator):
         lateral: str = "sliding",
         regression: str = "coupled",
         forgetting: float | None = None,
-        drift: float | None = None,
-        follows_changes: bool | None = None,
     ) -> None:
         if lateral not in ("sliding", "constrained"):
             raise ValueError(f"lateral = {lateral!r}; must be 'sliding' or 'constrained'")
@@ -153,10 +155,7 @@ class TurningEstimator(TwoParameterEstimator):
                 "S 7.1.2 knows no lateral motion but that of a fixed ICR"
             )
         control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        forgetting, drift, follows_changes = tuning(
-            regression, forgetting, drift, follows_changes, (FORGETTING, FRICTION_DRIFT)
-        )
-        walk = drift * drift * control_period / FRICTION_SIGMA**2
+        forgetting = chosen_forgetting(regression, forgetting, FORGETTING)
         inertia = parameters.inertia
         friction = parameters.mass * parameters.lateral_resistance
         limit = RANGES["lateral_resistance"].high
@@ -164,11 +163,13 @@ class TurningEstimator(TwoParameterEstimator):
             inertia, friction, INERTIA_SIGMA * inertia, FRICTION_SIGMA * friction,
             inertia / INERTIA_FACTOR, 0.02 * friction,
             inertia * INERTIA_FACTOR, limit * INERTIA_FACTOR * parameters.mass,
-            forgetting, walk, False, follows_changes,
+            forgetting,
         )  # fmt: skip
         super().__init__(
-            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior
-        )
+            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior,
+            im.table(WALKS, TREND_GATE, FRICTION_SIGMA, control_period)
+            if regression == "coupled" else PLAIN,
+        )  # fmt: skip
         sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius
         self._known = Known(
@@ -202,10 +203,13 @@ class TurningEstimator(TwoParameterEstimator):
         return part.on_slopes() if s.attitude else part
 
     def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
-        """Mass and mu_l; when the mass has jumped, the inertia is let go: payload changes both."""
+        """Mass and mu_l, and the alarm of slow trends."""
         source = parts["longitudinal"]
         assert isinstance(source, LongitudinalEstimator)
-        hand_on(source.answer, self.memory, self.mass, self.mass_variance, self.resistance)
+        hand_on(
+            source.answer, source.memory, self.memory, self.prior, self.table,
+            self.mass, self.mass_variance, self.resistance,
+        )  # fmt: skip
 
     def known(self) -> tuple[Any, ...]:
         """Constants of the equation, and what the longitudinal estimator knows."""

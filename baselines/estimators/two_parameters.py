@@ -3,7 +3,7 @@
 A regression turns a measurement into one equation per vehicle; least_squares takes it from
 there. A sample that cannot be used (stale, standstill) holds, one with NaN is counted.
 
-    coupled  this project's: one memory per parameter, changes searched for
+    coupled  this project's: interacting models of how the parameters change
     paper    equations and forgetting factor of S, kept bounded: with the prior, the bounds, the
              gates and the compensation of torque noise of least_squares. Not what S prints
     printed  the same equations in the recursion that S 7.1.1 prints: no prior, bounds, gates or
@@ -18,6 +18,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity
 from baselines.estimators.sensor_samples import ATTITUDE, DataSheet, Measurement, attitude_of
@@ -33,17 +34,23 @@ TORQUE_MARGIN = 1.5  # [-] of the drives' limit: a larger torque is not one, and
 SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing about it
 # Columns of the answer of a kernel, per vehicle.
 (
-    VALUE_1, VALUE_2, P_11, P_12, P_22, EXCITATION, CONDITION, STATUS, NIS, SKIPPED, JUMPED,
-) = range(11)  # fmt: skip
-ANSWER = 11
+    VALUE_1, VALUE_2, P_11, P_12, P_22, EXCITATION, CONDITION, STATUS, NIS, SKIPPED,
+) = range(10)  # fmt: skip
+ANSWER = 10
+PLAIN = np.empty((0, 4))  # no table of models: regressions "paper" and "printed"
 
 
 @formula
-def answer(memory, i, prior, status, nis, jumps, out):
-    """Write what is known of vehicle i into out (N, ANSWER).
+def take(memory, i, sample, prior, table):
+    """One sample of vehicle i, by interacting models where there is a table (R, 4) of them."""
+    if table.shape[0] > 0:
+        return im.step(memory, i, sample, prior, table)
+    return ls.step(memory, i, sample, prior)
 
-    jumps: how often parameter 1 had jumped before this sample.
-    """
+
+@formula
+def answer(memory, i, prior, status, nis, out):
+    """Write what is known of vehicle i into out (N, ANSWER)."""
     out[i, VALUE_1], out[i, VALUE_2] = ls.values(memory, i, prior)
     out[i, P_11], out[i, P_12], out[i, P_22] = ls.covariance(memory, i, prior)
     smallest, largest = ls.eigenvalues(memory, i)
@@ -52,14 +59,13 @@ def answer(memory, i, prior, status, nis, jumps, out):
     out[i, STATUS] = status
     out[i, NIS] = nis
     out[i, SKIPPED] = memory[i, ls.SKIPPED]
-    out[i, JUMPED] = memory[i, ls.JUMPS] - jumps
 
 
 @loop
 def read_all(memory, prior, out):
     """The present answer of every vehicle, without a sample."""
     for i in range(memory.shape[0]):
-        answer(memory, i, prior, HOLDING, np.nan, memory[i, ls.JUMPS], out)
+        answer(memory, i, prior, HOLDING, np.nan, out)
 
 
 def checked_forgetting(name: str, value: float) -> float:
@@ -72,27 +78,15 @@ def checked_forgetting(name: str, value: float) -> float:
     return float(value)
 
 
-def tuning(
-    regression: str,
-    forgetting: float | None,
-    drift: float | None,
-    follows_changes: bool | None,
-    own: tuple[float, float],
-) -> tuple[float, float, bool]:
-    """(forgetting, drift, follows_changes): None takes `own` forgetting and drift and follows,
-    or, with regression "paper" or "printed", lambda = 0.998, no drift, and follows nothing.
+def chosen_forgetting(regression: str, forgetting: float | None, own: float) -> float:
+    """The forgetting factor: None takes `own`, or with regression "paper" or "printed" that of S.
 
     Raises ValueError for an unknown regression and a forgetting factor that makes no sense.
     """
     if regression not in REGRESSIONS:
         raise ValueError(f"regression = {regression!r}; must be one of {', '.join(REGRESSIONS)}")
-    coupled = regression == "coupled"
-    defaults = own if coupled else (PAPER_FORGETTING, 0.0)
-    return (
-        checked_forgetting("forgetting", defaults[0] if forgetting is None else forgetting),
-        defaults[1] if drift is None else drift,
-        coupled if follows_changes is None else follows_changes,
-    )
+    default = own if regression == "coupled" else PAPER_FORGETTING
+    return checked_forgetting("forgetting", default if forgetting is None else forgetting)
 
 
 def as_printed(prior: ls.Prior) -> ls.Prior:
@@ -107,7 +101,8 @@ class TwoParameterEstimator(AnsweringEstimator):
     """Forgetting least squares for two parameters of N vehicles.
 
     parameters: nominal ones, the prior mean. control_period [s]. data_sheet: noise of the
-    sensors. count: vehicles. Subclasses name the parameters and give prior and kernel.
+    sensors. count: vehicles. table: of the interacting models, PLAIN without them. Subclasses name
+    the parameters and give prior, table and kernel.
     Raises ValueError for a period, count or forgetting factor that makes no sense.
     """
 
@@ -124,14 +119,15 @@ class TwoParameterEstimator(AnsweringEstimator):
         data_sheet: DataSheet | None,
         count: int,
         prior: ls.Prior,
+        table: NDArray[np.float64],
     ) -> None:
         count = checked_whole("count", count, VEHICLES)
         self.parameters = PlantParameters(*(float(value) for value in parameters))
         self.control_period = control_period
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
-        numbers = [float(x) for x in prior[:-2]]
-        self.prior = ls.Prior._make([*numbers, *(bool(x) for x in prior[-2:])])
-        self.memory = np.zeros((count, ls.MEMORY))
+        self.prior = ls.Prior._make(float(x) for x in prior)
+        self.table = table
+        self.memory = np.zeros((count, im.MEMORY))
         self.answer = np.empty((0, ANSWER))  # of the last sample
 
     def reset(self, rows: ArrayLike | None = None) -> None:
@@ -155,7 +151,7 @@ class TwoParameterEstimator(AnsweringEstimator):
         self.answer = out = np.empty((len(self.memory), ANSWER))
         type(self)._kernel(
             measurement.values, measurement.fresh, attitude_of(measurement), self.memory,
-            self.prior, *self.known(), out,
+            self.prior, self.table, *self.known(), out,
         )  # fmt: skip
         return out
 

@@ -1,0 +1,311 @@
+"""Interacting models: least squares for two parameters that may rest, walk, or jump.
+
+Four estimates of least_squares run side by side. They differ in the random walk that they expect of
+the parameters, one row of a table each:
+    calm    parameter 1 (of the vehicle) rests, parameter 2 (of the soil) hardly moves
+    fast    the soil moves all the time
+    border  the soil changes within a fraction of a second
+    jump    the load changes, and parameter 1 with it
+Before each sample the models exchange what they know, as a Markov chain prescribes that leaves
+model i with rate 1 / s_i and enters j with a share pi_j; after it each has the odds of the
+likelihood of that sample. With odds mu_i, estimates x_i, P_i and the transitions p_ij,
+    c_j  = sum_i p_ij mu_i
+    x_0j = sum_i p_ij mu_i x_i / c_j
+    P_0j = sum_i p_ij mu_i (P_i + (x_i - x_0j)(x_i - x_0j)^T) / c_j + Q_j
+    mu_j = c_j N(eps_j; 0, S_j) / sum
+and the answer is the mean and the covariance of the mixture, so that doubts between the models are
+part of what is claimed. It is kept as the estimate in block 0 of the memory.
+
+    outliers  the first sample beyond 5 sigma is skipped, the second in a row counts
+    trends    both parameters changing slowly look like neither model, and no innovation is large:
+              a slower estimate watches, which knows no walk of parameter 1. Where the mean of its
+              eps / sqrt(S) over TREND_TIME is not 0, parameter 1 of the calm model walks as well,
+              for TREND_HELD. The vehicle's two regressions share this alarm (`share_alarm`)
+
+References: [1] H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780.
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.estimators import least_squares as ls
+from tracked_env.physics.jit import formula
+
+MODELS = 4
+CALM, FAST, BORDER, JUMP = range(MODELS)
+ALARMED, SLOW = MODELS, MODELS + 1  # rows of a table: the calm model during an alarm, the monitor
+# Columns of a table. Walks: variances per sample, of parameter 1 over its square, of parameter 2
+# in units of sigma_2^2. Leaving: chance per sample. Share: of the entries into a model.
+WALK_1, WALK_2, LEAVING, SHARE = range(4)
+AVERAGED, GATE = LEAVING, SHARE  # of the monitor: share of a sample in its mean, gate of an alarm
+
+SOJOURNS = (10.0, 20.0, 0.3, 0.06)  # [s] mean, by model
+SHARES = (0.8, 0.5, 0.045, 0.03)  # [-] of the entries that are not its own, by model
+OUTLIER_GATE = 25.0  # [-] five standard deviations
+MOST_SQUARED = 1e12  # [-] normalised innovation squared that a sample may have
+LEAST_EVIDENCE = -6.0  # [-] log of the likelihood ratio of one sample to the best model
+TREND_TIME = 1.5  # [s] over which the monitor averages
+TREND_HELD = 4.0  # [s] that an alarm lasts
+MOST_NORMALISED = 3.0  # [-] that a sample may count in that mean: a change is no trend
+JUMPED = 0.15  # [-] odds of a jump from which on other estimators are told
+RESTART = 0.3  # [-] odds of a border or jump from which on the monitor begins anew
+
+# Blocks of `memory`, in columns: 0 is the mixture, then the models, then the monitor.
+_FIRST, _MONITOR = ls.SIZE, ls.SIZE * (MODELS + 1)
+ODDS = ls.PLAIN_MEMORY  # MODELS columns; all 0 before the first sample: calm
+OUTLIERS, TREND, ALARM = range(ODDS + MODELS, ODDS + MODELS + 3)  # ALARM: seconds left
+MEMORY = ALARM + 1
+
+
+def table(
+    walks: Mapping[int, tuple[float, float]], gate: float, sigma_2: float, period: float
+) -> NDArray[np.float64]:
+    """The table (MODELS + 2, 4) of a regression.
+
+    walks [1/sqrt(s)]: by row, of parameter 1 relative to itself, and of parameter 2. gate [-]:
+    square of the monitor's mean, in units of its variance, that is an alarm. sigma_2: prior
+    deviation of parameter 2. period [s]: between two samples.
+    """
+    rows = np.zeros((MODELS + 2, 4))
+    for row, (walk_1, walk_2) in walks.items():
+        rows[row, WALK_1] = walk_1 * walk_1 * period
+        rows[row, WALK_2] = walk_2 * walk_2 * period / sigma_2**2
+    for model in range(MODELS):
+        rows[model, LEAVING] = min(period / SOJOURNS[model], 1.0)
+        rows[model, SHARE] = SHARES[model]
+    rows[SLOW, AVERAGED], rows[SLOW, GATE] = min(period / TREND_TIME, 1.0), gate
+    return rows
+
+
+@formula
+def _covariance(memory, i, h):
+    """(P_11, P_12, P_22) of the estimate in block h, in units of the prior."""
+    a, b, c = memory[i, h + ls.J_11] + 1.0, memory[i, h + ls.J_12], memory[i, h + ls.J_22] + 1.0
+    inverse = 1.0 / (a * c - b * b)
+    return c * inverse, -b * inverse, a * inverse
+
+
+@formula
+def _put(memory, i, h, x_1, x_2, p_11, p_12, p_22):
+    """Mean and covariance into block h; the covariance never exceeds that of the prior."""
+    inverse = 1.0 / (p_11 * p_22 - p_12 * p_12)
+    a = min(max(p_22 * inverse - 1.0, 0.0), ls.LARGEST)
+    c = min(max(p_11 * inverse - 1.0, 0.0), ls.LARGEST)
+    most = math.sqrt(a * c)
+    memory[i, h + ls.X_1], memory[i, h + ls.X_2] = x_1, x_2
+    memory[i, h + ls.J_11], memory[i, h + ls.J_22] = a, c
+    memory[i, h + ls.J_12] = min(max(-p_12 * inverse, -most), most)
+
+
+@formula
+def _moments(memory, i, h):
+    """Mean and second moments of block h about the mixture's mean: (d_1, d_2, M_11, M_12, M_22)."""
+    p_11, p_12, p_22 = _covariance(memory, i, h)
+    d_1 = memory[i, h + ls.X_1] - memory[i, ls.X_1]
+    d_2 = memory[i, h + ls.X_2] - memory[i, ls.X_2]
+    return d_1, d_2, p_11 + d_1 * d_1, p_12 + d_1 * d_2, p_22 + d_2 * d_2
+
+
+@formula
+def _exchange(memory, i, table):
+    """The models exchange estimates and odds: x_0j, P_0j before the walk, and c_j."""
+    shares = 0.0
+    for j in range(MODELS):
+        shares += table[j, SHARE]
+    pool, m_1, m_2, m_11, m_12, m_22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(MODELS):
+        left = memory[i, ODDS + j] * table[j, LEAVING] / (shares - table[j, SHARE])
+        d_1, d_2, s_11, s_12, s_22 = _moments(memory, i, _FIRST + j * ls.SIZE)
+        pool += left
+        m_1, m_2 = m_1 + left * d_1, m_2 + left * d_2
+        m_11, m_12, m_22 = m_11 + left * s_11, m_12 + left * s_12, m_22 + left * s_22
+    for j in range(MODELS):
+        h, share, odds = _FIRST + j * ls.SIZE, table[j, SHARE], memory[i, ODDS + j]
+        left = odds * table[j, LEAVING] / (shares - share)
+        # What comes of all models but j, and what stays.
+        kept = odds * (1.0 - table[j, LEAVING]) - share * left
+        chance = max(share * pool + kept, 1e-300)
+        d_1, d_2, s_11, s_12, s_22 = _moments(memory, i, h)
+        x_1, x_2 = (share * m_1 + kept * d_1) / chance, (share * m_2 + kept * d_2) / chance
+        p_11 = (share * m_11 + kept * s_11) / chance - x_1 * x_1
+        p_12 = (share * m_12 + kept * s_12) / chance - x_1 * x_2
+        p_22 = (share * m_22 + kept * s_22) / chance - x_2 * x_2
+        _put(memory, i, h, memory[i, ls.X_1] + x_1, memory[i, ls.X_2] + x_2, p_11, p_12, p_22)
+        memory[i, ODDS + j] = chance
+
+
+@formula
+def _walk(memory, i, h, prior, walk_1, walk_2):
+    """Add the variance of the random walks to block h: (J^-1 + Q)^-1."""
+    a, b, c = memory[i, h + ls.J_11], memory[i, h + ls.J_12], memory[i, h + ls.J_22]
+    less = 1.0 / (1.0 + walk_2 * c)
+    a, b, c = a - walk_2 * less * b * b, b * less, c * less
+    size = prior.mean_1 / prior.sigma_1 + memory[i, h + ls.X_1]
+    step = walk_1 * size * size
+    less = 1.0 / (1.0 + step * a)
+    memory[i, h + ls.J_11], memory[i, h + ls.J_12] = a * less, b * less
+    memory[i, h + ls.J_22] = c - step * less * b * b
+
+
+@formula
+def _age(memory, i, h, prior, table, row, hold_1):
+    """Forgetting, unless parameter 1 is held, and the walk of one row of the table."""
+    if not hold_1:
+        ls.forget(memory, i, h, prior)
+    _walk(memory, i, h, prior, table[row, WALK_1], table[row, WALK_2])
+
+
+@formula
+def _evidence(memory, i, j, sample, prior):
+    """Log of the likelihood of the sample in model j, a constant apart."""
+    error, gain = ls.innovation(memory, i, _FIRST + j * ls.SIZE, sample, prior)
+    spread = gain + sample.variance
+    return -0.5 * (min(error * error / spread, MOST_SQUARED) + math.log(spread))
+
+
+@formula
+def mix(memory, i):
+    """The mixture of the models becomes the estimate in block 0."""
+    total, x_1, x_2 = 0.0, 0.0, 0.0
+    for j in range(MODELS):
+        h, odds = _FIRST + j * ls.SIZE, memory[i, ODDS + j]
+        total += odds
+        x_1, x_2 = x_1 + odds * memory[i, h + ls.X_1], x_2 + odds * memory[i, h + ls.X_2]
+    memory[i, ls.X_1], memory[i, ls.X_2] = x_1 / total, x_2 / total
+    p_11, p_12, p_22 = 0.0, 0.0, 0.0
+    for j in range(MODELS):
+        share = memory[i, ODDS + j] / total
+        memory[i, ODDS + j] = share
+        _d_1, _d_2, s_11, s_12, s_22 = _moments(memory, i, _FIRST + j * ls.SIZE)
+        p_11, p_12, p_22 = p_11 + share * s_11, p_12 + share * s_12, p_22 + share * s_22
+    _put(memory, i, 0, memory[i, ls.X_1], memory[i, ls.X_2], p_11, p_12, p_22)
+
+
+@formula
+def _learn(memory, i, sample, prior, table, hold_1):
+    """Take the sample into every model and into their odds."""
+    alarmed = memory[i, ALARM] > 0.0
+    for j in range(MODELS):
+        row = ALARMED if j == CALM and alarmed else j
+        _age(memory, i, _FIRST + j * ls.SIZE, prior, table, row, hold_1)
+    calm, fast = (
+        _evidence(memory, i, CALM, sample, prior),
+        _evidence(memory, i, FAST, sample, prior),
+    )
+    border = _evidence(memory, i, BORDER, sample, prior)
+    jump = _evidence(memory, i, JUMP, sample, prior)
+    best = max(calm, fast, border, jump)
+    memory[i, ODDS + CALM] *= math.exp(max(calm - best, LEAST_EVIDENCE))
+    memory[i, ODDS + FAST] *= math.exp(max(fast - best, LEAST_EVIDENCE))
+    memory[i, ODDS + BORDER] *= math.exp(max(border - best, LEAST_EVIDENCE))
+    memory[i, ODDS + JUMP] *= math.exp(max(jump - best, LEAST_EVIDENCE))
+    for j in range(MODELS):
+        h = _FIRST + j * ls.SIZE
+        error, _gain = ls.innovation(memory, i, h, sample, prior)
+        ls.learn(memory, i, h, sample, prior, error, hold_1)
+
+
+@formula
+def _watch(memory, i, sample, prior, table, hold_1):
+    """The monitor of slow trends takes the sample."""
+    share, left = table[SLOW, AVERAGED], memory[i, ALARM]
+    memory[i, ALARM] = max(left - share * TREND_TIME, 0.0)
+    ends = left > 0.0 and memory[i, ALARM] == 0.0
+    if ends or memory[i, ODDS + BORDER] + memory[i, ODDS + JUMP] > RESTART:
+        for k in range(ls.SIZE):
+            memory[i, _MONITOR + k] = memory[i, k]
+        memory[i, TREND] = 0.0
+    _age(memory, i, _MONITOR, prior, table, SLOW, hold_1)
+    error, gain = ls.innovation(memory, i, _MONITOR, sample, prior)
+    normalised = error / math.sqrt(gain + sample.variance)
+    normalised = min(max(normalised, -MOST_NORMALISED), MOST_NORMALISED)
+    memory[i, TREND] += share * (normalised - memory[i, TREND])
+    squared = memory[i, TREND] * memory[i, TREND] * (2.0 - share) / share
+    smallest, _largest = ls.eigenvalues(memory, i)
+    determined = smallest >= ls.EXCITED
+    if squared > table[SLOW, GATE] and memory[i, ALARM] == 0.0 and determined:
+        memory[i, ALARM] = TREND_HELD
+    ls.learn(memory, i, _MONITOR, sample, prior, error, hold_1)
+
+
+@formula
+def wait(memory, i, prior, table):
+    """A control step without a sample. During an alarm parameter 2 is taken to walk on, as fast as
+    it can; else nothing is known to change, and all is kept."""
+    if memory[i, ALARM] <= 0.0 or memory[i, ODDS] == 0.0:
+        return
+    memory[i, ALARM] = max(memory[i, ALARM] - table[SLOW, AVERAGED] * TREND_TIME, 0.0)
+    for k in range(MODELS + 1):
+        _walk(memory, i, _FIRST + k * ls.SIZE, prior, 0.0, table[FAST, WALK_2])
+    mix(memory, i)
+
+
+@formula
+def learn_apart(memory, i, sample, prior):
+    """Take an equation on parameter 1 alone into all models, not into the monitor; it ages nothing."""
+    for k in range(MODELS):
+        h = _FIRST + k * ls.SIZE
+        error, _gain = ls.innovation(memory, i, h, sample, prior)
+        ls.learn(memory, i, h, sample, prior, error, False)
+    mix(memory, i)
+
+
+@formula
+def watched(memory, i, prior):
+    """(theta_1, its variance) as the monitor has them, which takes no equation apart."""
+    p_11, _p_12, _p_22 = _covariance(memory, i, _MONITOR)
+    theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, _MONITOR + ls.X_1]
+    return max(theta_1, prior.low_1), p_11 * prior.sigma_1 * prior.sigma_1
+
+
+@formula
+def jumped(memory, i):
+    """Whether parameter 1 of vehicle i is seen to jump in this control step."""
+    return memory[i, ODDS + JUMP] > JUMPED
+
+
+@formula
+def let_jump(memory, i, prior, table):
+    """Something outside says that the parameters of vehicle i have jumped."""
+    for k in range(MODELS + 1):
+        _walk(memory, i, _FIRST + k * ls.SIZE, prior, table[JUMP, WALK_1], table[JUMP, WALK_2])
+    mix(memory, i)
+
+
+@formula
+def share_alarm(memory, other, i):
+    """An alarm of one regression on vehicle i is one of the other, too."""
+    memory[i, ALARM] = max(memory[i, ALARM], other[i, ALARM])
+
+
+@formula
+def step(memory, i, sample, prior, table):
+    """Take one sample of vehicle i. Returns (status, eps^2 / S): status as estimate.Status.
+
+    Status 1 (holding) when the sample gains nothing or some direction is not excited.
+    """
+    error, gain = ls.innovation(memory, i, 0, sample, prior)
+    total = gain + sample.variance
+    nis = error * error / total
+    status = 1
+    if not math.isfinite(nis + total):
+        memory[i, ls.SKIPPED] += 1.0
+        status = 2
+    elif gain > ls.GAIN_GATE * sample.variance:
+        memory[i, OUTLIERS] = memory[i, OUTLIERS] + 1.0 if nis > OUTLIER_GATE else 0.0
+        if memory[i, OUTLIERS] == 1.0:
+            status = 2
+        else:
+            hold_1 = ls.noise_alone(memory, i, sample, prior)
+            if memory[i, ODDS] == 0.0:
+                memory[i, ODDS + CALM] = 1.0
+            _exchange(memory, i, table)
+            _learn(memory, i, sample, prior, table, hold_1)
+            mix(memory, i)
+            _watch(memory, i, sample, prior, table, hold_1)
+            smallest, _largest = ls.eigenvalues(memory, i)
+            status = 0 if smallest >= ls.EXCITED and not hold_1 else 1
+    return status, nis

@@ -75,5 +75,11 @@ def test_the_sets_of_weak_and_failing_drives_draw_gains_and_belong_to_no_version
     sides = [event["parameter"] for (event,) in events]
     assert set(sides) == {"actuator_gain_left", "actuator_gain_right"}
     assert all(9.0 <= e["start"] <= 18.0 and 0.4 <= e["target"] <= 0.7 for (e,) in events)
+    sound = make_uncertainty("soil-and-mass")
+    for law in (weak, fault):  # the same vehicles on the same soils
+        one, other = (f(np.random.default_rng(7), NOMINAL, None, 30.0) for f in (law, sound))
+        assert one.parameters._replace(actuator_gain_left=1.0, actuator_gain_right=1.0) == (
+            other.parameters
+        )
     for name in ("weak-actuator", "actuator-fault"):
         assert name in sets.SETS and name not in sets.OF_VERSION + sets.DEFAULT_SETS

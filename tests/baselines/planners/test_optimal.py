@@ -321,7 +321,7 @@ def test_goals_a_millimetre_away_are_reached_by_small_turns():
     made = optimal(ORIGIN, np.column_stack([x, y, 0.0 * x]), limits_of(vehicle, 0.0, reserve=0.1),
                    vehicle, slip)  # fmt: skip
     assert all(plan.converged for plan in made)
-    assert np.mean([plan.cost for plan in made]) < NEAR_COST
+    assert np.mean([plan.cost for plan in made]) < 2.0
     assert max(plan.length for plan in made) < 0.6
 
 

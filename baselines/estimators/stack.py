@@ -4,7 +4,8 @@
                                          -> longitudinal least squares 1/m, mu_l
                                          -> turning least squares      I, mu_t     (with m, mu_l)
                                          -> soil estimator (GNR)       F_max, K    (with the slips)
-                                         -> those that are registered, where they are asked for
+                                         -> actuators (gains, lag), and those that are
+                                            registered, where they are asked for
 The regressions get the filtered velocities: they need no more of them than signs. Names and
 features follow from what each estimator declares (`estimate.Estimator`); those of a registered one
 come after all others, so that the columns of an agent trained without it stay where they are.
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import stack_links as links
+from baselines.estimators.actuators import COMMANDS, ActuatorEstimator
 from baselines.estimators.estimate import AnsweringEstimator, Estimator, Setting, Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.observation_reader import NEEDS, ObservationReader
@@ -46,7 +48,9 @@ _OWN: dict[str, Any] = {
 }  # fmt: skip
 QUANTITIES = tuple(quantity.name for part in _OWN.values() for quantity in part.provides)
 FEATURES = feature_names({name: part.provides for name, part in _OWN.items()})
-REGISTERED: dict[str, Factory] = {}  # further estimators, by name
+REGISTERED: dict[str, Factory] = {  # further estimators, by name
+    "actuators": ActuatorEstimator.for_stack
+}
 
 
 def register(name: str, factory: Factory) -> None:
@@ -114,13 +118,16 @@ class IdentificationStack:
             self.parts[name] = REGISTERED[name](setting)
         # The filter comes first: its velocities are what the regressions see.
         self._after = [(name, part) for name, part in self.parts.items() if name != "slip"]
-        self._added: list[str] = []  # registered fields that are needed, behind those of v0
+        # Fields besides sensors that are needed: commands, and registered ones, behind those of v0.
+        self._added: list[str] = []
         self._check_needs(("slip", *(name for name, _ in self._after)))
         self.quantities = {name: part.provides for name, part in self.parts.items()}
         self._features = feature_names(self.quantities)
         scales = {f.name: f.scale for group in layout.GROUPS.values() for f in group.fields}
-        self._scales = [scales[name] for name in self._added]
-        self._shape = (self.reader.memory.shape[0], layout.SIZE + len(self._added))
+        behind = [name for name in self._added if name not in layout.INDEX]
+        places = {**layout.INDEX, **{name: layout.SIZE + k for k, name in enumerate(behind)}}
+        self._from = [(name, places[name], scales[name]) for name in self._added]
+        self._shape = (self.reader.memory.shape[0], layout.SIZE + len(behind))
         self._none = np.zeros(self._shape[0], dtype=bool)
         self._behind = np.empty(self._shape[0])
         self._remembering: tuple[Any, ...] = (self.reader, *self.parts.values())
@@ -129,17 +136,18 @@ class IdentificationStack:
         """Raise ValueError unless all that an estimator needs is there when it runs."""
         shown = {field.name for group in layout.GROUPS.values() for field in group.fields}
         registered = shown - set(layout.NAMES)
-        given = set(CHANNELS) | registered
+        beside = registered | set(COMMANDS)
+        given = set(CHANNELS) | beside
         for name in order:
             part = self.parts[name]
             own = {quantity.name for quantity in part.provides}
             if lacking := sorted(set(part.needs) - given):
                 raise ValueError(
-                    f"estimator {name!r} needs {lacking}; that is no sensor channel, no registered "
-                    "field of the observation, and no estimator before it provides it. Given are "
-                    f"{sorted(given)}"
+                    f"estimator {name!r} needs {lacking}; that is no sensor channel, no command, "
+                    "no registered field of the observation, and no estimator before it provides "
+                    f"it. Given are {sorted(given)}"
                 )
-            self._added += [need for need in part.needs if need in registered - {*self._added}]
+            self._added += [need for need in part.needs if need in beside - {*self._added}]
             if twice := sorted(own & given):
                 raise ValueError(f"estimator {name!r} provides {twice}, which is known already")
             given |= own
@@ -225,16 +233,17 @@ class IdentificationStack:
         return Identification(reading, motion, estimates, self.quantities, self.soil.limit_known)
 
     def _samples(self, observation: NDArray[np.float32]) -> Mapping[str, NDArray[np.float64]]:
-        """The registered fields by name, (N,) SI."""
+        """The fields besides sensors by name, (N,) SI."""
         return {
-            name: observation[:, layout.SIZE + k].astype(np.float64) * scale
-            for k, (name, scale) in enumerate(zip(self._added, self._scales, strict=True))
+            name: observation[:, column].astype(np.float64) * scale
+            for name, column, scale in self._from
         }
 
     def _check(self, observation: NDArray[np.float32], start: NDArray[np.bool_]) -> bool:
         """Whether any row starts. Raises ValueError for what `update` cannot take."""
         if observation.shape != self._shape:
-            behind = f" (the last for {', '.join(self._added)})" if self._added else ""
+            last = [name for name in self._added if name not in layout.INDEX]
+            behind = f" (the last for {', '.join(last)})" if last else ""
             raise ValueError(
                 f"observation has shape {observation.shape}; must be {self._shape}{behind}. "
                 "Is the stack made for another count?"

@@ -144,14 +144,17 @@ class Identification:
         return {name: self.parts[name].status for name in self.quantities}
 
 
-def features(known: Identification, nominal: PlantParameters) -> NDArray[np.float32]:
+def features(
+    known: Identification, nominal: PlantParameters, further: bool = True
+) -> NDArray[np.float32]:
     """Estimates, standard deviations and excitations as numbers of order one, (N, F) float32.
 
     Each estimator says how its quantities are shown: over the nominal value, as the logarithm of
-    that, or as they are. Excitation e is shown as e / (1 + e).
+    that, or as they are. Excitation e is shown as e / (1 + e). further: False shows the four of
+    ESTIMATORS alone.
     """
     columns: list[NDArray[np.float64]] = []
-    for block in blocks(known.quantities):
+    for block in blocks(known.quantities) if further else [ESTIMATORS]:
         shown = [
             quantity.normalized(known.parts[name], nominal)
             for name in block

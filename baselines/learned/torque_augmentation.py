@@ -30,7 +30,7 @@ _WANTED = [layout.INDEX["reference_speed"], layout.INDEX["reference_yaw_rate"]]
 
 
 def known_features(observation: Floats, known: Identification, nominal: PlantParameters) -> Floats:
-    """FILTERED errors, TRUSTED deviations, the estimates as `stack.features` shows them, (N, F).
+    """FILTERED errors, TRUSTED deviations, FEATURES as `stack.features` shows them, (N, F).
 
     The filtered pose is several times less noisy than the measured one, and centimetres, which
     the observation shows as hundredths, are of order one here.
@@ -52,7 +52,8 @@ def known_features(observation: Floats, known: Identification, nominal: PlantPar
     position = np.hypot(known.slip.deviation("x"), known.slip.deviation("y"))
     deviations = np.stack([position, known.slip.deviation("yaw")], axis=-1)
     trusted = np.log(deviations / np.array(list(TRUSTED.values())))
-    return np.concatenate([scaled, trusted, features(known, nominal)], axis=1, dtype=np.float32)
+    shown = features(known, nominal, further=False)
+    return np.concatenate([scaled, trusted, shown], axis=1, dtype=np.float32)
 
 
 class Estimates(IdentificationStack):

@@ -2,6 +2,8 @@
 
 Certainty equivalence: at every control step the controller uses the estimates as if they were true,
     mass, mu_l, inertia, mu_t     always: without information from the data they stay constant
+    gains and lag of the drives   where the observation shows the commands that were sent; commands
+                                  lead a lag that is longer than the nominal one
     F_max, K                      where the data determine the traction limit, else nominal
 and uses the filtered pose and velocity instead of the measured ones. It starts from its nominal
 parameters in every episode, uses observations only, and no true parameter.
@@ -9,6 +11,7 @@ parameters in every episode, uses observations only, and no true parameter.
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -16,9 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import BatchPolicy
+from baselines.estimators.actuator_step import LEAST_DECAY
+from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
+from baselines.linearizing.drive_lead import lead_all
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
@@ -29,6 +35,7 @@ from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
+from tracked_env.physics.vehicle import torque_decay
 
 _ROW = PARAMETER_INDEX
 _I, _SCALE, _SIZE = layout.INDEX, layout.SCALE, layout.SIZE
@@ -44,6 +51,8 @@ _MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
 _INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
 _COHESION, _ANGLE = _ROW["cohesion"], _ROW["friction_angle"]
 _MODULUS = _ROW["shear_deformation_modulus"]
+_LAG = _ROW["drive_time_constant"]
+_GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"]
 
 
 class AdaptiveState(NamedTuple):
@@ -51,6 +60,7 @@ class AdaptiveState(NamedTuple):
 
     xi: NDArray[np.float64]  # (N,) [m/s^2] compensator of the controller
     memories: Memories  # of the estimators
+    given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
 
 
 @formula
@@ -97,16 +107,20 @@ def show(observation, reference, motion, values, age, summary, status, stale, fi
 
 
 @loop
-def hand_over(parameters, longitudinal, turning, soil, known, nominal, base):
+def hand_over(parameters, longitudinal, turning, actuators, soil, known, nominal, base, period):
     """Estimates into the controller's parameters (PARAMETER_ROWS, N).
 
-    longitudinal (N, >= 2) 1/m, mu_l; turning (N, >= 2) I, mu_t; soil (N, 2) F_max, K, where known
-    (N,) and else nominal (PARAMETER_ROWS,). base [m^2] of a track.
+    longitudinal (N, >= 2) 1/m, mu_l; turning (N, >= 2) I, mu_t; actuators (N, >= 3) g_L, g_R, a;
+    soil (N, 2) F_max, K, where known (N,) and else nominal (PARAMETER_ROWS,). base [m^2] of a
+    track. period [s] of the control.
     """
     for i in range(parameters.shape[1]):
         parameters[_MASS, i] = 1.0 / longitudinal[i, 0]
         parameters[_RESISTANCE, i] = longitudinal[i, 1]
         parameters[_INERTIA, i], parameters[_FRICTION, i] = turning[i, 0], turning[i, 1]
+        parameters[_GAIN_LEFT, i] = actuators[i, 0]
+        parameters[_GAIN_RIGHT, i] = actuators[i, 1]
+        parameters[_LAG, i] = -period / math.log(actuators[i, 2])
         # F_max as cohesion alone: the controller needs no more than the product.
         parameters[_COHESION, i] = soil[i, 0] / base if known[i] else nominal[_COHESION]
         parameters[_ANGLE, i] = 0.0 if known[i] else nominal[_ANGLE]
@@ -150,8 +164,11 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         noisy = max(self.data_sheet[:3]) > 0.0
         self.filtered = noisy if filtered is None else bool(filtered)
         self.uses_soil = bool(uses_soil)
+        # Without the commands that were sent nothing can be said of the drives.
+        self._commanded = all(name in observation for name in COMMANDS)
         self._options: dict[str, Any] = {
-            "regression": regression, "slip": slip, "attitude": sloped
+            "regression": regression, "slip": slip, "attitude": sloped,
+            "further": ("actuators",) if self._commanded else (),
         }  # fmt: skip
         # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates.
         self.given_parameters: NDArray[np.float64] | None = None
@@ -171,6 +188,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self._base = float(p.track_width * p.contact_length)
         self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
         self._nothing_known = np.zeros(count, dtype=bool)
+        decay = torque_decay(self.controller.control_period, self._nominal[_LAG])
+        drives = (p.actuator_gain_left, p.actuator_gain_right, max(decay, LEAST_DECAY))
+        self._nominal_drives = np.tile(np.array(drives, dtype=np.float64), (count, 1))
 
     def act(
         self,
@@ -200,8 +220,14 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             summary, status, 0.5 * self.controller.control_period, self.filtered,
         )  # fmt: skip
         action, xi = self.controller.act(observation, None if state is None else state.xi, start)
+        given = np.zeros((count, 2)) if state is None else state.given.copy()
+        if self._commanded:
+            lead_all(
+                observation, start, self.controller.parameters, self._nominal[_LAG],
+                self.controller.control_period, given, action,
+            )  # fmt: skip
         self.known = known
-        self._given = AdaptiveState(xi, self.stack.memories())
+        self._given = AdaptiveState(xi, self.stack.memories(), given)
         return action, self._given
 
     def _adapt(self, known: Identification) -> None:
@@ -212,8 +238,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         answers = known.parts.answers
         hand_over(
             self.controller.parameters, answers["longitudinal"], answers["turning"],
-            answers["soil"][0], known.traction_known if self.uses_soil else self._nothing_known,
-            self._nominal, self._base,
+            answers.get("actuators", self._nominal_drives), answers["soil"][0],
+            known.traction_known if self.uses_soil else self._nothing_known,
+            self._nominal, self._base, self.controller.control_period,
         )  # fmt: skip
 
     def estimates(self) -> Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:

@@ -238,12 +238,14 @@ def track_efforts(motion, u_1, u_2, p, k, constrained, pull=0.0):
 
 
 @formula
-def within_limit(left, right, limit):
-    """Efforts (left, right) within +-limit [N]: the sum is kept first, then the difference.
+def within_limits(left, right, limit_left, limit_right):
+    """Efforts (left, right) within +-limits [N]: the sum is kept first, then the difference.
 
     In this order a large steering demand cannot take the speed away on which steering rests.
     """
-    mean = min(max(0.5 * (left + right), -limit), limit)
-    room = limit - abs(mean)
-    turn = min(max(0.5 * (right - left), -room), room)
+    both = 0.5 * (limit_left + limit_right)
+    mean = min(max(0.5 * (left + right), -both), both)
+    low = max(mean - limit_left, -limit_right - mean)
+    high = min(mean + limit_left, limit_right - mean)
+    turn = min(max(0.5 * (right - left), low), high)
     return mean - turn, mean + turn

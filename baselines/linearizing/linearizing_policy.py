@@ -3,7 +3,8 @@
 It reads the observation by name, applies the law with the nominal parameters of each vehicle,
 keeps the efforts within what drive and soil give, and holds the compensator xi as the state
 of the policy.
-    F_limit = min(torque limit / r, F(i = 1))            nominal, S (7)
+    F_limit = min(g torque limit / r, F(i = 1))          nominal, S (7), g: gain of the drive
+    action  = F r / (g torque limit)
     xi+     = xi + dt eta_1 + (F_given - F_demanded) / m        anti-windup, F over both tracks
 Where the observation shows ATTITUDE, the law drives in the plane that they give, with gravity
 in it; where it does not, the ground counts as level.
@@ -114,13 +115,17 @@ def control(observation, i, p, xi, gains, period, constrained, sloped):
     pull = soil.GRAVITY * incline.down_x
     left, right = law.track_efforts(motion, xi, u_2, p, k, constrained, pull)
     limit = p.torque_limit * k.inverse_radius
+    limit_left, limit_right = p.actuator_gain_left * limit, p.actuator_gain_right * limit
     if not sloped:
-        limit = min(limit, vehicle.drive_limits(p).effort_limit)
-    given_left, given_right = law.within_limit(left, right, limit)
+        carried = vehicle.drive_limits(p).effort_limit
+        limit_left, limit_right = min(limit_left, carried), min(limit_right, carried)
+    given_left, given_right = law.within_limits(left, right, limit_left, limit_right)
     # Anti-windup: xi is the acceleration that the limited efforts give.
     xi += ((given_left - left) + (given_right - right)) * k.inverse_mass
     unit = p.sprocket_radius / p.torque_limit
-    return given_left * unit, given_right * unit, xi
+    return (
+        given_left * unit / p.actuator_gain_left, given_right * unit / p.actuator_gain_right, xi
+    )  # fmt: skip
 
 
 @loop

@@ -224,6 +224,7 @@ def test_every_uncertainty_set_draws_physical_values_and_changes_what_it_promise
         },
         "resistance-map": resistance,
         "drift": {"mass", "inertia"} | resistance,
+        "actuator-fault": {"actuator_gain_left", "actuator_gain_right"},
     }
     if name in expected:
         assert changed == expected[name]

@@ -28,6 +28,8 @@ CHANGING = (
     "longitudinal_resistance",
     "lateral_resistance",
     "friction_angle",
+    "actuator_gain_left",
+    "actuator_gain_right",
 )
 RESOLUTION = 1e-9  # [-] smaller relative changes are rounding
 ABRUPT_TIME = 2.0  # [s] a change that takes longer is a drift, which a policy can follow

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env.engine.episode import Episode
 from tracked_env.observation import V0
-from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.physics.state import STATE_NAMES
 from tracked_env.uncertainty import Spec
 
@@ -61,7 +60,11 @@ _PLANAR_EPISODE = (
     "parameters", "events", "profile", "sensors", "state", "noise_seed", "relief",
 )  # fmt: skip
 PLANAR = Version("v2", (TORQUE_ID, SPEED_ID), _PLANAR_STATE, _PLANAR_PARAMETERS, _PLANAR_EPISODE)
-SLOPES = Version("terrain-v1", (TERRAIN_ID,), STATE_NAMES, PARAMETER_NAMES, Episode._fields)
+_SLOPE_PARAMETERS = (
+    *_PLANAR_PARAMETERS, "centre_of_mass_x", "centre_of_mass_y", "centre_of_mass_z",
+    "roll_inertia_ratio", "pitch_inertia_ratio", "ground_stiffness_factor",
+)  # fmt: skip
+SLOPES = Version("terrain-v1", (TERRAIN_ID,), STATE_NAMES, _SLOPE_PARAMETERS, Episode._fields)
 GOAL_REACHING = Version(
     "goals-v1", (SPEED_ID,), _PLANAR_STATE, _PLANAR_PARAMETERS, _PLANAR_EPISODE,
     ("goals", "goals-step"),
@@ -214,6 +217,9 @@ def register(entry: BenchmarkSet) -> BenchmarkSet:
     return entry
 
 
+# Of no version: drives that give less torque than they are commanded.
+register(BenchmarkSet("weak-actuator", "weak-actuator", "drives give 0.4 to 0.7 of the command"))
+register(BenchmarkSet("actuator-fault", "actuator-fault", "one drive loses torque on the way"))
 DEFAULT_SETS = default_sets()
 
 

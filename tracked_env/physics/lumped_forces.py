@@ -5,7 +5,7 @@ Equations (S = Strawa et al. 2021 section 4, in ISO axes; symbols in NOTATION.md
     m (dv_y/dt + w v_x) = F_y
     I dw/dt             = (B/2) [(F_R - R_R) - (F_L - R_L)] + f M
     F_k                 = clip(torque_k / r, traction limits),   k = L, R
-    dtorque/dt          = (demand - torque) / T
+    dtorque/dt          = (g_k demand - torque) / T
 `sliding` lateral model: as above, F_y and M from the sliding contact; x_ICR = -v_y / w emerges.
 `constrained` lateral model: S (28), v_y = -d w holds at all times and F_y follows from it:
     m (dv_x/dt + d w^2)          = F_L + F_R - R_L - R_R

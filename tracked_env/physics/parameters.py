@@ -33,6 +33,8 @@ class VehicleParameters(NamedTuple):
     centre_of_mass_z: float = 0.0  # [m] the same, upward
     roll_inertia_ratio: float = 2.18 / 4.5  # [-] roll over yaw inertia, of [2] for every vehicle
     pitch_inertia_ratio: float = 2.81 / 4.5  # [-] pitch over yaw inertia, of [2] likewise
+    actuator_gain_left: float = 1.0  # [-] torque that the left drive gives over its command
+    actuator_gain_right: float = 1.0  # [-] the same of the right drive
 
 
 class SoilParameters(NamedTuple):
@@ -79,6 +81,8 @@ class PlantParameters(NamedTuple):
     roll_inertia_ratio: float
     pitch_inertia_ratio: float
     ground_stiffness_factor: float
+    actuator_gain_left: float
+    actuator_gain_right: float
 
 
 class ParametersRead(NamedTuple):
@@ -112,7 +116,15 @@ GROUPS = {
 }
 
 # What only a plant with a height, a roll and a pitch reads.
-IN_SPACE = frozenset(PARAMETER_NAMES[PARAMETER_NAMES.index("centre_of_mass_x") :])
+IN_SPACE = frozenset(
+    PARAMETER_NAMES[
+        PARAMETER_INDEX["centre_of_mass_x"] : PARAMETER_INDEX["ground_stiffness_factor"] + 1
+    ]
+)
+# What only a plant reads that is driven by torques.
+OF_TORQUE_DRIVES = frozenset(
+    {"torque_limit", "sprocket_inertia", "actuator_gain_left", "actuator_gain_right"}
+)
 
 STRAWA_VEHICLE = VehicleParameters()
 HEAVY_CLAY = SoilParameters()
@@ -162,6 +174,8 @@ RANGES = {
     "roll_inertia_ratio": Range(0.05, 5.0, "-", "It is over the yaw inertia, not in kg m^2."),
     "pitch_inertia_ratio": Range(0.05, 5.0, "-", "It is over the yaw inertia, not in kg m^2."),
     "ground_stiffness_factor": Range(0.05, 10.0, "-", "It is a factor; 1 is the plant's option."),
+    "actuator_gain_left": Range(0.2, 1.2, "-", "1 is a sound drive. Did you pass a percentage?"),
+    "actuator_gain_right": Range(0.2, 1.2, "-", "1 is a sound drive. Did you pass a percentage?"),
 }
 
 

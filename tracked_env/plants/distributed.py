@@ -24,6 +24,7 @@ from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import (
     IN_SPACE,
+    OF_TORQUE_DRIVES,
     PARAMETER_NAMES,
     PlantParameters,
     Range,
@@ -104,6 +105,14 @@ def _held(floats, i, p, by_torque, options):
 
 
 @formula
+def given_by_drives(asked, p, by_torque):
+    """What drives with these gains settle at: torques [N m], or belt speeds [m/s] as asked."""
+    if not by_torque:
+        return asked
+    return Belts(p.actuator_gain_left * asked.left, p.actuator_gain_right * asked.right)
+
+
+@formula
 def _one_soil(batch, i, period, p, parts, inverse_belt_mass, patches):
     """TrackedVehicle on the soil of its centre of mass; parts: coefficients, drive limits."""
     k, drive = parts
@@ -157,7 +166,9 @@ def _move(demand_of, soils, rest, batch, w, block, pace, chosen, options):
     else:
         inverse_belt_mass = SPEED_DRIVEN
         command = start[2]
-    demand = demand_of(floats, i, p, by_torque, options) if substeps > 0 else command
+    demand = command
+    if substeps > 0:
+        demand = given_by_drives(demand_of(floats, i, p, by_torque, options), p, by_torque)
     half_decay = floats[i, b.TORQUE_DECAY]
     body = soils(batch, i, pace.period, p, (k, drive), inverse_belt_mass, patches)
     moved, given = patch_dynamics.advance(
@@ -260,7 +271,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
 _READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW - IN_SPACE
 DISTRIBUTED = Plant(
     name="distributed",
-    reads={"torque": _READ, "speed": _READ - {"torque_limit", "sprocket_inertia"}},
+    reads={"torque": _READ, "speed": _READ - OF_TORQUE_DRIVES},
     prepare=_prepare,
     motion_resistances=motion_resistances,
     options={"patches": (10, 4), "integrator": "rosenbrock", "soil_at": "centre"},

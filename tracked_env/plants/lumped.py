@@ -49,6 +49,8 @@ from tracked_env.validation import checked_choice
 WIDTH = 8  # lanes that the loops do at once; the rest of a block would go one by one
 LATERAL = ("sliding", "constrained")
 _TORQUE_LIMIT = b.PARAMETERS + PARAMETER_INDEX["torque_limit"]
+_GAIN_LEFT = b.PARAMETERS + PARAMETER_INDEX["actuator_gain_left"]
+_GAIN_RIGHT = b.PARAMETERS + PARAMETER_INDEX["actuator_gain_right"]
 
 
 @formula
@@ -73,7 +75,9 @@ def _load(demand, floats, w, block, options):
             w[row, lane] = floats[i, b.STATE + row]
         for row in range(b.COEFFICIENT_COUNT + b.DRIVE_COUNT):
             w[DERIVED + row, lane] = floats[i, b.COEFFICIENTS + row]
-        w[DEMAND_LEFT, lane], w[DEMAND_RIGHT, lane] = demand(floats, i, options)
+        left, right = demand(floats, i, options)
+        w[DEMAND_LEFT, lane] = floats[i, _GAIN_LEFT] * left
+        w[DEMAND_RIGHT, lane] = floats[i, _GAIN_RIGHT] * right
         w[DECAY, lane] = floats[i, b.TORQUE_DECAY]
     for lane in range(block.lanes):
         w[COSINE, lane], w[SINE, lane] = rotation(w[s.YAW, lane])

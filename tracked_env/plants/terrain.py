@@ -36,14 +36,19 @@ from tracked_env.physics import state as s
 from tracked_env.physics import terrain_motion, vehicle
 from tracked_env.physics.attitude import matrix_of
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters, row_parameters
+from tracked_env.physics.parameters import (
+    OF_TORQUE_DRIVES,
+    PARAMETER_NAMES,
+    PlantParameters,
+    row_parameters,
+)
 from tracked_env.physics.patch_dynamics import Belts
 from tracked_env.physics.state import VehicleState
 from tracked_env.physics.terrain_motion import LINEAR
 from tracked_env.physics.tracked_body import body_of, height_at_rest, set_soil
 from tracked_env.plants.base import Ground, Plant, Prepared
 from tracked_env.plants.derived import derive_free
-from tracked_env.plants.distributed import DISTRIBUTED, LATERAL_LAW, rolling
+from tracked_env.plants.distributed import DISTRIBUTED, LATERAL_LAW, given_by_drives, rolling
 from tracked_env.plants.terrain_options import (
     DEFAULTS,
     LOADS,
@@ -88,7 +93,7 @@ def _soil_under_patches(batch, i, period, w, pose, body):
 
 @formula
 def _demanded(floats, i, p, by_torque, held):
-    """What the drives of vehicle i are asked for: belt speeds [m/s] or torques [N m].
+    """What the drives of vehicle i are to give: belt speeds [m/s] or torques [N m].
 
     held: sprocket speeds [rad/s] or torques of all vehicles, (N, 2), or (N, 4) with those at the
     beginning first and those at the end last; empty where the action says it. Returns (at the
@@ -98,10 +103,12 @@ def _demanded(floats, i, p, by_torque, held):
     if last < 0:
         largest = p.torque_limit if by_torque else p.sprocket_speed_limit * p.sprocket_radius
         asked = Belts(floats[i, b.ACTION] * largest, floats[i, b.ACTION + 1] * largest)
+        asked = given_by_drives(asked, p, by_torque)
         return asked, asked, False
     factor = 1.0 if by_torque else p.sprocket_radius
     begin = Belts(held[i, 0] * factor, held[i, 1] * factor)
-    return begin, Belts(held[i, last] * factor, held[i, last + 1] * factor), last > 0
+    end = Belts(held[i, last] * factor, held[i, last + 1] * factor)
+    return given_by_drives(begin, p, by_torque), given_by_drives(end, p, by_torque), last > 0
 
 
 @formula
@@ -230,7 +237,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
 _READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW
 TERRAIN = Plant(
     name="terrain",
-    reads={"torque": _READ, "speed": _READ - {"torque_limit", "sprocket_inertia"}},
+    reads={"torque": _READ, "speed": _READ - OF_TORQUE_DRIVES},
     prepare=_prepare,
     motion_resistances=motion_resistances,
     options=DEFAULTS,

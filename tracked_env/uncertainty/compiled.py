@@ -47,6 +47,8 @@ CENTRE_OF_MASS_Z = PARAMETER_INDEX["centre_of_mass_z"]
 ROLL_INERTIA_RATIO = PARAMETER_INDEX["roll_inertia_ratio"]
 PITCH_INERTIA_RATIO = PARAMETER_INDEX["pitch_inertia_ratio"]
 GROUND_STIFFNESS_FACTOR = PARAMETER_INDEX["ground_stiffness_factor"]
+ACTUATOR_GAIN_LEFT = PARAMETER_INDEX["actuator_gain_left"]
+ACTUATOR_GAIN_RIGHT = PARAMETER_INDEX["actuator_gain_right"]
 
 
 class Draws(NamedTuple):

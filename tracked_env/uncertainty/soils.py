@@ -198,6 +198,28 @@ def _loose_soil(rng, nominal, path, truth, changes):
     truth.longitudinal_resistance = uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2)
 
 
+@formula
+def _weak_actuator(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle whose drives, one or both, give less torque than commanded."""
+    _firm_ground(rng, nominal, truth)
+    weak = integer(rng, 3)  # the left drive, the right drive or both, with equal odds
+    left, right = uniform(rng, 0.4, 0.7), uniform(rng, 0.4, 0.7)  # =U(0.4, 0.7) each
+    if weak != 1:
+        truth.actuator_gain_left = left
+    if weak != 0:
+        truth.actuator_gain_right = right
+
+
+@formula
+def _actuator_fault(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle, one of whose drives loses a part of its torque on the way."""
+    _firm_ground(rng, nominal, truth)
+    start = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
+    gain = uniform(rng, 0.4, 0.7)  # =U(0.4, 0.7)
+    side = c.ACTUATOR_GAIN_LEFT if random(rng) < 0.5 else c.ACTUATOR_GAIN_RIGHT  # odds 1/2
+    c.ramp(changes, side, gain, start, 0.0)
+
+
 @loop
 def _each_soil_and_mass(*call):
     c.draw_each(_soil_and_mass, call)
@@ -248,6 +270,16 @@ def _each_loose_soil(*call):
     c.draw_each(_loose_soil, call)
 
 
+@loop
+def _each_weak_actuator(*call):
+    c.draw_each(_weak_actuator, call)
+
+
+@loop
+def _each_actuator_fault(*call):
+    c.draw_each(_actuator_fault, call)
+
+
 LAWS = c.laws(
     ("soil-and-mass", _each_soil_and_mass, _soil_and_mass),
     ("payload", _each_payload, _payload),
@@ -259,4 +291,6 @@ LAWS = c.laws(
     ("ood", _each_ood, _ood),
     ("slow-drive", _each_slow_drive, _slow_drive),
     ("loose-soil", _each_loose_soil, _loose_soil),
+    ("weak-actuator", _each_weak_actuator, _weak_actuator),
+    ("actuator-fault", _each_actuator_fault, _actuator_fault),
 )

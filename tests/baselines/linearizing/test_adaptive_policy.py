@@ -40,7 +40,8 @@ def replay(policy, observations, state=None):
 
 
 def copied(state):
-    return AdaptiveState(state.xi.copy(), tuple(memory.copy() for memory in state.memories))
+    memories = tuple(memory.copy() for memory in state.memories)
+    return AdaptiveState(state.xi.copy(), memories, state.given.copy())
 
 
 def interrupt(*_arguments):
@@ -155,7 +156,7 @@ def test_it_tells_what_it_knows_and_how_well(recorded):
     assert set(excited) <= set(estimates)
     assert excited["mass"].dtype == bool
     assert excited["mass"].any()
-    assert set(policy.nis()) == {"longitudinal", "turning", "slip", "soil"}
+    assert set(policy.nis()) == {"longitudinal", "turning", "slip", "soil", "actuators"}
 
 
 def test_the_estimates_are_what_the_controller_works_with(recorded):

@@ -132,15 +132,18 @@ def test_the_static_feedback_gives_the_demanded_accelerations(lateral_model):
         assert (got_1, got_2) == pytest.approx((u_1, u_2), abs=1e-9)
 
 
-def test_the_effort_limit_keeps_the_sum_before_the_difference():
-    assert law.within_limit(1.0, 2.0, 5.0) == (1.0, 2.0)
-    assert law.within_limit(-20.0, 26.0, 5.0) == (1.0, 5.0)  # mean 3 kept, difference cut
-    assert law.within_limit(20.0, 21.0, 5.0) == (5.0, 5.0)
+def test_the_effort_limits_keep_the_sum_before_the_difference():
+    assert law.within_limits(1.0, 2.0, 5.0, 5.0) == (1.0, 2.0)
+    assert law.within_limits(-20.0, 26.0, 5.0, 5.0) == (1.0, 5.0)  # mean 3 kept, difference cut
+    assert law.within_limits(20.0, 21.0, 5.0, 5.0) == (5.0, 5.0)
+    assert law.within_limits(8.0, 0.0, 5.0, 3.0) == (5.0, 3.0)
+    assert law.within_limits(-2.0, 6.0, 5.0, 3.0) == (1.0, 3.0)
     for _ in range(100):
         left, right = RNG.uniform(-20.0, 20.0, 2)
-        given = law.within_limit(left, right, 5.0)
-        assert max(abs(x) for x in given) <= 5.0 + 1e-12
-        assert sum(given) == pytest.approx(np.clip(left + right, -10.0, 10.0))
+        for most in ((5.0, 5.0), (5.0, 2.0), (2.0, 5.0)):
+            given = law.within_limits(left, right, *most)
+            assert all(abs(x) <= limit + 1e-12 for x, limit in zip(given, most, strict=True))
+            assert sum(given) == pytest.approx(np.clip(left + right, -sum(most), sum(most)))
 
 
 # --- the policy -----------------------------------------------------------------------------

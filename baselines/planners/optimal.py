@@ -176,7 +176,7 @@ def optimal(
     slip_model: None plans as if the tracks did not slip. intervals: N. smoothing: w_s of F (51a),
     for any number of intervals. stop: rest one interval after the end. period [s]: samples are
     taken so often and at the ends of the intervals, which None are all. threads: for N goals.
-    turning [rad]: change of yaw of the plan to within half a turn, where its whole turns are wanted.
+    turning [rad]: change of yaw of the plan to within half a turn, for its whole turns.
     Returns a Trajectory, or a list of N for N goals; look at `converged` before it is driven.
     Raises ValueError for what is not finite, out of range or contradictory.
     """

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.lyapunov.pseudo_kinematic import SlipModel
-from baselines.planners import chain, gears, slopes, speed_profile
+from baselines.planners import chain, gears, plan_on_slopes, speed_profile
 from baselines.planners.clothoid import CLOSEST, clothoid
 from baselines.planners.dubins import dubins
 from baselines.planners.obstacles import Obstacles
@@ -134,7 +134,7 @@ class Planner(NamedTuple):
     period: float  # [s]
     intervals: int
     reverse: bool
-    ground: slopes.Ground | None
+    ground: plan_on_slopes.Ground | None
 
     @property
     def brakes(self) -> bool:
@@ -144,7 +144,7 @@ class Planner(NamedTuple):
     def __call__(self, start: Start, goal: Array, last: bool = True) -> Trajectory:
         """One trajectory to a goal (3,); last: to rest there, if the limits say how to brake."""
         if self.method == "optimal" and self.ground is not None:
-            return slopes.on_ground(
+            return plan_on_slopes.on_ground(
                 self._level, start, goal, last, self.ground, self.slip_model, self.vehicle
             )
         if self.method == "optimal":
@@ -190,7 +190,7 @@ def plan(
     intervals: int = 40,
     threads: int = 1,
     reverse: bool = False,
-    ground: slopes.Ground | None = None,
+    ground: plan_on_slopes.Ground | None = None,
 ) -> Trajectory | list[Trajectory]:
     """Plan from a start to a goal (3,), or to N goals (N, 3): x, y [m], yaw [rad].
 
@@ -225,7 +225,7 @@ def plan(
 def _prepared(
     limits: Limits | None, slip_model: SlipModel | None, method: str,
     vehicle: str | PlantParameters, period: float, intervals: int, reverse: bool,
-    ground: slopes.Ground | None,
+    ground: plan_on_slopes.Ground | None,
 ) -> Planner:  # fmt: skip
     checked_choice("method", method, METHODS)
     checked_number("period", period, _PERIOD)

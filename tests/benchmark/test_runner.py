@@ -322,8 +322,7 @@ def test_what_is_kept_for_the_figures_is_small() -> None:
 
 def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
     named = {*DEFAULT_SETS, *default_sets(SPEED_ID), *default_sets(TERRAIN_ID)}
-    known = {"nominal", "floor", "level", "goals", "goals-step"}
-    assert named == set(OF_VERSION) - known
+    assert named == set(OF_VERSION) - {"nominal", "floor", "level", "goals", "goals-step"}
     assert {entry.uncertainty for entry in SETS.values()} == set(UNCERTAINTY_SETS)
 
 

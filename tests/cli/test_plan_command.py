@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from baselines.planners.plan_request import planned
-from tracked_env.benchmark import registered_policies
+from tracked_env import entry_points
 from tracked_env.cli.main import main
 from tracked_env.cli.plan_figure import outline
 
@@ -149,8 +149,8 @@ def test_without_matplotlib_the_table_is_printed_and_the_extra_named(
 def test_a_planner_that_is_not_installed_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(registered_policies, "_of_clone", lambda group: [])
-    monkeypatch.setattr(registered_policies, "entry_points", lambda group: ())
+    monkeypatch.setattr(entry_points, "_of_clone", lambda group: [])
+    monkeypatch.setattr(entry_points, "entry_points", lambda group: ())
     assert main(list(QUICK)) == 2
     error = capsys.readouterr().err
     assert "no installed package registers 'plan'" in error and error.count("\n") == 1

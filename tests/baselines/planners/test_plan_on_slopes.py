@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.planners.plan import plan
-from baselines.planners.slopes import driven_on, grade_at, slopes_of
+from baselines.planners.plan_on_slopes import driven_on, grade_at, slopes_of
 from baselines.planners.trajectory import Limits
 from baselines.slip.slip_sweep import identified_slip, with_friction
 from baselines.slip.slope_models import grades

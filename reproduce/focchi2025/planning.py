@@ -30,6 +30,7 @@ from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025.runs import LENGTHS, Floats, vehicle
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.validation import checked_choice
 
 ORIGIN = (0.0, 0.0, 0.0)
 FIGURE_16 = (2.0, 2.5, -0.4)  # [m, m, rad] the goal of figures 16 and 17
@@ -111,7 +112,11 @@ def halton_goals(count: int = 100, nearest: float = NEAREST) -> Floats:
 def plans(
     ground: Ground, planner: str, goals: Floats, slip: SlipModel | None = None
 ) -> list[Trajectory]:
-    """Plans of one of PLANNERS to goals (N, 3). slip: None is the table of the ground's sweep."""
+    """Plans of one of PLANNERS to goals (N, 3). slip: None is the table of the ground's sweep.
+
+    Raises ValueError for another planner.
+    """
+    checked_choice("planner", planner, PLANNERS)
     made = ground.vehicle
     limits = ground.limits(V_MIN.get(planner, SPEED))
     if planner == "clothoid":

@@ -132,7 +132,7 @@ def run_all(say: Callable[[str], None] = lambda text: None) -> Planning:
         tracked[setup] = track(*setup, pairs, every)
     for setup in (*MOVING.values(), *SLIPPERY):
         say(f"the same, mu = {setup.ground.friction:g}, {setup.start}, {setup.ground.length:g} m")
-        pairs = USUAL if setup.ground.length == SHOWN.ground.length else QUICK
+        pairs = USUAL if setup == MOVING[SHOWN.ground.length] else QUICK
         tracked[setup] = track(*setup, pairs, some)
     say("figures 16 to 18, table 5, signs and conventions of the planner")
     ratios = {}

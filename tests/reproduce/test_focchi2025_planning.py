@@ -45,6 +45,11 @@ def test_plans_to_the_goal_of_figure_16_last_as_long_as_printed(planner, duratio
     assert made.duration == pytest.approx(duration, abs=0.01)
 
 
+def test_an_unknown_planner_is_refused_with_the_names_of_those_that_are_there():
+    with pytest.raises(ValueError, match=r"unknown planner 'optimum'.*optimal, rest to rest"):
+        plans(GROUND, "optimum", halton_goals(1))
+
+
 def test_clothoids_take_83_percent_longer_than_dubins_paths_and_optimal_plans_12(goals):
     shortest = durations(plans(GROUND, "dubins", goals)).mean()
     ratio = {
@@ -85,7 +90,7 @@ def test_slip_makes_a_plan_faster_only_where_beta_is_added():
     found = {key: made.duration for key, made in coded.levels(GROUND).items()}
     added = [found[FLIPPED, level] for level in coded.LEVELS]
     assert added == sorted(added, reverse=True) and added[0] - added[-1] > 0.1
-    assert found[RIGHT, "high"] > found[RIGHT, "normal"] + 0.5
+    assert found[RIGHT, "high"] > found[RIGHT, "normal"] + 0.1
     soils = [made.duration for made in coded.soils(GROUND).values()]
     assert soils == sorted(soils) and soils[-1] - soils[0] > 0.2
 

@@ -57,7 +57,7 @@ def main() -> None:
         color="0.9", label="no pose",
     )  # fmt: skip
     axes.set(xlabel="time [s]", ylabel="position [m]", xlim=(time[0], time[-1]), ylim=(0.0, None))
-    axes.legend(fontsize="small", frameon=False, ncols=2)
+    axes.legend(fontsize="small", facecolor="white", framealpha=1.0, ncols=2)
     figure.savefig(TARGET, dpi=110)
 
 

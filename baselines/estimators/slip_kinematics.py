@@ -175,27 +175,17 @@ def make_inputs(
     direction_left = 1.0 if mean_left >= 0.0 else -1.0
     direction_right = 1.0 if mean_right >= 0.0 else -1.0
     return Inputs(
-        mean_left,
-        mean_right,
-        direction_left,
-        direction_right,
-        slip_left,
-        slip_right,
-        side_slip,
+        mean_left, mean_right, direction_left, direction_right, slip_left, slip_right, side_slip,
         ramp(mean_left, k.standing_belt),
         ramp(mean_right, k.standing_belt),
         ramp(forward, max(STANDING_VEHICLE, k.standing_belt)),
         track_speed_from_belt(1.0, direction_left * slip_left),
         track_speed_from_belt(1.0, direction_right * slip_right),
-        ahead,
-        cross,
-        aside,
-        turn,
-        carried,
+        ahead, cross, aside, turn, carried,
         incline.down_x * incline.down_x + incline.down_y * incline.down_y,
         incline.press,
         common,
-    )
+    )  # fmt: skip
 
 
 @formula

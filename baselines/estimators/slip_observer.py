@@ -108,7 +108,8 @@ _DELAY = Range(0.0, 10.0, "s", "Did you pass milliseconds?")
 class SlipObserver(AnsweringEstimator):
     """Slip ratios, side slip angle and pose of N vehicles from pose and sprocket speeds.
 
-    parameters: nominal; only track gauge and sprocket radius are used. control_period [s]:
+    parameters: nominal; track gauge and sprocket radius are used, in outages contact length and
+    icr_forward too. control_period [s]:
     time between two updates. data_sheet: noise of the sensors. count: N.
     velocity: True uses v_x, v_y of the pose group and the gyro too, False the paper's pose alone.
     Process noise, standard deviations that grow with the square root of time:

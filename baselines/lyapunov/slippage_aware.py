@@ -221,11 +221,10 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
         beta, alpha, driven = self._slip(actual, geometry)
-        motion, side = self._without_pose(observation, driven, alpha)
         reference = np.empty((count, 4))
         locate(
-            observation, motion, side, self.velocity_measured, self.filter_gains,
-            self.control_period, error, age, mean, located, reference,
+            observation, *self._without_pose(observation, driven, alpha), self.velocity_measured,
+            self.filter_gains, self.control_period, error, age, mean, located, reference,
         )  # fmt: skip
         moving = located & np.isfinite(reference[:, 0])
         reference[~moving] = 0.0
@@ -251,17 +250,14 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
     def _without_pose(
         self, observation: NDArray[np.float32], motion: Array, alpha: Array
     ) -> tuple[Array, Array]:
-        """Motion (N, 2) and slip angle (N,) by which the pose is carried on: those that the belts
-        settle at, and after OUTAGE without a pose those of `driven`, where there is one."""
+        """Motion (N, 2) and slip angle (N,) that carry the pose on; in an outage, of `driven`."""
         blind = observation[:, _AGE] * _SCALE[_AGE] > OUTAGE
         if self.driven is None or not blind.any():
             return motion, alpha
-        forward, lateral = self.driven.T
-        slow = np.abs(forward) < kinematics.SLOW
-        angle = np.arctan(lateral / np.where(slow, np.inf, forward))
-        mixed = motion.copy()
-        mixed[:, 0] = np.where(blind, forward, motion[:, 0])
-        return mixed, np.where(blind, angle, alpha)
+        v_x, v_y = self.driven.T
+        angle = np.arctan(v_y / np.where(np.abs(v_x) < kinematics.SLOW, np.inf, v_x))
+        forward = np.where(blind, v_x, motion[:, 0])
+        return np.stack([forward, motion[:, 1]], axis=1), np.where(blind, angle, alpha)
 
     def _rows(self, count: int) -> tuple[Geometry, Geometry]:
         """Geometry of `count` vehicles, and the same three times over."""

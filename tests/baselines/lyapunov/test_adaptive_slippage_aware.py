@@ -10,6 +10,7 @@ from baselines.lyapunov.adaptive_slippage_aware import (
     OracleSlipPolicy,
 )
 from baselines.registry import BY_DRIVE, POLICIES
+from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_sweep import identified_slip
 from tracked_env import observation as layout
 from tracked_env.benchmark import BenchmarkConfig, PolicyContext
@@ -158,3 +159,30 @@ def test_the_oracle_takes_the_soil_of_every_vehicle():
     oracle.observe_truth(truth)
     np.testing.assert_allclose(oracle.slip_model.friction, [0.1, 0.7])
     np.testing.assert_allclose(oracle.slip_model.modulus, 0.001)
+
+
+def lost_in_outages(count=24, duration=20.0):
+    """RMS error [m] of the pose that the policy carries on where none comes, per vehicle."""
+    config = BenchmarkConfig(sets=("floor-outages",), duration=duration)
+    policy = POLICIES["slc-adaptive"](config.context("floor-outages"))
+    env = config.environment("floor-outages", count, truth=False)
+    observation, _ = env.reset(seed=list(range(71_000, 71_000 + count)))
+    arrays, state, squares = env.simulation.batch, None, []
+    for _ in range(round(duration / 0.02)):
+        east, north = (arrays.column(n) - arrays.column(f"reference_{n}") for n in ("x", "y"))
+        c, s = np.cos(arrays.column("yaw")), np.sin(arrays.column("yaw"))
+        true = np.stack([c * east + s * north, c * north - s * east], axis=1)
+        blind = observation[:, layout.INDEX["pose_age"]] > 0.25
+        action, state = policy.predict(observation, state)
+        lost = ((state.driving.error[:, :2] - true) ** 2).sum(axis=1)
+        squares.append(np.where(blind, lost, np.nan))
+        observation, *_ = env.step(action)
+    return np.sqrt(np.nanmean(squares, axis=0))
+
+
+def test_without_a_pose_it_goes_by_the_plant_that_the_belts_drive(monkeypatch):
+    driven = lost_in_outages()
+    monkeypatch.setattr(RecursiveSlipEstimator, "velocities", lambda self: None)
+    settled = lost_in_outages()  # by the slip at which the belts settle
+    assert np.median(driven) < 0.01
+    assert driven.mean() < 0.9 * settled.mean()

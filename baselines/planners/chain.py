@@ -52,7 +52,10 @@ def end_of(made: Trajectory) -> Start:
 
 
 def joined(legs: list[Trajectory]) -> Trajectory:
-    """Legs one after the other; the end errors are those of the last."""
+    """Legs one after the other; the end errors are those of the last.
+
+    Where two meet, the sample is the first one of the later leg, whose speeds hold from there on.
+    """
     if len(legs) == 1:
         return legs[0]
     rows = {name: [getattr(legs[0], name)] for name in Trajectory._fields[:13]}
@@ -65,7 +68,8 @@ def joined(legs: list[Trajectory]) -> Trajectory:
                 values = values + parts[-1][-1]
             elif name in ("yaw", "course"):
                 values = values + turned
-            parts.append(values[1:])
+            parts[-1] = parts[-1][:-1]
+            parts.append(values)
     notes = [f"leg {i + 1}: {leg.message}" for i, leg in enumerate(legs) if leg.message]
     whole: dict[str, Any] = {name: np.concatenate(parts) for name, parts in rows.items()}
     return legs[-1]._replace(

@@ -1,11 +1,11 @@
 """Plans of least time for a vehicle whose tracks slip: F 6.3.
 
 Belt speeds are held over N equal intervals, and slip is a smooth surface over them (surface_fit).
-The interior point method starts from Dubins words of the start and the goal, shortest first: left
-and right turns are different minima, and the whole turns of a word are the yaw that its plan ends
-at. A longer word is tried while its length is below LONGER of the shortest plus EXTRA, unless a
-plan with the same whole turns was found, and as long as none was; where no word leads to a plan,
-all are tried again with more patience. The plan of least cost is taken.
+The interior point method starts from Dubins words of the start and the goal (start_words), in the
+order of their durations: left and right turns are different minima, and the whole turns of a word
+are the yaw that its plan ends at. A slower word is tried while its duration is below LONGER of the
+least plus EXTRA, unless a plan with the same whole turns was found, and as long as none was; where
+no word leads to a plan, all are tried again with more patience. The plan of least cost is taken.
 
 Constant speed (v_min = v_max): the belts' mean is given from the first moment to the last. Other-
 wise, with a limit on sprocket acceleration, the first interval must be reached from the sprocket
@@ -20,7 +20,7 @@ Vehicles (2025), sections 6.3, 7.2.
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,9 +32,11 @@ from baselines.planners.interior_point import solve
 from baselines.planners.interval_limits import Bounds
 from baselines.planners.planning_problem import Task, make_work
 from baselines.planners.riccati import make_stages
-from baselines.planners.slip_surface import SlipSurface, motion_jets
+from baselines.planners.slip_surface import SlipSurface
+from baselines.planners.start_words import Setting, arc_of, duration_of, gathering, guess
 from baselines.planners.surface_fit import surface_of
 from baselines.planners.trajectory import (
+    ANGLE,
     Limits,
     Start,
     Trajectory,
@@ -54,10 +56,8 @@ PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
 THREADS = Range(1, 256, "-", "It is the number of threads.")
 ITERATIONS = 30  # of the interior point method from one word
 FURTHER, PATIENT = 20, 200  # from a word after a plan was found; from each, where none was
-SPARE = 0.7  # [-] of the fastest turn of the belts: on the arcs of the words
-HALVINGS = 12  # of the interval in which the belts of an arc are found
-SLOWEST_TURN = 1e-3  # [rad/s] of the words
-LONGER, EXTRA = 1.1, 0.3  # [-], [m]
+LONGER, EXTRA = 1.1, 0.3  # [-], [m] at the speed of the words
+BRIEF = 0.3  # [s] duration of a word below which it is tried at constant speed too
 RADIUS = 0.4  # [-] of the track gauge: turning radius of the words
 INSIDE = 0.9  # [-] of the way from v_min to v_max: speed along the words
 SAME = 1e-9  # [m, rad] poses that differ by less are one
@@ -67,65 +67,6 @@ SHARE = 4  # blocks of a batch per thread: plans take different times
 DURATION, COST, CONVERGED, USED, RESULTS = 0, 1, 2, 3, 4
 
 
-class Setting(NamedTuple):
-    """What the plans of a batch have in common."""
-
-    radius: float  # [m] of the words, at least
-    speed: float  # [m/s] of the belts' mean along them
-    before_p: float  # [m/s] belt speeds at the start
-    before_q: float
-    ramp: bool  # whether the first interval must be reached from them
-    smoothing: float  # [-] w_s
-
-
-@formula
-def _tightest(surface, bounds, setting, w):
-    """Radius of the words [m], and belts q [m/s] and ground speed [m/s] on it.
-
-    It is at least setting.radius, and so wide that with slip SPARE of what the belts can do is
-    enough.
-    """
-    p = setting.speed
-    low, high = 0.0, SPARE * (bounds.belt - p)
-    for step in range(HALVINGS + 1):
-        q = high if step == 0 else 0.5 * (low + high)
-        v_x, v_y, turn = motion_jets(surface, p, q, w.rows, w.columns)
-        speed = math.hypot(v_x.value, v_y.value)
-        if turn.value * setting.radius < speed:  # a wider turn than wanted
-            if step == 0:
-                return speed / max(turn.value, SLOWEST_TURN), q, speed
-            low = q
-        else:
-            high = q
-    return setting.radius, q, speed
-
-
-@formula
-def _guess(segments, signs, speed, p, q, belts):
-    """Belts (N, 2) of a word, means over equal intervals; the duration.
-
-    p, q [m/s]: belts on its arcs; speed [m/s]: on the ground there.
-    """
-    n = len(belts)
-    total = segments[0] + segments[1] + segments[2]
-    length = total / n
-    for k in range(n):
-        turned, begin = 0.0, 0.0
-        for part in range(3):
-            end = begin + segments[part]
-            turned += signs[part] * max(min(end, (k + 1) * length) - max(begin, k * length), 0.0)
-            begin = end
-        belts[k, 0], belts[k, 1] = p, turned / length * q
-    return total / speed
-
-
-@formula
-def _slow_intervals(missing, bounds, step):
-    """Intervals of `step` [s] in which the belts gain `missing` [m/s], and two to spare."""
-    rate = min(bounds.belt_rate, bounds.rate)
-    return 0 if missing <= 0.0 else int(min(missing / (rate * step), 1e6)) + 2
-
-
 @formula
 def _was_found(turnings, found, turning):
     """Whether one of the first `found` of turnings [rad] has the whole turns of `turning`."""
@@ -133,6 +74,13 @@ def _was_found(turnings, found, turning):
     for i in range(found):
         same = same or abs(turnings[i] - turning) < FOUND
     return same
+
+
+@formula
+def _slow_intervals(missing, bounds, step):
+    """Intervals of `step` [s] in which the belts gain `missing` [m/s], and two to spare."""
+    rate = min(bounds.belt_rate, bounds.rate)
+    return 0 if missing <= 0.0 else int(min(missing / (rate * step), 1e6)) + 2
 
 
 @formula
@@ -147,15 +95,17 @@ def _task(start, goal, turning, step, bounds, setting):
 
 
 @loop
-def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bounds, setting, w, a,
-                 turnings, belts, best):  # fmt: skip
-    """Plans from the words of totals (6,) [m], shortest first; the best into belts and `best`.
+def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bounds, given, setting,
+                 w, a, turnings, belts, best):  # fmt: skip
+    """Plans from the words of totals (6,) [s], shortest first; the best into belts and `best`.
 
-    on_arc: radius [m], belts q [m/s] and ground speed [m/s] there. Returns how many converged.
+    on_arc: radius [m], and belts p, q and ground speed [m/s] there. given: the bounds at constant
+    speed, with which brief plans are made that are not found otherwise. Returns how many converged.
     """
-    radius, q, speed = on_arc
+    radius, arc = on_arc
+    line = setting.speed, 0.0, setting.speed
     left, found = totals.copy(), 0
-    enough = LONGER * np.min(totals) + EXTRA
+    enough = LONGER * np.min(totals) + EXTRA / setting.speed
     for _ in range(6):
         word = np.argmin(left)
         if left[word] == math.inf or (found > 0 and left[word] > enough):
@@ -164,13 +114,19 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
         turning = 0.0
         for part in range(3):
             turning += SIGNS[word, part] * angles[word, part]
-        if _was_found(turnings, found, turning):
+        if _was_found(turnings, found, turning) or abs(turning - setting.turning) > math.pi:
             continue
-        duration = _guess(angles[word] * radius, SIGNS[word], speed, setting.speed, q, w.belts)
-        task = _task(start, goal, turning, duration / len(w.belts), bounds, setting)
+        total, segments = totals[word], angles[word] * radius
+        least = gathering(np.sum(segments), bounds, setting)
+        first = guess(segments, SIGNS[word], arc, line, total, least, w.belts)
+        task = _task(start, goal, turning, first / len(w.belts), bounds, setting)
         most = FURTHER if found > 0 else iterations
-        duration, cost, converged, used = solve(task, bounds, surface, duration, w, a, most)
+        duration, cost, converged, used = solve(task, bounds, surface, first, w, a, most)
         best[USED] += used
+        if not converged and total < BRIEF and not setting.ramp and not bounds.fixed:
+            guess(segments, SIGNS[word], line, line, total, least, w.belts)
+            duration, cost, converged, used = solve(task, given, surface, first, w, a, most)
+            best[USED] += used
         if converged:
             turnings[found] = turning
             found += 1
@@ -182,25 +138,28 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
 
 
 @loop
-def _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, results):
+def _solve_rows(starts, goals, surface, bounds, given, setting, first, last, belts, results):
     """Plans of rows first to last: belts (B, N, 2) and results (B, RESULTS)."""
     n = belts.shape[1]
     w, a = make_work(n), make_stages(n)
     angles, totals, turnings = np.empty((6, 3)), np.empty(6), np.empty(6)
-    on_arc = _tightest(surface, bounds, setting, w)
-    radius = on_arc[0]
     for row in range(first, last):
+        away_x, away_y = goals[row, 0] - starts[row, 0], goals[row, 1] - starts[row, 1]
+        on_arc = arc_of(math.hypot(away_x, away_y), surface, bounds, setting, w)
+        radius = on_arc[0]
         x, y, phi = relative(starts, goals, row, radius)
         segments_of_words(x, y, phi, SNAP / max(1.0, radius), angles)
         for word in range(6):
             total = angles[word, 0] + angles[word, 1] + angles[word, 2]
-            totals[word] = total * radius if total > 0.0 else math.inf  # NaN: no such word
+            totals[word] = math.inf  # NaN: no such word
+            if total > 0.0:
+                totals[word] = duration_of(angles[word], SIGNS[word], radius, on_arc[1], setting)
         best = results[row]
         best[COST], best[CONVERGED], best[USED] = math.inf, 0.0, 0.0
         for iterations in (ITERATIONS, PATIENT):
             found = _solve_words(
                 starts[row], goals[row], totals, angles, on_arc, iterations, surface, bounds,
-                setting, w, a, turnings, belts[row], best,
+                given, setting, w, a, turnings, belts[row], best,
             )  # fmt: skip
             if found > 0:
                 break
@@ -210,12 +169,14 @@ def optimal(
     start: Start | Sequence[float], goal: ArrayLike, limits: Limits, vehicle: PlantParameters,
     slip_model: SlipModel | None = None, *, intervals: int = 40, smoothing: float = 1.0,
     stop: bool = False, period: float | None = None, threads: int = 1,
+    turning: float | None = None,
 ) -> Trajectory | list[Trajectory]:  # fmt: skip
     """Plans of least time from a start to a goal (3,), or to N goals (N, 3).
 
     slip_model: None plans as if the tracks did not slip. intervals: N. smoothing: w_s of F (51a),
     for any number of intervals. stop: rest one interval after the end. period [s]: samples are
     taken so often and at the ends of the intervals, which None are all. threads: for N goals.
+    turning [rad]: change of yaw of the plan to within half a turn, for its whole turns.
     Returns a Trajectory, or a list of N for N goals; look at `converged` before it is driven.
     Raises ValueError for what is not finite, out of range or contradictory.
     """
@@ -225,13 +186,15 @@ def optimal(
     checked_number("smoothing", smoothing, SMOOTHING)
     if period is not None:
         checked_number("period", period, PERIOD)
-    bounds, setting = _prepared(begin, allowed, vehicle, stop, float(smoothing))
+    wanted = math.nan if turning is None else checked_number("turning", turning, ANGLE)
+    bounds, setting = _prepared(begin, allowed, vehicle, stop, float(smoothing), wanted)
+    given = bounds._replace(fixed=True, stop=False)
     surface = surface_of(slip_model, vehicle, allowed.sprocket_used, allowed.v_max)
     starts = np.tile(np.array(begin[:3], dtype=np.float64), (len(goals), 1))
     belts, results = np.zeros((len(goals), count, 2)), np.zeros((len(goals), RESULTS))
 
     def block(first: int, last: int) -> None:
-        _solve_rows(starts, goals, surface, bounds, setting, first, last, belts, results)
+        _solve_rows(starts, goals, surface, bounds, given, setting, first, last, belts, results)
 
     workers = min(checked_whole("threads", threads, THREADS), len(goals))
     if workers == 1:
@@ -248,8 +211,9 @@ def optimal(
 
 
 def _prepared(
-    start: Start, limits: Limits, vehicle: PlantParameters, stop: bool, smoothing: float
-) -> tuple[Bounds, Setting]:
+    start: Start, limits: Limits, vehicle: PlantParameters, stop: bool, smoothing: float,
+    turning: float,
+) -> tuple[Bounds, Setting]:  # fmt: skip
     """Limits of the intervals, and what the plans of a batch have in common. Raises ValueError."""
     radius, half_gauge = vehicle.sprocket_radius, 0.5 * vehicle.track_gauge
     belt, fixed = radius * limits.sprocket_used, limits.fixed
@@ -271,7 +235,7 @@ def _prepared(
     left, right = start.sprockets(vehicle)
     return bounds, Setting(
         float(widest), float(speed), 0.5 * radius * (left + right), 0.5 * radius * (right - left),
-        limited and not fixed, smoothing,
+        limited and not fixed, smoothing, turning,
     )  # fmt: skip
 
 

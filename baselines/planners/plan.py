@@ -3,7 +3,8 @@
     dubins        shortest path with bounded curvature, forwards
     reeds-shepp   the same, forwards and in reverse
     clothoid      one clothoid; another method where it breaks a limit or goes far round
-    optimal       least time under slip (`baselines.planners.optimal`)
+    optimal       least time under slip (`baselines.planners.optimal`), forwards, or with `reverse`
+                  in the gears that cost least (`baselines.planners.gears`)
 With equal v_min and v_max the speed is constant from the first moment on, as in [F]; otherwise a
 path is driven as fast as the limits allow, from the start's speed to rest, and the optimal plan
 ends at rest if the sprocket acceleration has a limit. With obstacles, a plan
@@ -22,11 +23,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.lyapunov.pseudo_kinematic import SlipModel
-from baselines.planners import chain, speed_profile
+from baselines.planners import chain, gears, slopes, speed_profile
 from baselines.planners.clothoid import CLOSEST, clothoid
 from baselines.planners.dubins import dubins
 from baselines.planners.obstacles import Obstacles
-from baselines.planners.optimal import optimal
+from baselines.planners.optimal import RADIUS, optimal
 from baselines.planners.path import Path
 from baselines.planners.reeds_shepp import reeds_shepp
 from baselines.planners.timed_path import driven
@@ -39,7 +40,7 @@ from baselines.planners.trajectory import (
     checked_start,
 )
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
-from tracked_env.validation import checked_choice, checked_number
+from tracked_env.validation import checked_choice, checked_flag, checked_number
 
 Array = NDArray[np.float64]
 
@@ -132,6 +133,8 @@ class Planner(NamedTuple):
     method: str
     period: float  # [s]
     intervals: int
+    reverse: bool
+    ground: slopes.Ground | None
 
     @property
     def brakes(self) -> bool:
@@ -140,18 +143,37 @@ class Planner(NamedTuple):
 
     def __call__(self, start: Start, goal: Array, last: bool = True) -> Trajectory:
         """One trajectory to a goal (3,); last: to rest there, if the limits say how to brake."""
+        if self.method == "optimal" and self.ground is not None:
+            return slopes.on_ground(
+                self._level, start, goal, last, self.ground, self.slip_model, self.vehicle
+            )
         if self.method == "optimal":
-            best = optimal(
-                start, goal, self.limits, self.vehicle, self.slip_model, intervals=self.intervals,
-                period=self.period, stop=last and self.brakes,
-            )  # fmt: skip
-            assert isinstance(best, Trajectory)
-            return best
+            return self._level(start, goal, last)
         made = timed_path(start, goal, self.limits, self.vehicle, self.method)
         return driven(
             made.path, made.speed, goal, self.limits, self.vehicle, made.method, self.slip_model,
             made.message, self.period,
         )  # fmt: skip
+
+    def _level(
+        self, start: Start, goal: Array, last: bool, turning: float | None = None
+    ) -> Trajectory:
+        """The optimal plan on level ground, in the gears that are allowed."""
+        if not self.reverse:
+            return self._forwards(start, goal, last, turning)
+        radius = max(arc_radius(self.limits, self.vehicle), RADIUS * self.vehicle.track_gauge)
+        jumps = self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
+        return gears.cheapest(self._forwards, start, goal, None if jumps else radius, last)
+
+    def _forwards(
+        self, start: Start, goal: Array, last: bool, turning: float | None = None
+    ) -> Trajectory:
+        made = optimal(
+            start, goal, self.limits, self.vehicle, self.slip_model, intervals=self.intervals,
+            period=self.period, stop=last and self.brakes, turning=turning,
+        )  # fmt: skip
+        assert isinstance(made, Trajectory)
+        return made
 
 
 def plan(
@@ -167,6 +189,8 @@ def plan(
     period: float = 0.02,
     intervals: int = 40,
     threads: int = 1,
+    reverse: bool = False,
+    ground: slopes.Ground | None = None,
 ) -> Trajectory | list[Trajectory]:
     """Plan from a start to a goal (3,), or to N goals (N, 3): x, y [m], yaw [rad].
 
@@ -174,16 +198,20 @@ def plan(
     default. slip_model: of `baselines.slip`; None plans as if the tracks did not slip. vehicle:
     parameters, or a key of VEHICLES. via: way points (K, 3) to be passed before the goal. period:
     time between samples [s]. intervals: N of the optimal planner. threads: for N goals by the
-    optimal planner, without obstacles and way points.
+    optimal planner forwards, without obstacles and way points. reverse: whether the optimal planner
+    may drive backwards, where that costs less; its limits hold in both gears.
+    ground: slopes of a plane, or heights with slopes as functions of x and y, on which the optimal
+    planner drives with a slip model that knows slopes.
     Returns a Trajectory, or a list of N for N goals. Look at `converged` and `message` before it is
     driven. Raises ValueError for what is not finite, out of range, unknown or contradictory.
     """
-    planner, begin = _prepared(start, limits, slip_model, method, vehicle, period, intervals)
+    begin = checked_start(start)
+    planner = _prepared(limits, slip_model, method, vehicle, period, intervals, reverse, ground)
     goals = checked_poses("goal", goal)
     if obstacles is not None or np.size(via):
         before = checked_poses("via", via) if np.size(via) else np.zeros((0, 3))
         made = [chain.through(planner, begin, np.vstack([before, row]), obstacles) for row in goals]
-    elif method == "optimal" and threads > 1:
+    elif method == "optimal" and threads > 1 and not reverse and ground is None:
         several = optimal(
             begin, goals, planner.limits, planner.vehicle, slip_model, intervals=intervals,
             period=period, threads=threads, stop=planner.brakes,
@@ -195,13 +223,20 @@ def plan(
 
 
 def _prepared(
-    start: Start | Sequence[float], limits: Limits | None, slip_model: SlipModel | None,
-    method: str, vehicle: str | PlantParameters, period: float, intervals: int,
-) -> tuple[Planner, Start]:  # fmt: skip
+    limits: Limits | None, slip_model: SlipModel | None, method: str,
+    vehicle: str | PlantParameters, period: float, intervals: int, reverse: bool,
+    ground: slopes.Ground | None,
+) -> Planner:  # fmt: skip
     checked_choice("method", method, METHODS)
     checked_number("period", period, _PERIOD)
+    if checked_flag("reverse", reverse) and method in ("dubins", "clothoid"):
+        raise ValueError(
+            f"reverse = True; must be False with method = '{method}', whose paths are driven "
+            "forwards. Did you mean 'reeds-shepp' or 'optimal'?"
+        )
+    if ground is not None and method != "optimal":
+        raise ValueError(f"ground with method = '{method}'; must be 'optimal', which knows slopes")
     if isinstance(vehicle, str):
         vehicle = VEHICLES[checked_choice("vehicle", vehicle, VEHICLES)]
-    begin = checked_start(start)
     allowed = checked_limits(Limits.of(vehicle) if limits is None else limits, vehicle)
-    return Planner(allowed, vehicle, slip_model, method, period, intervals), begin
+    return Planner(allowed, vehicle, slip_model, method, period, intervals, reverse, ground)

@@ -91,6 +91,8 @@ def _of_friction(
         raise ValueError(
             f"friction = {friction}; must be one number for a plan. Plan for one vehicle at a time."
         )
+    if len(family.frictions) == 1:
+        return _fitted_layer(family, 0, radius, belt, fastest)
     layer, share = np.empty(1, dtype=np.int64), np.empty(1)
     layers(family.frictions, friction.reshape(1), layer, share)
     low, high = (_fitted_layer(family, int(layer[0]) + k, radius, belt, fastest) for k in (0, 1))

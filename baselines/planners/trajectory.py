@@ -61,7 +61,11 @@ class Goal(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What a plan may ask of the vehicle; equal v_min and v_max: constant speed."""
+    """What a plan may ask of the vehicle; equal v_min and v_max: constant speed.
+
+    In reverse the same limits hold for speeds backwards: v_min and v_max are never negative, and
+    `plan(..., reverse=True)` chooses the gear.
+    """
 
     sprocket_speed: float  # [rad/s] of either sprocket, both directions
     reserve: float = 0.0  # [-] share of `sprocket_speed` that is left to the controller
@@ -138,6 +142,13 @@ class Trajectory(NamedTuple):
         steps = np.diff(self.time)
         return float(np.sum(0.5 * np.abs(self.speed[1:] + self.speed[:-1]) * steps))
 
+    def slip(self, vehicle: PlantParameters) -> tuple[Array, Array, Array]:
+        """(beta_left, beta_right [m/s], alpha [rad]) (M,) that the plan has taken into account."""
+        alpha, radius = self.course - self.yaw, vehicle.sprocket_radius
+        forward, across = self.speed * np.cos(alpha), 0.5 * vehicle.track_gauge * self.yaw_rate
+        left = radius * self.sprocket_left - (forward - across)
+        return left, radius * self.sprocket_right - (forward + across), alpha
+
 
 def checked_start(start: Start | Sequence[float]) -> Start:
     """`start` with finite numbers. Raises ValueError."""
@@ -191,7 +202,7 @@ def checked_limits(limits: Limits, vehicle: PlantParameters) -> Limits:
     if not 0.0 <= limits.v_min <= limits.v_max:
         raise ValueError(
             f"limits v_min = {limits.v_min}, v_max = {limits.v_max} m/s; must be 0 <= v_min <= "
-            "v_max. Did you swap them?"
+            "v_max. Did you swap them? In reverse (`reverse=True`) the same limits hold."
         )
     belt = vehicle.sprocket_radius * limits.sprocket_used
     if limits.v_min >= belt:

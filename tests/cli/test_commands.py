@@ -17,7 +17,7 @@ from tests.benchmark.plugin_package import Install, install
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.sets import SETS
 from tracked_env.cli import clone, evaluate_command
-from tracked_env.cli.evaluate_options import Config, parsed
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, Config, parsed
 from tracked_env.cli.main import COMMANDS, main
 
 TINY = ("--sets", "payload", "--episodes", "1", "--duration", "0.5")
@@ -131,7 +131,8 @@ def test_envs_lists_every_environment_and_evaluation_set(
 ) -> None:
     assert main(["envs"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines if line.startswith("  ")] == list(SETS)
+    expected = [name for env in ENVIRONMENTS for name, of in SETS.items() if of.env == env]
+    assert [line.split()[0] for line in lines if line.startswith("  ")] == expected
     heads = [line.split()[0] for line in lines if not line.startswith("  ")]
     assert heads == [TORQUE_ID, SPEED_ID, TERRAIN_ID]
 

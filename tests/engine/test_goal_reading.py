@@ -85,6 +85,15 @@ def test_the_goal_is_shown_in_the_axes_of_the_vehicle(env_id):
     assert abs(truth["yaw"]) > 0.05
 
 
+def test_after_the_plan_no_time_is_left():
+    env = make(reference={"kind": "plan", "goal": [0.5, 0.0, 0.0]})
+    env.reset(seed=1)
+    _, seen = walked(env, 250)
+    left = seen["goal_time"]
+    assert left[0] > 1.0 and left[-1] == 0.0
+    np.testing.assert_allclose(np.diff(left[left > 0.0]), -0.02, atol=1e-5)
+
+
 def test_the_goal_that_is_shown_is_as_late_as_the_measured_pose():
     env = make(sensors={"preset": "ideal", "pose_delay": 0.2}, expose_truth=True)
     env.reset(seed=1)
@@ -171,12 +180,30 @@ def test_options_may_give_another_goal_with_more_knots_and_another_kind_of_refer
     assert len(env.simulation.batch.profile) > rows
     references, _ = walked(env, 700)
     np.testing.assert_allclose(references[-1, :2], [1.0, -1.0], rtol=0.0, atol=1e-12)
+    env.reset()  # to the plan with fewer knots, where those of the longer one have been
+    references, _ = walked(env, 700)
+    assert tuple(references[-1]) == (*GOAL[:2], pytest.approx(GOAL[2]))
     circle = {"kind": "circle", "radius": 2.0, "speed": 0.4}
     env.reset(options={"reference": circle, "start": REST})
     references, _ = walked(env, 1999)
     turned = 0.2 * 0.02 * np.arange(2000)
     np.testing.assert_allclose(references[:, 0], 2.0 * np.sin(turned), atol=1e-9)
     np.testing.assert_allclose(references[:, 2], turned, atol=1e-9)
+
+
+def test_there_is_room_for_a_drawn_plan_with_more_knots_than_those_before():
+    goals = [[1.0, 0.0, 0.0], [2.0, 2.5, -0.4], [1.5, -1.0, 2.0]]
+    plan = {"kind": "plan", "goals": goals, "planner": "clothoid", "limits": {"curvature": 3.0}}
+    env = indoors(6, reference=plan, error_limit=1e3)
+    at_first = len(env.simulation.batch.profile)
+    env.reset(seed=0)
+    assert len(env.simulation.batch.profile) > at_first
+    for _ in range(700):
+        env.step(np.zeros((6, 2), np.float32))
+    for row, episode in enumerate(env.simulation.episodes):
+        expected = sample(episode.profile, [14.0])
+        x, y, _ = env.simulation.batch.floats[row, REFERENCE]
+        np.testing.assert_allclose([x, y], [expected.x[0], expected.y[0]], rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -119,10 +119,13 @@ def test_in_the_body_frame_a_path_is_driven_by_the_belts_that_slip_needs():
     assert profile.knots[-1, 0] == pytest.approx(path.speed.time[-1])
 
 
+SLIPPING = {"planner": "clothoid", "slip": True, "limits": {"v_min": 0.3, "v_max": 0.3}}
+
+
 @pytest.mark.parametrize("frame", planned.FRAMES)
-@pytest.mark.parametrize("planner", ["optimal", *PATHS])
-def test_after_the_plan_the_reference_stands_at_the_goal_with_its_yaw(planner, frame):
-    profile = build(planner=planner, frame=frame)
+@pytest.mark.parametrize("given", [*({"planner": p} for p in ("optimal", *PATHS)), SLIPPING])
+def test_after_the_plan_the_reference_stands_at_the_goal_with_its_yaw(given, frame):
+    profile = build(**given, frame=frame)
     end = profile.knots[-1, 0]
     at = sample(profile, [end, end + 1.0, 3000.0])
     np.testing.assert_array_equal(at.x, GOAL[0])

@@ -100,6 +100,22 @@ def test_gymnasium_checks_the_environment_and_its_rendering_without_a_warning() 
         check_env(gymnasium.make(ID, render_mode="rgb_array").unwrapped)
 
 
+def test_the_goal_of_a_plan_is_drawn_where_the_vehicle_has_to_stand() -> None:
+    pictures = []
+    for x in (1.5, 1.9):
+        plan = {"kind": "plan", "goal": [x, 0.0, 0.0]}
+        env = gymnasium.make("tracked_env/Speed-v0", reference=plan, uncertainty="nominal")
+        start = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0}
+        env.reset(seed=0, options={"start": start})
+        drawn = Renderer("rgb_array", 50, 100).draw(env.unwrapped.simulation, 0)
+        assert drawn is not None
+        scene = drawn[40:580, :680].astype(int)  # without legend and panel
+        purple = np.abs(scene - np.array(canvas.PURPLE)).sum(axis=2) < 30
+        pictures.append(np.flatnonzero(purple.any(axis=0)).mean())
+        assert purple.sum() > 50
+    assert pictures[1] - pictures[0] == pytest.approx(40.0, abs=3.0)
+
+
 def test_a_recorded_video_can_be_played(tmp_path: Path) -> None:
     moviepy = pytest.importorskip("moviepy")
     base = gymnasium.make(ID, render_mode="rgb_array", duration=0.5, uncertainty="drift")

@@ -172,6 +172,9 @@ def test_a_rig_stands_on_the_first_terrain():
         (MAPS[0], "array of shape .41, 41.*need the distance between them"),
         ("drawn", "must have either 'of' or 'terrains'"),
         (3, "terrain = 3; must be a kind or a dict"),
+        ("drwn", "unknown terrain kind 'drwn'.*'crossing', 'drawn',.*Did you mean 'drawn'"),
+        (["hills", {"kind": "moon"}], "unknown terrain kind 'moon'.*'drawn'"),
+        ({"slope": 0.1}, "unknown terrain kind None.*'drawn'"),
     ],
 )  # fmt: skip
 def test_a_wrong_choice_of_terrains_is_refused_in_one_line(given, says):

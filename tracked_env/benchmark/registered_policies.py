@@ -10,7 +10,8 @@ entry may also register many: an object with a function
 
 Archives of agents are opened by the entries of the group `tracked_env.archives`, functions that
 take a path and return an object with `make(context)` and `sources`, the folders whose code its
-actions depend on, or raise ValueError.
+actions depend on, or raise ValueError. Functions that commands of `tracked-env` call are in the
+group `tracked_env.commands`, under the name of the command.
 """
 
 import sys
@@ -31,6 +32,7 @@ from tracked_env.entry_points import declared
 from tracked_env.validation import unknown
 
 POLICIES, ARCHIVES = "tracked_env.policies", "tracked_env.archives"  # groups of entry points
+COMMANDS = "tracked_env.commands"
 # Where policies are compared by default, by what they may call it.
 ENVIRONMENTS = {
     "torque": TORQUE_ID, "speed": SPEED_ID,
@@ -75,7 +77,8 @@ def _loaded(group: str, warn: Callable[[str], None]) -> list[tuple[str, EntryPoi
 
 def _left_out(distribution: str, entry: EntryPoint, error: BaseException) -> str:
     said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-    return f"policies {entry.name!r} of {distribution} ({entry.value}) are left out: {said}"
+    what = f"{entry.group.removeprefix('tracked_env.')} {entry.name!r} of {distribution}"
+    return f"{what} ({entry.value}) are left out: {said}"
 
 
 def _policies_of(entry: EntryPoint, found: Any) -> list[tuple[str, str | None, Any]]:
@@ -170,3 +173,12 @@ def open_archive(path: Path) -> PolicyEntry:
         except ValueError as error:
             first = first or error
     raise first or ValueError(f"agent {path}: no installed package opens archives of agents")
+
+
+def command_function(name: str) -> Callable[..., Any]:
+    """What a command of that name calls. Raises ValueError where no package registers it."""
+    for _, entry, found in _loaded(COMMANDS, _to_stderr):
+        if entry.name == name:
+            function: Callable[..., Any] = found
+            return function
+    raise ValueError(f"no installed package registers {name!r} in the group {COMMANDS!r}")

@@ -1,4 +1,4 @@
-"""`tracked-env COMMAND ...`: compare, list and draw policies; train from a clone.
+"""`tracked-env COMMAND ...`: compare, list and draw policies; plan motions; train from a clone.
 
 Each command is a module with `main(arguments, program) -> exit status`, imported when it is run.
 """
@@ -17,6 +17,7 @@ COMMANDS = {
     "policies": ("listing", "list the policies that are registered"),
     "envs": ("listing", "list the environments and their evaluation sets"),
     "render": ("render_command", "write a GIF, MP4 or PNG of a policy on an evaluation set"),
+    "plan": ("plan_command", "plan a motion to a goal with slip, print and draw it"),
     "train": ("clone", "train an agent; needs a clone of the repository"),
 }
 

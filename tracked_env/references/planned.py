@@ -16,7 +16,7 @@ and grow with the track gauge for another.
 References: [1] Focchi et al. (2025), section 7.2 and its code.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -59,7 +59,6 @@ KEYS = (
 )  # fmt: skip
 
 
-@lru_cache(maxsize=8)
 def halton_goals(nearest: float, farthest: float) -> NDArray[np.float64]:
     """GOALS poses (GOALS, 3) in an annulus [m] around the origin, yaw in [0, 2 pi).
 
@@ -106,7 +105,12 @@ def _pose(what: str, given: Any) -> Pose:
     return x, y, checked_number(f"{what} yaw", given[2], _YAW)
 
 
-def _goals(given: Mapping[str, Any], scale: float) -> tuple[list[Pose], bool]:
+@lru_cache(maxsize=8)
+def _halton_poses(nearest: float, farthest: float) -> Sequence[Pose]:
+    return [(x, y, yaw) for x, y, yaw in halton_goals(nearest, farthest).tolist()]
+
+
+def _goals(given: Mapping[str, Any], scale: float) -> tuple[Sequence[Pose], bool]:
     """The goals that an episode may have, and whether it draws one of them."""
     if ("goal" in given) == ("goals" in given):
         raise ValueError("reference 'plan': must have one of 'goal': [x, y, yaw] and 'goals'")
@@ -122,7 +126,7 @@ def _goals(given: Mapping[str, Any], scale: float) -> tuple[list[Pose], bool]:
         near, far = (checked_number("annulus", end, _DISTANCE) for end in ends)
         if not near < far:
             raise ValueError(f"annulus = {ends!r} m; must be [nearest, farthest]. Swap the two.")
-        return [tuple(goal) for goal in halton_goals(near, far).tolist()], True
+        return _halton_poses(near, far), True
     if not isinstance(given["goals"], (list, tuple, np.ndarray)) or not len(given["goals"]):
         raise ValueError(f'goals = {given["goals"]!r}; must be "halton" or a list of [x, y, yaw]')
     return [_pose("goals", goal) for goal in given["goals"]], True

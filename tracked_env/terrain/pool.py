@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import Range
-from tracked_env.terrain.height_field import HeightField, make_height_field
+from tracked_env.terrain.height_field import KINDS, HeightField, make_height_field
 from tracked_env.terrain.height_map import LARGEST
 from tracked_env.terrain.relief import STEP, Relief
-from tracked_env.validation import checked_keys, checked_whole
+from tracked_env.validation import checked_choice, checked_keys, checked_whole
 
 KIND = "drawn"
 _COUNT = Range(1, 10**5, "-", "It is the number of terrains to draw from.")
@@ -149,6 +149,9 @@ def _stacked(fields: Sequence[HeightField]) -> Relief:
 def make_pool(given: object) -> Pool:
     """Terrains to draw from, or the one that is given. Raises ValueError as make_height_field."""
     parts = [given] if isinstance(given, HeightField) else _parts(given)
+    for part in parts:
+        if isinstance(part, str | Mapping):
+            checked_choice("terrain kind", _kind(part), (*KINDS, KIND))
     drawn = [k for k, part in enumerate(parts) if _is_drawn(part)]
     if len(drawn) > 1:
         raise ValueError(f"terrain with {len(drawn)} drawn parts; must be one at most")

@@ -328,7 +328,8 @@ def test_a_goal_out_of_reach_of_the_limits_is_said_to_be():
         ({"limits": Limits(sprocket_speed=18.0, v_min=0.5)}, "v_min = 0.5, v_max = 0.4"),
         ({"intervals": 1}, "intervals = 1"), ({"intervals": 40.5}, "must be a whole number"),
         ({"smoothing": 0.0}, "smoothing = 0.0"), ({"period": -0.02}, "period = -0.02"),
-        ({"threads": 0}, "threads = 0"), ({"stop": True}, "stop = True; must be False"),
+        ({"turning": math.inf}, "turning = inf"), ({"threads": 0}, "threads = 0"),
+        ({"stop": True}, "stop = True; must be False"),
         ({"limits": Limits(sprocket_speed=20.0)}, "the slip model ends at 18 rad/s"),
     ],
 )  # fmt: skip

@@ -1,0 +1,115 @@
+"""Starts of optimal plans: words of Dubins as belt speeds over equal intervals.
+
+On the lines of a word both belts run at the speed of the setting. An arc is turned with SPARE of
+what the belts can do with slip; where the speed is free, as slowly as that takes to turn as
+tightly as wanted. Near goals have words as small as they are near. From rest and to rest, short
+words are driven as slowly as the accelerations allow.
+"""
+
+import math
+from typing import NamedTuple
+
+from baselines.planners.slip_surface import motion_jets
+from tracked_env.physics.jit import formula, loop
+
+SPARE = 0.7  # [-] of the fastest turn of the belts: on the arcs of the words
+HALVINGS = 12  # of the interval in which the belts of an arc are found
+SLOW_ARC, SLOWER = 0.6, 0.9  # [-] of the speed of the words: on their arcs at least; a step to it
+NEAREST = 1e-3  # [-] of their radius: that of the words to the nearest goals
+SLOWEST_TURN = 1e-3  # [rad/s] of the words
+
+
+class Setting(NamedTuple):
+    """What the plans of a batch have in common."""
+
+    radius: float  # [m] of the words, at least
+    speed: float  # [m/s] of the belts' mean along their lines, and on their arcs at most
+    before_p: float  # [m/s] belt speeds at the start
+    before_q: float
+    ramp: bool  # whether the first interval must be reached from them
+    smoothing: float  # [-] w_s
+    turning: float  # [rad] change of yaw, of which words differ by less than a half turn; NaN: any
+
+
+@formula
+def _arc_at(p, wanted, surface, bounds, w):
+    """Radius [m] of a turn at belts' mean p [m/s] and (p, q, ground speed [m/s]) in it.
+
+    The radius is at least `wanted`, and so wide that with slip SPARE of what the belts can do is
+    enough.
+    """
+    low, high = 0.0, SPARE * (bounds.belt - p)
+    for step in range(HALVINGS + 1):
+        q = high if step == 0 else 0.5 * (low + high)
+        v_x, v_y, turn = motion_jets(surface, p, q, w.rows, w.columns)
+        speed = math.hypot(v_x.value, v_y.value)
+        if turn.value * wanted < speed:  # a wider turn than wanted
+            if step == 0:
+                return speed / max(turn.value, SLOWEST_TURN), (p, q, speed)
+            low = q
+        else:
+            high = q
+    return wanted, (p, q, speed)
+
+
+@loop
+def arc_of(distance, surface, bounds, setting, w):
+    """The arcs of the words to a goal at a distance [m].
+
+    Where its speed is free, the vehicle turns more slowly as far as needed for setting.radius, but
+    not below SLOW_ARC of the speed of the words and v_min; near goals have words as small as they
+    are near.
+    """
+    if bounds.fixed:
+        return _arc_at(setting.speed, setting.radius, surface, bounds, w)
+    near = max(min(0.5 * distance / setting.radius, 1.0), NEAREST)
+    wanted, p = near * setting.radius, setting.speed
+    least = max(SLOW_ARC * near * p, bounds.slowest)
+    radius, arc = _arc_at(p, wanted, surface, bounds, w)
+    while radius > wanted and p > least:
+        p = max(SLOWER * p, least)
+        radius, arc = _arc_at(p, wanted, surface, bounds, w)
+    return radius, arc
+
+
+@formula
+def duration_of(angles, signs, radius, arc, setting):
+    """Duration [s] of a word of segments [radii]."""
+    total = 0.0
+    for part in range(3):
+        total += radius * angles[part] / (setting.speed if signs[part] == 0.0 else arc[2])
+    return total
+
+
+@formula
+def guess(segments, signs, on_arc, on_line, total, least, belts):
+    """Belts (N, 2) of a word, means over equal times; the duration.
+
+    on_arc, on_line: belts p, q and ground speed [m/s] there. total: duration [s] of the word.
+    least: duration [s] below which it is driven more slowly.
+    """
+    n = len(belts)
+    step, slowed = total / n, min(total / least, 1.0) if least > 0.0 else 1.0
+    for k in range(n):
+        p, q, begin = 0.0, 0.0, 0.0
+        for part in range(3):
+            there = on_line if signs[part] == 0.0 else on_arc
+            end = begin + segments[part] / there[2]
+            share = max(min(end, (k + 1) * step) - max(begin, k * step), 0.0) / step
+            p += share * there[0]
+            q += share * signs[part] * there[1]
+            begin = end
+        belts[k, 0], belts[k, 1] = slowed * p, slowed * q
+    return total / slowed
+
+
+@formula
+def gathering(length, bounds, setting):
+    """Least duration [s] of a way [m] from the speed of the start, and to rest with `stop`."""
+    rate = min(bounds.belt_rate, bounds.rate)
+    if not setting.ramp or rate == math.inf:
+        return 0.0
+    if bounds.stop:
+        return 2.0 * math.sqrt(length / rate) - setting.before_p / rate
+    p = max(setting.before_p, 0.0)
+    return (math.sqrt(p * p + 2.0 * rate * length) - p) / rate

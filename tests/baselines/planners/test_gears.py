@@ -1,0 +1,129 @@
+"""Optimal plans that may drive in reverse: exact mirrors, cheaper where the goal is behind."""
+
+import math
+
+import numpy as np
+import pytest
+
+from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
+from baselines.planners.plan import plan
+from baselines.planners.surface_fit import surface_of
+from baselines.planners.trajectory import Limits, Start
+from tests.baselines.planners.pairs import missed
+from tests.baselines.planners.test_optimal import FOCCHI, ORIGIN, SLIP, limits_of, replayed
+
+REST = Limits.of(FOCCHI, reserve=0.1, sprocket_acceleration=20.0)
+ANY_SPEED = (
+    limits_of(FOCCHI, 0.4), limits_of(FOCCHI, 0.15), limits_of(FOCCHI, 0.0), REST,
+)  # fmt: skip
+NAMES = ("constant speed", "from 0.15 m/s", "from 0 m/s", "rest to rest")
+
+
+def drive(goal, limits=REST, start=ORIGIN, **given):
+    return plan(start, goal, limits, SLIP, vehicle=FOCCHI, **given)
+
+
+def reversals(made):
+    signs = np.sign(made.speed[np.abs(made.speed) > 1e-9])
+    return int(np.count_nonzero(np.diff(signs)))
+
+
+@pytest.mark.parametrize("limits", ANY_SPEED, ids=NAMES)
+@pytest.mark.parametrize("goal", [(1.5, 0.4, 0.3), (1.0, -0.2, -0.2), (2.0, 0.0, 0.0)])
+def test_a_plan_in_reverse_is_the_forward_plan_mirrored(goal, limits):
+    """Driven backwards to the mirrored goal, each track does what the other did forwards."""
+    forth = drive(goal, limits)
+    back = drive((-goal[0], -goal[1], goal[2]), limits, reverse=True)
+    for name, other, sign in (
+        ("time", "time", 1), ("x", "x", -1), ("y", "y", -1), ("yaw", "yaw", 1),
+        ("course", "course", 1), ("speed", "speed", -1), ("acceleration", "acceleration", -1),
+        ("course_rate", "course_rate", 1), ("yaw_rate", "yaw_rate", 1),
+        ("yaw_acceleration", "yaw_acceleration", 1),
+        ("sprocket_left", "sprocket_right", -1), ("sprocket_right", "sprocket_left", -1),
+    ):  # fmt: skip
+        expected = sign * getattr(forth, other)
+        np.testing.assert_allclose(getattr(back, name), expected, rtol=0.0, atol=1e-9)
+    assert back.cost == pytest.approx(forth.cost, abs=1e-9)
+    assert (back.speed <= 0.0).all()
+
+
+@pytest.mark.parametrize("limits", ANY_SPEED, ids=NAMES)
+def test_a_goal_behind_is_reached_backwards_and_sooner(limits):
+    forth, back = (drive((-1.0, 0.1, 0.1), limits, reverse=way) for way in (False, True))
+    assert forth.converged and back.converged
+    assert back.cost < 0.6 * forth.cost
+    assert back.speed.max() < 1e-9 < forth.speed.max()
+
+
+def test_a_goal_ahead_is_reached_forwards_as_without_reverse():
+    forth, free = (drive((2.0, 0.5, 0.4), reverse=way) for way in (False, True))
+    assert np.array_equal(forth.sprocket_left, free.sprocket_left)
+
+
+def test_a_goal_beside_is_reached_with_a_change_of_gear():
+    limits = REST
+    forth, free = (drive((0.0, 0.5, 0.0), limits, reverse=way) for way in (False, True))
+    assert free.converged and reversals(free) >= 1
+    assert free.cost < forth.cost
+    assert missed(np.array([free.x[-1], free.y[-1], free.yaw[-1]]), (0.0, 0.5, 0.0)) < 1e-6
+    for side in (free.sprocket_left, free.sprocket_right):
+        assert np.abs(side).max() <= limits.sprocket_used + 1e-6
+        # held inputs: from one interval to the next a belt changes by 20 rad/s^2 times its length
+        longest = free.duration / 40
+        assert np.abs(np.diff(side)).max() <= 20.0 * longest + 1e-6
+    fine = drive((0.0, 0.5, 0.0), limits, reverse=True, period=0.005)
+    assert np.all(np.diff(fine.time) > 0.0)
+    assert np.abs(np.diff(fine.yaw)).max() < 0.02
+
+
+@pytest.mark.parametrize("goal", [(-1.0, 0.1, 0.1), (0.0, 0.5, 0.0), (-0.5, -0.7, 2.0)])
+def test_sprocket_speeds_in_both_gears_replayed_on_the_model_end_at_the_goal(goal):
+    made = drive(goal, reverse=True, period=10.0)
+    model = PseudoKinematicModel(FOCCHI, surface_of(SLIP, FOCCHI, REST.sprocket_used, 0.4))
+    assert made.converged and made.speed.min() < -0.05
+    assert missed(replayed(model, made), goal) < 1e-3
+    assert made.end_error < 1e-6 and made.end_yaw_error < 1e-6
+
+
+def test_many_goals_have_a_plan_and_none_costs_more_with_reverse():
+    rng = np.random.default_rng(3)
+    goals = np.column_stack([rng.uniform(-2.0, 2.0, (40, 2)), rng.uniform(-3.1, 3.1, 40)])
+    forth, free = (drive(goals, reverse=way) for way in (False, True))
+    assert all(made.converged for made in free)
+    costs = np.array([[a.cost, b.cost] for a, b in zip(forth, free, strict=True)])
+    assert (costs[:, 1] <= costs[:, 0] + 1e-12).all()
+    assert costs[:, 1].mean() < 0.9 * costs[:, 0].mean()
+    for goal, made in zip(goals, free, strict=True):
+        assert missed(np.array([made.x[-1], made.y[-1], made.yaw[-1]]), goal) < 1e-6
+
+
+def test_a_vehicle_that_moves_backwards_goes_on_backwards():
+    start = Start(speed=-0.3)
+    made = drive((-1.5, 0.0, 0.0), start=start, reverse=True)
+    step = made.duration / 40
+    assert made.converged
+    first = -0.3 / FOCCHI.sprocket_radius
+    assert abs(made.sprocket_left[0] - first) <= 20.0 * step + 1e-6
+    assert made.duration < drive((-1.5, 0.0, 0.0), reverse=True).duration
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"method": "dubins"}, "reverse = True; must be False with method = 'dubins'"),
+        ({"reverse": "yes"}, "reverse = 'yes'; must be True or False"),
+        ({"limits": REST._replace(v_min=-0.4)}, "v_min = -0.4, .*In reverse"),
+        ({"goal": (math.nan, 0.0, 0.0)}, "goal x = nan"),
+    ],
+)
+def test_what_cannot_be_driven_in_reverse_is_one_line(given, message):
+    arguments = {
+        "start": ORIGIN,
+        "goal": (-1.0, 0.0, 0.0),
+        "limits": REST,
+        "reverse": True,
+        **given,
+    }
+    with pytest.raises(ValueError, match=message) as error:
+        plan(**arguments)
+    assert "\n" not in str(error.value)

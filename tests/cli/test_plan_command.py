@@ -1,0 +1,156 @@
+"""The command `tracked-env plan`: its table, its files, and what it refuses."""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines.planners.plan_request import planned
+from tracked_env.benchmark import registered_policies
+from tracked_env.cli.main import main
+from tracked_env.cli.plan_figure import outline
+
+GOAL = ("--goal", "2", "2.5", "-0.4")
+QUICK = ("plan", *GOAL, "--method", "dubins", "--no-slip", "--no-figure")
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+
+
+def printed(text: str) -> dict[str, str]:
+    """Name -> value of the table."""
+    return {line[:24].strip(): line[24:] for line in text.splitlines() if line[24:]}
+
+
+def test_plan_prints_the_plan_that_the_planner_makes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", *GOAL, "--no-figure"]) == 0
+    table, found = printed(capsys.readouterr().out), planned((2.0, 2.5, -0.4))
+    assert table["converged"] == "yes"
+    assert table["duration"] == f"{found.trajectory.duration:.3f} s"
+    assert table["cost"] == f"{found.trajectory.cost:.3f} s"
+    assert int(table["iterations"]) > 0
+    assert float(table["end error"].split()[0]) < 1e-6
+
+
+def test_plan_says_the_length_of_a_path_and_its_curvature(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A half circle of radius R: 2 (r omega - v) / (B v) = 1 / R at the sprockets' limit."""
+    found = planned((0.0, 1.0, 0.0), method="dubins", slips=False)
+    bend = found.limits.curvature_at(found.limits.v_max, found.vehicle)
+    width = 2.0 / bend
+    arguments = ["plan", "--goal", "0", str(width), "3.141592653589793"]
+    assert (
+        main([*arguments, "--method", "dubins", "--no-slip", "--v-min", "0.4", "--no-figure"]) == 0
+    )
+    table = printed(capsys.readouterr().out)
+    assert table["length"] == f"{np.pi / bend:.3f} m"
+    assert float(table["largest curvature"].split()[0]) == pytest.approx(bend, abs=0.006)
+    assert table["largest sprocket speed"].startswith("10.00 rad/s")
+
+
+def test_plan_writes_a_figure_and_the_samples(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="figures need the extra `render`")
+    assert main(["plan", *GOAL, "--output", "there", "--csv", "--via", "1", "1", "1",
+                 "--obstacle-circle", "0.2", "2.4", "0.3"]) == 0  # fmt: skip
+    assert Path("there/plan.png").read_bytes().startswith(b"\x89PNG")
+    assert Path("there/plan.png").stat().st_size > 20_000
+    with Path("there/plan.csv").open() as file:
+        rows = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+    last = rows[-1]
+    assert (last["x"], last["y"], last["yaw"]) == pytest.approx((2.0, 2.5, -0.4), abs=1e-6)
+    near = min(np.hypot(row["x"] - 1.0, row["y"] - 1.0) for row in rows)
+    assert near < 1e-6
+    # belts over the ground and slip velocities are the sprocket speeds: r omega = v + beta
+    row = rows[len(rows) // 3]
+    across = 0.5 * 0.606 * row["yaw_rate"]
+    forward = row["speed"] * np.cos(row["alpha"])
+    assert 0.0856 * row["sprocket_right"] == pytest.approx(forward + across + row["beta_right"])
+    assert "plan.csv" in capsys.readouterr().out
+
+
+def test_less_friction_takes_longer_and_no_slip_has_none(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    durations = []
+    for more in (("--no-slip",), ("--friction", "0.4"), ("--friction", "0.1")):
+        assert main(["plan", *GOAL, *more, "--no-figure"]) == 0
+        durations.append(float(printed(capsys.readouterr().out)["duration"].split()[0]))
+    assert durations == sorted(durations)
+    assert durations[2] > durations[0] + 0.2
+    assert np.abs(planned((2.0, 2.5, -0.4), slips=False).slip).max() < 1e-12
+
+
+def test_a_goal_behind_is_reached_sooner_in_reverse(capsys: pytest.CaptureFixture[str]) -> None:
+    durations = []
+    for more in ((), ("--reverse",)):
+        assert main(["plan", "--goal", "-1", "0.1", "0.1", *more, "--no-figure"]) == 0
+        durations.append(float(printed(capsys.readouterr().out)["duration"].split()[0]))
+    assert durations[1] < 0.7 * durations[0]
+
+
+def test_the_outline_of_a_vehicle_turns_with_its_yaw() -> None:
+    vehicle = planned((1.0, 0.0, 0.0), method="dubins", slips=False).vehicle
+    front_left = outline(np.array([1.0, 2.0, 0.5 * np.pi]), vehicle)[0]
+    half_width = 0.5 * (vehicle.track_gauge + vehicle.track_width)
+    np.testing.assert_allclose(front_left, [1.0 - half_width, 2.0 + 0.5 * vehicle.contact_length])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["--goal", "nan", "0", "0"], 2, "goal x = nan"),
+        (["--method", "dubin"], 2, "unknown method 'dubin'"),
+        (["--vehicle", "foci"], 2, "unknown vehicle 'foci'"),
+        (["--v-min", "0.5"], 2, "Did you swap them"),
+        (["--reserve", "0.9"], 2, "Is the reserve too large"),
+        (["--friction", "-0.1"], 2, "mu = -0.1"),
+        (["--obstacle-circle", "2", "2.5", "0.3"], 2, "the vehicle at its goal is"),
+        (["--reverse"], 2, "must be False with method = 'dubins'"),
+        (["--slope", "0.1", "0"], 2, "slope without slip"),
+    ],
+)
+def test_what_cannot_be_planned_is_one_line(
+    arguments: list[str], status: int, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*QUICK, *arguments]) == status
+    error = capsys.readouterr().err
+    assert error.startswith("tracked-env plan: ") and message in error and error.count("\n") == 1
+
+
+def test_a_goal_that_no_plan_reaches_ends_with_status_1(capsys: pytest.CaptureFixture[str]) -> None:
+    """A ring of obstacles around the start."""
+    ring = [
+        [f"{1.3 * np.cos(a):.3f}", f"{1.3 * np.sin(a):.3f}", "0.4"] for a in np.arange(0, 6.3, 0.5)
+    ]
+    walls = [word for circle in ring for word in ("--obstacle-circle", *circle)]
+    assert main([*QUICK, *walls]) == 1
+    said = capsys.readouterr()
+    assert printed(said.out)["converged"] == "no"
+    assert said.err == "tracked-env plan: no way around the obstacles was found\n"
+
+
+def test_without_matplotlib_the_table_is_printed_and_the_extra_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(list(QUICK[:-1])) == 1
+    said = capsys.readouterr()
+    assert printed(said.out)["converged"] == "yes"
+    assert "tracked-env[render]" in said.err and said.err.count("\n") == 1
+
+
+def test_a_planner_that_is_not_installed_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(registered_policies, "_of_clone", lambda group: [])
+    monkeypatch.setattr(registered_policies, "entry_points", lambda group: ())
+    assert main(list(QUICK)) == 2
+    error = capsys.readouterr().err
+    assert "no installed package registers 'plan'" in error and error.count("\n") == 1

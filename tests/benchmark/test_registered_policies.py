@@ -36,9 +36,13 @@ def registered() -> tuple[list[Registered], list[str]]:
 
 def ours() -> list[tuple[str, str | None]]:
     return [
-        (name, ENVIRONMENTS[env])
-        for env, names in BY_ENVIRONMENT.items()
-        for name in (*names, *shipped_agents(env))
+        *(
+            (name, ENVIRONMENTS[env])
+            for env, names in BY_ENVIRONMENT.items()
+            for name in (*names, *shipped_agents(env))
+        ),
+        ("slc-once", None),  # they need a goal, and are compared where they are named
+        ("slc-replan", None),
     ]
 
 
@@ -133,7 +137,8 @@ def test_installed_without_a_clone_the_entries_of_the_distribution_count(
     plugin: Install, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(entry_points, "_PACKAGES", tmp_path)
-    plugin("tracked-env", baselines="baselines.registry")
+    to_goals = {f"slc-{name}": f"baselines.registry:slc_{name}" for name in ("replan", "once")}
+    plugin("tracked-env", baselines="baselines.registry", **to_goals)
     policies, said = registered()
     assert said == []
     assert [(policy.name, policy.env) for policy in policies] == ours()

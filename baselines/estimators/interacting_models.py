@@ -245,7 +245,7 @@ def wait(memory, i, prior, table):
 
 @formula
 def learn_apart(memory, i, sample, prior):
-    """Take an equation on parameter 1 alone into all models, not into the monitor; it ages nothing."""
+    """Take an equation on parameter 1 into all models, not into the monitor; it ages nothing."""
     for k in range(MODELS):
         h = _FIRST + k * ls.SIZE
         error, _gain = ls.innovation(memory, i, h, sample, prior)

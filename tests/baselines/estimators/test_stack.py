@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
 from baselines.estimators import stack_links as links
 from baselines.estimators.sensor_samples import DataSheet
@@ -105,9 +106,8 @@ def test_a_jump_of_the_mass_sets_the_inertia_free():
     widened = np.zeros(24, dtype=bool)
     for step, observation in enumerate(seen):
         before = stack.turning.memory[:, ls.J_11].copy()
-        jumps = stack.longitudinal.memory[:, ls.JUMPS].copy()
         known = stack.update(observation)
-        jumped = stack.longitudinal.memory[:, ls.JUMPS] > jumps
+        jumped = stack.longitudinal.memory[:, im.ODDS + im.JUMP] > im.JUMPED
         assert step >= 300 or not jumped.any()
         widened |= jumped & (stack.turning.memory[:, ls.J_11] < 0.2 * before)
         assert np.array_equal(stack.turning.mass, known.mass)

@@ -195,6 +195,26 @@ def test_the_truth_beside_an_estimate_is_the_one_in_force_when_it_was_made() -> 
     assert beliefs.truth[:, 1] == pytest.approx(effort, rel=1e-5)
 
 
+def test_the_first_second_after_a_change_is_told_apart() -> None:
+    truth = np.where(np.arange(STEPS) < 400, 1000.0, 2000.0)
+    late = np.where(np.arange(STEPS) < 400 + round(0.8 / PERIOD), 1000.0, 2000.0)
+    found = measured(late, truth, of=trace(change=400))
+    assert found["nees"] > 1.0 and found["in_three_sigma"] < 1.0
+    assert found["nees_apart"] == 0.0 and found["in_three_sigma_apart"] == 1.0
+
+
+def test_the_claimed_deviation_is_relative_to_the_true_value() -> None:
+    assert measured(900.0, 1000.0, 50.0)["claimed_deviation"] == pytest.approx(0.05)
+
+
+def test_a_parameter_that_the_plant_does_not_read_has_no_truth_and_is_not_evaluated() -> None:
+    believing = Believing(dict.fromkeys(("mass", "lateral_resistance"), (1.0, 1.0)))
+    recorder = Recorder(3, 100, read=frozenset({"mass"}))
+    env = BenchmarkConfig(sets=("payload",), duration=2.0).environment("payload", 3, truth=True)
+    drive(believing, env, range(3), lambda: None, recorder)
+    assert recorder.beliefs().names == ("mass",)
+
+
 def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_path: Path) -> None:
     names = ("mass", "lateral_resistance")
     policies = [

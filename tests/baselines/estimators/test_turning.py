@@ -202,7 +202,7 @@ def test_on_a_straight_during_an_alarm_the_friction_is_less_and_less_sure_and_el
     assert after.value == pytest.approx(before.value, rel=1e-12)
     wider = after.deviation("lateral_resistance") / before.deviation("lateral_resistance")
     expected = 0.15 * np.sqrt(2.0) * CLAY.lateral_resistance * CLAY.mass / TRUTH.mass
-    assert after.deviation("lateral_resistance")[0] == pytest.approx(expected, rel=0.1)
+    assert after.deviation("lateral_resistance")[0] == pytest.approx(expected, rel=0.15)
     assert wider[1] == 1.0
     assert found.memory[0, im.ALARM] == pytest.approx(0.0, abs=0.03)
 

@@ -16,7 +16,7 @@ likelihood of that sample. With odds mu_i, estimates x_i, P_i and the transition
 and the answer is the mean and the covariance of the mixture, so that doubts between the models are
 part of what is claimed. It is kept as the estimate in block 0 of the memory.
 
-    outliers  the first sample beyond 5 sigma is skipped, the second in a row counts
+    outliers  samples beyond 5 sigma are skipped, but from the PATIENCE-th in a row on they count
     trends    both parameters changing slowly look like neither model, and no innovation is large:
               a slower estimate watches, which knows no walk of parameter 1. Where the mean of its
               eps / sqrt(S) over TREND_TIME is not 0, parameter 1 of the calm model walks as well,
@@ -45,12 +45,14 @@ AVERAGED, GATE = LEAVING, SHARE  # of the monitor: share of a sample in its mean
 SOJOURNS = (10.0, 20.0, 0.3, 0.06)  # [s] mean, by model
 SHARES = (0.8, 0.5, 0.045, 0.03)  # [-] of the entries that are not its own, by model
 OUTLIER_GATE = 25.0  # [-] five standard deviations
+PATIENCE = 3.0  # [samples] outliers in a row of which the last counts
 MOST_SQUARED = 1e12  # [-] normalised innovation squared that a sample may have
 LEAST_EVIDENCE = -6.0  # [-] log of the likelihood ratio of one sample to the best model
 TREND_TIME = 1.5  # [s] over which the monitor averages
 TREND_HELD = 4.0  # [s] that an alarm lasts
 MOST_NORMALISED = 3.0  # [-] that a sample may count in that mean: a change is no trend
-JUMPED = 0.15  # [-] odds of a jump from which on other estimators are told
+JUMPED = 0.1  # [-] odds of a jump from which on other estimators are told
+ROUNDING = 1e-12  # [-] smaller information is none
 RESTART = 0.3  # [-] odds of a border or jump from which on the monitor begins anew
 
 # Blocks of `memory`, in columns: 0 is the mixture, then the models, then the monitor.
@@ -92,8 +94,9 @@ def _covariance(memory, i, h):
 def _put(memory, i, h, x_1, x_2, p_11, p_12, p_22):
     """Mean and covariance into block h; the covariance never exceeds that of the prior."""
     inverse = 1.0 / (p_11 * p_22 - p_12 * p_12)
-    a = min(max(p_22 * inverse - 1.0, 0.0), ls.LARGEST)
-    c = min(max(p_11 * inverse - 1.0, 0.0), ls.LARGEST)
+    a, c = p_22 * inverse - 1.0, p_11 * inverse - 1.0
+    a = min(a, ls.LARGEST) if a > ROUNDING else 0.0
+    c = min(c, ls.LARGEST) if c > ROUNDING else 0.0
     most = math.sqrt(a * c)
     memory[i, h + ls.X_1], memory[i, h + ls.X_2] = x_1, x_2
     memory[i, h + ls.J_11], memory[i, h + ls.J_22] = a, c
@@ -245,7 +248,7 @@ def wait(memory, i, prior, table):
 
 @formula
 def learn_apart(memory, i, sample, prior):
-    """Take an equation on parameter 1 alone into all models, not into the monitor; it ages nothing."""
+    """Take an equation on parameter 1 into all models, not into the monitor; it ages nothing."""
     for k in range(MODELS):
         h = _FIRST + k * ls.SIZE
         error, _gain = ls.innovation(memory, i, h, sample, prior)
@@ -296,7 +299,7 @@ def step(memory, i, sample, prior, table):
         status = 2
     elif gain > ls.GAIN_GATE * sample.variance:
         memory[i, OUTLIERS] = memory[i, OUTLIERS] + 1.0 if nis > OUTLIER_GATE else 0.0
-        if memory[i, OUTLIERS] == 1.0:
+        if 0.0 < memory[i, OUTLIERS] < PATIENCE:
             status = 2
         else:
             hold_1 = ls.noise_alone(memory, i, sample, prior)

@@ -46,7 +46,7 @@ WALKS = {
     im.CALM: (0.0, 0.005), im.FAST: (0.005, 0.2), im.BORDER: (0.0, 0.8), im.JUMP: (3.0, 0.01),
     im.ALARMED: (0.04, 0.08), im.SLOW: (0.0, 0.003),
 }  # fmt: skip
-TREND_GATE = 2.0  # [-] the variance of the equation is rather large: four deviations of the mean
+TREND_GATE = 2.5  # [-] the variance of the equation is rather large: four deviations of the mean
 INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
 RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
 MASS_FACTOR = 5.0  # [-] mass is sought between nominal / factor and nominal * factor

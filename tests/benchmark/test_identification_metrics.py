@@ -12,7 +12,8 @@ from tracked_env.benchmark import identification_metrics as ident
 from tracked_env.benchmark.identification_metrics import Beliefs, Recorder
 from tracked_env.benchmark.metrics import CHANNELS, Trace
 from tracked_env.benchmark.runner import drive
-from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.plants.lumped import LUMPED
 
 PERIOD = 0.02  # [s]
 STEPS = 1000
@@ -195,6 +196,26 @@ def test_the_truth_beside_an_estimate_is_the_one_in_force_when_it_was_made() -> 
     assert beliefs.truth[:, 1] == pytest.approx(effort, rel=1e-5)
 
 
+def test_the_first_second_after_a_change_is_told_apart() -> None:
+    truth = np.where(np.arange(STEPS) < 400, 1000.0, 2000.0)
+    late = np.where(np.arange(STEPS) < 400 + round(0.8 / PERIOD), 1000.0, 2000.0)
+    found = measured(late, truth, of=trace(change=400))
+    assert found["nees"] > 1.0 and found["in_three_sigma"] < 1.0
+    assert found["nees_apart"] == 0.0 and found["in_three_sigma_apart"] == 1.0
+
+
+def test_the_claimed_deviation_is_relative_to_the_true_value() -> None:
+    assert measured(900.0, 1000.0, 50.0)["claimed_deviation"] == pytest.approx(0.05)
+
+
+def test_a_parameter_that_the_plant_does_not_read_has_no_truth_and_is_not_evaluated() -> None:
+    believing = Believing(dict.fromkeys(("mass", "lateral_resistance"), (1.0, 1.0)))
+    recorder = Recorder(3, 100, read=frozenset({"mass"}))
+    env = BenchmarkConfig(sets=("payload",), duration=2.0).environment("payload", 3, truth=True)
+    drive(believing, env, range(3), lambda: None, recorder)
+    assert recorder.beliefs().names == ("mass",)
+
+
 def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_path: Path) -> None:
     names = ("mass", "lateral_resistance")
     policies = [
@@ -271,11 +292,13 @@ def test_what_the_benchmark_has_no_truth_for_is_not_judged(tmp_path: Path) -> No
     assert list(records[0]["identification"]) == ["mass"]
 
 
-def test_every_parameter_of_the_plant_may_be_estimated(tmp_path: Path) -> None:
+def test_every_parameter_that_the_plant_reads_may_be_estimated(tmp_path: Path) -> None:
     policy = entry("all", lambda context: Believing(dict.fromkeys(ident.KNOWN, (1.0, 1.0))))
     records = run(CONFIG, [policy], Store(tmp_path, CONFIG.identity()))
+    read = LUMPED.reads["torque"] - {"icr_forward"}  # of the constrained model alone
+    assert "lateral_resistance" in read
     assert set(records[0]["identification"]) == {
-        *PARAMETER_NAMES,
+        *read,
         "effort_maximum",
         "slip_left",
         "slip_right",

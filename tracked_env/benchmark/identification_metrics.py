@@ -11,9 +11,12 @@ nominal value), 1 for the slips, and the K rows of the time driven:
                          (0 when there is none); none = never
     NEES                 mean ((x_k - p_k) / sigma_k)^2 over the rows with sigma_k > 0; 1 expected
     in three sigma       part of the rows with |x_k - p_k| <= 3 sigma_k; 0.997 expected
+    ... apart            the same without the rows from an abrupt change until APART after it
+    claimed deviation    median of sigma_k / P_k
     diverged             the last estimate is not finite, or |r| > DIVERGED and |r| is larger than
                          that of the nominal value
-Estimates of parameters outside KNOWN are not evaluated. Rows whose estimate is not finite count as
+Estimates of parameters outside KNOWN, or that the plant does not read, have no true value and are
+not evaluated. Rows whose estimate is not finite count as
 outside every band, and not in the RMSE.
 """
 
@@ -32,6 +35,7 @@ from tracked_env.physics.vehicle import drive_limits
 
 SETTLED = 0.1  # [-] relative error within which an estimate is settled
 DIVERGED = 0.5  # [-] relative error from which on an estimate may count as diverged
+APART = 1.0  # [s] after an abrupt change, in which no estimator can know of it
 LEAST_SCALE = 0.01  # [-] of the nominal value; keeps x/0 out of the relative error
 
 _SLIPS = ("slip_left", "slip_right")
@@ -46,8 +50,13 @@ ESTIMATION_METRICS = {
     "nees": Metric("-", "mean of the squared error over the claimed variance"),
     "in_three_sigma": Metric("-", "part of the time with an error below three claimed sigma"),
     "excited": Metric("-", "part of the time in which the policy calls the parameter excited"),
+    "nees_apart": Metric("-", "NEES without the first second after an abrupt change"),
+    "in_three_sigma_apart": Metric("-", "part within three sigma, without that second"),
+    "claimed_deviation": Metric("-", "median of the claimed sigma over the true value"),
     "diverged": Metric("-", "ends not finite, or beyond 50 % and worse than the nominal value"),
 }
+# Metrics that records of earlier versions lack.
+LATER = ("nees_apart", "in_three_sigma_apart", "claimed_deviation")
 
 
 class Beliefs(NamedTuple):
@@ -65,7 +74,9 @@ class Beliefs(NamedTuple):
 class Recorder:
     """Takes down the beliefs of one batch, step by step."""
 
-    def __init__(self, count: int, max_steps: int) -> None:
+    def __init__(self, count: int, max_steps: int, read: frozenset[str] = frozenset(KNOWN)) -> None:
+        """read: parameters that the plant reads; others have no true value."""
+        self.truths = read | {"effort_maximum", *_SLIPS}
         self.count, self.max_steps = count, max_steps
         self.rows = 0
         self.names: tuple[str, ...] = ()
@@ -74,7 +85,7 @@ class Recorder:
 
     def _allocate(self, estimates: Mapping[str, Any], excited: Mapping[str, Any]) -> None:
         """Fix the names by the first answer. Raises ValueError if none of them is known."""
-        self.names = tuple(name for name in estimates if name in KNOWN)
+        self.names = tuple(name for name in estimates if name in KNOWN and name in self.truths)
         if not self.names:
             raise ValueError(f"estimates of {sorted(estimates)}; none of them is in {KNOWN}")
         for name in self.names:
@@ -172,7 +183,10 @@ def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
     for i, steps in enumerate(trace.steps):
         origin = changes[i][-1].last + 1 if changes[i] else 0
         rows = [part[i, :, :steps].astype(np.float64) for part in by_vehicle]
-        columns = _episode(beliefs, rows, origin, settled_step(trace), known)
+        apart = np.ones(steps, dtype=bool)
+        for change in changes[i]:
+            apart[change.first : change.last + round(APART / trace.control_period)] = False
+        columns = _episode(beliefs, rows, origin, settled_step(trace), known, apart)
         columns["settling_time"] = columns["settling_time"] * trace.control_period
         parameters = {
             name: {metric: optional(column[j]) for metric, column in columns.items()}
@@ -192,11 +206,12 @@ def _episode(
     origin: int,
     settled: int,
     known: Mapping[str, float],
+    apart: NDArray[np.bool_],
 ) -> dict[str, NDArray[np.float64]]:
     """Every metric of one episode, (P,) each; the settling time in rows.
 
     rows: value, deviation, truth and excited, each (P, K); origin: first row after the last change;
-    known: the nominal values.
+    known: the nominal values. apart (K,): rows that are not shortly after an abrupt change.
     """
     value, deviation, truth, excited = rows
     finite = np.isfinite(value) & np.isfinite(truth)
@@ -212,14 +227,20 @@ def _episode(
     last = np.abs(relative[:, -1])
     others = np.abs(nominal - truth[:, -1]) / scale[:, -1]
     seen = outside.shape[1] > 0
+    normalised = (error / np.where(claimed, deviation, 1.0)) ** 2
+    inside = (np.abs(error) <= 3.0 * deviation).astype(np.float64)
+    every = np.broadcast_to(apart, inside.shape)
     return {
         "relative_rmse": np.sqrt(_mean(squared, finite)),
         "settled_relative_rmse": np.sqrt(_mean(squared[:, settled:], finite[:, settled:])),
         "final_relative_error": relative[:, -1],
         "settling_time": np.where(never, np.inf, settling),
         "settled": np.where(seen, (~never).astype(np.float64), np.nan),
-        "nees": _mean((error / np.where(claimed, deviation, 1.0)) ** 2, claimed),
-        "in_three_sigma": (np.abs(error) <= 3.0 * deviation).mean(axis=-1),
+        "nees": _mean(normalised, claimed),
+        "in_three_sigma": inside.mean(axis=-1),
+        "nees_apart": _mean(normalised, claimed & apart),
+        "in_three_sigma_apart": _mean(inside, every),
+        "claimed_deviation": np.median(deviation / scale, axis=-1),
         "excited": np.where(beliefs.reports_excitation, excited.mean(axis=-1), np.nan),
         "diverged": (~np.isfinite(value[:, -1]) | ((last > DIVERGED) & (last > others))).astype(
             np.float64
@@ -238,6 +259,9 @@ class IdentificationSummary(NamedTuple):
     settled: float  # [-] share of the episodes
     nees: float  # [-] mean
     in_three_sigma: float  # [-] mean
+    nees_apart: float  # [-] mean, NaN where records lack it, as the next two
+    in_three_sigma_apart: float  # [-] mean
+    claimed_deviation: float  # [-] median
     excited: float  # [-] mean, NaN when the policy does not say
     diverged: float  # [-] share of the episodes
 
@@ -253,12 +277,15 @@ def summarise(records: Sequence[Mapping[str, Any]]) -> dict[str, IdentificationS
 
 def _summary(rows: Sequence[Mapping[str, Any]]) -> IdentificationSummary:
     columns = {
-        metric: np.array([row[metric] for row in rows], dtype=np.float64)
+        metric: np.array([row.get(metric) for row in rows], dtype=np.float64)
         for metric in ESTIMATION_METRICS
     }
     columns["final_relative_error"] = np.abs(columns["final_relative_error"])
     columns["settling_time"][columns["settled"] == 0.0] = np.inf
-    median = ("relative_rmse", "settled_relative_rmse", "final_relative_error", "settling_time")
+    median = (
+        "relative_rmse", "settled_relative_rmse", "final_relative_error", "settling_time",
+        "claimed_deviation",
+    )  # fmt: skip
     values = {}
     for metric, column in columns.items():
         known = column[~np.isnan(column)]

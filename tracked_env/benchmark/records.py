@@ -14,7 +14,7 @@ import sys
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
+from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS, LATER
 from tracked_env.benchmark.metrics import ENDINGS, METRICS, OPTIONAL
 
 Record = dict[str, Any]
@@ -32,6 +32,7 @@ _SAID = {
     dict: "a dict",
     list: "a list",
 }
+NEEDED = [name for name in ESTIMATION_METRICS if name not in LATER]  # of an estimate
 
 
 def _fields(what: str, given: Any, needed: Collection[str], allowed: Collection[str]) -> Record:
@@ -91,7 +92,7 @@ def _check_record(record: Any) -> None:
             _number(f"{name} of {what}", known[name], 0.0, 1.0 if name in SHARES else math.inf)
     _typed(what, known, {name: kind for name, kind in ESTIMATES.items() if name in known})
     for parameter, metrics in known.get("identification", {}).items():
-        _fields(f"estimate of {parameter!r:.60} in {what}", metrics, ESTIMATION_METRICS, ())
+        _fields(f"estimate of {parameter!r:.60} in {what}", metrics, NEEDED, LATER)
         _check_estimates(what, metrics)
     _check_estimates(what, known.get("nis", {}))
 

@@ -160,7 +160,10 @@ def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progre
     env = config.environment(task.uncertainty_set, count, needs_truth(policy))
     recorder = None
     if identifies(policy):
-        recorder = identification_metrics.Recorder(count, env.simulation.settings.max_steps)
+        solver = env.simulation.solver
+        recorder = identification_metrics.Recorder(
+            count, env.simulation.settings.max_steps, frozenset(solver.reads.names)
+        )
     reported, steps = 0, 0
 
     def on_step() -> None:

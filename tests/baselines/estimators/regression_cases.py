@@ -5,16 +5,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
+from baselines.estimators.two_parameters import PLAIN as NO_MODELS
+from baselines.estimators.two_parameters import take
 from tracked_env.physics.jit import loop
 
-# Nothing but recursive least squares with a prior: no forgetting, no search for changes.
+# Nothing but recursive least squares with a prior: no forgetting.
 PLAIN = ls.Prior(
     1.0, 2.0, 1.0, 0.5, -1e9, -1e9, 1e9, 1e9,
-    forgetting=1.0, drift_2=0.0, jump_keeps_2=True, follows_changes=False,
+    forgetting=1.0,
 )  # fmt: skip
-# As the vehicle's regressions use it.
-LIVELY = PLAIN._replace(forgetting=0.9995, drift_2=1e-4, follows_changes=True)
+# As the vehicle's regressions use it: with interacting models.
+LIVELY = PLAIN._replace(forgetting=0.9995)
+WALKS = {
+    im.CALM: (0.0, 0.01), im.FAST: (0.005, 0.3), im.BORDER: (0.0, 2.0), im.JUMP: (3.0, 0.01),
+    im.ALARMED: (0.04, 0.1), im.SLOW: (0.0, 0.006),
+}  # fmt: skip
+TABLE = im.table(WALKS, 9.0, PLAIN.sigma_2, 0.02)
 
 
 class Run(NamedTuple):
@@ -29,12 +37,12 @@ class Run(NamedTuple):
 
 
 @loop
-def _run_all(samples, memory, prior, value, covariance, eigenvalues, status, nis):
+def _run_all(samples, memory, prior, table, value, covariance, eigenvalues, status, nis):
     for i in range(samples.shape[0]):
         for k in range(samples.shape[1]):
             s = samples[i, k]
             sample = ls.Sample(s[0], s[1], s[2], s[3], s[4])
-            status[i, k], nis[i, k] = ls.step(memory, i, sample, prior)
+            status[i, k], nis[i, k] = take(memory, i, sample, prior, table)
             value[i, k, 0], value[i, k, 1] = ls.values(memory, i, prior)
             p_11, p_12, p_22 = ls.covariance(memory, i, prior)
             covariance[i, k, 0, 0], covariance[i, k, 1, 1] = p_11, p_22
@@ -43,17 +51,22 @@ def _run_all(samples, memory, prior, value, covariance, eigenvalues, status, nis
             eigenvalues[i, k, 0], eigenvalues[i, k, 1] = smallest, largest
 
 
-def run(samples, prior, memory=None) -> Run:
+def run(samples, prior, memory=None, table=NO_MODELS) -> Run:
     """Feed samples (N, T, 5), columns as in ls.Sample; memory: where to go on from."""
     samples = np.ascontiguousarray(samples, dtype=float)
     count, steps = samples.shape[:2]
-    prior = ls.Prior(*(float(x) for x in prior[:-2]), *(bool(x) for x in prior[-2:]))
-    memory = np.zeros((count, ls.MEMORY)) if memory is None else memory.copy()
+    prior = ls.Prior(*(float(x) for x in prior))
+    memory = np.zeros((count, im.MEMORY)) if memory is None else memory.copy()
     value, eigenvalues = np.empty((count, steps, 2)), np.empty((count, steps, 2))
     covariance = np.empty((count, steps, 2, 2))
     status, nis = np.empty((count, steps), dtype=np.int64), np.empty((count, steps))
-    _run_all(samples, memory, prior, value, covariance, eigenvalues, status, nis)
+    _run_all(samples, memory, prior, table, value, covariance, eigenvalues, status, nis)
     return Run(value, covariance, eigenvalues, status, nis, memory)
+
+
+def interact(samples, prior=LIVELY, memory=None) -> Run:
+    """The same with interacting models."""
+    return run(samples, prior, memory, TABLE)
 
 
 def prior_draws(count, seed=7):

@@ -10,6 +10,7 @@ from baselines.estimators import least_squares as ls
 from tests.baselines.estimators.regression_cases import (
     LIVELY,
     PLAIN,
+    interact,
     nees,
     prior_draws,
     regression,
@@ -54,21 +55,6 @@ def test_with_a_negligible_prior_it_is_the_recursion_of_the_paper():
             assert result.covariance[0, k] == pytest.approx(p, rel=1e-8)
 
 
-def test_a_walking_parameter_is_that_of_a_kalman_filter():
-    q = 1e-3
-    samples = regression(TRUE, 300)
-    result = run(samples, PLAIN._replace(sigma_1=1e3, sigma_2=1e3, drift_2=q * 1e-6))
-    theta, p = MEAN.copy(), 1e6 * np.eye(2)
-    for k in range(300):
-        y, phi = samples[0, k, 0], samples[0, k, 1:3]
-        p = p + np.diag([0.0, q])
-        gain = p @ phi / (samples[0, k, 3] + phi @ p @ phi)
-        theta, p = theta + gain * (y - phi @ theta), p - np.outer(gain, phi @ p)
-        if k >= 5:
-            assert result.value[0, k] == pytest.approx(theta, rel=1e-6)
-            assert result.covariance[0, k] == pytest.approx(p, rel=1e-5, abs=1e-12)
-
-
 def test_the_excitation_is_the_smallest_eigenvalue_of_the_weighted_information():
     factor = 0.97
     samples = regression(TRUE, 200)
@@ -107,16 +93,6 @@ def test_innovations_are_as_large_as_predicted():
         assert within_chi_square(result.nis[:, step].sum(), count)
 
 
-def test_errors_of_a_walking_parameter_are_as_large_as_the_covariance_says():
-    count, steps, drift = 1000, 300, 1e-4
-    walk = np.random.default_rng(2).standard_normal((count, steps)) * np.sqrt(drift) * SIGMA[1]
-    theta = np.repeat(prior_draws(count)[:, None], steps, axis=1)
-    theta[..., 1] += np.cumsum(walk, axis=1)
-    result = run(regression(theta, steps, count=count), PLAIN._replace(drift_2=drift))
-    for step in (20, 100, 299):
-        assert within_chi_square(nees(result, theta[:, step], step).sum(), 2 * count)
-
-
 def test_with_forgetting_the_covariance_is_twice_that_of_the_errors():
     # Errors have the covariance P sum(lambda^2k) / sum(lambda^k) = P / (1 + lambda).
     count, factor = 2000, 0.98
@@ -140,14 +116,15 @@ INPUTS = {
 
 @pytest.mark.parametrize("phi", INPUTS.values(), ids=list(INPUTS))
 @pytest.mark.parametrize("noise_1", [0.0, 0.01])
-def test_no_input_winds_the_covariance_up_or_makes_it_indefinite(phi, noise_1):
+@pytest.mark.parametrize("follow", [run, interact])
+def test_no_input_winds_the_covariance_up_or_makes_it_indefinite(phi, noise_1, follow):
     noise = np.random.default_rng(3).standard_normal((2, LONG))
     seen = phi[0] + np.sqrt(noise_1) * noise[0]
     y = seen * TRUE[0] + phi[1] * TRUE[1] + 0.2 * noise[1]
     samples = np.stack(
         [y, seen, np.full(LONG, phi[1]), np.full(LONG, 0.04), np.full(LONG, noise_1)], axis=-1
     )[None]
-    result = run(samples, LIVELY._replace(low_1=-9.0, low_2=-9.0, high_1=9.0, high_2=9.0))
+    result = follow(samples, LIVELY._replace(low_1=-9.0, low_2=-9.0, high_1=9.0, high_2=9.0))
     scaled = result.covariance[0] / np.outer(SIGMA, SIGMA)
     shares = np.linalg.eigvalsh(scaled)
     assert shares.min() > 0.0
@@ -156,12 +133,13 @@ def test_no_input_winds_the_covariance_up_or_makes_it_indefinite(phi, noise_1):
     assert np.abs(result.value).max() <= 9.0
 
 
-def test_alternating_huge_and_tiny_inputs_keep_the_covariance_definite():
+@pytest.mark.parametrize("follow", [run, interact])
+def test_alternating_huge_and_tiny_inputs_keep_the_covariance_definite(follow):
     rng = np.random.default_rng(4)
     phi = rng.standard_normal((20_000, 2)) * 10.0 ** rng.uniform(-12.0, 12.0, (20_000, 2))
     samples = np.concatenate([phi @ TRUE[:, None], phi, np.full((20_000, 2), 0.04)], axis=1)
     samples[:, 4] = 0.0
-    result = run(samples[None], LIVELY)
+    result = follow(samples[None], LIVELY)
     shares = np.linalg.eigvalsh(result.covariance[0] / np.outer(SIGMA, SIGMA))
     assert shares.min() > 0.0
     assert shares.max() <= 1.0 + 1e-9
@@ -194,38 +172,39 @@ NUMBERS = st.one_of(
         min_size=1,
         max_size=40,
     ),
-    st.booleans(),
+    st.sampled_from([run, interact]),
 )
-def test_the_estimate_is_inside_its_bounds_whatever_comes(samples, follows):
-    prior = LIVELY._replace(
-        mean_1=0.55, low_1=0.0, high_1=1.1, low_2=0.1, high_2=2.3, follows_changes=follows
-    )
-    result = run(np.array([samples]), prior)
+def test_the_estimate_is_inside_its_bounds_whatever_comes(samples, follow):
+    prior = LIVELY._replace(mean_1=0.55, low_1=0.0, high_1=1.1, low_2=0.1, high_2=2.3)
+    result = follow(np.array([samples]), prior)
     assert (result.value >= [0.0, 0.1]).all()
     assert (result.value <= [1.1, 2.3]).all()
     assert (np.linalg.eigvalsh(result.covariance[0] / np.outer(SIGMA, SIGMA)) > 0.0).all()
 
 
-def test_a_sample_that_is_not_a_number_is_counted_and_changes_nothing_else():
+@pytest.mark.parametrize("follow", [run, interact])
+def test_a_sample_that_is_not_a_number_is_counted_and_changes_nothing_else(follow):
     samples = regression(TRUE, 51)
     samples[0, 50, 0] = np.nan
-    before = run(samples[:, :50], LIVELY)
-    after = run(samples[:, 50:], LIVELY, before.memory)
+    before = follow(samples[:, :50], LIVELY)
+    after = follow(samples[:, 50:], LIVELY, before.memory)
     assert after.status[0, 0] == REJECTED
     expected = before.memory.copy()
     expected[0, ls.SKIPPED] += 1.0
     assert np.array_equal(after.memory, expected)
 
 
-def test_a_sample_without_information_is_held_and_ages_nothing():
-    before = run(regression(TRUE, 50), LIVELY)
-    after = run(np.array([[[0.1, 0.0, 0.0, 0.04, 0.0]] * 9]), LIVELY, before.memory)
+@pytest.mark.parametrize("follow", [run, interact])
+def test_a_sample_without_information_is_held_and_ages_nothing(follow):
+    before = follow(regression(TRUE, 50), LIVELY)
+    after = follow(np.array([[[0.1, 0.0, 0.0, 0.04, 0.0]] * 9]), LIVELY, before.memory)
     assert (after.status == HOLDING).all()
     assert np.array_equal(after.memory, before.memory)
 
 
-def test_collinear_regressors_are_reported_as_holding():
+@pytest.mark.parametrize("follow", [run, interact])
+def test_collinear_regressors_are_reported_as_holding(follow):
     samples = np.array([[[7.0, 3.0, 1.0, 0.04, 0.0]] * 200])
-    result = run(samples, LIVELY)
+    result = follow(samples, LIVELY)
     assert (result.status == HOLDING).all()
     assert result.eigenvalues[0, :, 0].max() < ls.EXCITED

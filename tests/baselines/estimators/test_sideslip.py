@@ -1,0 +1,79 @@
+"""The mass from the steady side slip: the equation, and when it is used."""
+
+import numpy as np
+import pytest
+
+from baselines.estimators import sideslip
+from baselines.estimators.estimate import Setting
+from baselines.estimators.longitudinal import LongitudinalEstimator
+from baselines.estimators.sensor_samples import COLUMN
+from baselines.estimators.turning import TurningEstimator
+from tests.baselines.estimators.motion_cases import CLAY, RTK, measurements
+from tracked_env.physics import terramechanics as soil
+
+TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)
+
+
+def known(memory):
+    """Row, both regressions that know the vehicle, and a sample of a turn; memory: of the row."""
+    row = sideslip.SideslipRow(Setting(CLAY, 0.02, RTK, 1))
+    row.memory[:] = memory
+    along, turning = LongitudinalEstimator(CLAY, 0.02, RTK), TurningEstimator(CLAY, 0.02, RTK)
+    turning.mass[:], turning.resistance[:] = TRUTH.mass, TRUTH.longitudinal_resistance
+    for sample in measurements(TRUTH, "curves", sheet=RTK, steps=500):
+        along.update(sample)
+        turning.update(sample)
+    w = 0.4
+    turn = next(
+        s
+        for s in measurements(TRUTH, "curves", steps=500)
+        if abs(s.channel("yaw_rate")[0]) > w and abs(s.channel("v_y")[0]) > 0.02
+    )
+    return row, along, turning, turn
+
+
+def test_the_expected_side_slip_is_that_of_the_lateral_friction():
+    row, _along, _turning, _turn = known([0.0, 0.0])
+    z = np.zeros((1, 13))
+    for w in (-0.6, 0.15, 0.5):
+        for v_y in (-0.05, 0.03):
+            intensity = TRUTH.lateral_resistance * soil.GRAVITY / CLAY.contact_length
+            a_y, _moment = soil.lateral_friction(v_y, w, intensity, CLAY.contact_length)
+            z[0, [COLUMN["v_y"], COLUMN["acceleration_y"], COLUMN["yaw_rate"]]] = v_y, a_y, w
+            friction = TRUTH.mass * TRUTH.lateral_resistance
+            found, variance = sideslip.expected(
+                z, 0, row._known, 1.0 / TRUTH.mass, friction, 1.0, 1.0
+            )
+            assert found == pytest.approx(v_y, rel=0.02)
+            assert variance > RTK.velocity_noise**2
+
+
+@pytest.mark.parametrize(
+    ("memory", "used"),
+    [([0.0, 0.0], False), ([1.0, 1.0], False), ([100.0, 100.0], True), ([100.0, 57.0], False)],
+    ids=["nothing known", "unproven", "proven", "of another plant"],
+)
+def test_it_is_used_where_it_has_been_found_to_hold_and_nowhere_else(memory, used):
+    row, along, turning, turn = known(memory)
+    before, deviation = along.memory.copy(), along.read().deviation("inverse_mass")
+    row.compute(turn, along, turning)
+    assert np.array_equal(before, along.memory) != used
+    assert (along.read().deviation("inverse_mass") < deviation) == used
+
+
+@pytest.mark.parametrize("channel", ["v_y", "acceleration_y", "yaw_rate", "v_x"])
+def test_a_missing_number_leaves_everything_as_it_was(channel):
+    row, along, turning, turn = known([100.0, 100.0])
+    turn.values[:, COLUMN[channel]] = np.nan
+    before = along.memory.copy()
+    row.compute(turn, along, turning)
+    assert np.array_equal(before, along.memory)
+    assert np.array_equal(row.memory, [[100.0, 100.0]])
+
+
+def test_a_velocity_that_is_older_than_the_acceleration_is_not_used():
+    row, along, turning, turn = known([100.0, 100.0])
+    turn.age[:, 0] = 0.2
+    before = along.memory.copy()
+    row.compute(turn, along, turning)
+    assert np.array_equal(before, along.memory)

@@ -26,9 +26,10 @@ from tracked_env.benchmark import SETS
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.files import replace_block
 from tracked_env.benchmark.leaderboard import between
-from tracked_env.benchmark.report import escaped, rate_unit
+from tracked_env.benchmark.report import rate_unit
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import action_rate
+from tracked_env.benchmark.text_tables import escaped
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, NamedTuple, TypeVar
 
-from tracked_env.benchmark.report import aligned, markdown_rows
+from tracked_env.benchmark.text_tables import aligned, markdown_rows
 
 Rows = list[list[str]]  # of a table, header first
 Figures = dict[str, tuple[Path, str]]  # {name: (file, caption)}

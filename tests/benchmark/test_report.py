@@ -12,6 +12,7 @@ import pytest
 from tracked_env.benchmark import report
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS, OF_GOALS
+from tracked_env.benchmark.text_tables import escaped
 
 EASY = np.linspace(0.04, 0.06, 16)
 
@@ -93,7 +94,7 @@ def test_names_are_shown_as_they_are_in_markdown() -> None:
         rows = [line for line in part.splitlines() if line.startswith("|")]
         assert len({len(re.findall(r"(?<!\\)(?:\\\\)*\|", line)) for line in rows}) <= 1
         assert len(rows) in (0, len(part.splitlines()))
-    assert report.escaped("RMSE [m]: IQM [95 %] *") == "RMSE [m]: IQM [95 %] *"
+    assert escaped("RMSE [m]: IQM [95 %] *") == "RMSE [m]: IQM [95 %] *"
 
 
 def test_nothing_finished_is_an_error() -> None:

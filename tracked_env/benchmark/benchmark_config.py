@@ -23,6 +23,7 @@ WITHOUT_INFLUENCE = {
     "benchmark/drawing.py": "figures from records",
     "benchmark/executors/": "where chunks of episodes run",
     "benchmark/files.py": "writes records",
+    "benchmark/text_tables.py": "tables from cells",
     "benchmark/episode_figures.py": "figures from records",
     "benchmark/frozen.py": "compares what is drawn with what is kept",
     "benchmark/leaderboard.py": "tables from records",

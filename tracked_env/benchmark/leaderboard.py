@@ -24,16 +24,14 @@ from tracked_env.benchmark.reliability import FEW_SEEDS, estimate, fewest
 from tracked_env.benchmark.report import (
     GOAL_COLUMNS,
     GOAL_LEGEND,
-    aligned,
-    escaped_lines,
     goal_cells,
-    markdown_rows,
     marked,
     plain,
 )
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary, action_rate
+from tracked_env.benchmark.text_tables import aligned, escaped_lines, markdown_rows
 
 # What agents have to beat, by torque and by speed; the summary's baseline where both are missing.
 REFERENCES = ("adaptive", "slc-adaptive")

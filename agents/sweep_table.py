@@ -6,15 +6,17 @@ from typing import Any
 from agents.sweep_file import Sweep
 from baselines.learned.agent_archive import read_recipe
 from tracked_env.benchmark import BenchmarkConfig, Store, check, default_sets, summarise
+from tracked_env.benchmark.chunks import pending
 from tracked_env.benchmark.executors import Executor
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.progress_bar import progress_bar
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
-from tracked_env.benchmark.report import aligned, markdown_rows, marked, write
-from tracked_env.benchmark.runner import pending, run
+from tracked_env.benchmark.report import marked, write
+from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import Row, rows_of
+from tracked_env.benchmark.text_tables import aligned, markdown_rows
 
 TABLE = "table.md"
 

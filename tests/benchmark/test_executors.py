@@ -18,13 +18,13 @@ from tests.benchmark.mortal_policies import MARK
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN
+from tracked_env.benchmark.chunks import chunk_size, pending
 from tracked_env.benchmark.executors import Executor, make_executor
 from tracked_env.benchmark.executors.shard import Shard, parse_shard
 from tracked_env.benchmark.executors.worker_pool import WorkerPool
 from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
-from tracked_env.benchmark.runner import chunk_size, pending
 from tracked_env.cli.main import main
 
 CONFIG = BenchmarkConfig(sets=("payload", "drift"), episodes=36, duration=1.0)

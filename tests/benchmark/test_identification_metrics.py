@@ -9,11 +9,9 @@ import pytest
 from tests.benchmark.stub_policies import Believing, Constant, Tracking, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run, summarise
 from tracked_env.benchmark import identification_metrics as ident
-from tracked_env.benchmark.identification_metrics import Beliefs, Recorder
+from tracked_env.benchmark.beliefs import KNOWN, Beliefs
 from tracked_env.benchmark.metrics import CHANNELS, Trace
-from tracked_env.benchmark.runner import drive
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.plants.lumped import LUMPED
 
 PERIOD = 0.02  # [s]
 STEPS = 1000
@@ -169,31 +167,9 @@ def test_the_slip_is_compared_as_it_is_and_a_parameter_near_zero_with_its_nomina
 
 
 def test_what_may_be_estimated_has_a_true_and_a_nominal_value() -> None:
-    assert set(ident.nominal_values()) == set(ident.KNOWN)
+    assert set(ident.nominal_values()) == set(KNOWN)
     effort = 0.3 * 2.0 * 70e3 + 0.5 * 1450.0 * 9.81 * np.tan(np.radians(38.4))
     assert ident.nominal_values()["effort_maximum"] == pytest.approx(effort)
-
-
-def test_the_truth_beside_an_estimate_is_the_one_in_force_when_it_was_made() -> None:
-    names = ("mass", "effort_maximum", "slip_left", "lateral_resistance")
-    config = BenchmarkConfig(sets=("payload",), duration=2.0)
-    env = config.environment("payload", 3, truth=True)
-    policy = Tracking(("mass", "lateral_resistance", "slip_left"), 1.0, 0.1)
-    recorder = Recorder(3, 100)
-    drive(policy, env, range(3), lambda: None, recorder)
-    beliefs = recorder.beliefs()
-    assert len(beliefs.value) == 100
-    assert np.array_equal(beliefs.value, beliefs.truth)
-    assert (np.ptp(beliefs.truth[:, 0], axis=0) > 500.0).all()  # the payload is in it
-    believing = Believing(dict.fromkeys(names, (1.0, 1.0)))
-    recorder = Recorder(3, 100)
-    drive(believing, env, range(3), lambda: None, recorder)
-    beliefs = recorder.beliefs()
-    weight = 9.81 * beliefs.truth[:, 0]
-    effort = 0.6 * VEHICLES["strawa"].cohesion + 0.5 * weight * np.tan(
-        VEHICLES["strawa"].friction_angle
-    )
-    assert beliefs.truth[:, 1] == pytest.approx(effort, rel=1e-5)
 
 
 def test_the_first_second_after_a_change_is_told_apart() -> None:
@@ -206,14 +182,6 @@ def test_the_first_second_after_a_change_is_told_apart() -> None:
 
 def test_the_claimed_deviation_is_relative_to_the_true_value() -> None:
     assert measured(900.0, 1000.0, 50.0)["claimed_deviation"] == pytest.approx(0.05)
-
-
-def test_a_parameter_that_the_plant_does_not_read_has_no_truth_and_is_not_evaluated() -> None:
-    believing = Believing(dict.fromkeys(("mass", "lateral_resistance"), (1.0, 1.0)))
-    recorder = Recorder(3, 100, read=frozenset({"mass"}))
-    env = BenchmarkConfig(sets=("payload",), duration=2.0).environment("payload", 3, truth=True)
-    drive(believing, env, range(3), lambda: None, recorder)
-    assert recorder.beliefs().names == ("mass",)
 
 
 def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_path: Path) -> None:
@@ -244,17 +212,6 @@ def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_pa
     assert list(summarise(records).identification["soil-and-mass"]) == ["tracking"]
 
 
-def test_asking_a_policy_changes_none_of_the_numbers_of_its_drive(tmp_path: Path) -> None:
-    policies = [
-        entry("silent", lambda context: Constant(0.3, 0.3)),
-        entry("believing", lambda context: Believing({"mass": (1450.0, 100.0)})),
-    ]
-    records = run(CONFIG, policies, Store(tmp_path, CONFIG.identity()))
-    drop = ("policy", "predict_time", "identification", "nis")
-    plain = [{k: v for k, v in r.items() if k not in drop} for r in records]
-    assert plain[:3] == plain[3:]
-
-
 def test_the_size_of_a_chunk_does_not_change_a_number_of_the_estimates(tmp_path: Path) -> None:
     policy = entry("tracking", lambda context: Tracking(("mass", "slip_left"), 1.05, 0.02))
     found = []
@@ -263,46 +220,6 @@ def test_the_size_of_a_chunk_does_not_change_a_number_of_the_estimates(tmp_path:
         records = run(config, [policy], Store(tmp_path / f"{chunk}", config.identity()))
         found.append([r["identification"] for r in records])
     assert found[0] == found[1]
-
-
-@pytest.mark.parametrize(
-    ("believed", "message"),
-    [
-        ({"mas": (1.0, 1.0)}, "estimates of .'mas'.; none of them"),
-        ({"mass": (1.0,)}, "estimate of mass has shapes"),
-        ({"mass": (np.ones(2), np.ones(2))}, "each \\(3,\\): one number per vehicle"),
-    ],
-)
-def test_estimates_that_are_not_understood_are_refused(
-    tmp_path: Path, believed: dict[str, Any], message: str
-) -> None:
-    policy = Constant()
-    policy.estimates = lambda: {  # type: ignore[attr-defined]
-        name: tuple(np.full(3, p) if np.ndim(p) == 0 else p for p in parts)
-        for name, parts in believed.items()
-    }
-    with pytest.raises(ValueError, match=message):
-        run(CONFIG, [entry("odd", lambda context: policy)], Store(tmp_path, CONFIG.identity()))
-
-
-def test_what_the_benchmark_has_no_truth_for_is_not_judged(tmp_path: Path) -> None:
-    beliefs = {"gyro_bias": (0.0, 1.0), "mass": (1450.0, 1.0)}
-    policy = entry("more", lambda context: Believing(beliefs))
-    records = run(CONFIG, [policy], Store(tmp_path, CONFIG.identity()))
-    assert list(records[0]["identification"]) == ["mass"]
-
-
-def test_every_parameter_that_the_plant_reads_may_be_estimated(tmp_path: Path) -> None:
-    policy = entry("all", lambda context: Believing(dict.fromkeys(ident.KNOWN, (1.0, 1.0))))
-    records = run(CONFIG, [policy], Store(tmp_path, CONFIG.identity()))
-    read = LUMPED.reads["torque"] - {"icr_forward"}  # of the constrained model alone
-    assert "lateral_resistance" in read
-    assert set(records[0]["identification"]) == {
-        *read,
-        "effort_maximum",
-        "slip_left",
-        "slip_right",
-    }
 
 
 def test_a_light_vehicle_is_judged_by_its_own_nominal_values(tmp_path: Path) -> None:

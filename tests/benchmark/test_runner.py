@@ -19,6 +19,7 @@ from tracked_env.benchmark import (
     load_policy,
     run,
 )
+from tracked_env.benchmark.chunks import pending
 from tracked_env.benchmark.figure_data import figure_data
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.policy_interface import (
@@ -27,7 +28,7 @@ from tracked_env.benchmark.policy_interface import (
     PolicyError,
     checked_answer,
 )
-from tracked_env.benchmark.runner import drive, pending
+from tracked_env.benchmark.runner import drive
 from tracked_env.benchmark.sets import OF_VERSION
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.sensors import STRAWA

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.benchmark.identification_metrics import Beliefs
+from tracked_env.benchmark.beliefs import Beliefs
 from tracked_env.benchmark.metrics import CHANNELS, Trace, counted_error
 
 FIGURE_ERRORS = 64  # episodes whose error is kept

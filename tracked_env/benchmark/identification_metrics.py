@@ -1,9 +1,8 @@
-"""Accuracy of the estimates of a policy: its estimates, the true values, and metrics from both.
+"""Accuracy of the estimates of a policy: metrics from its estimates and the true values.
 
-A policy with the hook `estimates` is asked after each `predict`. Row k holds its estimate x_k and
-standard deviation sigma_k at time k h, when it has seen k + 1 observations, and the true value
-p_k that was in force when the last of them was taken. With the scale P_k = max(|p_k|, 1 % of the
-nominal value), 1 for the slips, and the K rows of the time driven:
+Row k of its beliefs (`benchmark.beliefs`) has the estimate x_k, its standard deviation sigma_k and
+the true value p_k. With the scale P_k = max(|p_k|, 1 % of the nominal value), 1 for the slips, and
+the K rows of the time driven:
     relative error       r_k = (x_k - p_k) / P_k
     relative RMSE        sqrt(mean r_k^2), over all rows and over those after SETTLING_TIME
     settling time        smallest tau >= 0 with |r_k| <= SETTLED for all rows from t_0 + tau on,
@@ -15,9 +14,7 @@ nominal value), 1 for the slips, and the K rows of the time driven:
     claimed deviation    median of sigma_k / P_k
     diverged             the last estimate is not finite, or |r| > DIVERGED and |r| is larger than
                          that of the nominal value
-Estimates of parameters outside KNOWN, or that the plant does not read, have no true value and are
-not evaluated. Rows whose estimate is not finite count as
-outside every band, and not in the RMSE.
+Rows whose estimate is not finite count as outside every band, and not in the RMSE.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,19 +24,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.benchmark.beliefs import SLIPS, Beliefs
 from tracked_env.benchmark.changes import last_outside
 from tracked_env.benchmark.metrics import Metric, Trace, settled_step
-from tracked_env.engine.columns import columns
-from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.vehicle import drive_limits
 
 SETTLED = 0.1  # [-] relative error within which an estimate is settled
 DIVERGED = 0.5  # [-] relative error from which on an estimate may count as diverged
 APART = 1.0  # [s] after an abrupt change, in which no estimator can know of it
 LEAST_SCALE = 0.01  # [-] of the nominal value; keeps x/0 out of the relative error
-
-_SLIPS = ("slip_left", "slip_right")
-KNOWN = (*PARAMETER_NAMES, "effort_maximum", *_SLIPS)  # what may be estimated
 
 ESTIMATION_METRICS = {
     "relative_rmse": Metric("-", "RMS of the relative error, whole episode"),
@@ -59,87 +53,11 @@ ESTIMATION_METRICS = {
 LATER = ("nees_apart", "in_three_sigma_apart", "claimed_deviation")
 
 
-class Beliefs(NamedTuple):
-    """Estimates of a policy for n vehicles over T control steps, and the true values."""
-
-    names: tuple[str, ...]  # (P,)
-    value: NDArray[np.float32]  # (T, P, n) SI
-    deviation: NDArray[np.float32]  # (T, P, n)
-    truth: NDArray[np.float32]  # (T, P, n)
-    excited: NDArray[np.bool_]  # (T, P, n)
-    reports_excitation: tuple[bool, ...]  # (P,) whether `excited` is known
-    nis: dict[str, NDArray[np.float32]]  # (T, n) by filter
-
-
-class Recorder:
-    """Takes down the beliefs of one batch, step by step."""
-
-    def __init__(self, count: int, max_steps: int, read: frozenset[str] = frozenset(KNOWN)) -> None:
-        """read: parameters that the plant reads; others have no true value."""
-        self.truths = read | {"effort_maximum", *_SLIPS}
-        self.count, self.max_steps = count, max_steps
-        self.rows = 0
-        self.names: tuple[str, ...] = ()
-        self.reports_excitation: tuple[bool, ...] = ()
-        self._columns: list[int] = []
-
-    def _allocate(self, estimates: Mapping[str, Any], excited: Mapping[str, Any]) -> None:
-        """Fix the names by the first answer. Raises ValueError if none of them is known."""
-        self.names = tuple(name for name in estimates if name in KNOWN and name in self.truths)
-        if not self.names:
-            raise ValueError(f"estimates of {sorted(estimates)}; none of them is in {KNOWN}")
-        for name in self.names:
-            answer = estimates[name]
-            if len(answer) != 2 or any(np.shape(part) != (self.count,) for part in answer):
-                raise ValueError(
-                    f"estimate of {name} has shapes {[np.shape(part) for part in answer]}; must be "
-                    f"(value, standard deviation), each ({self.count},): one number per vehicle"
-                )
-        self.reports_excitation = tuple(name in excited for name in self.names)
-        self._columns = columns(self.names)
-        shape = (self.max_steps, len(self.names), self.count)
-        self.value, self.deviation, self.truth = (np.empty(shape, np.float32) for _ in range(3))
-        self.excited = np.zeros(shape, dtype=bool)
-        self.nis: dict[str, NDArray[np.float32]] = {}
-
-    def take(self, policy: Any, floats: NDArray[np.float64]) -> None:
-        """One row. floats: those of the batch, before the step that follows.
-
-        Raises ValueError for names or shapes that are not understood.
-        """
-        k = self.rows
-        estimates = policy.estimates()
-        excited = policy.excited() if hasattr(policy, "excited") else {}
-        if k == 0:
-            self._allocate(estimates, excited)
-        for j, name in enumerate(self.names):
-            self.value[k, j], self.deviation[k, j] = estimates[name]
-            if self.reports_excitation[j]:
-                self.excited[k, j] = excited[name]
-        self.truth[k] = floats[:, self._columns].T
-        for name, nis in (policy.nis() if hasattr(policy, "nis") else {}).items():
-            if name not in self.nis:
-                self.nis[name] = np.full((self.max_steps, self.count), np.nan, dtype=np.float32)
-            self.nis[name][k] = nis
-        self.rows += 1
-
-    def beliefs(self) -> Beliefs:
-        """All that was taken down."""
-        n = self.rows
-        parts = (self.value[:n], self.deviation[:n], self.truth[:n], self.excited[:n])
-        return Beliefs(
-            self.names,
-            *parts,
-            self.reports_excitation,
-            {name: nis[:n] for name, nis in self.nis.items()},
-        )
-
-
 @lru_cache
 def nominal_values(nominal: PlantParameters = VEHICLES["strawa"]) -> dict[str, float]:
     """The nominal value of each of KNOWN: the estimate of a policy that identifies nothing."""
     effort = float(drive_limits(nominal).effort_maximum)
-    return {**nominal._asdict(), "effort_maximum": effort, **dict.fromkeys(_SLIPS, 0.0)}
+    return {**nominal._asdict(), "effort_maximum": effort, **dict.fromkeys(SLIPS, 0.0)}
 
 
 def scales(
@@ -151,7 +69,7 @@ def scales(
     known: the nominal values.
     """
     floor = [[LEAST_SCALE * abs(known[name])] for name in names]
-    absolute = [[name in _SLIPS or known[name] == 0.0] for name in names]
+    absolute = [[name in SLIPS or known[name] == 0.0] for name in names]
     return np.where(absolute, 1.0, np.maximum(np.abs(truth), floor))
 
 

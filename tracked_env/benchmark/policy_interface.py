@@ -9,12 +9,12 @@ A policy that declares `needs_truth = True` gets, before each `predict`, the tru
 parameters through `observe_truth(truth)`, {name: (N,)}. No other policy ever sees them.
 
 A policy that identifies parameters may say what it believes; the benchmark asks after each
-`predict` and compares with the truth (see `identification`). It has a method
+`predict` and compares with the truth (see `beliefs`). It has a method
     estimates() -> {name: (value (N,), standard deviation (N,))}       SI
 and, if it likes,
     excited()   -> {name: (N,) bool}   whether the data say something about that parameter now
     nis()       -> {filter: (N,)}      normalised innovation squared of its filters, NaN = no sample
-The names are the same in every call; estimates of what is not in `identification.KNOWN` are not
+The names are the same in every call; estimates of what is not in `beliefs.KNOWN` are not
 evaluated. The answers must not change what the policy does.
 """
 

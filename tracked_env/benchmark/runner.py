@@ -8,15 +8,17 @@ chunk. Chunks may run in other processes and on other machines (`executors`); th
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark import identification_metrics, metrics
-from tracked_env.benchmark.benchmark_config import CHUNK_MIN, BenchmarkConfig
+from tracked_env.benchmark.beliefs import Recorder
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.chunks import Finished, SentTask, Task, pending
 from tracked_env.benchmark.executors import Executor
 from tracked_env.benchmark.executors.sent_policies import Comparison, received, sent
 from tracked_env.benchmark.figure_data import FIGURE_ERRORS, figure_data
@@ -36,7 +38,6 @@ from tracked_env.engine.columns import columns
 from tracked_env.engine.episode import Episode
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-TASKS = 3  # per worker, so that none is idle for long at the end
 REPORT_EVERY = 50  # [control steps] between two calls of `progress`
 
 # Channels of a trace that have another name in the simulation.
@@ -46,38 +47,6 @@ _RENAMED = {
 }
 _COLUMNS = columns(_RENAMED.get(name, name) for name in metrics.CHANNELS)
 _SPEED_ERROR = metrics.CHANNELS.index("speed_error")
-
-
-class Task(NamedTuple):
-    """One chunk of one policy on one set."""
-
-    policy: PolicyEntry
-    uncertainty_set: str
-    episodes: tuple[int, ...]
-
-    @property
-    def label(self) -> str:
-        """What a progress bar shows of it."""
-        return f"{self.uncertainty_set}: {self.policy.name}"
-
-
-class SentTask(NamedTuple):
-    """A task as another process gets it."""
-
-    policy: str
-    uncertainty_set: str
-    episodes: tuple[int, ...]
-
-    def __str__(self) -> str:
-        first, last = self.episodes[0], self.episodes[-1]
-        return f"{self.uncertainty_set}: {self.policy}, episodes {first} to {last},"
-
-
-class Finished(NamedTuple):
-    """What a store keeps of a task."""
-
-    chunk: Record
-    trace: dict[str, NDArray[Any]] | None  # of the first episodes, for the figures
 
 
 def episode_digest(episode: Episode) -> str:
@@ -100,7 +69,7 @@ def drive(
     env: TrackedVehicleVectorEnv,
     seeds: Sequence[int],
     on_step: Callable[[], None],
-    recorder: identification_metrics.Recorder | None = None,
+    recorder: Recorder | None = None,
 ) -> tuple[metrics.Trace, float]:
     """Run one episode per seed to its end. Returns their trace and the mean time of `predict` [s].
 
@@ -161,9 +130,7 @@ def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progre
     recorder = None
     if identifies(policy):
         solver = env.simulation.solver
-        recorder = identification_metrics.Recorder(
-            count, env.simulation.settings.max_steps, frozenset(solver.reads.names)
-        )
+        recorder = Recorder(count, env.simulation.settings.max_steps, frozenset(solver.reads.names))
     reported, steps = 0, 0
 
     def on_step() -> None:
@@ -221,46 +188,6 @@ def keep(finished: Finished, store: Store, workers: int) -> None:
         first = chunk["episodes"][0]["episode"]
         store.save_trace(chunk["policy"], chunk["set"], finished.trace, first)
     store.append(chunk, workers)
-
-
-def chunk_size(config: BenchmarkConfig, policies: int, workers: int) -> int:
-    """Episodes of a chunk: smaller ones than asked for only below TASKS tasks a worker."""
-    size = config.chunk
-    while size > CHUNK_MIN:
-        tasks = -(-config.episodes // size) * len(config.sets) * policies
-        if tasks >= TASKS * workers:
-            break
-        size = max(size // 2, CHUNK_MIN)
-    return size
-
-
-def pending(
-    config: BenchmarkConfig, policies: Sequence[PolicyEntry], store: Store, workers: int = 1
-) -> Iterator[Task]:
-    """The chunks that the store lacks, set by set, all policies on a chunk in turn.
-
-    workers: how many run at the same time. The store of a shard gets the chunks of that shard.
-    """
-    return (
-        task for task in store.share(_chunks(config, policies, store, workers)) if task.episodes
-    )
-
-
-def _chunks(
-    config: BenchmarkConfig, policies: Sequence[PolicyEntry], store: Store, workers: int
-) -> Iterator[Task]:
-    """All chunks, with the episodes that the store lacks, if any: the same ones for every shard."""
-    have = {
-        (r["set"], r["policy"], r["episode"])
-        for r in store.records({entry.name: entry.fingerprint for entry in policies})
-    }
-    size = chunk_size(config, len(policies), max(workers, store.shards))
-    for name in config.sets:
-        for first in range(0, config.episodes, size):
-            chunk = range(first, min(first + size, config.episodes))
-            for entry in policies:
-                missing = tuple(i for i in chunk if (name, entry.name, i) not in have)
-                yield Task(entry, name, missing)
 
 
 def run(

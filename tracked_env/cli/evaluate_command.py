@@ -17,6 +17,7 @@ from tracked_env.benchmark import (
     leaderboard_page,
     report,
 )
+from tracked_env.benchmark.chunks import pending
 from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
 from tracked_env.benchmark.policy_lookup import archives, load_policies
@@ -27,7 +28,7 @@ from tracked_env.benchmark.registered_policies import (
     open_archive,
     registered_policies,
 )
-from tracked_env.benchmark.runner import pending, run
+from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.sets import version_of
 from tracked_env.benchmark.store import identity_hash
 from tracked_env.benchmark.summary import Row, rows_of

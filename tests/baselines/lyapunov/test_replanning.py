@@ -42,7 +42,7 @@ def test_plans_of_the_moment_end_nearer_to_the_goal_where_the_floor_turns_slippe
     again, once = driven["step", 1.0], driven["step", math.inf]
     low, _high = interval(once.off - again.off)
     assert low > 0.0
-    assert again.off.mean() < 0.6 * once.off.mean()
+    assert again.off.mean() < 0.75 * once.off.mean()
 
 
 def test_where_nothing_changes_plans_of_the_moment_are_as_good_as_one(driven):
@@ -72,7 +72,7 @@ def test_no_vehicle_drives_circles_to_correct_what_is_left_of_its_error(driven, 
         for period in (1.0, math.inf)
     }
     assert (turned[1.0] < turned[math.inf] + math.pi / 2.0).all()
-    assert driven[floor, 1.0].memory.plans.refused.sum() > 0
+    assert driven["step", 1.0].memory.plans.refused.sum() > 0
 
 
 @pytest.mark.parametrize(

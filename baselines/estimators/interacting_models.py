@@ -31,6 +31,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.estimators import gaussian_blocks as gaussian
 from baselines.estimators import least_squares as ls
 from tracked_env.physics.jit import formula
 
@@ -52,7 +53,6 @@ TREND_TIME = 1.5  # [s] over which the monitor averages
 TREND_HELD = 4.0  # [s] that an alarm lasts
 MOST_NORMALISED = 3.0  # [-] that a sample may count in that mean: a change is no trend
 JUMPED = 0.1  # [-] odds of a jump from which on other estimators are told
-ROUNDING = 1e-12  # [-] smaller information is none
 RESTART = 0.3  # [-] odds of a border or jump from which on the monitor begins anew
 
 # Blocks of `memory`, in columns: 0 is the mixture, then the models, then the monitor.
@@ -83,36 +83,6 @@ def table(
 
 
 @formula
-def _covariance(memory, i, h):
-    """(P_11, P_12, P_22) of the estimate in block h, in units of the prior."""
-    a, b, c = memory[i, h + ls.J_11] + 1.0, memory[i, h + ls.J_12], memory[i, h + ls.J_22] + 1.0
-    inverse = 1.0 / (a * c - b * b)
-    return c * inverse, -b * inverse, a * inverse
-
-
-@formula
-def _put(memory, i, h, x_1, x_2, p_11, p_12, p_22):
-    """Mean and covariance into block h; the covariance never exceeds that of the prior."""
-    inverse = 1.0 / (p_11 * p_22 - p_12 * p_12)
-    a, c = p_22 * inverse - 1.0, p_11 * inverse - 1.0
-    a = min(a, ls.LARGEST) if a > ROUNDING else 0.0
-    c = min(c, ls.LARGEST) if c > ROUNDING else 0.0
-    most = math.sqrt(a * c)
-    memory[i, h + ls.X_1], memory[i, h + ls.X_2] = x_1, x_2
-    memory[i, h + ls.J_11], memory[i, h + ls.J_22] = a, c
-    memory[i, h + ls.J_12] = min(max(-p_12 * inverse, -most), most)
-
-
-@formula
-def _moments(memory, i, h):
-    """Mean and second moments of block h about the mixture's mean: (d_1, d_2, M_11, M_12, M_22)."""
-    p_11, p_12, p_22 = _covariance(memory, i, h)
-    d_1 = memory[i, h + ls.X_1] - memory[i, ls.X_1]
-    d_2 = memory[i, h + ls.X_2] - memory[i, ls.X_2]
-    return d_1, d_2, p_11 + d_1 * d_1, p_12 + d_1 * d_2, p_22 + d_2 * d_2
-
-
-@formula
 def _exchange(memory, i, table):
     """The models exchange estimates and odds: x_0j, P_0j before the walk, and c_j."""
     shares = 0.0
@@ -121,7 +91,7 @@ def _exchange(memory, i, table):
     pool, m_1, m_2, m_11, m_12, m_22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(MODELS):
         left = memory[i, ODDS + j] * table[j, LEAVING] / (shares - table[j, SHARE])
-        d_1, d_2, s_11, s_12, s_22 = _moments(memory, i, _FIRST + j * ls.SIZE)
+        d_1, d_2, s_11, s_12, s_22 = gaussian.moments(memory, i, _FIRST + j * ls.SIZE)
         pool += left
         m_1, m_2 = m_1 + left * d_1, m_2 + left * d_2
         m_11, m_12, m_22 = m_11 + left * s_11, m_12 + left * s_12, m_22 + left * s_22
@@ -131,26 +101,15 @@ def _exchange(memory, i, table):
         # What comes of all models but j, and what stays.
         kept = odds * (1.0 - table[j, LEAVING]) - share * left
         chance = max(share * pool + kept, 1e-300)
-        d_1, d_2, s_11, s_12, s_22 = _moments(memory, i, h)
+        d_1, d_2, s_11, s_12, s_22 = gaussian.moments(memory, i, h)
         x_1, x_2 = (share * m_1 + kept * d_1) / chance, (share * m_2 + kept * d_2) / chance
         p_11 = (share * m_11 + kept * s_11) / chance - x_1 * x_1
         p_12 = (share * m_12 + kept * s_12) / chance - x_1 * x_2
         p_22 = (share * m_22 + kept * s_22) / chance - x_2 * x_2
-        _put(memory, i, h, memory[i, ls.X_1] + x_1, memory[i, ls.X_2] + x_2, p_11, p_12, p_22)
+        gaussian.put(
+            memory, i, h, memory[i, ls.X_1] + x_1, memory[i, ls.X_2] + x_2, p_11, p_12, p_22
+        )
         memory[i, ODDS + j] = chance
-
-
-@formula
-def _walk(memory, i, h, prior, walk_1, walk_2):
-    """Add the variance of the random walks to block h: (J^-1 + Q)^-1."""
-    a, b, c = memory[i, h + ls.J_11], memory[i, h + ls.J_12], memory[i, h + ls.J_22]
-    less = 1.0 / (1.0 + walk_2 * c)
-    a, b, c = a - walk_2 * less * b * b, b * less, c * less
-    size = prior.mean_1 / prior.sigma_1 + memory[i, h + ls.X_1]
-    step = walk_1 * size * size
-    less = 1.0 / (1.0 + step * a)
-    memory[i, h + ls.J_11], memory[i, h + ls.J_12] = a * less, b * less
-    memory[i, h + ls.J_22] = c - step * less * b * b
 
 
 @formula
@@ -158,7 +117,7 @@ def _age(memory, i, h, prior, table, row, hold_1):
     """Forgetting, unless parameter 1 is held, and the walk of one row of the table."""
     if not hold_1:
         ls.forget(memory, i, h, prior)
-    _walk(memory, i, h, prior, table[row, WALK_1], table[row, WALK_2])
+    gaussian.walk(memory, i, h, prior, table[row, WALK_1], table[row, WALK_2])
 
 
 @formula
@@ -182,9 +141,9 @@ def mix(memory, i):
     for j in range(MODELS):
         share = memory[i, ODDS + j] / total
         memory[i, ODDS + j] = share
-        _d_1, _d_2, s_11, s_12, s_22 = _moments(memory, i, _FIRST + j * ls.SIZE)
+        _d_1, _d_2, s_11, s_12, s_22 = gaussian.moments(memory, i, _FIRST + j * ls.SIZE)
         p_11, p_12, p_22 = p_11 + share * s_11, p_12 + share * s_12, p_22 + share * s_22
-    _put(memory, i, 0, memory[i, ls.X_1], memory[i, ls.X_2], p_11, p_12, p_22)
+    gaussian.put(memory, i, 0, memory[i, ls.X_1], memory[i, ls.X_2], p_11, p_12, p_22)
 
 
 @formula
@@ -242,7 +201,7 @@ def wait(memory, i, prior, table):
         return
     memory[i, ALARM] = max(memory[i, ALARM] - table[SLOW, AVERAGED] * TREND_TIME, 0.0)
     for k in range(MODELS + 1):
-        _walk(memory, i, _FIRST + k * ls.SIZE, prior, 0.0, table[FAST, WALK_2])
+        gaussian.walk(memory, i, _FIRST + k * ls.SIZE, prior, 0.0, table[FAST, WALK_2])
     mix(memory, i)
 
 
@@ -259,7 +218,7 @@ def learn_apart(memory, i, sample, prior):
 @formula
 def watched(memory, i, prior):
     """(theta_1, its variance) as the monitor has them, which takes no equation apart."""
-    p_11, _p_12, _p_22 = _covariance(memory, i, _MONITOR)
+    p_11, _p_12, _p_22 = gaussian.covariance(memory, i, _MONITOR)
     theta_1 = prior.mean_1 + prior.sigma_1 * memory[i, _MONITOR + ls.X_1]
     return max(theta_1, prior.low_1), p_11 * prior.sigma_1 * prior.sigma_1
 
@@ -274,7 +233,9 @@ def jumped(memory, i):
 def let_jump(memory, i, prior, table):
     """Something outside says that the parameters of vehicle i have jumped."""
     for k in range(MODELS + 1):
-        _walk(memory, i, _FIRST + k * ls.SIZE, prior, table[JUMP, WALK_1], table[JUMP, WALK_2])
+        gaussian.walk(
+            memory, i, _FIRST + k * ls.SIZE, prior, table[JUMP, WALK_1], table[JUMP, WALK_2]
+        )
     mix(memory, i)
 
 

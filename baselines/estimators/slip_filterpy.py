@@ -15,7 +15,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
-from baselines.estimators import slip_kinematics
+from baselines.estimators import slip_covariance, slip_kinematics
 from baselines.estimators import slip_step as step
 from baselines.estimators.dead_reckoning import Way
 from baselines.estimators.sensor_samples import Measurement, attitude_of
@@ -92,7 +92,7 @@ def begin(memory, i, values, fresh, attitude, constants, link, x, p):
 @loop
 def process_noise(yaw, constants, link, noise):
     """Q of this step into noise (STATES, STATES)."""
-    slip_kinematics.fill_process_noise(noise, yaw, _inputs(link), _constants(constants))
+    slip_covariance.fill_process_noise(noise, yaw, _inputs(link), _constants(constants))
 
 
 @loop
@@ -130,9 +130,9 @@ def innovation_verdict(memory, i, nis, constants):
 
 @loop
 def inflate(p, z, x, pose_nis, nis, constants):
-    """As slip_step.inflate."""
+    """As slip_covariance.inflate."""
     k = _constants(constants)
-    step.inflate(p, z[0] - x[0], z[1] - x[1], z[2] - x[2], pose_nis, nis, k)
+    slip_covariance.inflate(p, z[0] - x[0], z[1] - x[1], z[2] - x[2], pose_nis, nis, k)
 
 
 @loop

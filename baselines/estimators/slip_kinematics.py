@@ -1,4 +1,4 @@
-"""Kinematics of a slipping tracked vehicle as an observer needs it: process, sensors, noise.
+"""Kinematics of a slipping tracked vehicle as an observer needs it: process and sensors.
 
 State x = [X, Y, psi, i_L, i_R, alpha]; input: belt speeds V_t = omega r. With the gain of a track
 g = V / V_t (terramechanics.track_speed_from_belt at V_t = 1), t = tan(alpha):
@@ -9,15 +9,14 @@ g = V / V_t (terramechanics.track_speed_from_belt at V_t = 1), t = tan(alpha):
 On a slope X, Y, psi are those of the map: (v_x, t v_x) -> `attitude.on_map`, w -> d psi/dt by the
 measured roll, pitch and rate of pitch; belts, velocities and the gyro stay in the vehicle's plane.
     z    = [X, Y, psi, v_x, v_y, w], taken `age` ago (see dead_reckoning)
-Belt speeds act as the mean over the step. Their noise s = r sigma_omega enters z and X, Y, psi:
-    R += s^2 J J^T,  J = d(v_x, v_y, w)/d(V_tL, V_tR);     Q += s^2 dt^2 G G^T likewise
+Belt speeds act as the mean over the step, with noise s = r sigma_omega (see slip_covariance).
 Errors in variables: the same noise is in z - h and in dh/di = -V_t, whose product would not average
 to zero (0.003 of slip with 0.1 rad/s). So the belt speed one step earlier multiplies what depends
 on the sigma point, as an instrumental variable: V = g_mean V_t + (g - g_mean) V_t,earlier.
 
 A track that stands tells nothing about its slip: noise of its sprocket would pass for full slip.
 So deviations of the sigma points from the mean fade out with the belt speed (the sample then
-does not change what is held), and so does the process noise. The same holds for alpha and v_x.
+does not change what is held). The same holds for alpha and v_x.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 3 and 7.2.
 """
@@ -43,22 +42,12 @@ SIDE_SLIP_LIMIT = 1.0  # [rad] bound of the estimated alpha
 SIDE_SLIP_MODELLED = 1.2  # [rad] sigma points beyond it count as this: tan must stay moderate
 PRIOR_SLIP = 0.3  # [-] sigma of a slip nothing is known about: most soils stay below it
 PRIOR_SIDE_SLIP = 0.3  # [rad] the same for alpha
-# Times the sine of the tilt: a turn on a slope changes the force that the soil must carry, and so
-# slips and alpha; a light vehicle on a slope of 0.2 then has a median NIS of 6, the expected one.
-SLOPE_SLIP_DRIFT = 0.25  # [1/sqrt(s)]
-SLOPE_SIDE_SLIP_DRIFT = 0.5  # [rad/sqrt(s)]
-LARGEST_POSITION = 100.0  # [m] sigma of X and Y grows no further
-LARGEST_YAW = 1.0  # [rad] sigma of psi grows no further: beyond it the circle is closed
 STANDING_BELT = 0.03  # [m/s] a belt slower than this plus 3 sigma of its noise stands
 STANDING_VEHICLE = 0.1  # [m/s] v_x below which alpha = atan(v_y / v_x) is not observed
-STANDING_SHARE = 0.01  # [-] process noise variance of the pose at standstill, of that in motion
-ICR_OFFSET = 0.2  # [m] x_icr of a turn on the spot, whose v_y = -x_icr w alpha cannot describe
 BELT_SIGMAS = 5.0  # [-] of its noise: a belt that changes by more within a step really moves
 BIAS_WINDOW = 0.5  # [s] over it the gyro's bias does not average out, the noise does
-IGNORED = 1e4  # [SI] variance of a row of z that is missing
 SILENCE = 0.25  # [s] a pose that is only late or rare comes within it, see slip_outage
 BLENDING = 0.5  # [s] time constant with which what is shown follows the first pose after an outage
-LEAST_PIVOT = 1e-13  # [-] share of a variance that rounding leaves: below it P has lost digits
 LEAST_SIGMA = 1e-4  # [m, rad, m/s, rad/s] of ideal sensors: keeps the covariance well conditioned
 
 
@@ -262,83 +251,3 @@ def step_way(yaw, left, right, u, k):
         u.turn * d_left, u.turn * d_right, c * d_left, s * d_left, c * d_right, s * d_right,
         left, right, left, right,
     )  # fmt: skip
-
-
-@formula
-def fill_process_noise(noise, yaw, u, k):
-    """Q of one step into noise (STATES, STATES)."""
-    left, right, tangent = gains(u.slip_left, u.slip_right, u.side_slip, u)
-    c, s = rotation(yaw)
-    east, north = c - tangent * s, s + tangent * c
-    sum_ = 0.25 * k.belt_variance * k.period * k.period * (left * left + right * right)
-    turn = 0.5 * k.belt_variance * k.period * k.period * (right * right - left * left)
-    turn *= k.inverse_gauge
-    share = max(max(u.fade_left, u.fade_right), STANDING_SHARE)
-    noise[:, :] = 0.0
-    noise[X, X] = sum_ * east * east + share * k.position_drift
-    noise[Y, Y] = sum_ * north * north + share * k.position_drift
-    noise[X, Y] = noise[Y, X] = sum_ * east * north
-    noise[X, YAW] = noise[YAW, X] = turn * east
-    noise[Y, YAW] = noise[YAW, Y] = turn * north
-    noise[YAW, YAW] = 4.0 * sum_ * k.inverse_gauge * k.inverse_gauge + share * k.yaw_drift
-    slip_drift = k.slip_drift + u.steep * k.period * SLOPE_SLIP_DRIFT**2
-    side_slip_drift = k.side_slip_drift + u.steep * k.period * SLOPE_SIDE_SLIP_DRIFT**2
-    if u.common >= 0.0:  # half of it is that of the difference, which walks as ever
-        noise[SLIP_LEFT, SLIP_RIGHT] = min(u.fade_left, u.fade_right) * (
-            u.common - 0.5 * slip_drift
-        )
-        noise[SLIP_RIGHT, SLIP_LEFT] = noise[SLIP_LEFT, SLIP_RIGHT]
-        slip_drift = u.common + 0.5 * slip_drift
-    noise[SLIP_LEFT, SLIP_LEFT] = u.fade_left * slip_drift
-    noise[SLIP_RIGHT, SLIP_RIGHT] = u.fade_right * slip_drift
-    noise[SIDE_SLIP, SIDE_SLIP] = u.fade_side * side_slip_drift
-
-
-@formula
-def fill_measurement_noise(noise, u, way, gyro, steps, k):
-    """R of a sample that is `steps` steps old into noise (ROWS, ROWS)."""
-    left, right, tangent = gains(u.slip_left, u.slip_right, u.side_slip, u)
-    _v, _l, w = body_velocity(left, right, gyro.belt_left, gyro.belt_right, tangent, k)
-    forward = 0.25 * k.belt_variance * (left * left + right * right)
-    turn = 0.5 * k.belt_variance * k.inverse_gauge * (right * right - left * left)
-    spin = ICR_OFFSET * w * (1.0 - u.fade_side)
-    noise[:, :] = 0.0
-    noise[0, 0] = noise[1, 1] = k.position_variance + steps * k.position_drift
-    noise[2, 2] = k.yaw_variance + steps * k.yaw_drift
-    noise[3, 3] = k.velocity_variance + forward
-    noise[4, 4] = k.velocity_variance + forward * tangent * tangent + spin * spin
-    noise[3, 4] = noise[4, 3] = forward * tangent
-    noise[5, 5] = k.yaw_rate_variance + 4.0 * forward * k.inverse_gauge * k.inverse_gauge
-    noise[3, 5] = noise[5, 3] = turn
-    noise[4, 5] = noise[5, 4] = turn * tangent
-
-
-@formula
-def largest_variance(state):
-    """Bound of the variance of one state."""
-    if state < YAW:
-        return LARGEST_POSITION * LARGEST_POSITION
-    if state == YAW:
-        return LARGEST_YAW * LARGEST_YAW
-    return PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP if state == SIDE_SLIP else PRIOR_SLIP * PRIOR_SLIP
-
-
-@formula
-def factorise(a, root, size, scale):
-    """Lower Cholesky factor of scale A into root; A's upper triangle is read.
-
-    Returns False when A is not positive definite to rounding: root is then that of a matrix near.
-    """
-    definite = True
-    for r in range(size):
-        for c in range(r + 1):
-            rest = scale * a[c, r]
-            for m in range(c):
-                rest -= root[r, m] * root[c, m]
-            if r == c:
-                least = LEAST_PIVOT * scale * abs(a[r, r])
-                definite = definite and rest > least
-                root[r, r] = math.sqrt(max(rest, least + 1e-300))
-            else:
-                root[r, c] = rest / root[c, c]
-    return definite

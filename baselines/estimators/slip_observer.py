@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
-from baselines.estimators import dead_reckoning, slip_kinematics, slip_outage, slip_unscented
+from baselines.estimators import (
+    dead_reckoning,
+    slip_covariance,
+    slip_kinematics,
+    slip_outage,
+    slip_unscented,
+)
 from baselines.estimators import slip_step as step
 from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity, Setting
 from baselines.estimators.sensor_samples import ATTITUDE, DataSheet, Measurement, attitude_of
@@ -37,7 +43,7 @@ def forget(memory, rows):
         memory[i, :] = 0.0
         memory[i, step.HELD_L] = memory[i, step.HELD_R] = step.LARGEST_READING
         for a in range(STATES):
-            memory[i, step.COVARIANCE + (STATES + 1) * a] = slip_kinematics.largest_variance(a)
+            memory[i, step.COVARIANCE + (STATES + 1) * a] = slip_covariance.largest_variance(a)
 
 
 @loop

@@ -8,24 +8,27 @@ Order of one step, for whatever does the filtering between:
     take_pose     sample, its R and how old it is; rows that are missing get a huge variance
     start, or innovation_verdict and (update)
                   NIS above the gate is an outlier; PATIENCE of them in a row are a change: then
-                  `inflate` frees what the innovation contradicts, and the sample is used
+                  slip_covariance.inflate frees what the innovation contradicts, and the sample is
+                  used
     finish        slips and alpha into their bounds, covariance symmetric and bounded
-Information on s = (i_L, i_R, alpha): eigenvalues of D P_s^-1 D - 1, D the prior's sigmas.
 
-References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2. [2] O. K. Smith, Comm. ACM
-4 (1961) 168: eigenvalues of a symmetric 3 x 3 matrix.
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
 """
 
 import math
 
-from baselines.estimators import dead_reckoning, slip_kinematics, slip_outage
+from baselines.estimators import (
+    dead_reckoning,
+    outage_measurement,
+    slip_covariance,
+    slip_kinematics,
+    slip_outage,
+)
 from baselines.estimators.dead_reckoning import Way
 from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, POSE
 from baselines.estimators.slip_kinematics import (
     BELT_SIGMAS,
-    PRIOR_SIDE_SLIP,
     PRIOR_SLIP,
-    ROWS,
     SIDE_SLIP,
     SIDE_SLIP_LIMIT,
     SLIP_LEFT,
@@ -33,8 +36,6 @@ from baselines.estimators.slip_kinematics import (
     SLIP_RIGHT,
     STATES,
     YAW,
-    X,
-    Y,
 )
 from tracked_env.physics.attitude import heading_rate, incline_of
 from tracked_env.physics.elementary import signed, wrap_angle
@@ -42,9 +43,7 @@ from tracked_env.physics.jit import formula
 from tracked_env.physics.terramechanics import slip_ratio, track_speed_from_belt
 
 PATIENCE = 5  # [samples] that many outliers in a row are a change
-POSE_GATE = 30.7  # [-] chi^2 of three rows that white noise exceeds once in 1e6
 EXCITED = 1.0  # [-] excitation from which on the data determine slips and side slip
-JITTER = 1e-12  # [SI] added to every variance per step: keeps P positive definite
 TRACK_ACCELERATION = 8.0  # [m/s^2] of a track over the ground; what a belt does beyond is slip
 LOST_DIGITS = 1e-6  # [SI] least variance after rounding has spoilt the covariance
 FASTEST_BELT = 100.0  # [m/s] a belt beyond it is a fault of the sensor, as NaN is
@@ -190,7 +189,7 @@ def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
         0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
         *_moment(memory, i, slots, _steps(age[i, INERTIAL], k) - drive, k),
     )  # fmt: skip
-    slip_kinematics.fill_measurement_noise(noise, u, way, gyro, pose, k)
+    slip_covariance.fill_measurement_noise(noise, u, way, gyro, pose, k)
     expected = slip_kinematics.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, way, gyro, k)
     z[0], z[1] = values[i, 0], values[i, 1]
     z[2] = expected[2] + wrap_angle(values[i, 2] - expected[2])
@@ -203,7 +202,7 @@ def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
             z[row] = expected[row]
             noise[row, :] = 0.0
             noise[:, row] = 0.0
-            noise[row, row] = slip_kinematics.IGNORED
+            noise[row, row] = slip_covariance.IGNORED
     if missing:
         memory[i, SKIPPED] += 1.0
     return way, gyro
@@ -219,7 +218,7 @@ def take_motion(memory, i, values, fresh, x, p, u, k, z, noise):
     memory[i, OUTLIERS] = 0.0
     now = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, left, right, left, right)
     expected = slip_kinematics.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, now, now, k)
-    slip_outage.measure(
+    outage_measurement.measure(
         memory, i, OUTAGE, values, fresh, expected, p, left, right, u.press, k, z, noise
     )
     return now, now
@@ -261,61 +260,6 @@ def innovation_verdict(memory, i, nis, k):
 
 
 @formula
-def bound(p):
-    """Covariance symmetric, its variances within their bounds: P <- D P D."""
-    for a in range(STATES):
-        p[a, a] += JITTER
-        largest = slip_kinematics.largest_variance(a)
-        if p[a, a] > largest:
-            shrink = math.sqrt(largest / p[a, a])
-            for b in range(a):
-                p[b, a] *= shrink
-            for b in range(a + 1, STATES):
-                p[a, b] *= shrink
-            p[a, a] = largest
-    for a in range(STATES):
-        for b in range(a):
-            p[a, b] = p[b, a]
-
-
-@formula
-def inflate(p, east, north, turn, pose_nis, nis, k):
-    """Free the pose where the sample contradicts it, and the slips where the velocities do.
-
-    Without velocities the slips are freed in any case.
-    """
-    if pose_nis > POSE_GATE:
-        p[X, X] += east * east
-        p[Y, Y] += north * north
-        p[YAW, YAW] += turn * turn
-    if k.rows < ROWS or nis - pose_nis > POSE_GATE:
-        p[SLIP_LEFT, SLIP_LEFT] += PRIOR_SLIP * PRIOR_SLIP
-        p[SLIP_RIGHT, SLIP_RIGHT] += PRIOR_SLIP * PRIOR_SLIP
-        p[SIDE_SLIP, SIDE_SLIP] += PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP
-    bound(p)
-
-
-@formula
-def information(p):
-    """(smallest, largest) eigenvalue [-] of the information on slips and side slip."""
-    s, t = 1.0 / (PRIOR_SLIP * PRIOR_SLIP), 1.0 / (PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP)
-    a, b, c = s * p[3, 3], s * p[4, 4], t * p[5, 5]
-    cross = math.sqrt(s * t)
-    d, e, f = s * p[3, 4], cross * p[4, 5], cross * p[3, 5]
-    mean = (a + b + c) / 3.0
-    off = d * d + e * e + f * f
-    a, b, c = a - mean, b - mean, c - mean
-    radius = math.sqrt((a * a + b * b + c * c + 2.0 * off) / 6.0)
-    determinant = a * (b * c - e * e) - d * (d * c - e * f) + f * (d * e - b * f)
-    shape = 0.5 * determinant / max(radius * radius * radius, 1e-300)
-    angle = math.acos(min(max(shape, -1.0), 1.0)) / 3.0
-    most = mean + 2.0 * radius * math.cos(angle)
-    least = mean + 2.0 * radius * math.cos(angle + 2.0 * math.pi / 3.0)
-    largest = 1.0 / max(least, 1e-15) - 1.0
-    return max(1.0 / max(most, 1e-15) - 1.0, 0.0), max(largest, 0.0)
-
-
-@formula
 def finish(memory, i, x, p, root, u, used, outcome, k):
     """Bounds, memory; root (STATES, STATES) is scratch; used: a pose was.
 
@@ -324,18 +268,18 @@ def finish(memory, i, x, p, root, u, used, outcome, k):
     x[SLIP_LEFT] = min(max(x[SLIP_LEFT], -SLIP_LIMIT), SLIP_LIMIT)
     x[SLIP_RIGHT] = min(max(x[SLIP_RIGHT], -SLIP_LIMIT), SLIP_LIMIT)
     x[SIDE_SLIP] = min(max(x[SIDE_SLIP], -SIDE_SLIP_LIMIT), SIDE_SLIP_LIMIT)
-    bound(p)
-    if not slip_kinematics.factorise(p, root, STATES, 1.0):
+    slip_covariance.bound(p)
+    if not slip_covariance.factorise(p, root, STATES, 1.0):
         # Rounding has used up the digits, after nonsense: keep the variances, drop the rest.
         for a in range(STATES):
-            variance = min(max(p[a, a], LOST_DIGITS), slip_kinematics.largest_variance(a))
+            variance = min(max(p[a, a], LOST_DIGITS), slip_covariance.largest_variance(a))
             p[a, :] = 0.0
             p[:, a] = 0.0
             p[a, a] = variance
     if memory[i, STARTED] > 0.0:
         slip_outage.settle(memory, i, OUTAGE, x, memory[i, BELT_L], memory[i, BELT_R], used, k)
     store(memory, i, x, p)
-    smallest, largest = information(p)
+    smallest, largest = slip_covariance.information(p)
     moves = min(min(u.fade_left, u.fade_right), u.fade_side) > 0.0
     learns = used and moves and smallest >= EXCITED
     status = outcome if outcome == 2 else (0 if learns else 1)

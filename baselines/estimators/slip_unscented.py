@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from baselines.estimators import slip_kinematics
+from baselines.estimators import slip_covariance, slip_kinematics
 from baselines.estimators import slip_step as step
 from baselines.estimators.slip_kinematics import ROWS, STATES
 from tracked_env.physics.jit import formula, loop
@@ -37,7 +37,7 @@ _C0 = 1.0 - STATES / _SCALE + (1.0 - SPREAD * SPREAD + BETA)  # first weight of 
 @loop
 def draw(x, p, root, points):
     """Sigma points (STATES, POINTS) of (x, P)."""
-    slip_kinematics.factorise(p, root, STATES, _SCALE)
+    slip_covariance.factorise(p, root, STATES, _SCALE)
     for a in range(STATES):
         for j in range(POINTS):
             points[a, j] = x[a]
@@ -109,7 +109,7 @@ def compare(x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e):
             for j in range(1, POINTS):
                 total += images[a, j] * images[b, j]
             s[a, b] = noise[a, b] + _C * total + _C0 * images[a, 0] * images[b, 0]
-    slip_kinematics.factorise(s, root, rows, 1.0)
+    slip_covariance.factorise(s, root, rows, 1.0)
     pose_nis = nis = 0.0
     for a in range(rows):
         for m in range(a):
@@ -150,7 +150,7 @@ def update_all(
         started = memory[i, step.STARTED] > 0.0
         yaw = x[2]
         if started:
-            slip_kinematics.fill_process_noise(noise, yaw, u, k)
+            slip_covariance.fill_process_noise(noise, yaw, u, k)
             predict(x, p, u, k, root, points, images)
             yaw = 0.5 * (yaw + x[2])
             for a in range(STATES):
@@ -180,7 +180,7 @@ def update_all(
                     outcome = 2
                 elif verdict == 2:
                     east, north, turn = z[0] - x[0], z[1] - x[1], z[2] - x[2]
-                    step.inflate(p, east, north, turn, pose_nis, nis, k)
+                    slip_covariance.inflate(p, east, north, turn, pose_nis, nis, k)
                     compare(x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e)
                 if used:
                     _correct(x, p, int(k.rows), w, e)

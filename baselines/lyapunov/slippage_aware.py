@@ -1,8 +1,7 @@
 """Policies over the Lyapunov laws: the unicycle controller and the slippage-aware one.
 
 Action: sprocket speed demands over sprocket_speed_limit, left then right. One step:
-    error      the measured pose error e, or a filter: dead reckoning with velocity and gyro,
-               pulled towards the pose samples by the steady Kalman gain K of a data sheet
+    error      the measured pose error e, or what pose_filter makes of it with a data sheet
     alpha      f(sprocket speeds), measured ones, or the last demanded where these are missing
     alpha_d    f(sprocket speeds that drive v_d cos(alpha_d), w_d - alpha_d'): F maps v_d, w_d,
                which the vehicle does not drive even on its path, and then alpha != alpha_d
@@ -12,9 +11,7 @@ Action: sprocket speed demands over sprocket_speed_limit, left then right. One s
     sprockets  r omega = v_x -+ w B/2 + beta, beta at those sprocket speeds (fixed point)
 Where the observation shows the attitude, error and reference are those in the vehicle's plane
 (slope_errors), and slip is that on the slope it feels, if the slip model knows slopes.
-A pose sample that comes late is first carried forward by the mean motion over its age. (By the
-motion now, k_p age >= 1 would make the vehicle rattle: the demand enters its own measurement.)
-A missing sample (NaN) is made up from the belts. Without any pose or reference: standstill.
+Without any pose or reference: standstill.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 5 and 7.1.
@@ -32,6 +29,7 @@ from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pseudo_kinematic as kinematics
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
+from baselines.lyapunov.pose_filter import PATH, POSE, filter_of, locate
 from baselines.lyapunov.pseudo_kinematic import (
     Array,
     Geometry,
@@ -49,29 +47,19 @@ from baselines.lyapunov.slope_errors import (
 )
 from baselines.slip.slope_models import grades
 from tracked_env import observation as layout
-from tracked_env.physics.elementary import wrap_angle
-from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 PASSES = 3  # evaluations of the slip in the feed-forward; the next step starts where it ended
 PATH_PASSES = 6  # the same for alpha_d, which starts from nothing: 0.4^6 = 0.4 % is left of beta
 LOOK_ASIDE = 0.05  # [s] to both sides, for alpha_d': short against a turn, long against the grid
-VELOCITY_NOISE_LIMIT = 1.0  # [m/s] a data sheet above it has no velocity: the belts give it
 OUTAGE = 0.25  # [s] a pose that is older is missing, a younger one only late
-BELT_DRIFT = 0.05  # [m/s] slow error of the belts' velocity: slip that the model does not know
 
-# Fields of the observation that the law and its filter read.
-_POSE = ("position_error_x", "position_error_y", "heading_error", "v_x", "v_y", "yaw_rate")
 _BELTS = ("sprocket_speed_left", "sprocket_speed_right")
-_PATH = ("reference_speed", "reference_yaw_rate", "reference_acceleration",
-         "reference_yaw_acceleration")  # fmt: skip
-NEEDS = (*_POSE, "pose_age", *_BELTS, *_PATH)
-_I, _SCALE = layout.INDEX, layout.SCALE
-_X, _Y, _HEADING, _V_X, _V_Y, _YAW_RATE = (_I[name] for name in _POSE)
-_AGE = _I["pose_age"]
-_SPROCKETS = [_I[name] for name in _BELTS]
-_REFERENCE = np.array([_I[name] for name in _PATH])
+NEEDS = (*POSE, "pose_age", *_BELTS, *PATH)
+_SCALE = layout.SCALE
+_AGE = layout.INDEX["pose_age"]
+_SPROCKETS = [layout.INDEX[name] for name in _BELTS]
 
 
 class LyapunovState(NamedTuple):
@@ -84,66 +72,6 @@ class LyapunovState(NamedTuple):
     located: NDArray[np.bool_]  # (N,) whether a pose has been seen
     attitude: Array  # (N, 2) roll, pitch [rad]; 0 where it is not shown
     drift: Array  # (N,) slip angle [rad] that has settled on a slope
-
-
-@formula
-def _si(observation, i, column):
-    return observation[i, column] * _SCALE[column]
-
-
-@formula
-def _blend(predicted, sample, gain):
-    return sample if gain >= 1.0 else predicted + gain * (sample - predicted)
-
-
-@loop
-def locate(
-    observation, motion, alpha, measured, gains, period, error, age, mean, located, reference
-):  # fmt: skip
-    """Bring error, mean (N, 3), age and located (N,) up to date; reference (N, 4) out.
-
-    motion (N, 2), alpha (N,): what the belts say. measured: whether velocity is, with the pose.
-    gains (2,): of position and heading. reference: v_d, w_d, v_d', w_d', all NaN where one is.
-    """
-    for i in range(observation.shape[0]):
-        check = 0.0
-        for k in range(4):
-            reference[i, k] = _si(observation, i, _REFERENCE[k])
-            check += reference[i, k] * 0.0
-        for k in range(4):
-            reference[i, k] += check
-        old = _si(observation, i, _AGE)
-        fresh = not located[i] or old < age[i] + 0.5 * period
-        v_x, v_y = _si(observation, i, _V_X), _si(observation, i, _V_Y)
-        if not (measured and fresh and old < 1.5 * period and np.isfinite(v_x + v_y)):
-            v_x, v_y = kinematics.pose_rate(0.0, motion[i, 0], alpha[i])
-        w = _si(observation, i, _YAW_RATE)
-        w = w if np.isfinite(w) else motion[i, 1]
-        e = law.PoseError(error[i, 0], error[i, 1], error[i, 2])
-        if check == 0.0:
-            e = kinematics.carried(e, v_x, v_y, w, reference[i, 0], reference[i, 1], period)
-        seen = law.PoseError(
-            -_si(observation, i, _X), -_si(observation, i, _Y), -_si(observation, i, _HEADING)
-        )
-        if fresh and np.isfinite(seen.x + seen.y + seen.heading + old):
-            share = period / (0.5 * old + period)  # exponential, of the same mean delay
-            mean[i, 0] += share * (v_x - mean[i, 0])
-            mean[i, 1] += share * (v_y - mean[i, 1])
-            mean[i, 2] += share * (w - mean[i, 2])
-            if old > 0.0:
-                seen = kinematics.carried(
-                    seen, mean[i, 0], mean[i, 1], mean[i, 2], 0.0, 0.0, old
-                )  # fmt: skip
-            share, share_yaw = (gains[0], gains[1]) if located[i] else (1.0, 1.0)
-            turned = e.heading + wrap_angle(seen.heading - e.heading)
-            e = law.PoseError(
-                _blend(e.x, seen.x, share),
-                _blend(e.y, seen.y, share),
-                seen.heading if share_yaw >= 1.0 else _blend(e.heading, turned, share_yaw),
-            )
-            located[i] = True
-        age[i] = old if np.isfinite(old) else age[i] + period
-        error[i, 0], error[i, 1], error[i, 2] = e.x, e.y, wrap_angle(e.heading)
 
 
 class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
@@ -188,14 +116,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         none = DataSheet(*(0.0 for _ in DataSheet._fields))
         sheet = none if data_sheet is None else data_sheet
         self._attitude = AttitudeFilter(sheet, self.control_period) if tilted else None
-        self.velocity_measured = sheet.velocity_noise <= VELOCITY_NOISE_LIMIT
-        rate = (sheet.velocity_noise, 0.0) if self.velocity_measured else (0.0, BELT_DRIFT)
-        self.filter_gains = (
-            kinematics.steady_gain(sheet.position_noise, *rate, control_period),
-            kinematics.steady_gain(
-                sheet.yaw_noise, sheet.gyro_noise, sheet.gyro_bias, control_period
-            ),
-        )
+        self.velocity_measured, self.filter_gains = filter_of(sheet, self.control_period)
 
     def act(
         self,

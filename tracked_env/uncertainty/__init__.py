@@ -4,8 +4,9 @@ A set draws the true parameters of one vehicle for one episode around the nomina
 vehicle (`tracked_env.physics.parameters.VEHICLES`) and a schedule of changes that act inside the
 episode. Notation of the laws: U(a, b) uniform; `=` replaces the nominal value, `*` multiplies it.
 A controller that trusts the nominal parameters is right in the set `nominal` only. `soils` are the
-sets of a heavy vehicle in the field, `floors` those of a light one indoors, `slopes` those of a
-light one on uneven ground; `register` adds one.
+sets of a heavy vehicle in the field, `weak_drives` those where its drives are late or weak as well,
+`floors` those of a light one indoors, `slopes` those of a light one on uneven ground; `register`
+adds one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,7 @@ from tracked_env.physics.jit import fill_entries, formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, ParametersRead, PlantParameters
 from tracked_env.references import ReferenceProfile
 from tracked_env.streams import integer, uniform
-from tracked_env.uncertainty import compiled, floors, slopes, soils
+from tracked_env.uncertainty import compiled, floors, slopes, soils, weak_drives
 from tracked_env.uncertainty.compiled import ArrayLaw, Draws, numbers
 from tracked_env.uncertainty.law import CheckedLaw, Draw, Law, checked, fingerprint
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
@@ -46,6 +47,7 @@ def _each_nominal(*call):
 UNCERTAINTY_SETS: dict[str, Law] = {
     **compiled.laws(("nominal", _each_nominal, _nominal)),
     **soils.LAWS,
+    **weak_drives.LAWS,
     **floors.LAWS,
     **slopes.LAWS,
 }

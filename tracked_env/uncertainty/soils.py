@@ -63,7 +63,7 @@ def _one_of(rng, soils):
 
 
 @formula
-def _firm_ground(rng, nominal, truth):
+def firm_ground(rng, nominal, truth):
     """Firm soil and a payload that the nominal model does not know."""
     cohesion, friction_angle, modulus = _one_of(rng, _FIRM)
     truth.mass = nominal.mass * uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
@@ -78,7 +78,7 @@ def _firm_ground(rng, nominal, truth):
 @formula
 def _soil_and_mass(rng, nominal, path, truth, changes):
     """Unknown vehicle on unknown firm soil, constant over the episode."""
-    _firm_ground(rng, nominal, truth)
+    firm_ground(rng, nominal, truth)
 
 
 @formula
@@ -138,7 +138,7 @@ def _terrain_transition(rng, nominal, path, truth, changes):
 def _drift(rng, nominal, path, truth, changes):
     """Everything slides slowly from nominal to a firm-ground draw, U(0.5, 0.8) of the episode."""
     there = changes.there
-    _firm_ground(rng, nominal, there)
+    firm_ground(rng, nominal, there)
     start = path.duration * uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2) of the episode
     duration = path.duration * uniform(rng, 0.5, 0.8)
     c.ramp(changes, c.MASS, there.mass, start, duration)
@@ -150,7 +150,7 @@ def _drift(rng, nominal, path, truth, changes):
 @formula
 def _mixed(rng, nominal, path, truth, changes):
     """An unknown vehicle on unknown soil, then a payload step, then a border, then drift."""
-    _firm_ground(rng, nominal, truth)
+    firm_ground(rng, nominal, truth)
     if random(rng) < 0.5:  # payload with odds 1/2
         factor = uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
         start = path.duration * uniform(rng, 0.2, 0.8)
@@ -186,39 +186,10 @@ def _ood(rng, nominal, path, truth, changes):
 
 
 @formula
-def _slow_drive(rng, nominal, path, truth, changes):
-    """A `soil-and-mass` vehicle whose motors answer late."""
-    _firm_ground(rng, nominal, truth)
-    truth.drive_time_constant = uniform(rng, 0.15, 0.3)  # =U(0.15, 0.3)
-
-
-@formula
 def _loose_soil(rng, nominal, path, truth, changes):
     """Soil whose shear a turn takes up; for the distributed plant, where nothing else does."""
     _soft_ground(rng, nominal, truth, _LOOSE)
     truth.longitudinal_resistance = uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2)
-
-
-@formula
-def _weak_actuator(rng, nominal, path, truth, changes):
-    """A `soil-and-mass` vehicle whose drives, one or both, give less torque than commanded."""
-    _firm_ground(rng, nominal, truth)
-    weak = integer(rng, 3)  # the left drive, the right drive or both, with equal odds
-    left, right = uniform(rng, 0.4, 0.7), uniform(rng, 0.4, 0.7)  # =U(0.4, 0.7) each
-    if weak != 1:
-        truth.actuator_gain_left = left
-    if weak != 0:
-        truth.actuator_gain_right = right
-
-
-@formula
-def _actuator_fault(rng, nominal, path, truth, changes):
-    """A `soil-and-mass` vehicle, one of whose drives loses a part of its torque on the way."""
-    _firm_ground(rng, nominal, truth)
-    start = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
-    gain = uniform(rng, 0.4, 0.7)  # =U(0.4, 0.7)
-    side = c.ACTUATOR_GAIN_LEFT if random(rng) < 0.5 else c.ACTUATOR_GAIN_RIGHT  # odds 1/2
-    c.ramp(changes, side, gain, start, 0.0)
 
 
 @formula
@@ -281,23 +252,8 @@ def _each_ood(*call):
 
 
 @loop
-def _each_slow_drive(*call):
-    c.draw_each(_slow_drive, call)
-
-
-@loop
 def _each_loose_soil(*call):
     c.draw_each(_loose_soil, call)
-
-
-@loop
-def _each_weak_actuator(*call):
-    c.draw_each(_weak_actuator, call)
-
-
-@loop
-def _each_actuator_fault(*call):
-    c.draw_each(_actuator_fault, call)
 
 
 @loop
@@ -314,9 +270,6 @@ LAWS = c.laws(
     ("drift", _each_drift, _drift),
     ("mixed", _each_mixed, _mixed),
     ("ood", _each_ood, _ood),
-    ("slow-drive", _each_slow_drive, _slow_drive),
     ("loose-soil", _each_loose_soil, _loose_soil),
-    ("weak-actuator", _each_weak_actuator, _weak_actuator),
-    ("actuator-fault", _each_actuator_fault, _actuator_fault),
     ("alternating-soils", _each_alternating_soils, _alternating_soils),
 )

@@ -19,6 +19,10 @@ class Readings:
     """Of the arrays `batch`, one row per vehicle."""
 
     batch: b.Batch
+    # Which episodes have ended, looked up when it is asked for after a step in which one did:
+    _ended: NDArray[np.bool_]
+    _ended_known: bool
+    _some_resting: bool
 
     def column(self, name: str) -> NDArray[np.float64]:
         """A copy (N,) of one column of the floats; names: `columns.COLUMN`."""
@@ -42,6 +46,25 @@ class Readings:
     def truncated(self) -> NDArray[np.bool_]:
         """(N,) out of time."""
         return self.batch.counter("truncated") != 0
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """(N,) the episode has ended, and none was started since; such rows are not to be stepped.
+
+        The array itself, which a reset changes.
+        """
+        if not self._ended_known:
+            counters = self.batch.counters
+            self._ended = (counters[:, b.TERMINATED] | counters[:, b.TRUNCATED]) != 0
+            self._ended_known = True
+        return self._ended
+
+    def resting(self) -> NDArray[np.bool_] | None:
+        """A copy of `ended`, or None where no episode has ended."""
+        if not self._some_resting:
+            return None
+        self._some_resting = bool(self.ended.any())
+        return self.ended.copy() if self._some_resting else None
 
     @property
     def rmse(self) -> NDArray[np.float64]:

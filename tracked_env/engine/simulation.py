@@ -226,25 +226,6 @@ class Simulation(Readings):
         self._until_refill = min(left, default=0) - 1
         return result
 
-    @property
-    def ended(self) -> NDArray[np.bool_]:
-        """(N,) the episode has ended, and none was started since; such rows are not to be stepped.
-
-        The array itself, which a reset changes.
-        """
-        if not self._ended_known:
-            counters = self.batch.counters
-            self._ended = (counters[:, b.TERMINATED] | counters[:, b.TRUNCATED]) != 0
-            self._ended_known = True
-        return self._ended
-
-    def resting(self) -> NDArray[np.bool_] | None:
-        """A copy of `ended`, or None where no episode has ended."""
-        if not self._some_resting:
-            return None
-        self._some_resting = bool(self.ended.any())
-        return self.ended.copy() if self._some_resting else None
-
     def _check_started(self, chosen: NDArray[np.int64]) -> None:
         """Raise ResetNeeded when one of the chosen vehicles has no episode."""
         started = self.batch.counters[:, b.MAX_STEP] > 0

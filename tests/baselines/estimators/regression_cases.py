@@ -16,6 +16,9 @@ PLAIN = ls.Prior(
     1.0, 2.0, 1.0, 0.5, -1e9, -1e9, 1e9, 1e9,
     forgetting=1.0,
 )  # fmt: skip
+SIGMA = np.array([PLAIN.sigma_1, PLAIN.sigma_2])
+TRUE = np.array([1.5, 2.4])  # parameters, where a test needs any
+HOLDING, REJECTED = 1, 2  # Status, as `take` returns it
 # As the vehicle's regressions use it: with interacting models.
 LIVELY = PLAIN._replace(forgetting=0.9995)
 WALKS = {

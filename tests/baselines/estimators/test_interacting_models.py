@@ -7,9 +7,13 @@ from scipy.stats import chi2
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
 from tests.baselines.estimators.regression_cases import (
+    HOLDING,
     LIVELY,
     PLAIN,
+    REJECTED,
+    SIGMA,
     TABLE,
+    TRUE,
     WALKS,
     interact,
     nees,
@@ -17,10 +21,6 @@ from tests.baselines.estimators.regression_cases import (
     regression,
     run,
 )
-
-TRUE = np.array([1.5, 2.4])
-HOLDING, REJECTED = 1, 2
-SIGMA = np.array([PLAIN.sigma_1, PLAIN.sigma_2])
 
 
 def odds(result):

@@ -8,8 +8,12 @@ from scipy.stats import chi2
 
 from baselines.estimators import least_squares as ls
 from tests.baselines.estimators.regression_cases import (
+    HOLDING,
     LIVELY,
     PLAIN,
+    REJECTED,
+    SIGMA,
+    TRUE,
     interact,
     nees,
     prior_draws,
@@ -17,9 +21,6 @@ from tests.baselines.estimators.regression_cases import (
     run,
 )
 
-TRUE = np.array([1.5, 2.4])
-HOLDING, REJECTED = 1, 2
-SIGMA = np.array([PLAIN.sigma_1, PLAIN.sigma_2])
 MEAN = np.array([PLAIN.mean_1, PLAIN.mean_2])
 
 

@@ -9,8 +9,8 @@ from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
 from baselines.planners.plan import plan
 from baselines.planners.surface_fit import surface_of
 from baselines.planners.trajectory import Limits, Start
+from tests.baselines.planners.optimal_cases import FOCCHI, ORIGIN, SLIP, limits_of, replayed
 from tests.baselines.planners.pairs import missed
-from tests.baselines.planners.test_optimal import FOCCHI, ORIGIN, SLIP, limits_of, replayed
 
 REST = Limits.of(FOCCHI, reserve=0.1, sprocket_acceleration=20.0)
 ANY_SPEED = (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.planners.optimal import optimal
-from tests.baselines.planners.test_optimal import (
+from tests.baselines.planners.optimal_cases import (
     FOCCHI,
     ORIGIN,
     SLIP,

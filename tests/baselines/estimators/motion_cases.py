@@ -86,3 +86,8 @@ def measurements(p, kind, lateral_model="sliding", sheet=EXACT, count=1, seed=0,
             )
         )
     return result
+
+
+def follow(found, samples):
+    """Estimates after each sample."""
+    return [found.update(sample) for sample in samples]

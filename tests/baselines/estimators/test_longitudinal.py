@@ -6,8 +6,14 @@ import pytest
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, Measurement
-from tests.baselines.estimators.motion_cases import CLAY, EXACT, KINDS, RTK, measurements, mirrored
+from baselines.estimators.sensor_samples import COLUMN
+from tests.baselines.estimators.motion_cases import (
+    CLAY,
+    EXACT,
+    RTK,
+    follow,
+    measurements,
+)
 
 TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)
 
@@ -18,11 +24,6 @@ def true_values(p):
 
 def estimator(sheet=EXACT, count=1, **options):
     return LongitudinalEstimator(CLAY, 0.02, data_sheet=sheet, count=count, **options)
-
-
-def follow(found, samples):
-    """Estimates after each sample."""
-    return [found.update(sample) for sample in samples]
 
 
 def relative_error(estimate, p):
@@ -159,64 +160,7 @@ def test_a_long_straight_at_constant_speed_leaves_the_mass_as_it_was():
     assert (last.status == Status.HOLDING).all()
 
 
-# --- symmetry, holding, memory --------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("regression", ["coupled", "paper"])
-def test_exchanging_left_and_right_changes_nothing(kind, regression):
-    samples = measurements(TRUTH, kind, sheet=RTK, steps=300)
-    one, other = estimator(RTK, regression=regression), estimator(RTK, regression=regression)
-    follow(one, samples)
-    follow(other, [mirrored(sample) for sample in samples])
-    assert np.array_equal(one.memory, other.memory)
-
-
-def test_at_standstill_and_with_old_samples_everything_is_kept():
-    found = estimator(RTK)
-    samples = measurements(TRUTH, "curves", sheet=RTK, steps=300)
-    before = follow(found, samples)[-1]
-    memory = found.memory.copy()
-    still = Measurement(samples[0].values.copy(), samples[0].fresh, samples[0].age)
-    still.values[:, COLUMN["v_x"]] = still.values[:, COLUMN["yaw_rate"]] = 0.0
-    for _ in range(5000):
-        after = found.update(still)
-        assert after.status[0] == Status.HOLDING
-    for group in (INERTIAL, DRIVE):
-        old = samples[0].fresh.copy()
-        old[:, group] = False
-        assert found.update(samples[0]._replace(fresh=old)).status[0] == Status.HOLDING
-    assert np.array_equal(found.memory, memory)
-    assert np.array_equal(found.read().value, before.value)
-    assert np.isnan(after.nis[0])
-
-
-@pytest.mark.parametrize(
-    "channel", ["v_x", "yaw_rate", "acceleration_x", "torque_left", "torque_right"]
-)
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_missing_number_is_skipped_and_counted(channel, value):
-    found = estimator(RTK)
-    samples = measurements(TRUTH, "curves", sheet=RTK, steps=200)
-    before = follow(found, samples)[-1]
-    samples[0].values[:, COLUMN[channel]] = value
-    after = found.update(samples[0])
-    assert after.status[0] == Status.REJECTED
-    assert after.skipped[0] == before.skipped[0] + 1 == 1
-    assert np.array_equal(after.value, before.value)
-    assert np.array_equal(after.covariance, before.covariance)
-
-
-def test_a_torque_that_no_drive_has_is_refused():
-    found = estimator(RTK)
-    samples = measurements(TRUTH, "curves", sheet=RTK, steps=50)
-    follow(found, samples)
-    memory = found.memory.copy()
-    for channel in ("torque_left", "torque_right"):
-        wild = samples[0]._replace(values=samples[0].values.copy())
-        wild.values[:, COLUMN[channel]] = -2.0 * CLAY.torque_limit
-        assert found.update(wild).status[0] == Status.REJECTED
-    assert np.array_equal(found.memory, memory)
+# --- bounds, excitation, memory -------------------------------------------------------------
 
 
 def test_bounds_hold_under_dropouts_outliers_and_reversals():
@@ -243,23 +187,6 @@ def test_excitation_and_condition_are_those_of_the_information():
         information = np.array([[a, b], [b, c]])
         assert last.excitation[i] == pytest.approx(np.linalg.eigvalsh(information)[0], rel=1e-7)
         assert last.condition[i] == pytest.approx(np.linalg.cond(information), rel=1e-7)
-
-
-def test_a_batch_equals_single_vehicles_and_a_copied_memory_goes_on():
-    samples = measurements(TRUTH, "curves", sheet=RTK, count=5, steps=200)
-    batch = estimator(RTK, 5)
-    last = follow(batch, samples)[-1]
-    for i in range(5):
-        alone = estimator(RTK)
-        mine = [Measurement(*(part[i : i + 1] for part in sample)) for sample in samples]
-        follow(alone, mine[:90])
-        memory = alone.memory.copy()
-        other = estimator(RTK)
-        other.memory[:] = memory
-        single = follow(other, mine[90:])[-1]
-        assert np.array_equal(other.memory[0], batch.memory[i])
-        assert np.array_equal(single.value[0], last.value[i])
-        assert np.array_equal(single.covariance[0], last.covariance[i])
 
 
 @pytest.mark.parametrize("rows", [[1], np.array([False, True, False])])

@@ -6,12 +6,12 @@ import pytest
 from baselines.estimators import interacting_models as im
 from baselines.estimators import turning_equation
 from baselines.estimators.estimate import Status
-from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, measurements
+from baselines.estimators.turning import TurningEstimator
+from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, follow, measurements
 from tests.baselines.estimators.turning_cases import (
     LATERAL_MODELS,
     TRUTH,
     estimator,
-    follow,
     relative_error,
     true_values,
     with_lateral_model,
@@ -181,3 +181,38 @@ def test_on_a_straight_during_an_alarm_the_friction_is_less_and_less_sure_and_el
     assert after.deviation("lateral_resistance")[0] == pytest.approx(expected, rel=0.15)
     assert wider[1] == 1.0
     assert found.memory[0, im.ALARM] == pytest.approx(0.0, abs=0.03)
+
+
+# --- bounds and errors ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
+def test_bounds_hold_under_dropouts_outliers_and_reversals(lateral_model):
+    rng = np.random.default_rng(6)
+    found = estimator(RTK, 20, lateral=lateral_model)
+    samples = []
+    for seed, kind in enumerate(("curves", "reverse", "pivot", "straight", "curves")):
+        samples += measurements(TRUTH, kind, lateral_model, RTK, count=20, seed=seed, steps=300)
+    for sample in samples:
+        wild = rng.random(sample.values.shape) < 0.01
+        sample.values[wild] *= rng.choice([-50.0, 0.0, 50.0, np.nan], wild.sum())
+        estimate = found.update(sample)
+        assert (estimate.value >= [CLAY.inertia / 6.0, 0.0]).all()
+        assert (estimate.value <= [6.0 * CLAY.inertia, 2.0]).all()
+        assert (np.linalg.eigvalsh(estimate.covariance * [[1e-6, 1e-3], [1e-3, 1.0]]) > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"lateral": "slide"}, "lateral"),
+        ({"regression": "simple"}, "regression"),
+        ({"regression": "printed", "lateral": "sliding"}, "must be 'constrained'"),
+        ({"control_period": -0.02}, "control_period"),
+        ({"count": 0}, "count"),
+        ({"forgetting": 0.002}, "lambda"),
+    ],
+)
+def test_nonsense_is_refused_with_a_reason(options, message):
+    with pytest.raises(ValueError, match=message):
+        TurningEstimator(CLAY, **options)

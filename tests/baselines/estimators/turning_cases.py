@@ -26,11 +26,6 @@ def estimator(sheet=EXACT, count=1, nominal=CLAY, truth=TRUTH, **options):
     return found
 
 
-def follow(found, samples):
-    """Estimates after each sample."""
-    return [found.update(sample) for sample in samples]
-
-
 def relative_error(estimate, p):
     """(N, 2) of I and mu_t."""
     return estimate.value / true_values(p) - 1.0

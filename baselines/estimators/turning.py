@@ -56,7 +56,7 @@ INERTIA_FACTOR = 6.0  # [-] inertia is sought between nominal / factor and nomin
 MODEL_NOISE = 20.0  # [N m] of the equation itself
 SAME_WEIGHT = 1e6  # [N^2 m^2] variance of every sample, regression "printed": any number will do
 
-_V_X, _TORQUE = COLUMN["v_x"], COLUMN["torque_left"]
+_V_X, _A_Y, _TORQUE = COLUMN["v_x"], COLUMN["acceleration_y"], COLUMN["torque_left"]
 
 
 @formula
@@ -81,7 +81,8 @@ def update_all(z, fresh, attitude, memory, prior, table, known, mass, variance, 
             press = incline_of(attitude[i, 1], attitude[i, 0]).press
             sample, moving = equation(z, i, known, mass[i], resistance[i], friction, inertia, press)
             seen = sample.y + sample.phi_1 + sample.phi_2 + sample.variance
-            if not math.isfinite(seen + z[i, _V_X]):
+            felt = 0.0 if known.constrained else z[i, _A_Y]  # v_y is bounded, even of infinity
+            if not math.isfinite(seen + z[i, _V_X] + felt):
                 memory[i, ls.SKIPPED] += 1.0
                 status = REJECTED
             elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > known.largest_torque:

@@ -14,6 +14,8 @@ from tests.baselines.estimators.turning_cases import TRUTH, estimator
 
 longitudinal = partial(LongitudinalEstimator, CLAY, 0.02, RTK)
 turning = partial(estimator, RTK)
+READ_ALONG = ("v_x", "yaw_rate", "acceleration_x", "torque_left", "torque_right")
+READ_ACROSS = ("v_x", "yaw_rate", "yaw_acceleration", "acceleration_y")
 BOTH = pytest.mark.parametrize("make", [longitudinal, turning], ids=["longitudinal", "turning"])
 
 
@@ -64,11 +66,7 @@ def test_at_standstill_and_with_old_samples_everything_is_kept(make, yaw_rate):
 
 @pytest.mark.parametrize(
     ("make", "channel"),
-    [
-        *((longitudinal, name) for name in ("acceleration_x", "torque_left", "torque_right")),
-        *((turning, name) for name in ("yaw_acceleration", "acceleration_y")),
-        *((make, name) for make in (longitudinal, turning) for name in ("v_x", "yaw_rate")),
-    ],
+    [*((longitudinal, n) for n in READ_ALONG), *((turning, n) for n in READ_ACROSS)],
 )
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_missing_number_is_skipped_and_counted(make, channel, value):

@@ -24,6 +24,8 @@ def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+    quiet = partial(explained, after=3600.0)  # a cold cache is no business of the other tests
+    monkeypatch.setattr("tracked_env.cli.plan_command.explained", quiet)
 
 
 def printed(text: str) -> dict[str, str]:

@@ -2,6 +2,8 @@
 
 import csv
 import sys
+import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from baselines.planners.plan_request import planned
 from tracked_env import entry_points
 from tracked_env.cli.main import main
 from tracked_env.cli.plan_figure import outline
+from tracked_env.cli.waiting import COMPILING, explained
 
 GOAL = ("--goal", "2", "2.5", "-0.4")
 QUICK = ("plan", *GOAL, "--method", "dubins", "--no-slip", "--no-figure")
@@ -21,6 +24,8 @@ def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+    quiet = partial(explained, after=3600.0)  # a cold cache is no business of the other tests
+    monkeypatch.setattr("tracked_env.cli.plan_command.explained", quiet)
 
 
 def printed(text: str) -> dict[str, str]:
@@ -53,6 +58,22 @@ def test_plan_says_the_length_of_a_path_and_its_curvature(
     assert table["length"] == f"{np.pi / bend:.3f} m"
     assert float(table["largest curvature"].split()[0]) == pytest.approx(bend, abs=0.006)
     assert table["largest sprocket speed"].startswith("10.00 rad/s")
+
+
+def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main([*QUICK]) == 0
+    assert capsys.readouterr().err == ""
+
+    def slow(*given: object) -> object:
+        time.sleep(0.5)
+        return planned((2.0, 2.5, -0.4), method="dubins", slips=False)
+
+    monkeypatch.setattr("tracked_env.cli.plan_command.command_function", lambda name: slow)
+    monkeypatch.setattr("tracked_env.cli.plan_command.explained", partial(explained, after=0.05))
+    assert main([*QUICK]) == 0
+    assert capsys.readouterr().err == f"{COMPILING}\n"
 
 
 def test_plan_writes_a_figure_and_the_samples(capsys: pytest.CaptureFixture[str]) -> None:

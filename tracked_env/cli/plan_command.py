@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tracked_env.benchmark.registered_policies import command_function
+from tracked_env.cli.waiting import explained
 
 POSE: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "YAW")}
 # Options that are limits of the plan: field and help.
@@ -65,11 +66,12 @@ def main(arguments: Sequence[str], program: str) -> int:
     given = _parser(program).parse_args(arguments)
     limits = {name: value for name in LIMITS if (value := getattr(given, name)) is not None}
     try:
-        found = command_function("plan")(
-            given.goal, given.start, given.method, given.vehicle, given.friction,
-            not given.no_slip, limits, given.via, given.obstacle_circle,
-            given.reverse, given.slope,
-        )  # fmt: skip
+        with explained():
+            found = command_function("plan")(
+                given.goal, given.start, given.method, given.vehicle, given.friction,
+                not given.no_slip, limits, given.via, given.obstacle_circle,
+                given.reverse, given.slope,
+            )  # fmt: skip
         print("\n".join(table(found)))
         _write(given, found)
     except (ImportError, OSError) as error:

@@ -56,8 +56,9 @@ PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
 THREADS = Range(1, 256, "-", "It is the number of threads.")
 ITERATIONS, PATIENT = 100, 200  # of the interior point method from a word, and where none led there
 FURTHER, ALTOGETHER = 30, 80  # from a word once a plan was found, and from all words with it
-LONGER, EXTRA = 1.4, 0.3  # [-], [m] at the speed of the words: those that are tried further
-DEARER = 1.1  # [-] of the least cost found: a plan from a further word is given up above it
+LONGER, LONGER_FREE = 1.1, 1.4  # [-] of the least duration: words tried further; at free speed
+EXTRA, WIDE = 0.3, 2.0  # [m], [-] of the radius of the words: on top, at the speed of the words
+DEARER = 1.2  # [-] of the least cost found: a plan from a further word is given up above it
 BRIEF = 0.3  # [s] duration of a word below which it is tried at constant speed too
 RADIUS = 0.4  # [-] of the track gauge: turning radius of the words
 INSIDE = 0.9  # [-] of the way from v_min to v_max: speed along the words
@@ -106,7 +107,8 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
     radius, arc = on_arc
     line = setting.speed, 0.0, setting.speed
     left, found = totals.copy(), 0
-    enough = LONGER * np.min(totals) + EXTRA / setting.speed
+    enough = (LONGER if bounds.fixed else LONGER_FREE) * np.min(totals)
+    enough += max(EXTRA, WIDE * radius) / setting.speed
     for _ in range(6):
         word = np.argmin(left)
         if left[word] == math.inf:

@@ -30,6 +30,7 @@ HALVINGS = 8  # of a step
 ATTEMPTS = 5  # at a step: with more and more damping, the last one Gauss-Newton's
 FLAT, FLAT_STEPS = 1e-4, 2  # [s] change of the cost, and steps of it in turn: good enough
 FINISHING, FINISHING_STEPS = 1e3, 5  # [s/(m/s)^2] damping that leaves the plan as it is; steps
+SETTLED = 6  # iterations after which the cost of a plan is nearly the one that it ends at
 PAUSE = 6  # flat steps until finishing is tried again
 LEAST_DAMPING, MORE_DAMPING, LESS_DAMPING = 0.3, 6.0, 0.3  # [s/(m/s)^2], [-], [-]
 
@@ -189,9 +190,10 @@ def _iterate(
 
 
 @loop
-def solve(task, bounds, surface, duration, w, a, iterations):
+def solve(task, bounds, surface, duration, w, a, iterations, enough):
     """Improve the plan in w.belts of a duration [s].
 
+    enough: cost [s] above which it is given up after SETTLED iterations, as a better plan is known.
     Returns (duration, cost [s], whether it converged, iterations).
     """
     n = len(w.belts)
@@ -220,6 +222,8 @@ def solve(task, bounds, surface, duration, w, a, iterations):
         near = gap <= GAP and (finishing or _still(a, n) <= STILL)
         if near and _infeasibility(w, n, active) <= MISSED:
             return duration, cost, True, it
+        if it >= SETTLED and cost > enough:
+            return duration, cost, False, it
         finished = finished + 1 if finishing else 0
         if finishing and (share == 0.0 or finished == FINISHING_STEPS):
             flat = -PAUSE

@@ -54,9 +54,11 @@ INTERVALS = Range(2, 2000, "-", "It is the number of intervals, not their durati
 SMOOTHING = Range(1e-6, 1e6, "-", "It is the weight w_s.")
 PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
 THREADS = Range(1, 256, "-", "It is the number of threads.")
-ITERATIONS = 30  # of the interior point method from one word
-FURTHER, PATIENT = 20, 200  # from a word after a plan was found; from each, where none was
-LONGER, EXTRA = 1.1, 0.3  # [-], [m] at the speed of the words
+ITERATIONS, PATIENT = 100, 200  # of the interior point method from a word, and where none led there
+FURTHER, ALTOGETHER = 30, 80  # from a word once a plan was found, and from all words with it
+LONGER, LONGER_FREE = 1.1, 1.4  # [-] of the least duration: words tried further; at free speed
+EXTRA, WIDE = 0.3, 2.0  # [m], [-] of the radius of the words: on top, at the speed of the words
+DEARER = 1.2  # [-] of the least cost found: a plan from a further word is given up above it
 BRIEF = 0.3  # [s] duration of a word below which it is tried at constant speed too
 RADIUS = 0.4  # [-] of the track gauge: turning radius of the words
 INSIDE = 0.9  # [-] of the way from v_min to v_max: speed along the words
@@ -105,10 +107,13 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
     radius, arc = on_arc
     line = setting.speed, 0.0, setting.speed
     left, found = totals.copy(), 0
-    enough = LONGER * np.min(totals) + EXTRA / setting.speed
+    enough = (LONGER if bounds.fixed else LONGER_FREE) * np.min(totals)
+    enough += max(EXTRA, WIDE * radius) / setting.speed
     for _ in range(6):
         word = np.argmin(left)
-        if left[word] == math.inf or (found > 0 and left[word] > enough):
+        if left[word] == math.inf:
+            break
+        if found > 0 and (left[word] > enough or best[USED] >= ALTOGETHER):
             break
         left[word] = math.inf
         turning = 0.0
@@ -120,12 +125,15 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
         least = gathering(np.sum(segments), bounds, setting)
         first = guess(segments, SIGNS[word], arc, line, total, least, w.belts)
         task = _task(start, goal, turning, first / len(w.belts), bounds, setting)
-        most = FURTHER if found > 0 else iterations
-        duration, cost, converged, used = solve(task, bounds, surface, first, w, a, most)
+        most = min(FURTHER, ALTOGETHER - int(best[USED])) if found > 0 else iterations
+        limit = DEARER * best[COST]
+        duration, cost, converged, used = solve(task, bounds, surface, first, w, a, most, limit)
         best[USED] += used
         if not converged and total < BRIEF and not setting.ramp and not bounds.fixed:
             guess(segments, SIGNS[word], line, line, total, least, w.belts)
-            duration, cost, converged, used = solve(task, given, surface, first, w, a, most)
+            duration, cost, converged, used = solve(
+                task, given, surface, first, w, a, most, limit
+            )
             best[USED] += used
         if converged:
             turnings[found] = turning

@@ -80,7 +80,7 @@ def unwrapped(ground: Ground, goals: Floats) -> Unwrapped:
         turned = np.diff(np.interp(knots, guess.time, guess.course)) / np.diff(knots)
         w.belts[:, 0], w.belts[:, 1] = SPEED, half * turned
         duration, _cost, converged, _used = solve(
-            task, bounds, surface, guess.duration, w, a, ITERATIONS
+            task, bounds, surface, guess.duration, w, a, ITERATIONS, math.inf
         )
         rows.append((duration, converged, (yaw - guess.course[-1]) / (2.0 * math.pi)))
     found = np.array(rows, dtype=float).T

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.planners.optimal import optimal
+from baselines.planners.trajectory import Limits
 from tests.baselines.planners.optimal_cases import (
     FOCCHI,
     ORIGIN,
@@ -45,6 +46,20 @@ def test_tight_turns_on_slippery_ground_are_found_by_few_iterations():
     assert all(plan.converged for plan in made)
     assert max(plan.iterations for plan in made) <= 60
     assert np.mean([plan.cost for plan in made]) < 8.723
+
+
+@pytest.mark.parametrize(
+    "row, v_min, reserve, cost",
+    [(18, 0.15, 0.0, 11.1131), (34, 0.15, 0.0, 9.7459), (34, 0.0, 0.0, 9.7459),
+     (8, 0.4, 0.25, 11.9477)],
+)  # fmt: skip
+def test_the_cheaper_winding_is_found_on_slippery_ground(row, v_min, reserve, cost):
+    """The plan from the shortest word needs over 30 iterations, or the cheapest word is longer."""
+    vehicle, slip = vehicle_on(0.1, limit=10.0)
+    limits = Limits(10.0, reserve, v_min=v_min, v_max=0.4)
+    made = optimal(ORIGIN, halton_goals(1.0)[row], limits, vehicle, slip)
+    assert made.converged
+    assert made.cost < 1.001 * cost
 
 
 def test_a_plan_winds_as_it_is_told():

@@ -3,9 +3,11 @@
 Belt speeds are held over N equal intervals, and slip is a smooth surface over them (surface_fit).
 The interior point method starts from Dubins words of the start and the goal (start_words), in the
 order of their durations: left and right turns are different minima, and the whole turns of a word
-are the yaw that its plan ends at. A slower word is tried while its duration is below LONGER of the
-least plus EXTRA, unless a plan with the same whole turns was found, and as long as none was; where
-no word leads to a plan, all are tried again with more patience. The plan of least cost is taken.
+are the yaw that its plan ends at. All words are tried as long as none has led to a plan, then those
+with other whole turns and a duration below LONGER of the least plus EXTRA, of which wide words have
+more, as their arcs tell little of the plan; FURTHER iterations each while ALTOGETHER are not spent,
+and not on while their plan costs DEARER than the best. Where no word leads to a plan, all are tried
+again with more patience. The plan of least cost is taken.
 
 Constant speed (v_min = v_max): the belts' mean is given from the first moment to the last. Other-
 wise, with a limit on sprocket acceleration, the first interval must be reached from the sprocket
@@ -54,8 +56,8 @@ INTERVALS = Range(2, 2000, "-", "It is the number of intervals, not their durati
 SMOOTHING = Range(1e-6, 1e6, "-", "It is the weight w_s.")
 PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
 THREADS = Range(1, 256, "-", "It is the number of threads.")
-ITERATIONS, PATIENT = 100, 200  # of the interior point method from a word, and where none led there
-FURTHER, ALTOGETHER = 30, 80  # from a word once a plan was found, and from all words with it
+ITERATIONS, PATIENT = 100, 200  # from a word, as long as no plan is found; where none led to one
+FURTHER, ALTOGETHER = 30, 80  # from a word once a plan was found; from all words then
 LONGER, LONGER_FREE = 1.1, 1.4  # [-] of the least duration: words tried further; at free speed
 EXTRA, WIDE = 0.3, 2.0  # [m], [-] of the radius of the words: on top, at the speed of the words
 DEARER = 1.2  # [-] of the least cost found: a plan from a further word is given up above it
@@ -131,9 +133,7 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
         best[USED] += used
         if not converged and total < BRIEF and not setting.ramp and not bounds.fixed:
             guess(segments, SIGNS[word], line, line, total, least, w.belts)
-            duration, cost, converged, used = solve(
-                task, given, surface, first, w, a, most, limit
-            )
+            duration, cost, converged, used = solve(task, given, surface, first, w, a, most, limit)
             best[USED] += used
         if converged:
             turnings[found] = turning

@@ -32,6 +32,7 @@ import matplotlib.pyplot as plt
 
 TARGET = Path(__file__).resolve().parent / "_static" / "identification_bound.png"
 SETS, EPISODES = ("drift", "resistance-map"), 32
+PARAMETERS_SHOWN = ("mass", "longitudinal_resistance")  # the first two of theta
 WALK_TIME = 1.0  # [s] over which the truth's change counts as a walk
 BEGUN = 3.0  # [s] from which on medians are taken
 PRIOR = (INVERSE_MASS_SIGMA, RESISTANCE_SIGMA, INERTIA_SIGMA, FRICTION_SIGMA)

@@ -1,4 +1,4 @@
-"""Runs of the adaptive policy with what its observer believes: the data of the observer's figures."""
+"""Runs of the adaptive policy with what its observer believes, for the observer's figures."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -15,7 +15,6 @@ from tracked_env.physics.state import STATE_NAMES
 Floats = NDArray[np.float64]
 SEED = 72_000  # episodes on which nothing was chosen
 PARAMETERS = ("mass", "inertia", "longitudinal_resistance", "lateral_resistance")
-SYMBOLS = {"mass": "m", "inertia": "I", "longitudinal_resistance": "mu_l"}
 
 
 class Run(NamedTuple):

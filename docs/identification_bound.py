@@ -112,9 +112,7 @@ def main() -> None:
     for row, name in zip(axes, SETS, strict=True):
         run = driven(name, EPISODES)
         least, without = bounds(run)
-        for axis, parameter, j in zip(
-            row, ("mass", "longitudinal_resistance"), (0, 1), strict=True
-        ):
+        for j, (axis, parameter) in enumerate(zip(row, PARAMETERS_SHOWN, strict=True)):
             scale = 1.0 if j == 0 else run.truth[..., 2]  # the bound of mu_l is absolute
             title = f"{name}: {parameter.replace('_', ' ')}"
             axis.set(title=title, xlim=(1.0, run.time[-1]))

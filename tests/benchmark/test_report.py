@@ -173,6 +173,7 @@ def test_recovery_is_averaged_over_the_episodes_with_a_change_and_shown_for_such
 def test_estimates_are_summarised_shown_and_written(tmp_path: Path) -> None:
     given = records("set", nominal=EASY[:3], mine=EASY[:3])
     believed = dict.fromkeys(ESTIMATION_METRICS, 0.5)
+    believed |= {"nees_apart": 0.25, "in_three_sigma_apart": 0.875, "claimed_deviation": 0.0625}
     for record, time in zip(given[3:], (1.0, 2.0, None), strict=True):
         settled = 0.0 if time is None else 1.0
         mass = {**believed, "settling_time": time, "settled": settled, "excited": None}
@@ -188,7 +189,12 @@ def test_estimates_are_summarised_shown_and_written(tmp_path: Path) -> None:
     assert np.isnan(mass.excited)
     assert "nominal" not in summary.identification["set"]
     text = report.terminal(summary)
-    assert "NEES" in text
+    head, row = report.identification_table(summary)
+    told = dict(zip(head, row, strict=True))
+    assert (told["NEES"], told["in 3 sigma"]) == ("0.5", "50.0%")
+    apart = told["NEES apart"], told["in 3 sigma apart"], told["claimed sigma"]
+    assert apart == ("0.25", "87.5%", "6.2%")
+    assert "NEES apart" in text
     assert "1.25" in text
     report.write(tmp_path, {}, given, summary)
     document = json.loads((tmp_path / "results.json").read_text())

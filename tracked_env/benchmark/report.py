@@ -125,11 +125,15 @@ def _share(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.1%}" if value < 10.0 else ">1000%"
 
 
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3g}"
+
+
 def identification_table(summary: Summary) -> list[list[str]]:
     """Rows of cells, the header first: one row per set, policy and estimated parameter."""
     rows = [
         ["set", "policy", "parameter", "error settled", "settling [s]", "settles", "NEES",
-         "in 3 sigma", "excited", "diverged"],
+         "in 3 sigma", "NEES apart", "in 3 sigma apart", "claimed sigma", "excited", "diverged"],
     ]  # fmt: skip
     for name, by_policy in summary.identification.items():
         for policy, by_parameter in by_policy.items():
@@ -138,7 +142,8 @@ def identification_table(summary: Summary) -> list[list[str]]:
                 rows.append(
                     [name, policy, parameter, _share(e.settled_relative_rmse),
                      "-" if math.isnan(e.settling_time) else time, _share(e.settled),
-                     "-" if math.isnan(e.nees) else f"{e.nees:.3g}", _share(e.in_three_sigma),
+                     _number(e.nees), _share(e.in_three_sigma), _number(e.nees_apart),
+                     _share(e.in_three_sigma_apart), _share(e.claimed_deviation),
                      _share(e.excited), _share(e.diverged)]
                 )  # fmt: skip
     return rows
@@ -147,7 +152,7 @@ def identification_table(summary: Summary) -> list[list[str]]:
 def nis_table(summary: Summary) -> list[list[str]]:
     """Rows of cells, the header first: one row per set, policy and filter."""
     return [["set", "policy", "filter", "mean NIS"]] + [
-        [name, policy, of, "-" if math.isnan(value) else f"{value:.3g}"]
+        [name, policy, of, _number(value)]
         for name, by_policy in summary.nis.items()
         for policy, by_filter in by_policy.items()
         for of, value in by_filter.items()
@@ -189,7 +194,9 @@ GOAL_LEGEND = (
 )
 IDENTIFICATION_LEGEND = (
     "Error settled: median relative RMS error after 5 s. Settling: median time after the last "
-    "abrupt change until\nwithin 10 % for good. NEES: 1 expected; in 3 sigma: 99.7 % expected."
+    "abrupt change until\nwithin 10 % for good. NEES: 1 expected; in 3 sigma: 99.7 % expected; "
+    "apart: without the first second after an abrupt\nchange. Claimed sigma: median of the "
+    "claimed deviation over the true value."
 )
 
 

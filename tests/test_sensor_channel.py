@@ -195,7 +195,8 @@ def test_a_row_of_the_vector_is_the_single_environment_and_a_copy_goes_on():
 @pytest.mark.parametrize("name", ["nominal", "adaptive"])
 def test_a_controller_drives_where_more_is_shown_or_what_it_does_not_need_is_left_out(name):
     """In any order of the groups, with the same actions bit for bit."""
-    shuffled = ("wheel", "age", "reference", "motion", "drive", "pose_error")  # no look_ahead
+    # No look_ahead; without the actions before, nobody could identify the drives.
+    shuffled = ("wheel", "action", "age", "reference", "motion", "drive", "pose_error")
     envs = [TrackedVehicleVectorEnv(2), vehicles(2), vehicles(2, observation=shuffled)]
     contexts = [PolicyContext(0.02, "sliding", observation=env.layout.names) for env in envs]
     policies = [POLICIES[name](context) for context in contexts]

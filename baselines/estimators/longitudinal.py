@@ -46,6 +46,7 @@ WALKS = {
     im.CALM: (0.0, 0.005), im.FAST: (0.005, 0.2), im.BORDER: (0.0, 0.8), im.JUMP: (3.0, 0.01),
     im.ALARMED: (0.04, 0.08), im.SLOW: (0.0, 0.003),
 }  # fmt: skip
+OF_THE_SOIL = (0.0, 0.08)  # in an alarm, where no other equation tells load and soil apart
 TREND_GATE = 2.5  # [-] the variance of the equation is rather large: four deviations of the mean
 INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
 RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
@@ -129,6 +130,8 @@ class LongitudinalEstimator(TwoParameterEstimator):
 
     regression: "coupled" (default), "paper" or "printed", see two_parameters. forgetting: factor
     per sample; None takes the default of the regression, 0.998 for "paper" and "printed".
+    separated: whether the equation of the side slip, which tells load and soil apart, goes with it;
+    without it a slow trend is taken for one of the soil.
     """
 
     names = ("inverse_mass", "longitudinal_resistance")
@@ -147,6 +150,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
         count: int = 1,
         regression: str = "coupled",
         forgetting: float | None = None,
+        separated: bool = True,
     ) -> None:
         control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         forgetting = chosen_forgetting(regression, forgetting, FORGETTING)
@@ -160,9 +164,10 @@ class LongitudinalEstimator(TwoParameterEstimator):
         )  # fmt: skip
         printed = regression == "printed"
         coupled = regression == "coupled"
+        walks = WALKS if separated else {**WALKS, im.ALARMED: OF_THE_SOIL}
         super().__init__(
             parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior,
-            im.table(WALKS, TREND_GATE, RESISTANCE_SIGMA, control_period) if coupled else PLAIN,
+            im.table(walks, TREND_GATE, RESISTANCE_SIGMA, control_period) if coupled else PLAIN,
         )  # fmt: skip
         sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius
@@ -181,7 +186,10 @@ class LongitudinalEstimator(TwoParameterEstimator):
     def for_stack(cls, setting: Setting) -> "LongitudinalEstimator":
         """As a part of the identification stack."""
         s = setting
-        part = cls(s.parameters, s.control_period, s.data_sheet, s.count, s.regression)
+        part = cls(
+            s.parameters, s.control_period, s.data_sheet, s.count, s.regression,
+            separated=s.lateral == "sliding",
+        )  # fmt: skip
         return part.on_slopes() if s.attitude else part
 
     def known(self) -> tuple[Any, ...]:

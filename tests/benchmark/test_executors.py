@@ -1,34 +1,28 @@
 """Chunks in other processes: the records of the serial run, whatever happens to the processes."""
 
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.benchmark.executor_cases import CONFIG, episodes_stored, policies, records_of, values
 from tests.benchmark.mortal_policies import MARK
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN
-from tracked_env.benchmark.chunks import chunk_size, pending
-from tracked_env.benchmark.executors import Executor, make_executor
-from tracked_env.benchmark.executors.shard import Shard, parse_shard
+from tracked_env.benchmark.chunks import chunk_size
+from tracked_env.benchmark.executors import make_executor
+from tracked_env.benchmark.executors.shard import parse_shard
 from tracked_env.benchmark.executors.worker_pool import WorkerPool
-from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError
-from tracked_env.benchmark.policy_lookup import load_policies
-from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
+from tracked_env.benchmark.policy_interface import PolicyError
 from tracked_env.cli.main import main
 
-CONFIG = BenchmarkConfig(sets=("payload", "drift"), episodes=36, duration=1.0)
-TIMING = ("predict_time", "beside")
 STUBS = "mortal_policies"
 
 
@@ -36,33 +30,6 @@ STUBS = "mortal_policies"
 def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Modules of this folder can be imported by their name, in other processes too."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
-
-
-def policies(*specs: str) -> list[PolicyEntry]:
-    """Policies as the command line finds them."""
-    registry, trained = by_name(registered_policies(), "torque")
-    return load_policies(specs, registry, trained, open_archive)
-
-
-def values(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Records without what depends on the time that a computer took."""
-    return [{k: v for k, v in record.items() if k not in TIMING} for record in records]
-
-
-def records_of(
-    folder: Path, entries: Sequence[PolicyEntry], executor: Executor | None = None
-) -> list[dict[str, Any]]:
-    return run(CONFIG, entries, Store(folder, CONFIG.identity()), executor=executor)
-
-
-def episodes_stored(folder: Path) -> list[tuple[str, str, int]]:
-    """Every episode in the files of a folder, as often as it is there."""
-    return [
-        (chunk["set"], chunk["policy"], episode["episode"])
-        for path in folder.rglob("episodes.jsonl")
-        for chunk in map(json.loads, path.read_text().splitlines()[1:])
-        for episode in chunk["episodes"]
-    ]
 
 
 def test_workers_give_the_records_and_traces_of_the_serial_run(tmp_path: Path) -> None:
@@ -166,61 +133,6 @@ def test_a_worker_with_another_source_of_a_policy_says_so(tmp_path: Path) -> Non
         records_of(tmp_path, [nominal._replace(fingerprint="of before")], WorkerPool(1))
 
 
-def test_shards_share_the_chunks_and_what_they_wrote_is_read_together(tmp_path: Path) -> None:
-    entries = policies("nominal", "adaptive", "oracle")
-    serial = records_of(tmp_path / "serial", entries)
-    shards = [Shard(part, 3) for part in (1, 2, 3)]
-    open_together = [Store(tmp_path / "shards", CONFIG.identity(), shard) for shard in shards]
-    for store in open_together:
-        run(CONFIG, entries, store)
-        assert {c["policy"] for c in store.chunks} == {"nominal", "adaptive", "oracle"}
-    stored = episodes_stored(tmp_path / "shards")
-    assert len(stored) == len(set(stored)) == len(serial)
-    merged = Store(tmp_path / "shards", CONFIG.identity())
-    assert list(pending(CONFIG, entries, merged)) == []
-    assert values(run(CONFIG, entries, merged)) == values(serial)
-    assert merged.chunks == []  # nothing was copied or done twice
-    assert merged.load_trace("adaptive", "drift") is not None
-
-
-def test_a_shard_that_is_lost_is_made_up_for_by_the_run_that_merges(tmp_path: Path) -> None:
-    entries = policies("nominal")
-    run(CONFIG, entries, Store(tmp_path / "shards", CONFIG.identity(), Shard(1, 2)))
-    torn = tmp_path / "shards" / "shard-1-of-2" / "episodes.jsonl"
-    torn.write_bytes(torn.read_bytes()[:-20])
-    store = Store(tmp_path / "shards", CONFIG.identity())
-    merged = run(CONFIG, entries, store)
-    assert store.notices == []
-    assert values(merged) == values(records_of(tmp_path / "serial", entries))
-    assert not torn.read_bytes().endswith(b"\n")  # the file of another process is left alone
-
-
-def test_two_processes_of_one_shard_are_refused(tmp_path: Path, repository: Path) -> None:
-    store = Store(tmp_path, CONFIG.identity(), Shard(1, 2))
-    code = (
-        "import sys; from pathlib import Path; from tracked_env.benchmark import *; "
-        "from tracked_env.benchmark.executors.shard import Shard; "
-        "c = BenchmarkConfig(sets=('payload', 'drift'), episodes=36, duration=1.0); "
-        f"Store(Path({str(tmp_path)!r}), c.identity(), Shard(int(sys.argv[1]), 2))"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(repository)}
-
-    def opened(part: int) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", code, str(part)]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100)
-
-    same, other = opened(1), opened(2)
-    assert "shard-1-of-2: another process writes results there" in same.stderr
-    assert other.returncode == 0, other.stderr
-    assert store.chunks == []
-
-
-def test_the_parts_of_all_shards_are_everything_and_share_nothing() -> None:
-    for parts in (1, 2, 3, 7, 30):
-        dealt = [job for part in range(1, parts + 1) for job in Shard(part, parts).of(range(20))]
-        assert sorted(dealt) == list(range(20))
-
-
 def test_chunks_shrink_only_where_there_are_fewer_than_three_a_worker() -> None:
     many = BenchmarkConfig(sets=("payload",), episodes=640)
     assert [chunk_size(many, 1, workers) for workers in (1, 3, 4, 7, 1000)] == [64, 64, 32, 16, 16]
@@ -266,22 +178,6 @@ def test_a_wrong_place_to_run_is_one_line_before_anything_runs(
     assert status == 2
     assert message in capsys.readouterr().err.splitlines()[-1]
     assert not list(tmp_path.iterdir())
-
-
-def test_shards_from_the_command_line_end_in_the_tables_of_one_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    command = ["evaluate", "--sets", "payload", "--episodes", "40", "--duration", "0.5",
-               "--no-figures", "--policies", "nominal", "oracle"]  # fmt: skip
-    for part in ("1/2", "2/2"):
-        assert main([*command, "--shard", part]) == 0
-        assert f"shard {part} is done" in capsys.readouterr().out
-    assert not list(tmp_path.rglob("results.json"))
-    assert main(command) == 0
-    assert "80 of 80 episodes are already in" in capsys.readouterr().out
-    (document,) = tmp_path.rglob("results.json")
-    assert len(json.loads(document.read_text())["episodes"]) == 80
 
 
 def workers_of(process: int) -> list[int]:

@@ -61,7 +61,7 @@ def shows_attitude(observation: Sequence[str]) -> bool:
 
 
 @formula
-def _incline(observation, i, sloped):
+def incline_seen(observation, i, sloped):
     """Incline of vehicle i as measured, or LEVEL."""
     if not sloped:
         return LEVEL
@@ -81,9 +81,12 @@ def _si(observation, i, column):
 
 
 @formula
-def control(observation, i, p, xi, gains, period, constrained, sloped):
-    """(action left, action right [-], next xi [m/s^2]) of vehicle i with parameters p."""
-    incline = _incline(observation, i, sloped)
+def control(observation, i, p, xi, gains, period, constrained, sloped, lacking):
+    """(action left, action right [-], next xi [m/s^2]) of vehicle i with parameters p.
+
+    lacking: (forward [m/s^2], turning [rad/s^2]) that the model lacks, cancelled by the efforts.
+    """
+    incline = incline_seen(observation, i, sloped)
     k = law.pressed(vehicle.coefficients(p, constrained), incline.press)
     heading_error = _si(observation, i, _HEADING_ERROR)
     # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
@@ -113,7 +116,9 @@ def control(observation, i, p, xi, gains, period, constrained, sloped):
     xi += period * eta_1
     motion = vehicle.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
     pull = soil.GRAVITY * incline.down_x
-    left, right = law.track_efforts(motion, xi, u_2, p, k, constrained, pull)
+    left, right = law.track_efforts(
+        motion, xi - lacking[0], u_2 - lacking[1], p, k, constrained, pull
+    )
     limit = p.torque_limit * k.inverse_radius
     limit_left, limit_right = p.actuator_gain_left * limit, p.actuator_gain_right * limit
     if not sloped:
@@ -129,11 +134,11 @@ def control(observation, i, p, xi, gains, period, constrained, sloped):
 
 
 @loop
-def control_all(observation, parameters, xi, gains, period, constrained, sloped, action):
-    """Control of all vehicles: observation (N, D), parameters (rows, N or 1), xi (N,) in and
-    out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the first row that is
-    not finite, or -1."""
-    shared = parameters.shape[1] == 1
+def control_all(observation, parameters, lacking, xi, gains, period, constrained, sloped, action):
+    """Control of all vehicles: observation (N, D), parameters (rows, N or 1), lacking (N or 1, 2),
+    xi (N,) in and out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the first row
+    that is not finite, or -1."""
+    shared, alike = parameters.shape[1] == 1, lacking.shape[0] == 1
     for i in range(observation.shape[0]):
         check = 0.0
         for column in range(observation.shape[1]):
@@ -141,7 +146,11 @@ def control_all(observation, parameters, xi, gains, period, constrained, sloped,
         if check != 0.0:
             return i
         p = _parameters_of(parameters, 0 if shared else i)
-        left, right, xi[i] = control(observation, i, p, xi[i], gains, period, constrained, sloped)
+        n = 0 if alike else i
+        left, right, xi[i] = control(
+            observation, i, p, xi[i], gains, period, constrained, sloped,
+            (lacking[n, 0], lacking[n, 1]),
+        )  # fmt: skip
         action[i, 0] = min(max(left, -1.0), 1.0)
         action[i, 1] = min(max(right, -1.0), 1.0)
     return -1
@@ -170,7 +179,9 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
     observation: names of the fields that the environment gives.
 
     The attribute `parameters`, float64 (PARAMETER_ROWS, 1 or N), rows as PARAMETER_NAMES, is
-    what the law uses at the next call: write to it, or use `set_parameters` which checks.
+    what the law uses at the next call: write to it, or use `set_parameters` which checks. `lacking`,
+    float64 (1 or N, 2), is the acceleration [m/s^2] and the yaw acceleration [rad/s^2] that the
+    vehicle has beside those of the model; the efforts cancel them. Zero unless it is written to.
     Raises ValueError for gains, parameters, period or lateral model that make no sense, and
     for an observation that lacks a field of NEEDS.
     """
@@ -201,6 +212,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         self.lateral = lateral
         self._constrained = lateral == "constrained"
         self.parameters = np.empty((len(PARAMETER_NAMES), 1))
+        self.lacking = np.zeros((1, 2))
         self.set_parameters(**parameters._asdict())
 
     def set_parameters(self, **values: ArrayLike) -> None:
@@ -243,8 +255,8 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         xi[start] = 0.0
         action = np.empty((count, 2), dtype=np.float32)
         bad = control_all(
-            observation, self.parameters, xi, self.gains, self.control_period, self._constrained,
-            self.sloped, action,
+            observation, self.parameters, self.lacking, xi, self.gains, self.control_period,
+            self._constrained, self.sloped, action,
         )  # fmt: skip
         if bad >= 0:
             column = int(np.argmin(np.isfinite(observation[bad])))

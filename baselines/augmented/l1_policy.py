@@ -16,30 +16,40 @@ import numpy as np
 from baselines.augmented.augmented_policy import AugmentedPolicy
 from baselines.augmented.channel_loads import OWN, last_period
 from baselines.augmented.matched_uncertainty import Estimate, sampled
+from baselines.linearizing.linearizing_law import Gains
 from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import Range
+from tracked_env.physics.parameters import PlantParameters, Range, plant_parameters
 from tracked_env.validation import checked_number
 
 
 class L1Settings(NamedTuple):
-    """Settings of both channels; forward first, then turning."""
+    """Settings of the law and of both channels; forward first, then turning."""
 
-    forward_bandwidth: float = 5.0  # [1/s] of the low-pass filter
-    turning_bandwidth: float = 5.0  # [1/s]
+    k_p: float = 50.0  # [1/s^3] gains of the law
+    k_v: float = 60.0  # [1/s^2]
+    k_a: float = 13.0  # [1/s]
+    mass_factor: float = 1.3  # [-] mass that the law and the predictor assume over the nominal one
+    inertia_factor: float = 1.1  # [-] the same of the inertia; both set the input gain
+
+    forward_bandwidth: float = 40.0  # [1/s] of the low-pass filter
+    turning_bandwidth: float = 40.0  # [1/s]
     forward_rate: float = 1.0  # [1/s] a of the predictor's error
     turning_rate: float = 1.0  # [1/s]
-    drive_bandwidth: float = 30.0  # [1/s] of the low-pass filter of each drive's loop
+    drive_bandwidth: float = 100.0  # [1/s] of the low-pass filter of each drive's loop
     forward_bound: float = 8.0  # [m/s^2] of what is cancelled
     turning_bound: float = 15.0  # [rad/s^2]
 
 
 # Setting -> (low, high, whether on a logarithmic scale) of a search.
 TUNABLE = {
-    "forward_bandwidth": (0.5, 50.0, True),
-    "turning_bandwidth": (0.5, 50.0, True),
-    "drive_bandwidth": (1.0, 200.0, True),
-    "forward_rate": (0.1, 20.0, True),
-    "turning_rate": (0.1, 20.0, True),
+    "k_p": (20.0, 120.0, True),
+    "k_v": (30.0, 100.0, True),
+    "k_a": (8.0, 18.0, True),
+    "mass_factor": (0.8, 1.8, True),
+    "inertia_factor": (0.8, 1.6, True),
+    "forward_bandwidth": (5.0, 100.0, True),
+    "turning_bandwidth": (5.0, 100.0, True),
+    "drive_bandwidth": (30.0, 300.0, True),
 }
 _ALLOWED = Range(0.0, 1e6, "SI", "Bandwidths, rates and bounds are not negative.")
 
@@ -78,12 +88,27 @@ class L1Policy(AugmentedPolicy):
 
     first = np.zeros(OWN + 6)
 
-    def __init__(self, *arguments: Any, settings: L1Settings | None = None, **options: Any) -> None:
-        super().__init__(*arguments, **options)
+    def __init__(
+        self,
+        parameters: PlantParameters | None = None,
+        *arguments: Any,
+        settings: L1Settings | None = None,
+        **options: Any,
+    ) -> None:
         given = L1Settings() if settings is None else settings
         for name, value in given._asdict().items():
-            checked_number(name, value, _ALLOWED)
-        self.settings = L1Settings(*(float(value) for value in given))
+            least = 0.1 if name.endswith("_factor") else 0.0
+            checked_number(name, value, _ALLOWED._replace(low=least))
+        self.settings = s = L1Settings(*(float(value) for value in given))
+        p = plant_parameters() if parameters is None else parameters
+        assumed = p._replace(  # with the resistances of the nominal vehicle
+            mass=p.mass * s.mass_factor,
+            inertia=p.inertia * s.inertia_factor,
+            longitudinal_resistance=p.longitudinal_resistance / s.mass_factor,
+            lateral_resistance=p.lateral_resistance / s.mass_factor,
+        )
+        options.setdefault("gains", Gains(k_p=s.k_p, k_v=s.k_v, k_a=s.k_a))
+        super().__init__(assumed, *arguments, **options)
 
     def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:
         """As AugmentedPolicy.adapt."""

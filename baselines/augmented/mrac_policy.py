@@ -18,6 +18,7 @@ import numpy as np
 from baselines.augmented.augmented_policy import AugmentedPolicy
 from baselines.augmented.channel_loads import OWN, last_period
 from baselines.augmented.parameter_adaptation import Adaptation, Load, adapted
+from baselines.linearizing.linearizing_law import Gains
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, Range
 from tracked_env.validation import checked_number
@@ -31,16 +32,20 @@ NOMINAL = Load(1.0, 1.0, 0.0)
 
 
 class MracSettings(NamedTuple):
-    """Settings of both channels; gains G of the forward one in s/m^2 times the units of y."""
+    """Settings of the law, and of both channels: the gains G, rates and dead zones."""
 
-    forward_inertial: float = 20.0  # [s/m^2] gain of the mass
-    forward_resisting: float = 1.0  # [s/m^2] of the motion resistance
-    forward_constant: float = 1.0  # [1/s^2] of the constant force
-    turning_inertial: float = 20.0  # [s/rad^2] of the inertia
-    turning_resisting: float = 1.0  # [s/rad^2] of the turning resistance
-    turning_constant: float = 1.0  # [1/s^2] of the constant moment
-    forward_rate: float = 10.0  # [1/s] l of the reference model
-    turning_rate: float = 10.0  # [1/s]
+    k_p: float = 50.0  # [1/s^3] gains of the law
+    k_v: float = 65.0  # [1/s^2]
+    k_a: float = 14.0  # [1/s]
+
+    forward_inertial: float = 600.0  # [s/m^2] gain of the mass
+    forward_resisting: float = 30.0  # [s/m^2] of the motion resistance
+    forward_constant: float = 30.0  # [1/s^2] of the constant force
+    turning_inertial: float = 400.0  # [s/rad^2] of the inertia
+    turning_resisting: float = 20.0  # [s/rad^2] of the turning resistance
+    turning_constant: float = 20.0  # [1/s^2] of the constant moment
+    forward_rate: float = 20.0  # [1/s] l of the reference model
+    turning_rate: float = 20.0  # [1/s]
     leak: float = 0.02  # [1/s] sigma modification
     forward_dead_zone: float = 0.002  # [m/s]
     turning_dead_zone: float = 0.001  # [rad/s]
@@ -49,18 +54,21 @@ class MracSettings(NamedTuple):
 
 # Setting -> (low, high, whether on a logarithmic scale) of a search.
 TUNABLE = {
-    "forward_inertial": (0.5, 500.0, True),
-    "forward_resisting": (0.02, 20.0, True),
-    "forward_constant": (0.02, 20.0, True),
-    "turning_inertial": (0.5, 500.0, True),
-    "turning_resisting": (0.02, 20.0, True),
-    "turning_constant": (0.02, 20.0, True),
-    "forward_rate": (3.0, 50.0, True),
-    "turning_rate": (3.0, 50.0, True),
+    "k_p": (20.0, 120.0, True),
+    "k_v": (30.0, 100.0, True),
+    "k_a": (8.0, 18.0, True),
+    "forward_inertial": (20.0, 5000.0, True),
+    "forward_resisting": (1.0, 500.0, True),
+    "forward_constant": (1.0, 500.0, True),
+    "turning_inertial": (20.0, 5000.0, True),
+    "turning_resisting": (1.0, 500.0, True),
+    "turning_constant": (1.0, 500.0, True),
+    "forward_rate": (5.0, 60.0, True),
+    "turning_rate": (5.0, 60.0, True),
     "leak": (0.001, 0.3, True),
-    "forward_dead_zone": (0.0, 0.02, False),
-    "turning_dead_zone": (0.0, 0.02, False),
-    "drive_bandwidth": (10.0, 300.0, True),
+    "forward_dead_zone": (0.0, 0.01, False),
+    "turning_dead_zone": (0.0, 0.01, False),
+    "drive_bandwidth": (30.0, 300.0, True),
 }
 _ALLOWED = Range(0.0, 1e6, "SI", "Gains, rates and dead zones are not negative.")
 
@@ -111,12 +119,13 @@ class MracPolicy(AugmentedPolicy):
     def __init__(
         self, *arguments: Any, settings: MracSettings | None = None, **options: Any
     ) -> None:
-        super().__init__(*arguments, **options)
         given = MracSettings() if settings is None else settings
         for name, value in given._asdict().items():
             least = 1e-3 if name.endswith("_rate") else 0.0
             checked_number(name, value, _ALLOWED._replace(low=least))
         self.settings = s = MracSettings(*(float(value) for value in given))
+        options.setdefault("gains", Gains(k_p=s.k_p, k_v=s.k_v, k_a=s.k_a))
+        super().__init__(*arguments, **options)
         self._ahead = Adaptation(
             Load(s.forward_inertial, s.forward_resisting, s.forward_constant),
             LOW, HIGH, NOMINAL, s.forward_rate, s.leak, s.forward_dead_zone,

@@ -66,26 +66,40 @@ def within(value, low, high):
 
 
 @formula
-def adapted(p, error, change, thrust, resisting, law, period):
-    """(Load p, error e) after one period [s].
-
-    change: of the measured x over it; thrust, resisting: means over it; law: Adaptation. Second
-    order in the period: e by its exact solution for constant a, p by the mean of e.
-    """
-    a = demanded(p, thrust, resisting)
+def _moved(p, middle, error, change, thrust, resisting, law, period):
+    """(Load, error e) after one period, with a of the parameters `middle` all through it."""
+    a = demanded(middle, thrust, resisting)
     decay = math.exp(-law.rate * period)
     later = decay * error + (1.0 - decay) / law.rate * (change / period - a)
     g = law.gain
     size = a * a * g.inertial + resisting * resisting * g.resisting + g.constant
     effect = beyond(0.5 * (error + later), law.dead_zone)
-    step = -period * effect / (1.0 + size / (law.rate * law.rate))
     keep = math.exp(-law.leak * period)
+    held_for = (1.0 - keep) / law.leak if law.leak > 0.0 else period
+    step = -held_for * effect / (1.0 + size / (law.rate * law.rate))
     low, high, at = law.low, law.high, law.nominal
     inertial = at.inertial + keep * (p.inertial - at.inertial) + step * g.inertial * a
     held = at.resisting + keep * (p.resisting - at.resisting) + step * g.resisting * resisting
     constant = at.constant + keep * (p.constant - at.constant) + step * g.constant
-    return Load(
+    moved = Load(
         within(inertial, low.inertial, high.inertial),
         within(held, low.resisting, high.resisting),
         within(constant, low.constant, high.constant),
-    ), later  # fmt: skip
+    )
+    return moved, later
+
+
+@formula
+def adapted(p, error, change, thrust, resisting, law, period):
+    """(Load p, error e) after one period [s].
+
+    change: of the measured x over it; thrust, resisting: means over it; law: Adaptation. Of second
+    order in the period (midpoint rule): e by its exact solution for constant a, p by the mean of e.
+    """
+    ahead, _error = _moved(p, p, error, change, thrust, resisting, law, period)
+    middle = Load(
+        0.5 * (p.inertial + ahead.inertial),
+        0.5 * (p.resisting + ahead.resisting),
+        0.5 * (p.constant + ahead.constant),
+    )
+    return _moved(p, middle, error, change, thrust, resisting, law, period)

@@ -35,7 +35,7 @@ _TORQUES = [COLUMN["torque_left"], COLUMN["torque_right"]]
 class AugmentedState(NamedTuple):
     """State of the policy between two calls."""
 
-    xi: NDArray[np.float64]  # (N,) [m/s^2] compensator of the law
+    controller: NDArray[np.float64]  # (N, 3) state of the law
     memories: tuple[NDArray[np.float64], ...]  # of the filter
     adaptation: NDArray[np.float64]  # (N, columns)
 
@@ -113,7 +113,7 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         """
         count = len(observation)
         if state is not None:
-            self.same_count(len(state.xi), count)
+            self.same_count(len(state.controller), count)
         if count != self.count:
             self._build(count)
             self._given = None
@@ -129,9 +129,10 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         fresh = np.zeros((count, len(self.first))) if state is None else state.adaptation.copy()
         fresh[start] = self.first
         self.adapt(observation, self._torques(known.latest), fresh)
-        action, xi = self.controller.act(observation, None if state is None else state.xi, start)
+        held = None if state is None else state.controller
+        action, held = self.controller.act(observation, held, start)
         correct_all(fresh, 0, action)
-        self._given = AugmentedState(xi, tuple(self.filter.memories()), fresh)
+        self._given = AugmentedState(held, tuple(self.filter.memories()), fresh)
         return action, self._given
 
     def _torques(self, latest: Measurement) -> NDArray[np.float64]:

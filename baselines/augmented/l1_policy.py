@@ -28,6 +28,7 @@ class L1Settings(NamedTuple):
     k_p: float = 50.0  # [1/s^3] gains of the law
     k_v: float = 60.0  # [1/s^2]
     k_a: float = 13.0  # [1/s]
+    bound: float = 0.5  # [m] what the law sees of a position error at most
     mass_factor: float = 1.3  # [-] mass that the law and the predictor assume over the nominal one
     inertia_factor: float = 1.1  # [-] the same of the inertia; both set the input gain
 
@@ -45,6 +46,7 @@ TUNABLE = {
     "k_p": (20.0, 120.0, True),
     "k_v": (30.0, 100.0, True),
     "k_a": (8.0, 18.0, True),
+    "bound": (0.1, 2.0, True),
     "mass_factor": (0.8, 1.8, True),
     "inertia_factor": (0.8, 1.6, True),
     "forward_bandwidth": (5.0, 100.0, True),
@@ -107,7 +109,7 @@ class L1Policy(AugmentedPolicy):
             longitudinal_resistance=p.longitudinal_resistance / s.mass_factor,
             lateral_resistance=p.lateral_resistance / s.mass_factor,
         )
-        options.setdefault("gains", Gains(k_p=s.k_p, k_v=s.k_v, k_a=s.k_a))
+        options.setdefault("gains", Gains(s.k_p, s.k_v, s.k_a, s.bound))
         super().__init__(assumed, *arguments, **options)
 
     def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:

@@ -13,9 +13,9 @@ drive is in f and nothing winds up.
 
 Properties, for constant s: e settles at -P s within one period, of order T; s^ at exp(-a T) s, so
 that d tends to s with a and T to 0. d is kept within +-bound: the projection of this scheme.
-Input gain: with x' = b f_u + .., b the true over the nominal gain, s holds (b - 1) f_u, and the loop
-of estimate and control is stable for |b - 1| < 1 at any bandwidth (small gain, |C| <= 1); beyond
-that only as far as drive and sensors are fast against w. See docs/augmented.md.
+Input gain: with x' = b f_u + .., b the true over the assumed gain, s holds (b - 1) f_u, and the
+loop of estimate and control is stable for |b - 1| < 1 at any bandwidth (small gain, |C| <= 1);
+beyond that only as far as drive and sensors are fast against w. See docs/augmented.md.
 
 References: [1] Hovakimyan, Cao, L1 Adaptive Control Theory (SIAM 2010), sections 2.1 and 3.3.
 """

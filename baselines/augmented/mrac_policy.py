@@ -37,6 +37,7 @@ class MracSettings(NamedTuple):
     k_p: float = 50.0  # [1/s^3] gains of the law
     k_v: float = 65.0  # [1/s^2]
     k_a: float = 14.0  # [1/s]
+    bound: float = 0.5  # [m] what the law sees of a position error at most
 
     forward_inertial: float = 600.0  # [s/m^2] gain of the mass
     forward_resisting: float = 30.0  # [s/m^2] of the motion resistance
@@ -57,6 +58,7 @@ TUNABLE = {
     "k_p": (20.0, 120.0, True),
     "k_v": (30.0, 100.0, True),
     "k_a": (8.0, 18.0, True),
+    "bound": (0.1, 2.0, True),
     "forward_inertial": (20.0, 5000.0, True),
     "forward_resisting": (1.0, 500.0, True),
     "forward_constant": (1.0, 500.0, True),
@@ -124,7 +126,7 @@ class MracPolicy(AugmentedPolicy):
             least = 1e-3 if name.endswith("_rate") else 0.0
             checked_number(name, value, _ALLOWED._replace(low=least))
         self.settings = s = MracSettings(*(float(value) for value in given))
-        options.setdefault("gains", Gains(k_p=s.k_p, k_v=s.k_v, k_a=s.k_a))
+        options.setdefault("gains", Gains(s.k_p, s.k_v, s.k_a, s.bound))
         super().__init__(*arguments, **options)
         self._ahead = Adaptation(
             Load(s.forward_inertial, s.forward_resisting, s.forward_constant),

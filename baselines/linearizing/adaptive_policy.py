@@ -25,7 +25,7 @@ from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing.drive_lead import lead_all
-from baselines.linearizing.linearizing_law import Gains
+from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
@@ -64,7 +64,7 @@ _GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"
 class AdaptiveState(NamedTuple):
     """State of the policy between two calls."""
 
-    xi: NDArray[np.float64]  # (N,) [m/s^2] compensator of the controller
+    controller: NDArray[np.float64]  # (N, 3) state of the controller
     memories: Memories  # of the estimators
     given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
 
@@ -147,7 +147,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     """Controller and estimators as one policy, for one vehicle or a batch.
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
-    sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller.
+    sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller,
+    TUNED_GAINS by default.
     regression: "coupled", "paper" or "printed", slip: "batched" or "filterpy", see the stack.
     filtered: True gives the controller the filtered motion, False the measured one; None =
     True unless the data sheet has no noise at all.
@@ -174,7 +175,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
         sloped = shows_attitude(observation)
         self.controller = FeedbackLinearizingController(
-            self.parameters, control_period, gains, lateral,
+            self.parameters, control_period, TUNED_GAINS if gains is None else gains, lateral,
             (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES,
         )  # fmt: skip
         noisy = max(self.data_sheet[:3]) > 0.0
@@ -237,7 +238,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             observation, known.reading.reference, known.motion_rows, latest.values, latest.age,
             summary, status, 0.5 * self.controller.control_period, self.filtered,
         )  # fmt: skip
-        action, xi = self.controller.act(observation, None if state is None else state.xi, start)
+        held = None if state is None else state.controller
+        action, held = self.controller.act(observation, held, start)
         given = np.zeros((count, 2)) if state is None else state.given.copy()
         if self._commanded:
             lead_all(
@@ -245,7 +247,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
                 self.controller.control_period, given, action,
             )  # fmt: skip
         self.known = known
-        self._given = AdaptiveState(xi, self.stack.memories(), given)
+        self._given = AdaptiveState(held, self.stack.memories(), given)
         return action, self._given
 
     def _give_ground(self, parameters: NDArray[np.float64]) -> None:

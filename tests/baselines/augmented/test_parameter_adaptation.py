@@ -1,4 +1,4 @@
-"""Core of the model-reference adaptation against an ODE solver, and the theorems that it rests on."""
+"""Core of the model-reference adaptation: against an ODE solver, and the theorems of the law."""
 
 import math
 
@@ -19,7 +19,10 @@ LOW, HIGH, NOMINAL = Load(0.2, 0.0, -5.0), Load(4.0, 4.0, 5.0), Load(1.0, 1.0, 0
 TRUE = (1.7, 0.6, 0.8)
 
 
-def law(gain=Load(20.0, 5.0, 5.0), rate=5.0, leak=0.0, dead_zone=0.0, low=LOW, high=HIGH):
+GAIN = Load(20.0, 5.0, 5.0)
+
+
+def law(gain=GAIN, rate=5.0, leak=0.0, dead_zone=0.0, low=LOW, high=HIGH):
     return Adaptation(gain, low, high, NOMINAL, rate, leak, dead_zone)
 
 

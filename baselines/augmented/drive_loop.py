@@ -7,7 +7,8 @@ drive with gain g and lag T_1 is (1 - a_1) (g u - h) - (1 - a) (u - h). Its inpu
 b = g (1 - a_1) / (1 - a), is in (0, 1] for weak and slow drives, so the small-gain condition holds
 at any bandwidth w; the estimate settles at the rate b w, so a drive six times as slow asks for a
 bandwidth near the rate of control, and amplifies the noise of the torque like the lead that it is.
-A torque that was not measured in this period leaves the estimate as it was.
+A torque that was not measured in this period, or that no drive could have reached from the last
+one (|h(n+1) - h(n)| > |u| + |h(n)|, a wrong reading), leaves the estimate as it was.
 """
 
 import math
@@ -17,6 +18,7 @@ from tracked_env.physics.jit import formula, loop
 
 LARGEST_CORRECTION = 1.0  # [-] of the torque limit
 ERROR_RATE = 1.0  # [1/s] a of the predictor: its share exp(-a dt) is 0.98 at 50 Hz
+READING_ERROR = 0.05  # [-] of the torque limit, well above the noise of a torque sensor
 # Columns of a row: torque given, whether it was measured, Estimate.
 _TORQUE, _KNOWN, _ESTIMATE, DRIVE_COLUMNS = 0, 1, 2, 5
 
@@ -41,7 +43,8 @@ def drive_period(memory, i, at, sent, torque, decay, lag, bandwidth, period):
     known = Estimate(memory[i, e], memory[i, e + 1], memory[i, e + 2])
     nominal = (1.0 - decay) * (sent - before)
     now = torque
-    measured = math.isfinite(torque)
+    reach = abs(sent) + abs(before) + READING_ERROR
+    measured = math.isfinite(torque) and abs(torque - before) <= reach
     if not measured:
         now = before + nominal + (1.0 - decay) * known.cancelled
     elif memory[i, at + _KNOWN] > 0.0:

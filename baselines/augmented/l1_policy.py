@@ -16,6 +16,7 @@ import numpy as np
 from baselines.augmented.augmented_policy import AugmentedPolicy
 from baselines.augmented.channel_loads import OWN, last_period
 from baselines.augmented.matched_uncertainty import Estimate, sampled
+from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PlantParameters, Range, plant_parameters
@@ -43,10 +44,7 @@ class L1Settings(NamedTuple):
 
 # Setting -> (low, high, whether on a logarithmic scale) of a search.
 TUNABLE = {
-    "k_p": (20.0, 120.0, True),
-    "k_v": (30.0, 100.0, True),
-    "k_a": (8.0, 18.0, True),
-    "bound": (0.1, 2.0, True),
+    **law.TUNABLE,
     "mass_factor": (0.8, 1.8, True),
     "inertia_factor": (0.8, 1.6, True),
     "forward_bandwidth": (5.0, 100.0, True),

@@ -18,6 +18,7 @@ import numpy as np
 from baselines.augmented.augmented_policy import AugmentedPolicy
 from baselines.augmented.channel_loads import OWN, last_period
 from baselines.augmented.parameter_adaptation import Adaptation, Load, adapted
+from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, Range
@@ -34,10 +35,10 @@ NOMINAL = Load(1.0, 1.0, 0.0)
 class MracSettings(NamedTuple):
     """Settings of the law, and of both channels: the gains G, rates and dead zones."""
 
-    k_p: float = 50.0  # [1/s^3] gains of the law
-    k_v: float = 65.0  # [1/s^2]
-    k_a: float = 14.0  # [1/s]
-    bound: float = 0.5  # [m] what the law sees of a position error at most
+    k_p: float = 110.0  # [1/s^3] gains of the law
+    k_v: float = 60.0  # [1/s^2]
+    k_a: float = 12.0  # [1/s]
+    bound: float = 0.4  # [m] what the law sees of a position error at most
 
     forward_inertial: float = 600.0  # [s/m^2] gain of the mass
     forward_resisting: float = 30.0  # [s/m^2] of the motion resistance
@@ -55,10 +56,7 @@ class MracSettings(NamedTuple):
 
 # Setting -> (low, high, whether on a logarithmic scale) of a search.
 TUNABLE = {
-    "k_p": (20.0, 120.0, True),
-    "k_v": (30.0, 100.0, True),
-    "k_a": (8.0, 18.0, True),
-    "bound": (0.1, 2.0, True),
+    **law.TUNABLE,
     "forward_inertial": (20.0, 5000.0, True),
     "forward_resisting": (1.0, 500.0, True),
     "forward_constant": (1.0, 500.0, True),

@@ -1,4 +1,4 @@
-"""The augmented policies as policies: state, refusals, projection, and what they do on the plant."""
+"""The augmented policies: state, refusals, projection, and what they do on the plant."""
 
 import time
 
@@ -162,7 +162,7 @@ def straight(policy, seconds=12.0, **ranges):
     """State of a policy that has driven one vehicle along a line, ideal sensors."""
     env = TrackedVehicleVectorEnv(
         1, uncertainty={name: [value, value] for name, value in ranges.items()}, sensors="ideal",
-        reference={"kind": "line", "speed": 2.0}, duration=seconds + 1.0,
+        reference={"kind": "straight", "speed": 2.0}, duration=seconds + 1.0,
         autoreset_mode="Disabled",
     )  # fmt: skip
     observation, _ = env.reset(seed=1)

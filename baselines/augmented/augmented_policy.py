@@ -8,7 +8,7 @@ drives give, the last measured motion, then the numbers of the adaptation.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,7 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         self.parameters = plant_parameters() if parameters is None else parameters
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
         self.sloped = shows_attitude(observation)
+        self.constrained = lateral == "constrained"
         shown = (*layout.NAMES, *ATTITUDE) if self.sloped else layout.NAMES
         self.controller = FeedbackLinearizingController(
             self.parameters, control_period, gains, lateral, shown
@@ -139,11 +140,3 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         """(N, 2) torques of samples that are new and not late, else NaN."""
         now = latest.age[:, DRIVE] < 0.5 * self.controller.control_period
         return np.where(now[:, None], latest.values[:, _TORQUES], np.nan)
-
-    def arguments(self) -> tuple[Any, ...]:
-        """What the kernels take beside observation, state and settings."""
-        controller = self.controller
-        return (
-            self.parameters, controller.control_period, controller.lateral == "constrained",
-            self.sloped,
-        )  # fmt: skip

@@ -26,18 +26,17 @@ from tracked_env.validation import checked_number
 class L1Settings(NamedTuple):
     """Settings of the law and of both channels; forward first, then turning."""
 
-    k_p: float = 50.0  # [1/s^3] gains of the law
+    k_p: float = 120.0  # [1/s^3] gains of the law
     k_v: float = 60.0  # [1/s^2]
-    k_a: float = 13.0  # [1/s]
-    bound: float = 0.5  # [m] what the law sees of a position error at most
-    mass_factor: float = 1.3  # [-] mass that the law and the predictor assume over the nominal one
-    inertia_factor: float = 1.1  # [-] the same of the inertia; both set the input gain
-
+    k_a: float = 12.3  # [1/s]
+    bound: float = 0.35  # [m] what the law sees of a position error at most
+    mass_factor: float = 1.48  # [-] mass that the law and the predictor assume over the nominal one
+    inertia_factor: float = 1.42  # [-] the same of the inertia; both set the input gain
     forward_bandwidth: float = 40.0  # [1/s] of the low-pass filter
-    turning_bandwidth: float = 40.0  # [1/s]
+    turning_bandwidth: float = 54.0  # [1/s]
     forward_rate: float = 1.0  # [1/s] a of the predictor's error
     turning_rate: float = 1.0  # [1/s]
-    drive_bandwidth: float = 100.0  # [1/s] of the low-pass filter of each drive's loop
+    drive_bandwidth: float = 67.0  # [1/s] of the low-pass filter of each drive's loop
     forward_bound: float = 8.0  # [m/s^2] of what is cancelled
     turning_bound: float = 15.0  # [rad/s^2]
 
@@ -112,11 +111,8 @@ class L1Policy(AugmentedPolicy):
 
     def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:
         """As AugmentedPolicy.adapt."""
+        controller = self.controller
         adapt_all(
-            observation,
-            torques,
-            *self.arguments(),
-            self.settings,
-            adaptation,
-            self.controller.lacking,
-        )
+            observation, torques, self.parameters, controller.control_period, self.constrained,
+            self.sloped, self.settings, adaptation, controller.lacking,
+        )  # fmt: skip

@@ -35,10 +35,10 @@ NOMINAL = Load(1.0, 1.0, 0.0)
 class MracSettings(NamedTuple):
     """Settings of the law, and of both channels: the gains G, rates and dead zones."""
 
-    k_p: float = 110.0  # [1/s^3] gains of the law
+    k_p: float = 120.0  # [1/s^3] gains of the law
     k_v: float = 60.0  # [1/s^2]
-    k_a: float = 12.0  # [1/s]
-    bound: float = 0.4  # [m] what the law sees of a position error at most
+    k_a: float = 12.3  # [1/s]
+    bound: float = 0.35  # [m] what the law sees of a position error at most
 
     forward_inertial: float = 600.0  # [s/m^2] gain of the mass
     forward_resisting: float = 30.0  # [s/m^2] of the motion resistance
@@ -51,7 +51,7 @@ class MracSettings(NamedTuple):
     leak: float = 0.02  # [1/s] sigma modification
     forward_dead_zone: float = 0.002  # [m/s]
     turning_dead_zone: float = 0.001  # [rad/s]
-    drive_bandwidth: float = 100.0  # [1/s] of the low-pass filter of each drive's loop
+    drive_bandwidth: float = 67.0  # [1/s] of the low-pass filter of each drive's loop
 
 
 # Setting -> (low, high, whether on a logarithmic scale) of a search.
@@ -139,6 +139,7 @@ class MracPolicy(AugmentedPolicy):
         """As AugmentedPolicy.adapt."""
         controller = self.controller
         adapt_all(
-            observation, torques, *self.arguments(), self._ahead, self._aside,
-            self.settings.drive_bandwidth, adaptation, controller.parameters, controller.lacking,
+            observation, torques, self.parameters, controller.control_period, self.constrained,
+            self.sloped, self._ahead, self._aside, self.settings.drive_bandwidth, adaptation,
+            controller.parameters, controller.lacking,
         )  # fmt: skip

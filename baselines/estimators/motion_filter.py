@@ -76,14 +76,15 @@ class MotionFilter:
 
     def restore(self, memories: Sequence[NDArray[np.float64]]) -> None:
         """Go on from what `memories` returned. Raises ValueError for that of another batch."""
-        for part, memory in zip((self.reader, self.slip), memories, strict=True):
-            if memory.shape != part.memory.shape:
+        own = (self.reader.memory, self.slip.memory)
+        for kept, memory in zip(own, memories, strict=True):
+            if memory.shape != kept.shape:
                 raise ValueError(
-                    f"state with shape {memory.shape}; must be {part.memory.shape}. Is it that of "
+                    f"state with shape {memory.shape}; must be {kept.shape}. Is it that of "
                     "another batch, or of another control period?"
                 )
-        for part, memory in zip((self.reader, self.slip), memories, strict=True):
-            part.memory[:] = memory
+        for kept, memory in zip(own, memories, strict=True):
+            kept[:] = memory
 
     def update(self, observation: NDArray[np.float32], start: NDArray[np.bool_]) -> FilteredMotion:
         """Take one observation of every vehicle; rows with `start` begin anew.

@@ -10,6 +10,7 @@ from baselines.augmented.channel_loads import OWN
 from baselines.augmented.l1_policy import L1Policy, L1Settings
 from baselines.augmented.mrac_policy import HIGH, LOW, MracPolicy, MracSettings
 from baselines.estimators.sensor_samples import DataSheet
+from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.registry import l1, mrac
 from tests.baselines.episodes import context, run
 from tracked_env import observation as layout
@@ -153,6 +154,24 @@ def test_every_range_of_the_search_names_a_setting_and_holds_its_default():
     for factory, settings in ((l1, L1Settings()), (mrac, MracSettings())):
         for name, (low, high, _logarithmic) in factory.TUNABLE.items():
             assert low <= getattr(settings, name) <= high, name
+
+
+def test_the_law_cancels_what_it_is_told_that_the_model_lacks():
+    """Net force less m a, moment less I b, with the compensator as if they had acted."""
+    observation = np.zeros((2, layout.SIZE), dtype=np.float32)
+    observation[:, [layout.INDEX["v_x"], layout.INDEX["reference_speed"]]] = 0.4
+    controller = FeedbackLinearizingController(NOMINAL)
+    plain, kept = controller.predict(observation)
+    zero = FeedbackLinearizingController(NOMINAL)
+    zero.lacking = np.zeros((2, 2))
+    assert np.array_equal(zero.predict(observation)[0], plain)
+    controller.lacking = np.array([[0.8, 0.0], [0.8, -0.3]])
+    action, state = controller.predict(observation)
+    effort = (action - plain).astype(float) * NOMINAL.torque_limit / NOMINAL.sprocket_radius
+    np.testing.assert_allclose(effort.sum(axis=1), -0.8 * NOMINAL.mass, rtol=1e-5)
+    moment = 0.5 * NOMINAL.track_gauge * (effort[:, 1] - effort[:, 0])
+    np.testing.assert_allclose(moment, [0.0, 0.3 * NOMINAL.inertia], atol=0.1)
+    np.testing.assert_allclose(state, kept, atol=1e-12)
 
 
 # --- on the plant ---------------------------------------------------------------------------

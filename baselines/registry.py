@@ -3,6 +3,8 @@
     nominal   the feedback-linearizing controller with the nominal parameters, right or wrong
     integral  the same with the filter of the adaptive policy and integral action: what a
               practitioner tries who does not identify anything
+    l1, mrac  the same controller with L1 adaptive and model-reference adaptive augmentation, behind
+              the same filter
     adaptive  the same controller with the parameters that it identifies under way
     oracle    the adaptive policy, handed the true parameters at every step: what perfect
               identification would reach. It measures, and filters, like the adaptive one.
@@ -26,6 +28,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
+from baselines.augmented import l1_policy, mrac_policy
+from baselines.augmented.l1_policy import L1Policy, L1Settings
+from baselines.augmented.mrac_policy import MracPolicy, MracSettings
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.learned.shipped import shipped_agents
 from baselines.linearizing import known_parameters, linearizing_law
@@ -124,6 +129,18 @@ def integral(context: Context, **settings: float) -> IntegralPolicy:
     return IntegralPolicy(**_arguments(context), gains=gains)
 
 
+@tunable(l1_policy.TUNABLE, L1Settings())
+def l1(context: Context, **settings: float) -> L1Policy:
+    """The controller with L1 adaptive augmentation."""
+    return L1Policy(**_arguments(context), settings=L1Settings(**settings))
+
+
+@tunable(mrac_policy.TUNABLE, MracSettings())
+def mrac(context: Context, **settings: float) -> MracPolicy:
+    """The controller with model-reference adaptive augmentation."""
+    return MracPolicy(**_arguments(context), settings=MracSettings(**settings))
+
+
 @tunable(linearizing_law.TUNABLE, TUNED_GAINS)
 def adaptive(context: Context, **settings: float) -> AdaptivePolicy:
     """The controller that identifies vehicle and soil under way."""
@@ -206,6 +223,8 @@ def slc_once(context: Context) -> ReplanningPolicy:
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
     "integral": integral,
+    "l1": l1,
+    "mrac": mrac,
     "adaptive": adaptive,
     "oracle": oracle,
     "uc": uc,
@@ -230,7 +249,7 @@ def register(name: str, factory: Callable[[Any], Any]) -> None:
 
 # Those for each kind of drive, from the least to the most that is known.
 BY_DRIVE = {
-    "torque": ("nominal", "integral", "adaptive", "oracle"),
+    "torque": ("nominal", "integral", "l1", "mrac", "adaptive", "oracle"),
     "speed": ("uc", "slc", "slc-adaptive", "slc-oracle"),
 }
 

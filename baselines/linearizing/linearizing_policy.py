@@ -64,7 +64,7 @@ def shows_attitude(observation: Sequence[str]) -> bool:
 
 
 @formula
-def _incline(observation, i, sloped):
+def incline_seen(observation, i, sloped):
     """Incline of vehicle i as measured, or LEVEL."""
     if not sloped:
         return LEVEL
@@ -91,9 +91,12 @@ def _shortage(demanded, given, limit):
 
 
 @formula
-def control(observation, i, p, xi, integral, gains, period, constrained, sloped):
-    """(action left, action right [-], next xi [m/s^2], next Integral) of vehicle i with p."""
-    incline = _incline(observation, i, sloped)
+def control(observation, i, p, lacking, xi, integral, gains, period, constrained, sloped):
+    """(action left, action right [-], next xi [m/s^2], next Integral) of vehicle i with p.
+
+    lacking: (forward [m/s^2], turning [rad/s^2]) that the model lacks, cancelled by the efforts.
+    """
+    incline = incline_seen(observation, i, sloped)
     k = law.pressed(vehicle.coefficients(p, constrained), incline.press)
     heading_error = _si(observation, i, _HEADING_ERROR)
     # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
@@ -123,7 +126,9 @@ def control(observation, i, p, xi, integral, gains, period, constrained, sloped)
     xi += period * eta_1
     motion = vehicle.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
     pull = soil.GRAVITY * incline.down_x
-    left, right = law.track_efforts(motion, xi, u_2, p, k, constrained, pull)
+    left, right = law.track_efforts(
+        motion, xi - lacking[0], u_2 - lacking[1], p, k, constrained, pull
+    )
     limit = p.torque_limit * k.inverse_radius
     limit_left, limit_right = p.actuator_gain_left * limit, p.actuator_gain_right * limit
     if not sloped:
@@ -142,11 +147,13 @@ def control(observation, i, p, xi, integral, gains, period, constrained, sloped)
 
 
 @loop
-def control_all(observation, parameters, state, gains, period, constrained, sloped, action):
-    """Control of all vehicles: observation (N, D), parameters (rows, N or 1), state (N, 3) xi, j
-    in and out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the first row that
-    is not finite, or -1."""
-    shared = parameters.shape[1] == 1
+def control_all(
+    observation, parameters, lacking, state, gains, period, constrained, sloped, action
+):  # fmt: skip
+    """Control of all vehicles: observation (N, D), parameters (rows, N or 1), lacking (N or 1, 2),
+    state (N, 3) xi, j in and out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the
+    first row that is not finite, or -1."""
+    shared, alike = parameters.shape[1] == 1, lacking.shape[0] == 1
     for i in range(observation.shape[0]):
         check = 0.0
         for column in range(observation.shape[1]):
@@ -154,10 +161,11 @@ def control_all(observation, parameters, state, gains, period, constrained, slop
         if check != 0.0:
             return i
         p = _parameters_of(parameters, 0 if shared else i)
-        integral = law.Integral(state[i, 1], state[i, 2])
+        integral, n = law.Integral(state[i, 1], state[i, 2]), 0 if alike else i
         left, right, state[i, 0], integral = control(
-            observation, i, p, state[i, 0], integral, gains, period, constrained, sloped
-        )
+            observation, i, p, (lacking[n, 0], lacking[n, 1]), state[i, 0], integral, gains, period,
+            constrained, sloped,
+        )  # fmt: skip
         state[i, 1], state[i, 2] = integral.x, integral.y
         action[i, 0] = min(max(left, -1.0), 1.0)
         action[i, 1] = min(max(right, -1.0), 1.0)
@@ -208,6 +216,8 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
 
     The attribute `parameters`, float64 (PARAMETER_ROWS, 1 or N), rows as PARAMETER_NAMES, is
     what the law uses at the next call: write to it, or use `set_parameters` which checks.
+    `lacking`, float64 (1 or N, 2), is the acceleration [m/s^2] and the yaw acceleration [rad/s^2]
+    that the vehicle has beside those of the model; the efforts cancel them. Zero unless written to.
     Raises ValueError for gains, parameters, period or lateral model that make no sense, and
     for an observation that lacks a field of NEEDS.
     """
@@ -229,6 +239,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         self.lateral = lateral
         self._constrained = lateral == "constrained"
         self.parameters = np.empty((len(PARAMETER_NAMES), 1))
+        self.lacking = np.zeros((1, 2))
         self.set_parameters(**parameters._asdict())
 
     def set_parameters(self, **values: ArrayLike) -> None:
@@ -272,7 +283,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         kept[start] = 0.0
         action = np.empty((count, 2), dtype=np.float32)
         bad = control_all(
-            observation, self.parameters, kept, self.gains, self.control_period,
+            observation, self.parameters, self.lacking, kept, self.gains, self.control_period,
             self._constrained, self.sloped, action,
         )  # fmt: skip
         if bad >= 0:

@@ -1,0 +1,1 @@
+"""Adaptive augmentation of the linearizing law: L1 and model-reference adaptive control."""

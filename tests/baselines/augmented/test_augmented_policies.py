@@ -1,0 +1,281 @@
+"""The augmented policies: state, refusals, projection, and what they do on the plant."""
+
+import time
+
+import numpy as np
+import pytest
+
+from baselines.augmented.augmented_policy import AugmentedState
+from baselines.augmented.channel_loads import OWN
+from baselines.augmented.l1_policy import L1Policy, L1Settings
+from baselines.augmented.mrac_policy import HIGH, LOW, MracPolicy, MracSettings
+from baselines.estimators.sensor_samples import DataSheet
+from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from baselines.registry import l1, mrac
+from tests.baselines.episodes import context, run
+from tracked_env import observation as layout
+from tracked_env.benchmark import PolicyContext
+from tracked_env.physics.parameters import PARAMETER_INDEX, plant_parameters
+from tracked_env.physics.terramechanics import GRAVITY
+from tracked_env.sensors import IDEAL, MOCAP
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+POLICIES = {"l1": L1Policy, "mrac": MracPolicy}
+NOMINAL = plant_parameters()
+SENSORS = slice(0, layout.INDEX["reference_speed"])
+both = pytest.mark.parametrize("name", list(POLICIES))
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    """Observations (200, 3, SIZE) of three vehicles driven by a policy."""
+    env = TrackedVehicleVectorEnv(3, uncertainty="mixed", autoreset_mode="Disabled")
+    policy, seen, state = L1Policy(), [], None
+    observation, _ = env.reset(seed=4)
+    for _ in range(200):
+        seen.append(observation)
+        action, state = policy.predict(observation, state)
+        observation, *_ = env.step(action)
+    return np.array(seen)
+
+
+def replay(policy, observations, state=None):
+    """Actions and the last state."""
+    actions = []
+    for observation in observations:
+        action, state = policy.predict(observation, state)
+        actions.append(action)
+    return np.array(actions), state
+
+
+# --- state ----------------------------------------------------------------------------------
+
+
+@both
+def test_a_row_of_a_batch_is_the_single_policy_bit_for_bit(recorded, name):
+    together, _ = replay(POLICIES[name](), recorded)
+    for i in range(3):
+        alone, _ = replay(POLICIES[name](), recorded[:, i])
+        assert alone.shape == (len(recorded), 2)
+        assert np.array_equal(together[:, i], alone)
+
+
+@both
+def test_an_older_state_put_back_gives_the_same_actions_again(recorded, name):
+    policy = POLICIES[name]()
+    _, state = replay(policy, recorded[:80])
+    memories = tuple(memory.copy() for memory in state.memories)
+    kept = AugmentedState(state.controller.copy(), memories, state.adaptation.copy())
+    first, _ = replay(policy, recorded[80:], state)
+    for again in (kept, state):
+        assert np.array_equal(first, replay(policy, recorded[80:], again)[0])
+    assert np.array_equal(first, replay(POLICIES[name](), recorded[80:], kept)[0])
+
+
+@both
+def test_episode_start_makes_only_its_rows_new(recorded, name):
+    policy = POLICIES[name]()
+    whole, _ = replay(policy, recorded)
+    _, state = replay(policy, recorded[:80])
+    mixed, state = policy.predict(recorded[80], state, np.array([False, True, False]))
+    rest, _ = replay(policy, recorded[81:], state)
+    assert np.array_equal(mixed[[0, 2]], whole[80, [0, 2]])
+    assert np.array_equal(rest[:, [0, 2]], whole[81:, [0, 2]])
+    fresh, _ = replay(POLICIES[name](), recorded[80:, 1])
+    assert np.array_equal(np.concatenate([mixed[None, 1], rest[:, 1]]), fresh)
+    assert not np.array_equal(rest[:, 1], whole[81:, 1])
+
+
+@both
+def test_a_refused_observation_leaves_the_state_as_good_as_it_was(recorded, name):
+    policy = POLICIES[name]()
+    whole, _ = replay(policy, recorded)
+    _, state = replay(policy, recorded[:80])
+    broken = recorded[80].copy()
+    broken[1, layout.INDEX["reference_jerk"]] = np.nan
+    with pytest.raises(ValueError, match=r"observation\[1\]: reference_jerk = nan"):
+        policy.predict(broken, state)
+    assert np.array_equal(replay(policy, recorded[80:], state)[0], whole[80:])
+    with pytest.raises(ValueError, match="state of 3 vehicles for 1 observations"):
+        policy.predict(recorded[80, 0], state)
+
+
+@both
+def test_sensors_that_are_missing_do_not_stop_it(recorded, name):
+    seen = recorded.copy()
+    rng = np.random.default_rng(0)
+    gone = rng.random(seen[..., SENSORS].shape) < 0.2
+    seen[..., SENSORS] = np.where(gone, np.nan, seen[..., SENSORS])
+    actions, _ = replay(POLICIES[name](), seen)
+    assert np.isfinite(actions).all()
+
+
+@both
+def test_in_a_mirrored_world_left_and_right_are_exchanged(recorded, name):
+    """Behind the filter, whose left and right are not the same to rounding."""
+    actions, _ = replay(POLICIES[name](filtered=False), recorded[:100])
+    mirrored, _ = replay(POLICIES[name](filtered=False), layout.mirror(recorded[:100]))
+    np.testing.assert_allclose(mirrored[..., ::-1], actions, atol=1e-5)
+    assert np.abs(actions[..., 0] - actions[..., 1]).max() > 0.1
+
+
+# --- refusals -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factory", [l1, mrac])
+def test_vehicles_driven_by_sprocket_speeds_are_refused(factory):
+    speed = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
+    with pytest.raises(ValueError, match="this policy commands each sprocket's torque"):
+        factory(speed)
+
+
+@both
+def test_an_observation_without_the_commands_is_refused(name):
+    fewer = [field for field in layout.NAMES if not field.startswith("previous_action")]
+    with pytest.raises(ValueError, match="previous_action_left"):
+        POLICIES[name](observation=fewer)
+
+
+@pytest.mark.parametrize(
+    ("factory", "setting", "value"),
+    [
+        (l1, "forward_bandwidth", -1.0),
+        (l1, "mass_factor", 0.0),
+        (mrac, "turning_rate", 0.0),
+        (mrac, "leak", float("nan")),
+    ],
+)
+def test_settings_without_sense_are_refused_by_name(factory, setting, value):
+    with pytest.raises(ValueError, match=setting):
+        factory(context(), **{setting: value})
+
+
+def test_every_range_of_the_search_names_a_setting_and_holds_its_default():
+    for factory, settings in ((l1, L1Settings()), (mrac, MracSettings())):
+        for name, (low, high, _logarithmic) in factory.TUNABLE.items():
+            assert low <= getattr(settings, name) <= high, name
+
+
+def test_the_law_cancels_what_it_is_told_that_the_model_lacks():
+    """Net force less m a, moment less I b, with the compensator as if they had acted."""
+    observation = np.zeros((2, layout.SIZE), dtype=np.float32)
+    observation[:, [layout.INDEX["v_x"], layout.INDEX["reference_speed"]]] = 0.4
+    controller = FeedbackLinearizingController(NOMINAL)
+    plain, kept = controller.predict(observation)
+    zero = FeedbackLinearizingController(NOMINAL)
+    zero.lacking = np.zeros((2, 2))
+    assert np.array_equal(zero.predict(observation)[0], plain)
+    controller.lacking = np.array([[0.8, 0.0], [0.8, -0.3]])
+    action, state = controller.predict(observation)
+    effort = (action - plain).astype(float) * NOMINAL.torque_limit / NOMINAL.sprocket_radius
+    np.testing.assert_allclose(effort.sum(axis=1), -0.8 * NOMINAL.mass, rtol=1e-5)
+    moment = 0.5 * NOMINAL.track_gauge * (effort[:, 1] - effort[:, 0])
+    np.testing.assert_allclose(moment, [0.0, 0.3 * NOMINAL.inertia], atol=0.1)
+    np.testing.assert_allclose(state, kept, atol=1e-12)
+
+
+# --- on the plant ---------------------------------------------------------------------------
+
+
+def straight(policy, seconds=12.0, **ranges):
+    """State of a policy that has driven one vehicle along a line, ideal sensors."""
+    env = TrackedVehicleVectorEnv(
+        1, uncertainty={name: [value, value] for name, value in ranges.items()}, sensors="ideal",
+        reference={"kind": "straight", "speed": 2.0}, duration=seconds + 1.0,
+        autoreset_mode="Disabled",
+    )  # fmt: skip
+    observation, _ = env.reset(seed=1)
+    state = None
+    for _ in range(round(seconds / 0.02)):
+        action, state = policy.predict(observation, state)
+        observation, *_, info = env.step(action)
+    return state, float(info["tracking_error"][0, 0])
+
+
+def test_what_l1_cancels_on_a_line_is_the_resistance_that_its_model_lacks():
+    """At constant speed: d = g (mu_0 m_0 - mu m) / (f m_0), f m_0 the mass of its model."""
+    settings = L1Settings(forward_bound=20.0)
+    policy = L1Policy(settings=settings)
+    mass, resistance = 1900.0, 0.35
+    state, error = straight(policy, mass=mass, longitudinal_resistance=resistance)
+    nominal = NOMINAL.longitudinal_resistance * NOMINAL.mass
+    assumed = settings.mass_factor * NOMINAL.mass
+    wanted = GRAVITY * (nominal - resistance * mass) / assumed
+    assert state.adaptation[0, OWN + 2] == pytest.approx(wanted, rel=0.03)
+    assert error < 0.02
+    none = L1Policy(settings=settings._replace(forward_bound=0.0, turning_bound=0.0))
+    assert straight(none, mass=mass, longitudinal_resistance=resistance)[1] > 0.05
+
+
+def test_what_mrac_demands_on_a_line_is_the_resistance_of_the_vehicle():
+    """p_2 mu_0 m_0 g + p_3 m_0 = mu m g at constant speed, whatever the parts are."""
+    policy = MracPolicy(settings=MracSettings(leak=0.0))
+    mass, resistance = 1900.0, 0.35
+    state, error = straight(policy, mass=mass, longitudinal_resistance=resistance)
+    _, held, constant = state.adaptation[0, OWN : OWN + 3]
+    demanded = held * NOMINAL.longitudinal_resistance * GRAVITY + constant
+    assert demanded == pytest.approx(resistance * mass * GRAVITY / NOMINAL.mass, rel=0.03)
+    assert error < 0.02
+
+
+def test_parameters_of_mrac_stay_in_the_projection_set_whatever_the_sensors_say(recorded):
+    policy, state = MracPolicy(settings=MracSettings(turning_inertial=1e5)), None
+    rng = np.random.default_rng(2)
+    reached = set()
+    for observation in recorded:
+        seen = observation.copy()
+        seen[:, SENSORS] += rng.normal(size=seen[:, SENSORS].shape).astype(np.float32)
+        _, state = policy.predict(seen, state)
+        for at in (OWN, OWN + 4):
+            p = state.adaptation[:, at : at + 3]
+            assert (p >= np.array(LOW)).all() and (p <= np.array(HIGH)).all()
+            reached |= set(p.ravel())
+        mass = policy.controller.parameters[PARAMETER_INDEX["mass"]] / NOMINAL.mass
+        assert (mass >= LOW.inertial).all() and (mass <= HIGH.inertial).all()
+    assert reached & {*LOW, *HIGH}
+
+
+@pytest.mark.parametrize("uncertainty", ["soil-and-mass", "payload"])
+@both
+def test_unknown_vehicles_are_tracked_several_times_better_than_without_adaptation(
+    name, uncertainty
+):
+    idle = L1Policy(settings=L1Settings(forward_bound=0.0, turning_bound=0.0, drive_bandwidth=0.0))
+    before = run(idle, uncertainty, count=16, seed=70_000)
+    after = run(POLICIES[name](), uncertainty, count=16, seed=70_000)
+    assert np.median(after.settled) < 0.35 * np.median(before.settled)
+    assert after.over.sum() <= before.over.sum()
+
+
+@both
+def test_weak_drives_are_made_up_for(name):
+    error = run(POLICIES[name](), "weak-actuator", count=16, seed=70_000).settled
+    assert np.median(error) < 0.05
+
+
+@both
+def test_ideal_sensors_and_the_right_parameters_leave_nothing_to_adapt(name):
+    policy = POLICIES[name](data_sheet=DataSheet.of(IDEAL))
+    assert not policy.filtered
+    outcome = run(policy, "nominal", count=4, sensors="ideal", seed=70_000)
+    assert outcome.settled.max() < 0.02
+
+
+@both
+def test_beside_the_filter_a_single_vehicle_takes_less_than_60_microseconds(recorded, name):
+    """Process time, least of many; the filter is timed by itself in the same process."""
+    policy = POLICIES[name]()
+    seen = recorded[:, :1]
+    _, state = replay(policy, seen[:20])
+    whole, alone = [], []
+    start = np.zeros(1, dtype=bool)
+    for observation in np.concatenate([seen[20:]] * 3):
+        began = time.process_time()
+        _, state = policy.predict(observation, state)
+        whole.append(time.process_time() - began)
+        view = policy._view(observation).copy()
+        began = time.process_time()
+        policy.filter.update(view, start)
+        alone.append(time.process_time() - began)
+        policy._given = None
+    assert min(whole) - min(alone) < 60e-6

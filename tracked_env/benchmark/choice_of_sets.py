@@ -11,8 +11,8 @@ Per set, with the interquartile means (IQM) of the tracking RMSE of these polici
 What is below 0 is 0. A separation is strong above MEMORY or IDENTIFICATION where the first IQM of
 its numerator is also at least SEPARATION_RATIO times the second one. Where baseline and ceiling are
 closer than that ratio nothing is there to be identified, and the separation of identification is 0.
-The rank correlation of two sets is Spearman's, over the IQMs of all policies: above ALIKE one of
-the two says what the other one says.
+The rank correlation of two sets is Spearman's, over the IQMs of all policies, every training of an
+agent one of them: above ALIKE one of the two says what the other one says.
 """
 
 import math
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.sets import Version, group_of
+from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.benchmark.summary import ALL_SETS, SEPARATION_RATIO, Row
 
 MEMORY = 0.5  # [-] from here on a separation of memory is strong
@@ -41,7 +42,8 @@ class Separation(NamedTuple):
 
     name: str
     group: str  # of the version; empty for a candidate
-    iqm: dict[str, float]  # [m] of every policy
+    iqm: dict[str, float]  # [m] of every agent, all its seeds together
+    of_seeds: dict[str, float]  # [m] of every policy, the seeds of an agent apart
     blind: str | None
     memory: str | None
     baseline: str | None
@@ -107,10 +109,16 @@ def separation(name: str, row: Row, version: Version | None = None) -> Separatio
     blind = [agent for agent in iqm if is_blind(agent)]
     truthful = row.reading_truth()
     others = {*blind, *truthful, *MEMORYLESS}
+    of_seeds = {
+        policy: float(interquartile_mean(values))
+        for agent, policies in row.seeds.items()
+        for policy, values in zip(policies, row.matrix(agent, "tracking_rmse"), strict=True)
+    }
     return Separation(
         name,
         "" if version is None else group_of(name, version),
         iqm,
+        of_seeds,
         best(blind),
         best([agent for agent in iqm if agent not in others]),
         next((agent for agent in BASELINES if agent in iqm), None),
@@ -184,7 +192,7 @@ class Choice(NamedTuple):
 def choice(rows: Mapping[str, Row], version: Version | None = None) -> Choice:
     """The separations of all sets, and how alike they are; rows: of the summary."""
     sets = [separation(name, row, version) for name, row in rows.items() if name != ALL_SETS]
-    correlation = [[rank_correlation(a.iqm, b.iqm) for b in sets] for a in sets]
+    correlation = [[rank_correlation(a.of_seeds, b.of_seeds) for b in sets] for a in sets]
     return Choice(sets, np.array(correlation))
 
 

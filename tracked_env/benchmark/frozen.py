@@ -6,7 +6,8 @@ and as 0 below FLOOR: the last bits, and what should be 0, depend on the process
 adds in another order on each. The equations of motion are not in it, so the first DRIVEN
 episodes are driven for a moment with a constant action, and the mean of where they end and of what
 is then seen is compared as well. The kept numbers are made by `python -m
-tracked_env.benchmark.frozen VERSION > FILE`, once per version.
+tracked_env.benchmark.frozen VERSION > FILE`, once per version, and with `--sets NAME` once per
+version of a set in groups: the numbers of all other sets stay.
 """
 
 import argparse
@@ -24,11 +25,14 @@ from tracked_env.benchmark.sets import (
     EPISODES,
     PLANAR,
     SEED,
+    SETS,
     VERSIONS,
     Version,
+    group_of,
     names_of,
     of_version,
 )
+from tracked_env.validation import checked_choice
 
 DRIVEN = 8  # episodes
 DRIVEN_STEPS = 100  # [control steps]
@@ -123,7 +127,11 @@ def _changed(names: Sequence[str], known: Mapping[str, Any], version: Version) -
     changed = []
     for name in names:
         now, then = look(name, version), known.get(name)
-        if then is None or now["hash"] != then["hash"]:
+        if then is not None and then.get("version", 1) != SETS[name].version:
+            changed.append(
+                f"{name} (version {SETS[name].version}, kept is {then.get('version', 1)})"
+            )
+        elif then is None or now["hash"] != then["hash"]:
             changed.append(f"{name} (other episodes)")
         elif not np.allclose(now["driven"], then["driven"], rtol=TOLERANCE, atol=0.0):
             changed.append(f"{name} (same episodes, driven or measured differently)")
@@ -161,9 +169,20 @@ def check(config: BenchmarkConfig) -> Check:
     return answer(True, f"sets {mark}, {config.episodes} episodes each{share}")
 
 
-def document(version: Version) -> dict[str, Any]:
-    """The stored record of a version, from the episodes as drawn now."""
-    found = {name: look(name, version) for name in names_of(version)}
+def document(version: Version, sets: Sequence[str] = ()) -> dict[str, Any]:
+    """The stored record of a version, from the episodes as drawn now.
+
+    sets: those that are drawn, all others keep their numbers; none: all are drawn. Raises
+    ValueError for one that the version does not hold.
+    """
+    names = names_of(version)
+    for name in sets:
+        checked_choice(f"evaluation set of {version.name}", name, names)
+    found = {} if not sets else {n: e for n, e in kept(version)["sets"].items() if n in names}
+    for name in names:
+        if name not in found or name in sets:
+            found[name] = {**_of_set(name, version), **look(name, version)}
+    found = {name: found[name] for name in names}
     return {
         "version": version.name,
         "hash": total(found),
@@ -174,7 +193,15 @@ def document(version: Version) -> dict[str, Any]:
     }
 
 
+def _of_set(name: str, version: Version) -> dict[str, Any]:
+    """What a version in groups says of a set beside its numbers."""
+    known = {"version": SETS[name].version, "group": group_of(name, version)}
+    return known if version.groups else {}
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Print the digests of a version of the sets.")
     parser.add_argument("version", choices=tuple(VERSIONS))
-    print(json.dumps(document(VERSIONS[parser.parse_args().version]), indent=1))
+    parser.add_argument("--sets", nargs="+", default=(), help="draw these; all others stay")
+    given = parser.parse_args()
+    print(json.dumps(document(VERSIONS[given.version], given.sets), indent=1))

@@ -80,7 +80,7 @@ GOAL_REACHING = Version(
 _ALL_PARAMETERS = (*_SLOPE_PARAMETERS, "actuator_gain_left", "actuator_gain_right")
 
 
-def _in_groups(name: str, env: str, groups: Mapping[str, tuple[str, ...]]) -> Version:
+def in_groups(name: str, env: str, groups: Mapping[str, tuple[str, ...]]) -> Version:
     """A version of one environment id, of the sets of these groups."""
     sets = tuple(chain.from_iterable(groups.values()))
     return Version(
@@ -88,13 +88,16 @@ def _in_groups(name: str, env: str, groups: Mapping[str, tuple[str, ...]]) -> Ve
     )
 
 
-TORQUE_SETS = _in_groups("torque-v3", TORQUE_ID, {
-    "memory": ("outages", "outages-gains"),
+TORQUE_SETS = in_groups("torque-v3", TORQUE_ID, {
+    "memory": ("outages-alternating", "outages-gains", "rare-pose-mixed", "noisy-gains"),
+    "identification": ("alternating", "actuator-fault", "late-weak-soil", "late-gains"),
+    "mismatch": ("distributed", "distributed-alternating"),
+    "out-of-distribution": ("noisy-fast", "reversing-payload"),
 })  # fmt: skip
-SPEED_SETS = _in_groups("speed-v3", SPEED_ID, {
+SPEED_SETS = in_groups("speed-v3", SPEED_ID, {
     "memory": ("floor-outages",),
 })  # fmt: skip
-TERRAIN_SETS = _in_groups("terrain-v3", TERRAIN_ID, {
+TERRAIN_SETS = in_groups("terrain-v3", TERRAIN_ID, {
     "memory": ("hills-outages",),
 })  # fmt: skip
 NEWEST = (TORQUE_SETS, SPEED_SETS, TERRAIN_SETS)

@@ -71,10 +71,13 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
     ]
     if benchmark.duration is not None:
         labels.append(f"{benchmark.duration:g}s")
-    track = [benchmark.env.rpartition("/")[2].lower()] if benchmark.env != TORQUE_ID else []
     version = benchmark.frozen_version
     usual = ["own"] if version is None else [version.name]
-    name = "-".join([*track, *(labels or usual), f"seed{benchmark.seed}"])
+    named = not labels and version is not None and bool(version.groups)  # the environment's
+    track = [] if named or benchmark.env == TORQUE_ID else [benchmark.env.rpartition("/")[2]]
+    name = "-".join(
+        [*(part.lower() for part in track), *(labels or usual), f"seed{benchmark.seed}"]
+    )
     return output / f"{name}-{identity_hash(benchmark.identity())[:8]}"
 
 

@@ -67,10 +67,6 @@ class Context(Protocol):
     def observation(self) -> Sequence[str]:
         """Names of the fields that the environment shows."""
 
-    @property
-    def without_effect(self) -> Sequence[str]:
-        """Parameters of the truth that the plant does not read; for policies with the truth."""
-
 
 def _vehicle(context: Context, drive: str) -> PlantParameters:
     """Nominal parameters for a policy that commands `drive`. Raises ValueError for another."""
@@ -112,7 +108,7 @@ def adaptive(context: Context) -> AdaptivePolicy:
 
 def oracle(context: Context) -> OraclePolicy:
     """The controller that knows the true parameters."""
-    return OraclePolicy(**_arguments(context), without_effect=context.without_effect)
+    return OraclePolicy(**_arguments(context))
 
 
 def _speed_arguments(context: Context) -> dict[str, Any]:

@@ -10,7 +10,7 @@ Both filter what the sensors give as the adaptive policy does, with the ground t
 trust, and estimate no parameter.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -48,15 +48,13 @@ class KnownParametersPolicy:
 
 
 class OraclePolicy(KnownParametersPolicy):
-    """The adaptive policy with the parameters in force, as handed to `observe_truth`.
-
-    without_effect: names of the parameters that the plant does not read.
-    """
+    """The adaptive policy with the parameters in force, as handed to `observe_truth`."""
 
     needs_truth = True
+    _effective: tuple[str, ...] = ()
 
-    def __init__(self, *arguments: Any, without_effect: Sequence[str] = (), **options: Any) -> None:
-        super().__init__(*arguments, **options)
+    def observe_plant(self, without_effect: Collection[str]) -> None:
+        """Take note of the parameters that the plant does not read."""
         self._effective = EFFECTIVE if "lateral_resistance" in without_effect else ()
 
     def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from tracked_env import plants
 from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
 from tracked_env.benchmark.set_catalogue import BenchmarkSet
 from tracked_env.benchmark.sets import (
@@ -15,7 +14,6 @@ from tracked_env.benchmark.sets import (
     version_of,
 )
 from tracked_env.observation import make_layout
-from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice
@@ -130,12 +128,7 @@ class BenchmarkConfig:
         shown = make_layout(chosen.arguments.get("observation", "v0")).names
         sensors = make_sensors(chosen.sensors)
         period = 1.0 / self.control_rate
-        plant = plants.find(chosen.arguments.get("plant", "lumped"))
-        read = plant.reads[known.get("drive", "torque")]
-        without = tuple(each for each in PARAMETER_NAMES if each not in read)
-        return PolicyContext(
-            period, self.lateral, sensors, **known, observation=shown, without_effect=without
-        )
+        return PolicyContext(period, self.lateral, sensors, **known, observation=shown)
 
     def arguments(self, name: str, truth: bool) -> dict[str, Any]:
         """Arguments of an environment for a set; truth: whether it exposes it."""

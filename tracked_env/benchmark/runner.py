@@ -31,6 +31,7 @@ from tracked_env.benchmark.policy_interface import (
     checked_policy,
     identifies,
     needs_truth,
+    tell_plant,
 )
 from tracked_env.benchmark.progress_bar import Progress, no_progress
 from tracked_env.benchmark.records import READS_TRUTH
@@ -81,6 +82,7 @@ def drive(
     solver = simulation.solver
     observation, info = env.reset(seed=list(seeds))
     max_steps = simulation.settings.max_steps
+    tell_plant(policy, solver.reads.names)
     goals = goals_of([episode for episode in simulation.episodes if episode is not None])
     values = np.empty((max_steps, env.num_envs, len(_COLUMNS)))
     over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)

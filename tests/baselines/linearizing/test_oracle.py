@@ -5,6 +5,7 @@ import pytest
 
 from baselines.registry import POLICIES
 from tracked_env.benchmark import BenchmarkConfig, PolicyEntry, Store, run
+from tracked_env.benchmark.policy_interface import tell_plant
 from tracked_env.benchmark.splits import DEVELOPMENT
 from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.physics.parameters import PARAMETER_NAMES
@@ -17,6 +18,7 @@ def driven(name, steps=150, count=4):
     config = BenchmarkConfig(sets=(name,))
     env = config.environment(name, count, truth=True)
     oracle = POLICIES["oracle"](config.context(name))
+    tell_plant(oracle, env.simulation.solver.reads.names)
     observation, info = env.reset(seed=list(range(DEVELOPMENT, DEVELOPMENT + count)))
     state = None
     for _ in range(steps):

@@ -95,7 +95,11 @@ TORQUE_SETS = in_groups("torque-v3", TORQUE_ID, {
     "out-of-distribution": ("noisy-fast", "reversing-payload"),
 })  # fmt: skip
 SPEED_SETS = in_groups("speed-v3", SPEED_ID, {
-    "memory": ("floor-outages",),
+    "memory": ("floor-outages-alternating", "floor-rare-pose-step", "floor-no-velocity",
+               "goals-outages"),
+    "identification": ("friction-step", "floor-mixed", "goals-step"),
+    "mismatch": ("floor-slow-drive-late",),
+    "out-of-distribution": ("floor-ood", "floor-reversing"),
 })  # fmt: skip
 TERRAIN_SETS = in_groups("terrain-v3", TERRAIN_ID, {
     "memory": ("hills-outages",),

@@ -113,7 +113,7 @@ FIRST = (
     ),
     _on_slopes("level", "nominal", "nothing is unknown, level ground"),
     _on_slopes("slope", "slope", "unknown vehicle on an unknown slope"),
-    _on_slopes("hills", "hills", "the same on unknown hills"),
+    _on_slopes("hills", "hills", "unknown vehicle on unknown hills"),
     _on_slopes("slope-step", "slope-step", "on a slope, a border to another floor"),
     _on_slopes("soft-patches", "soft-patches", "hills with soft ground on the path"),
     _on_slopes("hills-ood", "hills-ood", "steeper hills, heavy loads, little friction"),
@@ -123,7 +123,7 @@ FIRST = (
         sensors={"preset": "mocap", "pose_delay": 0.1},
     ),
     _to_goals("goals", "friction", "a goal to be reached on an unknown floor"),
-    _to_goals("goals-step", "friction-step", "the same across a border to another floor"),
+    _to_goals("goals-step", "friction-step", "a goal across a border to another floor"),
 )  # fmt: skip
 # The others: of v3, or candidates for it.
 _RARE = {"preset": "rtk", "pose_rate": 1.0}
@@ -143,45 +143,65 @@ _IN_FIELD = (
     BenchmarkSet("alternating", "alternating-soils", "another soil every 2 s"),
     # Outages of the pose, of 3 to 10 s; inertial and drive group stay.
     BenchmarkSet("outages", "soil-and-mass", "seconds without pose", "rtk-outages"),
-    BenchmarkSet("outages-weak-soil", "weak-soil", "the same with large slip", "rtk-outages"),
     BenchmarkSet(
-        "outages-alternating", "alternating-soils", "the same, another soil every 2 s",
+        "outages-weak-soil", "weak-soil", "no pose for seconds, large slip", "rtk-outages"
+    ),
+    BenchmarkSet(
+        "outages-alternating", "alternating-soils", "no pose for seconds, another soil every 2 s",
         "rtk-outages",
     ),
-    BenchmarkSet("outages-payload", "payload", "outages, and the mass steps", "rtk-outages"),
-    BenchmarkSet("outages-mixed", "mixed", "outages and several changes", "rtk-outages"),
-    BenchmarkSet("outages-ood", "ood", "outages outside all ranges", "rtk-outages"),
-    BenchmarkSet("outages-fault", "actuator-fault", "outages, a drive fails", "rtk-outages"),
-    BenchmarkSet("outages-gains", "alternating-gains", "outages, other gains", "rtk-outages"),
-    BenchmarkSet("outages-no-velocity", "soil-and-mass", "outages, no velocity", _BLIND_OUTAGES),
     BenchmarkSet(
-        "outages-slow-drive", "slow-drive", "outages, motors lag 0.15 to 0.3 s", "rtk-outages"
+        "outages-payload", "payload", "no pose for seconds, the mass steps", "rtk-outages"
+    ),
+    BenchmarkSet("outages-mixed", "mixed", "no pose for seconds, several changes", "rtk-outages"),
+    BenchmarkSet("outages-ood", "ood", "no pose for seconds, outside all ranges", "rtk-outages"),
+    BenchmarkSet(
+        "outages-fault", "actuator-fault", "no pose for seconds, a weak drive", "rtk-outages"
+    ),
+    BenchmarkSet(
+        "outages-gains", "alternating-gains", "no pose for seconds, other gains every 4 s",
+        "rtk-outages",
+    ),
+    BenchmarkSet(
+        "outages-no-velocity", "soil-and-mass", "no pose for seconds, no velocity", _BLIND_OUTAGES
+    ),
+    BenchmarkSet(
+        "outages-slow-drive", "slow-drive", "no pose for seconds, motors lag 0.15 to 0.3 s",
+        "rtk-outages",
     ),
     BenchmarkSet("rare-pose", "soil-and-mass", "a pose a second", _RARE),
     BenchmarkSet("rare-pose-weak-soil", "weak-soil", "a pose a second, large slip", _RARE),
     BenchmarkSet("rare-pose-mixed", "mixed", "a pose a second, several changes", _RARE),
-    BenchmarkSet("rare-pose-gains", "alternating-gains", "a pose a second, other gains", _RARE),
+    BenchmarkSet(
+        "rare-pose-gains", "alternating-gains", "a pose a second, other gains every 4 s", _RARE
+    ),
     BenchmarkSet("noisy-weak-soil", "weak-soil", "position noise of 1 m, large slip", "strawa"),
     BenchmarkSet("noisy-payload", "payload", "position noise of 1 m, the mass steps", "strawa"),
-    BenchmarkSet("noisy-gains", "alternating-gains", "the same, other gains", "strawa"),
+    BenchmarkSet(
+        "noisy-gains", "alternating-gains", "position noise of 1 m, other gains every 4 s", "strawa"
+    ),
     BenchmarkSet(
         "noisy-fast", "soil-and-mass", "position noise of 1 m, 2 to 5 m/s", "strawa", _FAST
     ),
     BenchmarkSet("later-pose", "soil-and-mass", "the pose is 0.5 s late", _LATER),
     BenchmarkSet("slow-drive-late", "slow-drive", "motors lag, the pose is 0.2 s late", _LATE),
     BenchmarkSet("late-weak-soil", "weak-soil", "the pose is 0.2 s late, large slip", _LATE),
-    BenchmarkSet("late-gains", "alternating-gains", "the pose is 0.2 s late, other gains", _LATE),
+    BenchmarkSet(
+        "late-gains", "alternating-gains", "the pose is 0.2 s late, other gains every 4 s", _LATE
+    ),
     BenchmarkSet(
         "fast", "soil-and-mass", "2 to 5 m/s, near the limit of the soil", reference=_FAST
     ),
-    BenchmarkSet("fast-weak-soil", "weak-soil", "the same beyond that limit", reference=_FAST),
-    BenchmarkSet("fast-payload", "payload", "2 to 5 m/s, the mass steps", reference=_FAST),
-    BenchmarkSet("reversing", "soil-and-mass", "backward", reference=_BACKWARD),
     BenchmarkSet(
-        "reversing-payload", "payload", "backward, the mass steps", reference=_BACKWARD
+        "fast-weak-soil", "weak-soil", "2 to 5 m/s, beyond the limit of the soil", reference=_FAST
+    ),
+    BenchmarkSet("fast-payload", "payload", "2 to 5 m/s, the mass steps", reference=_FAST),
+    BenchmarkSet("reversing", "soil-and-mass", "driven backward", reference=_BACKWARD),
+    BenchmarkSet(
+        "reversing-payload", "payload", "driven backward, the mass steps", reference=_BACKWARD
     ),
     BenchmarkSet(
-        "outages-distributed", "loose-soil", "outages on patches", "rtk-outages",
+        "outages-distributed", "loose-soil", "no pose for seconds, on patches", "rtk-outages",
         arguments=_PATCHES,
     ),
     BenchmarkSet(
@@ -207,16 +227,19 @@ _ON_FLOORS = (
         sensors="mocap-outages",
     ),
     _indoors(
-        "floor-outages-step", "friction-step", "the same across a border to another floor",
+        "floor-outages-step", "friction-step", "no pose for seconds, a border to another floor",
         sensors="mocap-outages",
     ),
     _indoors(
-        "floor-outages-alternating", "alternating-floors", "the same, another floor every 3 s",
+        "floor-outages-alternating", "alternating-floors",
+        "no pose for seconds, another floor every 3 s", sensors="mocap-outages",
+    ),
+    _indoors(
+        "floor-outages-ood", "floor-ood", "no pose for seconds, ice or soil",
         sensors="mocap-outages",
     ),
-    _indoors("floor-outages-ood", "floor-ood", "outages on ice, or soil", sensors="mocap-outages"),
     _indoors(
-        "floor-outages-slow-drive", "slow-floor-drive", "outages, motors lag",
+        "floor-outages-slow-drive", "slow-floor-drive", "no pose for seconds, motors lag",
         sensors="mocap-outages",
     ),
     _indoors("floor-alternating", "alternating-floors", "another floor every 3 s"),
@@ -235,21 +258,27 @@ _ON_FLOORS = (
         "floor-slow-drive-late", "slow-floor-drive", "motors lag, the pose is 0.1 s late",
         sensors=_LATE_INDOORS,
     ),
-    _indoors("floor-reversing", "friction", "backward", reference=_BACKWARD_INDOORS),
-    _to_goals("goals-outages", "friction", "a goal, seconds without pose", sensors="mocap-outages"),
+    _indoors("floor-reversing", "friction", "driven backward", reference=_BACKWARD_INDOORS),
+    _to_goals("goals-outages", "friction", "a goal, no pose for seconds", sensors="mocap-outages"),
 )  # fmt: skip
 _BACKWARD_ON_SLOPES = {**TERRAIN["reference"], "speed_range": [-0.5, -0.1]}
 _UNEVEN = (
     _on_slopes("hills-outages", "hills", "seconds without pose", "mocap-outages"),
-    _on_slopes("slope-outages", "slope", "the same on a plane", "mocap-outages"),
-    _on_slopes("slope-step-outages", "slope-step", "outages, a border", "mocap-outages"),
-    _on_slopes("soft-patches-outages", "soft-patches", "outages, soft ground", "mocap-outages"),
-    _on_slopes("slope-payload-outages", "slope-payload", "outages, a load", "mocap-outages"),
+    _on_slopes("slope-outages", "slope", "no pose for seconds, on a plane", "mocap-outages"),
+    _on_slopes(
+        "slope-step-outages", "slope-step", "no pose for seconds, a border", "mocap-outages"
+    ),
+    _on_slopes(
+        "soft-patches-outages", "soft-patches", "no pose for seconds, soft ground", "mocap-outages"
+    ),
+    _on_slopes(
+        "slope-payload-outages", "slope-payload", "no pose for seconds, a load", "mocap-outages"
+    ),
     _on_slopes("hills-rare-pose", "hills", "a pose a second", _RARE_INDOORS),
-    _on_slopes("slope-rare-pose", "slope", "the same on a plane", _RARE_INDOORS),
+    _on_slopes("slope-rare-pose", "slope", "a pose a second, on a plane", _RARE_INDOORS),
     _on_slopes("hills-noisy", "hills", "position noise of 5 cm", _NOISY_INDOORS),
     _on_slopes("hills-no-velocity", "hills", "the velocity is not measured", _NO_VELOCITY_INDOORS),
     _on_slopes("slope-step-late", "slope-step", "a border, the pose is 0.1 s late", _LATE_INDOORS),
-    _on_slopes("hills-reversing", "hills", "backward", reference=_BACKWARD_ON_SLOPES),
+    _on_slopes("hills-reversing", "hills", "driven backward", reference=_BACKWARD_ON_SLOPES),
 )
 CATALOGUE = {each.name: each for each in (*FIRST, *_IN_FIELD, *_ON_FLOORS, *_UNEVEN)}

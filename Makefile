@@ -34,11 +34,11 @@ paper: $(STAMP) ## run both papers again: their claims, figures, one page each (
 leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the tables of results
 	rm -rf results/leaderboard
 	$(BIN)/python evaluate.py --no-figures --output results/leaderboard
-	$(BIN)/python benchmarks/publish.py results/leaderboard/v2-seed0-*
+	$(BIN)/python benchmarks/publish.py results/leaderboard/torque-v3-seed0-*
 	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --no-figures --output results/leaderboard
-	$(BIN)/python benchmarks/publish.py results/leaderboard/speed-v0-v2-seed0-*
+	$(BIN)/python benchmarks/publish.py results/leaderboard/speed-v3-seed0-*
 	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --no-figures --output results/leaderboard
-	$(BIN)/python benchmarks/publish.py results/leaderboard/terrain-v0-terrain-v1-seed0-*
+	$(BIN)/python benchmarks/publish.py results/leaderboard/terrain-v3-seed0-*
 
 train: $(STAMP) ## train a PPO agent into runs/ppo-blind-seed0
 	$(BIN)/python train.py $(TRAIN_ARGS)

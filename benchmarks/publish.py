@@ -1,10 +1,10 @@
 """Publish a leaderboard: from the results of evaluate.py into the documentation.
 
     python evaluate.py                                    # all controllers and shipped agents
-    python benchmarks/publish.py results/v2-seed0-*   # tables and scores.json
+    python benchmarks/publish.py results/torque-v3-seed0-*   # tables and scores.json
 
-Likewise with `--env tracked_env/Speed-v0` and results/speed-v0-v2-*, and with
-`--env tracked_env/Terrain-v0` and results/terrain-v0-terrain-v1-*. docs/results.md gets the whole
+Likewise with `--env tracked_env/Speed-v0` and results/speed-v3-*, and with
+`--env tracked_env/Terrain-v0` and results/terrain-v3-*. docs/results.md gets the whole
 table between the two markers of that environment, with the cost of training each agent, read from
 the curve.csv beside it, and README.md the columns SHORT of it.
 `baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE per seed or

@@ -1,13 +1,16 @@
 """The adaptive policy with parameters that it does not identify.
 
-    OraclePolicy     the true parameters at every step: what perfect identification would reach
+    OraclePolicy     the true parameters at every step: what perfect identification would reach.
+                     Where the plant has no lateral resistance, as the shear of the soil takes up
+                     its turns, inertia and lateral resistance of the controller's model have no
+                     true values, and are identified together
     IntegralPolicy   the nominal parameters, right or wrong; integral action removes the constant
                      part of the error that they cause
 Both filter what the sensors give as the adaptive policy does, with the ground that they know or
 trust, and estimate no parameter.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,8 +20,9 @@ from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
-from tracked_env.physics.parameters import PARAMETER_NAMES
+from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES
 
+EFFECTIVE = ("inertia", "lateral_resistance")  # what one regression of the turns answers
 INTEGRAL_GAINS = Gains(k_i=50.0)  # tuned, docs/tuning.md
 TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
 
@@ -49,12 +53,19 @@ class OraclePolicy(KnownParametersPolicy):
     """The adaptive policy with the parameters in force, as handed to `observe_truth`."""
 
     needs_truth = True
+    _effective: tuple[str, ...] = ()
+
+    def observe_plant(self, without_effect: Collection[str]) -> None:
+        """Take note of the parameters that the plant does not read."""
+        self._effective = EFFECTIVE if "lateral_resistance" in without_effect else ()
 
     def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
         self._policy.given_parameters = np.stack(
             [np.atleast_1d(truth[name]) for name in PARAMETER_NAMES]
         )
+        for name in self._effective:
+            self._policy.given_parameters[PARAMETER_INDEX[name]] = np.nan
 
 
 class IntegralPolicy(KnownParametersPolicy):

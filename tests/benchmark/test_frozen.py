@@ -12,14 +12,22 @@ import pytest
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, uncertainty
 from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
+from tracked_env.benchmark.choice_of_sets import FEWEST, MOST
 from tracked_env.benchmark.sets import (
     EPISODES,
     GOAL_REACHING,
+    NEWEST,
     OF_VERSION,
     PLANAR,
     SLOPES,
+    SPEED_SETS,
+    TERRAIN_SETS,
+    TORQUE_SETS,
     VERSIONS,
     Version,
+    default_sets,
+    group_of,
+    in_groups,
     names_of,
     of_version,
     version_of,
@@ -32,33 +40,103 @@ ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
 
 @pytest.mark.parametrize(
     ("env", "version"),
-    [(TORQUE_ID, PLANAR), (SPEED_ID, PLANAR), (TERRAIN_ID, SLOPES), (SPEED_ID, GOAL_REACHING)],
-)
+    [(TORQUE_ID, PLANAR), (SPEED_ID, PLANAR), (TERRAIN_ID, SLOPES), (SPEED_ID, GOAL_REACHING),
+     *((version.envs[0], version) for version in NEWEST)],
+)  # fmt: skip
 def test_every_set_draws_the_episodes_of_the_version(env: str, version: Version) -> None:
     of_env = tuple(name for name in names_of(version) if SETS[name].env == env)
-    answer = check(BenchmarkConfig(sets=of_env, episodes=EPISODES))
+    answer = check(BenchmarkConfig(sets=of_env, episodes=EPISODES, version=version.name))
     assert answer.comparable, answer.message
-    assert version_of(env, of_env) is version
+    assert version_of(env, of_env, version.name) is version
     assert answer.message == f"sets {version.name}, hash {answer.hash}, {EPISODES} episodes each"
 
 
 def test_the_kept_files_hold_every_set_and_their_own_hash() -> None:
     documents = [frozen.kept(version) for version in VERSIONS.values()]
-    assert [name for document in documents for name in document["sets"]] == list(OF_VERSION)
+    assert {name for document in documents for name in document["sets"]} == set(OF_VERSION)
     for version, document in zip(VERSIONS.values(), documents, strict=True):
         assert document["version"] == version.name
         assert document["hash"] == frozen.total(document["sets"])
-    hashes = {entry["hash"] for document in documents for entry in document["sets"].values()}
-    assert len(hashes) == len(OF_VERSION)
+        assert list(document["sets"]) == list(names_of(version))
+        hashes = {entry["hash"] for entry in document["sets"].values()}
+        assert len(hashes) == len(document["sets"])
+
+
+@pytest.mark.parametrize("version", NEWEST, ids=lambda version: version.name)
+def test_a_newest_version_has_ten_to_twelve_sets_in_four_groups(version: Version) -> None:
+    assert tuple(version.groups) == ("memory", "identification", "mismatch", "out-of-distribution")
+    assert FEWEST <= len(set(version.sets)) == len(version.sets) <= MOST
+    for name, entry in frozen.kept(version)["sets"].items():
+        assert (entry["group"], entry["version"]) == (group_of(name, version), SETS[name].version)
+    assert default_sets(version.envs[0]) == version.sets
+
+
+def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frozen, "EPISODES", 3)
+    monkeypatch.setattr(frozen, "DRIVEN", 2)
+    few = in_groups("few", TORQUE_ID, {"memory": ("late-gains", "alternating", "rare-pose-mixed")})
+    before = frozen.document(few)
+    changed = SETS["alternating"]._replace(sensors="strawa", version=2)
+    monkeypatch.setitem(SETS, "alternating", changed)
+    monkeypatch.setattr(frozen, "kept", lambda version: before)
+    after, drawn_anew = frozen.document(few, ["alternating"]), frozen.document(few)
+    assert after == drawn_anew
+    differ = [name for name in few.sets if after["sets"][name] != before["sets"][name]]
+    assert differ == ["alternating"]
+    assert after["sets"]["alternating"]["version"] == 2
+    assert after["sets"]["alternating"]["hash"] != before["sets"]["alternating"]["hash"]
+    assert after["hash"] != before["hash"]
+    with pytest.raises(ValueError, match="payload"):
+        frozen.document(few, ["payload"])
+
+
+def test_a_set_of_another_version_than_the_kept_one_is_not_comparable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(SETS, "alternating", SETS["alternating"]._replace(version=2))
+    answer = check(BenchmarkConfig(sets=("alternating",), episodes=2))
+    assert not answer.comparable
+    assert "alternating (version 2, kept is 1)" in answer.message
+
+
+def test_sets_of_closed_versions_are_not_changed() -> None:
+    for version in (PLANAR, SLOPES, GOAL_REACHING):
+        assert {SETS[name].version for name in names_of(version)} == {1}
+
+
+def test_a_version_is_named_or_is_the_newest_one_with_all_the_sets() -> None:
+    assert version_of(TORQUE_ID) is TORQUE_SETS and version_of(SPEED_ID) is SPEED_SETS
+    assert version_of(TORQUE_ID, ("distributed",)) is TORQUE_SETS
+    assert version_of(TORQUE_ID, ("distributed", "drift")) is PLANAR
+    assert version_of(TORQUE_ID, ("distributed",), "v2") is PLANAR
+    assert version_of(TORQUE_ID, (), "v3") is TORQUE_SETS
+    assert version_of(TERRAIN_ID, (), "v3") is TERRAIN_SETS
+    assert version_of(SPEED_ID, (), "goals-v1") is GOAL_REACHING
+    assert default_sets(TORQUE_ID, "v2")[0] == "soil-and-mass"
+    with pytest.raises(ValueError, match=r"version of the sets of .*Terrain-v0 'v2'"):
+        BenchmarkConfig(sets=("hills",), version="v2")
+
+
+def test_the_version_of_the_sets_is_no_part_of_what_a_result_is() -> None:
+    one, other = (BenchmarkConfig(sets=("distributed",), version=v) for v in ("v2", "v3"))
+    assert one.identity() == other.identity()
+    assert (check(one).version, check(other).version) == ("v2", "torque-v3")
 
 
 def test_sets_of_two_versions_are_comparable_with_neither() -> None:
-    answer = check(BenchmarkConfig(sets=("friction", "goals"), episodes=EPISODES))
+    sets = ("friction", "goals")
+    answer = check(BenchmarkConfig(sets=sets, episodes=EPISODES, version="v2"))
     assert not answer.comparable and "set goals" in answer.message
 
 
-def test_the_hash_of_the_planar_sets_is_the_one_that_results_were_published_with() -> None:
-    assert frozen.kept(PLANAR)["hash"] == "d6cfd4ef1c09"
+@pytest.mark.parametrize(
+    ("version", "published"),
+    [(PLANAR, "d6cfd4ef1c09"), (SLOPES, "c71f88e9d41b"), (GOAL_REACHING, "0ceef5c8033b")],
+)
+def test_the_hash_of_a_version_is_the_one_that_results_were_published_with(
+    version: Version, published: str
+) -> None:
+    assert frozen.kept(version)["hash"] == published
 
 
 def test_the_digests_of_slopes_take_in_the_ground_and_those_of_the_plane_do_not_need_it() -> None:
@@ -132,7 +210,12 @@ def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_do
 
 @pytest.mark.parametrize(
     ("kernels", "version", "name"),
-    [("Haswell", PLANAR, "ood"), ("Sandybridge", PLANAR, "ood"), ("Sandybridge", SLOPES, "hills")],
+    [
+        ("Haswell", PLANAR, "ood"),
+        ("Sandybridge", PLANAR, "ood"),
+        ("Sandybridge", SLOPES, "hills"),
+        ("Sandybridge", TORQUE_SETS, "noisy-fast"),
+    ],
 )
 def test_the_command_that_makes_a_version_prints_what_is_kept_on_every_kind_of_processor(
     repository: Path, kernels: str, version: Version, name: str

@@ -29,7 +29,7 @@ from tracked_env.benchmark.policy_interface import (
     checked_answer,
 )
 from tracked_env.benchmark.runner import drive
-from tracked_env.benchmark.sets import OF_VERSION
+from tracked_env.benchmark.sets import NEWEST
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.sensors import STRAWA
 from tracked_env.uncertainty import UNCERTAINTY_SETS
@@ -323,7 +323,8 @@ def test_what_is_kept_for_the_figures_is_small() -> None:
 
 def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
     named = {*DEFAULT_SETS, *default_sets(SPEED_ID), *default_sets(TERRAIN_ID)}
-    assert named == set(OF_VERSION) - {"nominal", "floor", "level", "goals", "goals-step"}
+    assert named == {name for version in NEWEST for name in version.sets}
+    assert not named & {"nominal", "floor", "level"}
     assert {entry.uncertainty for entry in SETS.values()} == set(UNCERTAINTY_SETS)
 
 

@@ -82,4 +82,4 @@ def test_the_sets_of_weak_and_failing_drives_draw_gains_and_belong_to_no_version
             other.parameters
         )
     for name in ("weak-actuator", "actuator-fault"):
-        assert name in sets.SETS and name not in sets.OF_VERSION + sets.DEFAULT_SETS
+        assert name in sets.SETS and name not in sets.names_of(sets.PLANAR)

@@ -6,7 +6,8 @@ and as 0 below FLOOR: the last bits, and what should be 0, depend on the process
 adds in another order on each. The equations of motion are not in it, so the first DRIVEN
 episodes are driven for a moment with a constant action, and the mean of where they end and of what
 is then seen is compared as well. The kept numbers are made by `python -m
-tracked_env.benchmark.frozen VERSION > FILE`, once per version.
+tracked_env.benchmark.frozen VERSION > FILE`, once per version, and with `--sets NAME` once per
+version of a set in groups: the numbers of all other sets stay.
 """
 
 import argparse
@@ -24,12 +25,14 @@ from tracked_env.benchmark.sets import (
     EPISODES,
     PLANAR,
     SEED,
+    SETS,
     VERSIONS,
     Version,
+    group_of,
     names_of,
     of_version,
-    version_of,
 )
+from tracked_env.validation import checked_choice
 
 DRIVEN = 8  # episodes
 DRIVEN_STEPS = 100  # [control steps]
@@ -69,14 +72,17 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(rounded(value).tobytes())
 
 
-def look(name: str, config: BenchmarkConfig | None = None) -> dict[str, Any]:
-    """Digest of the episodes of a set as drawn now: {"hash": digest, "driven": numbers}."""
-    config = BenchmarkConfig(sets=(name,)) if config is None else config
+def look(name: str, version: Version | None = None) -> dict[str, Any]:
+    """Digest of the episodes of a set as drawn now: {"hash": digest, "driven": numbers}.
+
+    version: knows which fields count; None for the newest one with the set.
+    """
+    config = BenchmarkConfig(sets=(name,))
     env = config.environment(name, EPISODES, truth=False)
     simulation = env.simulation
     env.reset(seed=[SEED + i for i in range(EPISODES)])
     digest = hashlib.sha256()
-    version = version_of(config.env, config.sets)
+    version = config.frozen_version if version is None else version
     assert version is not None
     _feed(digest, tuple(of_version(each, version) for each in simulation.episodes if each))
     env.close()
@@ -116,12 +122,16 @@ def _deviations(config: BenchmarkConfig, version: Version | None) -> list[str]:
     return said + [f"set {name}" for name in config.sets if name not in known]
 
 
-def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
+def _changed(names: Sequence[str], known: Mapping[str, Any], version: Version) -> list[str]:
     """The sets that are no longer what they were, and in what."""
     changed = []
     for name in names:
-        now, then = look(name), known.get(name)
-        if then is None or now["hash"] != then["hash"]:
+        now, then = look(name, version), known.get(name)
+        if then is not None and then.get("version", 1) != SETS[name].version:
+            changed.append(
+                f"{name} (version {SETS[name].version}, kept is {then.get('version', 1)})"
+            )
+        elif then is None or now["hash"] != then["hash"]:
             changed.append(f"{name} (other episodes)")
         elif not np.allclose(now["driven"], then["driven"], rtol=TOLERANCE, atol=0.0):
             changed.append(f"{name} (same episodes, driven or measured differently)")
@@ -130,7 +140,7 @@ def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
 
 def check(config: BenchmarkConfig) -> Check:
     """Compare the sets of a configuration with those of the version."""
-    version = version_of(config.env, config.sets)
+    version = config.frozen_version
     deviations = _deviations(config, version)
     if version is None:
         return Check("-", "-", False, f"sets of your own: {', '.join(deviations)}")
@@ -142,7 +152,7 @@ def check(config: BenchmarkConfig) -> Check:
 
     if deviations:
         return answer(False, f"sets of your own, not {version.name}: {', '.join(deviations)}")
-    changed = _changed(config.sets, document["sets"])
+    changed = _changed(config.sets, document["sets"], version)
     if changed:
         return answer(
             False,
@@ -159,9 +169,20 @@ def check(config: BenchmarkConfig) -> Check:
     return answer(True, f"sets {mark}, {config.episodes} episodes each{share}")
 
 
-def document(version: Version) -> dict[str, Any]:
-    """The stored record of a version, from the episodes as drawn now."""
-    found = {name: look(name) for name in names_of(version)}
+def document(version: Version, sets: Sequence[str] = ()) -> dict[str, Any]:
+    """The stored record of a version, from the episodes as drawn now.
+
+    sets: those that are drawn, all others keep their numbers; none: all are drawn. Raises
+    ValueError for one that the version does not hold.
+    """
+    names = names_of(version)
+    for name in sets:
+        checked_choice(f"evaluation set of {version.name}", name, names)
+    found = {} if not sets else {n: e for n, e in kept(version)["sets"].items() if n in names}
+    for name in names:
+        if name not in found or name in sets:
+            found[name] = {**_of_set(name, version), **look(name, version)}
+    found = {name: found[name] for name in names}
     return {
         "version": version.name,
         "hash": total(found),
@@ -172,7 +193,15 @@ def document(version: Version) -> dict[str, Any]:
     }
 
 
+def _of_set(name: str, version: Version) -> dict[str, Any]:
+    """What a version in groups says of a set beside its numbers."""
+    known = {"version": SETS[name].version, "group": group_of(name, version)}
+    return known if version.groups else {}
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Print the digests of a version of the sets.")
     parser.add_argument("version", choices=tuple(VERSIONS))
-    print(json.dumps(document(VERSIONS[parser.parse_args().version]), indent=1))
+    parser.add_argument("--sets", nargs="+", default=(), help="draw these; all others stay")
+    given = parser.parse_args()
+    print(json.dumps(document(VERSIONS[given.version], given.sets), indent=1))

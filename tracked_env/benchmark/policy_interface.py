@@ -32,6 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.observation import NAMES
+from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.sensors import RTK, Sensors
 from tracked_env.validation import unknown
 
@@ -245,6 +246,17 @@ def checked_answer(answer: Any, count: int) -> tuple[NDArray[np.float32], Any]:
 def needs_truth(policy: Policy) -> bool:
     """Whether a policy declares that it must see the true state and parameters."""
     return bool(getattr(policy, "needs_truth", False))
+
+
+def tell_plant(policy: Policy, reads: Collection[str]) -> None:
+    """Tell a policy with the truth which of its parameters the plant does not read, if it asks.
+
+    It asks by a method `observe_plant(without_effect)`. reads: names of those that it reads.
+    """
+    if needs_truth(policy) and callable(getattr(policy, "observe_plant", None)):
+        policy.observe_plant(  # type: ignore[attr-defined]
+            tuple(name for name in PARAMETER_NAMES if name not in reads)
+        )
 
 
 def identifies(policy: Policy) -> bool:

@@ -31,8 +31,10 @@ from tracked_env.benchmark.policy_interface import (
     checked_policy,
     identifies,
     needs_truth,
+    tell_plant,
 )
 from tracked_env.benchmark.progress_bar import Progress, no_progress
+from tracked_env.benchmark.records import READS_TRUTH
 from tracked_env.benchmark.store import Record, Store
 from tracked_env.engine.columns import columns
 from tracked_env.engine.episode import Episode
@@ -80,6 +82,7 @@ def drive(
     solver = simulation.solver
     observation, info = env.reset(seed=list(seeds))
     max_steps = simulation.settings.max_steps
+    tell_plant(policy, solver.reads.names)
     goals = goals_of([episode for episode in simulation.episodes if episode is not None])
     values = np.empty((max_steps, env.num_envs, len(_COLUMNS)))
     over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
@@ -169,6 +172,7 @@ def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progre
         "set": task.uncertainty_set,
         "predict_time": predict_time / count,  # [s] per vehicle and step
         "episodes": episodes,
+        **({READS_TRUTH: True} if needs_truth(policy) else {}),
     }
     progress((trace.max_steps - reported) * count, task.label)
     kept = task.episodes[0] < FIGURE_ERRORS

@@ -16,6 +16,8 @@ Every agent is then compared with the first one, the baseline, on the same episo
                  the ratio is at least SEPARATION_RATIO. With nominal as the baseline, a set
                  separates when this holds for the oracle.
     fails alone  episodes in which the agent ends early or without success, the baseline not
+The ceiling of a set is the policy with the smallest IQM among those that are handed the true
+parameters: no single controller can use the truth of every plant.
 `all sets` pools the episodes of all sets; the k-th ones of all are redrawn together.
 """
 
@@ -30,7 +32,7 @@ from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.identification_metrics import IdentificationSummary, mean_nis
 from tracked_env.benchmark.identification_metrics import summarise as summarise_beliefs
 from tracked_env.benchmark.metrics import ACTION_RATES, METRICS
-from tracked_env.benchmark.records import BESIDE
+from tracked_env.benchmark.records import BESIDE, READS_TRUTH
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record
 
@@ -85,6 +87,7 @@ class Summary(NamedTuple):
     # By parameter, and by filter; only of policies that estimate.
     identification: dict[str, dict[str, dict[str, IdentificationSummary]]]
     nis: dict[str, dict[str, dict[str, float]]]
+    ceilings: dict[str, str]  # {set: agent}, of the sets that a policy with the truth has driven
 
 
 def agent_of(policy: str) -> str:
@@ -167,8 +170,20 @@ class Row:
         if anchors is None:
             return None
         three = [self.redrawn[key] for key in (*anchors, name)]
-        low, high, own = (float(stats.interquartile_mean(r.values.ravel())) for r in three)
+        low, high, own = (self.iqm(key) for key in (*anchors, name))
         return rel.score((low, high, own), *three)
+
+    def ceiling(self) -> str | None:
+        """The agent with the smallest IQM of those that read the truth, None without one."""
+        return min(self.reading_truth(), key=self.iqm, default=None)
+
+    def reading_truth(self) -> list[str]:
+        """The agents that are handed the true parameters."""
+        return [n for n in self.names if any(READS_TRUTH in r for r in self.pooled(n))]
+
+    def iqm(self, name: str) -> float:
+        """IQM [m] of the tracking RMSE of an agent over seeds and episodes."""
+        return float(stats.interquartile_mean(self.redrawn[name].values.ravel()))
 
     def scores(self, name: str) -> NDArray[np.float64]:
         """Redraws (2, B) of the score; needs the anchors. All rows draw the same seeds."""
@@ -241,7 +256,7 @@ def summarise(records: Sequence[Record], rows: Mapping[str, Row] | None = None) 
     """
     rows = rows_of(records) if rows is None else rows
     baseline = agent_of(records[0]["policy"])
-    found = Summary(baseline, {}, {}, {}, {})
+    found = Summary(baseline, {}, {}, {}, {}, {})
     for name, row in rows.items():
         found.policies[name] = {agent: row.summary(agent) for agent in row.names}
         found.comparisons[name] = {
@@ -252,4 +267,6 @@ def summarise(records: Sequence[Record], rows: Mapping[str, Row] | None = None) 
         found.nis[name] = {
             agent: mean_nis(row.pooled(agent)) for agent in found.identification[name]
         }
+        if (ceiling := row.ceiling()) is not None:
+            found.ceilings[name] = ceiling
     return found

@@ -22,6 +22,7 @@ from tracked_env.benchmark.policy_interface import (
     checked_answer,
     checked_policy,
     needs_truth,
+    tell_plant,
 )
 from tracked_env.env import TrackedVehicleEnv
 
@@ -117,6 +118,7 @@ def _driven(
 ) -> Iterator[None]:
     """Drive one episode; stops at the start, after each `steps` control steps, and at the end."""
     observation, info = env.reset(seed=seed)
+    tell_plant(policy, env.simulation.solver.reads.names)
     try:
         yield
         state, start, over, done = None, np.ones(1, dtype=bool), False, 0

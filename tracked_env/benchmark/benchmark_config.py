@@ -33,12 +33,14 @@ WITHOUT_INFLUENCE = {
     "benchmark/leaderboard_page.py": "tables from records",
     "benchmark/registered_policies.py": "finds policies; each record has its own fingerprint",
     "benchmark/records.py": "checks of what is read",
+    "benchmark/relative_errors.py": "statistics of records",
     "benchmark/reliability.py": "statistics of records",
     "benchmark/report.py": "tables from records",
     "benchmark/figure_data.py": "the motion that is kept for figures",
     "benchmark/statistics.py": "statistics of records",
     "benchmark/store.py": "writes and reads records",
     "benchmark/summary.py": "statistics of records",
+    "benchmark/training_curves.py": "what trainings left beside their archives",
     "benchmark/video.py": "pictures of an episode",
 }
 

@@ -119,6 +119,7 @@ class _Nominal(NamedTuple):
     lateral: str = "sliding"
     sensors: Any = DataSheet()
     observation: Sequence[str] = layout.NAMES
+    without_effect: Sequence[str] = ()
 
 
 def _features(kind: str, options: Mapping[str, Any], known: Driven) -> int:

@@ -64,7 +64,7 @@ _GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"
 class AdaptiveState(NamedTuple):
     """State of the policy between two calls."""
 
-    xi: NDArray[np.float64]  # (N,) [m/s^2] compensator of the controller
+    controller: NDArray[np.float64]  # (N, 3) state of the controller
     memories: Memories  # of the estimators
     given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
 
@@ -143,6 +143,11 @@ def ground_of(parameters, soil, friction):
         friction[i] = p.lateral_resistance
 
 
+def _whole(given: NDArray[np.float64]) -> bool:
+    """Whether every parameter is given; else the filter keeps the ground that it identifies."""
+    return not np.isnan(given).any()
+
+
 class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     """Controller and estimators as one policy, for one vehicle or a batch.
 
@@ -186,7 +191,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             "regression": regression, "slip": slip, "attitude": sloped,
             "further": ("actuators",) if self._commanded else (),
         }  # fmt: skip
-        # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates.
+        # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates; NaN
+        # where the estimate is used all the same.
         self.given_parameters: NDArray[np.float64] | None = None
         self._given: AdaptiveState | None = None
         self.known: Identification | None = None
@@ -227,7 +233,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         if state is not None and state is not self._given:
             self.stack.restore(state.memories)
         self._given = None  # until this call has ended well, `stack` is in no known state
-        if self.given_parameters is not None:
+        if self.given_parameters is not None and _whole(self.given_parameters):
             self._give_ground(self.given_parameters)
         known = self.stack.update(observation, start)
         self._adapt(known)
@@ -237,7 +243,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             observation, known.reading.reference, known.motion_rows, latest.values, latest.age,
             summary, status, 0.5 * self.controller.control_period, self.filtered,
         )  # fmt: skip
-        action, xi = self.controller.act(observation, None if state is None else state.xi, start)
+        held = None if state is None else state.controller
+        action, held = self.controller.act(observation, held, start)
         given = np.zeros((count, 2)) if state is None else state.given.copy()
         if self._commanded:
             lead_all(
@@ -245,7 +252,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
                 self.controller.control_period, given, action,
             )  # fmt: skip
         self.known = known
-        self._given = AdaptiveState(xi, self.stack.memories(), given)
+        self._given = AdaptiveState(held, self.stack.memories(), given)
         return action, self._given
 
     def _give_ground(self, parameters: NDArray[np.float64]) -> None:
@@ -257,8 +264,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
 
     def _adapt(self, known: Identification) -> None:
         """Pass the estimates to the controller, or the parameters given in their place."""
-        if self.given_parameters is not None:
-            self.controller.parameters = self.given_parameters
+        given = self.given_parameters
+        if given is not None and _whole(given):
+            self.controller.parameters = given
             return
         answers = known.parts.answers
         hand_over(
@@ -267,6 +275,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             known.traction_known if self.uses_soil else self._nothing_known,
             self._nominal, self._base, self.controller.control_period,
         )  # fmt: skip
+        if given is not None:
+            identified = self.controller.parameters
+            self.controller.parameters = np.where(np.isnan(given), identified, given)
 
     def estimates(self) -> Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """(value, standard deviation) by name after the last call, each (N,), SI."""

@@ -10,8 +10,7 @@ from gymnasium.utils.env_checker import check_env
 
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID, TORQUE_ID, plants
-from tracked_env.benchmark import SETS, BenchmarkConfig, Store, run
-from tracked_env.benchmark.sets import BenchmarkSet
+from tracked_env.benchmark import SETS, BenchmarkConfig, BenchmarkSet, Store, run
 from tracked_env.engine import columns as b
 from tracked_env.engine.columns import Batch
 from tracked_env.engine.kernels import advance_blocks, hold_blocks

@@ -11,7 +11,8 @@ from tracked_env.benchmark.policy_interface import (
 )
 from tracked_env.benchmark.report import terminal
 from tracked_env.benchmark.runner import run
-from tracked_env.benchmark.sets import DEFAULT_SETS, SETS, BenchmarkSet, default_sets
+from tracked_env.benchmark.set_catalogue import BenchmarkSet
+from tracked_env.benchmark.sets import DEFAULT_SETS, SETS, default_sets
 from tracked_env.benchmark.store import Store
 from tracked_env.benchmark.summary import Summary, summarise
 

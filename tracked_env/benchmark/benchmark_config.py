@@ -4,9 +4,18 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from tracked_env import plants
 from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
-from tracked_env.benchmark.sets import DEFAULT_SETS, OF_VERSION, SETS, BenchmarkSet
+from tracked_env.benchmark.set_catalogue import BenchmarkSet
+from tracked_env.benchmark.sets import (
+    DEFAULT_SETS,
+    OF_VERSION,
+    SETS,
+    Version,
+    version_of,
+)
 from tracked_env.observation import make_layout
+from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice
@@ -21,6 +30,7 @@ WITHOUT_INFLUENCE = {
     "rendering/": "pictures of a state",
     "sb3.py": "another interface to the vector environment",
     "benchmark/drawing.py": "figures from records",
+    "benchmark/choice_of_sets.py": "statistics of records",
     "benchmark/executors/": "where chunks of episodes run",
     "benchmark/files.py": "writes records",
     "benchmark/text_tables.py": "tables from cells",
@@ -47,7 +57,8 @@ WITHOUT_INFLUENCE = {
 
 @dataclass(frozen=True)
 class BenchmarkConfig:
-    """Episodes to be run. All but `sets`, `episodes` and `chunk` is part of a result's identity.
+    """Episodes to be run. Part of a result's identity is all but `sets`, `episodes`, `chunk`, and
+    `version`.
 
     None for reference, sensors, duration or error_limit: the value of each set or its environment.
     All sets are of one environment id.
@@ -63,6 +74,7 @@ class BenchmarkConfig:
     lateral: str = "sliding"
     error_limit: float | None = None  # [m]
     chunk: int = CHUNK
+    version: str | None = None  # of the sets, to be compared with; None: the newest with all sets
 
     def __post_init__(self) -> None:
         """Raise ValueError for everything that the environment or the runner would refuse."""
@@ -76,6 +88,7 @@ class BenchmarkConfig:
         for name in ("episodes", "chunk"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}; must be at least 1")
+        version_of(self.env, self.sets, self.version)
         if self.seed < 0:
             raise ValueError(f"seed = {self.seed}; must be at least 0")
         for name in self.sets:
@@ -84,7 +97,7 @@ class BenchmarkConfig:
     def identity(self) -> dict[str, Any]:
         """Everything that changes the numbers of an episode, the policy apart."""
         fields = asdict(self)
-        for name in ("sets", "episodes", "chunk"):
+        for name in ("sets", "episodes", "chunk", "version"):
             del fields[name]
         own = {
             name: [
@@ -102,6 +115,11 @@ class BenchmarkConfig:
         """Environment id of the sets."""
         return SETS[self.sets[0]].env
 
+    @property
+    def frozen_version(self) -> Version | None:
+        """Version of the sets that results are compared with, None where there is none."""
+        return version_of(self.env, self.sets, self.version)
+
     def evaluation_set(self, name: str) -> BenchmarkSet:
         """A set, with the settings of this configuration in place of its own."""
         given = {key: getattr(self, key) for key in ("reference", "sensors", "duration")}
@@ -114,7 +132,12 @@ class BenchmarkConfig:
         shown = make_layout(chosen.arguments.get("observation", "v0")).names
         sensors = make_sensors(chosen.sensors)
         period = 1.0 / self.control_rate
-        return PolicyContext(period, self.lateral, sensors, **known, observation=shown)
+        plant = plants.find(chosen.arguments.get("plant", "lumped"))
+        read = plant.reads[known.get("drive", "torque")]
+        without = tuple(each for each in PARAMETER_NAMES if each not in read)
+        return PolicyContext(
+            period, self.lateral, sensors, **known, observation=shown, without_effect=without
+        )
 
     def arguments(self, name: str, truth: bool) -> dict[str, Any]:
         """Arguments of an environment for a set; truth: whether it exposes it."""

@@ -28,7 +28,6 @@ from tracked_env.benchmark.sets import (
     Version,
     names_of,
     of_version,
-    version_of,
 )
 
 DRIVEN = 8  # episodes
@@ -69,14 +68,17 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(rounded(value).tobytes())
 
 
-def look(name: str, config: BenchmarkConfig | None = None) -> dict[str, Any]:
-    """Digest of the episodes of a set as drawn now: {"hash": digest, "driven": numbers}."""
-    config = BenchmarkConfig(sets=(name,)) if config is None else config
+def look(name: str, version: Version | None = None) -> dict[str, Any]:
+    """Digest of the episodes of a set as drawn now: {"hash": digest, "driven": numbers}.
+
+    version: knows which fields count; None for the newest one with the set.
+    """
+    config = BenchmarkConfig(sets=(name,))
     env = config.environment(name, EPISODES, truth=False)
     simulation = env.simulation
     env.reset(seed=[SEED + i for i in range(EPISODES)])
     digest = hashlib.sha256()
-    version = version_of(config.env, config.sets)
+    version = config.frozen_version if version is None else version
     assert version is not None
     _feed(digest, tuple(of_version(each, version) for each in simulation.episodes if each))
     env.close()
@@ -116,11 +118,11 @@ def _deviations(config: BenchmarkConfig, version: Version | None) -> list[str]:
     return said + [f"set {name}" for name in config.sets if name not in known]
 
 
-def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
+def _changed(names: Sequence[str], known: Mapping[str, Any], version: Version) -> list[str]:
     """The sets that are no longer what they were, and in what."""
     changed = []
     for name in names:
-        now, then = look(name), known.get(name)
+        now, then = look(name, version), known.get(name)
         if then is None or now["hash"] != then["hash"]:
             changed.append(f"{name} (other episodes)")
         elif not np.allclose(now["driven"], then["driven"], rtol=TOLERANCE, atol=0.0):
@@ -130,7 +132,7 @@ def _changed(names: Sequence[str], known: Mapping[str, Any]) -> list[str]:
 
 def check(config: BenchmarkConfig) -> Check:
     """Compare the sets of a configuration with those of the version."""
-    version = version_of(config.env, config.sets)
+    version = config.frozen_version
     deviations = _deviations(config, version)
     if version is None:
         return Check("-", "-", False, f"sets of your own: {', '.join(deviations)}")
@@ -142,7 +144,7 @@ def check(config: BenchmarkConfig) -> Check:
 
     if deviations:
         return answer(False, f"sets of your own, not {version.name}: {', '.join(deviations)}")
-    changed = _changed(config.sets, document["sets"])
+    changed = _changed(config.sets, document["sets"], version)
     if changed:
         return answer(
             False,
@@ -161,7 +163,7 @@ def check(config: BenchmarkConfig) -> Check:
 
 def document(version: Version) -> dict[str, Any]:
     """The stored record of a version, from the episodes as drawn now."""
-    found = {name: look(name) for name in names_of(version)}
+    found = {name: look(name, version) for name in names_of(version)}
     return {
         "version": version.name,
         "hash": total(found),

@@ -62,6 +62,7 @@ class PolicyContext(NamedTuple):
     drive: str = "torque"  # what the actions are, torques or speeds of the sprockets
     vehicle: str = "strawa"  # nominal vehicle and soil, a key of physics.parameters.VEHICLES
     observation: tuple[str, ...] = NAMES  # its fields; `tracked_env.observation` finds columns
+    without_effect: tuple[str, ...] = ()  # parameters of the truth that the plant does not read
 
 
 PolicyFactory = Callable[[PolicyContext], Policy]

@@ -1,8 +1,9 @@
 """Checks of the lines of stored results: damaged or edited ones are refused when read.
 
     header   {format, hash, identity, versions, machine}
-    chunk    {policy, fingerprint, set, predict_time, episodes: [record, ...]}, and where other
-             processes ran at the same time, how many: beside
+    chunk    {policy, fingerprint, set, predict_time, episodes: [record, ...]}, where other
+             processes ran at the same time, how many: beside, and of a policy that is handed the
+             true parameters reads_truth: true
     record   {episode, seed, digest, ended, every metric of METRICS}, and of a policy that
              estimates {identification: {parameter: {metric: number}}, nis: {filter: number}}
 Numbers are finite. Metrics are >= 0, shares at most 1; None stands for what an episode lacks.
@@ -22,12 +23,14 @@ Record = dict[str, Any]
 HEADER = {"format": int, "hash": str, "identity": dict, "versions": dict, "machine": dict}
 CHUNK = {"policy": str, "fingerprint": str, "set": str, "predict_time": float, "episodes": list}
 BESIDE = "beside"  # processes at the same time, which makes `predict_time` not comparable
+READS_TRUTH = "reads_truth"  # of a policy that is handed the true parameters
 EPISODE = {"episode": int, "seed": int, "digest": str, "ended": str}
 ESTIMATES = {"identification": dict, "nis": dict}  # of policies that estimate
 SHARES = ("success", "terminated", "saturation_share")
 _SAID = {
     int: "an integer >= 0",
     float: "a number >= 0",
+    bool: "true or false",
     str: "text",
     dict: "a dict",
     list: "a list",
@@ -73,9 +76,10 @@ def checked_header(header: Any) -> Record:
 
 def checked_chunk(chunk: Any) -> Record:
     """Any other line: a chunk of finished episodes."""
-    known = _fields("the chunk", chunk, CHUNK, (BESIDE,))
+    beside = {BESIDE: int, READS_TRUTH: bool}
+    known = _fields("the chunk", chunk, CHUNK, beside)
     _typed("the chunk", known, CHUNK)
-    _typed("the chunk", known, {name: int for name in (BESIDE,) if name in known})
+    _typed("the chunk", known, {name: kind for name, kind in beside.items() if name in known})
     for record in known["episodes"]:
         _check_record(record)
     return known

@@ -33,6 +33,7 @@ from tracked_env.benchmark.policy_interface import (
     needs_truth,
 )
 from tracked_env.benchmark.progress_bar import Progress, no_progress
+from tracked_env.benchmark.records import READS_TRUTH
 from tracked_env.benchmark.store import Record, Store
 from tracked_env.engine.columns import columns
 from tracked_env.engine.episode import Episode
@@ -169,6 +170,7 @@ def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progre
         "set": task.uncertainty_set,
         "predict_time": predict_time / count,  # [s] per vehicle and step
         "episodes": episodes,
+        **({READS_TRUTH: True} if needs_truth(policy) else {}),
     }
     progress((trace.max_steps - reported) * count, task.label)
     kept = task.episodes[0] < FIGURE_ERRORS

@@ -29,7 +29,13 @@ from tracked_env.benchmark.executors.shard import Shard
 from tracked_env.benchmark.figure_data import checked_trace, joined
 from tracked_env.benchmark.files import Lock, file_name, sweep, write_atomically
 from tracked_env.benchmark.provenance import machine, versions
-from tracked_env.benchmark.records import BESIDE, Record, checked_chunk, checked_header
+from tracked_env.benchmark.records import (
+    BESIDE,
+    READS_TRUTH,
+    Record,
+    checked_chunk,
+    checked_header,
+)
 
 FORMAT = 3  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"
@@ -210,7 +216,7 @@ class Store:
             for episode in chunk["episodes"]:
                 key = (chunk["set"], chunk["policy"], episode["episode"])
                 common = {name: chunk[name] for name in ("set", "policy", "predict_time")}
-                beside = {BESIDE: chunk[BESIDE]} if BESIDE in chunk else {}
+                beside = {name: chunk[name] for name in (BESIDE, READS_TRUTH) if name in chunk}
                 found[key] = {**common, **beside, **episode}
         return list(found.values())
 

@@ -5,9 +5,8 @@ and agent: interquartile mean (IQM), mean, and mean of the worst tenth of the tr
 seeds and episodes, and the IQM of that after the start, each with a 95 % bootstrap interval (see
 `reliability`), and means of the other metrics over the episodes that have them.
     score        (IQM of START - IQM of agent) / (IQM of START - IQM of the ceiling), if both are
-                 among the policies: 0 is as good as the best controller without identification,
-                 STARTS, and 1 as the ceiling: of the CEILINGS, which know the truth, the one with
-                 the smallest IQM on these sets
+                 among the policies: 0 is as good as START, a controller that identifies nothing,
+                 and 1 as the ceiling of the set
 Every agent is then compared with the first one, the baseline, on the same episodes:
     ratio        IQM of the baseline's RMSE over the agent's
     difference   mean over seeds and episodes of (baseline's - agent's RMSE) [m]
@@ -18,6 +17,8 @@ Every agent is then compared with the first one, the baseline, on the same episo
                  separates when this holds for the oracle.
     enough       whether there are enough episodes of each set and seeds for a verdict
     fails alone  episodes in which the agent ends early or without success, the baseline not
+The ceiling of a set is the policy with the smallest IQM among those that are handed the true
+parameters: no single controller can use the truth of every plant.
 `all sets` pools the episodes of all sets; the k-th ones of all are redrawn together.
 """
 
@@ -32,14 +33,15 @@ from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.identification_metrics import IdentificationSummary, mean_nis
 from tracked_env.benchmark.identification_metrics import summarise as summarise_beliefs
 from tracked_env.benchmark.metrics import ACTION_RATES, METRICS
-from tracked_env.benchmark.records import BESIDE
+from tracked_env.benchmark.records import BESIDE, READS_TRUTH
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record
 
 SEPARATION_RATIO = 1.2  # [-] of the interquartile means
 ALL_SETS = "all sets"
 STARTS = ("integral", "nominal", "uc")  # the first of them that is here scores 0
-CEILINGS = ("oracle", "mpc-oracle", "slc-oracle")  # the best of them that are here scores 1
+# Where no record says which policies read the truth, the first of these that is here scores 1.
+CEILINGS = ("oracle", "slc-oracle")
 SEED_MARK = "@"  # between the name of an agent and that of one of its seeds
 BySeed = dict[str, list[Record]]  # records of one agent on one set
 
@@ -88,6 +90,7 @@ class Summary(NamedTuple):
     # By parameter, and by filter; only of policies that estimate.
     identification: dict[str, dict[str, dict[str, IdentificationSummary]]]
     nis: dict[str, dict[str, dict[str, float]]]
+    ceilings: dict[str, str]  # {set: agent}, of the sets that a policy with the truth has driven
 
 
 def agent_of(policy: str) -> str:
@@ -163,17 +166,8 @@ class Row:
     def anchors(self) -> tuple[str, str] | None:
         """The policies that score 0 and 1, if both are here."""
         start = next((name for name in STARTS if name in self.names), None)
-        ceiling = self.ceiling()
+        ceiling = self.ceiling() or next((n for n in CEILINGS if n in self.names), None)
         return None if start is None or ceiling is None else (start, ceiling)
-
-    def ceiling(self) -> str | None:
-        """The policy with the smallest IQM among those here that know the truth."""
-        known = [name for name in CEILINGS if name in self.names]
-        return min(known, key=self.iqm, default=None)
-
-    def iqm(self, name: str) -> float:
-        """Interquartile mean of the RMSE [m] of an agent, over seeds and episodes."""
-        return float(stats.interquartile_mean(self.redrawn[name].values.ravel()))
 
     def trainings(self, name: str) -> int:
         """Seeds of an agent; 0 of a policy that is not trained."""
@@ -187,6 +181,18 @@ class Row:
             return None
         three = [self.redrawn[key] for key in (*anchors, name)]
         return rel.score((self.iqm(anchors[0]), self.iqm(anchors[1]), self.iqm(name)), *three)
+
+    def ceiling(self) -> str | None:
+        """The agent with the smallest IQM of those that read the truth, None without one."""
+        return min(self.reading_truth(), key=self.iqm, default=None)
+
+    def reading_truth(self) -> list[str]:
+        """The agents that are handed the true parameters."""
+        return [n for n in self.names if any(READS_TRUTH in r for r in self.pooled(n))]
+
+    def iqm(self, name: str) -> float:
+        """IQM [m] of the tracking RMSE of an agent over seeds and episodes."""
+        return float(stats.interquartile_mean(self.redrawn[name].values.ravel()))
 
     def scores(self, name: str) -> NDArray[np.float64]:
         """Redraws (2, B) of the score; needs the anchors. All rows draw the same seeds."""
@@ -259,7 +265,7 @@ def summarise(records: Sequence[Record], rows: Mapping[str, Row] | None = None) 
     """
     rows = rows_of(records) if rows is None else rows
     baseline = agent_of(records[0]["policy"])
-    found = Summary(baseline, {}, {}, {}, {})
+    found = Summary(baseline, {}, {}, {}, {}, {})
     for name, row in rows.items():
         found.policies[name] = {agent: row.summary(agent) for agent in row.names}
         found.comparisons[name] = {
@@ -270,4 +276,6 @@ def summarise(records: Sequence[Record], rows: Mapping[str, Row] | None = None) 
         found.nis[name] = {
             agent: mean_nis(row.pooled(agent)) for agent in found.identification[name]
         }
+        if (ceiling := row.ceiling()) is not None:
+            found.ceilings[name] = ceiling
     return found

@@ -29,7 +29,6 @@ from tracked_env.benchmark.registered_policies import (
     registered_policies,
 )
 from tracked_env.benchmark.runner import run
-from tracked_env.benchmark.sets import version_of
 from tracked_env.benchmark.store import identity_hash
 from tracked_env.benchmark.summary import Row, rows_of
 from tracked_env.benchmark.training_curves import read_costs, read_curves
@@ -52,7 +51,7 @@ def benchmark_config(config: Config) -> BenchmarkConfig:
     """The part of the command line that the benchmark knows. Raises ValueError."""
     checked_choice("environment", config.env, ENVIRONMENTS)
     return BenchmarkConfig(
-        sets=config.sets or default_sets(config.env),
+        sets=config.sets or default_sets(config.env, config.sets_version),
         episodes=config.episodes,
         seed=config.seed,
         reference=name_or_json(config.reference, "reference"),
@@ -60,6 +59,7 @@ def benchmark_config(config: Config) -> BenchmarkConfig:
         duration=config.duration,
         lateral=config.lateral,
         chunk=config.chunk,
+        version=config.sets_version,
     )
 
 
@@ -73,7 +73,7 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
     if benchmark.duration is not None:
         labels.append(f"{benchmark.duration:g}s")
     track = [benchmark.env.rpartition("/")[2].lower()] if benchmark.env != TORQUE_ID else []
-    version = version_of(benchmark.env, benchmark.sets)
+    version = benchmark.frozen_version
     usual = ["own"] if version is None else [version.name]
     name = "-".join([*track, *(labels or usual), f"seed{benchmark.seed}"])
     return output / f"{name}-{identity_hash(benchmark.identity())[:8]}"

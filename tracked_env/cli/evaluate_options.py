@@ -84,6 +84,10 @@ class Config:
         "environment but the known ones: `tracked-env envs` lists them",
         nargs="+", type=names, metavar="SET",
     )  # fmt: skip
+    sets_version: str | None = option(
+        None, "version of the frozen sets, such as v2; by default the newest one that holds them",
+        metavar="VERSION",
+    )  # fmt: skip
     episodes: int = option(
         32, "episodes per set; the frozen ones are the first 100 of each", type=int
     )
@@ -149,7 +153,9 @@ def add_options(parser: argparse.ArgumentParser, without: Sequence[str] = ()) ->
         more = {key: value for key, value in each.metadata.items() if key != "help"}
         is_shown = each.default is not None and not isinstance(each.default, bool)
         text = each.metadata["help"] + (f" (default: {each.default})" if is_shown else "")
-        parser.add_argument(f"--{each.name}", default=each.default, help=text, **more)
+        parser.add_argument(
+            f"--{each.name.replace('_', '-')}", default=each.default, help=text, **more
+        )
 
 
 def config_of(given: argparse.Namespace) -> Config:

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 
 import gymnasium
 
+from tracked_env.benchmark import frozen
 from tracked_env.benchmark.registered_policies import registered_policies
-from tracked_env.benchmark.sets import SETS, default_sets
+from tracked_env.benchmark.sets import SETS, default_sets, group_of, version_of
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, short_env
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.entry_points import OURS
@@ -37,15 +38,18 @@ def environments(envs: Sequence[str]) -> list[str]:
             f"{env}  actions: sprocket {made['drive']}s; vehicle {made['vehicle']}; "
             f"{made['plant']} plant; sensors {made['sensors']}"
         )
-        default = default_sets(env)
-        width = max(len(name) for name in SETS)
-        for each in SETS.values():
-            if each.env == env:
-                known = "" if each.name in default else "  [not by default]"
-                sensors = each.sensors if isinstance(each.sensors, str) else dict(each.sensors)
-                lines.append(
-                    f"  {each.name:<{width}}  {each.uncertainty}, sensors {sensors}{known}"
-                )
+        version = version_of(env)
+        hashes = {} if version is None else frozen.kept(version)["sets"]
+        own = [each for each in SETS.values() if each.env == env]
+        width = max((len(each.name) for each in own), default=0)
+        chosen = dict.fromkeys((*default_sets(env), *(each.name for each in own)))
+        for each in (SETS[name] for name in chosen):
+            sensors = each.sensors if isinstance(each.sensors, str) else dict(each.sensors)
+            mark = "  [not by default]"
+            if version is not None and each.name in hashes:
+                group, digest = group_of(each.name, version), hashes[each.name]["hash"]
+                mark = f"  [{version.name}, {group}, version {each.version}, hash {digest}]"
+            lines.append(f"  {each.name:<{width}}  {each.uncertainty}, sensors {sensors}{mark}")
     return lines
 
 

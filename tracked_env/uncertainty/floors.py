@@ -13,6 +13,9 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.streams import random, uniform
 from tracked_env.uncertainty import compiled as c
 
+FLOOR_PERIOD = 3.0  # [s] from one floor to the other
+FLOOR_CHANGES = 12  # [-] in an episode
+
 
 @formula
 def _floor(rng, nominal, truth):
@@ -86,6 +89,26 @@ def _floor_ood(rng, nominal, path, truth, changes):
     truth.drive_time_constant = uniform(rng, 0.05, 0.1)  # =U(0.05, 0.1)
 
 
+@formula
+def _alternating_floors(rng, nominal, path, truth, changes):
+    """Every 3 s another floor, for 36 s: a slippery one, a rough one, and back; unknown load."""
+    share = uniform(rng, 0.8, 1.5)  # *U(0.8, 1.5)
+    truth.mass, truth.inertia = nominal.mass * share, nominal.inertia * share
+    slippery = math.atan(uniform(rng, 0.1, 0.15))  # mu =U(0.1, 0.15)
+    rough = math.atan(uniform(rng, 0.5, 0.8))  # mu =U(0.5, 0.8)
+    first, second = (slippery, rough) if random(rng) < 0.5 else (rough, slippery)
+    truth.friction_angle = first
+    for k in range(1, FLOOR_CHANGES + 1):
+        c.ramp(changes, c.FRICTION_ANGLE, second if k % 2 == 1 else first, k * FLOOR_PERIOD, 0.0)
+
+
+@formula
+def _slow_floor_drive(rng, nominal, path, truth, changes):
+    """A `friction` vehicle whose motors answer late."""
+    _floor(rng, nominal, truth)
+    truth.drive_time_constant = uniform(rng, 0.15, 0.3)  # =U(0.15, 0.3)
+
+
 @loop
 def _each_friction(*call):
     c.draw_each(_friction, call)
@@ -111,10 +134,22 @@ def _each_floor_ood(*call):
     c.draw_each(_floor_ood, call)
 
 
+@loop
+def _each_alternating_floors(*call):
+    c.draw_each(_alternating_floors, call)
+
+
+@loop
+def _each_slow_floor_drive(*call):
+    c.draw_each(_slow_floor_drive, call)
+
+
 LAWS = c.laws(
     ("friction", _each_friction, _friction),
     ("friction-step", _each_friction_step, _friction_step),
     ("friction-drift", _each_friction_drift, _friction_drift),
     ("floor-mixed", _each_floor_mixed, _floor_mixed),
     ("floor-ood", _each_floor_ood, _floor_ood),
+    ("alternating-floors", _each_alternating_floors, _alternating_floors),
+    ("slow-floor-drive", _each_slow_floor_drive, _slow_floor_drive),
 )

@@ -5,6 +5,9 @@ from tracked_env.streams import integer, random, uniform
 from tracked_env.uncertainty import compiled as c
 from tracked_env.uncertainty.soils import firm_ground
 
+GAIN_PERIOD = 4.0  # [s] from one pair of gains to the next
+GAIN_CHANGES = 8  # [-] of each drive, in an episode
+
 
 @formula
 def _slow_drive(rng, nominal, path, truth, changes):
@@ -35,6 +38,18 @@ def _actuator_fault(rng, nominal, path, truth, changes):
     c.ramp(changes, side, gain, start, 0.0)
 
 
+@formula
+def _alternating_gains(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle; every 4 s, for 32 s, both drives settle at another torque."""
+    firm_ground(rng, nominal, truth)
+    truth.actuator_gain_left = uniform(rng, 0.4, 1.0)  # =U(0.4, 1)
+    truth.actuator_gain_right = uniform(rng, 0.4, 1.0)  # =U(0.4, 1)
+    for k in range(1, GAIN_CHANGES + 1):
+        left, right = uniform(rng, 0.4, 1.0), uniform(rng, 0.4, 1.0)  # =U(0.4, 1) each
+        c.ramp(changes, c.ACTUATOR_GAIN_LEFT, left, k * GAIN_PERIOD, 0.0)
+        c.ramp(changes, c.ACTUATOR_GAIN_RIGHT, right, k * GAIN_PERIOD, 0.0)
+
+
 @loop
 def _each_slow_drive(*call):
     c.draw_each(_slow_drive, call)
@@ -50,8 +65,14 @@ def _each_actuator_fault(*call):
     c.draw_each(_actuator_fault, call)
 
 
+@loop
+def _each_alternating_gains(*call):
+    c.draw_each(_alternating_gains, call)
+
+
 LAWS = c.laws(
     ("slow-drive", _each_slow_drive, _slow_drive),
     ("weak-actuator", _each_weak_actuator, _weak_actuator),
     ("actuator-fault", _each_actuator_fault, _actuator_fault),
+    ("alternating-gains", _each_alternating_gains, _alternating_gains),
 )

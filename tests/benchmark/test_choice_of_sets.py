@@ -1,0 +1,93 @@
+"""What a set separates, and how alike two sets are, on made-up numbers."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from tests.benchmark.test_report import EASY, records
+from tracked_env.benchmark import choice_of_sets as choosing
+from tracked_env.benchmark.records import READS_TRUTH
+from tracked_env.benchmark.sets import TORQUE_SETS
+from tracked_env.benchmark.summary import rows_of, summarise
+
+TRUTHFUL = ("oracle", "mpc-oracle")
+FACTORS = {"nominal": 9.0, "integral": 4.0, "adaptive": 1.5, "oracle": 1.2, "mpc-oracle": 1.0,
+           "ppo-blind": 7.0, "sac-blind": 8.0, "recurrent-ppo-blind": 2.0}  # fmt: skip
+
+
+def given(name: str, **factors: float) -> list[dict[str, Any]]:
+    """Records of a set: every RMSE is a factor times that of an easy episode."""
+    made = records(name, **{policy: factor * EASY for policy, factor in factors.items()})
+    return [{**r, **({READS_TRUTH: True} if r["policy"] in TRUTHFUL else {})} for r in made]
+
+
+def chosen(*sets: tuple[str, dict[str, float]]) -> choosing.Choice:
+    made = [r for name, factors in sets for r in given(name, **factors)]
+    return choosing.choice(rows_of(made), TORQUE_SETS)
+
+
+def test_the_roles_of_a_set_are_filled_by_the_best_of_each_kind() -> None:
+    (found,) = chosen(("a", FACTORS)).sets
+    assert (found.blind, found.memory) == ("ppo-blind", "adaptive")
+    assert (found.baseline, found.adaptive) == ("integral", "adaptive")
+    assert found.ceiling == "mpc-oracle"  # not the oracle: the best policy with the truth
+
+
+def test_separations_are_shares_of_the_gap_between_baseline_and_ceiling() -> None:
+    (found,) = chosen(("a", FACTORS)).sets
+    assert found.of_memory == pytest.approx((7.0 - 1.5) / (4.0 - 1.0))
+    assert found.of_identification == pytest.approx((4.0 - 1.5) / (4.0 - 1.0))
+    assert found.needs_memory and found.needs_identification
+
+
+def test_where_nobody_loses_nothing_is_separated() -> None:
+    alike = dict.fromkeys(FACTORS, 1.0)
+    (found,) = chosen(("a", alike)).sets
+    assert (found.of_memory, found.of_identification) == (0.0, 0.0)
+    assert not found.needs_memory and not found.needs_identification
+
+
+def test_a_small_gap_does_not_make_a_small_difference_a_strong_separation() -> None:
+    close = {**FACTORS, "integral": 1.1, "adaptive": 1.05, "ppo-blind": 1.15, "sac-blind": 1.15,
+             "recurrent-ppo-blind": 1.06}  # fmt: skip
+    (found,) = chosen(("a", close)).sets
+    assert found.of_memory == pytest.approx(1.0)  # 0.1 of a gap of 0.1, 10 % of the error
+    assert not found.needs_memory
+    assert found.of_identification == 0.0 and not found.needs_identification
+
+
+def test_without_policies_of_a_role_there_is_no_separation() -> None:
+    (found,) = chosen(("a", {"integral": 4.0, "oracle": 1.0})).sets
+    assert np.isnan(found.of_memory) and np.isnan(found.of_identification)
+    assert choosing.table(choosing.Choice([found], np.eye(1)))[1][-3:] == ["-", "-", "-"]
+
+
+def test_rank_correlations_are_those_of_an_independent_implementation_ties_included() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        one, other = rng.integers(0, 6, 9) / 6.0, rng.normal(size=9)
+        pair = [{f"p{i}": float(v) for i, v in enumerate(of)} for of in (one, other)]
+        expected = spearmanr(one, other).statistic
+        assert choosing.rank_correlation(*pair) == pytest.approx(expected, abs=1e-12)
+    assert np.isnan(choosing.rank_correlation({"a": 1.0, "b": 1.0}, {"a": 1.0, "b": 2.0}))
+
+
+def test_two_chosen_sets_that_rank_the_policies_alike_are_named() -> None:
+    one, two = TORQUE_SETS.sets[:2]
+    other = {name: 10.0 - factor for name, factor in FACTORS.items()}
+    same = chosen((one, FACTORS), (two, FACTORS), ("candidate", FACTORS))
+    different = chosen((one, FACTORS), (two, other), ("candidate", FACTORS))
+    assert not same.judgement()[3][0] and f"{two} and {one} (1.00)" in same.judgement()[3][1]
+    assert different.judgement()[3][0]
+    assert [each.name for each in same.chosen()] == [one, two]
+    assert "NOT met: 10 to 12 sets: 2" in choosing.verdict(same)
+
+
+def test_the_ceiling_of_a_set_is_the_best_policy_that_reads_the_truth_and_may_differ() -> None:
+    swapped = {**FACTORS, "oracle": 0.9, "adaptive": 0.5}
+    summary = summarise(given("a", **FACTORS) + given("b", **swapped))
+    assert summary.ceilings["a"] == "mpc-oracle" and summary.ceilings["b"] == "oracle"
+    without = summarise(records("a", nominal=EASY, adaptive=0.5 * EASY))
+    assert without.ceilings == {}

@@ -1,0 +1,151 @@
+"""`tracked-env choose-sets`: what every candidate set separates, on the development split.
+
+Run it again with other policies: what was run is kept, and only what is missing is run.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from tracked_env import TORQUE_ID
+from tracked_env.benchmark import choice_of_sets as choosing
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.executors import make_executor
+from tracked_env.benchmark.files import replace_block
+from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError
+from tracked_env.benchmark.policy_lookup import load_policies
+from tracked_env.benchmark.progress_bar import progress_bar
+from tracked_env.benchmark.registered_policies import (
+    by_name,
+    default_names,
+    open_archive,
+    registered_policies,
+)
+from tracked_env.benchmark.runner import run
+from tracked_env.benchmark.sets import SETS, names_of, version_of
+from tracked_env.benchmark.splits import DEVELOPMENT
+from tracked_env.benchmark.store import Store, identity_hash, write_atomically
+from tracked_env.benchmark.summary import agent_of, rows_of
+from tracked_env.benchmark.text_tables import aligned, markdown_rows
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, names, short_env
+
+_KNOWN = ("nominal", "floor", "level")  # nothing is unknown there: no candidates
+
+
+class Options(NamedTuple):
+    """Options of the command."""
+
+    env: str
+    policies: list[str] | None
+    sets: list[str] | None
+    episodes: int
+    seeds: int
+    output: Path
+    workers: int | None
+    page: Path | None
+
+
+def _options(arguments: Sequence[str], program: str) -> Options:
+    parser = argparse.ArgumentParser(
+        prog=program,
+        allow_abbrev=False,
+        description="Print what every candidate for the evaluation sets separates: policies with "
+        "memory from blind ones, adaptive controllers from others; and which candidates rank the "
+        "policies alike. Episodes are those of the development split.",
+    )
+    parser.add_argument("--env", type=short_env, choices=ENVIRONMENTS, default=TORQUE_ID)
+    parser.add_argument(
+        "--policies", nargs="+", type=names, metavar="POLICY",
+        help="as in `tracked-env evaluate`; by default all that are registered",
+    )  # fmt: skip
+    parser.add_argument("--sets", nargs="+", type=names, metavar="SET",
+                        help="candidates; by default all sets of the environment")  # fmt: skip
+    parser.add_argument("--episodes", type=int, default=24, help="per set (default: 24)")
+    parser.add_argument("--seeds", type=int, default=1,
+                        help="of every agent, at most (default: 1)")  # fmt: skip
+    parser.add_argument("--output", type=Path, default=Path("results"))
+    parser.add_argument("--workers", type=int, metavar="N", help="processes at the same time")
+    parser.add_argument("--page", type=Path, metavar="FILE",
+                        help="page whose block of this environment is renewed")  # fmt: skip
+    given = parser.parse_args(arguments)
+    for name in ("policies", "sets"):
+        lists = getattr(given, name)
+        setattr(given, name, lists and [one for part in lists for one in part])
+    return Options(**vars(given))
+
+
+def candidates(env: str) -> tuple[str, ...]:
+    """Every set of an environment id in which something is unknown, those of the version first."""
+    version = version_of(env)
+    chosen = () if version is None else names_of(version)
+    known = [name for name, each in SETS.items() if each.env == env and name not in _KNOWN]
+    return tuple(dict.fromkeys((*chosen, *known)))
+
+
+def few_seeds(entries: Sequence[PolicyEntry], most: int) -> list[PolicyEntry]:
+    """The policies, of every agent its first seeds."""
+    kept = list[PolicyEntry]()
+    for entry in entries:
+        if sum(agent_of(one.name) == agent_of(entry.name) for one in kept) < most:
+            kept.append(entry)
+    return kept
+
+
+def page_of(found: choosing.Choice, conditions: str) -> str:
+    """The tables as Markdown."""
+    parts = [
+        markdown_rows(choosing.table(found)),
+        "Rank correlations of the chosen sets:",
+        markdown_rows(choosing.correlation_table(found), 1),
+        "\n".join(f"- {line}" for line in choosing.verdict(found).split("\n")),
+        conditions,
+    ]
+    return "\n\n".join(parts)
+
+
+def _choose(options: Options) -> None:
+    config = BenchmarkConfig(
+        sets=tuple(options.sets or candidates(options.env)),
+        episodes=options.episodes,
+        seed=DEVELOPMENT,
+    )
+    policies = registered_policies()
+    registry, trained = by_name(policies, config.env)
+    specs = options.policies or default_names(policies, config.env)
+    entries = few_seeds(load_policies(specs, registry, trained, open_archive), options.seeds)
+    folder = options.output / f"choice-{config.env.partition('/')[2].lower()}"
+    store = Store(folder / identity_hash(config.identity())[:8], config.identity())
+    executor = make_executor(options.workers, None, None)
+    steps = sum(config.max_steps(name) for name in config.sets) * config.episodes * len(entries)
+    with progress_bar(steps) as progress:
+        records = run(config, entries, store, progress, executor)
+    found = choosing.choice(rows_of(records), version_of(config.env))
+    conditions = (
+        f"{config.episodes} episodes of each set, from seed {config.seed} on (development split), "
+        f"{len(entries)} policies; source {config.identity()['source']}."
+    )
+    print(f"\n{aligned(choosing.table(found))}\n\n{choosing.EXPLANATION}\n")
+    print(f"{aligned(choosing.correlation_table(found), 1)}\n")
+    print(f"{choosing.verdict(found)}\n\n{conditions}")
+    values = {each.name: each.iqm for each in found.sets}
+    write_atomically(store.folder / "choice.json", json.dumps(values, indent=1).encode())
+    if options.page is not None:
+        block = f"choice for {config.env.partition('/')[2]}"
+        replace_block(options.page, block, page_of(found, conditions))
+
+
+def main(arguments: Sequence[str], program: str) -> int:
+    """Run the command; returns the exit status."""
+    options = _options(arguments, program)
+    try:
+        _choose(options)
+    except (PolicyError, OSError) as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 1
+    except ValueError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 2
+    return 0

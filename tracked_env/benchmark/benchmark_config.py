@@ -26,6 +26,8 @@ CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its ti
 # What a result's identity leaves out: files and folders of the package that draw, report or adapt
 # to other libraries. Everything else counts, so a new file counts until it is named here.
 WITHOUT_INFLUENCE = {
+    "benchmark/adaptation.py": "statistics and figures of records",
+    "benchmark/breaking_points.py": "which levels are run; each is part of the identity",
     "cli/": "command lines",
     "rendering/": "pictures of a state",
     "sb3.py": "another interface to the vector environment",

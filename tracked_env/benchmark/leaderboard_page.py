@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tracked_env.benchmark import reliability as rel
-from tracked_env.benchmark.drawing import REFERENCE_COLOUR, STYLE, Look, looks, new_figure
+from tracked_env.benchmark.drawing import (
+    REFERENCE_COLOUR,
+    STYLE,
+    Look,
+    looks,
+    new_figure,
+    plain_ticks,
+)
 from tracked_env.benchmark.leaderboard import (
     COSTS,
     SCORES,
@@ -31,7 +38,6 @@ from tracked_env.benchmark.summary import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 Curves = Mapping[str, Sequence[Sequence[tuple[float, float]]]]
@@ -122,7 +128,7 @@ def intervals(board: Leaderboard, style: Mapping[str, Look]) -> "Figure":
         axes.set_yticks(range(len(board.places)), names or [""] * len(board.places))
         axes.set_ylim(len(board.places) - 0.5, -0.5)
         axes.set_xscale("log")
-        _plain(axes.xaxis)
+        plain_ticks(axes.xaxis)
         axes.set_xlabel(f"{name}: error / {board.reference}")
     grid[0, 0].set_title("Tracking error and its 95 % interval, over all sets", loc="left")
     return figure
@@ -144,7 +150,7 @@ def profiles(row: Row, board: Leaderboard, style: dict[str, Look]) -> "Figure":
             marker=look.marker, markevery=(5, 15), markersize=4.0,
         )  # fmt: skip
     axes.set_xscale("log")
-    _plain(axes.xaxis)
+    plain_ticks(axes.xaxis)
     axes.set_ylim(0.0, 1.02)
     axes.set_xlabel("threshold of the RMSE [m]")
     axes.set_ylabel("share of episodes with RMSE ≤ threshold")
@@ -166,21 +172,12 @@ def learning(curves: Curves, board: Leaderboard, style: dict[str, Look]) -> "Fig
                 label=place.agent if seed == 0 else None, marker=look.marker, markersize=3.5,
             )  # fmt: skip
     axes.set_yscale("log")
-    _plain(axes.yaxis)
+    plain_ticks(axes.yaxis)
     axes.xaxis.set_major_formatter(lambda x, _: f"{x / 1e6:g}")
     axes.set_xlabel("environment steps [millions]")
     axes.set_ylabel("RMSE on held-out episodes [m]")
     _legend(axes, "Learning curves, a line per seed")
     return figure
-
-
-def _plain(axis: "Axis") -> None:
-    """Ticks of a logarithmic axis at 1, 2 and 5, written as plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _legend(axes: "Axes", title: str) -> None:

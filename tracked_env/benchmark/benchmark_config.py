@@ -53,6 +53,8 @@ WITHOUT_INFLUENCE = {
     "benchmark/store.py": "writes and reads records",
     "benchmark/summary.py": "statistics of records",
     "benchmark/training_curves.py": "what trainings left beside their archives",
+    "benchmark/tuning.py": "chooses settings of policies; each record has its own fingerprint",
+    "benchmark/tuning_records.py": "tables of what was chosen from",
     "benchmark/video.py": "pictures of an episode",
 }
 

@@ -66,13 +66,13 @@ def variants(
     found = []
     for name in controllers:
         factory = registry.get(name)
-        if not hasattr(factory, "TUNABLE"):
+        if factory is None or not hasattr(factory, "TUNABLE"):
             continue
         settings = default_settings(tunable(name, factory), config.context(config.sets[0]))
         for setting, value in settings.items():
             for factor in FACTORS if value not in (0.0, math.inf) else ():
                 scaled = f"{name} {setting} x{factor:g}"
-                make = partial(factory, **{setting: factor * value})  # type: ignore[arg-type]
+                make = partial(factory, **{setting: factor * value})
                 mark = f"{source_fingerprint(factory.__module__)}:{factor * value:.12g}"
                 found.append(Variant(name, setting, factor, PolicyEntry(scaled, make, mark)))
     return found

@@ -192,7 +192,12 @@ def main() -> int:
         reference = next((name for name in REFERENCES if name in agents), None)
         if reference is None:
             raise ValueError(f"policies = {agents}; must hold one of {REFERENCES}")
-        found = variants(registry, agents, config)
+        found = variants({one.name: one.found for one in policies}, agents, config)
+        if all(variant.controller != reference for variant in found):
+            raise ValueError(
+                f"policy {reference!r} declares no setting that could be scaled, so nothing would "
+                "be tried; it needs the attributes TUNABLE and SETTINGS"
+            )
         identity = config.identity()
         folder = given.output / f"headline-{given.seed}-{identity_hash(identity)[:8]}"
         store = Store(folder, identity)

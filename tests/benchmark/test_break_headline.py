@@ -131,3 +131,7 @@ def test_it_runs_on_the_audit_split_continues_and_says_whether_the_headline_stan
     assert (folder / "episodes.jsonl").read_bytes() == before
     monkeypatch.setattr(sys, "argv", ["break_headline", "--policies", "nominal"])
     assert breaking.main() == 2
+    monkeypatch.setattr(breaking, "FACTORS", ())
+    monkeypatch.setattr(sys, "argv", [*given, "--output", str(tmp_path)])
+    assert breaking.main() == 2
+    assert "nothing would be tried" in capsys.readouterr().err

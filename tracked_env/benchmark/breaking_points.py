@@ -39,6 +39,7 @@ class Scaled:
 
     mass: float = 1.0  # [-] of mass and inertia
     strength: float = 1.0  # [-] of cohesion and tan(friction angle)
+    resistances: tuple[float, float] | None = None  # [-] mu_l, mu_t; None: the nominal ones
 
     def __call__(
         self,
@@ -55,6 +56,11 @@ class Scaled:
             cohesion=truth.cohesion * self.strength,
             friction_angle=math.atan(math.tan(truth.friction_angle) * self.strength),
         )
+        if self.resistances is not None:
+            longitudinal, lateral = self.resistances
+            scaled = scaled._replace(
+                longitudinal_resistance=longitudinal, lateral_resistance=lateral
+            )
         return Draw(scaled, [])
 
 
@@ -82,6 +88,17 @@ def _sensors(**fields: Callable[[float], Any]) -> Callable[[BenchmarkSet, float]
     )
 
 
+# Middle of what the law `weak-soil` draws. With the nominal resistance of Torque-v0 no policy could
+# move on soil below 0.16 of the nominal strength, and the axis would show that and nothing else.
+_ON_WEAK_SOIL = {TORQUE_ID: (0.13, 0.55)}
+
+
+def _on_soil(base: BenchmarkSet, level: float) -> BenchmarkSet:
+    """The set with this soil strength."""
+    law = Scaled(strength=level, resistances=_ON_WEAK_SOIL.get(base.env))
+    return base._replace(uncertainty=law)
+
+
 # Laws and sensors of `train.py`, as the page on agents lists them. Soil strength: largest effort on
 # the weakest soil over that on the nominal one, friction over the nominal friction.
 AXES = {
@@ -105,7 +122,7 @@ AXES = {
     ),
     "soil-strength": Axis(
         "of nominal", 1.0, 0.02, True, {TORQUE_ID: (0.087, 1.0), SPEED_ID: (0.25, 2.0)},
-        lambda base, level: base._replace(uncertainty=Scaled(strength=level)),
+        _on_soil,
     ),
 }  # fmt: skip
 _BASES = {

@@ -5,8 +5,7 @@
 
 Likewise with `--env tracked_env/Speed-v0` and results/speed-v3-*, and with
 `--env tracked_env/Terrain-v0` and results/terrain-v3-*. docs/results.md gets the whole
-table between the two markers of that environment, with the cost of training each agent, read from
-the curve.csv beside it, and README.md the columns SHORT of it.
+table between the two markers of that environment, and README.md the columns SHORT of it.
 `baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE per seed or
 controller and set with a 95 % bootstrap interval over the episodes; tests run some of them again,
 and ask whether each set separates the policies that it should.
@@ -30,27 +29,18 @@ from tracked_env.benchmark.report import rate_unit
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import action_rate
 from tracked_env.benchmark.text_tables import escaped
+from tracked_env.benchmark.training_curves import TrainingCost
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"
-SHORT = ("", "policy", "seeds", "RMSE, all sets [m]", "after 5 s [m]", "success")  # and the verdict
+SHORT = (
+    "", "policy", "seeds", "error", "after 5 s", "RMSE, all sets [m]", "after 5 s [m]", "success",
+)  # fmt: skip # and the verdict
 
 
 def track_of(board: dict[str, Any]) -> str:
     """Environment of a leaderboard, as the folder of its agents is called."""
     return SETS[next(name for name in board["sets"] if name in SETS)].env.partition("/")[2]
-
-
-def training_cost(agent: str, track: str) -> str:
-    """Steps and mean processor time of trainings of a shipped agent, '-' for a controller."""
-    curves = [
-        np.genfromtxt(path, delimiter=",", names=True)
-        for path in sorted((PRETRAINED / track).glob(f"{agent}-seed*/curve.csv"))
-    ]
-    if not curves:
-        return "-"
-    seconds = np.mean([curve["cpu_seconds"][-1] for curve in curves])
-    return f"{curves[0]['steps'][-1] / 1e6:.2g} M steps, {seconds:.0f} s"
 
 
 def estimate_text(estimate: dict[str, float], digits: int, seeds: int) -> str:
@@ -60,31 +50,35 @@ def estimate_text(estimate: dict[str, float], digits: int, seeds: int) -> str:
 
 def table(board: dict[str, Any]) -> str:
     """The leaderboard as Markdown: overall, then the IQM of the RMSE per set."""
-    agents, track = board["agents"], track_of(board)
+    agents = board["agents"]
     means = [
         {name: np.nan if value is None else value for name, value in e["overall"]["means"].items()}
         for e in agents
     ]
     unit, factor = rate_unit(means)
     rates = [f"{factor * action_rate(of)[0]:.1f}" for of in means]
+    than = escaped(board["reference"])
     lines = [
-        "| | policy | seeds | RMSE, all sets [m] | after 5 s [m] | score | worst tenth [m] "
-        f"| success | action rate [{unit}] | P(better) | than {escaped(board['reference'])} "
-        "| training of a seed, CPU |",
-        "|--:|--|--:|--:|--:|--:|--:|--:|--:|--:|--|--:|",
+        "| | policy | seeds | error | after 5 s | worst set | worst tenth [m] | success "
+        f"| action rate [{unit}] | energy [kJ] | than {than} | after the start "
+        "| RMSE, all sets [m] | after 5 s [m] | score | P(better) | training of a seed, CPU |",
+        "|--:|--|--:|--:|--:|--|--:|--:|--:|--:|--|--|--:|--:|--:|--:|--:|",
     ]
     for rank, entry in enumerate(agents, start=1):
-        o = entry["overall"]
-        seeds = entry["seeds"] or "-"
-        star = "" if entry["seeds"] in (None, 0) or entry["seeds"] >= 5 else "*"
-        against = entry["against"]
+        o, own, count = entry["overall"], entry["relative"], entry["seeds"]
+        star = "" if count in (None, 0) or count >= 5 else "*"
+        against, training = entry["against"], entry["training"]
         chance = "-" if against is None else f"{against['improvement']['value']:.0%}"
         cells = [
-            f"{rank}", escaped(entry["agent"]), f"{seeds}{star}",
-            estimate_text(o["rmse_iqm"], 3, entry["seeds"]), f"{o['settled_iqm']['value']:.3f}",
-            estimate_text(o["score"], 3, entry["seeds"]), f"{o['rmse_worst']['value']:.2f}",
+            f"{rank}", escaped(entry["agent"]), f"{count or '-'}{star}",
+            estimate_text(own["whole"], 2, count), estimate_text(own["settled"], 2, count),
+            "-" if against is None else f"{own['worst']:.3g} `{own['worst_set']}`",
+            f"{o['rmse_worst']['value']:.2f}",
             f"{100 * o['means']['success']:.1f} %", rates[rank - 1],
-            chance, entry["verdict"], training_cost(entry["agent"], track),
+            f"{means[rank - 1]['energy'] / 1e3:.3g}", entry["verdict"], entry["verdict_settled"],
+            estimate_text(o["rmse_iqm"], 3, count), f"{o['settled_iqm']['value']:.3f}",
+            "-" if o["score"] is None else estimate_text(o["score"], 3, count),
+            chance, "-" if training is None else str(TrainingCost(**training)),
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
     names = [escaped(entry["agent"]) for entry in agents]
@@ -93,7 +87,13 @@ def table(board: dict[str, Any]) -> str:
         values = [entry["rmse"][name]["value"] for entry in agents]
         cells = [f"**{v:.3f}**" if v == min(values) else f"{v:.3f}" for v in values]
         lines.append(f"| `{name}` | " + " | ".join(cells) + " |")
-    lines += ["", f"{board['conditions']}. * fewer than five seeds."]
+    agreement = ", ".join(f"{k} {v:.2f}" for k, v in board["agreement"].items() if v is not None)
+    lines += [
+        "",
+        f"Error: geometric mean over the sets of the IQM of the RMSE over that of {than}.",
+        f"Kendall's tau of the order with that by {agreement}.",
+        f"{board['conditions']}. * fewer than five seeds.",
+    ]
     return "\n".join(lines)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.learned.augmentation import Augmentation, make_augmentation, seen
+from baselines.learned.held_policy import chosen
 from baselines.learned.privileged_inputs import TEACHER, Truth, privileged
 from baselines.registry import Context
 from tracked_env import observation as layout
@@ -117,6 +118,10 @@ class AgentPolicy:
         self.normalisation = normalisation
         self._recipe = (kind, dict(options), context)
         self._given: AgentState | None = None
+        self._seen: tuple[Floats, Any] | None = None  # features and recurrent values of last time
+        self._held: tuple[Bools, Floats, Any] | None = (
+            None  # rows that learn no more, what they keep
+        )
         self.augmentation: Augmentation = make_augmentation(*self._recipe, 1)
         self._shown = Shown(groups, context.observation, self.augmentation.needs)
 
@@ -141,19 +146,48 @@ class AgentPolicy:
             start |= np.asarray(episode_start, dtype=bool)
         if state is None or count != self.augmentation.count:
             self.augmentation = make_augmentation(*self._recipe, count)
+            self._held = None
         if state is not None and state is not self._given:
             self.augmentation.restore(state.memories)
         self._given = None  # until this call has ended well, `augmentation` is in no known state
         features = self.augmentation.observe(batch, start)
+        before = None if state is None else state.recurrent
+        if self._held is not None:
+            features, before = self._with_held(features, before, start)
         shown = seen(present, features)
         if self.normalisation is not None:
             shown = self.normalisation(shown)
-        action, recurrent = self.model.predict(
-            shown, None if state is None else state.recurrent, start, deterministic
-        )
+        action, recurrent = self.model.predict(shown, before, start, deterministic)
+        self._seen = features, recurrent
         commands = self.augmentation.command(np.asarray(action, np.float32), features)
         self._given = AgentState(self.augmentation.memories(), recurrent)
         return (commands[0] if np.ndim(observation) == 1 else commands), self._given
+
+    def freeze(self, rows: Bools) -> None:
+        """Keep what has been learned of the vehicle in these rows (N,), until they start anew.
+
+        That is the features of the augmentation that it calls `learned` (a history as a whole, of
+        estimates the parameters and not the motion), and what a recurrent network remembers.
+        """
+        self.augmentation.freeze(rows)
+        if self._seen is not None:
+            features, recurrent = self._seen
+            if self._held is not None and recurrent is not None:
+                recurrent = chosen(self._held[2], recurrent, self._held[0])
+            held = rows.copy() if self._held is None else self._held[0] | rows
+            self._held = held, features.copy(), recurrent
+
+    def _with_held(self, features: Floats, recurrent: Any, start: Bools) -> tuple[Floats, Any]:
+        """Features and recurrent values with those held in the rows that learn no more."""
+        assert self._held is not None
+        rows, kept, remembered = self._held
+        rows &= ~start
+        names = self.augmentation.feature_names
+        columns = np.isin(names, self.augmentation.learned)
+        features = np.where(rows[:, None] & columns, kept, features)
+        if recurrent is not None and remembered is not None:
+            recurrent = chosen(remembered, recurrent, rows)
+        return features, recurrent
 
 
 class TeacherPolicy:

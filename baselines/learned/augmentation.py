@@ -53,6 +53,13 @@ class Augmentation(Protocol):
     def feature_names(self) -> tuple[str, ...]:
         """Names of the F features."""
 
+    @property
+    def learned(self) -> tuple[str, ...]:
+        """Names of the features that say what has been learned of the vehicle."""
+
+    def freeze(self, rows: Bools) -> None:
+        """A controller inside keeps what it knows of these rows (N,)."""
+
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """Features (N, F) after observations (N, D); rows with `start` begin an episode."""
 

@@ -18,6 +18,12 @@ class HeldState:
     """An augmentation that remembers the state of its policy, which never changes in place."""
 
     _state: Any = None
+    policy: Any
+    learned: tuple[str, ...] = ()
+
+    def freeze(self, rows: NDArray[np.bool_]) -> None:
+        """The controller keeps what it knows in these rows (N,)."""
+        self.policy.freeze(rows)
 
     def memories(self) -> Any:
         """The policy's state, None before the first observation."""

@@ -29,6 +29,7 @@ class Blind:
 
     feature_names: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
+    learned: tuple[str, ...] = ()
 
     def __init__(self, count: int, control_period: float) -> None:
         self.count = count
@@ -44,6 +45,9 @@ class Blind:
 
     def restore(self, memories: Any, rows: Bools | None = None) -> None:
         """Nothing to put back."""
+
+    def freeze(self, rows: Bools) -> None:
+        """No controller that could learn."""
 
     def command(self, action: Floats, features: Floats) -> Floats:
         """The agent's action as it is."""
@@ -65,7 +69,9 @@ class History(Blind):
             raise ValueError(f"lags = {lags}; must rise, from 1 control step on")
         self._lags = np.array(lags)
         self._columns = np.array([layout.INDEX[name] for name in REMEMBERED])
-        self.feature_names = tuple(f"{name}_{lag}_before" for lag in lags for name in REMEMBERED)
+        self.learned = self.feature_names = tuple(
+            f"{name}_{lag}_before" for lag in lags for name in REMEMBERED
+        )
         self.samples: Floats = np.zeros((count, lags[-1] + 1, len(REMEMBERED)), dtype=np.float32)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:

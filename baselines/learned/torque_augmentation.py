@@ -59,6 +59,8 @@ def known_features(observation: Floats, known: Identification, nominal: PlantPar
 class Estimates(IdentificationStack):
     """What the identification stack knows, as features."""
 
+    learned = FEATURES
+
     @property
     def feature_names(self) -> tuple[str, ...]:
         """Names of what `observe` returns."""
@@ -67,6 +69,9 @@ class Estimates(IdentificationStack):
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """Filtered errors and estimates, (N, F); rows with `start` forget."""
         return known_features(observation, self.update(observation, start), self.parameters)
+
+    def freeze(self, rows: Bools) -> None:
+        """No controller that could learn."""
 
     def command(self, action: Floats, features: Floats) -> Floats:
         """The agent's action as it is."""
@@ -80,6 +85,7 @@ class Residual(HeldState):
     """
 
     feature_names = ("adaptive_left", "adaptive_right", *KNOWN)
+    learned = FEATURES
 
     def __init__(self, policy: AdaptivePolicy, count: int, scale: float) -> None:
         """Raises ValueError for a scale outside (0, 2]."""

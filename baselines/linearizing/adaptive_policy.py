@@ -211,6 +211,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self._base = float(p.track_width * p.contact_length)
         self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
         self._nothing_known = np.zeros(count, dtype=bool)
+        self._frozen: NDArray[np.bool_] | None = None  # rows whose parameters are held
+        self._held = self.controller.parameters
         decay = torque_decay(self.controller.control_period, self._nominal[_LAG])
         drives = (p.actuator_gain_left, p.actuator_gain_right, max(decay, LEAST_DECAY))
         self._nominal_drives = np.tile(np.array(drives, dtype=np.float64), (count, 1))
@@ -238,6 +240,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             self._give_ground(self.given_parameters)
         known = self.stack.update(observation, start)
         self._adapt(known)
+        if self._frozen is not None:
+            self._frozen &= ~start
+            self.controller.parameters[:, self._frozen] = self._held[:, self._frozen]
         latest, answers = known.reading.latest, known.parts.answers
         _value, _covariance, summary, status = answers["slip"]
         show(
@@ -255,6 +260,14 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self.known = known
         self._given = AdaptiveState(held, self.stack.memories(), given)
         return action, self._given
+
+    def freeze(self, rows: NDArray[np.bool_]) -> None:
+        """Keep the controller's present parameters in these rows (N,), until they start anew.
+
+        The filter of the motion goes on, with the ground that the estimators go on to identify.
+        """
+        self._held = self.controller.parameters.copy()
+        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
 
     def _give_ground(self, parameters: NDArray[np.float64]) -> None:
         """The ground of given parameters (PARAMETER_ROWS, N) for the filter, certain."""

@@ -19,6 +19,7 @@ from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
 from baselines.lyapunov.slope_errors import ATTITUDE, shows_attitude
+from baselines.slip.friction_bank import CURVE, PLACE
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_models import Array, SlipFamily, SlipModel
 from baselines.slip.slip_sweep import slip_family, strength_over_weight
@@ -27,6 +28,7 @@ from baselines.slip.slope_sweep import slope_slip_family
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 
+LEARNED = (PLACE, CURVE)  # columns of the estimator's memory: the friction and how sure it is
 LATE = 0.05  # [s] an older velocity gives no information on the present slip
 MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that the oracle knows
 # [-] of the friction that a slope is taken to need at most. Slip grows without bound towards 1, and
@@ -84,6 +86,13 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         self.estimator = RecursiveSlipEstimator(
             self.parameters, self.control_period, self._sheet, count, slopes=self._slopes
         )
+        self._frozen: NDArray[np.bool_] | None = None  # rows whose friction is held
+        self._held = self.estimator.memory[:, LEARNED]
+
+    def freeze(self, rows: NDArray[np.bool_]) -> None:
+        """Keep the friction that is known now in these rows (N,), until they start anew."""
+        self._held = self.estimator.memory[:, LEARNED].copy()
+        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
 
     def estimates(self) -> dict[str, tuple[Array, Array]]:
         """(value, standard deviation), (N,), of the angle phi of the friction mu = tan(phi)."""
@@ -113,6 +122,10 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
             left, right, np.where(known, v_x, np.nan), np.where(known, v_y, np.nan), yaw_rate,
             None if state is None else state.driving.attitude,
         )  # fmt: skip
+        if self._frozen is not None:
+            self._frozen &= ~start
+            rows = np.flatnonzero(self._frozen)
+            self.estimator.memory[rows[:, None], LEARNED] = self._held[rows]
         # The friction is worked out once; the controller asks for the slip many times.
         friction = self.estimator.friction
         if state is not None:

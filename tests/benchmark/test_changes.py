@@ -82,7 +82,7 @@ def test_overlapping_runs_of_two_parameters_are_one_change() -> None:
 def test_an_error_that_decays_recovers_when_it_falls_below_the_threshold() -> None:
     time = PERIOD * (1 + np.arange(STEPS))  # entry k is taken after step k
     error = np.where(time > 6.0, np.exp(-(time - 6.0) / 2.0), 0.01)
-    found, peak = recovery(error, [Change(300, 300)], PERIOD, 0.1)
+    found, peak, _ = recovery(error, [Change(300, 300)], PERIOD, 0.1)
     assert found == pytest.approx(2.0 * np.log(1.0 / 0.1), abs=PERIOD)
     assert peak == pytest.approx(np.exp(-0.01))
 
@@ -90,7 +90,9 @@ def test_an_error_that_decays_recovers_when_it_falls_below_the_threshold() -> No
 def test_the_time_to_recover_counts_from_the_end_and_the_peak_from_the_start_of_a_change() -> None:
     error = np.zeros(STEPS)
     error[300:310], error[340:390] = 0.9, 0.2
-    assert recovery(error, [Change(300, 340)], PERIOD, 0.1) == (pytest.approx(1.0), 0.9)
+    assert recovery(error, [Change(300, 340)], PERIOD, 0.1) == (
+        pytest.approx(1.0), 0.9, pytest.approx(np.sqrt((10 * 0.81 + 50 * 0.04) / (STEPS - 300))),
+    )  # fmt: skip
 
 
 def test_who_leaves_the_threshold_again_has_not_recovered_before() -> None:
@@ -107,7 +109,9 @@ def test_who_never_recovers_takes_the_time_that_is_left_or_that_to_the_next_chan
 
 
 def test_who_is_not_disturbed_recovers_at_once() -> None:
-    assert recovery(np.full(STEPS, 0.05), [Change(400, 420)], PERIOD, 0.1) == (0.0, 0.05)
+    assert recovery(np.full(STEPS, 0.05), [Change(400, 420)], PERIOD, 0.1) == (
+        0.0, 0.05, pytest.approx(0.05),
+    )  # fmt: skip
 
 
 def test_without_a_change_there_is_nothing_to_recover_from() -> None:

@@ -13,7 +13,7 @@ import pytest
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import leaderboard_page as page
-from tracked_env.benchmark.report import policy_table, terminal
+from tracked_env.benchmark.report import comparison_table, policy_table, terminal
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import rows_of, summarise
 
@@ -34,7 +34,7 @@ ALL: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_agents_are_ordered_by_their_score_and_seeds_are_one_agent() -> None:
+def test_agents_are_ordered_by_their_relative_error_and_seeds_are_one_agent() -> None:
     found, _ = board(**ALL)
     assert [p.agent for p in found.places] == ["ppo", "oracle", "adaptive", "few", "nominal"]
     assert [p.seeds for p in found.places] == [5, 0, 0, 2, 0]
@@ -90,7 +90,7 @@ def test_agents_are_compared_with_the_adaptive_baseline() -> None:
     found, _ = board(**ALL)
     said = {p.agent: lb.verdict(p) for p in found.places}
     assert said == {
-        "ppo": "better", "oracle": "better", "adaptive": "reference", "few": "worse",
+        "ppo": "better", "oracle": "better", "adaptive": "reference", "few": "too few",
         "nominal": "worse",
     }  # fmt: skip
     close, _ = board(
@@ -99,25 +99,67 @@ def test_agents_are_compared_with_the_adaptive_baseline() -> None:
     assert {p.agent: lb.verdict(p) for p in close.places}["x"] == "not certain"
 
 
-def test_the_verdict_is_of_the_iqm_and_says_where_the_mean_is_the_opposite() -> None:
+def test_the_verdict_is_of_the_ratio_and_says_where_the_mean_is_the_opposite() -> None:
     lost = np.where(np.arange(16) < 3, 40.0, 0.5) * EASY  # better but for three lost vehicles
     found, _ = board("a", nominal=3 * EASY, adaptive=EASY, x=lost)
     (place,) = (p for p in found.places if p.agent == "x")
     assert place.against
     assert place.against.gain.value > 0.0 > place.against.difference.value
     said = place._replace(
-        against=place.against._replace(
-            gain=Estimate(1.0, 0.5, 1.5), difference=Estimate(-1.0, -1.5, -0.5)
-        )
+        against=place.against._replace(difference=Estimate(-1.0, -1.5, -0.5)),
+        relative=place.relative._replace(
+            whole=Estimate(0.8, 0.7, 0.9), settled=Estimate(1.1, 0.9, 1.2)
+        ),
     )
     assert lb.verdict(said) == "better, mean worse"
-    assert lb.verdict(said._replace(seeds=1)) == "one seed"
+    assert lb.verdict(said, settled=True) == "not certain"
+    assert lb.verdict(said._replace(seeds=1)) == "too few"
+    worse = said.relative._replace(settled=Estimate(1.3, 1.1, 1.4))
+    assert lb.verdict(said._replace(relative=worse), settled=True) == "worse"
+
+
+@pytest.mark.parametrize(
+    ("episodes", "seeds", "expected"),
+    [(15, 0, "too few"), (16, 0, "better"), (16, 4, "too few"), (16, 5, "better")],
+)
+def test_no_verdict_is_given_below_sixteen_episodes_or_five_seeds(
+    episodes: int, seeds: int, expected: str
+) -> None:
+    easy = EASY[:episodes]
+    names = [f"x@{i}" for i in range(seeds)] or ["x"]
+    given = records("a", adaptive=4 * easy, **dict.fromkeys(names, easy))
+    given += records("b", adaptive=4 * EASY, **dict.fromkeys(names, EASY))
+    rows = rows_of(given)
+    summary = summarise(given, rows)
+    found = {p.agent: p for p in lb.leaderboard(summary, rows).places}
+    assert lb.verdict(found["x"]) == lb.verdict(found["x"], settled=True).replace(
+        "not certain", expected
+    )
+    (line,) = (row for row in comparison_table(summary) if row[:2] == ["a", "x"])
+    assert line[4] == {"better": "yes"}.get(expected, expected)
+
+
+def test_an_agent_that_loses_a_set_is_not_called_better_and_the_set_is_named() -> None:
+    given = []
+    for i in range(12):
+        lost = i == 4
+        parts = records(f"set{i}", adaptive=EASY, x=np.full(16, 5.0) if lost else 0.5 * EASY)
+        for record in parts:
+            record["success"] = float(not (lost and record["policy"] == "x"))
+        given += parts
+    rows = rows_of(given)
+    found = lb.leaderboard(summarise(given, rows), rows)
+    (place,) = (p for p in found.places if p.agent == "x")
+    assert place.relative.whole.high < 1.0  # eleven good sets make up for it in the mean
+    assert (lb.verdict(place), lb.verdict(place, settled=True)) == ("loses set4",) * 2
+    (row,) = (row for row in lb.table(found) if row[1] == "x")
+    assert row[5] == "100 set4"
 
 
 def test_an_agent_with_one_seed_has_no_interval() -> None:
     found, _ = board(nominal=3 * EASY, adaptive=EASY, **{"one@0": 0.5 * EASY}, oracle=EASY)
     cells = {row[1]: row for row in lb.table(found)[1:]}
-    assert "[" in cells["adaptive"][3] + cells["adaptive"][5]
+    assert "[" in cells["adaptive"][3] and "[" in cells["adaptive"][4]
     assert "[" not in "".join(cells["one *"])
 
 
@@ -149,6 +191,7 @@ def test_the_terminal_table_fits_and_markdown_and_json_say_the_same(tmp_path: Pa
     text = lb.terminal(found)
     assert max(map(len, text.splitlines())) <= 140
     assert text.endswith("sets v1")
+    assert "Kendall's tau of this order and that by another statistic:\nmean 1.00" in text
     files = lb.write(tmp_path, found)
     assert [f.name for f in files] == ["leaderboard.json", "leaderboard.md"]
     document = json.loads(files[0].read_text())
@@ -210,7 +253,8 @@ def test_markdown_and_figures_show_a_strange_name_as_it_is(
     published = publishing.table(lb.document(found))
     (shown,) = (line for line in publishing.short_table(published).split("\n") if "foo" in line)
     assert re.fullmatch(
-        r"\| \d \| &lt;script>.* \| - \| \d\S+ \[.*\] \| .* \| .* % \| [a-z ]+ \|", shown
+        r"\| \d \| &lt;script>.* \| - \| \d\S+ \[.*\] \| .* \| .* % \| [a-z ]+ \| .* \| .* \|",
+        shown,
     )
     assert "<script>" not in published
     assert r"| &lt;script>\|x $\\foo$ |" in published
@@ -262,7 +306,7 @@ def test_every_table_names_the_unit_of_the_action_rate(
     assert (head[-1], line[-1]) == (f"action rate [{short}]", shown[0])
     found = lb.leaderboard(summary, rows)
     head, line, _ = lb.cost_table(found)
-    assert (head[-2], line[-2]) == (f"action rate [{cost}]", shown[1])
+    assert (head[-3], line[-3]) == (f"action rate [{cost}]", shown[1])
     head_line, _, first, *_ = (
         script(repository, "publish").table(json.loads(json.dumps(lb.document(found)))).split("\n")
     )
@@ -287,13 +331,3 @@ def test_the_colour_of_a_score_runs_from_red_to_blue_and_its_text_can_be_read() 
     assert page.colour(-3.0) == page.colour(0.0) == ("#ca562c", "#fff")
     assert page.colour(1.0) == page.colour(7.0) == ("#2670a8", "#fff")
     assert page.colour(0.5) == ("#f6edc8", "#000")
-
-
-def test_learning_curves_are_read_where_there_are_any(tmp_path: Path) -> None:
-    folders = [tmp_path / name for name in ("good", "none", "other", "empty")]
-    for folder in folders:
-        folder.mkdir()
-    (folders[0] / "curve.csv").write_text("steps,seconds,held_out_rmse\n10,1,nan\n20,2,0.5\n")
-    (folders[2] / "curve.csv").write_text("a,b\n1,2\n")
-    (folders[3] / "curve.csv").write_text("steps,held_out_rmse\n10,nan\n")
-    assert lb.read_curves({"x": folders, "y": folders[1:]}) == {"x": [[(20.0, 0.5)]]}

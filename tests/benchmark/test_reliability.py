@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import mannwhitneyu, norm, t
+from scipy.stats import mannwhitneyu, norm, t, trim_mean
 
 from tracked_env.benchmark import reliability as rel
 from tracked_env.benchmark import statistics as stats
@@ -174,3 +174,63 @@ def test_sets_of_one_size_are_redrawn_together() -> None:
 def test_a_set_without_episodes_is_refused() -> None:
     with pytest.raises(ValueError, match="no episodes"):
         rel.Redraws([3, 0])
+
+
+def test_the_relative_error_is_the_geometric_mean_of_the_ratios_and_its_own_reference_is_one() -> (
+    None
+):
+    draws = rel.Redraws([16])
+    base = [rel.redraw(RNG.uniform(0.1, 0.2, (1, 16)), draws, 0) for _ in range(3)]
+    factors = (0.5, 1.0, 4.0)
+    pairs = [(rel.redraw(f * of.values, draws, 1), of) for f, of in zip(factors, base, strict=True)]
+    found = rel.relative_error(pairs)
+    assert tuple(found) == pytest.approx((2.0 ** (1.0 / 3.0),) * 3)  # the same episodes: certain
+    assert tuple(rel.relative_error([(of, of) for of in base])) == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_the_relative_error_of_redraws_is_that_of_an_independent_bootstrap_of_all_sets() -> None:
+    shape = (5, 24)
+    agents = [RNG.lognormal(size=shape) for _ in range(3)]
+    others = [RNG.lognormal(size=(1, 24)) for _ in range(3)]
+    draws = rel.Redraws([24], resamples=40)
+    pairs = [
+        (rel.redraw(a, draws, 1), rel.redraw(b, draws, 0))
+        for a, b in zip(agents, others, strict=True)
+    ]
+    seeds, logs = draws.seeds(5, 1), np.zeros((2, 40))
+    for b in range(40):
+        rows = np.repeat(np.arange(5), seeds[b])
+        for kind, columns in enumerate((np.repeat(np.arange(24), draws.episodes[b]), range(24))):
+            for agent, other in zip(agents, others, strict=True):
+                drawn = agent[np.ix_(rows, columns)].ravel(), other[:, columns].ravel()
+                logs[kind, b] += np.subtract(*np.log([trim_mean(x, 0.25) for x in drawn])) / 3.0
+    found = rel.relative_error(pairs)
+    assert (found.low, found.high) == pytest.approx(tuple(np.exp(rel.interval(logs, 5))))
+    alone = [np.log(trim_mean(of, 0.25, axis=None)) for of in (*agents, *others)]
+    assert found.value == pytest.approx(np.exp((sum(alone[:3]) - sum(alone[3:])) / 3.0))
+
+
+@pytest.mark.parametrize(("seeds", "spread", "least"), [(1, 0.0, 0.91), (5, 0.1, 0.90)])
+def test_the_interval_of_the_relative_error_covers_what_it_says(
+    seeds: int, spread: float, least: float
+) -> None:
+    # Episode k is as hard in every set (sigma 0.5), what else differs is of its own (sigma 0.3);
+    # the agent's errors are 0.8 of the reference's, times what its seed makes of them in all sets.
+    rng, covered = np.random.default_rng(8), []
+    draws = rel.Redraws([32], resamples=300)
+    for trial in range(200):
+        hardness = 0.5 * rng.normal(size=32)
+        seed = spread * rng.normal(size=(seeds, 1))
+        pairs = []
+        for _ in range(4):
+            agent = np.exp(seed + hardness + 0.3 * rng.normal(size=(seeds, 32)))
+            other = np.exp(hardness + 0.3 * rng.normal(size=(1, 32)))
+            pairs.append((rel.redraw(0.8 * agent, draws, 2 * trial), rel.redraw(other, draws)))
+        _, low, high = rel.relative_error(pairs)
+        covered.append(low <= 0.8 <= high)
+    assert least <= np.mean(covered) <= 0.99
+
+
+def test_a_verdict_needs_sixteen_episodes_and_five_seeds_of_what_is_trained() -> None:
+    assert rel.enough(16) and rel.enough(16, 0, 5)
+    assert not rel.enough(15) and not rel.enough(100, 5, 4)

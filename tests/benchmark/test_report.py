@@ -12,6 +12,7 @@ import pytest
 from tracked_env.benchmark import report
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS, OF_GOALS
+from tracked_env.benchmark.records import READS_TRUTH
 from tracked_env.benchmark.text_tables import escaped
 
 EASY = np.linspace(0.04, 0.06, 16)
@@ -111,6 +112,20 @@ def test_the_score_is_zero_for_nominal_one_for_the_oracle_and_in_between_by_the_
         score = found[policy].score
         assert score is not None
         assert tuple(score) == pytest.approx((expected,) * 3)  # the same redraws: all cancels
+
+
+def test_the_score_starts_at_integral_and_ends_at_the_best_policy_that_reads_the_truth() -> None:
+    given = records(
+        "set", nominal=9 * EASY, integral=3 * EASY, adaptive=2 * EASY, oracle=2.5 * EASY, other=EASY
+    )
+    for record in given:
+        if record["policy"] in ("oracle", "other"):
+            record[READS_TRUTH] = True
+    found = report.summarise(given).policies["set"]
+    scores = {name: of.score.value for name, of in found.items() if of.score}
+    assert scores == pytest.approx(
+        {"nominal": -3.0, "integral": 0.0, "adaptive": 0.5, "oracle": 0.25, "other": 1.0}
+    )
 
 
 def test_there_is_no_score_without_both_anchors_or_without_a_certain_gap() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import trim_mean
+from scipy.stats import kendalltau, trim_mean
 
 from tracked_env.benchmark import statistics as stats
 
@@ -80,3 +80,15 @@ def test_the_same_values_give_the_same_interval() -> None:
 def test_an_empty_stratum_is_refused() -> None:
     with pytest.raises(ValueError, match="no values"):
         stats.bootstrap([np.ones(3), np.ones(0)], stats.mean)
+
+
+def test_kendalls_tau_is_that_of_scipy_with_and_without_ties() -> None:
+    rng = np.random.default_rng(4)
+    for largest in (3, 1000):
+        for _ in range(20):
+            first, second = rng.integers(largest, size=(2, 9))
+            expected = kendalltau(first, second).statistic
+            assert stats.kendalls_tau(first, second) == pytest.approx(expected, nan_ok=True)
+    assert stats.kendalls_tau([1, 2, 3], [10, 20, 30]) == 1.0
+    assert stats.kendalls_tau([1, 2, 3], [3, 2, 1]) == -1.0
+    assert np.isnan(stats.kendalls_tau([1.0], [1.0]))

@@ -17,6 +17,7 @@ def motion() -> dict[str, np.ndarray]:
     """A trace as `figure_data` makes it."""
     return {
         "time": np.arange(3.0), "error": np.zeros((3, 2), np.float32),
+        "change": np.array([1.0, np.nan]),
         "motion": np.zeros((3, 2, len(CHANNELS)), np.float32), "control_period": np.array(0.02),
     }  # fmt: skip
 

@@ -24,6 +24,8 @@ CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its ti
 # What a result's identity leaves out: files and folders of the package that draw, report or adapt
 # to other libraries. Everything else counts, so a new file counts until it is named here.
 WITHOUT_INFLUENCE = {
+    "benchmark/adaptation.py": "statistics and figures of records",
+    "benchmark/breaking_points.py": "which levels are run; each is part of the identity",
     "cli/": "command lines",
     "rendering/": "pictures of a state",
     "sb3.py": "another interface to the vector environment",
@@ -41,12 +43,14 @@ WITHOUT_INFLUENCE = {
     "benchmark/leaderboard_page.py": "tables from records",
     "benchmark/registered_policies.py": "finds policies; each record has its own fingerprint",
     "benchmark/records.py": "checks of what is read",
+    "benchmark/relative_errors.py": "statistics of records",
     "benchmark/reliability.py": "statistics of records",
     "benchmark/report.py": "tables from records",
     "benchmark/figure_data.py": "the motion that is kept for figures",
     "benchmark/statistics.py": "statistics of records",
     "benchmark/store.py": "writes and reads records",
     "benchmark/summary.py": "statistics of records",
+    "benchmark/training_curves.py": "what trainings left beside their archives",
     "benchmark/tuning.py": "chooses settings of policies; each record has its own fingerprint",
     "benchmark/tuning_records.py": "tables of what was chosen from",
     "benchmark/video.py": "pictures of an episode",

@@ -12,7 +12,8 @@ reference, counted as in `metrics`:
     recovery time        smallest tau >= 0 with e(t) < RECOVERED l for all t_e + tau < t <= t_n;
                          t_n - t_e when there is none
     peak after change    max of e(t) over t_s < t <= t_n
-Both are NaN without an abrupt change in the time driven.
+    RMSE after change    sqrt(mean e(t)^2) over t_s < t <= t_n
+All are NaN without an abrupt change in the time driven.
 """
 
 from typing import NamedTuple
@@ -90,16 +91,18 @@ def last_outside(outside: NDArray[np.bool_]) -> int:
 
 def recovery(
     error: FloatArray, changes: list[Change], period: float, recovered: float
-) -> tuple[float, float]:
-    """Recovery time [s] and peak [m] after the first change; NaN, NaN when there is none.
+) -> tuple[float, float, float]:
+    """Recovery time [s], peak and RMSE [m] after the first change; NaN when there is none.
 
     error: (T,) counted distance to the reference [m] after each control step of the whole
     episode, also past an early end; period [s] of a step; recovered [m]: what counts as such.
     """
     if not changes:
-        return np.nan, np.nan
+        return np.nan, np.nan, np.nan
     first, last = changes[0]
     until = changes[1].first if len(changes) > 1 else len(error)
     # Entry k of the error is taken at time (k + 1) periods.
     after = error[last:until]
-    return period * last_outside(after >= recovered), float(error[first:until].max())
+    since = error[first:until]
+    time = period * last_outside(after >= recovered)
+    return time, float(since.max()), float(np.sqrt(np.mean(since * since)))

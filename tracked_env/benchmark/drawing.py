@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 PALETTE = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe-Ito
@@ -74,6 +75,15 @@ def new_figure(
         "hspace": gap[1] / panel[1],
     }
     return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **shared)
+
+
+def plain_ticks(axis: "Axis", places: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Ticks of a logarithmic axis at these places of each decade, written as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=places))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def head(figure: "Figure", axes: "Axes", title: str, style: dict[str, Look]) -> None:

@@ -2,6 +2,7 @@
 
 episodes                     those of the chunk that are among the first FIGURE_ERRORS of the set
 time, error                  their error at FIGURE_POINTS times
+change                       when the first abrupt change of each began [s], NaN without one
 motion                       every channel of the first FIGURE_EPISODES, NaN after their end
 believed_time, _names,       of a policy that estimates: value, standard deviation and truth
   _value, _deviation, _truth (points, parameters, episodes) of the same episodes
@@ -48,10 +49,17 @@ def figure_data(
         "episodes": numbers,
         "time": (times + 1) * trace.control_period,
         "error": error[times].astype(np.float32),
+        "change": _changed(trace, len(numbers)),
         "motion": few,
         "control_period": np.array(trace.control_period),
         **({} if beliefs is None else _believed(trace, beliefs, shown)),
     }
+
+
+def _changed(trace: Trace, count: int) -> NDArray[np.float64]:
+    """Start [s] of the first abrupt change of the first `count` episodes."""
+    first = [of[0].first if of else np.nan for of in trace.changes()[:count]]
+    return np.array(first, dtype=np.float64) * trace.control_period
 
 
 def joined(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
@@ -69,6 +77,7 @@ def joined(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any
         **parts[0],
         "episodes": np.array(episodes),
         "error": np.stack([parts[i]["error"][:, k] for i, k in columns], axis=1),
+        "change": np.array([parts[i]["change"][k] for i, k in columns]),
     }
     motion = [parts[i]["motion"][:, k] for i, k in few]
     steps = max((len(each) for each in motion), default=0)
@@ -105,7 +114,7 @@ def checked_trace(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
     Raises ValueError for a shape, KeyError for a missing array.
     """
-    shapes = {"time": 1, "error": 2, "motion": 3, "control_period": 0}
+    shapes = {"time": 1, "error": 2, "change": 1, "motion": 3, "control_period": 0}
     if "believed_names" in arrays:
         shapes |= {"believed_time": 1, "believed_names": 1}
         shapes |= dict.fromkeys(_BELIEVED, 3)
@@ -116,6 +125,7 @@ def checked_trace(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     motion = arrays["motion"]
     sizes: list[tuple[Any, Any]] = [
         (len(arrays["time"]), len(arrays["error"])),
+        (arrays["error"].shape[1], len(arrays["change"])),
         (motion.shape[2], len(CHANNELS)),
     ]
     if "believed_names" in arrays:

@@ -1,29 +1,30 @@
-"""The leaderboard: every agent by its score over all sets, and its result in each set.
+"""The leaderboard: every agent by its error over that of the adaptive baseline.
 
-The score over all sets comes from the pooled episodes; agents without one (nominal or oracle are
-missing, or their difference is not certain) are ordered by the IQM of their RMSE. Every agent is
-also compared with the adaptive baseline on the same episodes: the probability that it is better in
-an episode, and the difference of the IQMs. `better` and `worse` mean that the interval of that
-difference excludes 0. Where the mean, which is decided by lost vehicles, gives the opposite result,
-the verdict adds it. An agent with one seed has no interval and no verdict: chance cannot be
-separated from quality.
+The order is that of `relative_errors`: the geometric mean over sets of the ratio of the IQMs, with
+the interval of redraws of all sets together. `better` and `worse` mean that this interval excludes
+1, of whole episodes and after the start; they need enough episodes and seeds
+(`reliability.enough`), else it is `too few`. An agent that loses a set is never better, the set is
+named; and where the mean of the paired differences, which is decided by lost vehicles, says the
+opposite, the verdict adds it.
+Score (see `summary`), probability of improvement and cost metrics stand beside it.
 
 Written as terminal table, Markdown, JSON and one HTML page (see `leaderboard_page`).
 """
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracked_env.benchmark.changes import RECOVERED
-from tracked_env.benchmark.reliability import FEW_SEEDS, estimate, fewest
+from tracked_env.benchmark.relative_errors import RelativeError, agreement, relative
+from tracked_env.benchmark.reliability import FEW_EPISODES, FEW_SEEDS, enough, estimate, fewest
 from tracked_env.benchmark.report import (
     GOAL_COLUMNS,
     GOAL_LEGEND,
+    TOO_FEW,
     goal_cells,
     marked,
     plain,
@@ -32,6 +33,7 @@ from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary, action_rate
 from tracked_env.benchmark.text_tables import aligned, escaped_lines, markdown_rows
+from tracked_env.benchmark.training_curves import TrainingCost
 
 # What agents have to beat, by torque and by speed; the summary's baseline where both are missing.
 REFERENCES = ("adaptive", "slc-adaptive")
@@ -55,6 +57,8 @@ class Place(NamedTuple):
     scores: dict[str, Estimate | None]  # by set
     rmse: dict[str, Estimate]  # [m] IQM by set
     against: Comparison | None  # the reference is its baseline; None for the reference itself
+    relative: RelativeError  # over the reference
+    training: TrainingCost | None = None  # None of a controller, or where it is not known
 
 
 class Leaderboard(NamedTuple):
@@ -64,13 +68,20 @@ class Leaderboard(NamedTuple):
     sets: list[str]
     reference: str
     conditions: str  # what was run, in a sentence
+    agreement: dict[str, float]  # Kendall's tau of this order with those by other statistics
 
 
-def leaderboard(summary: Summary, rows: Mapping[str, Row], conditions: str = "") -> Leaderboard:
-    """From the summary and the rows that it was made of."""
+def leaderboard(
+    summary: Summary,
+    rows: Mapping[str, Row],
+    conditions: str = "",
+    training: Mapping[str, TrainingCost] | None = None,
+) -> Leaderboard:
+    """From the summary and the rows that it was made of; training: what each agent's cost."""
     names = list(summary.policies)
     last = names[-1]  # all sets, or the only one
     sets = names[:-1] if len(names) > 1 else names
+    of_sets = {name: rows[name] for name in sets}
     agents = summary.policies[last]
     reference = next((name for name in REFERENCES if name in agents), summary.baseline)
     places = [
@@ -82,15 +93,14 @@ def leaderboard(summary: Summary, rows: Mapping[str, Row], conditions: str = "")
             {name: summary.policies[name][agent].score for name in sets},
             {name: summary.policies[name][agent].rmse_iqm for name in sets},
             None if agent == reference else rows[last].compare(reference, agent),
+            relative(of_sets, agent, reference),
+            (training or {}).get(agent),
         )
         for agent, overall in agents.items()
     ]
-
-    def order(place: Place) -> tuple[bool, float]:
-        score = place.overall.score
-        return score is None, place.overall.rmse_iqm.value if score is None else -score.value
-
-    return Leaderboard(sorted(places, key=order), sets, reference, conditions)
+    places.sort(key=lambda place: place.relative.whole.value)
+    ranked = {place.agent: place.relative.whole.value for place in places}
+    return Leaderboard(places, sets, reference, conditions, agreement(of_sets, ranked))
 
 
 def _balanced(
@@ -113,37 +123,60 @@ def between(e: Estimate, digits: int, seeds: int) -> str:
     return value if seeds == 1 else f"{value} [{e.low:.{digits}f}, {e.high:.{digits}f}]"
 
 
-def _said(e: Estimate) -> str:
-    return "better" if e.low > 0.0 else "worse" if e.high < 0.0 else "not certain"
+def _said(ratio: Estimate) -> str:
+    return "better" if ratio.high < 1.0 else "worse" if ratio.low > 1.0 else "not certain"
 
 
-def verdict(place: Place) -> str:
-    """The verdict of the differences to the reference, in a word."""
+def _of_mean(difference: Estimate) -> str:
+    return "better" if difference.low > 0.0 else "worse" if difference.high < 0.0 else ""
+
+
+def verdict(place: Place, settled: bool = False) -> str:
+    """The verdict of the errors over those of the reference, in a word; settled: after the start.
+
+    Where a set is lost the word is `loses` and its name.
+    """
     if place.against is None:
         return "reference"
-    if place.seeds == 1:
-        return "one seed"
-    said, mean = _said(place.against.gain), _said(place.against.difference)
+    if not enough(place.relative.episodes, place.seeds):
+        return TOO_FEW
+    if place.relative.lost:
+        first, *others = place.relative.lost
+        return f"loses {first}" + (f" and {len(others)}" if others else "")
+    if settled:
+        return _said(place.relative.settled)
+    said, mean = _said(place.relative.whole), _of_mean(place.against.difference)
     return f"{said}, mean {mean}" if {said, mean} == {"better", "worse"} else said
 
 
 def table(board: Leaderboard) -> list[list[str]]:
-    """Rows of cells, the header first: one row per agent."""
+    """Rows of cells, the header first: one row per agent, by what leads the leaderboard."""
     cells = [
-        ["", "agent", "seeds", "score", "of the sets", "RMSE [m]: IQM [95 %]", "after 5 s",
-         "worst", "success", "recovery", "P(better)", f"than {board.reference}"],
+        ["", "agent", "seeds", f"error / {board.reference}", "after 5 s", "worst set",
+         "worst [m]", "success", f"than {board.reference}", "after 5 s"],
     ]  # fmt: skip
     for rank, place in enumerate(board.places, start=1):
-        o, against = place.overall, place.against
-        means = o.means
+        o, own = place.overall, place.relative
         cells.append(
             [f"{rank}", marked(place.agent, place.seeds), f"{place.seeds or '-'}",
-             "-" if o.score is None else between(o.score, 3, place.seeds),
+             between(own.whole, 2, place.seeds), between(own.settled, 2, place.seeds),
+             "-" if place.against is None else f"{own.worst:.3g} {own.worst_set}",
+             f"{o.rmse_worst.value:.2f}",
+             f"{o.means['success']:.1%}", verdict(place), verdict(place, settled=True)]
+        )  # fmt: skip
+    return cells
+
+
+def score_table(board: Leaderboard) -> list[list[str]]:
+    """Rows of cells, the header first: the score, and the errors over all sets in metres."""
+    cells = [["agent", "score", "of the sets", "RMSE [m]: IQM [95 %]", "after 5 s", "P(better)"]]
+    for place in board.places:
+        o, against = place.overall, place.against
+        cells.append(
+            [place.agent, "-" if o.score is None else between(o.score, 3, place.seeds),
              "-" if place.balanced is None else f"{place.balanced.value:.2f}",
              between(o.rmse_iqm, 3, place.seeds), f"{o.settled_iqm.value:.3f}",
-             f"{o.rmse_worst.value:.2f}", f"{means['success']:.1%}",
-             f"{means['recovery_time']:.1f}" if o.changed else "-",
-             "-" if against is None else f"{against.improvement.value:.0%}", verdict(place)]
+             "-" if against is None else f"{against.improvement.value:.0%}"]
         )  # fmt: skip
     return cells
 
@@ -167,7 +200,7 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
     unit = action_rate(board.places[0].overall.means)[1]
     cells = [
         ["agent", "success", "ended early", "recovery [s]", "peak [m]", "energy [kJ]", "effort",
-         "saturated", f"action rate [{unit}]", "predict [us]"],
+         "saturated", f"action rate [{unit}]", "predict [us]", "training"],
     ]  # fmt: skip
     for place in board.places:
         o, m = place.overall, place.overall.means
@@ -176,7 +209,8 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
             [place.agent, f"{m['success']:.1%}", f"{m['terminated']:.1%}",
              *(change if o.changed else ["-", "-"]), f"{m['energy'] / 1e3:.4g}",
              f"{m['effort']:.4f}", f"{m['saturation_share']:.1%}", f"{action_rate(m)[0]:.4g}",
-             f"{'' if o.timed_alone else '~'}{o.predict_time * 1e6:.1f}"]
+             f"{'' if o.timed_alone else '~'}{o.predict_time * 1e6:.1f}",
+             "-" if place.training is None else str(place.training)]
         )  # fmt: skip
     return cells
 
@@ -191,32 +225,51 @@ def goal_table(board: Leaderboard) -> list[list[str]]:
 
 
 def explanation(board: Leaderboard) -> str:
-    """Meaning of the columns."""
+    """Meaning of the columns of `table`."""
     few = any(0 < place.seeds <= FEW_SEEDS for place in board.places)
     than = board.reference
     return (
-        "Score: part of the gap between nominal (0) and oracle (1) that is closed, by the IQM of "
-        "the RMSE over all\nsets; the worst and the best quarter of the episodes are not in it. "
-        "Of the sets: mean of their scores, each set\ncounts the same. Intervals: 95 %, seeds and "
-        "episodes redrawn. After 5 s: IQM of the RMSE [m] without\nthe start, which lies off the "
-        "path. Worst: RMSE [m] of the worst tenth of the episodes. Recovery: time [s] after an\n"
-        f"abrupt change until the distance stays below {RECOVERED:g} contact lengths. P(better): "
-        f"probability that the agent has\nthe smaller RMSE than {than} in an episode; than {than}: "
-        "whether the interval of the difference of the IQMs says so."
+        f"Error / {than}: geometric mean over the sets of the IQM of the RMSE over that of {than}, "
+        "of whole episodes and\nafter 5 s, without the start, which lies off the path. Intervals: "
+        "95 %, seeds and episodes redrawn, in all sets together.\nWorst set: the largest of these "
+        "ratios. Worst [m]: RMSE of the worst tenth of the episodes. A lost episode counts with "
+        f"its\nerror at the limit. Than {than}: whether the interval excludes 1; 'loses' a set: "
+        "under half of its episodes succeed,\nand not so for "
+        f"{than}; no verdict ({TOO_FEW}) below {FEW_EPISODES + 1} episodes of a set and "
+        f"{FEW_SEEDS + 1} seeds."
         + (f"\n* fewer than {FEW_SEEDS + 1} training seeds" if few else "")
     )
 
 
+def agreement_text(board: Leaderboard) -> str:
+    """Kendall's tau of the order, in a sentence."""
+    known = [f"{name} {tau:.2f}" for name, tau in board.agreement.items() if tau == tau]
+    if not known:
+        return ""
+    return f"Kendall's tau of this order and that by another statistic:\n{', '.join(known)}."
+
+
+SCORES = (
+    "Score: part of the gap between integral (0; without it nominal or uc) and the ceiling (1), "
+    "the best policy that knows\nthe truth, by the IQM of the RMSE over all sets. Of the sets: "
+    "mean of their scores, each with its own ceiling.\nP(better): probability that the agent has "
+    "the smaller RMSE than the reference in an episode."
+)
+
+
 def terminal(board: Leaderboard) -> str:
     """The leaderboard as plain text."""
-    parts = [f"{aligned(table(board))}\n\n{explanation(board)}"]
-    parts.append(
-        f"{aligned(set_table(board), 1)}\n\nScore, and in brackets the IQM of the RMSE [m]"
-    )
-    parts.append(f"{aligned(cost_table(board), 1)}\n\n{COSTS}")
+    parts = [
+        aligned(table(board)),
+        explanation(board),
+        agreement_text(board),
+        f"{aligned(score_table(board), 1)}\n\n{SCORES}",
+        f"{aligned(set_table(board), 1)}\n\nScore, and in brackets the IQM of the RMSE [m]",
+        f"{aligned(cost_table(board), 1)}\n\n{COSTS}",
+    ]
     if len(goals := goal_table(board)) > 1:
         parts.append(f"{aligned(goals, 1)}\n\n{GOAL_LEGEND}")
-    return "\n\n".join([*parts, board.conditions]).rstrip()
+    return "\n\n".join(part for part in [*parts, board.conditions] if part)
 
 
 def markdown(board: Leaderboard) -> str:
@@ -225,6 +278,9 @@ def markdown(board: Leaderboard) -> str:
     parts = [
         markdown_rows(table(board)),
         escaped_lines(explanation(board)).replace("\n*", "\n\n\\*"),
+        agreement_text(board),
+        markdown_rows(score_table(board), 1),
+        SCORES,
         markdown_rows(set_table(board), 1),
         "Score, and in brackets the IQM of the RMSE [m].",
         markdown_rows(cost_table(board), 1),
@@ -241,36 +297,16 @@ def document(board: Leaderboard) -> dict[str, Any]:
         "conditions": board.conditions,
         "reference": board.reference,
         "sets": board.sets,
-        "agents": [{**plain(place), "verdict": verdict(place)} for place in board.places],
+        "agreement": plain(board.agreement),
+        "agents": [
+            {
+                **plain(place),
+                "verdict": verdict(place),
+                "verdict_settled": verdict(place, settled=True),
+            }
+            for place in board.places
+        ],
     }
-
-
-def read_curves(
-    folders: Mapping[str, Sequence[Path]],
-) -> dict[str, list[list[tuple[float, float]]]]:
-    """Learning curves [(steps, RMSE on held-out episodes [m]), ...], one per seed, by agent.
-
-    folders: those of an agent's archives. A curve.csv with the columns `steps` and
-    `held_out_rmse` is read; agents without one are left out.
-    """
-    import csv
-
-    found: dict[str, list[list[tuple[float, float]]]] = {}
-    for agent, places in folders.items():
-        for folder in places:
-            path = folder / "curve.csv"
-            if not path.is_file():
-                continue
-            with path.open(encoding="utf-8", newline="") as file:
-                rows = list(csv.DictReader(file))
-            try:
-                pairs = [(float(row["steps"]), float(row["held_out_rmse"])) for row in rows]
-            except (KeyError, TypeError, ValueError):
-                continue  # a curve of another kind
-            known = [(steps, rmse) for steps, rmse in pairs if rmse == rmse]
-            if known:
-                found.setdefault(agent, []).append(known)
-    return found
 
 
 def write(folder: Path, board: Leaderboard) -> list[Path]:

@@ -14,15 +14,30 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tracked_env.benchmark import reliability as rel
-from tracked_env.benchmark.drawing import STYLE, Look, looks, new_figure
-from tracked_env.benchmark.leaderboard import COSTS, Leaderboard, cost_table, explanation, table
+from tracked_env.benchmark.drawing import (
+    REFERENCE_COLOUR,
+    STYLE,
+    Look,
+    looks,
+    new_figure,
+    plain_ticks,
+)
+from tracked_env.benchmark.leaderboard import (
+    COSTS,
+    SCORES,
+    Leaderboard,
+    agreement_text,
+    cost_table,
+    explanation,
+    score_table,
+    table,
+)
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.summary import Row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 Curves = Mapping[str, Sequence[Sequence[tuple[float, float]]]]
@@ -98,20 +113,24 @@ def heat_map(board: Leaderboard) -> str:
 
 
 def intervals(board: Leaderboard, style: Mapping[str, Look]) -> "Figure":
-    """IQM of the RMSE over all sets with its interval, an agent per line, the best on top."""
-    figure, grid = new_figure((6.0, 0.32 * len(board.places) + 0.3), left=1.9)
-    axes = grid[0, 0]
-    for row, place in enumerate(board.places):
-        e, look = place.overall.rmse_iqm, style[place.agent]
-        axes.plot([e.low, e.high], [row, row], color=look.colour, linewidth=5.0, alpha=0.4,
-                  solid_capstyle="butt")  # fmt: skip
-        axes.plot(e.value, row, look.marker, color=look.colour, markersize=6.0)
-    axes.set_yticks(range(len(board.places)), [place.agent for place in board.places])
-    axes.set_ylim(len(board.places) - 0.5, -0.5)
-    axes.set_xscale("log")
-    _plain(axes.xaxis)
-    axes.set_xlabel("interquartile mean of the tracking RMSE over all sets [m]")
-    axes.set_title("Tracking error and its 95 % interval", loc="left")
+    """Error over the reference's with its interval, whole episode and after the start."""
+    panels = ("whole episode", "after the start")
+    figure, grid = new_figure((3.6, 0.32 * len(board.places) + 0.3), columns=2, left=1.9)
+    for axes, name, settled in zip(grid[0], panels, (False, True), strict=True):
+        for row, place in enumerate(board.places):
+            e = place.relative.settled if settled else place.relative.whole
+            look = style[place.agent]
+            axes.plot([e.low, e.high], [row, row], color=look.colour, linewidth=5.0, alpha=0.4,
+                      solid_capstyle="butt")  # fmt: skip
+            axes.plot(e.value, row, look.marker, color=look.colour, markersize=6.0)
+        axes.axvline(1.0, color=REFERENCE_COLOUR, linewidth=1.0)
+        names = [place.agent for place in board.places] if not settled else []
+        axes.set_yticks(range(len(board.places)), names or [""] * len(board.places))
+        axes.set_ylim(len(board.places) - 0.5, -0.5)
+        axes.set_xscale("log")
+        plain_ticks(axes.xaxis)
+        axes.set_xlabel(f"{name}: error / {board.reference}")
+    grid[0, 0].set_title("Tracking error and its 95 % interval, over all sets", loc="left")
     return figure
 
 
@@ -131,7 +150,7 @@ def profiles(row: Row, board: Leaderboard, style: dict[str, Look]) -> "Figure":
             marker=look.marker, markevery=(5, 15), markersize=4.0,
         )  # fmt: skip
     axes.set_xscale("log")
-    _plain(axes.xaxis)
+    plain_ticks(axes.xaxis)
     axes.set_ylim(0.0, 1.02)
     axes.set_xlabel("threshold of the RMSE [m]")
     axes.set_ylabel("share of episodes with RMSE ≤ threshold")
@@ -153,21 +172,12 @@ def learning(curves: Curves, board: Leaderboard, style: dict[str, Look]) -> "Fig
                 label=place.agent if seed == 0 else None, marker=look.marker, markersize=3.5,
             )  # fmt: skip
     axes.set_yscale("log")
-    _plain(axes.yaxis)
+    plain_ticks(axes.yaxis)
     axes.xaxis.set_major_formatter(lambda x, _: f"{x / 1e6:g}")
     axes.set_xlabel("environment steps [millions]")
     axes.set_ylabel("RMSE on held-out episodes [m]")
     _legend(axes, "Learning curves, a line per seed")
     return figure
-
-
-def _plain(axis: "Axis") -> None:
-    """Ticks of a logarithmic axis at 1, 2 and 5, written as plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _legend(axes: "Axes", title: str) -> None:
@@ -209,9 +219,13 @@ def render(board: Leaderboard, drawn: "Mapping[str, Figure]") -> str:
         f'<p class="note">{html.escape(board.conditions)}</p>',
         _table(table(board)),
         f'<p class="note">{html.escape(explanation(board)).replace(chr(10), " ")}</p>',
+        f'<p class="note">{html.escape(agreement_text(board))}</p>',
+        "<h2>Scores</h2>",
+        _table(score_table(board), 1),
+        f'<p class="note">{html.escape(SCORES).replace(chr(10), " ")}</p>',
         "<h2>Score on every set</h2>",
         heat_map(board),
-        '<p class="note">0 (red): as good as nominal; 1 (blue): as good as the oracle; below '
+        '<p class="note">0 (red): as good as integral, or nominal; 1 (blue): as the ceiling; below '
         "it the IQM of the RMSE. Intervals appear under the pointer.</p>",
         "<h2>Cost metrics</h2>",
         _table(cost_table(board), 1),

@@ -12,9 +12,9 @@ largest one. The action rate is therefore one of two metrics: `torque_rate` [N m
 `sprocket_speed_rate` [rad/s^2]; the other one is NaN.
 An episode that ends early counts e_k = E for the time it lacks, and e_k never counts more than
 E: leaving the path is never better than staying on it. Heading, speed, effort, energy, saturation
-and action rate are taken over the time driven; read them beside the share of terminations. Recovery
-and peak after an abrupt change of the true parameters are defined in `changes`; they are NaN where
-there is none. Goals are those of planned references, see `goal_metrics`.
+and action rate are taken over the time driven; read them beside the share of terminations.
+Recovery, peak and RMSE after an abrupt change of the true parameters are defined in `changes`; they
+are NaN where there is none. Goals are those of planned references, see `goal_metrics`.
 """
 
 from typing import NamedTuple
@@ -112,6 +112,7 @@ METRICS = {
         "s", f"time after an abrupt change until the distance stays below {RECOVERED:g} l"
     ),
     "peak_after_change": Metric("m", "largest distance to the reference after that change"),
+    "rmse_after_change": Metric("m", "RMSE of that distance after that change, until the next one"),
     "goal_reached": Metric(
         "-", f"the goal was reached within l/{1.0 / GOAL_DISTANCE:g} and {GOAL_ANGLE:g} rad"
     ),
@@ -121,7 +122,8 @@ METRICS = {
 }
 OF_GOALS = ("goal_reached", "goal_time", "goal_energy", "goal_miss")
 # Metrics that an episode may lack: of the other drive, without an abrupt change, without a goal.
-OPTIONAL = (*ACTION_RATES.values(), "recovery_time", "peak_after_change", *OF_GOALS)
+AFTER_CHANGE = ("recovery_time", "peak_after_change", "rmse_after_change")
+OPTIONAL = (*ACTION_RATES.values(), *AFTER_CHANGE, *OF_GOALS)
 
 
 def counted_error(trace: Trace) -> FloatArray:
@@ -206,7 +208,6 @@ def evaluate(trace: Trace) -> dict[str, FloatArray]:
         "success": trace.success.astype(np.float64),
         "terminated": trace.terminated.astype(np.float64),
         "driven_time": trace.steps * period,
-        "recovery_time": np.array([time for time, _ in after]),
-        "peak_after_change": np.array([peak for _, peak in after]),
+        **dict(zip(AFTER_CHANGE, np.array(after).T, strict=True)),
         **dict(zip(OF_GOALS, _reaching(trace, power), strict=True)),
     }

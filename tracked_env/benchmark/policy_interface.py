@@ -16,6 +16,11 @@ and, if it likes,
     nis()       -> {filter: (N,)}      normalised innovation squared of its filters, NaN = no sample
 The names are the same in every call; estimates of what is not in `beliefs.KNOWN` are not
 evaluated. The answers must not change what the policy does.
+
+A policy that learns under way may have a method
+    freeze(rows)     rows (N,) bool; those vehicles keep what has been learned of them so far
+What that is: parameters, a history, a hidden state; the filter of the motion goes on. A row that
+starts an episode learns again. With it the benchmark measures what adapting was worth (`frozen`).
 """
 
 import hashlib
@@ -36,6 +41,7 @@ from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.sensors import RTK, Sensors
 from tracked_env.validation import unknown
 
+FROZEN_NAME = "frozen"  # behind the name of a policy that learns no more after a change
 # Where Python and installed packages lie; an error is located in the policy's own source first.
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 
@@ -76,6 +82,7 @@ class PolicyEntry(NamedTuple):
     fingerprint: str  # changes with its source, so that old results are not mistaken for new
     # How another process finds it: a function of a module, and arguments, that return an entry.
     source: tuple[Callable[..., Any], tuple[Any, ...]] | None = None
+    frozen: bool = False  # each vehicle's `freeze` is called at its first abrupt change
 
 
 class PolicyError(ValueError):
@@ -257,6 +264,18 @@ def tell_plant(policy: Policy, reads: Collection[str]) -> None:
         policy.observe_plant(  # type: ignore[attr-defined]
             tuple(name for name in PARAMETER_NAMES if name not in reads)
         )
+
+
+def frozen(entry: PolicyEntry) -> PolicyEntry:
+    """The same policy, which learns no more from the first abrupt change on, under a name of it."""
+    agent, mark, seed = entry.name.rpartition("@")
+    name = f"{agent} {FROZEN_NAME}{mark}{seed}" if mark else f"{entry.name} {FROZEN_NAME}"
+    return entry._replace(name=name, frozen=True)
+
+
+def can_freeze(policy: Policy) -> bool:
+    """Whether a policy can keep what it has learned."""
+    return callable(getattr(policy, "freeze", None))
 
 
 def identifies(policy: Policy) -> bool:

@@ -19,6 +19,8 @@ Both are samples, and both are redrawn:
                                 sqrt(1 + v_s / ((S - 1) v)) t_nu,   nu = (S - 1) (v / v_s)^2
                             and the interval lies between the quantiles of the redraws that belong
                             to that. Nothing changes where episodes decide, v_s << v
+    relative error          geometric mean over sets of IQM of an agent / IQM of another, of redraws
+                            of all sets together
 With one seed (a controller) this is the bootstrap of `statistics`. Of S normal numbers, the mean
 is covered by the percentile interval in 90, 83, 78, 73 % of the cases for S = 10, 5, 4, 3, by the
 expanded one in 94, 91, 86, 73 %: no redraw is beyond the worst seed. FEW_SEEDS or less are marked.
@@ -51,7 +53,9 @@ from tracked_env.benchmark.statistics import (
     worst_tenth,
 )
 
-FEW_SEEDS = 4  # an agent with so many or less is marked
+FEW_SEEDS = 4  # an agent with so many or less is marked, and gets no verdict
+FEW_EPISODES = 15  # of a set, with which there is no verdict: percentiles of fewer are too narrow
+SMALLEST = 1e-12  # [m] an error below counts as this one, so that its logarithm is finite
 BLOCK = 250  # [redraws] worked on at once: bounds the memory
 
 
@@ -151,6 +155,27 @@ def ratio(value: FloatArray, other: FloatArray) -> FloatArray:
     """value / other; infinite where the other is 0."""
     value = np.asarray(value, dtype=np.float64)
     return np.divide(value, other, out=np.full_like(value, np.inf), where=np.asarray(other) > 0.0)
+
+
+def enough(episodes: int, *seeds: int) -> bool:
+    """Whether a verdict may be given: episodes of each set, trainings of each agent (0: none)."""
+    return episodes > FEW_EPISODES and not any(0 < count <= FEW_SEEDS for count in seeds)
+
+
+def relative_error(sets: Sequence[tuple[Redrawn, Redrawn]]) -> Estimate:
+    """Geometric mean over sets of IQM / IQM of the reference; sets: (agent, reference) of each.
+
+    All sets must have been redrawn from the same `Redraws.seed` and agent numbers: then a redraw
+    takes the same seeds, and in sets of one size the same episodes, everywhere.
+    """
+    value, drawn = 0.0, np.zeros((2, sets[0][0].iqm.shape[1]))
+    for pair in sets:
+        own, other = (float(interquartile_mean(of.values.ravel())) for of in pair)
+        value += math.log(max(own, SMALLEST) / max(other, SMALLEST)) / len(sets)
+        agent, reference = (np.log(np.maximum(of.iqm, SMALLEST)) for of in pair)
+        drawn += (agent - reference) / len(sets)
+    low, high = interval(drawn, fewest(*sets[0]))
+    return Estimate(math.exp(value), float(np.exp(low)), float(np.exp(high)))
 
 
 def gap_closed(low: FloatArray, high: FloatArray, value: FloatArray) -> FloatArray:

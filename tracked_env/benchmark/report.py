@@ -17,7 +17,7 @@ from tracked_env.benchmark.changes import RECOVERED
 from tracked_env.benchmark.goal_metrics import GOAL_ANGLE, GOAL_DISTANCE
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS, OF_GOALS
-from tracked_env.benchmark.reliability import FEW_SEEDS
+from tracked_env.benchmark.reliability import FEW_EPISODES, FEW_SEEDS
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record, write_atomically
 from tracked_env.benchmark.summary import (
@@ -35,6 +35,7 @@ __all__ = [
     "markdown_rows", "summarise", "terminal", "write",
 ]  # fmt: skip
 
+TOO_FEW = "too few"  # in the place of a verdict, see `reliability.enough`
 GOAL_COLUMNS = ("goals reached", "time [s]", "energy [kJ]", "miss at the end [m]")
 RECORD_COLUMNS = ("set", "policy", "episode", "seed", "digest", "ended", *METRICS, "predict_time")
 
@@ -88,7 +89,8 @@ def comparison_table(summary: Summary) -> list[list[str]]:
             score = summary.policies[name][policy].score
             rows.append(
                 [name, policy, _interval(c.ratio, 1), _interval(c.difference),
-                 "yes" if c.worse else "NO", f"{c.improvement.value:.0%}", f"{c.fails_alone:.3g}",
+                 ("yes" if c.worse else "NO") if c.enough else TOO_FEW,
+                 f"{c.improvement.value:.0%}", f"{c.fails_alone:.3g}",
                  "-" if score is None else _interval(score, 2)]
             )  # fmt: skip
     return rows
@@ -167,7 +169,9 @@ def rule(summary: Summary) -> str:
         f"differences. Intervals: 95 %.\n{base} is clearly worse when the interval of the "
         f"difference lies above 0 and the ratio is at least {SEPARATION_RATIO}.\nP(better): part "
         "of the episodes in which the policy has the smaller RMSE. Fails alone: episodes that "
-        f"{base}\nmasters and the policy does not. Score: 0 = nominal, 1 = oracle."
+        f"{base}\nmasters and the policy does not. {TOO_FEW.capitalize()}: no verdict below "
+        f"{FEW_EPISODES + 1} episodes and {FEW_SEEDS + 1} seeds.\nScore: 0 as integral (without "
+        "it nominal or uc), 1 as the ceiling, the best policy that knows the truth."
     )
 
 

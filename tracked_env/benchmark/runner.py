@@ -27,6 +27,7 @@ from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
     blamed,
+    can_freeze,
     checked_answer,
     checked_policy,
     identifies,
@@ -72,11 +73,13 @@ def drive(
     seeds: Sequence[int],
     on_step: Callable[[], None],
     recorder: Recorder | None = None,
+    freeze_at: NDArray[np.int64] | None = None,
 ) -> tuple[metrics.Trace, float]:
     """Run one episode per seed to its end. Returns their trace and the mean time of `predict` [s].
 
     The first call, which compiles and fills tables, is not timed, unless it is the only one.
-    recorder: takes down what a policy believes, beside the truth of that moment.
+    recorder: takes down what a policy believes, beside the truth of that moment. freeze_at (N,):
+    control step before which the policy's `freeze` is called for that vehicle, -1 for never.
     """
     simulation = env.simulation
     solver = simulation.solver
@@ -93,6 +96,8 @@ def drive(
         if needs_truth(policy):
             truth = {k: v for k, v in info["truth"].items() if not k.startswith("_")}
             policy.observe_truth(truth)  # type: ignore[attr-defined]
+        if freeze_at is not None and (freeze_at == done).any():
+            policy.freeze(freeze_at == done)  # type: ignore[attr-defined]
         began = time.perf_counter()
         answer = policy.predict(observation, state, start, deterministic=True)
         times.append(time.perf_counter() - began)
@@ -125,6 +130,14 @@ def drive(
     return trace, float(np.mean(times[1:] or times))
 
 
+def change_steps(trace: metrics.Trace) -> NDArray[np.int64]:
+    """Control step at which the first abrupt change of each episode begins, -1 without one.
+
+    Up to it a policy that is frozen there drives as it does otherwise, so this is the same step.
+    """
+    return np.array([of[0].first if of else -1 for of in trace.changes()])
+
+
 def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progress) -> Finished:
     """Run one chunk. Raises PolicyError."""
     count = len(task.episodes)
@@ -145,7 +158,11 @@ def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progre
 
     seeds = [config.seed + i for i in task.episodes]
     try:
-        trace, predict_time = drive(policy, env, seeds, on_step, recorder)
+        freeze_at = None
+        if task.policy.frozen and can_freeze(policy):
+            freeze_at = change_steps(drive(policy, env, seeds, lambda: None)[0])
+            policy = checked_policy(task.policy, config.context(task.uncertainty_set))
+        trace, predict_time = drive(policy, env, seeds, on_step, recorder, freeze_at)
     except (Exception, SystemExit) as error:
         where = f"set {task.uncertainty_set!r}, step {steps}"
         raise blamed(error, task.policy.name, where) from error

@@ -157,8 +157,12 @@ def default_sets(env: str = TORQUE_ID, version: str | None = None) -> tuple[str,
 def tuning_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
     """Names of the sets of an environment id on which controllers are tuned: all that separate
     policies, of a version or not, without goals."""
-    beside = tuple(entry.name for entry in _BESIDE if entry.env == env)
-    return default_sets(env) + beside
+    of_env = (name for name, entry in SETS.items() if entry.env == env and name not in _KNOWN)
+    return tuple(
+        name
+        for name in dict.fromkeys((*default_sets(env), *of_env))
+        if "goal" not in SETS[name].arguments.get("observation", ())
+    )
 
 
 def register(entry: BenchmarkSet) -> BenchmarkSet:

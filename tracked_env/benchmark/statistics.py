@@ -6,11 +6,14 @@
                             the (1 - level) / 2 and (1 + level) / 2 quantiles of the statistic [2]
     stratified              the values of each stratum (one training seed, one set) are redrawn
                             among themselves, then pooled [1]
+    Kendall's tau           agreement of two orders, 1 where no pair is the other way round, -1
+                            where all are; tau-b, which counts ties [3]
 Assumption: episodes are drawn independently. With n values the percentile interval of a mean is
 too short by about a factor sqrt((n - 1) / n), and more for skewed values: use n >= 16.
 
 References: [1] Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical
 Precipice, NeurIPS 2021. [2] Efron and Tibshirani, An Introduction to the Bootstrap, 1993, 13.3.
+[3] Kendall, Biometrika 33 (1945) 239.
 """
 
 import math
@@ -91,3 +94,13 @@ def estimate(
     pooled = np.concatenate([np.asarray(stratum, dtype=np.float64) for stratum in strata])
     low, high = interval(bootstrap(strata, statistic), level)
     return Estimate(float(statistic(np.moveaxis(pooled, 0, -1))), low, high)
+
+
+def kendalls_tau(first: ArrayLike, second: ArrayLike) -> float:
+    """Kendall's tau-b of two lists of values (n,) of the same things; NaN if one has only ties."""
+    signs = [
+        np.sign(np.subtract.outer(values, values)[np.triu_indices(len(values), 1)])
+        for values in (np.asarray(first, np.float64), np.asarray(second, np.float64))
+    ]
+    pairs = math.prod(int(np.count_nonzero(sign)) for sign in signs)
+    return float(signs[0] @ signs[1]) / math.sqrt(pairs) if pairs else math.nan

@@ -37,7 +37,7 @@ from tracked_env.benchmark.records import (
     checked_header,
 )
 
-FORMAT = 3  # of the file; a change of the columns needs a new one
+FORMAT = 4  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"
 LOCK = ".lock"
 SHARDS = "shard-*-of-*"  # folders of shards

@@ -4,9 +4,9 @@ A policy `name@seed` is one training of the agent `name`; its seeds are summaris
 and agent: interquartile mean (IQM), mean, and mean of the worst tenth of the tracking RMSE over
 seeds and episodes, and the IQM of that after the start, each with a 95 % bootstrap interval (see
 `reliability`), and means of the other metrics over the episodes that have them.
-    score        (IQM of nominal - IQM of agent) / (IQM of nominal - IQM of oracle), if both are
-                 among the policies: 0 is as good as nominal, 1 as the oracle; for Speed-v0 they
-                 are called `uc` and `slc-oracle`
+    score        (IQM of START - IQM of agent) / (IQM of START - IQM of the ceiling), if both are
+                 among the policies: 0 is as good as START, a controller that identifies nothing,
+                 and 1 as the ceiling of the set
 Every agent is then compared with the first one, the baseline, on the same episodes:
     ratio        IQM of the baseline's RMSE over the agent's
     difference   mean over seeds and episodes of (baseline's - agent's RMSE) [m]
@@ -15,6 +15,7 @@ Every agent is then compared with the first one, the baseline, on the same episo
     worse        the baseline is clearly worse: the interval of the difference lies above 0 and
                  the ratio is at least SEPARATION_RATIO. With nominal as the baseline, a set
                  separates when this holds for the oracle.
+    enough       whether there are enough episodes of each set and seeds for a verdict
     fails alone  episodes in which the agent ends early or without success, the baseline not
 The ceiling of a set is the policy with the smallest IQM among those that are handed the true
 parameters: no single controller can use the truth of every plant.
@@ -38,8 +39,9 @@ from tracked_env.benchmark.store import Record
 
 SEPARATION_RATIO = 1.2  # [-] of the interquartile means
 ALL_SETS = "all sets"
-# Policies that score 0 and 1: by torque, by speed.
-ANCHORS = (("nominal", "oracle"), ("uc", "slc-oracle"))
+STARTS = ("integral", "nominal", "uc")  # the first of them that is here scores 0
+# Where no record says which policies read the truth, the first of these that is here scores 1.
+CEILINGS = ("oracle", "slc-oracle")
 SEED_MARK = "@"  # between the name of an agent and that of one of its seeds
 BySeed = dict[str, list[Record]]  # records of one agent on one set
 
@@ -56,7 +58,7 @@ class PolicySummary(NamedTuple):
     predict_time: float  # [s] per vehicle and step
     changed: int = 0  # episodes with an abrupt change of the parameters, of all seeds
     seeds: int = 0  # trainings; 0 for a policy that is not trained
-    score: Estimate | None = None  # [-] 0 as nominal, 1 as oracle; None if these do not differ
+    score: Estimate | None = None  # [-] 0 as START, 1 as the ceiling; None if these do not differ
     timed_alone: bool = True  # whether no other process disturbed `predict_time`
 
 
@@ -76,6 +78,7 @@ class Comparison(NamedTuple):
     improvement: Estimate  # [-]
     worse: bool  # clearly, see above
     fails_alone: float = 0  # episodes in which the agent fails and the baseline does not, per seed
+    enough: bool = True  # episodes of each set and seeds of both for a verdict
 
 
 class Summary(NamedTuple):
@@ -128,8 +131,8 @@ class Row:
         self.sets = sets
         self.names = list(sets[0])
         self.seeds = {name: list(sets[0][name]) for name in self.names}
-        sizes = [self._checked(of) for of in sets]
-        self.redraws = rel.Redraws(sizes)
+        self.sizes = [self._checked(of) for of in sets]  # episodes of each
+        self.redraws = rel.Redraws(self.sizes)
         self.redrawn, self.settled = (
             {
                 name: rel.redraw(self.matrix(name, metric), self.redraws, number)
@@ -162,7 +165,14 @@ class Row:
 
     def anchors(self) -> tuple[str, str] | None:
         """The policies that score 0 and 1, if both are here."""
-        return next((pair for pair in ANCHORS if set(pair) <= set(self.names)), None)
+        start = next((name for name in STARTS if name in self.names), None)
+        ceiling = self.ceiling() or next((n for n in CEILINGS if n in self.names), None)
+        return None if start is None or ceiling is None else (start, ceiling)
+
+    def trainings(self, name: str) -> int:
+        """Seeds of an agent; 0 of a policy that is not trained."""
+        seeds = self.seeds[name]
+        return len(seeds) if any(SEED_MARK in policy for policy in seeds) else 0
 
     def score(self, name: str) -> Estimate | None:
         """Where an agent is between the anchors."""
@@ -170,8 +180,7 @@ class Row:
         if anchors is None:
             return None
         three = [self.redrawn[key] for key in (*anchors, name)]
-        low, high, own = (self.iqm(key) for key in (*anchors, name))
-        return rel.score((low, high, own), *three)
+        return rel.score((self.iqm(anchors[0]), self.iqm(anchors[1]), self.iqm(name)), *three)
 
     def ceiling(self) -> str | None:
         """The agent with the smallest IQM of those that read the truth, None without one."""
@@ -197,17 +206,16 @@ class Row:
         redrawn, settled, records = self.redrawn[name], self.settled[name], self.pooled(name)
         flat, after = redrawn.values.ravel(), settled.values.ravel()
         seeds = rel.fewest(redrawn)
-        trained = any(SEED_MARK in policy for policy in self.seeds[name])
         return PolicySummary(
             redrawn.values.shape[1],
-            rel.estimate(float(stats.interquartile_mean(flat)), redrawn.iqm, seeds),
+            rel.estimate(self.iqm(name), redrawn.iqm, seeds),
             rel.estimate(float(flat.mean()), redrawn.mean, seeds),
             rel.estimate(float(stats.worst_tenth(flat)), redrawn.worst, seeds),
             rel.estimate(float(stats.interquartile_mean(after)), settled.iqm, seeds),
             {metric: _mean(records, metric) for metric in METRICS},
             _mean(records, "predict_time"),
             sum(record["recovery_time"] is not None for record in records),
-            len(self.seeds[name]) if trained else 0,
+            self.trainings(name),
             self.score(name),
             not any(BESIDE in record for record in records),
         )
@@ -216,7 +224,7 @@ class Row:
         """An agent against another."""
         a, b = self.redrawn[base], self.redrawn[name]
         seeds = rel.fewest(a, b)
-        own = [float(stats.interquartile_mean(r.values.ravel())) for r in (a, b)]
+        own = [self.iqm(of) for of in (base, name)]
         ratio = rel.estimate(
             float(rel.ratio(np.array(own[0]), np.array(own[1]))), rel.ratio(a.iqm, b.iqm), seeds
         )
@@ -232,6 +240,7 @@ class Row:
             rel.improvement(b, a, self.redraws),
             bool(difference.low > 0.0 and ratio.value >= SEPARATION_RATIO),
             float((fails[1].mean(axis=0) * (1.0 - fails[0].mean(axis=0))).sum()),
+            rel.enough(min(self.sizes), self.trainings(base), self.trainings(name)),
         )
 
 

@@ -31,6 +31,7 @@ from tracked_env.benchmark.registered_policies import (
 from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.store import identity_hash
 from tracked_env.benchmark.summary import Row, rows_of
+from tracked_env.benchmark.training_curves import read_costs, read_curves
 from tracked_env.cli import clone
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, Config, parsed
 from tracked_env.validation import checked_choice, name_or_json
@@ -120,9 +121,9 @@ def write_leaderboard(
 
     folders: of the archives of an agent, which may have learning curves.
     """
-    board = leaderboard.leaderboard(summary, rows, conditions)
+    board = leaderboard.leaderboard(summary, rows, conditions, read_costs(folders))
     leaderboard.write(store.folder, board)
-    curves = leaderboard.read_curves(folders)
+    curves = read_curves(folders)
     leaderboard_page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
     return leaderboard.terminal(board)
 

@@ -15,6 +15,8 @@ COMMANDS = {
     "evaluate": ("evaluate_command", "compare policies on the same randomized episodes"),
     "leaderboard": ("leaderboard_command", "evaluate everything that is registered, and rank it"),
     "choose-sets": ("choose_command", "what every candidate for the evaluation sets separates"),
+    "adaptation": ("adaptation_command", "what adapting to changes inside episodes is worth"),
+    "breaking-points": ("breaking_command", "how much of one difficulty each policy stands"),
     "policies": ("listing", "list the policies that are registered"),
     "envs": ("listing", "list the environments and their evaluation sets"),
     "render": ("render_command", "write a GIF, MP4 or PNG of a policy on an evaluation set"),

@@ -21,6 +21,7 @@ class SentPolicy(NamedTuple):
     name: str
     fingerprint: str
     data: bytes  # a pickled `PolicyEntry.source`, or the factory itself
+    frozen: bool = False
 
 
 class Comparison(NamedTuple):
@@ -41,7 +42,8 @@ def sent(config: BenchmarkConfig, policies: Sequence[PolicyEntry]) -> Comparison
     Raises ValueError for a policy that cannot be sent.
     """
     known = {
-        entry.name: SentPolicy(entry.name, entry.fingerprint, _data(entry)) for entry in policies
+        entry.name: SentPolicy(entry.name, entry.fingerprint, _data(entry), entry.frozen)
+        for entry in policies
     }
     return Comparison(config, config.identity()["source"], known)
 
@@ -67,11 +69,11 @@ def received(comparison: Comparison, name: str) -> PolicyEntry:
         found: Any = pickle.loads(policy.data)
         if isinstance(found, tuple):
             function, arguments = found
-            entry = function(*arguments)._replace(name=name)
+            entry = function(*arguments)._replace(name=name, frozen=policy.frozen)
             if entry.fingerprint != policy.fingerprint:
                 raise _differs(f"policy {name!r}")
         else:
-            entry = PolicyEntry(name, found, policy.fingerprint)
+            entry = PolicyEntry(name, found, policy.fingerprint, frozen=policy.frozen)
         _check_simulation(comparison)
         _FOUND[key] = entry
     return _FOUND[key]

@@ -1,0 +1,197 @@
+"""What adapting is worth: frozen policies, and the scores after a change."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.registry import POLICIES
+from tests.benchmark.stub_policies import Constant, entry
+from tests.benchmark.test_report import EASY, records
+from tracked_env import SPEED_ID
+from tracked_env.benchmark import SETS, BenchmarkConfig, Store, load_policy, run
+from tracked_env.benchmark import adaptation as ad
+from tracked_env.benchmark.executors.sent_policies import received, sent
+from tracked_env.benchmark.policy_interface import PolicyEntry, frozen
+from tracked_env.benchmark.policy_lookup import load_policies
+from tracked_env.benchmark.records import READS_TRUTH
+from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
+from tracked_env.benchmark.runner import drive
+from tracked_env.benchmark.summary import rows_of
+
+PAYLOAD = BenchmarkConfig(sets=("payload",), episodes=2, duration=6.0)
+
+
+def shipped(agent: str, env: str = "torque") -> PolicyEntry:
+    policies, trained = by_name(registered_policies(), env)
+    return load_policies([agent], policies, trained, open_archive)[0]
+
+
+def both(folder: Path, entries: list[PolicyEntry], config: BenchmarkConfig) -> dict[str, Any]:
+    """Records without the time, by policy."""
+    given = [one for each in entries for one in (each, frozen(each))]
+    found: dict[str, Any] = {}
+    for record in run(config, given, Store(folder, config.identity())):
+        kept = {k: v for k, v in record.items() if k not in ("policy", "predict_time")}
+        found.setdefault(record["policy"], []).append(kept)
+    return found
+
+
+def test_a_policy_without_memory_is_unchanged_to_the_bit_where_it_is_frozen(tmp_path: Path) -> None:
+    given = [entry("constant", lambda context: Constant()), shipped("ppo-blind")]
+    given.append(load_policy("nominal", POLICIES))
+    found = both(tmp_path, given, PAYLOAD)
+    assert found["constant"] == found["constant frozen"]
+    assert found["nominal"] == found["nominal frozen"]
+    assert found["ppo-blind@0"] == found["ppo-blind frozen@0"]
+
+
+def test_a_policy_with_memory_is_another_one_after_the_change_and_not_before(
+    tmp_path: Path,
+) -> None:
+    given = [load_policy("adaptive", POLICIES), shipped("ppo-history"), shipped("ppo-estimates")]
+    given += [shipped("recurrent-ppo-blind"), shipped("ppo-residual")]
+    found = both(tmp_path, given, PAYLOAD)
+    for own, other in zip(list(found.values())[::2], list(found.values())[1::2], strict=True):
+        assert [r["digest"] for r in own] == [r["digest"] for r in other]
+        assert all(
+            a["rmse_after_change"] != b["rmse_after_change"]
+            for a, b in zip(own, other, strict=True)
+        )
+
+
+def drawn(policy: Any, config: BenchmarkConfig, freeze_at: list[int] | None) -> Any:
+    """The actions (T, n, 2) of a policy that is frozen at these steps."""
+    env = config.environment(config.sets[0], 2, truth=False)
+    at = None if freeze_at is None else np.array(freeze_at)
+    trace, _ = drive(policy, env, [0, 1], lambda: None, freeze_at=at)
+    env.close()
+    return np.stack([trace.channel("action_left"), trace.channel("action_right")], axis=-1)
+
+
+def spied(policy: Any, look: Any) -> tuple[Any, list[Any]]:
+    """The policy, and what `look(policy)` is after each of its calls."""
+    seen: list[Any] = []
+    original = policy.predict
+
+    def predict(*given: Any, **options: Any) -> Any:
+        answer = original(*given, **options)
+        seen.append(np.array(look(policy)))
+        return answer
+
+    policy.predict = predict
+    return policy, seen
+
+
+@pytest.mark.parametrize(
+    ("make", "look", "env"),
+    [
+        ("adaptive", lambda p: p.controller.parameters.T, "payload"),
+        ("slc-adaptive", lambda p: p.estimator.friction, "friction-step"),
+        ("ppo-history", lambda p: p._seen[0], "payload"),
+        ("recurrent-ppo-blind", lambda p: p._held[2][0] if p._held else p._seen[1][0], "payload"),
+    ],
+)
+def test_what_was_learned_before_the_change_is_kept_in_the_frozen_row_alone(
+    make: str, look: Any, env: str
+) -> None:
+    config = BenchmarkConfig(sets=(env,), episodes=2, duration=3.0)
+    track = "speed" if SETS[env].env == SPEED_ID else "torque"
+    chosen = load_policy(make, POLICIES) if make in POLICIES else shipped(make, track)
+    context = config.context(env)
+    free, learned = spied(chosen.make(context), look)
+    usual = drawn(free, config, None)
+    held, kept = spied(chosen.make(context), look)
+    other = drawn(held, config, [-1, 60])
+    assert np.array_equal(usual[:60], other[:60])
+    assert np.array_equal(usual[:, 0], other[:, 0])  # the other row learns on, to the bit
+    assert not np.array_equal(usual[60:, 1], other[60:, 1])
+    before, after = learned[59][1], np.array([row[1] for row in kept[60:]])
+    assert np.array_equal(after, np.broadcast_to(before, after.shape))
+    assert not np.array_equal(learned[-1][1], before)
+
+
+def test_a_row_that_starts_an_episode_learns_again() -> None:
+    config = BenchmarkConfig(sets=("payload",), episodes=2, duration=2.0)
+    policy = load_policy("adaptive", POLICIES).make(config.context("payload"))
+    env = config.environment("payload", 2, truth=False)
+    observation, _ = env.reset(seed=[0, 1])
+    start, state, shown = np.array([True, True]), None, []
+    for step in range(80):
+        if step == 20:
+            policy.freeze(np.array([True, True]))
+        start = np.array([step in (0, 30), step == 0])
+        action, state = policy.predict(observation, state, start)
+        shown.append(policy.controller.parameters.copy())
+        observation, *_ = env.step(action)
+    env.close()
+    assert np.array_equal(shown[19], shown[29])
+    assert np.array_equal(shown[19][:, 1], shown[-1][:, 1])
+    assert not np.array_equal(shown[40][:, 0], shown[-1][:, 0])
+
+
+def test_the_frozen_one_is_a_policy_of_its_own_name_seed_by_seed_and_in_other_processes() -> None:
+    assert frozen(shipped("ppo-blind")).name == "ppo-blind frozen@0"
+    twin = frozen(load_policy("adaptive", POLICIES)._replace(source=None))
+    assert twin.name == "adaptive frozen" and twin.frozen
+    config = BenchmarkConfig(sets=("payload",), episodes=1)
+    assert received(sent(config, [twin]), twin.name).frozen
+    usual = load_policy("adaptive", POLICIES)._replace(source=None)
+    assert not received(sent(config, [usual]), usual.name).frozen
+
+
+def after(uncertainty_set: str, **rmse: Any) -> Any:
+    """A row of one set with these RMSEs after the change; `oracle` reads the truth."""
+    given = records(uncertainty_set, **dict.fromkeys(rmse, EASY))
+    for record in given:
+        value = float(rmse[record["policy"]][record["episode"]])
+        lost = np.isnan(value) and record["policy"] == "x"
+        record |= {"rmse_after_change": None if np.isnan(value) else value, "max_error": 5.0,
+                   "terminated": float(lost), "recovery_time": 1.0}  # fmt: skip
+        if record["policy"] == "oracle":
+            record |= {READS_TRUTH: True, "tracking_rmse": 0.9 * record["tracking_rmse"]}
+    return rows_of(given)[uncertainty_set]
+
+
+def test_regret_is_to_the_ceiling_and_worth_to_the_frozen_one() -> None:
+    found = ad.scores(after("a", oracle=EASY, x=EASY + 0.01, **{"x frozen": 3.0 * (EASY + 0.01)}))
+    assert set(found) == {"oracle", "x"}
+    assert tuple(found["x"].regret or ()) == pytest.approx((0.01, 0.01, 0.01))
+    assert tuple(found["x"].worth or ()) == pytest.approx((3.0, 3.0, 3.0))
+    assert found["oracle"].worth is None
+    assert tuple(found["oracle"].regret or ()) == (0.0, 0.0, 0.0)
+    assert [len(row) for row in ad.table({"a": found})] == [7, 7, 7]
+
+
+def test_an_episode_that_is_lost_before_the_change_counts_with_the_error_where_it_ended() -> None:
+    early = np.where(np.arange(16) < 4, np.nan, EASY)
+    found = ad.scores(after("a", oracle=EASY, x=early))
+    assert found["x"].episodes == 16
+    assert found["x"].rmse.value == pytest.approx((4 * 5.0 + EASY[4:].sum()) / 16.0)
+    without = ad.scores(after("a", oracle=early, x=EASY))  # no change there: not counted
+    assert without["x"].episodes == 12
+
+
+def test_there_is_no_score_without_any_change_and_no_regret_without_a_ceiling() -> None:
+    assert ad.scores(after("a", oracle=np.nan * EASY, y=np.nan * EASY)) == {}
+    assert ad.scores(after("a", y=EASY))["y"].regret is None
+
+
+def test_errors_are_aligned_at_the_change_and_empty_beyond_the_episode(tmp_path: Path) -> None:
+    time = np.linspace(0.02, 10.0, 300)
+    changes = np.array([3.0, np.nan, 8.0])
+    error = np.stack([(time > 3.0) * 1.0, time, (time > 8.0) * 1.0], axis=1)
+    trace = {"time": time, "change": changes, "error": error}
+    grid, lines = np.linspace(*ad.AROUND, ad.GRID), ad.aligned_errors(trace)
+    assert lines.shape == (2, ad.GRID)
+    assert (lines[:, grid < -0.04] == 0.0).all()
+    assert (lines[0, grid > 0.04] == 1.0).all()
+    assert (
+        np.isnan(lines[1, grid > 2.01]).all() and (lines[1, (grid > 0.04) & (grid < 2)] == 1).all()
+    )
+    pytest.importorskip("matplotlib")
+    axes = ad.figure("a", {"x": [trace], "x frozen": [trace]}).axes[0]
+    solid, dashed = axes.get_lines()[:2]
+    assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
+    assert solid.get_color() == dashed.get_color()

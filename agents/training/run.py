@@ -139,12 +139,16 @@ def _residual_scale(options: Options) -> float:
 
 def _augmentation(options: Options) -> Augmentation:
     lags = list(_lags(options))
-    known: dict[str, dict[str, Any]] = {
-        "history": {"lags": lags},
-        "residual": {"scale": _residual_scale(options)},
-        STUDENT: {"lags": lags, "hidden": list(options.student.hidden)},
-    }
-    return Augmentation(options.augmentation, known.get(options.augmentation, {}))
+    residual: dict[str, Any] = {"scale": _residual_scale(options)}
+    if options.base is not None:
+        residual["base"] = options.base
+    student = options.student
+    inferred: dict[str, Any] = {"lags": lags, "hidden": list(student.hidden)}
+    if student.lstm_hidden:
+        inferred = {"hidden": list(student.hidden), "lstm_hidden": student.lstm_hidden}
+    known = {"history": {"lags": lags}, "residual": residual, STUDENT: inferred}
+    sheet = {"data_sheet": True} if options.data_sheet else {}
+    return Augmentation(options.augmentation, {**known.get(options.augmentation, {}), **sheet})
 
 
 def configuration(options: Options) -> dict[str, Any]:
@@ -160,6 +164,8 @@ def configuration(options: Options) -> dict[str, Any]:
         precision=reward.precision, smoothness=reward.smoothness, lags=_lags(options),
         residual_scale=_residual_scale(options),
     )  # fmt: skip
+    if name == STUDENT and options.student.lstm_hidden is None:
+        kept[STUDENT].pop("lstm_hidden")
     return dict(json.loads(json.dumps(kept, default=str)))
 
 

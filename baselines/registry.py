@@ -1,6 +1,8 @@
 """Named policies for the benchmark: the knowledge that each has of the vehicle and its soil.
 
     nominal   the feedback-linearizing controller with the nominal parameters, right or wrong
+    integral  the same with the filter of the adaptive policy and integral action: what a
+              practitioner tries who does not identify anything
     adaptive  the same controller with the parameters that it identifies under way
     oracle    the adaptive policy, handed the true parameters at every step: what perfect
               identification would reach. It measures, and filters, like the adaptive one.
@@ -21,15 +23,13 @@ of its fields). `register` adds a controller.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.learned.shipped import shipped_agents
-from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.known_parameters import IntegralPolicy, OraclePolicy
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
 from baselines.lyapunov.replanning import ReplanningPolicy
@@ -37,7 +37,7 @@ from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolic
 from baselines.lyapunov.slope_errors import shows_attitude
 from baselines.slip.slip_sweep import identified_slip
 from baselines.slip.slope_sweep import identified_slope_slip
-from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 
 class Context(Protocol):
@@ -68,40 +68,6 @@ class Context(Protocol):
         """Names of the fields that the environment shows."""
 
 
-class OraclePolicy:
-    """The adaptive policy with the parameters in force, as handed to `observe_truth`.
-
-    It filters what the sensors give as the adaptive policy does, and estimates no parameter.
-    Arguments as AdaptivePolicy.
-    """
-
-    needs_truth = True
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        self._policy = AdaptivePolicy(*arguments, **options)
-
-    @property
-    def controller(self) -> FeedbackLinearizingController:
-        """The controller that drives."""
-        return self._policy.controller
-
-    def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
-        """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
-        self._policy.given_parameters = np.stack(
-            [np.atleast_1d(truth[name]) for name in PARAMETER_NAMES]
-        )
-
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], AdaptiveState]:
-        """As AdaptivePolicy.predict."""
-        return self._policy.predict(observation, state, episode_start, deterministic)
-
-
 def _vehicle(context: Context, drive: str) -> PlantParameters:
     """Nominal parameters for a policy that commands `drive`. Raises ValueError for another."""
     if context.drive != drive:
@@ -128,6 +94,11 @@ def _arguments(context: Context) -> dict[str, Any]:
         "lateral": context.lateral,
         "observation": context.observation,
     }
+
+
+def integral(context: Context) -> IntegralPolicy:
+    """The controller with nominal parameters, the filter and integral action."""
+    return IntegralPolicy(**_arguments(context))
 
 
 def adaptive(context: Context) -> AdaptivePolicy:
@@ -192,6 +163,7 @@ def slc_once(context: Context) -> ReplanningPolicy:
 
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
+    "integral": integral,
     "adaptive": adaptive,
     "oracle": oracle,
     "uc": uc,
@@ -216,7 +188,7 @@ def register(name: str, factory: Callable[[Any], Any]) -> None:
 
 # Those for each kind of drive, from the least to the most that is known.
 BY_DRIVE = {
-    "torque": ("nominal", "adaptive", "oracle"),
+    "torque": ("nominal", "integral", "adaptive", "oracle"),
     "speed": ("uc", "slc", "slc-adaptive", "slc-oracle"),
 }
 

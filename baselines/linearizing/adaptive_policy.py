@@ -64,7 +64,7 @@ _GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"
 class AdaptiveState(NamedTuple):
     """State of the policy between two calls."""
 
-    xi: NDArray[np.float64]  # (N,) [m/s^2] compensator of the controller
+    controller: NDArray[np.float64]  # (N, 3) state of the controller
     memories: Memories  # of the estimators
     given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
 
@@ -237,7 +237,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             observation, known.reading.reference, known.motion_rows, latest.values, latest.age,
             summary, status, 0.5 * self.controller.control_period, self.filtered,
         )  # fmt: skip
-        action, xi = self.controller.act(observation, None if state is None else state.xi, start)
+        held = None if state is None else state.controller
+        action, held = self.controller.act(observation, held, start)
         given = np.zeros((count, 2)) if state is None else state.given.copy()
         if self._commanded:
             lead_all(
@@ -245,7 +246,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
                 self.controller.control_period, given, action,
             )  # fmt: skip
         self.known = known
-        self._given = AdaptiveState(xi, self.stack.memories(), given)
+        self._given = AdaptiveState(held, self.stack.memories(), given)
         return action, self._given
 
     def _give_ground(self, parameters: NDArray[np.float64]) -> None:

@@ -120,8 +120,8 @@ def _plain(kind: str, options: Mapping[str, Any], context: Context, count: int) 
     if kind == "estimates":
         return Estimates(vehicle, context.control_period, sheet, count, context.lateral)
     policy = _base(options.get("base", BASE), context)
-    needs = NAMES  # a policy looks ahead or not
-    if isinstance(policy, AdaptivePolicy):
+    needs = NAMES  # other policies may look ahead
+    if type(policy) is AdaptivePolicy:
         needs = tuple(dict.fromkeys((*CONTROLLER_NEEDS, *policy.stack.needs)))
     return Residual(policy, count, context.control_period, scale, needs)
 

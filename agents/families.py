@@ -116,10 +116,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     failures += 1
                     print(f"{env} {family} seed {seed}: failed", flush=True)
                     continue
-                minutes, error = cpu_minutes(ROOT / given.output / env / f"{family}-seed{seed}")
+                minutes, best = cpu_minutes(ROOT / given.output / env / f"{family}-seed{seed}")
                 print(
                     f"{env} {family} seed {seed}: {minutes:.1f} min of processor time, best "
-                    f"{error:.4f} m held out",
+                    f"{best:.4f} m held out",
                     flush=True,
                 )
     return 1 if failures else 0

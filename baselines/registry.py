@@ -23,15 +23,19 @@ of its fields). `register` adds a controller.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.learned.shipped import shipped_agents
+from baselines.linearizing import known_parameters, linearizing_law
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
-from baselines.linearizing.known_parameters import IntegralPolicy, OraclePolicy
+from baselines.linearizing.known_parameters import INTEGRAL_GAINS, IntegralPolicy, OraclePolicy
+from baselines.linearizing.linearizing_law import TUNED_GAINS
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from baselines.lyapunov import lyapunov_laws
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
+from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
 from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import shows_attitude
@@ -78,11 +82,28 @@ def _vehicle(context: Context, drive: str) -> PlantParameters:
     return VEHICLES[context.vehicle]
 
 
-def nominal(context: Context) -> FeedbackLinearizingController:
+def tunable(ranges: Mapping[str, tuple[float, float, bool]], settings: Any) -> Any:
+    """Declare what `tracked-env tune` searches, see `tracked_env.benchmark.tuning`.
+
+    ranges: TUNABLE of the controller. settings: its defaults, a NamedTuple, or a function of the
+    context that returns them.
+    """
+
+    def declared(factory: Any) -> Any:
+        factory.TUNABLE = ranges
+        factory.SETTINGS = settings if callable(settings) else lambda context: settings
+        return factory
+
+    return declared
+
+
+@tunable(linearizing_law.TUNABLE, TUNED_GAINS)
+def nominal(context: Context, **settings: float) -> FeedbackLinearizingController:
     """The controller that trusts the nominal parameters."""
     return FeedbackLinearizingController(
         _vehicle(context, "torque"), control_period=context.control_period,
-        lateral=context.lateral, observation=context.observation,
+        gains=TUNED_GAINS._replace(**settings), lateral=context.lateral,
+        observation=context.observation,
     )  # fmt: skip
 
 
@@ -96,23 +117,28 @@ def _arguments(context: Context) -> dict[str, Any]:
     }
 
 
-def integral(context: Context) -> IntegralPolicy:
+@tunable(known_parameters.TUNABLE, INTEGRAL_GAINS)
+def integral(context: Context, **settings: float) -> IntegralPolicy:
     """The controller with nominal parameters, the filter and integral action."""
-    return IntegralPolicy(**_arguments(context))
+    gains = INTEGRAL_GAINS._replace(**settings)
+    return IntegralPolicy(**_arguments(context), gains=gains)
 
 
-def adaptive(context: Context) -> AdaptivePolicy:
+@tunable(linearizing_law.TUNABLE, TUNED_GAINS)
+def adaptive(context: Context, **settings: float) -> AdaptivePolicy:
     """The controller that identifies vehicle and soil under way."""
-    return AdaptivePolicy(**_arguments(context))
+    return AdaptivePolicy(**_arguments(context), gains=TUNED_GAINS._replace(**settings))
 
 
-def oracle(context: Context) -> OraclePolicy:
+@tunable(linearizing_law.TUNABLE, TUNED_GAINS)
+def oracle(context: Context, **settings: float) -> OraclePolicy:
     """The controller that knows the true parameters."""
-    return OraclePolicy(**_arguments(context))
+    return OraclePolicy(**_arguments(context), gains=TUNED_GAINS._replace(**settings))
 
 
-def _speed_arguments(context: Context) -> dict[str, Any]:
+def _speed_arguments(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
     return {
+        "gains": lyapunov_gains(context)._replace(**settings),
         "parameters": _vehicle(context, "speed"),
         "control_period": context.control_period,
         "data_sheet": DataSheet.of(context.sensors),
@@ -120,45 +146,61 @@ def _speed_arguments(context: Context) -> dict[str, Any]:
     }
 
 
-def uc(context: Context) -> UnicyclePolicy:
+def lyapunov_gains(context: Context) -> LyapunovGains:
+    """Gains of the policies that command speeds: of slopes where the attitude is shown."""
+    return GAINS_ON_SLOPES if shows_attitude(context.observation) else LyapunovGains()
+
+
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def uc(context: Context, **settings: float) -> UnicyclePolicy:
     """The controller of a unicycle without slip."""
-    return UnicyclePolicy(**_speed_arguments(context))
+    return UnicyclePolicy(**_speed_arguments(context, settings))
 
 
-def slc(context: Context) -> SlippageAwarePolicy:
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def slc(context: Context, **settings: float) -> SlippageAwarePolicy:
     """The slippage-aware controller that trusts the slip of the nominal soil."""
     if not shows_attitude(context.observation):
-        return slc_flat(context)
-    arguments = _speed_arguments(context)
+        return slc_flat(context, **settings)
+    arguments = _speed_arguments(context, settings)
     return SlippageAwarePolicy(
         slip_model=identified_slope_slip(arguments["parameters"]), **arguments
     )
 
 
-def slc_flat(context: Context) -> SlippageAwarePolicy:
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def slc_flat(context: Context, **settings: float) -> SlippageAwarePolicy:
     """The slippage-aware controller that trusts the slip of the nominal soil on level ground."""
-    arguments = _speed_arguments(context)
+    arguments = _speed_arguments(context, settings)
     return SlippageAwarePolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
 
 
-def slc_adaptive(context: Context) -> AdaptiveSlipPolicy:
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def slc_adaptive(context: Context, **settings: float) -> AdaptiveSlipPolicy:
     """The slippage-aware controller that identifies the friction under way."""
-    return AdaptiveSlipPolicy(**_speed_arguments(context))
+    return AdaptiveSlipPolicy(**_speed_arguments(context, settings))
 
 
-def slc_oracle(context: Context) -> OracleSlipPolicy:
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def slc_oracle(context: Context, **settings: float) -> OracleSlipPolicy:
     """The slippage-aware controller that knows the true soil."""
-    return OracleSlipPolicy(**_speed_arguments(context))
+    return OracleSlipPolicy(**_speed_arguments(context, settings))
+
+
+def _goal_arguments(context: Context) -> dict[str, Any]:
+    arguments = _speed_arguments(context, {})
+    del arguments["gains"]  # its own
+    return arguments
 
 
 def slc_replan(context: Context) -> ReplanningPolicy:
     """The slippage-aware controller that plans to the goal again every second."""
-    return ReplanningPolicy(**_speed_arguments(context))
+    return ReplanningPolicy(**_goal_arguments(context))
 
 
 def slc_once(context: Context) -> ReplanningPolicy:
     """The same controller with one plan, made at the start."""
-    return ReplanningPolicy(**_speed_arguments(context), replan_period=math.inf)
+    return ReplanningPolicy(**_goal_arguments(context), replan_period=math.inf)
 
 
 POLICIES: dict[str, Callable[[Any], Any]] = {

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tracked_env.physics.parameters import PARAMETER_NAMES
 
-INTEGRAL_GAINS = Gains(k_i=50.0)
+INTEGRAL_GAINS = Gains(k_i=50.0)  # tuned, docs/tuning.md
+TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
 
 
 class KnownParametersPolicy:

@@ -64,6 +64,16 @@ class Gains(NamedTuple):
         return roots[np.argsort(-roots.real)]
 
 
+# Of the controllers of the benchmark; those of S are the defaults of Gains. docs/tuning.md
+TUNED_GAINS = Gains(100.0, 70.0, 15.0, 0.5)
+TUNABLE = {  # lowest, highest, whether on a logarithmic scale
+    "k_p": (40.0, 400.0, True),
+    "k_v": (30.0, 200.0, True),
+    "k_a": (6.0, 40.0, True),
+    "bound": (0.1, 2.0, True),
+}
+
+
 class Integral(NamedTuple):
     """Time integral of the bounded position error in body axes."""
 

@@ -224,6 +224,13 @@ def default_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
     return tuple(n for n in OF_VERSION if SETS[n].env == env and n not in (*_KNOWN, *_HELD))
 
 
+def tuning_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
+    """Names of the sets of an environment id on which controllers are tuned: all that separate
+    policies, of a version or not, without goals."""
+    beside = tuple(entry.name for entry in _BESIDE if entry.env == env)
+    return default_sets(env) + beside
+
+
 def register(entry: BenchmarkSet) -> BenchmarkSet:
     """Add a set, from then on a name for `BenchmarkConfig(sets=...)`; returns it.
 

@@ -137,6 +137,37 @@ def test_the_regression_loss_falls(teacher, tmp_path):
     assert losses[1] < 0.5 * losses[0]
 
 
+def test_sequences_are_regressed_from_what_was_carried_when_their_block_began(
+    teacher, tmp_path, monkeypatch
+):
+    student = RecurrentStudentLearner(resolve(configured(tmp_path, teacher)))
+    said = []
+    student.collect()
+    student.regress(1e-2)
+    student._filled, network = 0, student.model.inference  # block 0 is what drives from here on
+    carried = [torch.from_numpy(values.copy()) for values in student._state[0]]
+    assert min(float(values.abs().max()) for values in carried) > 0.01
+    student.collect()
+    for kept, values in zip(student._carried[:, 0], carried, strict=True):
+        torch.testing.assert_close(kept, values, rtol=0.0, atol=0.0)
+    forward = network.forward
+
+    def told(inputs, start, begun):
+        said.append(begun)
+        return forward(inputs, start, begun)
+
+    monkeypatch.setattr(network, "forward", told)
+    student.regress(1e-2)
+    assert len(said) == SETTINGS.gradient_steps
+    for hidden, cell in said:  # of each sequence, one of the four vehicles
+        for one, other in zip(hidden, cell, strict=True):
+            same = [
+                torch.equal(one, carried[0][row]) and torch.equal(other, carried[1][row])
+                for row in range(4)
+            ]
+            assert any(same)
+
+
 def test_a_saved_student_acts_as_in_training_and_needs_no_truth(teacher, tmp_path):
     run = resolve(configured(tmp_path, teacher))
     student = RecurrentStudentLearner(run)

@@ -44,8 +44,7 @@ FAMILIES = {
         "--ppo.log-std-init -2",
         "ppo-residual-mpc": f"{SHOWN} {PPO} --augmentation residual --base mpc-adaptive "
         "--residual-scale 0.1 --ppo.log-std-init -2",
-        "ppo-teacher": f"--uncertainty mixture --sensors ideal {PPO} --augmentation teacher "
-        "--precision 0.025",
+        "ppo-teacher": f"--uncertainty mixture --sensors ideal {PPO} --augmentation teacher",
         "ppo-student": f"{SHOWN} {STUDENT}",
         "recurrent-ppo-blind": f"{SHOWN} {PPO} --agent recurrent-ppo --recurrent-ppo.n-steps 512",
         "sac-blind": f"{SHOWN} --agent sac --steps 300000 {REPLAY}",

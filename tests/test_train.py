@@ -114,6 +114,11 @@ def test_the_help_lists_what_there_is(repository):
         (("--sensors", "mixture"), "2 vehicles or held-out episodes for 5 kinds of sensors"),
         (("--sensors", '{"pose_delay": -1}'), "pose_delay"),
         (("--augmentation", "residual", "--residual-scale", "0"), "must be in"),
+        (("--augmentation", "residual", "--base", "nobody"), "base = 'nobody'; must be a regist"),
+        (
+            ("--augmentation", "residual", "--base", "adaptive", "--env", "tracked_env/Speed-v0"),
+            "base = 'adaptive' on a vehicle driven by its sprocket speeds; must be left out",
+        ),
         (("--env", "tracked_env/Nothing-v0"), "Nothing"),
         (("--env", "CartPole-v1"), "--env CartPole-v1 is not an environment of tracked vehicles"),
         (("--env", "nothing_at_all:Torque-v0"), "--env nothing_at_all:Torque-v0: "),

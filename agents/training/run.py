@@ -26,9 +26,10 @@ from agents.training.options import Options
 from agents.training.reward import PRECISION
 from agents.training.unread_options import check_read
 from baselines.learned.agent_policy import Groups, groups_in
-from baselines.learned.augmentation import RESIDUAL_SCALE
+from baselines.learned.augmentation import BASE, RESIDUAL_SCALE
 from baselines.learned.history_augmentation import LAGS
 from baselines.learned.recipe import STUDENT, Driven
+from baselines.linearizing.linearizing_law import TUNED_GAINS
 from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.engine.env_config import EnvConfig
 
@@ -137,11 +138,18 @@ def _residual_scale(options: Options) -> float:
     return RESIDUAL_SCALE if options.residual_scale is None else options.residual_scale
 
 
+def _commands_torques(options: Options) -> bool:
+    return bool(driven(options.env, environment_arguments(options))["drive"] == "torque")
+
+
 def _augmentation(options: Options) -> Augmentation:
     lags = list(_lags(options))
     residual: dict[str, Any] = {"scale": _residual_scale(options)}
-    if options.base is not None:
-        residual["base"] = options.base
+    torques = options.augmentation == "residual" and _commands_torques(options)
+    if options.base not in (None, BASE) or (options.base == BASE and not torques):
+        residual["base"] = options.base  # refused where the drives take speeds
+    elif torques:
+        residual["gains"] = list(TUNED_GAINS)  # of the controller that it corrects
     student = options.student
     inferred: dict[str, Any] = {"lags": lags, "hidden": list(student.hidden)}
     if student.lstm_hidden:

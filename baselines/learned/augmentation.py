@@ -23,6 +23,7 @@ from baselines.learned.reckoned_augmentation import Reckoned, WithDataSheet
 from baselines.learned.speed_augmentation import SlipEstimates, SlipResidual
 from baselines.learned.torque_augmentation import Estimates, IdentifyingPolicy, Residual
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import NEEDS as CONTROLLER_NEEDS
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from baselines.lyapunov.slope_errors import ATTITUDE, shows_attitude
@@ -81,13 +82,16 @@ def make_augmentation(
     """A fresh augmentation of `count` vehicles.
 
     options: `lags` of history, `scale` and `base` of residual, and of all `data_sheet`, whether
-    that of the sensors is shown. Raises ValueError for an unknown kind or option.
+    that of the sensors is shown. `gains` of residual are those of `adaptive`, by default the
+    paper's: agents without them in their archive were trained on these. Raises ValueError for an
+    unknown kind or option.
     """
-    known = {"data_sheet", *{"history": {"lags"}, "residual": {"scale", "base"}}.get(kind, set())}
-    if kind not in KINDS or set(options) - known:
+    known = {"history": {"lags"}, "residual": {"scale", "base", "gains"}}.get(kind, set())
+    if kind not in KINDS or set(options) - {*known, "data_sheet"}:
         raise ValueError(
             f"augmentation {kind!r} with options {dict(options)}; kinds are {', '.join(KINDS)}, "
-            "options `lags` of history, `scale` and `base` of residual, `data_sheet` of all"
+            "options `lags` of history, `scale`, `base` and `gains` of residual, `data_sheet` of "
+            "all"
         )
     made = _plain(kind, options, context, count)
     if options.get("data_sheet", False):
@@ -119,9 +123,11 @@ def _plain(kind: str, options: Mapping[str, Any], context: Context, count: int) 
         return SlipResidual(driver, count, scale)
     if kind == "estimates":
         return Estimates(vehicle, context.control_period, sheet, count, context.lateral)
-    policy = _base(options.get("base", BASE), context)
-    needs = NAMES  # other policies may look ahead
-    if type(policy) is AdaptivePolicy:
+    if "base" in options and options["base"] != BASE:
+        policy, needs = _base(options["base"], context), NAMES  # that may look ahead
+    else:
+        gains = Gains(*options.get("gains", ()))
+        policy = AdaptivePolicy(vehicle, context.control_period, sheet, context.lateral, gains)
         needs = tuple(dict.fromkeys((*CONTROLLER_NEEDS, *policy.stack.needs)))
     return Residual(policy, count, context.control_period, scale, needs)
 

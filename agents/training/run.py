@@ -139,7 +139,7 @@ def _residual_scale(options: Options) -> float:
 
 
 def _commands_torques(options: Options) -> bool:
-    return bool(driven(options.env, environment_arguments(options))["drive"] == "torque")
+    return bool(_driven(options.env, environment_arguments(options))["drive"] == "torque")
 
 
 def _augmentation(options: Options) -> Augmentation:

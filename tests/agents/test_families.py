@@ -18,7 +18,7 @@ def options(env, family, tmp_path):
     return tyro.cli(options_of_train(), args=words)
 
 
-@pytest.mark.parametrize(("env", "family"), ALL, ids="-".join)
+@pytest.mark.parametrize(("env", "family"), ALL)
 def test_every_family_meets_the_same_laws_sensors_and_action_rate_penalty(env, family, tmp_path):
     run = resolve(options(env, family, tmp_path))
     assert run.recipe["config"]["uncertainty"] == ["mixture"] and run.seed > 2**24

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.learned.history_augmentation import Blind
-from baselines.learned.privileged_inputs import PRIVILEGED, privileged
+from baselines.learned.privileged_inputs import PRIVILEGED, privileged, true_motion
 from tracked_env.physics.parameters import PlantParameters
 
 Floats = NDArray[np.float32]
@@ -33,6 +33,13 @@ class Privileged(Blind):
         self.nominal = nominal
         self.present: Floats = np.zeros((count, len(PRIVILEGED)), dtype=np.float32)
         self.last = self.present
+        self.simulation: Any = None  # of the environment that fills it in
+
+    def motion(self) -> Floats:
+        """The true MOTION (N, 6) now, as an ideal observation shows it."""
+        column = self.simulation.column
+        reference = [column(f"reference_{name}") for name in ("x", "y", "yaw")]
+        return true_motion(self.simulation.truth(), reference)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """The privileged inputs (N, F); rows with `start` begin an episode."""
@@ -58,6 +65,7 @@ class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
                 "needs `tracked_env.physics.parameters.VEHICLES` of the environment's `vehicle`"
             )
         self.augmentation = augmentation
+        augmentation.simulation = core.simulation
 
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None

@@ -37,15 +37,22 @@ class StudentSettings:
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers."""
 
+    lstm_hidden: int | None = None
+    """Units of an LSTM that sees dead reckoning instead of past samples, and infers the true motion
+    too, for a teacher that was trained with ideal sensors; without: none. It is regressed on
+    sequences of n_steps, of which batch_size / n_steps make a gradient step."""
+
     def __post_init__(self) -> None:
         check(self)
 
 
 def learner_of(run: "Run") -> "Learner":
     """A student of the teacher of a run. Raises ValueError."""
-    from agents.training.student_learner import StudentLearner  # imports the archives
+    # They import the archives.
+    from agents.training.recurrent_student_learner import RecurrentStudentLearner
+    from agents.training.student_learner import StudentLearner
 
-    return StudentLearner(run)
+    return (RecurrentStudentLearner if run.settings.lstm_hidden else StudentLearner)(run)
 
 
 STUDENT_ALGORITHM = Algorithm(

@@ -23,25 +23,27 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 if TYPE_CHECKING:
     from agents.training.options import Options
 
-# `mixture` of uncertainty: everything that the benchmark calls in distribution; `ood` stays out.
+# `mixture` of uncertainty: everything that the benchmark calls in distribution, weak drives and
+# faults among it. Out of distribution stays out, and so do slow motors and the distributed plant.
 MIXTURE = {
     TORQUE_ID: (
         "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
-        "mixed",
+        "mixed", "alternating-soils", "weak-actuator", "actuator-fault",
     ),
     SPEED_ID: ("friction", "friction-step", "friction-drift", "floor-mixed"),
     TERRAIN_ID: ("slope", "hills", "slope-step", "soft-patches", "slope-payload"),
 }  # fmt: skip
-# `mixture` of sensors: good ones, and what asks for the past.
+# `mixture` of sensors: good ones, and what asks for the past, outages of the pose among it.
 SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
     TORQUE_ID: (
         "rtk",
         {"preset": "rtk", "pose_delay": 0.2},
         "strawa",
         {"preset": "rtk", "velocity_measured": 0.0},
+        "rtk-outages",
     ),
-    SPEED_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}),
-    TERRAIN_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}),
+    SPEED_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}, "mocap-outages"),
+    TERRAIN_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}, "mocap-outages"),
 }
 # What an environment draws from where its registration does not say so.
 _DEFAULTS = {

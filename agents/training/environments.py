@@ -14,8 +14,8 @@ from agents.training.joined import JoinedVecEnv
 from agents.training.reward import ScaledReward, TrainingReward
 from agents.training.run import Run
 from baselines.learned.augmentation import Augmentation, make_augmentation
-from baselines.learned.history_augmentation import History
 from baselines.learned.privileged_inputs import TEACHER
+from baselines.learned.student_network import widened_by
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sb3 import make_vec_env
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -73,13 +73,13 @@ def make_taught(run: Run) -> tuple[VecEnv, list[Privileged]]:
     made, truths = [], []
     for part in run.parts:
         truth = make_privileged(part)
-        lags = tuple(run.augmentation.options["lags"])
-        history = History(part.rows, part.context.control_period, lags)
+        widening = widened_by(run.augmentation.options)
+        memory = make_augmentation(*widening, part.context, part.rows)
 
         def wrapper(
-            env: Vehicles, truth: Privileged = truth, history: History = history
+            env: Vehicles, truth: Privileged = truth, memory: Augmentation = memory
         ) -> AgentVectorEnv:
-            return AgentVectorEnv(TruthfulVectorEnv(env, truth), history)
+            return AgentVectorEnv(TruthfulVectorEnv(env, truth), memory)
 
         arguments = {**part.arguments, "expose_truth": True}
         made.append(make_vec_env(run.env, part.rows, None, arguments, False, wrapper))

@@ -40,12 +40,12 @@ class Options:
     """Algorithm, by default ppo; its settings are the options that start with its name."""
 
     augmentation: Literal[
-        "blind", "history", "estimates", "residual", "teacher", "student"
+        "blind", "history", "reckoned", "estimates", "residual", "teacher", "student"
     ] = "blind"  # fmt: skip
     """Observation augmentation: inputs besides the present observation.
     blind: none (recurrent-ppo remembers by itself).
-    history: past samples. estimates: the identified parameters.
-    residual: corrects the action of the adaptive controller.
+    history: past samples. reckoned: the pose error by dead reckoning.
+    estimates: the identified parameters. residual: corrects the action of BASE.
     teacher: the true parameters. student: drives with TEACHER's network,
     and infers the true parameters from past samples."""
 
@@ -73,13 +73,14 @@ class Options:
     """Id of the environment."""
 
     uncertainty: tuple[str, ...] | None = None
-    """Uncertainty sets to train on (default: that of ENV), or `mixture` for all but ood;
-    of several, every episode draws one."""
+    """Uncertainty sets to train on (default: that of ENV), or `mixture` for all that
+    the benchmark calls in distribution; of several, every episode draws one."""
 
     sensors: tuple[str, ...] | None = None
     """Sensor presets ideal, rtk, strawa or mocap, or JSON overrides:
     '{"preset": "rtk", "pose_delay": 0.1}'; of several, each gets its part of
-    the vehicles. `mixture`: rtk; rtk 0.2 s late; strawa; rtk without velocity."""
+    the vehicles. `mixture`: rtk; rtk 0.2 s late; strawa; rtk without velocity;
+    rtk-outages (on Speed-v0 and Terrain-v0: mocap; mocap 0.1 s late; mocap-outages)."""
 
     reference: str | None = None
     """Kind of reference to follow, or JSON."""
@@ -140,6 +141,14 @@ class Options:
 
     residual_scale: float | None = None
     """Of augmentation residual: largest correction, over the torque limit. Default: 0.3."""
+
+    base: str | None = None
+    """Of augmentation residual: the policy that the agent corrects, adaptive or mpc-adaptive, on
+    vehicles driven by torque. Default: adaptive."""
+
+    data_sheet: bool = False
+    """Show the agent the noise of its sensors, which the controllers know as well: it tells
+    sensors apart that a single sample does not. Of every augmentation but teacher."""
 
     tensorboard: bool = False
     """Also write TensorBoard logs to OUTPUT."""

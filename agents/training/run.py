@@ -26,7 +26,7 @@ from agents.training.options import Options
 from agents.training.reward import PRECISION
 from agents.training.unread_options import check_read
 from baselines.learned.agent_policy import Groups, groups_in
-from baselines.learned.augmentation import RESIDUAL_SCALE
+from baselines.learned.augmentation import BASE, RESIDUAL_SCALE
 from baselines.learned.history_augmentation import LAGS
 from baselines.learned.recipe import STUDENT, Driven
 from baselines.linearizing.linearizing_law import TUNED_GAINS
@@ -138,20 +138,25 @@ def _residual_scale(options: Options) -> float:
     return RESIDUAL_SCALE if options.residual_scale is None else options.residual_scale
 
 
-def _driving_gains(options: Options) -> dict[str, list[float]]:
-    """Gains of the controller that an agent corrects, where that commands torques."""
-    torques = driven(options.env, environment_arguments(options))["drive"] == "torque"
-    return {"gains": list(TUNED_GAINS)} if torques else {}
+def _commands_torques(options: Options) -> bool:
+    return bool(_driven(options.env, environment_arguments(options))["drive"] == "torque")
 
 
 def _augmentation(options: Options) -> Augmentation:
     lags = list(_lags(options))
-    known: dict[str, dict[str, Any]] = {
-        "history": {"lags": lags},
-        "residual": {"scale": _residual_scale(options), **_driving_gains(options)},
-        STUDENT: {"lags": lags, "hidden": list(options.student.hidden)},
-    }
-    return Augmentation(options.augmentation, known.get(options.augmentation, {}))
+    residual: dict[str, Any] = {"scale": _residual_scale(options)}
+    torques = options.augmentation == "residual" and _commands_torques(options)
+    if options.base not in (None, BASE) or (options.base == BASE and not torques):
+        residual["base"] = options.base  # refused where the drives take speeds
+    elif torques:
+        residual["gains"] = list(TUNED_GAINS)  # of the controller that it corrects
+    student = options.student
+    inferred: dict[str, Any] = {"lags": lags, "hidden": list(student.hidden)}
+    if student.lstm_hidden:
+        inferred = {"hidden": list(student.hidden), "lstm_hidden": student.lstm_hidden}
+    known = {"history": {"lags": lags}, "residual": residual, STUDENT: inferred}
+    sheet = {"data_sheet": True} if options.data_sheet else {}
+    return Augmentation(options.augmentation, {**known.get(options.augmentation, {}), **sheet})
 
 
 def configuration(options: Options) -> dict[str, Any]:
@@ -167,6 +172,8 @@ def configuration(options: Options) -> dict[str, Any]:
         precision=reward.precision, smoothness=reward.smoothness, lags=_lags(options),
         residual_scale=_residual_scale(options),
     )  # fmt: skip
+    if name == STUDENT and options.student.lstm_hidden is None:
+        kept[STUDENT].pop("lstm_hidden")
     return dict(json.loads(json.dumps(kept, default=str)))
 
 

@@ -26,9 +26,10 @@ from agents.training.learner import Trained, check_finite
 from agents.training.progress import Progress
 from agents.training.run import Run
 from baselines.learned.agent_archive import INFERENCE
-from baselines.learned.agent_policy import AgentPolicy
+from baselines.learned.agent_policy import AgentPolicy, Normalisation
 from baselines.learned.privileged_inputs import PRIVILEGED
 from baselines.learned.recipe import groups_of, normalisation_of
+from baselines.learned.student_network import widened_by
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.engine.env_config import EnvConfig
@@ -43,6 +44,7 @@ class StudentLearner:
     """
 
     column = "loss"
+    outputs = len(PRIVILEGED)  # of the inference
     recipe: Mapping[str, Any]
 
     def __init__(self, run: Run) -> None:
@@ -50,28 +52,34 @@ class StudentLearner:
         check_teacher(run, recipe)
         self.settings = settings = run.settings
         check_buffer(settings, run.vehicles)
-        self.lags = lags = tuple(run.augmentation.options["lags"])
+        self.options = run.augmentation.options
         self.groups = run.groups
         names = ("algorithm", "normalisation")
         self.recipe = {**{name: recipe[name] for name in names}, "teacher": recipe}
         env, self.truths = make_taught(run)
         self.env = env
         torch.manual_seed(run.seed)
-        observed = sum(map(len, run.groups.values()))
-        inference = make_inference(lags, settings.hidden, observed)
-        self.model = StudentModel(inference, self.teacher, normalisation_of(recipe), observed)
-        self.optimiser = torch.optim.Adam(inference.parameters(), fused=True)
+        self.model = self._model(normalisation_of(recipe))
+        self.optimiser = torch.optim.Adam(self.model.inference.parameters(), fused=True)
         size = max(settings.buffer_size // env.num_envs, settings.n_steps)
+        self._rows = size - size % settings.n_steps
         shown = env.observation_space.shape
         assert shown is not None
-        self._seen = torch.zeros(size, env.num_envs, *shown)
-        self._true = torch.zeros(size, env.num_envs, len(PRIVILEGED))
+        self._seen = torch.zeros(self._rows, env.num_envs, *shown)
+        self._true = torch.zeros(self._rows, env.num_envs, self.outputs)
         self._filled = 0  # rows of the buffer ever written
         self._random = np.random.default_rng(run.seed)
         self._observation: Any = env.reset()
         self._state: Any = None
         self._start = np.ones(env.num_envs, dtype=bool)
         self.steps = 0
+
+    def _model(self, scaling: Normalisation | None) -> Any:
+        """The student with an inference that is not trained yet."""
+        observed = sum(map(len, self.groups.values()))
+        sheet = self.options.get("data_sheet", False)
+        inference = make_inference(self.options["lags"], self.settings.hidden, observed, sheet)
+        return StudentModel(inference, self.teacher, scaling, observed)
 
     @property
     def truth(self) -> Any:
@@ -80,8 +88,7 @@ class StudentLearner:
 
     def policy(self, context: PolicyContext) -> AgentPolicy:
         """The student as the benchmark has it."""
-        options = {"lags": self.lags}
-        return AgentPolicy(self.model, "history", options, context, groups=self.groups)
+        return AgentPolicy(self.model, *widened_by(self.options), context, groups=self.groups)
 
     def collect(self) -> float:
         """Drive `n_steps`; returns the mean square of how wrong the inference was meanwhile."""

@@ -9,11 +9,13 @@ from typing import Any
 
 from agents.algorithms import ALGORITHMS
 from agents.training.options import Options
+from baselines.learned.augmentation import KINDS
 from baselines.learned.recipe import STUDENT
 
 # Options that only some kinds of augmentation have, see `agents.training.options`.
 _OF_AUGMENTATION = {
-    "lags": ("history", STUDENT), "residual_scale": ("residual",), "trust": (STUDENT,),
+    "lags": ("history", STUDENT), "residual_scale": ("residual",), "base": ("residual",),
+    "trust": (STUDENT,), "data_sheet": (*KINDS, STUDENT),
 }  # fmt: skip
 _RENAMED = {"--memory": "--augmentation"}  # former names of options
 
@@ -49,6 +51,11 @@ def check_read(options: Options) -> None:
                 f"{options.augmentation}: it is an option of augmentation {' and '.join(kinds)}. "
                 f"Give --augmentation {kinds[0]}, or leave it out"
             )
+    if options.lags is not None and options.student.lstm_hidden is not None:
+        raise ValueError(
+            f"--lags has no effect with --student.lstm-hidden {options.student.lstm_hidden}: that "
+            "student sees dead reckoning instead of past samples. Leave one of them out"
+        )
     for name in (*ALGORITHMS, STUDENT):
         for setting in _changed(getattr(options, name.replace("-", "_"))):
             _refuse_setting(f"{name}.{setting}", name, options)

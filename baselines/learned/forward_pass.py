@@ -144,15 +144,21 @@ def linear_shapes(names: Sequence[str], sizes: Sequence[int]) -> Shapes:
     return shapes
 
 
+def lstm_shapes(prefix: str, inputs: int, hidden: int) -> Shapes:
+    """Parameters of an LSTM of so many inputs and hidden values."""
+    rows = 4 * hidden
+    shapes: Shapes = {f"{prefix}bias_{which}_l0": (rows,) for which in ("ih", "hh")}
+    sizes = (("ih", inputs), ("hh", hidden))
+    return shapes | {f"{prefix}weight_{which}_l0": (rows, size) for which, size in sizes}
+
+
 def actor_shapes(algorithm: str, network: Mapping[str, Any]) -> Shapes:
     """The parameters that an archive of this architecture (`recipe.checked_network`) holds."""
     inputs, hidden, carried = network["inputs"], network["hidden"], network["lstm_hidden"] or 0
     names = _layer_names(algorithm, len(hidden))
     shapes = linear_shapes(names, (inputs + carried, *hidden, ACTIONS))
     if carried:
-        rows = 4 * carried
-        shapes |= {f"{_LSTM}weight_ih_l0": (rows, inputs), f"{_LSTM}weight_hh_l0": (rows, carried)}
-        shapes |= {f"{_LSTM}bias_{which}_l0": (rows,) for which in ("ih", "hh")}
+        shapes |= lstm_shapes(_LSTM, inputs, carried)
     if _HIDDEN_AND_LAST[algorithm] == _GAUSSIAN:
         shapes["log_std"] = (ACTIONS,)  # of the exploration; the mean does not need it
     elif _HIDDEN_AND_LAST[algorithm] == _SQUASHED:

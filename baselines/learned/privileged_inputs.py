@@ -5,12 +5,13 @@ like the oracle: it measures what could be had, and is no competitor. A student 
 from measurements and drives with the same network.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env import observation as layout
 from tracked_env.observation import FEATURE_BOUND
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY, mohr_coulomb
@@ -26,6 +27,12 @@ DIFFERENCES = {
     "slip_left": 0.5, "slip_right": 0.5,
 }  # fmt: skip
 PRIVILEGED = (*RATIOS, *DIFFERENCES)
+# The true motion, as fields of the observation that ideal sensors would fill, and how far it is
+# usually from what dead reckoning says [SI].
+MOTION = {
+    "position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.05,
+    "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05,
+}  # fmt: skip
 
 
 def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -33,6 +40,24 @@ def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
     area, load = truth["track_width"] * truth["contact_length"], 0.5 * GRAVITY * truth["mass"]
     limit = mohr_coulomb(truth["cohesion"], np.tan(truth["friction_angle"]), area, load)
     return {**truth, "traction_limit": limit}
+
+
+def true_motion(truth: Truth, reference: Sequence[NDArray[np.float64]]) -> Floats:
+    """MOTION (N, 6) of the true state, as the observation shows it.
+
+    reference: x, y [m] and yaw [rad] of the reference now, (N,) each.
+    """
+    ahead, left = reference[0] - truth["x"], reference[1] - truth["y"]
+    turn = reference[2] - truth["yaw"]
+    cosine, sine = np.cos(truth["yaw"]), np.sin(truth["yaw"])
+    values = np.stack([
+        cosine * ahead + sine * left, cosine * left - sine * ahead,
+        turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
+        truth["v_x"], truth["v_y"], truth["yaw_rate"],
+    ], axis=1)  # fmt: skip
+    columns = [layout.INDEX[name] for name in MOTION]
+    bound = layout.BOUND[columns].astype(np.float64)
+    return np.clip(values / layout.SCALE[columns], -bound, bound).astype(np.float32)
 
 
 def privileged(truth: Truth, nominal: PlantParameters) -> Floats:

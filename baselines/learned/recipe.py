@@ -1,7 +1,8 @@
 """The recipe of a trained agent: what an archive says of itself in JSON, checked.
 
     algorithm, network            layers, sizes and activation of the network
-    augmentation, augmentation_options    of the observation: its kind, and `lags` or `scale`
+    augmentation, augmentation_options    of the observation: its kind, and `lags` or `scale`,
+                                  `base`, `data_sheet`
     observation                   groups that the agent sees, {group: [fields]}; absent: those of v0
     normalisation                 running mean and variance of the inputs, or null
     control_period [s]
@@ -109,16 +110,22 @@ def _short(value: Any) -> str:
 
 def _check_options(kind: str, options: Any) -> None:
     """Options of a kind of augmentation. Raises ValueError."""
-    names = {"history": ("lags",), "residual": ("scale", "gains"), STUDENT: ("lags", "hidden")}
-    known = names.get(kind, ())
+    names = {
+        "history": ("lags",), "residual": ("scale", "base", "gains"), STUDENT: ("lags", "hidden"),
+        TEACHER: (),
+    }  # fmt: skip
+    needed = names.get(kind, ())
+    if kind == STUDENT and isinstance(options, dict) and "lstm_hidden" in options:
+        needed = ("hidden", "lstm_hidden")
+    known = needed if kind == TEACHER else (*needed, "data_sheet")
     if not isinstance(options, dict) or not set(options) <= set(known):
         raise ValueError(
             f"augmentation_options = {_short(options)}; of augmentation {kind!r} must have "
             f"{' and '.join(known) or 'nothing'}"
         )
-    if kind == STUDENT and set(options) != set(known):
+    if kind == STUDENT and not set(needed) <= set(options):
         raise ValueError(
-            f"augmentation_options = {_short(options)}; a student needs lags and hidden"
+            f"augmentation_options = {_short(options)}; a student needs {' and '.join(needed)}"
         )
     lags = options.get("lags", [1])
     integers = isinstance(lags, list) and all(type(lag) is int for lag in lags)
@@ -128,6 +135,8 @@ def _check_options(kind: str, options: Any) -> None:
         raise ValueError(f"lags = {_short(lags)}; must be at most {LONGEST_LAG} control steps")
     if not are_sizes(options.get("hidden", [])):
         raise ValueError(f"hidden = {_short(options['hidden'])}; must be a list of sizes")
+    if not _is_size(options.get("lstm_hidden", 1)):
+        raise ValueError(f"lstm_hidden = {_short(options['lstm_hidden'])}; must be a size")
     gains = options.get("gains", [1.0])
     numbers = isinstance(gains, list) and all(_is_number(gain, -1.0) for gain in gains)
     if not (numbers and 1 <= len(gains) <= len(Gains._fields)):
@@ -135,6 +144,10 @@ def _check_options(kind: str, options: Any) -> None:
     scale = options.get("scale", 1.0)
     if not (_is_number(scale, 0.0) and scale <= 2.0):
         raise ValueError(f"scale = {_short(scale)}; must be in (0, 2]")
+    if type(options.get("data_sheet", False)) is not bool:
+        raise ValueError(f"data_sheet = {_short(options['data_sheet'])}; must be true or false")
+    if not isinstance(options.get("base", ""), str):
+        raise ValueError(f"base = {_short(options['base'])}; must be the name of a policy")
 
 
 def driven(recipe: Mapping[str, Any]) -> Driven:

@@ -17,11 +17,28 @@ from baselines.learned.agent_policy import Normalisation, Predictor
 from baselines.learned.forward_pass import Perceptron, check_weights, linear_shapes
 from baselines.learned.history_augmentation import REMEMBERED
 from baselines.learned.privileged_inputs import PRIVILEGED
+from baselines.learned.reckoned_augmentation import SHEET
 from tracked_env import observation as layout
 
 Floats = NDArray[np.float32]
 
 INFERENCE_FORMAT = 2  # of its file; 1, without it, inferred values before their normalisation
+
+
+def scaled_by(normalisation: Normalisation | None, values: Floats, columns: slice) -> Floats:
+    """What the teacher's network sees of some of its columns."""
+    if normalisation is None:
+        return values
+    mean, variance, *rest = normalisation
+    return Normalisation(mean[columns], variance[columns], *rest)(values)
+
+
+def widened_by(options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Kind and options of the observation augmentation of a student with these options."""
+    sheet = {"data_sheet": True} if options.get("data_sheet", False) else {}
+    if "lstm_hidden" in options:
+        return "reckoned", sheet
+    return "history", {"lags": tuple(options["lags"]), **sheet}
 
 
 class Student:
@@ -42,32 +59,28 @@ class Student:
         self.infer, self.teacher, self.normalisation = inference, teacher, normalisation
         self.observed = observed
 
-    def _shown(self, values: Floats, columns: slice) -> Floats:
-        """What the teacher's network sees of some of its columns."""
-        if self.normalisation is None:
-            return values
-        mean, variance, *rest = self.normalisation
-        return Normalisation(mean[columns], variance[columns], *rest)(values)
-
     def privileged(self, truth: Floats) -> Floats:
         """What the teacher's network sees of the privileged inputs (N, F): the right inference."""
-        return self._shown(truth, slice(self.observed, None))
+        return scaled_by(self.normalisation, truth, slice(self.observed, None))
 
     def predict(
         self, observation: Floats, state: Any = None, episode_start: Any = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:  # fmt: skip
         """Action (N, 2) and the state of a recurrent teacher."""
-        present = self._shown(observation[:, : self.observed], slice(self.observed))
+        present = scaled_by(
+            self.normalisation, observation[:, : self.observed], slice(self.observed)
+        )
         widened = np.concatenate([present, self.infer(observation)], axis=1, dtype=np.float32)
         return self.teacher.predict(widened, state, episode_start, deterministic)
 
 
 def inference_sizes(
-    lags: Sequence[int], hidden: Sequence[int], observed: int = layout.SIZE
+    lags: Sequence[int], hidden: Sequence[int], observed: int = layout.SIZE, sheet: bool = False
 ) -> tuple[int, ...]:
-    """Inputs, hidden layers and outputs of an inference network."""
-    return (observed + len(lags) * len(REMEMBERED), *hidden, len(PRIVILEGED))
+    """Inputs, hidden layers and outputs of an inference network; sheet: sees the data sheet."""
+    further = len(SHEET) if sheet else 0
+    return (observed + len(lags) * len(REMEMBERED) + further, *hidden, len(PRIVILEGED))
 
 
 def inference_layers(hidden: Sequence[int]) -> list[str]:
@@ -91,6 +104,8 @@ def read_student(
             "it infers has another scale. Train the student again"
         )
     names = inference_layers(options["hidden"])
-    shapes = linear_shapes(names, inference_sizes(options["lags"], options["hidden"], observed))
+    sheet = options.get("data_sheet", False)
+    sizes = inference_sizes(options["lags"], options["hidden"], observed, sheet)
+    shapes = linear_shapes(names, sizes)
     check_weights(stored, shapes)
     return Student(Perceptron(stored, names, "elu"), teacher, scaling, observed)

@@ -4,13 +4,13 @@ estimates   the filtered motion, the identified parameters and their standard de
 residual    the estimates and the adaptive controller's action; the agent only corrects it
 """
 
+from typing import Any, Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators.stack import FEATURES, Identification, IdentificationStack, features
 from baselines.learned.held_policy import HeldState, checked_scale, corrected
-from baselines.linearizing.adaptive_policy import AdaptivePolicy
-from baselines.linearizing.linearizing_policy import NEEDS as CONTROLLER_NEEDS
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters
 
@@ -78,21 +78,34 @@ class Estimates(IdentificationStack):
         return action
 
 
-class Residual(HeldState):
-    """The adaptive policy, whose action the agent corrects; its estimates are features too.
+class IdentifyingPolicy(Protocol):
+    """A controller that says what it has identified, as `adaptive` does."""
 
-    scale [-]: how far the agent may move an action, over the torque limit.
+    known: Identification | None  # after the last call
+    parameters: PlantParameters  # nominal ones
+
+    def predict(self, observation: Any, state: Any, episode_start: Any) -> tuple[Floats, Any]:
+        """Action and state."""
+        ...
+
+
+class Residual(HeldState):
+    """An adaptive policy, whose action the agent corrects; its estimates are features too.
+
+    control_period [s]. scale [-]: how far the agent may move an action, over the torque limit.
+    needs: fields of the observation that the policy reads.
     """
 
     feature_names = ("adaptive_left", "adaptive_right", *KNOWN)
     learned = FEATURES
 
-    def __init__(self, policy: AdaptivePolicy, count: int, scale: float) -> None:
+    def __init__(
+        self, policy: IdentifyingPolicy, count: int, control_period: float, scale: float,
+        needs: tuple[str, ...] = layout.NAMES,
+    ) -> None:  # fmt: skip
         """Raises ValueError for a scale outside (0, 2]."""
-        self.count, self.scale = count, checked_scale(scale)
-        self.policy = policy
-        self.control_period = policy.controller.control_period
-        self.needs = tuple(dict.fromkeys((*CONTROLLER_NEEDS, *policy.stack.needs)))
+        self.count, self.scale, self.needs = count, checked_scale(scale), needs
+        self.policy, self.control_period = policy, control_period
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """Action of the adaptive policy, then the features of its estimates, (N, F)."""

@@ -17,7 +17,14 @@ from baselines.learned.agent_archive import (
     read_recipe,
     untrusted,
 )
-from baselines.learned.agent_policy import AgentPolicy, Predictor, TeacherPolicy, policy_of
+from baselines.learned.agent_policy import (
+    AgentPolicy,
+    Groups,
+    Normalisation,
+    Predictor,
+    TeacherPolicy,
+    policy_of,
+)
 from baselines.learned.augmentation import make_augmentation
 from baselines.learned.forward_pass import Actor
 from baselines.learned.privileged_inputs import PRIVILEGED, TEACHER
@@ -29,7 +36,8 @@ from baselines.learned.recipe import (
     groups_of,
     normalisation_of,
 )
-from baselines.learned.student_network import read_student
+from baselines.learned.recurrent_student import read_recurrent_student
+from baselines.learned.student_network import read_student, widened_by
 from baselines.registry import Context
 from tracked_env import observation as layout
 
@@ -84,10 +92,10 @@ def agent_of(
     if kind == STUDENT:
         try:
             content = read_entry(path, INFERENCE)
-            model = read_student(content, options, model, normalisation, observed)
+            model = _student(content, options, known, model, normalisation, groups)
         except ValueError as error:
             raise ValueError(f"agent {path} cannot be loaded as a student: {error}") from error
-        kind, options, normalisation = "history", {"lags": options["lags"]}, None
+        (kind, options), normalisation = widened_by(options), None
 
     def make(context: Context) -> AgentPolicy | TeacherPolicy:
         period = recipe["control_period"]
@@ -108,6 +116,18 @@ def agent_of(
 
     whole = recipe["augmentation"] in ("estimates", "residual")  # estimators and controllers too
     return TrainedAgent(make, (HERE.parent if whole else HERE,))
+
+
+def _student(
+    content: bytes, options: Mapping[str, Any], known: Driven, teacher: Predictor,
+    scaling: Normalisation | None, groups: Groups,
+) -> Predictor:  # fmt: skip
+    """The student in an archive, with or without an LSTM. Raises ValueError."""
+    names = [field for of_group in groups.values() for field in of_group]
+    if "lstm_hidden" not in options:
+        return read_student(content, options, teacher, scaling, len(names))
+    inputs = len(names) + _features(*widened_by(options), known)
+    return read_recurrent_student(content, options, inputs, teacher, scaling, names)
 
 
 class _Nominal(NamedTuple):

@@ -35,6 +35,11 @@ REFUSED = [
     (("--augmentation", "estimates", "--lags", "1"), "--lags has no effect"),
     (("--residual-scale", "0.3"), "has no effect with augmentation blind: .* residual. Give"),
     (("--trust",), "--trust has no effect with augmentation blind"),
+    (("--base", "adaptive"), "--base has no effect with augmentation blind: .* residual. Give"),
+    (
+        ("--augmentation", "teacher", "--data-sheet"),
+        "--data-sheet has no effect with augmentation teacher: it is an option of augmentation",
+    ),
 ]
 
 

@@ -1,0 +1,150 @@
+"""A student that remembers: it infers the true motion too, then drives as its teacher does.
+
+    h = LSTM(x_1 ... x_t),  y = MLP([h, x])       x: observation, dead reckoning, data sheet
+    motion = what dead reckoning says + y_m s     true pose error, v_x, v_y and yaw rate
+    action = teacher(observation with that motion and a pose of age 0, y_p)
+y_p is what the teacher's network sees of `privileged_inputs`. A teacher that has learned with
+`ideal` sensors then sees what it knows: noise, delays and outages are the student's to bridge. What
+an untrained one infers is dead reckoning and the nominal vehicle.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.learned.agent_archive import INFERENCE, from_npz
+from baselines.learned.agent_policy import Normalisation, Predictor
+from baselines.learned.forward_pass import (
+    LSTM,
+    Carried,
+    Perceptron,
+    Shapes,
+    check_weights,
+    linear_shapes,
+    lstm_shapes,
+)
+from baselines.learned.privileged_inputs import MOTION, PRIVILEGED
+from baselines.learned.reckoned_augmentation import RECKONED
+from baselines.learned.student_network import INFERENCE_FORMAT, inference_layers, scaled_by
+from tracked_env import observation as layout
+
+Floats = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Inference = Callable[[Floats, Any, Bools], tuple[Floats, Any]]
+
+LAYERS, MEMORY = "layers.", "lstm."  # prefixes of the weights in the archive
+OUTPUTS = len(PRIVILEGED) + len(MOTION)
+_SCALES = np.array([layout.SCALE[layout.INDEX[name]] for name in MOTION])
+_SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
+_BOUND = layout.BOUND[[layout.INDEX[name] for name in MOTION]]
+# Of MOTION, what dead reckoning says: fields of RECKONED; the yaw rate is the gyro's.
+_RECKONED = {
+    "position_error_x": "reckoned_error_x", "position_error_y": "reckoned_error_y",
+    "heading_error": "reckoned_heading_error", "v_x": "belt_speed",
+}  # fmt: skip
+
+
+class RecurrentStudent:
+    """Inference and teacher as one network, for observations widened by dead reckoning.
+
+    inference: from those (N, D), what it carries and the rows that start, to its outputs (N, F) and
+    what it carries on. teacher: network that sees observation and privileged inputs.
+    normalisation: of both. names: fields of the observation. Raises ValueError where one of MOTION
+    is not among them.
+    """
+
+    def __init__(
+        self, inference: Inference, teacher: Predictor, normalisation: Normalisation | None,
+        names: Sequence[str] = layout.NAMES,
+    ) -> None:  # fmt: skip
+        self.infer, self.teacher, self.normalisation = inference, teacher, normalisation
+        self.observed = len(names)
+        self.found: Any = None  # outputs of the inference in the last call
+        missing = [name for name in MOTION if name not in names]
+        if missing:
+            raise ValueError(
+                f"a student with an LSTM infers {', '.join(missing)}, which the "
+                "observation does not show. Add the groups pose_error and motion"
+            )
+        self._motion = np.array([names.index(name) for name in MOTION])
+        self._age = [names.index(name) for name in ("pose_age",) if name in names]
+        offset = {name: self.observed + k for k, name in enumerate(RECKONED)}
+        places = [offset.get(_RECKONED.get(name, ""), names.index(name)) for name in MOTION]
+        factors = [RECKONED.get(_RECKONED.get(name, ""), 0.0) for name in MOTION] / _SCALES
+        factors[[*MOTION].index("yaw_rate")] = 1.0
+        self._from, self._factor = np.array(places), factors.astype(np.float32)
+
+    def _reckoned(self, observation: Floats) -> Floats:
+        """MOTION by dead reckoning, as the observation shows it (N, 6)."""
+        reckoned: Floats = observation[:, self._from] * self._factor
+        return reckoned
+
+    def wanted(self, observation: Floats, motion: Floats, truth: Floats) -> Floats:
+        """The right outputs of the inference (N, F).
+
+        observation: widened. motion (N, 6): the true MOTION, as an ideal observation shows it.
+        truth (N, P): PRIVILEGED.
+        """
+        seen = scaled_by(self.normalisation, truth, slice(self.observed, None))
+        return np.concatenate([seen, (motion - self._reckoned(observation)) / _SPREAD], axis=1)
+
+    def predict(
+        self, observation: Floats, state: Any = None, episode_start: Any = None,
+        deterministic: bool = False,
+    ) -> tuple[Any, Any]:  # fmt: skip
+        """Action (N, 2), and what inference and teacher carry on."""
+        start = np.full(len(observation), state is None)
+        if episode_start is not None:
+            start |= np.asarray(episode_start, dtype=bool)
+        carried, of_teacher = (None, None) if state is None else state
+        self.found, carried = found, carried = self.infer(observation, carried, start)
+        present = observation[:, : self.observed].copy()
+        motion = self._reckoned(observation) + found[:, len(PRIVILEGED) :] * _SPREAD
+        present[:, self._motion] = np.clip(motion, -_BOUND, _BOUND)
+        present[:, self._age] = 0.0
+        shown = scaled_by(self.normalisation, present, slice(self.observed))
+        widened = np.concatenate([shown, found[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)
+        action, of_teacher = self.teacher.predict(widened, of_teacher, start, deterministic)
+        return action, (carried, of_teacher)
+
+
+def recurrent_shapes(inputs: int, hidden: Sequence[int], lstm_hidden: int) -> Shapes:
+    """The weights of an inference of so many inputs, by name."""
+    names = [f"{LAYERS}{name}" for name in inference_layers(hidden)]
+    shapes = linear_shapes(names, (inputs + lstm_hidden, *hidden, OUTPUTS))
+    return shapes | lstm_shapes(MEMORY, inputs, lstm_hidden)
+
+
+class RecurrentInference:
+    """The inference of an archive, in NumPy."""
+
+    def __init__(self, weights: Mapping[str, NDArray[Any]], hidden: Sequence[int]) -> None:
+        own = {n.removeprefix(MEMORY): w for n, w in weights.items() if n.startswith(MEMORY)}
+        self._lstm = LSTM(own)
+        names = [f"{LAYERS}{name}" for name in inference_layers(hidden)]
+        self._layers = Perceptron(weights, names, "elu")
+
+    def __call__(
+        self, inputs: Floats, carried: Carried | None, start: Bools
+    ) -> tuple[Floats, Carried]:
+        """Outputs (N, F) and what the LSTM carries on; rows with `start` forget."""
+        carried = self._lstm(inputs, self._lstm.started(carried, start))
+        return self._layers(np.concatenate([carried[0], inputs], axis=1)), carried
+
+
+def read_recurrent_student(
+    content: bytes, options: Mapping[str, Any], inputs: int, teacher: Predictor,
+    scaling: Normalisation | None, names: Sequence[str],
+) -> RecurrentStudent:  # fmt: skip
+    """The student in the file INFERENCE of an archive. options: `hidden` and `lstm_hidden`.
+
+    inputs: fields and features that it sees. Raises ValueError for weights that are damaged, not
+    finite, or not those of the options.
+    """
+    stored = from_npz(content, INFERENCE)
+    if stored.pop("format", np.array(1)).tolist() != INFERENCE_FORMAT:
+        raise ValueError(f"{INFERENCE} must be of format {INFERENCE_FORMAT}. Train it again")
+    check_weights(stored, recurrent_shapes(inputs, options["hidden"], options["lstm_hidden"]))
+    return RecurrentStudent(RecurrentInference(stored, options["hidden"]), teacher, scaling, names)

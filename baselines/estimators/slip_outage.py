@@ -133,6 +133,7 @@ def carry(memory, i, at, x, last_left, last_right, left, right, values, incline,
     w = gyro - memory[i, at + TURN_BIAS] if turns else w
     drift(memory, i, at + P_TT, k.gyro_variance if turns else 1.0 / k.period, k.period)
     turning = turn * w + carried
+    begun = memory[i, at + TURNED]
     memory[i, at + TURNED] += 0.5 * k.period * (memory[i, at + TURNS] + turning)
     memory[i, at + TURNS] = turning
     c, s = rotation(x[SIDE_SLIP])
@@ -148,7 +149,7 @@ def carry(memory, i, at, x, last_left, last_right, left, right, values, incline,
     if not silent(memory, i, at, k):
         return -1.0, left, right
     if memory[i, at + SILENT] < k.silence + 1.5:  # since the last pose the gyro has turned
-        x[YAW] = memory[i, at + TURNED]
+        x[YAW] = begun  # this step's turn is still to be predicted
     half = 0.5 * w / k.inverse_gauge
     x[SLIP_LEFT] = _slip(left, v - half, x[SLIP_LEFT], k)
     x[SLIP_RIGHT] = _slip(right, v + half, x[SLIP_RIGHT], k)

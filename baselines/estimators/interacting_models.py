@@ -16,7 +16,9 @@ likelihood of that sample. With odds mu_i, estimates x_i, P_i and the transition
 and the answer is the mean and the covariance of the mixture, so that doubts between the models are
 part of what is claimed. It is kept as the estimate in block 0 of the memory.
 
-    outliers  samples beyond 5 sigma are skipped, but from the PATIENCE-th in a row on they count
+    outliers  samples beyond 5 sigma are skipped, but from the PATIENCE-th in a row on they count,
+              and the second does where its innovation is that of the first: two outliers that agree
+              are a change, and the evidence is that of both
     trends    both parameters changing slowly look like neither model, and no innovation is large:
               a slower estimate watches, which knows no walk of parameter 1. Where the mean of its
               eps / sqrt(S) over TREND_TIME is not 0, parameter 1 of the calm model walks as well,
@@ -47,6 +49,7 @@ SOJOURNS = (10.0, 20.0, 0.3, 0.06)  # [s] mean, by model
 SHARES = (0.8, 0.5, 0.045, 0.03)  # [-] of the entries that are not its own, by model
 OUTLIER_GATE = 25.0  # [-] five standard deviations
 PATIENCE = 3.0  # [samples] outliers in a row of which the last counts
+AGREEMENT = 0.25  # [-] of an outlier's innovation by which that of the next one may differ
 MOST_SQUARED = 1e12  # [-] normalised innovation squared that a sample may have
 LEAST_EVIDENCE = -6.0  # [-] log of the likelihood ratio of one sample to the best model
 TREND_TIME = 1.5  # [s] over which the monitor averages
@@ -58,7 +61,8 @@ RESTART = 0.3  # [-] odds of a border or jump from which on the monitor begins a
 # Blocks of `memory`, in columns: 0 is the mixture, then the models, then the monitor.
 _FIRST, _MONITOR = ls.SIZE, ls.SIZE * (MODELS + 1)
 ODDS = ls.PLAIN_MEMORY  # MODELS columns; all 0 before the first sample: calm
-OUTLIERS, TREND, ALARM = range(ODDS + MODELS, ODDS + MODELS + 3)  # ALARM: seconds left
+# Outliers in a row, innovation of the last one, mean of the monitor, seconds left of an alarm.
+OUTLIERS, REFUSED, TREND, ALARM = range(ODDS + MODELS, ODDS + MODELS + 4)
 MEMORY = ALARM + 1
 
 
@@ -147,8 +151,9 @@ def mix(memory, i):
 
 
 @formula
-def _learn(memory, i, sample, prior, table, hold_1):
-    """Take the sample into every model and into their odds."""
+def _learn(memory, i, sample, prior, table, hold_1, least):
+    """Take the sample into every model and into their odds; least: LEAST_EVIDENCE per sample that
+    it stands for."""
     alarmed = memory[i, ALARM] > 0.0
     for j in range(MODELS):
         row = ALARMED if j == CALM and alarmed else j
@@ -160,10 +165,10 @@ def _learn(memory, i, sample, prior, table, hold_1):
     border = _evidence(memory, i, BORDER, sample, prior)
     jump = _evidence(memory, i, JUMP, sample, prior)
     best = max(calm, fast, border, jump)
-    memory[i, ODDS + CALM] *= math.exp(max(calm - best, LEAST_EVIDENCE))
-    memory[i, ODDS + FAST] *= math.exp(max(fast - best, LEAST_EVIDENCE))
-    memory[i, ODDS + BORDER] *= math.exp(max(border - best, LEAST_EVIDENCE))
-    memory[i, ODDS + JUMP] *= math.exp(max(jump - best, LEAST_EVIDENCE))
+    memory[i, ODDS + CALM] *= math.exp(max(calm - best, least))
+    memory[i, ODDS + FAST] *= math.exp(max(fast - best, least))
+    memory[i, ODDS + BORDER] *= math.exp(max(border - best, least))
+    memory[i, ODDS + JUMP] *= math.exp(max(jump - best, least))
     for j in range(MODELS):
         h = _FIRST + j * ls.SIZE
         error, _gain = ls.innovation(memory, i, h, sample, prior)
@@ -246,6 +251,20 @@ def share_alarm(memory, other, i):
 
 
 @formula
+def _refuse(memory, i, error, nis, variance):
+    """Whether a sample is refused as an outlier, and how many samples it stands for."""
+    if nis <= OUTLIER_GATE:
+        memory[i, OUTLIERS] = memory[i, REFUSED] = 0.0
+        return False, 1.0
+    before = memory[i, REFUSED]
+    apart = abs(error - before) - 3.0 * math.sqrt(2.0 * variance)
+    second = memory[i, OUTLIERS] == 1.0 and apart < AGREEMENT * abs(before)
+    memory[i, OUTLIERS] = PATIENCE if second else memory[i, OUTLIERS] + 1.0
+    memory[i, REFUSED] = error
+    return memory[i, OUTLIERS] < PATIENCE, 2.0 if second else 1.0
+
+
+@formula
 def step(memory, i, sample, prior, table):
     """Take one sample of vehicle i. Returns (status, eps^2 / S): status as estimate.Status.
 
@@ -259,15 +278,15 @@ def step(memory, i, sample, prior, table):
         memory[i, ls.SKIPPED] += 1.0
         status = 2
     elif gain > ls.GAIN_GATE * sample.variance:
-        memory[i, OUTLIERS] = memory[i, OUTLIERS] + 1.0 if nis > OUTLIER_GATE else 0.0
-        if 0.0 < memory[i, OUTLIERS] < PATIENCE:
+        refused, weight = _refuse(memory, i, error, nis, sample.variance)
+        if refused:
             status = 2
         else:
             hold_1 = ls.noise_alone(memory, i, sample, prior)
             if memory[i, ODDS] == 0.0:
                 memory[i, ODDS + CALM] = 1.0
             _exchange(memory, i, table)
-            _learn(memory, i, sample, prior, table, hold_1)
+            _learn(memory, i, sample, prior, table, hold_1, weight * LEAST_EVIDENCE)
             mix(memory, i)
             _watch(memory, i, sample, prior, table, hold_1)
             smallest, _largest = ls.eigenvalues(memory, i)

@@ -51,6 +51,7 @@ TREND_GATE = 2.5  # [-] the variance of the equation is rather large: four devia
 INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
 RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
 MASS_FACTOR = 5.0  # [-] mass is sought between nominal / factor and nominal * factor
+SLIDING = 0.8  # [-] slip from which on belts tell neither the speed of a track nor its sign
 MODEL_NOISE = 0.02  # [m/s^2] of the equation itself: what the model leaves out
 
 _V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
@@ -72,9 +73,10 @@ class Known(NamedTuple):
 
 
 @formula
-def _against(belt, track, slowest):
-    """Whether a belt runs against its track: then the sign of the filtered speed is in doubt."""
-    return belt * track < 0.0 and abs(belt) > slowest
+def _sliding(belt, track):
+    """Whether a belt [m/s] that spins, is locked or runs against its track [m/s]: then neither the
+    filtered speed nor its sign is known."""
+    return abs(belt - track) > SLIDING * max(abs(belt), abs(track))
 
 
 @formula
@@ -89,9 +91,7 @@ def equation(z, i, known, press):
     slowest = min(abs(left), abs(right)) if known.coupled else abs(v_x)
     belt_left = z[i, _SPROCKET] / known.inverse_radius
     belt_right = z[i, _SPROCKET + 1] / known.inverse_radius
-    doubt = known.coupled and (
-        _against(belt_left, left, known.slowest) or _against(belt_right, right, known.slowest)
-    )
+    doubt = known.coupled and (_sliding(belt_left, left) or _sliding(belt_right, right))
     if known.coupled:
         y = z[i, _A_X]
         side = 0.5 * (math.copysign(1.0, left) + math.copysign(1.0, right))

@@ -74,16 +74,15 @@ def _restart(memory, i, at, speed, k):
 
 
 @formula
-def _drift(memory, i, first, variance, k):
+def drift(memory, i, first, variance, period):
     """Covariance of (sum, bias) in columns `first` ff. after a step; variance: of one sample."""
-    square = k.period * k.period
-    memory[i, first] += square * (memory[i, first + 2] + variance)
-    memory[i, first] -= 2.0 * k.period * memory[i, first + 1]
-    memory[i, first + 1] -= k.period * memory[i, first + 2]
+    memory[i, first] += period * period * (memory[i, first + 2] + variance)
+    memory[i, first] -= 2.0 * period * memory[i, first + 1]
+    memory[i, first + 1] -= period * memory[i, first + 2]
 
 
 @formula
-def _compare(memory, i, value, error, variance):
+def compare(memory, i, value, error, variance):
     """Update (sum, bias) in columns `value` ff. by an error of the sum and its variance."""
     first = value + 2
     ss, sb = memory[i, first], memory[i, first + 1]
@@ -132,8 +131,9 @@ def carry(memory, i, at, x, last_left, last_right, left, right, values, incline,
     gyro = values[i, _YAW_RATE]
     turns = abs(gyro - w) < WILD_TURN
     w = gyro - memory[i, at + TURN_BIAS] if turns else w
-    _drift(memory, i, at + P_TT, k.gyro_variance if turns else 1.0 / k.period, k)
+    drift(memory, i, at + P_TT, k.gyro_variance if turns else 1.0 / k.period, k.period)
     turning = turn * w + carried
+    begun = memory[i, at + TURNED]
     memory[i, at + TURNED] += 0.5 * k.period * (memory[i, at + TURNS] + turning)
     memory[i, at + TURNS] = turning
     c, s = rotation(x[SIDE_SLIP])
@@ -142,14 +142,14 @@ def carry(memory, i, at, x, last_left, last_right, left, right, values, incline,
     if felt:
         v += 0.5 * k.period * (memory[i, at + FELT] + a)
         memory[i, at + FELT] = a
-        _drift(memory, i, at + P_SS, k.acceleration_variance, k)
+        drift(memory, i, at + P_SS, k.acceleration_variance, k.period)
         memory[i, at + SPEED] = v
     else:
         _restart(memory, i, at, v, k)
     if not silent(memory, i, at, k):
         return -1.0, left, right
     if memory[i, at + SILENT] < k.silence + 1.5:  # since the last pose the gyro has turned
-        x[YAW] = memory[i, at + TURNED]
+        x[YAW] = begun  # this step's turn is still to be predicted
     half = 0.5 * w / k.inverse_gauge
     x[SLIP_LEFT] = _slip(left, v - half, x[SLIP_LEFT], k)
     x[SLIP_RIGHT] = _slip(right, v + half, x[SLIP_RIGHT], k)
@@ -201,8 +201,8 @@ def settle(memory, i, at, x, left, right, used, k):
         memory[i, at + P_TT], memory[i, at + P_TG] = 1.0, 0.0
     memory[i, at + SILENT] = 0.0
     if abs(memory[i, at + SEEN_SPEED]) < LARGEST_SPEED:
-        _compare(memory, i, at + SPEED, memory[i, at + SEEN_SPEED], k.velocity_variance)
-    _compare(memory, i, at + TURNED, memory[i, at + SEEN_TURN], k.yaw_variance)
+        compare(memory, i, at + SPEED, memory[i, at + SEEN_SPEED], k.velocity_variance)
+    compare(memory, i, at + TURNED, memory[i, at + SEEN_TURN], k.yaw_variance)
 
 
 @formula

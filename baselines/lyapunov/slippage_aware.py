@@ -29,7 +29,15 @@ from baselines.estimators.sensor_samples import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pseudo_kinematic as kinematics
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
-from baselines.lyapunov.pose_filter import PATH, POSE, filter_of, locate
+from baselines.lyapunov.pose_filter import (
+    GYRO,
+    OUTAGE,
+    PATH,
+    POSE,
+    filter_of,
+    gyro_noise_of,
+    locate,
+)
 from baselines.lyapunov.pseudo_kinematic import (
     Array,
     Geometry,
@@ -53,7 +61,6 @@ from tracked_env.validation import CONTROL_PERIOD, checked_number
 PASSES = 3  # evaluations of the slip in the feed-forward; the next step starts where it ended
 PATH_PASSES = 6  # the same for alpha_d, which starts from nothing: 0.4^6 = 0.4 % is left of beta
 LOOK_ASIDE = 0.05  # [s] to both sides, for alpha_d': short against a turn, long against the grid
-OUTAGE = 0.25  # [s] a pose that is older is missing, a younger one only late
 
 _BELTS = ("sprocket_speed_left", "sprocket_speed_right")
 NEEDS = (*POSE, "pose_age", *_BELTS, *PATH)
@@ -72,6 +79,7 @@ class LyapunovState(NamedTuple):
     located: NDArray[np.bool_]  # (N,) whether a pose has been seen
     attitude: Array  # (N, 2) roll, pitch [rad]; 0 where it is not shown
     drift: Array  # (N,) slip angle [rad] that has settled on a slope
+    gyro: Array  # (N, GYRO) bias of the gyro, as pose_filter learns it
 
 
 class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
@@ -117,6 +125,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         sheet = none if data_sheet is None else data_sheet
         self._attitude = AttitudeFilter(sheet, self.control_period) if tilted else None
         self.velocity_measured, self.filter_gains = filter_of(sheet, self.control_period)
+        # On slopes the heading turns by more than the gyro: no bias is learned.
+        self._gyro_noise = gyro_noise_of(sheet, self._attitude is None)
 
     def act(
         self,
@@ -130,7 +140,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         """
         count = len(observation)
         geometry, _thrice = self._rows(count)
-        error, age, last, mean, located, attitude, drift = self._start(state, start)
+        error, age, last, mean, located, attitude, drift, gyro = self._start(state, start)
         if self._attitude is not None:
             attitude = self._attitude.update(observation, attitude, start)
             observation = in_vehicle_plane(observation, attitude)
@@ -145,7 +155,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         reference = np.empty((count, 4))
         locate(
             observation, *self._without_pose(observation, driven, alpha), self.velocity_measured,
-            self.filter_gains, self.control_period, error, age, mean, located, reference,
+            self.filter_gains, self._gyro_noise, self.control_period, error, age, mean, gyro,
+            located, reference,
         )  # fmt: skip
         moving = located & np.isfinite(reference[:, 0])
         reference[~moving] = 0.0
@@ -156,7 +167,9 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         sprockets = self._feed_forward(wanted, beta, geometry)
         sprockets[~moving] = 0.0
         action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
-        return action, LyapunovState(error, age, sprockets, mean, located, attitude, drift)
+        return action, LyapunovState(
+            error, age, sprockets, mean, located, attitude, drift, gyro
+        )  # fmt: skip
 
     def _followed(
         self, observation: NDArray[np.float32], error: Array, reference: Array,
@@ -193,8 +206,9 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
             rows, nowhere = np.zeros((len(start), 3)), np.zeros(len(start), dtype=bool)
             one, pair = rows[:, 0], rows[:, :2]
             return LyapunovState(
-                rows, one.copy(), pair.copy(), rows.copy(), nowhere, pair.copy(), one.copy()
-            )
+                rows, one.copy(), pair.copy(), rows.copy(), nowhere, pair.copy(), one.copy(),
+                np.zeros((len(start), GYRO)),
+            )  # fmt: skip
         self.same_count(len(state.age), len(start))
         copies = LyapunovState._make(values.copy() for values in state)
         for values in copies:

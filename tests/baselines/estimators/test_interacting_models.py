@@ -150,14 +150,28 @@ def test_single_outliers_leave_no_trace():
     assert np.array_equal(result.memory, clean.memory)
 
 
-def test_the_third_outlier_in_a_row_counts():
+def test_the_third_outlier_in_a_row_counts_whatever_they_say():
     samples = regression(TRUE, 104)
-    samples[0, 100:, 0] += 60.0
+    samples[0, 100:, 0] += [60.0, -60.0, 60.0, -60.0]
     result = interact(samples)
     assert (result.status[0, 100:102] == REJECTED).all()
     assert np.array_equal(result.value[0, 101], result.value[0, 99])
     assert result.status[0, 102] != REJECTED
     assert not np.array_equal(result.value[0, 102], result.value[0, 101])
+
+
+def test_two_outliers_in_a_row_that_agree_are_a_change():
+    samples = regression(TRUE, 102)
+    samples[0, 100:, 1:3] = [3.0, -1.0]  # as in the vehicle, where regressors hardly change
+    for factor in (1.3, 2.0):
+        theta = TRUE * [factor, 1.0]
+        samples[0, 100:, 0] = samples[0, 100:, 1:3] @ theta
+        result = interact(samples)
+        assert result.status[0, 100] == REJECTED
+        assert np.array_equal(result.value[0, 100], result.value[0, 99])
+        # and the second is enough: most of the step, put down to parameter 1
+        assert result.value[0, 101, 0] - TRUE[0] > 0.8 * (theta[0] - TRUE[0])
+        assert odds(result)[0, im.JUMP] > 0.5
 
 
 @pytest.mark.parametrize("share", [0.005, 0.02])

@@ -163,6 +163,33 @@ def test_a_long_straight_at_constant_speed_leaves_the_mass_as_it_was():
 # --- bounds, excitation, memory -------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("belts", "v_x"),
+    [((0.0, 1.2), 1.0), ((6.0, 1.2), 1.0), ((6.0, 0.0), 1.0), ((-1.4, 1.2), 1.0)],
+    ids=["locked", "spinning", "both", "against"],
+)
+def test_a_belt_that_spins_or_is_locked_says_nothing_on_the_mass(belts, v_x):
+    """There the filter can take a track for one that moves the other way."""
+    samples = measurements(TRUTH, "straight")
+    driving = estimator()
+    follow(driving, samples[:200])
+    before = driving.memory.copy()
+    for m in samples[200:250]:
+        m.values[:, COLUMN["v_x"]], m.values[:, COLUMN["yaw_rate"]] = v_x, 0.0
+        for side, belt in zip(("left", "right"), belts, strict=True):
+            m.values[:, COLUMN[f"sprocket_speed_{side}"]] = belt / CLAY.sprocket_radius
+            m.values[:, COLUMN[f"torque_{side}"]] = 0.0
+        m.values[:, COLUMN["acceleration_x"]] = -1.4
+    last = follow(driving, samples[200:250])[-1]
+    assert np.array_equal(driving.memory, before)
+    assert last.status[0] == Status.HOLDING
+    for m in samples[200:250]:
+        for side in ("left", "right"):
+            m.values[:, COLUMN[f"sprocket_speed_{side}"]] = v_x / CLAY.sprocket_radius
+    follow(driving, samples[200:250])
+    assert not np.array_equal(driving.memory, before)
+
+
 def test_bounds_hold_under_dropouts_outliers_and_reversals():
     rng = np.random.default_rng(6)
     found = estimator(RTK, 20)

@@ -183,6 +183,18 @@ def test_the_gyro_holds_the_heading_and_its_bias_is_learned():
     assert np.abs(run.state[END - 1, :, 2] - answer.value[:, 2]).max() < 0.02  # 0.06 by the bias
 
 
+def test_the_heading_of_an_outage_begins_where_the_gyro_has_turned_to():
+    """Exact sensors, on a circle of 0.4 rad/s: one step of the turn is 8 mrad."""
+    sheet = DataSheet(*[0.0] * len(DataSheet._fields))
+    belts = np.tile([1.0, 2.0], (END, 1, 1))
+    run = felt(slipping(belts, 0.05, 0.0, sheet), sheet=sheet)
+    assert run.velocity[BEGIN, 0, 2] * PERIOD > 0.007
+    observer, errors = SlipObserver(PARAMETERS, PERIOD, sheet), []
+    for k, m in enumerate(blind(run.measurements)):
+        errors.append(observer.update(m).value[0, 2] - run.state[k, 0, 2])
+    assert np.abs(errors[BEGIN - 50 :]).max() < 1e-3  # [rad]
+
+
 def test_a_belt_that_stands_while_the_track_slides_does_not_stop_the_vehicle():
     belts = np.full((END, 1, 2), 2.0)
     run = felt(slipping(belts, 0.0, 0.0))

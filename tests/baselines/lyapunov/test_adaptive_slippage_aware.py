@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov import pose_filter
 from baselines.lyapunov.adaptive_slippage_aware import (
     AdaptiveSlipPolicy,
     KnownSlip,
@@ -186,3 +187,34 @@ def test_without_a_pose_it_goes_by_the_plant_that_the_belts_drive(monkeypatch):
     settled = lost_in_outages()  # by the slip at which the belts settle
     assert np.median(driven) < 0.01
     assert driven.mean() < 0.9 * settled.mean()
+
+
+def test_the_bias_of_the_gyro_is_learned_from_the_heading_and_taken_off_in_an_outage():
+    """A vehicle at rest beside a resting reference: 10 s with poses, 10 s without."""
+    rng, bias, turned = np.random.default_rng(1), 0.01, {}
+    sheet = DataSheet.of(MOCAP)._replace(gyro_bias=bias)
+    for learned in (True, False):
+        noise = pose_filter.gyro_noise_of(sheet, learned)
+        measured, gains = pose_filter.filter_of(sheet, 0.02)
+        error, mean, gyro = np.zeros((8, 3)), np.zeros((8, 3)), np.zeros((8, pose_filter.GYRO))
+        age, located, reference = np.zeros(8), np.zeros(8, dtype=bool), np.empty((8, 4))
+        for step in range(1000):
+            observation = np.zeros((8, layout.SIZE), dtype=np.float32)
+            blind = max(step - 500, 0) * 0.02
+            heading = sheet.yaw_noise * rng.standard_normal(8) if blind == 0.0 else np.nan
+            rate = bias + sheet.gyro_noise * rng.standard_normal(8)
+            for name, value in (
+                ("heading_error", heading),
+                ("yaw_rate", rate),
+                ("pose_age", blind),
+            ):
+                column = layout.INDEX[name]
+                observation[:, column] = value / layout.SCALE[column]
+            pose_filter.locate(
+                observation, np.zeros((8, 2)), np.zeros(8), measured, gains, noise, 0.02, error,
+                age, mean, gyro, located, reference,
+            )  # fmt: skip
+        turned[learned] = np.abs(error[:, 2])
+        assert np.allclose(gyro[:, pose_filter.TURN_BIAS], bias if learned else 0.0, atol=1e-3)
+    assert turned[True].max() < 0.015
+    assert turned[False].min() > 0.09  # [rad], the bias over 10 s

@@ -86,9 +86,9 @@ def _compare_belts(z, i, memory, known):
 
 @formula
 def slip_share(memory, i):
-    """s [-] of vehicle i, in [0, 1]; 0 before the first turn."""
+    """Size of s [-] of vehicle i, in [0, 1]; 0 before the first turn."""
     turned, belts = memory[i, TURNED], memory[i, BELTS]
-    return 0.0 if belts <= turned else 1.0 - turned / belts
+    return min(abs(belts - turned) / max(belts, turned), 1.0) if turned > 0.0 else 0.0
 
 
 @formula

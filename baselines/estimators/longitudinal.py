@@ -47,7 +47,7 @@ WALKS = {
     im.ALARMED: (0.04, 0.08), im.SLOW: (0.0, 0.003),
 }  # fmt: skip
 OF_THE_SOIL = (0.0, 0.08)  # in an alarm, where no other equation tells load and soil apart
-TREND_GATE = 2.5  # [-] the variance of the equation is rather large: four deviations of the mean
+TREND_GATE = 2.0  # [-] square of the mean, which the large variance of the equation keeps small
 INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
 RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
 MASS_FACTOR = 5.0  # [-] mass is sought between nominal / factor and nominal * factor

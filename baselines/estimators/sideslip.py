@@ -8,10 +8,12 @@ no mass for it, and v_y and a_y are measured. So
 is one more equation on 1/m, and the only one that tells mass from motion resistance when both
 change slowly. Its variance: velocity, lateral accelerometer with its bias, C, and the equation
 itself, whose error lasts for ERROR_TIME: a sample counts that much less.
-It holds where friction is that of the lumped lateral model. Elsewhere it would falsify the mass, so
-it is compared with the longitudinal regression while nothing changes: the ratio of measured to
-expected v_y must be known to PROVEN, and be 1 within RATIO or its own deviation. Where it is
-clearly another, friction is not that of the lumped model, and the inertia is let walk (an alarm).
+It holds where friction is that of the lumped lateral model; elsewhere it would falsify the mass. So
+it is used where the belts turn as the vehicle does: a slip share (see turning) below FIRM leaves
+friction nothing to share. On other soils it is compared with the longitudinal regression while
+nothing changes, and used where the ratio of measured to expected v_y speaks for it by AGREES: its
+likelihood, normal about 1, over that of any ratio between 0 and 1. The turning regression is told
+this agreement, for its claim of the inertia.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 3 (lateral friction).
 """
@@ -32,6 +34,7 @@ from baselines.estimators.sensor_samples import (
     Measurement,
     attitude_of,
 )
+from baselines.estimators.turning import AGREEMENT, TURNED, slip_share
 from baselines.estimators.turning_equation import lever
 from baselines.estimators.two_parameters import TwoParameterEstimator
 from tracked_env.physics.attitude import incline_of
@@ -45,9 +48,8 @@ ERROR = 0.03  # [-] of the equation, relative
 ERROR_TIME = 10.0  # [s] for which that error lasts
 RATIO_TIME = 15.0  # [s] of calm time over which the equation is compared
 CALM_ODDS = 0.5  # [-] of the calm model, from which on the time is calm
-PROVEN = 0.5  # [-] deviation of the ratio from which on the equation may be used
-RATIO = 0.2  # [-] by which the ratio may differ from 1
-WRONG = 0.25  # [-] and three deviations: then the yaw equation is not that of this vehicle either
+FIRM = 0.05  # [-] slip share up to which the equation needs no proof
+AGREES = 2.0  # [-] agreement from which on it is used elsewhere
 
 _V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
 _A_Y = COLUMN["acceleration_y"]
@@ -97,12 +99,16 @@ def _compare(memory, i, known, found, v_y, variance, relative):
 
 
 @formula
-def _ratio(memory, i):
-    """(difference of the ratio from 1, its standard deviation); infinite while nothing is known."""
+def _agreement(memory, i):
+    """Likelihood of the measured ratio where the equation holds, over that where it does not [-].
+
+    There any ratio in [0, 1] is as likely as another. 0 while nothing is known.
+    """
     square = memory[i, SQUARE]
     if square <= 0.0:
-        return math.inf, math.inf
-    return abs(memory[i, PRODUCT] / square - 1.0), 1.0 / math.sqrt(square)
+        return 0.0
+    off = memory[i, PRODUCT] / square - 1.0
+    return math.sqrt(square / (2.0 * math.pi)) * math.exp(-0.5 * off * off * square)
 
 
 @formula
@@ -116,14 +122,13 @@ def _usable(z, i, fresh, age, known):
 
 
 @formula
-def _take(memory, i, longitudinal, prior, known, v_y, found, variance, inverse_mass):
+def _take(i, longitudinal, prior, known, v_y, found, variance, inverse_mass, holds):
     """Use the measured v_y for 1/m, where the equation has been found to hold."""
     slope = -found / inverse_mass
     sample = ls.Sample(v_y - found + slope * inverse_mass, slope, 0.0, variance, 0.0)
     error, gain = ls.innovation(longitudinal, i, 0, sample, prior)
     usual = error * error < im.OUTLIER_GATE * (gain + variance)
-    off, deviation = _ratio(memory, i)
-    if usual and deviation < PROVEN and off <= max(RATIO, deviation):
+    if usual and holds:
         im.learn_apart(longitudinal, i, sample, prior)
 
 
@@ -146,10 +151,10 @@ def update_all(z, fresh, age, attitude, memory, longitudinal, prior, turning, ot
             apart, p_11 = im.watched(longitudinal, i, prior)
             there = found * inverse_mass / apart
             _compare(memory, i, known, there, z[i, _V_Y], variance, p_11 / (apart * apart))
-        off, deviation = _ratio(memory, i)
-        if off > max(WRONG, 3.0 * deviation):
-            turning[i, im.ALARM] = im.TREND_HELD
-        _take(memory, i, longitudinal, prior, known, z[i, _V_Y], found, variance, inverse_mass)
+        turning[i, AGREEMENT] = _agreement(memory, i)
+        firm = turning[i, TURNED] > 0.0 and slip_share(turning, i) < FIRM
+        holds = firm or turning[i, AGREEMENT] >= AGREES
+        _take(i, longitudinal, prior, known, z[i, _V_Y], found, variance, inverse_mass, holds)
 
 
 class SideslipRow:

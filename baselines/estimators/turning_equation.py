@@ -53,6 +53,7 @@ class Known(NamedTuple):
     constrained: bool
     low: float  # [-] bounds of mu_t
     high: float  # [-]
+    averaged: float  # [-] share of a sample in the mean slip share of the yaw rate
 
 
 @formula

@@ -110,6 +110,7 @@ class TwoParameterEstimator(AnsweringEstimator):
     provides: tuple[Quantity, ...]
     needs: tuple[str, ...]
     paired = True
+    columns = im.MEMORY  # of the memory
     _kernel: Callable[..., None]
 
     def __init__(
@@ -127,7 +128,7 @@ class TwoParameterEstimator(AnsweringEstimator):
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
         self.prior = ls.Prior._make(float(x) for x in prior)
         self.table = table
-        self.memory = np.zeros((count, im.MEMORY))
+        self.memory = np.zeros((count, self.columns))
         self.answer = np.empty((0, ANSWER))  # of the last sample
 
     def reset(self, rows: ArrayLike | None = None) -> None:

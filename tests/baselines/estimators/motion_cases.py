@@ -62,7 +62,7 @@ def mirrored(measurement: Measurement) -> Measurement:
 
 def measurements(p, kind, lateral_model="sliding", sheet=EXACT, count=1, seed=0, steps=1000):
     """A list of measurements of `count` vehicles with parameters p: the plant's accelerations
-    at every moment of a motion, with the sensors' noise (no bias)."""
+    at every moment of a motion, with the sensors' noise (no bias). Belts roll without slip."""
     constrained = lateral_model == "constrained"
     k = vehicle.coefficients(p, constrained)
     rates = plant.constrained_accelerations if constrained else plant.sliding_accelerations
@@ -83,6 +83,8 @@ def measurements(p, kind, lateral_model="sliding", sheet=EXACT, count=1, seed=0,
                 yaw_acceleration=bend + sheet.yaw_acceleration_noise * noise[5],
                 torque_left=left + sheet.torque_noise * noise[6],
                 torque_right=right + sheet.torque_noise * noise[7],
+                sprocket_speed_left=(v_x - 0.5 * p.track_gauge * w) / p.sprocket_radius,
+                sprocket_speed_right=(v_x + 0.5 * p.track_gauge * w) / p.sprocket_radius,
             )
         )
     return result

@@ -2,20 +2,23 @@
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import sideslip
 from baselines.estimators.estimate import Setting
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.sensor_samples import COLUMN
-from baselines.estimators.turning import TurningEstimator
+from baselines.estimators.turning import AGREEMENT, BELTS, TURNED, TurningEstimator
 from tests.baselines.estimators.motion_cases import CLAY, RTK, measurements
 from tracked_env.physics import terramechanics as soil
 
 TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)
 
 
-def known(memory):
-    """Row, both regressions that know the vehicle, and a sample of a turn; memory: of the row."""
+def known(memory, share=0.0):
+    """Row, both regressions that know the vehicle, and a sample of a turn; memory: of the row,
+    share: slip share [-] of the belts' yaw rate."""
     row = sideslip.SideslipRow(Setting(CLAY, 0.02, RTK, 1))
     row.memory[:] = memory
     along, turning = LongitudinalEstimator(CLAY, 0.02, RTK), TurningEstimator(CLAY, 0.02, RTK)
@@ -23,6 +26,7 @@ def known(memory):
     for sample in measurements(TRUTH, "curves", sheet=RTK, steps=500):
         along.update(sample)
         turning.update(sample)
+    turning.memory[:, TURNED], turning.memory[:, BELTS] = 1.0 - share, 1.0
     w = 0.4
     turn = next(
         s
@@ -49,16 +53,43 @@ def test_the_expected_side_slip_is_that_of_the_lateral_friction():
 
 
 @pytest.mark.parametrize(
-    ("memory", "used"),
-    [([0.0, 0.0], False), ([1.0, 1.0], False), ([100.0, 100.0], True), ([100.0, 57.0], False)],
-    ids=["nothing known", "unproven", "proven", "of another plant"],
-)
-def test_it_is_used_where_it_has_been_found_to_hold_and_nowhere_else(memory, used):
-    row, along, turning, turn = known(memory)
+    ("memory", "share", "used"),
+    [
+        ([0.0, 0.0], 0.25, False),
+        ([1.0, 1.0], 0.25, False),
+        ([12.0, 9.0], 0.25, False),
+        ([100.0, 100.0], 0.25, True),
+        ([100.0, 57.0], 0.25, False),
+        ([0.0, 0.0], 0.01, True),
+        ([0.0, 0.0], -0.5, False),
+    ],
+    ids=["nothing known", "unproven", "another plant, at first", "proven", "of another plant",
+         "firm soil", "belts slower than the vehicle"],
+)  # fmt: skip
+def test_it_is_used_on_firm_soil_and_where_it_has_been_found_to_hold(memory, share, used):
+    row, along, turning, turn = known(memory, share)
     before, deviation = along.memory.copy(), along.read().deviation("inverse_mass")
     row.compute(turn, along, turning)
     assert np.array_equal(before, along.memory) != used
     assert (along.read().deviation("inverse_mass") < deviation) == used
+
+
+def test_without_a_turn_nothing_says_that_the_soil_is_firm():
+    row, along, turning, turn = known([0.0, 0.0])
+    turning.memory[:, [TURNED, BELTS]] = 0.0
+    before = along.memory.copy()
+    row.compute(turn, along, turning)
+    assert np.array_equal(before, along.memory)
+
+
+def test_the_agreement_is_the_likelihood_of_a_ratio_of_one_over_that_of_any_other():
+    for square, ratio in ((100.0, 1.0), (100.0, 0.57), (4.0, 0.9)):
+        row, along, turning, turn = known([square, ratio * square], 0.25)
+        row._known = row._known._replace(keep=1.0)
+        along.memory[:, im.ALARM] = 1.0  # no calm time: the sums stay
+        row.compute(turn, along, turning)
+        expected = norm.pdf(ratio, 1.0, 1.0 / np.sqrt(square))
+        assert turning.memory[0, AGREEMENT] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("channel", ["v_y", "acceleration_y", "yaw_rate", "v_x"])

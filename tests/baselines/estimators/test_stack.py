@@ -117,6 +117,27 @@ def test_a_jump_of_the_mass_sets_the_inertia_free():
         assert np.median(np.abs(value / truths[-1][name] - 1.0)) < 0.05
 
 
+def inside(seen, truths, name, first=0):
+    """Share of the time from a step on in which a parameter is within three sigma."""
+    stack, within = IdentificationStack(count=seen.shape[1]), []
+    for observation, truth in zip(seen, truths, strict=True):
+        value, deviation = stack.update(observation).estimates()[name]
+        within.append(np.abs(value - truth[name]) <= 3.0 * deviation)
+    return np.mean(within[first:])
+
+
+def test_on_patches_of_soil_the_claims_of_mass_and_inertia_hold_from_the_first_turn_on():
+    seen, truths = record("loose-soil", 500, plant="distributed")
+    assert inside(seen, truths, "mass") > 0.97
+    assert inside(seen, truths, "inertia") > 0.93  # without the slip share 0.6
+
+
+def test_in_a_slow_drift_of_everything_the_claims_of_mass_and_inertia_hold():
+    seen, truths = record("drift", 1500, 64)
+    assert inside(seen, truths, "mass") > 0.97
+    assert inside(seen, truths, "inertia") > 0.97
+
+
 # --- memory ---------------------------------------------------------------------------------
 
 

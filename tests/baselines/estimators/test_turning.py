@@ -6,7 +6,8 @@ import pytest
 from baselines.estimators import interacting_models as im
 from baselines.estimators import turning_equation
 from baselines.estimators.estimate import Status
-from baselines.estimators.turning import TurningEstimator
+from baselines.estimators.sensor_samples import COLUMN
+from baselines.estimators.turning import AGREEMENT, BELTS, TURNED, TurningEstimator
 from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, follow, measurements
 from tests.baselines.estimators.turning_cases import (
     LATERAL_MODELS,
@@ -184,6 +185,50 @@ def test_on_a_straight_during_an_alarm_the_friction_is_less_and_less_sure_and_el
 
 
 # --- bounds and errors ----------------------------------------------------------------------
+
+
+def belts_slip(samples, share):
+    """The samples with belts that turn faster than the vehicle by a slip share [-] of theirs."""
+    left, right = COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]
+    for sample in samples:
+        middle = 0.5 * (sample.values[:, left] + sample.values[:, right])
+        half = 0.5 * (sample.values[:, right] - sample.values[:, left]) / (1.0 - share)
+        sample.values[:, left], sample.values[:, right] = middle - half, middle + half
+    return samples
+
+
+@pytest.mark.parametrize("share", [0.25, -0.5])
+def test_where_belts_slip_in_turns_the_inertia_may_be_wrong_by_that_share_of_the_yaw_rate(share):
+    rolling, slipping = estimator(RTK), estimator(RTK)
+    follow(rolling, measurements(TRUTH, "curves", sheet=RTK))
+    follow(slipping, belts_slip(measurements(TRUTH, "curves", sheet=RTK), share))
+    first, last = rolling.read(), slipping.read()
+    assert np.array_equal(first.value, last.value)  # a claim, no part of the recursion
+    size = share if share > 0.0 else -share / (1.0 - share)
+    inertia = first.of("inertia")[0]
+    assert last.deviation("inertia")[0] ** 2 == pytest.approx(
+        first.deviation("inertia")[0] ** 2 + (size * inertia) ** 2 / 3.0, rel=1e-2
+    )
+    assert np.array_equal(
+        first.deviation("lateral_resistance"), last.deviation("lateral_resistance")
+    )
+    # A side slip that speaks for friction that is not shared makes it less.
+    slipping.memory[:, AGREEMENT] = 3.0
+    assert slipping.read().deviation("inertia")[0] ** 2 == pytest.approx(
+        first.deviation("inertia")[0] ** 2 + (size * inertia) ** 2 / 12.0, rel=1e-2
+    )
+
+
+def test_the_claim_of_the_inertia_is_never_wider_than_the_prior_and_counts_no_missing_belt():
+    found = estimator(RTK)
+    samples = measurements(TRUTH, "curves", sheet=RTK, steps=50)
+    follow(found, samples)
+    found.memory[:, TURNED], found.memory[:, BELTS] = 0.1, 10.0
+    assert found.read().deviation("inertia")[0] == pytest.approx(found.prior.sigma_1)
+    before = found.memory[:, [TURNED, BELTS]].copy()
+    samples[-1].values[:, COLUMN["sprocket_speed_left"]] = np.nan
+    found.update(samples[-1])
+    assert np.array_equal(found.memory[:, [TURNED, BELTS]], before)
 
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)

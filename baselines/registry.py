@@ -4,6 +4,8 @@
     adaptive  the same controller with the parameters that it identifies under way
     oracle    the adaptive policy, handed the true parameters at every step: what perfect
               identification would reach. It measures, and filters, like the adaptive one.
+    mpc-nominal, mpc-adaptive, mpc-oracle   model predictive control with nominal, identified and
+              true parameters, behind the same filter
 For vehicles driven by their sprocket speeds:
     uc            the Lyapunov controller of a unicycle: slip is not known
     slc           the slippage-aware one, slip identified beforehand on the nominal soil
@@ -35,6 +37,8 @@ from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, Oracl
 from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import shows_attitude
+from baselines.predictive.predictive_policy import NominalPredictivePolicy, PredictivePolicy
+from baselines.predictive.tracking_cost import PredictiveSettings
 from baselines.slip.slip_sweep import identified_slip
 from baselines.slip.slope_sweep import identified_slope_slip
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
@@ -76,12 +80,13 @@ class OraclePolicy:
     """
 
     needs_truth = True
+    identifying: type[AdaptivePolicy] = AdaptivePolicy
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        self._policy = AdaptivePolicy(*arguments, **options)
+        self._policy = self.identifying(*arguments, **options)
 
     @property
-    def controller(self) -> FeedbackLinearizingController:
+    def controller(self) -> Any:
         """The controller that drives."""
         return self._policy.controller
 
@@ -100,6 +105,12 @@ class OraclePolicy:
     ) -> tuple[NDArray[np.float32], AdaptiveState]:
         """As AdaptivePolicy.predict."""
         return self._policy.predict(observation, state, episode_start, deterministic)
+
+
+class PredictiveOraclePolicy(OraclePolicy):
+    """The same of model predictive control; arguments as PredictivePolicy."""
+
+    identifying = PredictivePolicy
 
 
 def _vehicle(context: Context, drive: str) -> PlantParameters:
@@ -138,6 +149,21 @@ def adaptive(context: Context) -> AdaptivePolicy:
 def oracle(context: Context) -> OraclePolicy:
     """The controller that knows the true parameters."""
     return OraclePolicy(**_arguments(context))
+
+
+def mpc_nominal(context: Context, **settings: float) -> NominalPredictivePolicy:
+    """Model predictive control with the nominal parameters."""
+    return NominalPredictivePolicy(**_arguments(context), settings=PredictiveSettings(**settings))
+
+
+def mpc_adaptive(context: Context, **settings: float) -> PredictivePolicy:
+    """Model predictive control that identifies vehicle and soil under way."""
+    return PredictivePolicy(**_arguments(context), settings=PredictiveSettings(**settings))
+
+
+def mpc_oracle(context: Context, **settings: float) -> PredictiveOraclePolicy:
+    """Model predictive control that knows the true parameters."""
+    return PredictiveOraclePolicy(**_arguments(context), settings=PredictiveSettings(**settings))
 
 
 def _speed_arguments(context: Context) -> dict[str, Any]:
@@ -194,6 +220,9 @@ POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
     "adaptive": adaptive,
     "oracle": oracle,
+    "mpc-nominal": mpc_nominal,
+    "mpc-adaptive": mpc_adaptive,
+    "mpc-oracle": mpc_oracle,
     "uc": uc,
     "slc": slc,
     "slc-flat": slc_flat,

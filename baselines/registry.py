@@ -38,6 +38,12 @@ from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import shows_attitude
 from baselines.predictive.predictive_policy import NominalPredictivePolicy, PredictivePolicy
+from baselines.predictive.sprocket_control import (
+    SETTINGS,
+    PredictiveAdaptiveSlipPolicy,
+    PredictiveOracleSlipPolicy,
+    PredictiveSlipPolicy,
+)
 from baselines.predictive.tracking_cost import PredictiveSettings
 from baselines.slip.slip_sweep import identified_slip
 from baselines.slip.slope_sweep import identified_slope_slip
@@ -151,21 +157,6 @@ def oracle(context: Context) -> OraclePolicy:
     return OraclePolicy(**_arguments(context))
 
 
-def mpc_nominal(context: Context, **settings: float) -> NominalPredictivePolicy:
-    """Model predictive control with the nominal parameters."""
-    return NominalPredictivePolicy(**_arguments(context), settings=PredictiveSettings(**settings))
-
-
-def mpc_adaptive(context: Context, **settings: float) -> PredictivePolicy:
-    """Model predictive control that identifies vehicle and soil under way."""
-    return PredictivePolicy(**_arguments(context), settings=PredictiveSettings(**settings))
-
-
-def mpc_oracle(context: Context, **settings: float) -> PredictiveOraclePolicy:
-    """Model predictive control that knows the true parameters."""
-    return PredictiveOraclePolicy(**_arguments(context), settings=PredictiveSettings(**settings))
-
-
 def _speed_arguments(context: Context) -> dict[str, Any]:
     return {
         "parameters": _vehicle(context, "speed"),
@@ -173,6 +164,35 @@ def _speed_arguments(context: Context) -> dict[str, Any]:
         "data_sheet": DataSheet.of(context.sensors),
         "observation": context.observation,
     }
+
+
+def mpc_nominal(context: Context, **settings: float) -> Any:
+    """Model predictive control with the nominal parameters, or the slip of the nominal soil."""
+    if context.drive == "torque":
+        given = PredictiveSettings(**settings)
+        return NominalPredictivePolicy(**_arguments(context), settings=given)
+    arguments = _speed_arguments(context)
+    return PredictiveSlipPolicy(
+        slip_model=identified_slip(arguments["parameters"]), **arguments,
+        settings=SETTINGS._replace(**settings),
+    )  # fmt: skip
+
+
+def mpc_adaptive(context: Context, **settings: float) -> Any:
+    """Model predictive control that identifies vehicle and soil under way."""
+    if context.drive == "torque":
+        return PredictivePolicy(**_arguments(context), settings=PredictiveSettings(**settings))
+    given = SETTINGS._replace(**settings)
+    return PredictiveAdaptiveSlipPolicy(**_speed_arguments(context), settings=given)
+
+
+def mpc_oracle(context: Context, **settings: float) -> Any:
+    """Model predictive control that knows the true parameters."""
+    if context.drive == "torque":
+        given = PredictiveSettings(**settings)
+        return PredictiveOraclePolicy(**_arguments(context), settings=given)
+    given = SETTINGS._replace(**settings)
+    return PredictiveOracleSlipPolicy(**_speed_arguments(context), settings=given)
 
 
 def uc(context: Context) -> UnicyclePolicy:

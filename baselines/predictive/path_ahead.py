@@ -68,7 +68,8 @@ def interpolation(times: ArrayLike) -> Array:
     before, after = np.diff(nodes)[:-1, np.newaxis], np.diff(nodes)[1:, np.newaxis]
     slope[1:-1] = (after * chord[:-1] + before * chord[1:]) / (before + after)
     slope[-1] = chord[-1]
-    return np.asarray(CubicHermiteSpline(nodes, value, slope)(times), dtype=np.float64)
+    at = np.asarray(times, dtype=np.float64)
+    return np.asarray(CubicHermiteSpline(nodes, value, slope)(at), dtype=np.float64)
 
 
 @formula
@@ -79,6 +80,28 @@ def _shown(observation, i, columns, weights, sign, out):
             column = columns[c]
             total += weights[k, c] * (observation[i, column] * _SCALE[column])
         out[k] = sign * total
+
+
+@formula
+def lay_path(observation, i, weights, facing, start, incline, h, ahead):
+    """Pose, speed and yaw rate of the reference at the nodes of the horizon, into ahead.
+
+    start: (x, y, heading) of the reference now, in body axes; facing: -1.0 where the path is
+    followed in reverse; h [s]: of a stage.
+    """
+    v, w, path = ahead.speed, ahead.turn, ahead.path
+    _shown(observation, i, _SPEED_COLUMNS, weights, facing, v)
+    _shown(observation, i, _TURN_COLUMNS, weights, 1.0, w)
+    x, y, heading = start
+    for k in range(path.shape[0]):
+        if k > 0:
+            half_turn = 0.25 * h * (w[k - 1] + w[k])
+            cosine, sine = rotation(heading + half_turn)
+            way = 0.5 * h * (v[k - 1] + v[k])
+            along, across = in_plane_above(way * cosine, way * sine, incline)
+            x, y, heading = x + along, y + across, heading + 2.0 * half_turn
+        path[k, PATH_X], path[k, PATH_Y], path[k, HEADING] = x, y, heading
+        path[k, PATH_SPEED], path[k, PATH_YAW_RATE] = v[k], w[k]
 
 
 @loop
@@ -92,31 +115,21 @@ def look_ahead(observation, i, weights, incline, m, ahead):
     faces_back = abs(heading) > 0.5 * math.pi
     if faces_back:
         heading -= signed(math.pi, heading)
-    v, w = ahead.speed, ahead.turn
-    _shown(observation, i, _SPEED_COLUMNS, weights, -1.0 if faces_back else 1.0, v)
-    _shown(observation, i, _TURN_COLUMNS, weights, 1.0, w)
     x, y = in_plane_above(
         observation[i, _ERROR_X] * _SCALE[_ERROR_X], observation[i, _ERROR_Y] * _SCALE[_ERROR_Y],
         incline,
     )  # fmt: skip
-    path, h = ahead.path, m.duration
-    count = path.shape[0] - 1
-    lateral = 0.0
-    for k in range(count + 1):
-        forward = v[k]
-        before = lateral
+    facing = -1.0 if faces_back else 1.0
+    lay_path(observation, i, weights, facing, (x, y, heading), incline, m.duration, ahead)
+    v, w, path, lateral = ahead.speed, ahead.turn, ahead.path, 0.0
+    for k in range(path.shape[0]):
+        forward, before = v[k], lateral
         for _ in range(2):
             lateral = side_velocity(forward, w[k], m)
             forward = signed(math.sqrt(v[k] * v[k] - lateral * lateral), v[k])
         slip = min(max(-lateral * inverse_speed(v[k]), -MAXIMUM_SIDE_SLIP), MAXIMUM_SIDE_SLIP)
-        if k > 0:
-            half_turn = 0.25 * h * (w[k - 1] + w[k])
-            cosine, sine = rotation(heading + half_turn)
-            way = 0.5 * h * (v[k - 1] + v[k])
-            along, across = in_plane_above(way * cosine, way * sine, incline)
-            x, y, heading = x + along, y + across, heading + 2.0 * half_turn
-        path[k, PATH_X], path[k, PATH_Y], path[k, HEADING] = x, y, heading + math.asin(slip)
-        path[k, PATH_SPEED], path[k, PATH_YAW_RATE] = forward, w[k]
+        path[k, HEADING] += math.asin(slip)
+        path[k, PATH_SPEED] = forward
         if k > 0:
             left, right = needed_efforts(
                 path[k - 1, PATH_SPEED], w[k - 1], forward, w[k], before, m

@@ -263,15 +263,17 @@ def register(name: str, factory: Callable[[Any], Any]) -> None:
     POLICIES[name] = factory
 
 
+PREDICTIVE = ("mpc-nominal", "mpc-adaptive", "mpc-oracle")  # for either kind of drive
 # Those for each kind of drive, from the least to the most that is known.
 BY_DRIVE = {
-    "torque": ("nominal", "adaptive", "oracle"),
-    "speed": ("uc", "slc", "slc-adaptive", "slc-oracle"),
+    "torque": ("nominal", "adaptive", "oracle", *PREDICTIVE),
+    "speed": ("uc", "slc", "slc-adaptive", "slc-oracle", *PREDICTIVE),
 }
 
 
 # Environments that policies are compared on by default, beside those of each drive.
-BY_ENVIRONMENT = {**BY_DRIVE, "tracked_env/Terrain-v0": ("uc", "slc-flat", *BY_DRIVE["speed"][1:])}
+_ON_SLOPES = ("uc", "slc-flat", "slc", "slc-adaptive", "slc-oracle")
+BY_ENVIRONMENT = {**BY_DRIVE, "tracked_env/Terrain-v0": _ON_SLOPES}
 
 
 def policies() -> dict[str, dict[str, Any]]:

@@ -177,7 +177,7 @@ def plan_all(
         )  # fmt: skip
         look_ahead(observation, i, weights, incline, m, ahead)
         start_state(observation, i, given, states)
-        carried = vehicle.drive_limits(p).effort_limit
+        carried = settings.traction * vehicle.drive_limits(p).effort_limit
         bounds[0] = 1.0 if sloped else min(1.0, carried / m.force_left)
         bounds[1] = 1.0 if sloped else min(1.0, carried / m.force_right)
         inputs, steps = plans[i], 1

@@ -188,14 +188,19 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
     """
 
     def __init__(
-        self, *arguments: Any, settings: PredictiveSettings | None = None, **options: Any
+        self,
+        *arguments: Any,
+        observation: Sequence[str] = layout.NAMES,
+        settings: PredictiveSettings | None = None,
+        **options: Any,
     ) -> None:
-        super().__init__(*arguments, **options)
+        super().__init__(*arguments, observation=observation, **options)
         if self._attitude is not None:
             raise ValueError(
                 "model predictive control of sprocket speeds predicts level ground alone; use "
                 "'slc-adaptive' where the observation shows an attitude, or drive='torque'"
             )
+        self._view = layout.View(observation, (*NEEDS, *PATH_NEEDS))
         given = SETTINGS if settings is None else settings
         self.settings = checked_settings(given, self.control_period)
         self._stages = int(self.settings.stages)
@@ -288,8 +293,8 @@ class PredictiveAdaptiveSlipPolicy(AdaptiveSlipPolicy):
     ) -> None:
         shown = observation if shows_attitude(observation) else layout.NAMES
         controller = PredictiveSlipPolicy(
-            parameters, control_period, kinematics.NoSlip(), None, data_sheet, shown,
-            settings=settings,
+            parameters, control_period, kinematics.NoSlip(), None, data_sheet,
+            observation=shown, settings=settings,
         )  # fmt: skip
         super().__init__(
             parameters, control_period, data_sheet, None, observation, controller=controller

@@ -38,7 +38,8 @@ class PredictiveSettings(NamedTuple):
     terminal: float = 5.0  # [-] factor on the weights of the last state
     stages: float = 30.0  # [-] N, a whole number
     duration: float = 0.04  # [s] h
-    smoothing: float = 0.5  # [-] s of the turning friction in the model
+    traction: float = 0.98  # [-] share of the effort that the soil carries, F_limit, to be used
+    smoothing: float = 1.0  # [-] s of the turning friction in the model
 
 
 TUNABLE = {  # name -> lowest, highest, whether on a logarithmic scale
@@ -50,6 +51,7 @@ TUNABLE = {  # name -> lowest, highest, whether on a logarithmic scale
     "effort_change": (1.0, 1000.0, True),
     "terminal": (1.0, 20.0, True),
     "stages": (25.0, 38.0, False),
+    "traction": (0.5, 1.0, False),
     "smoothing": (0.1, 1.0, True),
 }
 

@@ -8,6 +8,8 @@
     adaptive  the same controller with the parameters that it identifies under way
     oracle    the adaptive policy, handed the true parameters at every step: what perfect
               identification would reach. It measures, and filters, like the adaptive one.
+    mpc-nominal, mpc-adaptive, mpc-oracle   model predictive control with nominal, identified and
+              true parameters, behind the same filter
 For vehicles driven by their sprocket speeds:
     uc            the Lyapunov controller of a unicycle: slip is not known
     slc           the slippage-aware one, slip identified beforehand on the nominal soil
@@ -44,6 +46,19 @@ from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
 from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import shows_attitude
+from baselines.predictive import tracking_cost
+from baselines.predictive.predictive_policy import (
+    NominalPredictivePolicy,
+    PredictiveOraclePolicy,
+    PredictivePolicy,
+)
+from baselines.predictive.sprocket_control import (
+    SETTINGS,
+    PredictiveAdaptiveSlipPolicy,
+    PredictiveOracleSlipPolicy,
+    PredictiveSlipPolicy,
+)
+from baselines.predictive.tracking_cost import PredictiveSettings
 from baselines.slip.slip_sweep import identified_slip
 from baselines.slip.slope_sweep import identified_slope_slip
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
@@ -156,6 +171,12 @@ def oracle(context: Context, **settings: float) -> OraclePolicy:
 def _speed_arguments(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
     return {
         "gains": lyapunov_gains(context)._replace(**settings),
+        **_sprocket_arguments(context),
+    }
+
+
+def _sprocket_arguments(context: Context) -> dict[str, Any]:
+    return {
         "parameters": _vehicle(context, "speed"),
         "control_period": context.control_period,
         "data_sheet": DataSheet.of(context.sensors),
@@ -166,6 +187,40 @@ def _speed_arguments(context: Context, settings: Mapping[str, float]) -> dict[st
 def lyapunov_gains(context: Context) -> LyapunovGains:
     """Gains of the policies that command speeds: of slopes where the attitude is shown."""
     return GAINS_ON_SLOPES if shows_attitude(context.observation) else LyapunovGains()
+
+
+def predictive_settings(context: Context) -> PredictiveSettings:
+    """Settings of model predictive control, other ones for sprocket speeds."""
+    return PredictiveSettings() if context.drive == "torque" else SETTINGS
+
+
+@tunable(tracking_cost.TUNABLE, predictive_settings)
+def mpc_nominal(context: Context, **settings: float) -> Any:
+    """Model predictive control with the nominal parameters, or the slip of the nominal soil."""
+    given = predictive_settings(context)._replace(**settings)
+    if context.drive == "torque":
+        return NominalPredictivePolicy(**_arguments(context), settings=given)
+    arguments = _sprocket_arguments(context)
+    slip_model = identified_slip(arguments["parameters"])
+    return PredictiveSlipPolicy(slip_model=slip_model, **arguments, settings=given)
+
+
+@tunable(tracking_cost.TUNABLE, predictive_settings)
+def mpc_adaptive(context: Context, **settings: float) -> Any:
+    """Model predictive control that identifies vehicle and soil under way."""
+    given = predictive_settings(context)._replace(**settings)
+    if context.drive == "torque":
+        return PredictivePolicy(**_arguments(context), settings=given)
+    return PredictiveAdaptiveSlipPolicy(**_sprocket_arguments(context), settings=given)
+
+
+@tunable(tracking_cost.TUNABLE, predictive_settings)
+def mpc_oracle(context: Context, **settings: float) -> Any:
+    """Model predictive control that knows the true parameters."""
+    given = predictive_settings(context)._replace(**settings)
+    if context.drive == "torque":
+        return PredictiveOraclePolicy(**_arguments(context), settings=given)
+    return PredictiveOracleSlipPolicy(**_sprocket_arguments(context), settings=given)
 
 
 @tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
@@ -205,7 +260,7 @@ def slc_oracle(context: Context, **settings: float) -> OracleSlipPolicy:
 
 
 def _goal_arguments(context: Context) -> dict[str, Any]:
-    arguments = _speed_arguments(context, {})
+    arguments = _sprocket_arguments(context)
     del arguments["gains"]  # its own
     return arguments
 
@@ -227,6 +282,9 @@ POLICIES: dict[str, Callable[[Any], Any]] = {
     "mrac": mrac,
     "adaptive": adaptive,
     "oracle": oracle,
+    "mpc-nominal": mpc_nominal,
+    "mpc-adaptive": mpc_adaptive,
+    "mpc-oracle": mpc_oracle,
     "uc": uc,
     "slc": slc,
     "slc-flat": slc_flat,
@@ -247,15 +305,17 @@ def register(name: str, factory: Callable[[Any], Any]) -> None:
     POLICIES[name] = factory
 
 
+PREDICTIVE = ("mpc-nominal", "mpc-adaptive", "mpc-oracle")  # for either kind of drive
 # Those for each kind of drive, from the least to the most that is known.
 BY_DRIVE = {
-    "torque": ("nominal", "integral", "l1", "mrac", "adaptive", "oracle"),
-    "speed": ("uc", "slc", "slc-adaptive", "slc-oracle"),
+    "torque": ("nominal", "integral", "l1", "mrac", "adaptive", "oracle", *PREDICTIVE),
+    "speed": ("uc", "slc", "slc-adaptive", "slc-oracle", *PREDICTIVE),
 }
 
 
 # Environments that policies are compared on by default, beside those of each drive.
-BY_ENVIRONMENT = {**BY_DRIVE, "tracked_env/Terrain-v0": ("uc", "slc-flat", *BY_DRIVE["speed"][1:])}
+_ON_SLOPES = ("uc", "slc-flat", "slc", "slc-adaptive", "slc-oracle")
+BY_ENVIRONMENT = {**BY_DRIVE, "tracked_env/Terrain-v0": _ON_SLOPES}
 
 
 def policies() -> dict[str, dict[str, Any]]:

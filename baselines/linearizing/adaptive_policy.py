@@ -25,7 +25,7 @@ from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing.drive_lead import lead_all
-from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
+from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
@@ -64,7 +64,7 @@ _GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"
 class AdaptiveState(NamedTuple):
     """State of the policy between two calls."""
 
-    controller: NDArray[np.float64]  # (N, 3) state of the controller
+    controller: NDArray[np.float64]  # what the controller remembers, (N, 3) of this one
     memories: Memories  # of the estimators
     given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
 
@@ -179,10 +179,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self.parameters = plant_parameters() if parameters is None else parameters
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
         sloped = shows_attitude(observation)
-        self.controller = FeedbackLinearizingController(
-            self.parameters, control_period, TUNED_GAINS if gains is None else gains, lateral,
-            (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES,
-        )  # fmt: skip
+        self.controller: Any = self._made(control_period, gains, lateral, sloped)
         noisy = max(self.data_sheet[:3]) > 0.0
         self.filtered = noisy if filtered is None else bool(filtered)
         self.uses_soil = bool(uses_soil)
@@ -199,6 +196,15 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self.known: Identification | None = None
         self._build(1)
         self._view = layout.View(observation, tuple(dict.fromkeys((*NEEDS, *self.stack.needs))))
+
+    def _made(
+        self, control_period: float, settings: Any, lateral: str, sloped: bool
+    ) -> FeedbackLinearizingController:
+        """The controller that the estimates are for; another policy may have another one."""
+        return FeedbackLinearizingController(
+            self.parameters, control_period, settings, lateral,
+            (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES,
+        )  # fmt: skip
 
     def _build(self, count: int) -> None:
         """Estimators and parameters of `count` vehicles, all at their nominal values."""
@@ -250,16 +256,24 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             summary, status, 0.5 * self.controller.control_period, self.filtered,
         )  # fmt: skip
         held = None if state is None else state.controller
-        action, held = self.controller.act(observation, held, start)
         given = np.zeros((count, 2)) if state is None else state.given.copy()
+        action, held = self._drive(observation, start, held, given)
+        self.known = known
+        self._given = AdaptiveState(held, self.stack.memories(), given)
+        return action, self._given
+
+    def _drive(
+        self, observation: NDArray[np.float32], start: NDArray[np.bool_], memory: Any,
+        given: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float32], Any]:  # fmt: skip
+        """Actions of the controller and what it remembers; given (N, 2) in and out."""
+        action, memory = self.controller.act(observation, memory, start)
         if self._commanded:
             lead_all(
                 observation, start, self.controller.parameters, self._nominal[_LAG],
                 self.controller.control_period, given, action,
             )  # fmt: skip
-        self.known = known
-        self._given = AdaptiveState(held, self.stack.memories(), given)
-        return action, self._given
+        return action, memory
 
     def freeze(self, rows: NDArray[np.bool_]) -> None:
         """Keep the controller's present parameters in these rows (N,), until they start anew.

@@ -8,13 +8,31 @@ commands that were sent. Noise of the demand is amplified by b as well; the acti
 """
 
 from tracked_env.observation import INDEX
-from tracked_env.physics.jit import loop
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.physics.vehicle import torque_decay
 
 LARGEST_LEAD = 6.0  # [-] a lag of 0.3 s as fast as one of 0.05 s takes 5.1 at 50 Hz
 _LAG = PARAMETER_INDEX["drive_time_constant"]
 _COMMAND = INDEX["previous_action_left"]
+
+
+@formula
+def _reached(observation, i, side, start, decay, given):
+    """What a drive gives now [-], of what it gave one period ago and the command sent since."""
+    sent = observation[i, _COMMAND + side]
+    reached = decay * given[i, side] + (1.0 - decay) * sent
+    return 0.0 if start[i] else reached
+
+
+@loop
+def reached_all(observation, start, parameters, period, given):
+    """Bring given (N, 2) to the present; arguments as `lead_all`."""
+    shared = parameters.shape[1] == 1
+    for i in range(given.shape[0]):
+        decay = torque_decay(period, parameters[_LAG, 0 if shared else i])
+        for side in range(2):
+            given[i, side] = _reached(observation, i, side, start, decay, given)
 
 
 @loop
@@ -32,9 +50,7 @@ def lead_all(observation, start, parameters, nominal_lag, period, given, action)
         if decay > nominal:
             factor = min((1.0 - nominal) / (1.0 - decay), LARGEST_LEAD)
         for side in range(2):
-            sent = observation[i, _COMMAND + side]
-            reached = decay * given[i, side] + (1.0 - decay) * sent
-            given[i, side] = 0.0 if start[i] else reached
+            given[i, side] = _reached(observation, i, side, start, decay, given)
             if factor > 1.0:
                 led = given[i, side] + (action[i, side] - given[i, side]) * factor
                 action[i, side] = min(max(led, -1.0), 1.0)

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
 from baselines.linearizing.linearizing_law import Gains
-from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES
 
 EFFECTIVE = ("inertia", "lateral_resistance")  # what one regression of the turns answers
@@ -30,11 +29,13 @@ TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
 class KnownParametersPolicy:
     """An adaptive policy, made of the same arguments, whose parameters a subclass gives."""
 
+    identifying: type[AdaptivePolicy] = AdaptivePolicy
+
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        self._policy = AdaptivePolicy(*arguments, **options)
+        self._policy = self.identifying(*arguments, **options)
 
     @property
-    def controller(self) -> FeedbackLinearizingController:
+    def controller(self) -> Any:
         """The controller that drives."""
         return self._policy.controller
 

@@ -14,7 +14,10 @@ from tracked_env.sensors import PRESETS
 TORQUE = PolicyContext(0.02, "sliding")
 SPEED = PolicyContext(0.02, "sliding", PRESETS["mocap"], "speed", "focchi")
 CASES = [("nominal", TORQUE), ("adaptive", TORQUE), ("uc", SPEED), ("slc-adaptive", SPEED)]
-every_policy = pytest.mark.parametrize(("name", "context"), CASES, ids=[n for n, _ in CASES])
+CASES += [("mpc-adaptive", TORQUE), ("mpc-adaptive", SPEED)]
+every_policy = pytest.mark.parametrize(
+    ("name", "context"), CASES, ids=[f"{name}-{context.drive}" for name, context in CASES]
+)
 
 
 def observations(context, count, steps):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.registry import BY_DRIVE, POLICIES
+from baselines.registry import BY_DRIVE, POLICIES, PREDICTIVE
 from tests.benchmark.stub_policies import Constant
 from tracked_env.benchmark import BenchmarkConfig
 from tracked_env.benchmark.policy_interface import (
@@ -47,7 +47,7 @@ def test_a_registered_name_makes_a_fresh_policy_each_time() -> None:
     assert checked_policy(entry, CONTEXT) is not checked_policy(entry, CONTEXT)
 
 
-@pytest.mark.parametrize("name", BY_DRIVE["torque"])
+@pytest.mark.parametrize("name", [n for n in BY_DRIVE["torque"] if n not in PREDICTIVE])
 def test_named_policies_get_clock_and_lateral_model_of_the_environment(name: str) -> None:
     policy = made(name)
     controller = getattr(policy, "controller", policy)
@@ -55,7 +55,9 @@ def test_named_policies_get_clock_and_lateral_model_of_the_environment(name: str
 
 
 def test_only_the_oracle_asks_for_the_truth() -> None:
-    assert [name for name in BY_DRIVE["torque"] if needs_truth(made(name))] == ["oracle"]
+    sliding = CONTEXT._replace(lateral="sliding")
+    truthful = [name for name in BY_DRIVE["torque"] if needs_truth(POLICIES[name](sliding))]
+    assert truthful == ["oracle", "mpc-oracle"]
 
 
 def test_the_oracle_controls_with_the_parameters_it_is_told_and_nominal_with_its_own() -> None:

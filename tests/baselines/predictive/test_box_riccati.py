@@ -1,0 +1,96 @@
+"""The Newton step: its limit without bounds, and the conditions of optimality with them."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+from scipy.optimize import minimize
+
+from baselines.predictive import box_riccati
+from baselines.predictive.tracked_prediction import CHANGED, COLUMNS, GIVEN_LEFT, LEFT, STATES
+from tests.baselines.predictive.predictive_cases import Problem, observed
+
+DECAY = 0.6
+WITH_ERRORS = {"position_error_x": 0.05, "position_error_y": 0.03, "heading_error": 0.02}
+
+
+def linear_system(seed):
+    """forward (COLUMNS, CHANGED), and A (STATES, STATES), B (STATES, 2) that it means."""
+    rng = np.random.default_rng(seed)
+    forward = 0.3 * rng.standard_normal((COLUMNS, CHANGED))
+    for c in range(3):
+        forward[c, 2 + c] += 0.8
+    a, b = np.zeros((STATES, STATES)), np.zeros((STATES, 2))
+    a[:2, :2] = np.eye(2)
+    a[:CHANGED, 2:] = forward[:5].T
+    b[:CHANGED] = forward[5:].T
+    for side in range(2):
+        a[GIVEN_LEFT + side, GIVEN_LEFT + side] = DECAY
+        b[GIVEN_LEFT + side, side] = 1.0 - DECAY
+    return forward, a, b
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("coupling", [0.0, 0.5])
+def test_over_a_long_horizon_it_is_the_regulator_of_the_algebraic_riccati_equation(seed, coupling):
+    forward, a, b = linear_system(seed)
+    q, r = np.array([1.0, 2.0, 3.0, 0.5, 0.2, coupling, coupling]), 0.7
+    count = 600
+    work = box_riccati.make_stages(count)
+    work.forward[:] = forward
+    work.weight[:, :STATES], work.weight[:, LEFT:] = q, r + coupling
+    box_riccati.improve(work, np.zeros((count, 2)), np.full(2, np.inf), DECAY, coupling)
+    cross = np.zeros((STATES, 2))
+    cross[GIVEN_LEFT:] = -coupling * np.eye(2)
+    effort = (r + coupling) * np.eye(2)
+    value = solve_discrete_are(a, b, np.diag(q), effort, s=cross)
+    gains = -np.linalg.solve(effort + b.T @ value @ b, b.T @ value @ a + cross.T)
+    np.testing.assert_allclose(work.value, value, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(work.gains[0], gains, rtol=1e-7, atol=1e-7)
+
+
+def test_the_least_value_in_a_box_is_that_of_a_fine_search():
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        root = rng.standard_normal((2, 2))
+        h = root @ root.T + 0.1 * np.eye(2)
+        g = 2.0 * rng.standard_normal(2)
+        low, high = -rng.random(2), rng.random(2)
+        d = np.array(
+            box_riccati.bounded_minimum(h[0, 0], h[0, 1], h[1, 1], g[0], g[1], low, high)[:2]
+        )
+        assert ((d >= low) & (d <= high)).all()
+        cost = 0.5 * d @ h @ d + g @ d
+        axes = [np.linspace(low[k], high[k], 41) for k in range(2)]
+        for point in itertools.product(*axes):
+            z = np.array(point)
+            assert cost <= 0.5 * z @ h @ z + g @ z + 1e-12
+
+
+@pytest.mark.parametrize(("limit", "change"), [(1.0, 0.01), (0.4, 0.01), (0.3, 200.0)])
+def test_its_solution_meets_the_conditions_of_karush_kuhn_and_tucker(limit, change):
+    problem = Problem(
+        observed(**WITH_ERRORS), stages=12, limit=limit, effort=3.0, effort_change=change
+    )
+    for _ in range(60):
+        problem.step()
+    gradient, u = problem.gradient(problem.inputs), problem.inputs
+    free = np.abs(u) < limit
+    assert np.abs(gradient[free]).max() < 1e-4
+    assert (gradient[u >= limit] <= 0.0).all()  # more would be better, less not
+    assert (gradient[u <= -limit] >= 0.0).all()
+    assert free.all() == (limit == 1.0)  # the others do meet their bounds
+
+
+def test_an_independent_method_finds_the_same_plan():
+    problem = Problem(observed(**WITH_ERRORS), stages=6, limit=0.31, effort=3.0)
+    for _ in range(60):
+        problem.step()
+    found = minimize(
+        problem.cost, np.zeros(12), jac=lambda u: problem.gradient(u.reshape(-1, 2)).reshape(-1),
+        method="SLSQP", bounds=[(-0.31, 0.31)] * 12, options={"ftol": 1e-15, "maxiter": 500},
+    )  # fmt: skip
+    assert problem.cost(problem.inputs) == pytest.approx(found.fun, rel=1e-6)
+    np.testing.assert_allclose(problem.inputs.reshape(-1), found.x, atol=2e-5)
+    assert (np.abs(problem.inputs) == 0.31).any()

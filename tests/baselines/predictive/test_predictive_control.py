@@ -1,0 +1,159 @@
+"""One call of the controller: plans, bounds, symmetry, and what it sees of the reference."""
+
+import numpy as np
+import pytest
+
+from baselines.predictive.path_ahead import TIMES, interpolation
+from baselines.predictive.predictive_control import PredictiveController, shift
+from baselines.predictive.tracking_cost import PredictiveSettings
+from tests.baselines.predictive.predictive_cases import Problem, model, observed
+from tracked_env import observation as layout
+from tracked_env.physics.parameters import plant_parameters
+
+ERRORS = {"position_error_x": 0.1, "position_error_y": -0.2, "heading_error": 0.15}
+
+
+def controller(**settings):
+    return PredictiveController(plant_parameters(), settings=PredictiveSettings(**settings))
+
+
+def act(made, observation, plans=None, given=None):
+    count = len(observation)
+    start = np.full(count, plans is None)
+    given = np.zeros((count, 2)) if given is None else given
+    return made.act(observation, plans, start, given)
+
+
+@pytest.mark.parametrize("path", [(2.0, 0.0), (2.0, 0.3), (0.5, -0.6), (-1.5, 0.2), (0.0, 0.0)])
+def test_a_reference_that_the_model_can_follow_costs_nothing(path):
+    problem = Problem(observed(*path))
+    problem.work.states[0, 2:4] = problem.work.ahead.path[0, 2:4]  # it drifts along its path
+    # float32 of the observation; an open loop of 1.2 s would add 1e-6 m otherwise
+    assert problem.cost(problem.inputs) < 1e-6
+    assert problem.step() < 1e-4
+
+
+def test_plans_cost_less_with_every_step():
+    problem = Problem(observed(**ERRORS))
+    costs = []
+    for _ in range(8):
+        costs.append(problem.cost(problem.inputs))
+        problem.step()
+    assert (np.diff(costs) <= 0.0).all()
+    assert costs[-1] < 0.5 * costs[0]
+
+
+def test_a_plan_is_carried_on_by_the_share_of_a_stage_that_has_passed():
+    made = controller()
+    observation = observed()
+    _, plans = act(made, observation)
+    before = np.cumsum(np.arange(30.0))[None, :, None] * np.ones((1, 30, 2)) / 1e3
+    observation[:] = observed(v_x=2.0)
+    for _ in range(3):  # of an exact reference the plan stays what it is
+        _, after = act(made, observation, plans)
+        assert np.abs(after[:, :-1] - plans[:, :-1]).max() < 0.05
+        plans = after
+
+    shifted = before[0].copy()
+    shift(shifted, 0.5)
+    np.testing.assert_allclose(shifted[:-1], 0.5 * (before[0, 1:] + before[0, :-1]))
+    np.testing.assert_array_equal(shifted[-1], before[0, -1])
+
+
+def test_one_vehicle_is_its_row_in_a_batch_to_the_bit():
+    rows = [observed(**ERRORS), observed(1.0, -0.4, v_x=0.3), observed(0.0, 0.0, v_x=0.2)]
+    batch = np.concatenate(rows)
+    together, plans = act(controller(), batch)
+    again, _ = act(controller(), batch, plans)
+    for k, row in enumerate(rows):
+        alone, plan = act(controller(), row)
+        np.testing.assert_array_equal(alone[0], together[k])
+        np.testing.assert_array_equal(act(controller(), row, plan)[0][0], again[k])
+
+
+def test_mirrored_paths_have_mirrored_actions():
+    mirrored = {**ERRORS, "position_error_y": 0.2, "heading_error": -0.15}
+    one, plan = act(controller(), observed(1.5, 0.4, turn=0.2, **ERRORS))
+    other, mirror = act(controller(), observed(1.5, -0.4, turn=-0.2, **mirrored))
+    np.testing.assert_allclose(other[0, ::-1], one[0], atol=1e-6)
+    np.testing.assert_allclose(mirror[0, :, ::-1], plan[0], atol=1e-6)
+
+
+def test_reversed_paths_are_driven_as_forward_ones_are_looked_at_from_behind():
+    forward, _ = act(controller(), observed(1.5, 0.2, position_error_x=0.1))
+    backward, _ = act(controller(), observed(-1.5, 0.2, position_error_x=-0.1))
+    np.testing.assert_allclose(backward[0], -forward[0, ::-1], atol=1e-6)
+
+
+def test_a_vehicle_that_faces_backwards_drives_the_path_in_reverse():
+    reverse, _ = act(controller(), observed(-1.5, 0.2, v_x=-1.5))
+    turned, _ = act(controller(), observed(1.5, 0.2, v_x=-1.5, heading_error=np.pi))
+    np.testing.assert_allclose(turned, reverse, atol=1e-5)
+
+
+def test_whatever_is_observed_the_action_is_bounded():
+    rng = np.random.default_rng(3)
+    wild = rng.uniform(-1.0, 1.0, (200, layout.SIZE)) * layout.HIGH
+    plans = None
+    made = controller()
+    for _ in range(3):
+        action, plans = act(made, wild.astype(np.float32), plans)
+        assert np.isfinite(plans).all()
+        assert (np.abs(action) <= 1.0).all()
+
+
+def test_commands_stay_below_what_the_soil_carries():
+    made = controller()
+    made.parameters[:] = np.array(plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2))[
+        :, None
+    ]
+    from tracked_env.physics.vehicle import drive_limits
+
+    p = plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2)
+    carried = drive_limits(p).effort_limit / (p.torque_limit / p.sprocket_radius)
+    assert carried < 0.5
+    action, plans = act(made, observed(2.0, 0.0, v_x=0.0, position_error_x=2.0))
+    assert np.abs(plans).max() == pytest.approx(carried)
+    assert np.abs(action).max() <= carried + 1e-6
+
+
+def test_an_observation_that_is_not_finite_is_refused_by_its_name():
+    observation = observed(count=2)
+    observation[1, layout.INDEX["v_x"]] = np.nan
+    with pytest.raises(ValueError, match=r"observation\[1\]: v_x = nan"):
+        act(controller(), observation)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"effort": 0.0}, "effort = 0; must be positive"),
+        ({"stages": 60.0}, "at most 2 s"),
+        ({"stages": 30.5}, "whole number"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        controller(**settings)
+
+
+def test_the_reference_between_the_shown_times_is_that_of_a_parabola():
+    times = np.linspace(0.0, 2.0, 41)
+    curve = lambda t: 1.0 + 0.7 * t - 0.2 * t * t  # noqa: E731
+    shown = np.array([*(curve(t) for t in TIMES), 0.7])
+    found = interpolation(times) @ shown
+    np.testing.assert_allclose(found[times <= 1.0], curve(times[times <= 1.0]), atol=1e-12)
+    assert np.abs(found - curve(times)).max() < 0.05  # the last slope is the chord's
+
+
+def test_a_slow_drive_is_commanded_earlier():
+    """The model knows the lag: to the same error it answers with a larger command."""
+    action = {}
+    for lag in (0.05, 0.3):
+        problem = Problem(
+            observed(position_error_x=0.1), prediction=model(drive_time_constant=lag), effort=3.0
+        )
+        for _ in range(10):
+            problem.step()
+        action[lag] = problem.inputs[0].sum() - problem.work.ahead.efforts[0].sum()
+    assert action[0.3] > 1.05 * action[0.05] > 0.0

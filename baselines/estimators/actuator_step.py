@@ -10,8 +10,9 @@ Its sensitivities obey the same equation,
     db_k(n) = a db_k(n-1) + limit u_k(n),       da_k(n) = a da_k(n-1) + torque_k(n-1)
 and the model is moved along them with every correction. It is b_k and a, not g_k and T, since the
 first samples are linear in them. A sample waits for the next one, for domega/dt = the difference of
-its neighbours over the time between them. Old data fade by random walks of g_k and a. JUMP_AFTER
-outliers of one drive in a row are a change of its gain, or of the lag.
+its neighbours over the time between them; while the lag is not known it does not. Old data fade by
+random walks of g_k and a. JUMP_AFTER outliers of one drive in a row are a change of its gain, or of
+the lag.
 The sensor shows the torque that reaches the soil. It is that of the drive only where the soil
 carries it: a track that may slip fast, or a sprocket near its top speed, says nothing of its drive.
 
@@ -31,6 +32,7 @@ LEAST_DECAY = 1e-3  # [-] at 50 Hz a lag of 3 ms: as good as none
 SLIPPING = 0.5  # [-] slip ratio beyond which the soil may limit the torque
 UNSURE = 0.06  # [m/s] of the slip velocity: slower tracks say nothing
 OUTLIER = 5.0  # [-] standard deviations of the innovation
+UNKNOWN = 0.5  # [-] of the prior variance of a: above it samples do not wait
 JUMP_AFTER = 3  # [-] outliers of one drive in a row are a change
 
 # Columns of `memory`: clocks; the sample that waits (when it was taken, plus one; torques; speeds
@@ -210,6 +212,26 @@ def _take(memory, z, i, taken, model):
 
 
 @formula
+def _take_at_once(memory, i, model):
+    """Use the newest sample without its next neighbour, instead of letting it wait; as `_take`.
+
+    domega/dt is that of the last step, and may be wrong by all of itself.
+    """
+    span = (memory[i, WAITING] - memory[i, BEFORE]) * model.period
+    total, used, refused = 0.0, 0, False
+    for side in range(2):
+        rate = (memory[i, SPEED + side] - memory[i, EARLIER + side]) / span
+        if math.isfinite(memory[i, HELD + side] + rate):
+            variance = model.speed_variance / (span * span) + rate * rate
+            nis, good = _correct(memory, i, side, rate, variance, model)
+            total += nis
+            used += 1
+            refused = refused or not good
+        memory[i, HELD + side] = np.nan
+    return total, used, refused
+
+
+@formula
 def _answer(memory, i, model, out):
     """g_L, g_R, a and their covariance into out (N, ANSWER); gains within their range."""
     s = 1.0 / (1.0 - memory[i, A])
@@ -261,6 +283,12 @@ def update_all(z, fresh, age, command_left, command_right, memory, model, out):
                 elif not _carried(z, i, side, model):
                     torque = np.nan
                 memory[i, HELD + side] = torque
+            unsure = memory[i, P + 2 * ORDER + 2] > UNKNOWN * model.decay_variance
+            if unsure and taken + 1.0 - memory[i, BEFORE] == 1.0 and memory[i, BEFORE] > 0.0:
+                while memory[i, MODELLED] < taken:
+                    _advance(memory, i, model)
+                nis, used, refused = _take_at_once(memory, i, model)
+                status = REJECTED if refused else status
         _answer(memory, i, model, out)
         if used > 0 and status == HOLDING:
             known = max(out[i, 3], out[i, 5]) < 0.5 * model.gain_variance

@@ -89,6 +89,13 @@ def test_exact_torques_give_gains_and_lag_in_a_few_samples(gains, lag):
     assert estimates[-1].excitation[0] > 100.0
 
 
+def test_the_first_torque_that_follows_a_command_already_shows_a_slow_drive():
+    actions = np.full((10, 1, 2), 0.5, dtype=np.float32)
+    lags = [e.value[0, 0] for e in Bench().run(actions, torques(actions, 1.0, 0.2))]
+    assert lags[0] == pytest.approx(NOMINAL.drive_time_constant)  # nothing has been commanded
+    assert lags[1] > 2.0 * NOMINAL.drive_time_constant
+
+
 def test_the_claimed_deviations_are_those_of_the_errors():
     count, steps = 64, 400
     rng = np.random.default_rng(2)

@@ -80,7 +80,10 @@ def over_time(run: Run, parameters: Sequence[str], target: str) -> None:
             axis.plot(run.time, error[:, i], color=COLOURS[1], linewidth=0.8)
             axis.plot(run.time, claimed[:, i], color=COLOURS[0], linewidth=0.8)
             axis.plot(run.time, -claimed[:, i], color=COLOURS[0], linewidth=0.8)
-        most = 1.3 * np.quantile(np.abs(error[run.time > 2.0]), 0.995)
+        settled = run.time > 2.0
+        most = 1.3 * max(
+            np.quantile(np.abs(error[settled]), 0.995), float(np.median(claimed[settled]))
+        )
         axis.set(title=parameter.replace("_", " "), xlabel="time [s]", ylim=(-most, most))
         holding = np.mean(run.status[..., part] == int(Status.HOLDING), axis=1)
         above = axis.twinx()

@@ -54,6 +54,7 @@ MOST_SQUARED = 1e12  # [-] normalised innovation squared that a sample may have
 LEAST_EVIDENCE = -6.0  # [-] log of the likelihood ratio of one sample to the best model
 TREND_TIME = 1.5  # [s] over which the monitor averages
 TREND_HELD = 4.0  # [s] that an alarm lasts
+HELD_GATE = 1.25  # [-] times the gate, while parameter 1 is held: little speaks for a trend of it
 MOST_NORMALISED = 3.0  # [-] that a sample may count in that mean: a change is no trend
 JUMPED = 0.1  # [-] odds of a jump from which on other estimators are told
 RESTART = 0.3  # [-] odds of a border or jump from which on the monitor begins anew
@@ -193,7 +194,8 @@ def _watch(memory, i, sample, prior, table, hold_1):
     squared = memory[i, TREND] * memory[i, TREND] * (2.0 - share) / share
     smallest, _largest = ls.eigenvalues(memory, i)
     determined = smallest >= ls.EXCITED
-    if squared > table[SLOW, GATE] and memory[i, ALARM] == 0.0 and determined:
+    gate = table[SLOW, GATE] * (HELD_GATE if hold_1 else 1.0)
+    if squared > gate and memory[i, ALARM] == 0.0 and determined:
         memory[i, ALARM] = TREND_HELD
     ls.learn(memory, i, _MONITOR, sample, prior, error, hold_1)
 

@@ -11,8 +11,9 @@ chosen well is chosen otherwise, one thing at a time:
     budget     half, a quarter and an eighth of the episodes
     statistic  the order by another one (see `relative_errors`)
 The headline stands if no single gain makes the reference (`adaptive`, `slc-adaptive`) more than
-TOLERATED better, of whole episodes or after the start; exit status 1 if one does. What was driven
-is kept under results/, and run again only what is missing.
+TOLERATED better, of whole episodes or after the start, without being worse in the other or losing a
+set, which would be another compromise; exit status 1 if one does. What was driven is kept under
+results/, and run again only what is missing.
 """
 
 import argparse
@@ -48,6 +49,7 @@ from tracked_env.cli.evaluate_options import ENVIRONMENTS, names, short_env
 
 FACTORS = (0.5, 0.7, 1.4, 2.0)
 TOLERATED = 0.05  # [-] that one gain may make the reference better
+ROUNDING = 1e-9  # [-] of two errors that are the same
 
 
 class Variant(NamedTuple):
@@ -117,8 +119,12 @@ def broken(errors: Mapping[Variant, RelativeError], reference: str) -> list[str]
     """What breaks the headline, in words: settings that make the reference better, each alone."""
     said = []
     for variant, error in errors.items():
-        for what, ratio in (("", error.whole), (" after the start", error.settled)):
-            if variant.controller == reference and ratio.value < 1.0 - TOLERATED:
+        whole, settled = error.whole, error.settled
+        for what, ratio, other in (("", whole, settled), (" after the start", settled, whole)):
+            compromise = error.lost or other.value > 1.0 + ROUNDING
+            if variant.controller != reference or compromise:
+                continue
+            if ratio.value < 1.0 - TOLERATED:
                 better = 100.0 * (1.0 - ratio.value)
                 said.append(
                     f"{variant.setting} of {reference} times {variant.factor:g}: {better:.1f} % "

@@ -80,6 +80,7 @@ def test_the_headline_breaks_where_one_gain_makes_the_reference_over_five_percen
 ) -> None:
     for factor, settled, count in (
         (0.96, 0.96, 0), (0.94, 1.0, 1), (1.0, 0.94, 1), (0.9, 0.9, 2), (1.5, 1.5, 0),
+        (0.9, 1.1, 0), (1.1, 0.9, 0),
     ):  # fmt: skip
         *_, errors = driven(breaking, factor, settled)
         said = breaking.broken(errors, "adaptive")

@@ -75,7 +75,7 @@ def test_a_state_that_is_not_finite_counts_as_the_limit_and_spoils_nothing(bad: 
     channels = {name: np.r_[np.zeros(9), bad] for name in moving}
     diverged = metrics.evaluate(trace(10, **channels))
     # No change of the parameters, no goal, and the actions are torques.
-    lacking = ("sprocket_speed_rate", "recovery_time", "peak_after_change", *metrics.OF_GOALS)
+    lacking = ("sprocket_speed_rate", *metrics.AFTER_CHANGE, *metrics.OF_GOALS)
     finite = {name: np.isfinite(column).all() for name, column in diverged.items()}
     assert [name for name in finite if not finite[name]] == list(lacking)
     assert diverged["max_error"][0] == LIMIT

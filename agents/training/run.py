@@ -140,7 +140,7 @@ def _residual_scale(options: Options) -> float:
 
 def _driving_gains(options: Options) -> dict[str, list[float]]:
     """Gains of the controller that an agent corrects, where that commands torques."""
-    torques = driven(options.env, environment_arguments(options))["drive"] == "torque"
+    torques = _driven(options.env, environment_arguments(options))["drive"] == "torque"
     return {"gains": list(TUNED_GAINS)} if torques else {}
 
 

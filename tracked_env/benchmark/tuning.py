@@ -11,7 +11,7 @@ the budget is spent in this order, on the same episodes throughout:
     default   the settings as they are
     search    half of it on points of the Halton sequence [1], scrambled with a fixed seed
     refine    the rest on a pattern search [2] from the best: each setting up and down by STEP of
-              its range in turn, a step that is halved when none of them is better
+              its range in turn, a step that is halved when none of them is better, down to FINEST
 and then each setting of the best alone times FACTORS, to show how sharp the optimum is. What a
 controller refuses (ValueError) is not driven and not counted.
 

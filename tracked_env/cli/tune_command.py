@@ -59,6 +59,8 @@ def _parser(program: str) -> argparse.ArgumentParser:
                         "sensitivity (default: 80)")  # fmt: skip
     parser.add_argument("--episodes", type=int, default=32, metavar="N",
                         help="of each set (default: 32)")  # fmt: skip
+    parser.add_argument("--duration", type=float, metavar="T",
+                        help="instead of the length of the episodes of each set [s]")  # fmt: skip
     parser.add_argument(
         "--audit",
         action="store_true",
@@ -83,8 +85,11 @@ def registered(name: str, env: str) -> Tunable:
 class Search:
     """Candidates of one policy, driven or read."""
 
-    def __init__(self, policy: Tunable, sets: tuple[str, ...], episodes: int, folder: Path) -> None:
-        self.policy, self.sets, self.episodes = policy, sets, episodes
+    def __init__(
+        self, policy: Tunable, sets: tuple[str, ...], episodes: int, folder: Path,
+        duration: float | None = None,
+    ) -> None:  # fmt: skip
+        self.policy, self.sets, self.episodes, self.duration = policy, sets, episodes, duration
         config = self.config("development")
         context = config.context(sets[0])
         self.default = default_settings(policy, context)
@@ -101,7 +106,8 @@ class Search:
 
     def config(self, split: str) -> BenchmarkConfig:
         """The episodes of a split."""
-        return BenchmarkConfig(self.sets, self.episodes, seeds_of(split).start)
+        first = seeds_of(split).start
+        return BenchmarkConfig(self.sets, self.episodes, first, duration=self.duration)
 
     def evaluator(
         self, progress: Progress, split: str = "development"
@@ -180,7 +186,7 @@ def main(arguments: Sequence[str], program: str) -> int:
         chosen = tuple(dict.fromkeys(name for part in given.sets or () for name in part))
         search = Search(
             registered(given.policy, given.env), chosen or tuning_sets(given.env), episodes,
-            given.output,
+            given.output, given.duration,
         )  # fmt: skip
         if len(search.records):
             print(f"going on with {len(search.records)} settings of {search.records.file}")

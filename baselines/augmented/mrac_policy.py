@@ -35,15 +35,15 @@ NOMINAL = Load(1.0, 1.0, 0.0)
 class MracSettings(NamedTuple):
     """Settings of the law, and of both channels: the gains G, rates and dead zones."""
 
-    k_p: float = 202.0  # [1/s^3] gains of the law
-    k_v: float = 69.1  # [1/s^2]
-    k_a: float = 11.9  # [1/s]
-    bound: float = 0.144  # [m] what the law sees of a position error at most
+    k_p: float = 120.0  # [1/s^3] gains of the law
+    k_v: float = 60.0  # [1/s^2]
+    k_a: float = 12.3  # [1/s]
+    bound: float = 0.35  # [m] what the law sees of a position error at most
 
     forward_inertial: float = 132.0  # [s/m^2] gain of the mass
     forward_resisting: float = 93.8  # [s/m^2] of the motion resistance
     forward_constant: float = 16.6  # [1/s^2] of the constant force
-    turning_inertial: float = 323.0  # [s/rad^2] of the inertia
+    turning_inertial: float = 20.0  # [s/rad^2] of the inertia
     turning_resisting: float = 77.1  # [s/rad^2] of the turning resistance
     turning_constant: float = 168.0  # [1/s^2] of the constant moment
     forward_rate: float = 17.2  # [1/s] l of the reference model
@@ -57,10 +57,10 @@ class MracSettings(NamedTuple):
 # Setting -> (low, high, whether on a logarithmic scale) of a search.
 TUNABLE = {
     **law.TUNABLE,
-    "forward_inertial": (20.0, 5000.0, True),
+    "forward_inertial": (5.0, 5000.0, True),
     "forward_resisting": (1.0, 500.0, True),
     "forward_constant": (1.0, 500.0, True),
-    "turning_inertial": (20.0, 5000.0, True),
+    "turning_inertial": (5.0, 5000.0, True),
     "turning_resisting": (1.0, 500.0, True),
     "turning_constant": (1.0, 500.0, True),
     "forward_rate": (5.0, 60.0, True),

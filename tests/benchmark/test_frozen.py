@@ -94,6 +94,14 @@ def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch: pytest.Mon
         frozen.document(few, ["payload"])
 
 
+def test_the_same_episodes_on_another_plant_are_another_set() -> None:
+    hashes = [
+        frozen.kept(TORQUE_SETS)["sets"][n]["hash"]
+        for n in ("alternating", "distributed-alternating")
+    ]
+    assert hashes[0] != hashes[1]
+
+
 def test_a_set_of_another_version_than_the_kept_one_is_not_comparable(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -81,6 +81,10 @@ def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch: pytest.Mon
     monkeypatch.setattr(frozen, "kept", lambda version: before)
     after, drawn_anew = frozen.document(few, ["alternating"]), frozen.document(few)
     assert after == drawn_anew
+    before["sets"]["late-gains"]["driven"][0] += 1.0
+    kept = frozen.document(few, ["alternating"])["sets"]["late-gains"]
+    assert kept == before["sets"]["late-gains"]  # not drawn again
+    before["sets"]["late-gains"]["driven"][0] = after["sets"]["late-gains"]["driven"][0]
     differ = [name for name in few.sets if after["sets"][name] != before["sets"][name]]
     assert differ == ["alternating"]
     assert after["sets"]["alternating"]["version"] == 2
@@ -88,6 +92,14 @@ def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch: pytest.Mon
     assert after["hash"] != before["hash"]
     with pytest.raises(ValueError, match="payload"):
         frozen.document(few, ["payload"])
+
+
+def test_the_same_episodes_on_another_plant_are_another_set() -> None:
+    hashes = [
+        frozen.kept(TORQUE_SETS)["sets"][n]["hash"]
+        for n in ("alternating", "distributed-alternating")
+    ]
+    assert hashes[0] != hashes[1]
 
 
 def test_a_set_of_another_version_than_the_kept_one_is_not_comparable(

@@ -15,7 +15,8 @@ import pytest
 from baselines.registry import POLICIES, policies
 from tests.benchmark.plugin_package import Install, install
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark.sets import SETS
+from tracked_env.benchmark import frozen
+from tracked_env.benchmark.sets import SETS, version_of
 from tracked_env.cli import clone, evaluate_command
 from tracked_env.cli.evaluate_options import Config, parsed
 from tracked_env.cli.main import COMMANDS, main
@@ -135,7 +136,16 @@ def test_envs_lists_every_environment_and_evaluation_set(
     ids = [TORQUE_ID, SPEED_ID, TERRAIN_ID]
     of_ids = [name for env in ids for name, entry in SETS.items() if entry.env == env]
     assert len(of_ids) == len(SETS)
-    assert [line.split()[0] for line in lines if line.startswith("  ")] == of_ids
+    shown = [line.split()[0] for line in lines if line.startswith("  ")]
+    assert sorted(shown) == sorted(of_ids)
+    firsts = [line for env in ids for line in lines[lines.index(next(
+        line for line in lines if line.startswith(env))) + 1:][:1]]  # fmt: skip
+    for env, first in zip(ids, firsts, strict=True):
+        version = version_of(env)
+        assert version is not None and first.split()[0] == version.sets[0]
+        entry = frozen.kept(version)["sets"][version.sets[0]]
+        mark = f"[{version.name}, {entry['group']}, version 1, hash {entry['hash']}]"
+        assert first.endswith(mark)
     assert [line.split()[0] for line in lines if not line.startswith("  ")] == ids
 
 

@@ -1,7 +1,8 @@
 """Are these the episodes of the version? Digests of what is drawn, compared with those kept.
 
 Of every set, the first EPISODES are drawn, and a digest taken of all that they are: vehicle, soil,
-changes, reference, start, sensors, seed of the noise. Numbers enter it with 6 significant digits,
+changes, reference, start, sensors, seed of the noise, and in versions with groups also of plant,
+drive, vehicle and duration. Numbers enter it with 6 significant digits,
 and as 0 below FLOOR: the last bits, and what should be 0, depend on the processor, because BLAS
 adds in another order on each. The equations of motion are not in it, so the first DRIVEN
 episodes are driven for a moment with a constant action, and the mean of where they end and of what
@@ -84,6 +85,9 @@ def look(name: str, version: Version | None = None) -> dict[str, Any]:
     digest = hashlib.sha256()
     version = config.frozen_version if version is None else version
     assert version is not None
+    if version.groups:  # episodes do not hold their plant
+        arguments = {**SETS[name].arguments, "duration": SETS[name].duration}
+        digest.update(json.dumps(arguments, sort_keys=True).encode())
     _feed(digest, tuple(of_version(each, version) for each in simulation.episodes if each))
     env.close()
     env = config.environment(name, DRIVEN, truth=False)

@@ -102,7 +102,10 @@ SPEED_SETS = in_groups("speed-v3", SPEED_ID, {
     "out-of-distribution": ("floor-ood", "floor-reversing"),
 })  # fmt: skip
 TERRAIN_SETS = in_groups("terrain-v3", TERRAIN_ID, {
-    "memory": ("hills-outages",),
+    "memory": ("hills-outages", "slope-payload-outages", "slope-rare-pose", "hills-noisy"),
+    "identification": ("slope", "slope-step-late"),
+    "mismatch": ("soft-patches", "slope-payload"),
+    "out-of-distribution": ("hills-ood", "hills-reversing"),
 })  # fmt: skip
 NEWEST = (TORQUE_SETS, SPEED_SETS, TERRAIN_SETS)
 VERSIONS = {v.name: v for v in (*NEWEST, PLANAR, SLOPES, GOAL_REACHING)}

@@ -50,7 +50,6 @@ TUNABLE = {  # name -> lowest, highest, whether on a logarithmic scale
     "effort": (0.01, 1.0, True),
     "effort_change": (1.0, 1000.0, True),
     "terminal": (1.0, 20.0, True),
-    "stages": (25.0, 38.0, False),
     "traction": (0.5, 1.0, False),
     "smoothing": (0.1, 1.0, True),
 }

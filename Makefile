@@ -5,6 +5,7 @@ VENV          ?= .venv
 PIP_ARGS      ?=
 EVALUATE_ARGS ?=
 PYTEST_ARGS   ?=
+TUNE_ARGS     ?=
 TRAIN_ARGS    ?=
 BENCHMARK_ARGS ?=
 
@@ -15,12 +16,12 @@ DOCS_STAMP := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install leaderboard evaluate paper train test lint format docs benchmark clean clean-cache
+.PHONY: help install leaderboard evaluate paper tune train test lint format docs benchmark clean clean-cache
 
 help: ## list the commands
 	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-13s %s\n", $$1, $$2 }' Makefile
-	@echo "PIP_ARGS go to pip install, EVALUATE_ARGS, TRAIN_ARGS, PYTEST_ARGS and BENCHMARK_ARGS to their program."
+	@echo "PIP_ARGS go to pip install, EVALUATE_ARGS, TUNE_ARGS, TRAIN_ARGS, PYTEST_ARGS and BENCHMARK_ARGS to their program."
 
 install: $(STAMP) ## create the virtual environment and install everything but the docs tools
 
@@ -39,6 +40,11 @@ leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the 
 	$(BIN)/python benchmarks/publish.py results/leaderboard/speed-v0-v2-seed0-*
 	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/publish.py results/leaderboard/terrain-v0-terrain-v1-seed0-*
+
+tune: $(STAMP) ## search the settings of the controllers on development episodes (an hour)
+	for policy in integral adaptive; do $(BIN)/tracked-env tune $$policy $(TUNE_ARGS) || exit 1; done
+	$(BIN)/tracked-env tune slc-adaptive --env Speed-v0 $(TUNE_ARGS)
+	$(BIN)/tracked-env tune slc-adaptive --env Terrain-v0 $(TUNE_ARGS)
 
 train: $(STAMP) ## train a PPO agent into runs/ppo-blind-seed0
 	$(BIN)/python train.py $(TRAIN_ARGS)

@@ -1,6 +1,8 @@
 """Named policies for the benchmark: the knowledge that each has of the vehicle and its soil.
 
     nominal   the feedback-linearizing controller with the nominal parameters, right or wrong
+    integral  the same with the filter of the adaptive policy and integral action: what a
+              practitioner tries who does not identify anything
     adaptive  the same controller with the parameters that it identifies under way
     oracle    the adaptive policy, handed the true parameters at every step: what perfect
               identification would reach. It measures, and filters, like the adaptive one.
@@ -26,28 +28,35 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.learned.shipped import shipped_agents
-from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
+from baselines.linearizing import known_parameters, linearizing_law
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.known_parameters import INTEGRAL_GAINS, IntegralPolicy, OraclePolicy
+from baselines.linearizing.linearizing_law import TUNED_GAINS
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from baselines.lyapunov import lyapunov_laws
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
+from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
 from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import shows_attitude
-from baselines.predictive.predictive_policy import NominalPredictivePolicy, PredictivePolicy
+from baselines.predictive.predictive_policy import (
+    NominalPredictivePolicy,
+    PredictiveOraclePolicy,
+    PredictivePolicy,
+)
+from baselines.predictive.sprocket_control import SETTINGS as SPROCKET_SETTINGS
 from baselines.predictive.sprocket_control import (
-    SETTINGS,
     PredictiveAdaptiveSlipPolicy,
     PredictiveOracleSlipPolicy,
     PredictiveSlipPolicy,
 )
+from baselines.predictive.tracking_cost import TUNABLE as PREDICTIVE_TUNABLE
 from baselines.predictive.tracking_cost import PredictiveSettings
 from baselines.slip.slip_sweep import identified_slip
 from baselines.slip.slope_sweep import identified_slope_slip
-from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 
 class Context(Protocol):
@@ -78,47 +87,6 @@ class Context(Protocol):
         """Names of the fields that the environment shows."""
 
 
-class OraclePolicy:
-    """The adaptive policy with the parameters in force, as handed to `observe_truth`.
-
-    It filters what the sensors give as the adaptive policy does, and estimates no parameter.
-    Arguments as AdaptivePolicy.
-    """
-
-    needs_truth = True
-    identifying: type[AdaptivePolicy] = AdaptivePolicy
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        self._policy = self.identifying(*arguments, **options)
-
-    @property
-    def controller(self) -> Any:
-        """The controller that drives."""
-        return self._policy.controller
-
-    def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
-        """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
-        self._policy.given_parameters = np.stack(
-            [np.atleast_1d(truth[name]) for name in PARAMETER_NAMES]
-        )
-
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], AdaptiveState]:
-        """As AdaptivePolicy.predict."""
-        return self._policy.predict(observation, state, episode_start, deterministic)
-
-
-class PredictiveOraclePolicy(OraclePolicy):
-    """The same of model predictive control; arguments as PredictivePolicy."""
-
-    identifying = PredictivePolicy
-
-
 def _vehicle(context: Context, drive: str) -> PlantParameters:
     """Nominal parameters for a policy that commands `drive`. Raises ValueError for another."""
     if context.drive != drive:
@@ -129,11 +97,28 @@ def _vehicle(context: Context, drive: str) -> PlantParameters:
     return VEHICLES[context.vehicle]
 
 
-def nominal(context: Context) -> FeedbackLinearizingController:
+def tunable(ranges: Mapping[str, tuple[float, float, bool]], settings: Any) -> Any:
+    """Declare what `tracked-env tune` searches, see `tracked_env.benchmark.tuning`.
+
+    ranges: TUNABLE of the controller. settings: its defaults, a NamedTuple, or a function of the
+    context that returns them.
+    """
+
+    def declared(factory: Any) -> Any:
+        factory.TUNABLE = ranges
+        factory.SETTINGS = settings if callable(settings) else lambda context: settings
+        return factory
+
+    return declared
+
+
+@tunable(linearizing_law.TUNABLE, TUNED_GAINS)
+def nominal(context: Context, **settings: float) -> FeedbackLinearizingController:
     """The controller that trusts the nominal parameters."""
     return FeedbackLinearizingController(
         _vehicle(context, "torque"), control_period=context.control_period,
-        lateral=context.lateral, observation=context.observation,
+        gains=TUNED_GAINS._replace(**settings), lateral=context.lateral,
+        observation=context.observation,
     )  # fmt: skip
 
 
@@ -147,18 +132,28 @@ def _arguments(context: Context) -> dict[str, Any]:
     }
 
 
-def adaptive(context: Context) -> AdaptivePolicy:
+@tunable(known_parameters.TUNABLE, INTEGRAL_GAINS)
+def integral(context: Context, **settings: float) -> IntegralPolicy:
+    """The controller with nominal parameters, the filter and integral action."""
+    gains = INTEGRAL_GAINS._replace(**settings)
+    return IntegralPolicy(**_arguments(context), gains=gains)
+
+
+@tunable(linearizing_law.TUNABLE, TUNED_GAINS)
+def adaptive(context: Context, **settings: float) -> AdaptivePolicy:
     """The controller that identifies vehicle and soil under way."""
-    return AdaptivePolicy(**_arguments(context))
+    return AdaptivePolicy(**_arguments(context), gains=TUNED_GAINS._replace(**settings))
 
 
-def oracle(context: Context) -> OraclePolicy:
+@tunable(linearizing_law.TUNABLE, TUNED_GAINS)
+def oracle(context: Context, **settings: float) -> OraclePolicy:
     """The controller that knows the true parameters."""
-    return OraclePolicy(**_arguments(context))
+    return OraclePolicy(**_arguments(context), gains=TUNED_GAINS._replace(**settings))
 
 
-def _speed_arguments(context: Context) -> dict[str, Any]:
+def _speed_arguments(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
     return {
+        "gains": lyapunov_gains(context)._replace(**settings),
         "parameters": _vehicle(context, "speed"),
         "control_period": context.control_period,
         "data_sheet": DataSheet.of(context.sensors),
@@ -166,78 +161,105 @@ def _speed_arguments(context: Context) -> dict[str, Any]:
     }
 
 
-def mpc_nominal(context: Context, **settings: float) -> Any:
-    """Model predictive control with the nominal parameters, or the slip of the nominal soil."""
-    if context.drive == "torque":
-        given = PredictiveSettings(**settings)
-        return NominalPredictivePolicy(**_arguments(context), settings=given)
-    arguments = _speed_arguments(context)
-    return PredictiveSlipPolicy(
-        slip_model=identified_slip(arguments["parameters"]), **arguments,
-        settings=SETTINGS._replace(**settings),
-    )  # fmt: skip
+def lyapunov_gains(context: Context) -> LyapunovGains:
+    """Gains of the policies that command speeds: of slopes where the attitude is shown."""
+    return GAINS_ON_SLOPES if shows_attitude(context.observation) else LyapunovGains()
 
 
-def mpc_adaptive(context: Context, **settings: float) -> Any:
-    """Model predictive control that identifies vehicle and soil under way."""
-    if context.drive == "torque":
-        return PredictivePolicy(**_arguments(context), settings=PredictiveSettings(**settings))
-    given = SETTINGS._replace(**settings)
-    return PredictiveAdaptiveSlipPolicy(**_speed_arguments(context), settings=given)
-
-
-def mpc_oracle(context: Context, **settings: float) -> Any:
-    """Model predictive control that knows the true parameters."""
-    if context.drive == "torque":
-        given = PredictiveSettings(**settings)
-        return PredictiveOraclePolicy(**_arguments(context), settings=given)
-    given = SETTINGS._replace(**settings)
-    return PredictiveOracleSlipPolicy(**_speed_arguments(context), settings=given)
-
-
-def uc(context: Context) -> UnicyclePolicy:
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def uc(context: Context, **settings: float) -> UnicyclePolicy:
     """The controller of a unicycle without slip."""
-    return UnicyclePolicy(**_speed_arguments(context))
+    return UnicyclePolicy(**_speed_arguments(context, settings))
 
 
-def slc(context: Context) -> SlippageAwarePolicy:
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def slc(context: Context, **settings: float) -> SlippageAwarePolicy:
     """The slippage-aware controller that trusts the slip of the nominal soil."""
     if not shows_attitude(context.observation):
-        return slc_flat(context)
-    arguments = _speed_arguments(context)
+        return slc_flat(context, **settings)
+    arguments = _speed_arguments(context, settings)
     return SlippageAwarePolicy(
         slip_model=identified_slope_slip(arguments["parameters"]), **arguments
     )
 
 
-def slc_flat(context: Context) -> SlippageAwarePolicy:
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def slc_flat(context: Context, **settings: float) -> SlippageAwarePolicy:
     """The slippage-aware controller that trusts the slip of the nominal soil on level ground."""
-    arguments = _speed_arguments(context)
+    arguments = _speed_arguments(context, settings)
     return SlippageAwarePolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
 
 
-def slc_adaptive(context: Context) -> AdaptiveSlipPolicy:
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def slc_adaptive(context: Context, **settings: float) -> AdaptiveSlipPolicy:
     """The slippage-aware controller that identifies the friction under way."""
-    return AdaptiveSlipPolicy(**_speed_arguments(context))
+    return AdaptiveSlipPolicy(**_speed_arguments(context, settings))
 
 
-def slc_oracle(context: Context) -> OracleSlipPolicy:
+@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
+def slc_oracle(context: Context, **settings: float) -> OracleSlipPolicy:
     """The slippage-aware controller that knows the true soil."""
-    return OracleSlipPolicy(**_speed_arguments(context))
+    return OracleSlipPolicy(**_speed_arguments(context, settings))
+
+
+def _goal_arguments(context: Context) -> dict[str, Any]:
+    arguments = _speed_arguments(context, {})
+    del arguments["gains"]  # its own
+    return arguments
 
 
 def slc_replan(context: Context) -> ReplanningPolicy:
     """The slippage-aware controller that plans to the goal again every second."""
-    return ReplanningPolicy(**_speed_arguments(context))
+    return ReplanningPolicy(**_goal_arguments(context))
 
 
 def slc_once(context: Context) -> ReplanningPolicy:
     """The same controller with one plan, made at the start."""
-    return ReplanningPolicy(**_speed_arguments(context), replan_period=math.inf)
+    return ReplanningPolicy(**_goal_arguments(context), replan_period=math.inf)
+
+
+def _predictive(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
+    given = predictive_settings(context)._replace(**settings)
+    if context.drive == "torque":
+        return {**_arguments(context), "settings": given}
+    arguments = _speed_arguments(context, {})
+    del arguments["gains"]
+    return {**arguments, "settings": given}
+
+
+def predictive_settings(context: Context) -> PredictiveSettings:
+    """Weights and horizon of the predictive controllers, by what the actions are."""
+    return PredictiveSettings() if context.drive == "torque" else SPROCKET_SETTINGS
+
+
+@tunable(PREDICTIVE_TUNABLE, predictive_settings)
+def mpc_nominal(context: Context, **settings: float) -> Any:
+    """Model predictive control with the nominal parameters, or the slip of the nominal soil."""
+    arguments = _predictive(context, settings)
+    if context.drive == "torque":
+        return NominalPredictivePolicy(**arguments)
+    return PredictiveSlipPolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
+
+
+@tunable(PREDICTIVE_TUNABLE, predictive_settings)
+def mpc_adaptive(context: Context, **settings: float) -> Any:
+    """Model predictive control that identifies vehicle and soil under way."""
+    by_torque = context.drive == "torque"
+    kind = PredictivePolicy if by_torque else PredictiveAdaptiveSlipPolicy
+    return kind(**_predictive(context, settings))
+
+
+@tunable(PREDICTIVE_TUNABLE, predictive_settings)
+def mpc_oracle(context: Context, **settings: float) -> Any:
+    """Model predictive control that knows the true parameters."""
+    by_torque = context.drive == "torque"
+    kind = PredictiveOraclePolicy if by_torque else PredictiveOracleSlipPolicy
+    return kind(**_predictive(context, settings))
 
 
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
+    "integral": integral,
     "adaptive": adaptive,
     "oracle": oracle,
     "mpc-nominal": mpc_nominal,
@@ -266,7 +288,7 @@ def register(name: str, factory: Callable[[Any], Any]) -> None:
 PREDICTIVE = ("mpc-nominal", "mpc-adaptive", "mpc-oracle")  # for either kind of drive
 # Those for each kind of drive, from the least to the most that is known.
 BY_DRIVE = {
-    "torque": ("nominal", "adaptive", "oracle", *PREDICTIVE),
+    "torque": ("nominal", "integral", "adaptive", "oracle", *PREDICTIVE),
     "speed": ("uc", "slc", "slc-adaptive", "slc-oracle", *PREDICTIVE),
 }
 

@@ -29,6 +29,7 @@ from baselines.learned.agent_policy import Groups, groups_in
 from baselines.learned.augmentation import RESIDUAL_SCALE
 from baselines.learned.history_augmentation import LAGS
 from baselines.learned.recipe import STUDENT, Driven
+from baselines.linearizing.linearizing_law import TUNED_GAINS
 from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.engine.env_config import EnvConfig
 
@@ -137,11 +138,17 @@ def _residual_scale(options: Options) -> float:
     return RESIDUAL_SCALE if options.residual_scale is None else options.residual_scale
 
 
+def _driving_gains(options: Options) -> dict[str, list[float]]:
+    """Gains of the controller that an agent corrects, where that commands torques."""
+    torques = driven(options.env, environment_arguments(options))["drive"] == "torque"
+    return {"gains": list(TUNED_GAINS)} if torques else {}
+
+
 def _augmentation(options: Options) -> Augmentation:
     lags = list(_lags(options))
     known: dict[str, dict[str, Any]] = {
         "history": {"lags": lags},
-        "residual": {"scale": _residual_scale(options)},
+        "residual": {"scale": _residual_scale(options), **_driving_gains(options)},
         STUDENT: {"lags": lags, "hidden": list(options.student.hidden)},
     }
     return Augmentation(options.augmentation, known.get(options.augmentation, {}))

@@ -20,6 +20,7 @@ from baselines.learned.history_augmentation import LAGS, Blind, History
 from baselines.learned.speed_augmentation import SlipEstimates, SlipResidual
 from baselines.learned.torque_augmentation import Estimates, Residual
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.linearizing_law import Gains
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from baselines.lyapunov.slope_errors import ATTITUDE, shows_attitude
 from baselines.registry import Context
@@ -73,15 +74,17 @@ def seen(observation: Floats, features: Floats) -> Floats:
 def make_augmentation(
     kind: str, options: Mapping[str, Any], context: Context, count: int
 ) -> Augmentation:
-    """A fresh augmentation of `count` vehicles. options: `lags` of history, `scale` of residual.
+    """A fresh augmentation of `count` vehicles. options: `lags` of history, `scale` of residual,
+    and `gains` of the controller that drives by torques, by default those of the paper: agents
+    without them in their archive were trained on these.
 
     Raises ValueError for an unknown kind or option.
     """
-    known = {"history": {"lags"}, "residual": {"scale"}}.get(kind, set())
+    known = {"history": {"lags"}, "residual": {"scale", "gains"}}.get(kind, set())
     if kind not in KINDS or set(options) - known:
         raise ValueError(
             f"augmentation {kind!r} with options {dict(options)}; kinds are {', '.join(KINDS)}, "
-            "options `lags` of history and `scale` of residual"
+            "options `lags` of history, `scale` and `gains` of residual"
         )
     if kind == "blind":
         return Blind(count, context.control_period)
@@ -98,5 +101,6 @@ def make_augmentation(
         return SlipResidual(driver, count, scale)
     if kind == "estimates":
         return Estimates(vehicle, context.control_period, sheet, count, context.lateral)
-    policy = AdaptivePolicy(vehicle, context.control_period, sheet, context.lateral)
+    gains = Gains(*options.get("gains", ()))
+    policy = AdaptivePolicy(vehicle, context.control_period, sheet, context.lateral, gains)
     return Residual(policy, count, scale)

@@ -21,6 +21,7 @@ from baselines.learned.agent_policy import V0_GROUPS, Groups, Normalisation
 from baselines.learned.augmentation import KINDS
 from baselines.learned.forward_pass import ALGORITHMS, RECURRENT
 from baselines.learned.privileged_inputs import TEACHER
+from baselines.linearizing.linearizing_law import Gains
 from tracked_env.physics.parameters import VEHICLES
 
 FORMAT = 2  # of the recipe
@@ -108,7 +109,7 @@ def _short(value: Any) -> str:
 
 def _check_options(kind: str, options: Any) -> None:
     """Options of a kind of augmentation. Raises ValueError."""
-    names = {"history": ("lags",), "residual": ("scale",), STUDENT: ("lags", "hidden")}
+    names = {"history": ("lags",), "residual": ("scale", "gains"), STUDENT: ("lags", "hidden")}
     known = names.get(kind, ())
     if not isinstance(options, dict) or not set(options) <= set(known):
         raise ValueError(
@@ -127,6 +128,10 @@ def _check_options(kind: str, options: Any) -> None:
         raise ValueError(f"lags = {_short(lags)}; must be at most {LONGEST_LAG} control steps")
     if not are_sizes(options.get("hidden", [])):
         raise ValueError(f"hidden = {_short(options['hidden'])}; must be a list of sizes")
+    gains = options.get("gains", [1.0])
+    numbers = isinstance(gains, list) and all(_is_number(gain, -1.0) for gain in gains)
+    if not (numbers and 1 <= len(gains) <= len(Gains._fields)):
+        raise ValueError(f"gains = {_short(gains)}; must be {', '.join(Gains._fields)}")
     scale = options.get("scale", 1.0)
     if not (_is_number(scale, 0.0) and scale <= 2.0):
         raise ValueError(f"scale = {_short(scale)}; must be in (0, 2]")

@@ -25,7 +25,7 @@ from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing.drive_lead import lead_all
-from baselines.linearizing.linearizing_law import Gains
+from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
@@ -64,7 +64,7 @@ _GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"
 class AdaptiveState(NamedTuple):
     """State of the policy between two calls."""
 
-    xi: NDArray[np.float64]  # what the controller remembers: (N,) [m/s^2] its compensator
+    controller: NDArray[np.float64]  # state of the controller, (N, 3) of the linearizing one
     memories: Memories  # of the estimators
     given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
 
@@ -147,7 +147,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     """Controller and estimators as one policy, for one vehicle or a batch.
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
-    sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller.
+    sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller,
+    TUNED_GAINS by default.
     regression: "coupled", "paper" or "printed", slip: "batched" or "filterpy", see the stack.
     filtered: True gives the controller the filtered motion, False the measured one; None =
     True unless the data sheet has no noise at all.
@@ -195,7 +196,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     ) -> FeedbackLinearizingController:
         """The controller that the estimates are for; another policy may have another one."""
         return FeedbackLinearizingController(
-            self.parameters, control_period, settings, lateral,
+            self.parameters, control_period, TUNED_GAINS if settings is None else settings, lateral,
             (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES,
         )  # fmt: skip
 
@@ -243,11 +244,11 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             observation, known.reading.reference, known.motion_rows, latest.values, latest.age,
             summary, status, 0.5 * self.controller.control_period, self.filtered,
         )  # fmt: skip
-        xi = None if state is None else state.xi
+        held = None if state is None else state.controller
         given = np.zeros((count, 2)) if state is None else state.given.copy()
-        action, xi = self._drive(observation, start, xi, given)
+        action, held = self._drive(observation, start, held, given)
         self.known = known
-        self._given = AdaptiveState(xi, self.stack.memories(), given)
+        self._given = AdaptiveState(held, self.stack.memories(), given)
         return action, self._given
 
     def _drive(

@@ -6,7 +6,8 @@ and sigma = v_y + d w the lateral speed of D (body axes):
     z'   = v_1 e + sigma n                                               (32a, any v_y)
     z''  = (xi - w sigma) e + v_1 w n                                    (32b)
     z''' = (eta_1 - v_1 w^2 - sigma u_2) e + (v_1 u_2 + 2 xi w - w^2 sigma) n      (32c)
-    r    = z_d''' + k_a (z_d'' - z'') + k_v (z_d' - z') + k_p (z_d - z)  (35)
+    r    = z_d''' + k_a (z_d'' - z'') + k_v (z_d' - z') + k_p e + k_i j    (35)
+    e    = (z_d - z) / sqrt(1 + |z_d - z|^2 / b^2),   j' = e (body axes);  S: e = z_d - z, k_i = 0
     xi'  = eta_1 = r_e + v_1 w^2 + sigma u_2,   u_1 = xi                 (34)
     u_2  = (r_n - 2 xi w + w^2 sigma) / v_1                              (34)
 The demand is the path point plus the arm along the heading that the vehicle must have there,
@@ -46,16 +47,38 @@ MAXIMUM_SIDE_SLIP = 0.5  # [-] |sin(delta)| is bounded here: 30 deg, the vehicle
 
 
 class Gains(NamedTuple):
-    """Gains of (35) and Table 3 of S; the error obeys s^3 + k_a s^2 + k_v s + k_p = 0."""
+    """Gains of (35); errors far below the bound obey s^3 + k_a s^2 + k_v s + k_p + k_i / s = 0."""
 
     k_p: float = 50.0  # [1/s^3]
     k_v: float = 70.0  # [1/s^2]
     k_a: float = 15.0  # [1/s]
+    bound: float = math.inf  # [m] b, what the law sees of a position error at most
+    k_i: float = 0.0  # [1/s^4] 0: no integral action
 
     def poles(self) -> NDArray[np.complex128]:
-        """Poles [1/s] of the error dynamics, shape (3,), slowest first."""
-        roots = np.roots([1.0, self.k_a, self.k_v, self.k_p]).astype(np.complex128)
+        """Poles [1/s] of the error dynamics, slowest first: (3,), or (4,) with integral action."""
+        coefficients = [1.0, self.k_a, self.k_v, self.k_p]
+        if self.k_i > 0.0:
+            coefficients.append(self.k_i)
+        roots = np.roots(coefficients).astype(np.complex128)
         return roots[np.argsort(-roots.real)]
+
+
+# Of the controllers of the benchmark; those of S are the defaults of Gains. docs/tuning.md
+TUNED_GAINS = Gains(120.0, 65.0, 12.0, 0.5)
+TUNABLE = {  # lowest, highest, whether on a logarithmic scale
+    "k_p": (40.0, 400.0, True),
+    "k_v": (30.0, 200.0, True),
+    "k_a": (6.0, 40.0, True),
+    "bound": (0.1, 2.0, True),
+}
+
+
+class Integral(NamedTuple):
+    """Time integral of the bounded position error in body axes."""
+
+    x: float  # [m s]
+    y: float  # [m s]
 
 
 class Reference(NamedTuple):
@@ -164,19 +187,45 @@ def demanded_motion(error_x, error_y, heading_error, ref, v_y, d, constrained):
 
 
 @formula
-def linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains):
+def bounded_error(demand, bound):
+    """Position error (x, y) [m] that the law sees: shorter than `bound` [m], direction kept.
+
+    e / sqrt(1 + |e|^2 / b^2): smooth, odd, e itself for small errors and for an infinite bound.
+    """
+    x, y = demand.error_x / bound, demand.error_y / bound
+    share = 1.0 / math.sqrt(1.0 + x * x + y * y)
+    return demand.error_x * share, demand.error_y * share
+
+
+@formula
+def integrated(integral, error_x, error_y, short_x, short_y, period):
+    """Integral after `period` [s], held where the drives cannot give what it asks for.
+
+    error_* [m]: bounded. short_*: what the limits took off the demands along the two axes, in
+    any unit; an error that would deepen the shortage is not integrated.
+    """
+    x = 0.0 if short_x * error_x > 0.0 else error_x
+    y = 0.0 if short_y * error_y > 0.0 else error_y
+    return Integral(integral.x + period * x, integral.y + period * y)
+
+
+@formula
+def linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains, integral):
     """(eta_1 [m/s^3], u_2 [rad/s^2]) from (34) and (35), sigma [m/s], xi [m/s^2]."""
+    error_x, error_y = bounded_error(demand, gains.bound)
     r_x = (
         demand.jerk_x
         + gains.k_a * (demand.acceleration_x - (xi - yaw_rate * sigma))
         + gains.k_v * (demand.velocity_x - v_x)
-        + gains.k_p * demand.error_x
+        + gains.k_p * error_x
+        + gains.k_i * integral.x
     )
     r_y = (
         demand.jerk_y
         + gains.k_a * (demand.acceleration_y - v_x * yaw_rate)
         + gains.k_v * (demand.velocity_y - sigma)
-        + gains.k_p * demand.error_y
+        + gains.k_p * error_y
+        + gains.k_i * integral.y
     )
     turn = yaw_rate * (yaw_rate * sigma - 2.0 * xi)
     u_2 = (r_y + turn) * inverse_speed(v_x)

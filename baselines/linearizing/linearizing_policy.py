@@ -1,11 +1,12 @@
 """Feedback-linearizing controller: a policy over the law of linearizing_law.
 
 It reads the observation by name, applies the law with the nominal parameters of each vehicle,
-keeps the efforts within what drive and soil give, and holds the compensator xi as the state
-of the policy.
+keeps the efforts within what drive and soil give, and holds the compensator xi and the integral
+j of the position error as the state of the policy.
     F_limit = min(g torque limit / r, F(i = 1))          nominal, S (7), g: gain of the drive
     action  = F r / (g torque limit)
     xi+     = xi + dt eta_1 + (F_given - F_demanded) / m        anti-windup, F over both tracks
+    j+      = j + dt e   along axes in which the limits leave room for it       anti-windup
 Where the observation shows ATTITUDE, the law drives in the plane that they give, with gravity
 in it; where it does not, the ground counts as level.
 A batch is one loop over vehicles; a single vehicle is a batch of one.
@@ -39,6 +40,8 @@ from tracked_env.physics.parameters import (
 from tracked_env.validation import CONTROL_PERIOD, checked_number, unknown
 
 LATERAL_MODELS = ("sliding", "constrained")
+STATE = 3  # xi [m/s^2] and j [m s] along body x and y, of one vehicle
+ROUNDING = 1e-9  # [-] of the limit of an effort: a shortage below it is none
 
 # Fields of the observation that the law reads.
 NEEDS = (
@@ -81,8 +84,15 @@ def _si(observation, i, column):
 
 
 @formula
-def control(observation, i, p, xi, gains, period, constrained, sloped):
-    """(action left, action right [-], next xi [m/s^2]) of vehicle i with parameters p."""
+def _shortage(demanded, given, limit):
+    """Demanded less given [N]; 0 where the difference is rounding."""
+    lack = demanded - given
+    return lack if abs(lack) > ROUNDING * limit else 0.0
+
+
+@formula
+def control(observation, i, p, xi, integral, gains, period, constrained, sloped):
+    """(action left, action right [-], next xi [m/s^2], next Integral) of vehicle i with p."""
     incline = _incline(observation, i, sloped)
     k = law.pressed(vehicle.coefficients(p, constrained), incline.press)
     heading_error = _si(observation, i, _HEADING_ERROR)
@@ -109,7 +119,7 @@ def control(observation, i, p, xi, gains, period, constrained, sloped):
         ref, lateral, d, constrained,
     )  # fmt: skip
     demand = law.lifted(demand, incline)
-    eta_1, u_2 = law.linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains)
+    eta_1, u_2 = law.linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains, integral)
     xi += period * eta_1
     motion = vehicle.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
     pull = soil.GRAVITY * incline.down_x
@@ -122,17 +132,20 @@ def control(observation, i, p, xi, gains, period, constrained, sloped):
     given_left, given_right = law.within_limits(left, right, limit_left, limit_right)
     # Anti-windup: xi is the acceleration that the limited efforts give.
     xi += ((given_left - left) + (given_right - right)) * k.inverse_mass
+    error_x, error_y = law.bounded_error(demand, gains.bound)
+    short = _shortage(left + right, given_left + given_right, limit)
+    turning_short = _shortage(right - left, given_right - given_left, limit)
+    integral = law.integrated(integral, error_x, error_y, short, turning_short * v_x, period)
     unit = p.sprocket_radius / p.torque_limit
-    return (
-        given_left * unit / p.actuator_gain_left, given_right * unit / p.actuator_gain_right, xi
-    )  # fmt: skip
+    left, right = given_left * unit, given_right * unit
+    return left / p.actuator_gain_left, right / p.actuator_gain_right, xi, integral
 
 
 @loop
-def control_all(observation, parameters, xi, gains, period, constrained, sloped, action):
-    """Control of all vehicles: observation (N, D), parameters (rows, N or 1), xi (N,) in and
-    out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the first row that is
-    not finite, or -1."""
+def control_all(observation, parameters, state, gains, period, constrained, sloped, action):
+    """Control of all vehicles: observation (N, D), parameters (rows, N or 1), state (N, 3) xi, j
+    in and out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the first row that
+    is not finite, or -1."""
     shared = parameters.shape[1] == 1
     for i in range(observation.shape[0]):
         check = 0.0
@@ -141,7 +154,11 @@ def control_all(observation, parameters, xi, gains, period, constrained, sloped,
         if check != 0.0:
             return i
         p = _parameters_of(parameters, 0 if shared else i)
-        left, right, xi[i] = control(observation, i, p, xi[i], gains, period, constrained, sloped)
+        integral = law.Integral(state[i, 1], state[i, 2])
+        left, right, state[i, 0], integral = control(
+            observation, i, p, state[i, 0], integral, gains, period, constrained, sloped
+        )
+        state[i, 1], state[i, 2] = integral.x, integral.y
         action[i, 0] = min(max(left, -1.0), 1.0)
         action[i, 1] = min(max(right, -1.0), 1.0)
     return -1
@@ -160,12 +177,32 @@ def _checked(name: str, value: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
+def checked_gains(gains: Gains) -> Gains:
+    """The gains as floats. Raises ValueError for those with which the tracking error grows."""
+    gains = Gains(*(float(gain) for gain in gains))
+    k_p, k_v, k_a, bound, k_i = gains
+    if not (all(0.0 < gain < math.inf for gain in (k_p, k_v, k_a)) and bound > 0.0):
+        raise ValueError(f"{gains}: all gains must be positive, and finite but for the bound")
+    if k_a * k_v <= k_p:
+        raise ValueError(
+            f"{gains}: k_a k_v = {k_a * k_v:g} must exceed k_p = {k_p:g}, or the "
+            "tracking error grows (not Hurwitz). Did you change the order of the gains?"
+        )
+    most = k_p * (k_a * k_v - k_p) / (k_a * k_a)
+    if not 0.0 <= k_i < most:
+        raise ValueError(
+            f"{gains}: k_i = {k_i:g} 1/s^4; must be in [0, {most:g}), below k_p (k_a k_v - k_p) / "
+            "k_a^2, or the tracking error grows (not Hurwitz). Is the integral action too strong?"
+        )
+    return gains
+
+
 class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
     """Policy that tracks the reference with the corrected law of S section 6.
 
     parameters: nominal PlantParameters, each a number (all vehicles alike) or shape (N,).
     control_period: time [s] between two calls of `predict`.
-    gains: of (35); must be positive with k_a k_v > k_p (Hurwitz).
+    gains: of (35); must be Hurwitz. default: those that were tuned.
     lateral: lateral model of the nominal vehicle, "sliding" or "constrained".
     observation: names of the fields that the environment gives.
 
@@ -183,16 +220,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         lateral: str = "sliding",
         observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        gains = Gains() if gains is None else gains
-        self.gains = Gains(*(float(gain) for gain in gains))
-        if not all(0.0 < gain < math.inf for gain in self.gains):
-            raise ValueError(f"{self.gains}: all gains must be positive and finite")
-        k_p, k_v, k_a = self.gains
-        if k_a * k_v <= k_p:
-            raise ValueError(
-                f"{self.gains}: k_a k_v = {k_a * k_v:g} must exceed k_p = {k_p:g}, or the "
-                "tracking error grows (not Hurwitz). Did you change the order of the gains?"
-            )
+        self.gains = checked_gains(Gains() if gains is None else gains)
         if lateral not in LATERAL_MODELS:
             raise ValueError(f"lateral = {lateral!r}; must be one of {LATERAL_MODELS}")
         self.sloped = shows_attitude(observation)
@@ -228,7 +256,8 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         state: NDArray[np.float64] | None,
         start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Sprocket torques over their limit and the state xi [m/s^2], (N,); 0 where one starts.
+        """Sprocket torques over their limit and the state, (N, 3): xi [m/s^2] and the integral j
+        [m s] of the position error along body x and y; 0 where one starts.
 
         Raises ValueError for a state or parameters of another number of vehicles, or an
         observation that is not finite.
@@ -238,13 +267,13 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
             raise ValueError(
                 f"{count} observations but parameters of {self.parameters.shape[1]} vehicles"
             )
-        xi = np.zeros(count) if state is None else np.array(state, dtype=np.float64).reshape(-1)
-        self.same_count(len(xi), count)
-        xi[start] = 0.0
+        kept = np.zeros((count, STATE)) if state is None else np.array(state, dtype=np.float64)
+        self.same_count(len(kept), count)
+        kept[start] = 0.0
         action = np.empty((count, 2), dtype=np.float32)
         bad = control_all(
-            observation, self.parameters, xi, self.gains, self.control_period, self._constrained,
-            self.sloped, action,
+            observation, self.parameters, kept, self.gains, self.control_period,
+            self._constrained, self.sloped, action,
         )  # fmt: skip
         if bad >= 0:
             column = int(np.argmin(np.isfinite(observation[bad])))
@@ -253,4 +282,4 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
                 f"observation[{bad}]: {name} = {observation[bad, column]}; must be "
                 "finite. Did the state diverge, or a wrapper divide by zero?"
             )
-        return action, xi
+        return action, kept

@@ -53,6 +53,14 @@ class LyapunovGains(NamedTuple):
 GAINS_ON_SLOPES = LyapunovGains(k_p=5.0, k_phi=3.0, k_y=40.0, reach=0.1)
 
 
+TUNABLE = {  # lowest, highest, whether on a logarithmic scale
+    "k_p": (1.0, 40.0, True),
+    "k_phi": (0.3, 12.0, True),
+    "k_y": (1.0, 200.0, True),
+    "reach": (0.02, 2.0, True),
+}
+
+
 class PoseError(NamedTuple):
     """Vehicle minus reference, position in body axes."""
 

@@ -2,8 +2,9 @@
 
     PredictivePolicy         its model has the parameters that are identified under way
     NominalPredictivePolicy  its model has the nominal parameters; motion is filtered all the same
+    PredictiveOraclePolicy   its model has the true parameters
 Estimates, filter, late poses and outages are those of the adaptive policy; the controller alone
-differs. Handed true parameters (`given_parameters`), the first is the oracle.
+differs.
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.estimators.stack import Identification
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.known_parameters import OraclePolicy
 from baselines.predictive.predictive_control import NEEDS, PredictiveController
 from baselines.predictive.tracking_cost import PredictiveSettings
 from tracked_env import observation as layout
@@ -67,3 +69,9 @@ class NominalPredictivePolicy(PredictivePolicy):
 
     def _adapt(self, known: Identification) -> None:
         """The parameters stay what they are."""
+
+
+class PredictiveOraclePolicy(OraclePolicy):
+    """The same with the true parameters at every step; arguments as PredictivePolicy."""
+
+    identifying = PredictivePolicy

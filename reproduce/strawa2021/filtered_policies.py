@@ -9,6 +9,7 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.estimators.stack import Identification
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.linearizing_law import Gains
 from reproduce.strawa2021.drive import PERIOD
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import Sensors
@@ -40,6 +41,7 @@ def filtered_policy(
         PERIOD,
         DataSheet.of(sensors),
         lateral,
+        Gains(),
         regression="coupled" if kind == "fixed" else kind,
         uses_soil=False,
     )

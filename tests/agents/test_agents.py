@@ -14,6 +14,7 @@ from agents.training.held_out import HELD_OUT_SEED
 from baselines.learned.agent_archive import read_recipe
 from baselines.learned.augmentation import KINDS, make_augmentation
 from baselines.learned.recipe import normalisation_of
+from baselines.linearizing.linearizing_law import TUNED_GAINS
 from tests.agents.agent_cases import actor, small
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
@@ -133,7 +134,9 @@ def test_the_archive_says_how_the_agent_came_about(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", typed)
     assert main(small(tmp_path, agent="td3", augmentation="residual", residual_scale=0.2)) == 0
     recipe = read_recipe(tmp_path / "agent.zip")
-    assert recipe["algorithm"] == "td3" and recipe["augmentation_options"] == {"scale": 0.2}
+    assert recipe["algorithm"] == "td3" and recipe["augmentation_options"] == {
+        "scale": 0.2, "gains": list(TUNED_GAINS)
+    }  # fmt: skip
     assert recipe["config"]["seed"] == 3 and recipe["config"]["td3"]["batch_size"] == 32
     assert "ppo" not in recipe["config"]
     assert shlex.split(recipe["command"]) == ["python", *typed]

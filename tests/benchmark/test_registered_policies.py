@@ -50,7 +50,7 @@ def test_controllers_and_shipped_agents_are_registered_per_environment_in_their_
     policies, said = registered()
     assert [(policy.name, policy.env) for policy in policies[: len(ours())]] == ours()
     assert said == []
-    assert default_names(policies, "torque")[:3] == ("nominal", "adaptive", "oracle")
+    assert default_names(policies, "torque")[:4] == ("nominal", "integral", "adaptive", "oracle")
     assert "ppo-student" in default_names(policies, "torque")
     assert "ppo-student" not in default_names(policies, SPEED_ID)
     assert default_names(policies, "speed") == default_names(policies, SPEED_ID)

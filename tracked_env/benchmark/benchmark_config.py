@@ -39,6 +39,8 @@ WITHOUT_INFLUENCE = {
     "benchmark/statistics.py": "statistics of records",
     "benchmark/store.py": "writes and reads records",
     "benchmark/summary.py": "statistics of records",
+    "benchmark/tuning.py": "chooses settings of policies; each record has its own fingerprint",
+    "benchmark/tuning_records.py": "tables of what was chosen from",
     "benchmark/video.py": "pictures of an episode",
 }
 

@@ -16,13 +16,14 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
+from tracked_env.benchmark.splits import FROZEN
 from tracked_env.engine.episode import Episode
 from tracked_env.observation import V0
 from tracked_env.physics.state import STATE_NAMES
 from tracked_env.uncertainty import Spec
 
 EPISODES = 100  # of each set, that are compared with those of the version
-SEED = 0  # of the first episode
+SEED = FROZEN  # of the first episode
 
 
 class Version(NamedTuple):
@@ -221,6 +222,13 @@ def names_of(version: Version) -> tuple[str, ...]:
 def default_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
     """Names of the sets of an environment id that are run where none is named."""
     return tuple(n for n in OF_VERSION if SETS[n].env == env and n not in (*_KNOWN, *_HELD))
+
+
+def tuning_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
+    """Names of the sets of an environment id on which controllers are tuned: all that separate
+    policies, of a version or not, without goals."""
+    beside = tuple(entry.name for entry in _BESIDE if entry.env == env)
+    return default_sets(env) + beside
 
 
 def register(entry: BenchmarkSet) -> BenchmarkSet:

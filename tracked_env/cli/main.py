@@ -18,6 +18,7 @@ COMMANDS = {
     "envs": ("listing", "list the environments and their evaluation sets"),
     "render": ("render_command", "write a GIF, MP4 or PNG of a policy on an evaluation set"),
     "plan": ("plan_command", "plan a motion to a goal with slip, print and draw it"),
+    "tune": ("tune_command", "search the settings of a controller on development episodes"),
     "train": ("clone", "train an agent; needs a clone of the repository"),
 }
 

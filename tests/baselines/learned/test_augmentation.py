@@ -6,6 +6,7 @@ import pytest
 from baselines.learned.augmentation import KINDS, make_augmentation, seen
 from baselines.learned.history_augmentation import LAGS, REMEMBERED
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.linearizing_law import Gains
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
 from tracked_env.sensors import make_sensors
@@ -98,13 +99,28 @@ def test_the_residual_of_zero_is_the_adaptive_policy():
     plain = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
     env.reset(seed=0)
     observation, _ = plain.reset(seed=0)
-    policy, state, start = AdaptivePolicy(), None, ALWAYS
+    policy, state, start = AdaptivePolicy(gains=Gains()), None, ALWAYS
     for _ in range(150):  # over the end of an episode
         action, state = policy.predict(observation, state, start)
         observation, *_, terminated, truncated, _ = plain.step(action)
         start = terminated | truncated
         widened = env.step(np.zeros((2, 2), np.float32))[0]
         np.testing.assert_array_equal(widened[:, : obs.SIZE], observation)
+
+
+def test_the_residual_corrects_the_controller_with_the_gains_of_its_archive():
+    """Without gains, as in archives before there were any to tune, those of the paper."""
+    seen_by = {}
+    for name, options in {
+        "none": {},
+        "paper": {"gains": list(Gains())},
+        "own": {"gains": [200.0]},
+    }.items():
+        augmentation = make_augmentation("residual", options, CONTEXT, 1)
+        observation = np.full((1, obs.SIZE), 0.05, np.float32)
+        seen_by[name] = augmentation.observe(observation, np.ones(1, dtype=bool))[:, :2]
+    assert np.array_equal(seen_by["none"], seen_by["paper"])
+    assert np.abs(seen_by["own"] - seen_by["none"]).max() > 1e-3
 
 
 def test_the_residual_is_scaled_and_stays_within_the_limits():
@@ -130,6 +146,7 @@ def test_the_network_sees_zero_for_what_is_not_measured_and_bounded_features():
         ("history", {"lags": [0, 1]}, "must rise, from 1"),
         ("history", {"lags": []}, "must rise, from 1"),
         ("residual", {"scale": 0.0}, r"must be in \(0, 2\]"),
+        ("residual", {"gains": [50.0, 1.0, 15.0]}, "not Hurwitz"),
     ],
 )
 def test_wrong_kinds_and_options_are_clear_errors(kind, options, message):

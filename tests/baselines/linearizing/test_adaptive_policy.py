@@ -8,6 +8,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
 from baselines.linearizing.linearizing_law import Gains
+from baselines.linearizing.linearizing_policy import STATE
 from tests.baselines.episodes import run
 from tracked_env import observation as layout
 from tracked_env.sb3 import make_vec_env
@@ -41,7 +42,7 @@ def replay(policy, observations, state=None):
 
 def copied(state):
     memories = tuple(memory.copy() for memory in state.memories)
-    return AdaptiveState(state.xi.copy(), memories, state.given.copy())
+    return AdaptiveState(state.controller.copy(), memories, state.given.copy())
 
 
 def interrupt(*_arguments):
@@ -58,7 +59,7 @@ def test_one_observation_gives_one_action_and_a_batch_a_batch(recorded):
         assert action.shape == shape
         assert action.dtype == np.float32
         assert (np.abs(action) <= 1.0).all()
-        assert state.xi.shape == (recorded.shape[1] if len(shape) == 2 else 1,)
+        assert state.controller.shape == (recorded.shape[1] if len(shape) == 2 else 1, STATE)
 
 
 @pytest.mark.parametrize("slip", ["batched", "filterpy"])

@@ -8,7 +8,11 @@ from scipy.optimize import brentq
 
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
-from baselines.linearizing.linearizing_policy import LATERAL_MODELS, FeedbackLinearizingController
+from baselines.linearizing.linearizing_policy import (
+    LATERAL_MODELS,
+    STATE,
+    FeedbackLinearizingController,
+)
 from tracked_env import observation as layout
 from tracked_env.physics import lumped_forces as plant
 from tracked_env.physics import terramechanics as soil
@@ -19,6 +23,7 @@ CLAY = plant_parameters()
 PRINTED = CLAY._replace(turning_resistance_factor=2.0)  # S (20) to the letter
 NO_LIMITS = plant.TractionLimits(-1e9, 1e9, -1e9, 1e9)
 RNG = np.random.default_rng(3)
+MIRROR = (1.0, 1.0, -1.0)  # on xi and the integral along body x and y
 
 
 def observations(count, seed=0):
@@ -151,13 +156,14 @@ def test_the_effort_limits_keep_the_sum_before_the_difference():
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
 def test_exchanging_left_and_right_exchanges_the_torques_exactly(lateral_model):
-    controller = FeedbackLinearizingController(CLAY, lateral=lateral_model)
-    seen, xi = observations(200), RNG.normal(size=200)
+    gains = Gains(bound=0.3, k_i=20.0)
+    controller = FeedbackLinearizingController(CLAY, gains=gains, lateral=lateral_model)
+    seen, held = observations(200), RNG.normal(size=(200, STATE))
     seen[:, layout.INDEX["heading_error"]] *= 4.0  # some face backwards
-    action, state = controller.predict(seen, xi)
-    mirrored, mirrored_state = controller.predict(layout.mirror(seen), xi)
+    action, state = controller.predict(seen, held)
+    mirrored, mirrored_state = controller.predict(layout.mirror(seen), held * MIRROR)
     assert np.array_equal(mirrored, action[:, ::-1])
-    assert np.array_equal(mirrored_state, state)
+    assert np.array_equal(mirrored_state, state * MIRROR)
     assert np.abs(action).max() <= 1.0
     assert np.std(action) > 0.1
 
@@ -166,11 +172,11 @@ def test_exchanging_left_and_right_exchanges_the_torques_exactly(lateral_model):
 def test_a_row_of_a_batch_equals_one_vehicle_with_its_own_parameters(lateral_model):
     masses = RNG.uniform(800.0, 2000.0, 9)
     batch = FeedbackLinearizingController(CLAY._replace(mass=masses), lateral=lateral_model)
-    seen, xi = observations(9), RNG.normal(size=9)
-    action, state = batch.predict(seen, xi)
+    seen, held = observations(9), RNG.normal(size=(9, STATE))
+    action, state = batch.predict(seen, held)
     for i, mass in enumerate(masses):
         one = FeedbackLinearizingController(CLAY._replace(mass=float(mass)), lateral=lateral_model)
-        own_action, own_state = one.predict(seen[i], xi[i : i + 1])
+        own_action, own_state = one.predict(seen[i], held[i : i + 1])
         assert own_action.shape == (2,)
         assert own_action.dtype == np.float32
         assert np.array_equal(own_action, action[i])
@@ -179,16 +185,17 @@ def test_a_row_of_a_batch_equals_one_vehicle_with_its_own_parameters(lateral_mod
 
 def test_the_state_is_not_changed_in_place_and_restarts_with_the_episode():
     controller = FeedbackLinearizingController(CLAY)
-    seen, xi = observations(4), np.array([1.0, -2.0, 3.0, 0.5])
+    seen, held = observations(4), RNG.normal(size=(4, STATE))
+    before = held.copy()
     fresh, fresh_state = controller.predict(seen)
-    action, state = controller.predict(seen, xi, np.array([False, True, False, True]))
-    assert np.array_equal(xi, [1.0, -2.0, 3.0, 0.5])
-    kept, kept_state = controller.predict(seen, xi)
+    action, state = controller.predict(seen, held, np.array([False, True, False, True]))
+    assert np.array_equal(held, before)
+    kept, kept_state = controller.predict(seen, held)
     for i, (expected, memory) in enumerate(
         [(kept, kept_state), (fresh, fresh_state), (kept, kept_state), (fresh, fresh_state)]
     ):
         assert np.array_equal(action[i], expected[i])
-        assert state[i] == memory[i]
+        assert np.array_equal(state[i], memory[i])
     assert not np.array_equal(fresh_state, kept_state)
 
 
@@ -212,7 +219,7 @@ def test_the_compensator_does_not_wind_up_while_the_torque_is_limited():
         action, state = controller.predict(layout.pack(values), state)
     strongest = 2.0 * CLAY.torque_limit / CLAY.sprocket_radius / CLAY.mass
     assert action == pytest.approx([1.0, 1.0])
-    assert 0.5 * strongest < state[0] < strongest
+    assert 0.5 * strongest < state[0, 0] < strongest
 
 
 def test_torque_beyond_the_nominal_traction_is_not_asked_for():
@@ -240,6 +247,8 @@ def test_parameters_may_be_given_as_one_tuple_of_arrays():
         ({"gains": Gains(50.0, 1.0, 15.0)}, "not Hurwitz"),
         ({"gains": Gains(k_a=-1.0)}, "positive"),
         ({"gains": Gains(k_p=math.nan)}, "positive"),
+        ({"gains": Gains(bound=0.0)}, "positive"),
+        ({"gains": Gains(50.0, 70.0, 15.0, k_i=223.0)}, r"k_i = 223 .* \[0, 222.222\)"),
         ({"control_period": 50.0}, "Did you pass a rate"),
         ({"lateral": "slippery"}, "lateral = 'slippery'"),
         ({"parameters": CLAY._replace(mass=1.45)}, r"mass = 1.45 kg.*Did you pass tonnes"),
@@ -268,6 +277,6 @@ def test_observations_and_states_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="2 observations but parameters of 3"):
         controller.predict(observations(2))
     with pytest.raises(ValueError, match="state of 2 vehicles for 3"):
-        controller.predict(observations(3), np.zeros(2))
+        controller.predict(observations(3), np.zeros((2, STATE)))
     with pytest.raises(ValueError, match="unknown parameter 'weight'"):
         controller.set_parameters(weight=1.0)

@@ -1,0 +1,51 @@
+"""Splits of the seeds: what is published, chosen on and checked on shares no episode."""
+
+from itertools import combinations
+
+import pytest
+
+from agents.training.held_out import HELD_OUT_SEED
+from agents.training.run import ROWS, TRAININGS, random_seed
+from tracked_env.benchmark import BenchmarkConfig
+from tracked_env.benchmark.runner import episode_digest
+from tracked_env.benchmark.sets import EPISODES, SEED
+from tracked_env.benchmark.splits import AUDIT, DEVELOPMENT, SPLITS, seeds_of
+
+
+def overlap(one: range, other: range) -> bool:
+    return max(one.start, other.start) < min(one.stop, other.stop)
+
+
+def test_no_two_splits_share_a_seed() -> None:
+    splits = [seeds_of(name) for name in SPLITS]
+    assert not any(overlap(one, other) for one, other in combinations(splits, 2))
+    assert [seeds_of(name).start for name in ("development", "audit")] == [DEVELOPMENT, AUDIT]
+    assert all(len(split) >= EPISODES for split in splits)
+
+
+def test_trainings_and_their_held_out_episodes_have_seeds_of_no_split() -> None:
+    held_out = range(HELD_OUT_SEED, HELD_OUT_SEED + ROWS)
+    trainings = range(random_seed(0), random_seed(TRAININGS - 1) + ROWS)
+    assert not overlap(held_out, trainings)
+    for name in SPLITS:
+        assert not overlap(seeds_of(name), held_out)
+        assert not overlap(seeds_of(name), trainings)
+
+
+def test_the_frozen_episodes_of_the_sets_lie_in_the_frozen_split() -> None:
+    assert SEED in seeds_of("frozen") and SEED + EPISODES - 1 in seeds_of("frozen")
+
+
+def test_the_same_set_draws_other_episodes_in_every_split() -> None:
+    env = BenchmarkConfig(sets=("mixed",)).environment("mixed", 3, truth=False)
+    digests = set()
+    for first in SPLITS.values():
+        env.reset(seed=first)
+        digests |= {episode_digest(one) for one in env.simulation.episodes if one is not None}
+    env.close()
+    assert len(digests) == 3 * len(SPLITS)
+
+
+def test_an_unknown_split_is_refused_with_those_that_exist() -> None:
+    with pytest.raises(ValueError, match=r"unknown split of seeds 'develop'.*Did you mean"):
+        seeds_of("develop")

@@ -1,0 +1,128 @@
+"""The search of settings: what it finds, spends, refuses and counts."""
+
+import math
+from typing import Any, NamedTuple
+
+import pytest
+
+from tracked_env.benchmark.tuning import (
+    FACTORS,
+    LOST,
+    Candidate,
+    Evaluate,
+    Outcome,
+    Ranges,
+    Settings,
+    cost,
+    default_settings,
+    scaled,
+    searched,
+    tunable,
+    unscaled,
+    varied,
+)
+
+RANGES: Ranges = {"gain": (1.0, 100.0, True), "share": (0.0, 1.0, False)}
+DEFAULT = {"gain": 2.0, "share": 0.9}
+OPTIMUM = {"gain": 31.6, "share": 0.3}
+
+
+class Given(NamedTuple):
+    gain: float = 2.0
+    share: float = 0.9
+
+
+def bowl(refused: float = math.inf) -> tuple[Evaluate, list[Settings]]:
+    """An objective with its optimum at OPTIMUM that refuses gains from `refused` on."""
+    asked: list[Settings] = []
+
+    def evaluate(stage: str, settings: Settings) -> Candidate | None:
+        if settings["gain"] >= refused:
+            return None
+        asked.append(settings)
+        point, best = scaled(RANGES, settings), scaled(RANGES, OPTIMUM)
+        error = 0.01 * math.exp(5.0 * float(((point - best) ** 2).sum()))
+        return Candidate(stage, settings, {"only": Outcome(error, error, 0.0, 1.0)})
+
+    return evaluate, asked
+
+
+def test_the_search_finds_the_optimum_of_a_bowl_within_its_finest_step() -> None:
+    evaluate, _ = bowl()
+    found = list(searched(RANGES, DEFAULT, 60, evaluate))
+    best = min(found, key=lambda one: one.cost)
+    assert scaled(RANGES, best.settings) == pytest.approx(scaled(RANGES, OPTIMUM), abs=0.02)
+    assert found[0].settings == DEFAULT and found[0].stage == "default"
+
+
+@pytest.mark.parametrize("budget", [3, 4, 17, 30])
+def test_the_budget_is_what_is_driven_and_nothing_is_driven_twice(budget: int) -> None:
+    evaluate, asked = bowl()
+    found = list(searched(RANGES, DEFAULT, budget, evaluate))
+    assert len(found) == len(asked) == budget
+    assert len({tuple(settings.values()) for settings in asked}) == budget
+    stages = [one.stage for one in found]
+    assert stages.count("search") == (budget + 1) // 2 - 1
+
+
+def test_settings_that_are_refused_are_not_counted_and_the_search_goes_round_them() -> None:
+    evaluate, asked = bowl(refused=20.0)
+    found = list(searched(RANGES, DEFAULT, 30, evaluate))
+    assert 25 <= len(found) == len(asked) <= 30  # it may end at its finest step
+    best = min(found, key=lambda one: one.cost).settings
+    assert best["gain"] < 20.0 and best["gain"] > 15.0
+
+
+def test_the_search_covers_the_ranges_and_is_the_same_each_time() -> None:
+    def points() -> list[Settings]:
+        found = searched(RANGES, DEFAULT, 40, bowl()[0])
+        return [one.settings for one in found if one.stage == "search"]
+
+    first = points()
+    assert first == points()
+    for name in RANGES:
+        values = [scaled(RANGES, settings)[list(RANGES).index(name)] for settings in first]
+        assert min(values) < 0.12 and max(values) > 0.88
+
+
+def test_points_and_settings_are_inverse_and_stay_in_their_ranges() -> None:
+    settings = unscaled(RANGES, scaled(RANGES, OPTIMUM))
+    assert settings == pytest.approx(OPTIMUM, rel=1e-3)
+    assert unscaled(RANGES, scaled(RANGES, {"gain": math.inf, "share": -1.0})) == {
+        "gain": 100.0, "share": 0.0,
+    }  # fmt: skip
+
+
+def test_the_cost_is_the_geometric_mean_of_the_errors_with_a_price_on_failures() -> None:
+    sets = [Outcome(0.04, 0.01, 0.0, 1.0), Outcome(0.16, 0.04, 0.02, 1.0)]
+    assert cost(sets[:1]) == pytest.approx(0.02)
+    assert cost(sets) == pytest.approx(0.04 * (1.0 + LOST * 0.01))
+    assert cost([]) == math.inf
+    assert cost([sets[0]._replace(rmse=0.08), sets[1]]) > cost(sets)
+
+
+def test_each_setting_is_varied_alone_but_for_those_without_a_scale() -> None:
+    rows = dict(varied({"gain": 10.0, "none": 0.0, "all": math.inf}))
+    assert list(rows) == [f"gain x {factor:g}" for factor in FACTORS]
+    assert rows["gain x 0.5"] == {"gain": 5.0, "none": 0.0, "all": math.inf}
+
+
+def declared(**attributes: Any) -> Any:
+    def make(context: Any, **settings: float) -> None: ...
+
+    for name, value in attributes.items():
+        setattr(make, name, value)
+    return make
+
+
+def test_a_policy_without_ranges_or_with_wrong_ones_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"'blind' declares no settings.*Is it an agent"):
+        tunable("blind", declared())
+    wrong = declared(TUNABLE={"gain": (0.0, 1.0, True)}, SETTINGS=Given)
+    with pytest.raises(ValueError, match=r"range of gain is \[0, 1\]"):
+        tunable("mine", wrong)
+    other = tunable("mine", declared(TUNABLE=RANGES, SETTINGS=lambda context: Given()))
+    assert default_settings(other, None) == DEFAULT
+    unknown = declared(TUNABLE={"gian": (1.0, 2.0, True)}, SETTINGS=lambda context: Given())
+    with pytest.raises(ValueError, match="Did you mean 'gain'"):
+        default_settings(tunable("mine", unknown), None)

@@ -1,0 +1,109 @@
+"""`tracked-env tune`: what it drives, keeps, goes on from and refuses."""
+
+import csv
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines.registry import POLICIES, policies
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env.benchmark import BenchmarkConfig, PolicyEntry, Store, run
+from tracked_env.benchmark.splits import AUDIT, DEVELOPMENT
+from tracked_env.benchmark.statistics import interquartile_mean
+from tracked_env.cli.main import main
+from tracked_env.cli.tune_command import Search, registered
+
+TINY = ("--sets", "soil-and-mass", "payload", "--episodes", "4", "--budget", "4",
+        "--duration", "1")  # fmt: skip
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    (file,) = folder.glob("*.csv")
+    with file.open(newline="", encoding="utf-8") as lines:
+        return list(csv.DictReader(lines))
+
+
+def test_tune_writes_what_it_drove_and_a_page_and_goes_on_where_it_was_interrupted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["tune", "adaptive", *TINY, "--audit", "--output", str(tmp_path)]
+    assert main(command) == 0
+    printed = capsys.readouterr().out
+    rows = rows_of(tmp_path)
+    assert {row["seed"] for row in rows} == {str(DEVELOPMENT), str(AUDIT)}
+    (page,) = tmp_path.glob("*.md")
+    text = page.read_text(encoding="utf-8")
+    assert "## `adaptive` on tracked_env/Torque-v0" in text and "audit split" in text
+    assert "k_p" in printed and "x 0.5" in printed
+
+    (file,) = tmp_path.glob("*.csv")
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+    file.write_text("".join(lines[:3]) + lines[3][:40], encoding="utf-8")  # cut in the third row
+    assert main(command) == 0
+    again = capsys.readouterr().out
+    assert again.startswith("going on with 2 settings")
+    assert page.read_text(encoding="utf-8") == text
+    assert printed in again
+
+
+def test_the_numbers_of_a_search_are_those_of_the_benchmark(tmp_path: Path) -> None:
+    sets = ("soil-and-mass",)
+    search = Search(registered("adaptive", TORQUE_ID), sets, 4, tmp_path, 1.0)
+    candidate = search.evaluator(lambda steps, label: None)("default", search.default)
+    assert candidate is not None
+    config = BenchmarkConfig(sets, 4, DEVELOPMENT, duration=1.0)
+    entry = PolicyEntry("adaptive", POLICIES["adaptive"], "here")
+    records = run(config, [entry], Store(tmp_path / "store", config.identity()))
+    for field, key in (("rmse", "tracking_rmse"), ("settled", "settled_rmse")):
+        expected = interquartile_mean(np.array([record[key] for record in records]))
+        assert getattr(candidate.outcomes["soil-and-mass"], field) == expected
+
+
+def test_settings_that_the_controller_refuses_are_kept_as_refused(tmp_path: Path) -> None:
+    search = Search(registered("adaptive", TORQUE_ID), ("payload",), 4, tmp_path, 1.0)
+    wild = {**search.default, "k_p": 400.0, "k_v": 30.0, "k_a": 6.0}
+    evaluate = search.evaluator(lambda steps, label: None)
+    assert evaluate("search", wild) is None
+    assert rows_of(tmp_path)[0]["cost"] == "refused"
+    again = Search(registered("adaptive", TORQUE_ID), ("payload",), 4, tmp_path, 1.0)
+    assert again.records.has(DEVELOPMENT, wild)
+    assert again.evaluator(lambda steps, label: None)("search", wild) is None
+
+
+@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID, TERRAIN_ID])
+def test_every_controller_of_an_environment_can_be_tuned_and_its_defaults_lie_in_range(
+    env: str, tmp_path: Path
+) -> None:
+    key = {TORQUE_ID: "torque", SPEED_ID: "speed"}.get(env, env)
+    sets = {TORQUE_ID: "payload", SPEED_ID: "friction", TERRAIN_ID: "slope"}
+    names = [name for name in policies()[key] if name in POLICIES]
+    assert names
+    for name in names:
+        search = Search(registered(name, env), (sets[env],), 4, tmp_path)
+        for setting, (low, high, _) in search.policy.ranges.items():
+            value = search.default[setting]
+            assert low <= value <= high or math.isinf(value), (name, setting)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("ppo-blind",), "declares no settings to be tuned"),
+        (("adaptiv",), "unknown policy 'adaptiv'.*Did you mean 'adaptive'"),
+        (("adaptive", "--budget", "1"), r"--budget = 1.0; must be a number in \[3, 10000\]"),
+        (("adaptive", "--episodes", "2"), r"--episodes = 2.0; must be a number in \[4, 10000\]"),
+        (("adaptive", "--sets", "payloud"), "unknown evaluation set 'payloud'"),
+        (("slc", "--env", "Torque-v0"), "this policy commands each sprocket's speed"),
+    ],
+)
+def test_what_cannot_be_tuned_is_one_line(
+    arguments: tuple[str, ...], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["tune", *arguments, "--output", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and error.startswith("tracked-env tune: ")
+    assert re.search(says, error)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,201 @@
+"""`tracked-env tune`: search the settings of a controller on the development episodes."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tracked_env import TORQUE_ID
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.policy_interface import PolicyError, source_fingerprint
+from tracked_env.benchmark.progress_bar import Progress, progress_bar
+from tracked_env.benchmark.registered_policies import ENVIRONMENTS, registered_policies
+from tracked_env.benchmark.sets import tuning_sets
+from tracked_env.benchmark.splits import LENGTH, seeds_of
+from tracked_env.benchmark.store import identity_hash
+from tracked_env.benchmark.text_tables import aligned
+from tracked_env.benchmark.tuning import (
+    Candidate,
+    Settings,
+    Tunable,
+    default_settings,
+    outcome,
+    searched,
+    tunable,
+    varied,
+)
+from tracked_env.benchmark.tuning_records import (
+    Records,
+    best_of,
+    candidate_rows,
+    page,
+    sensitivity_rows,
+)
+from tracked_env.cli.evaluate_options import ENVIRONMENTS as IDS
+from tracked_env.cli.evaluate_options import names, short_env
+from tracked_env.physics.parameters import Range
+from tracked_env.validation import checked_whole, unknown
+
+REPORT_EVERY = 50  # [control steps] between two updates of the bar
+BUDGET = Range(3, 10_000, "-", "It is the number of settings that are driven.")
+EPISODES = Range(4, LENGTH, "-", "It is the number of episodes of each set.")
+
+
+def _parser(program: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=program,
+        allow_abbrev=False,
+        description="Search the settings of a controller on the development episodes, and write a "
+        "CSV file with all that was driven and a page of tables. An interrupted search goes on "
+        "when the same command is given again.",
+    )
+    parser.add_argument("policy", help="a registered controller that declares its ranges")
+    parser.add_argument("--env", type=short_env, choices=IDS, default=TORQUE_ID,
+                        help=f"environment id (default: {TORQUE_ID})")  # fmt: skip
+    parser.add_argument("--sets", nargs="+", type=names, metavar="SET",
+                        help="evaluation sets (default: all that separate policies)")  # fmt: skip
+    parser.add_argument("--budget", type=int, default=80, metavar="N",
+                        help="settings to be driven, the default among them, without those of the "
+                        "sensitivity (default: 80)")  # fmt: skip
+    parser.add_argument("--episodes", type=int, default=32, metavar="N",
+                        help="of each set (default: 32)")  # fmt: skip
+    parser.add_argument("--duration", type=float, metavar="T",
+                        help="instead of the length of the episodes of each set [s]")  # fmt: skip
+    parser.add_argument(
+        "--audit",
+        action="store_true",
+        help="drive default and best on the audit split at the end; look once",
+    )
+    parser.add_argument("--output", type=Path, default=Path("results/tuning"), metavar="FOLDER",
+                        help="of the files (default: results/tuning)")  # fmt: skip
+    return parser
+
+
+def registered(name: str, env: str) -> Tunable:
+    """The controller of that name for that environment. Raises ValueError."""
+    policies = registered_policies()
+    found = {one.name: one.found for one in policies if one.env in (None, ENVIRONMENTS[env])}
+    other = {one.name: one.found for one in policies if one.name not in found}
+    if name not in found and name not in other:
+        known = [key for key, one in {**other, **found}.items() if hasattr(one, "TUNABLE")]
+        raise unknown("policy", name, known)
+    return tunable(name, found.get(name, other.get(name)))
+
+
+class Search:
+    """Candidates of one policy, driven or read."""
+
+    def __init__(
+        self, policy: Tunable, sets: tuple[str, ...], episodes: int, folder: Path,
+        duration: float | None = None,
+    ) -> None:  # fmt: skip
+        self.policy, self.sets, self.episodes, self.duration = policy, sets, episodes, duration
+        config = self.config("development")
+        context = config.context(sets[0])
+        self.default = default_settings(policy, context)
+        policy.make(context, **self.default)
+        identity = {
+            **config.identity(), "sets": sets, "episodes": episodes,
+            "policy": source_fingerprint(policy.make.__module__), "ranges": dict(policy.ranges),
+        }  # fmt: skip
+        track = config.env.rpartition("/")[2].lower()
+        stem = f"{policy.name}-{track}-{identity_hash(identity)[:8]}"
+        self.records = Records(folder / f"{stem}.csv", tuple(policy.ranges), sets)
+        self.page = folder / f"{stem}.md"
+        self.max_steps = sum(config.max_steps(name) for name in sets)
+
+    def config(self, split: str) -> BenchmarkConfig:
+        """The episodes of a split."""
+        first = seeds_of(split).start
+        return BenchmarkConfig(self.sets, self.episodes, first, duration=self.duration)
+
+    def evaluator(
+        self, progress: Progress, split: str = "development"
+    ) -> Callable[[str, Settings], Candidate | None]:
+        """A function of stage and settings that returns the candidate, None for refused ones."""
+        config = self.config(split)
+
+        def evaluate(stage: str, settings: Settings) -> Candidate | None:
+            if self.records.has(config.seed, settings):
+                known = self.records.get(config.seed, settings)
+                progress(self.max_steps * self.episodes if known else 0, stage)
+                return None if known is None else known._replace(stage=stage)
+            candidate = self._driven(config, stage, settings, progress)
+            self.records.add(config.seed, settings, candidate, stage)
+            return candidate
+
+        return evaluate
+
+    def _driven(
+        self, config: BenchmarkConfig, stage: str, settings: Settings, progress: Progress
+    ) -> Candidate | None:
+        try:
+            self.policy.make(config.context(self.sets[0]), **settings)
+        except ValueError:
+            return None
+        outcomes = {}
+        for name in self.sets:
+            steps = 0
+
+            def on_step(name: str = name) -> None:
+                nonlocal steps
+                steps += 1
+                if steps % REPORT_EVERY == 0:
+                    progress(REPORT_EVERY * self.episodes, f"{stage}: {name}")
+
+            outcomes[name] = outcome(self.policy, settings, config, name, on_step)
+            progress((config.max_steps(name) - steps // REPORT_EVERY * REPORT_EVERY)
+                     * self.episodes, f"{stage}: {name}")  # fmt: skip
+        return Candidate(stage, settings, outcomes)
+
+
+def tune(search: Search, budget: int, audit: bool) -> str:
+    """Search, write the page, and return the tables for a terminal."""
+    further = 4 * len(search.policy.ranges) + 2 * audit
+    with progress_bar((budget + further) * search.max_steps * search.episodes) as progress:
+        evaluate = search.evaluator(progress)
+        driven = list(searched(search.policy.ranges, search.default, budget, evaluate))
+        best = best_of(driven)
+        around = [evaluate(stage, settings) for stage, settings in varied(best[0].settings)]
+        judge = search.evaluator(progress, "audit")
+        audited = [judge(one.stage, one.settings) for one in (driven[0], best[0]) if audit]
+    sharp = [one for one in around if one is not None]
+    development = search.config("development")
+    conditions = (
+        f"{len(driven)} settings on {len(search.sets)} sets ({', '.join(search.sets)}), "
+        f"{search.episodes} episodes each, seeds {development.seed} to "
+        f"{development.seed + search.episodes - 1}."
+    )
+    text = page(
+        search.policy, development.env, conditions, driven, sharp,
+        [one for one in audited if one is not None],
+    )  # fmt: skip
+    search.page.write_text(text, encoding="utf-8")
+    tables = [candidate_rows([*best, driven[0]]), sensitivity_rows(best[0], sharp)]
+    if audit:
+        tables.append(candidate_rows([one for one in audited if one is not None]))
+    return "\n\n".join([conditions, *(aligned(table, names=1) for table in tables)])
+
+
+def main(arguments: Sequence[str], program: str) -> int:
+    """Search and print; returns the exit status."""
+    given = _parser(program).parse_args(arguments)
+    try:
+        budget = checked_whole("--budget", given.budget, BUDGET)
+        episodes = checked_whole("--episodes", given.episodes, EPISODES)
+        chosen = tuple(dict.fromkeys(name for part in given.sets or () for name in part))
+        search = Search(
+            registered(given.policy, given.env), chosen or tuning_sets(given.env), episodes,
+            given.output, given.duration,
+        )  # fmt: skip
+        if len(search.records):
+            print(f"going on with {len(search.records)} settings of {search.records.file}")
+        print(tune(search, budget, given.audit))
+        print(search.records.file, search.page, sep="\n")
+    except (PolicyError, OSError) as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 1
+    except ValueError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return 2
+    return 0

@@ -46,18 +46,18 @@ from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
 from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.lyapunov.slope_errors import shows_attitude
-from baselines.predictive import tracking_cost
 from baselines.predictive.predictive_policy import (
     NominalPredictivePolicy,
     PredictiveOraclePolicy,
     PredictivePolicy,
 )
+from baselines.predictive.sprocket_control import SETTINGS as SPROCKET_SETTINGS
 from baselines.predictive.sprocket_control import (
-    SETTINGS,
     PredictiveAdaptiveSlipPolicy,
     PredictiveOracleSlipPolicy,
     PredictiveSlipPolicy,
 )
+from baselines.predictive.tracking_cost import TUNABLE as PREDICTIVE_TUNABLE
 from baselines.predictive.tracking_cost import PredictiveSettings
 from baselines.slip.slip_sweep import identified_slip
 from baselines.slip.slope_sweep import identified_slope_slip
@@ -171,12 +171,6 @@ def oracle(context: Context, **settings: float) -> OraclePolicy:
 def _speed_arguments(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
     return {
         "gains": lyapunov_gains(context)._replace(**settings),
-        **_sprocket_arguments(context),
-    }
-
-
-def _sprocket_arguments(context: Context) -> dict[str, Any]:
-    return {
         "parameters": _vehicle(context, "speed"),
         "control_period": context.control_period,
         "data_sheet": DataSheet.of(context.sensors),
@@ -187,40 +181,6 @@ def _sprocket_arguments(context: Context) -> dict[str, Any]:
 def lyapunov_gains(context: Context) -> LyapunovGains:
     """Gains of the policies that command speeds: of slopes where the attitude is shown."""
     return GAINS_ON_SLOPES if shows_attitude(context.observation) else LyapunovGains()
-
-
-def predictive_settings(context: Context) -> PredictiveSettings:
-    """Settings of model predictive control, other ones for sprocket speeds."""
-    return PredictiveSettings() if context.drive == "torque" else SETTINGS
-
-
-@tunable(tracking_cost.TUNABLE, predictive_settings)
-def mpc_nominal(context: Context, **settings: float) -> Any:
-    """Model predictive control with the nominal parameters, or the slip of the nominal soil."""
-    given = predictive_settings(context)._replace(**settings)
-    if context.drive == "torque":
-        return NominalPredictivePolicy(**_arguments(context), settings=given)
-    arguments = _sprocket_arguments(context)
-    slip_model = identified_slip(arguments["parameters"])
-    return PredictiveSlipPolicy(slip_model=slip_model, **arguments, settings=given)
-
-
-@tunable(tracking_cost.TUNABLE, predictive_settings)
-def mpc_adaptive(context: Context, **settings: float) -> Any:
-    """Model predictive control that identifies vehicle and soil under way."""
-    given = predictive_settings(context)._replace(**settings)
-    if context.drive == "torque":
-        return PredictivePolicy(**_arguments(context), settings=given)
-    return PredictiveAdaptiveSlipPolicy(**_sprocket_arguments(context), settings=given)
-
-
-@tunable(tracking_cost.TUNABLE, predictive_settings)
-def mpc_oracle(context: Context, **settings: float) -> Any:
-    """Model predictive control that knows the true parameters."""
-    given = predictive_settings(context)._replace(**settings)
-    if context.drive == "torque":
-        return PredictiveOraclePolicy(**_arguments(context), settings=given)
-    return PredictiveOracleSlipPolicy(**_sprocket_arguments(context), settings=given)
 
 
 @tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
@@ -259,20 +219,57 @@ def slc_oracle(context: Context, **settings: float) -> OracleSlipPolicy:
     return OracleSlipPolicy(**_speed_arguments(context, settings))
 
 
-def _goal_arguments(context: Context) -> dict[str, Any]:
-    arguments = _sprocket_arguments(context)
+def _ungained_arguments(context: Context) -> dict[str, Any]:
+    arguments = _speed_arguments(context, {})
     del arguments["gains"]  # its own
     return arguments
 
 
 def slc_replan(context: Context) -> ReplanningPolicy:
     """The slippage-aware controller that plans to the goal again every second."""
-    return ReplanningPolicy(**_goal_arguments(context))
+    return ReplanningPolicy(**_ungained_arguments(context))
 
 
 def slc_once(context: Context) -> ReplanningPolicy:
     """The same controller with one plan, made at the start."""
-    return ReplanningPolicy(**_goal_arguments(context), replan_period=math.inf)
+    return ReplanningPolicy(**_ungained_arguments(context), replan_period=math.inf)
+
+
+def _predictive(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
+    given = predictive_settings(context)._replace(**settings)
+    if context.drive == "torque":
+        return {**_arguments(context), "settings": given}
+    return {**_ungained_arguments(context), "settings": given}
+
+
+def predictive_settings(context: Context) -> PredictiveSettings:
+    """Weights and horizon of the predictive controllers, by what the actions are."""
+    return PredictiveSettings() if context.drive == "torque" else SPROCKET_SETTINGS
+
+
+@tunable(PREDICTIVE_TUNABLE, predictive_settings)
+def mpc_nominal(context: Context, **settings: float) -> Any:
+    """Model predictive control with the nominal parameters, or the slip of the nominal soil."""
+    arguments = _predictive(context, settings)
+    if context.drive == "torque":
+        return NominalPredictivePolicy(**arguments)
+    return PredictiveSlipPolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
+
+
+@tunable(PREDICTIVE_TUNABLE, predictive_settings)
+def mpc_adaptive(context: Context, **settings: float) -> Any:
+    """Model predictive control that identifies vehicle and soil under way."""
+    by_torque = context.drive == "torque"
+    kind = PredictivePolicy if by_torque else PredictiveAdaptiveSlipPolicy
+    return kind(**_predictive(context, settings))
+
+
+@tunable(PREDICTIVE_TUNABLE, predictive_settings)
+def mpc_oracle(context: Context, **settings: float) -> Any:
+    """Model predictive control that knows the true parameters."""
+    by_torque = context.drive == "torque"
+    kind = PredictiveOraclePolicy if by_torque else PredictiveOracleSlipPolicy
+    return kind(**_predictive(context, settings))
 
 
 POLICIES: dict[str, Callable[[Any], Any]] = {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.learned.history_augmentation import Blind
-from baselines.lyapunov.pose_filter import PATH, POSE, filter_of, locate
+from baselines.lyapunov.pose_filter import GYRO, PATH, POSE, filter_of, gyro_noise_of, locate
 from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters
@@ -56,9 +56,12 @@ class Reckoned(Blind):
         super().__init__(count, control_period)
         self._measured, self._gains = filter_of(sheet, control_period)
         self._belts = PseudoKinematicModel(vehicle)
-        # error (N, 3), age (N,) of the pose, mean motion (N, 3), whether a pose has come (N,)
+        self._gyro_noise = gyro_noise_of(sheet, True)
+        # error (N, 3), age (N,) of the pose, mean motion (N, 3), what is known of the gyro,
+        # whether a pose has come (N,)
         self._memories = (
-            np.zeros((count, 3)), np.zeros(count), np.zeros((count, 3)), np.zeros(count, bool)
+            np.zeros((count, 3)), np.zeros(count), np.zeros((count, 3)), np.zeros((count, GYRO)),
+            np.zeros(count, bool),
         )  # fmt: skip
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
@@ -67,10 +70,10 @@ class Reckoned(Blind):
             values[start] = 0
         sprockets = observation[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]
         motion, alpha = self._belts.motion(np.nan_to_num(sprockets))
-        error, age, mean, located = self._memories
+        error, age, mean, gyro, located = self._memories
         locate(
-            observation, motion, alpha, self._measured, self._gains, self.control_period, error,
-            age, mean, located, np.empty((self.count, 4)),
+            observation, motion, alpha, self._measured, self._gains, self._gyro_noise,
+            self.control_period, error, age, mean, gyro, located, np.empty((self.count, 4)),
         )  # fmt: skip
         return (np.column_stack([-error, motion[:, 0]]) / _SCALE).astype(np.float32)
 
@@ -101,7 +104,12 @@ class WithDataSheet:
         self.inner, self.count, self.control_period = inner, inner.count, inner.control_period
         self.needs = inner.needs
         self.feature_names = (*inner.feature_names, *SHEET)
+        self.learned: tuple[str, ...] = inner.learned
         self._shown = np.tile(sheet_features(sheet), (inner.count, 1))
+
+    def freeze(self, rows: Bools) -> None:
+        """A controller inside keeps what it knows of these rows (N,)."""
+        self.inner.freeze(rows)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """The features of the other one, then SHEET, (N, F)."""

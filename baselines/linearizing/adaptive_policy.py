@@ -25,7 +25,7 @@ from baselines.estimators.estimate import Status
 from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing.drive_lead import lead_all
-from baselines.linearizing.linearizing_law import Gains
+from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
@@ -64,7 +64,7 @@ _GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"
 class AdaptiveState(NamedTuple):
     """State of the policy between two calls."""
 
-    controller: NDArray[np.float64]  # what the controller remembers, (N, 3) of this one
+    controller: NDArray[np.float64]  # state of the controller, (N, 3) of the linearizing one
     memories: Memories  # of the estimators
     given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
 
@@ -202,7 +202,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     ) -> FeedbackLinearizingController:
         """The controller that the estimates are for; another policy may have another one."""
         return FeedbackLinearizingController(
-            self.parameters, control_period, settings, lateral,
+            self.parameters, control_period, TUNED_GAINS if settings is None else settings, lateral,
             (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES,
         )  # fmt: skip
 

@@ -72,6 +72,6 @@ class NominalPredictivePolicy(PredictivePolicy):
 
 
 class PredictiveOraclePolicy(OraclePolicy):
-    """The same with the parameters in force; arguments as PredictivePolicy."""
+    """The same with the true parameters at every step; arguments as PredictivePolicy."""
 
     identifying = PredictivePolicy

@@ -194,7 +194,7 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
         settings: PredictiveSettings | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(*arguments, observation=observation, **options)
+        super().__init__(*arguments, **{**options, "observation": observation})
         if self._attitude is not None:
             raise ValueError(
                 "model predictive control of sprocket speeds predicts level ground alone; use "

@@ -47,10 +47,9 @@ TUNABLE = {  # name -> lowest, highest, whether on a logarithmic scale
     "heading": (1.0, 100.0, True),
     "speed": (0.1, 10.0, True),
     "yaw_rate": (0.03, 3.0, True),
-    "effort": (0.01, 1.0, True),
+    "effort": (0.1, 100.0, True),
     "effort_change": (1.0, 1000.0, True),
     "terminal": (1.0, 20.0, True),
-    "stages": (25.0, 38.0, False),
     "traction": (0.5, 1.0, False),
     "smoothing": (0.1, 1.0, True),
 }

@@ -16,7 +16,7 @@ DOCS_STAMP := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install leaderboard evaluate paper tune train test lint format docs benchmark clean clean-cache
+.PHONY: help install leaderboard evaluate paper tune train test lint format docs package bare benchmark clean clean-cache
 
 help: ## list the commands
 	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
@@ -63,6 +63,18 @@ format: $(STAMP) ## sort imports and format the code
 
 docs: $(DOCS_STAMP) ## build the documentation into docs/_build/html
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+
+package: $(STAMP) ## build wheel and source distribution into dist/ and check their metadata
+	rm -rf dist
+	$(BIN)/python -m build --sdist --wheel --outdir dist .
+	$(BIN)/python -m twine check --strict dist/*
+
+bare: package ## follow the quickstart in a new environment that has the wheel alone
+	rm -rf build/bare && $(PYTHON) -m venv build/bare
+	build/bare/bin/python -m pip install $(PIP_ARGS) -c constraints.txt dist/*.whl
+	build/bare/bin/python tests/follow_page.py docs/quickstart.md build/bare/run
+	cd build/bare/run && ../bin/tracked-env evaluate --policies nominal adaptive ppo-blind \
+	  --sets payload --episodes 2 --duration 3 --no-figures
 
 benchmark: $(STAMP) ## measure the speed of the environment beside its peers
 	$(BIN)/python benchmarks/speed.py $(BENCHMARK_ARGS)

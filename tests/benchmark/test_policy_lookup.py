@@ -59,6 +59,13 @@ def test_a_registered_agent_is_known_by_its_name_with_all_its_seeds(tmp_path: Pa
     assert archives("new=ppo", shipped) == [("new", path) for path in shipped["ppo"]]
 
 
+def test_an_agent_without_archives_is_refused_with_where_they_are() -> None:
+    for spec in ("tqc", "new=tqc"):
+        with pytest.raises(ValueError, match=r"'tqc' .* 0 archives .* wheel .* clone") as refused:
+            names(["nominal", spec], shipped={"tqc": []})
+        assert "\n" not in str(refused.value)
+
+
 def test_any_policy_can_be_renamed() -> None:
     spec = "tests.benchmark.stub_policies:Constant"
     assert names([f"mine={spec}", "base=nominal", spec]) == ["mine", "base", spec]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.learned import shipped
 from baselines.learned.shipped import PRETRAINED, shipped_agents
 from baselines.registry import BY_ENVIRONMENT
 from tests.benchmark.plugin_package import Install, install
@@ -63,6 +64,27 @@ def test_controllers_and_shipped_agents_are_registered_per_environment_in_their_
 def test_every_shipped_archive_is_registered() -> None:
     found = {path for policy in registered()[0] if policy.is_trained for path in policy.found}
     assert found == set(PRETRAINED.glob("*/*/agent.zip"))
+
+
+def test_agents_whose_archives_are_not_installed_are_known_and_not_compared(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for scores in PRETRAINED.glob(f"*/{shipped.SCORES}"):
+        (tmp_path / scores.parent.name).mkdir()
+        (tmp_path / scores.parent.name / scores.name).write_bytes(scores.read_bytes())
+    before = {env: list(shipped_agents(env)) for env in BY_ENVIRONMENT}
+    monkeypatch.setattr(shipped, "PRETRAINED", tmp_path)
+    policies, said = registered()
+    assert said == []
+    for env, names in BY_ENVIRONMENT.items():
+        absent = shipped_agents(env)
+        assert sorted(absent) == sorted(before[env]) and not any(absent.values())
+        assert default_names(policies, env) == names
+    assert {one.summary for one in policies if one.is_trained} == {
+        "trained agent, its archives are not installed"
+    }
+    with pytest.raises(ValueError, match="Source distributions leave them out"):
+        load_policies(["ppo-blind"], *by_name(policies, "torque"), open_archive)
 
 
 def test_a_policy_of_an_installed_package_is_known_by_its_name(

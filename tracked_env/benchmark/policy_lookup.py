@@ -87,9 +87,18 @@ def _label(path: Path) -> str | None:
 
 
 def archives(spec: str, shipped: Mapping[str, Sequence[Path]]) -> list[tuple[str, Path]]:
-    """Name of the agent and file of every archive that an item of the command line names."""
+    """Name of the agent and file of every archive that an item of the command line names.
+
+    Raises ValueError for an agent of `shipped` without archives.
+    """
     given, _, source = spec.rpartition("=")
     if source in shipped:
+        if not shipped[source]:
+            raise ValueError(
+                f"policy {source!r} is a trained agent with 0 archives in this installation; must "
+                "have one at least. Source distributions leave them out: install the wheel (pip "
+                "install --only-binary tracked-env tracked-env), or use a clone of the repository"
+            )
         return [(given or source, path) for path in shipped[source]]
     if not source.endswith(ARCHIVE):
         return []
@@ -118,8 +127,9 @@ def load_policies(
 ) -> list[PolicyEntry]:
     """Everything that a command line names, in its order, see the head of this file.
 
-    shipped: archives of agents by name. opener: loads an archive; it is called for nothing else.
-    Raises ValueError for what is not known or not there, and for two policies of one name.
+    shipped: archives of agents by name, none where they are not installed. opener: loads an
+    archive; it is called for nothing else. Raises ValueError for what is not known or not there,
+    and for two policies of one name.
     """
     shipped = {} if shipped is None or opener is None else shipped
     entries: list[PolicyEntry] = []

@@ -7,6 +7,8 @@ that makes one. Its attribute `drive`, if it has one, says which environment it 
 default: "torque" (Torque-v0), "speed" (Speed-v0), or an id such as "tracked_env/Terrain-v0". One
 entry may also register many: an object with a function
     policies() -> {drive or id: {name: policy, or a list of archives, one per training seed}}
+An empty list says that the agent is known and its archives are not installed: it is refused by name
+and not compared by default.
 
 Archives of agents are opened by the entries of the group `tracked_env.archives`, functions that
 take a path and return an object with `make(context)` and `sources`, the folders whose code its
@@ -59,6 +61,8 @@ class Registered(NamedTuple):
         """One line for a list."""
         if self.is_trained:
             seeds = len(self.found)
+            if not seeds:
+                return "trained agent, its archives are not installed"
             return f"trained agent, {seeds} seed{'s' * (seeds > 1)}"
         text = getattr(self.found, "__doc__", None) or ""
         return text.strip().partition("\n")[0]
@@ -126,7 +130,8 @@ def registered_policies(warn: Callable[[str], None] = _to_stderr) -> list[Regist
 
 def default_names(policies: list[Registered], env: str) -> tuple[str, ...]:
     """Names of all that are compared on an environment by default; env: as in ENVIRONMENTS."""
-    return tuple(policy.name for policy in policies if policy.env == ENVIRONMENTS[env])
+    here = (policy for policy in policies if policy.env == ENVIRONMENTS[env])
+    return tuple(policy.name for policy in here if not policy.is_trained or policy.found)
 
 
 def by_name(

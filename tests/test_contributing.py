@@ -12,6 +12,8 @@ from tests.test_documentation import python_blocks
 # Section -> what its last block prints, besides that it runs.
 SECTIONS = {
     "a sensor channel": r"^-?\d+\.\d+",
+    "an observation group": r"^\d{4,5}\.\d+",
+    "a plant": r"^0\.\d+",
     "an uncertainty set": r"(payload (nominal|adaptive) 0\.\d+\n){4}(falling-load .*\n?){4}$",
     "an estimator": r"'belt_advance': .*'belt_advance_deviation': .*'belts_excitation': ",
     "a controller": r"^\[0\.\d+, 0\.\d+\]",

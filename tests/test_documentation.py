@@ -116,7 +116,9 @@ def test_every_page_of_the_table_of_contents_exists_and_links_resolve(repository
         for line in block.split("\n"):
             if line.strip() and not line.startswith(":") and "*" not in line:
                 assert (docs / f"{line.strip()}.md").exists(), line
-    for page in [repository / "README.md", *docs.glob("*.md")]:
-        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text()):
+    named = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md")
+    for page in [*(repository / name for name in named), *docs.rglob("*.md")]:
+        text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):
             if "://" not in target:
                 assert (page.parent / target).exists(), f"{page.name} links to {target}"

@@ -9,7 +9,7 @@ release = version = installed_version("tracked-env")
 
 extensions = ["myst_parser", "sphinx.ext.mathjax"]
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
-myst_heading_anchors = 3
+myst_heading_anchors = 4
 exclude_patterns = ["_build", "_generated"]
 nitpicky = False
 

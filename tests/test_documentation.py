@@ -118,7 +118,24 @@ def test_every_page_of_the_table_of_contents_exists_and_links_resolve(repository
                 assert (docs / f"{line.strip()}.md").exists(), line
     named = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md")
     for page in [*(repository / name for name in named), *docs.rglob("*.md")]:
-        text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
-        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):
-            if "://" not in target:
-                assert (page.parent / target).exists(), f"{page.name} links to {target}"
+        text = without_code(page)
+        for target, place in re.findall(r"\]\(([^)#]*?)(?:#([^)]*))?\)", text):
+            if "://" in target:
+                continue
+            other = page.parent / target if target else page
+            assert other.exists(), f"{page.name} links to {target}"
+            if place:
+                assert place in anchors(other, repository), f"{page.name}: {target}#{place}"
+
+
+def without_code(page):
+    """Text of a page without its blocks of code."""
+    return re.sub(r"^```.*?^```", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
+def anchors(page, repository):
+    """Headings of a page as links name them; Sphinx knows those down to a level of conf.py."""
+    conf = (repository / "docs" / "conf.py").read_text()
+    level = int(re.search(r"^myst_heading_anchors = (\d)$", conf, re.MULTILINE)[1])
+    headings = re.findall(rf"^#{{1,{level}}} (.*)$", without_code(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}

@@ -31,6 +31,19 @@ def made(text: str) -> set[str]:
     return set(re.findall(r"\bmake ([a-z][a-z-]*)(?=[\s\"'#]|$)", text, re.MULTILINE))
 
 
+def test_every_place_that_says_the_version_says_the_same(repository: Path) -> None:
+    project = re.search(r'^version = "(.+)"$', text_of(repository, "pyproject.toml"), re.MULTILINE)
+    assert project is not None
+    said = {
+        "tracked_env/__init__.py": r'__version__ = "(.+)"',
+        "CITATION.cff": r"^version: (.+)$",
+        "docs/scale.md": r"tracked_env-(.+?)-py3-none-any\.whl",
+    }
+    for name, pattern in said.items():
+        found = re.findall(pattern, text_of(repository, name), re.MULTILINE)
+        assert found == [project[1]], name
+
+
 def workflow(repository: Path) -> dict[str, Any]:
     found: dict[str, Any] = yaml.safe_load(text_of(repository, ".github/workflows/tests.yml"))
     return found

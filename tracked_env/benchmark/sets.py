@@ -158,12 +158,11 @@ def default_sets(env: str = TORQUE_ID, version: str | None = None) -> tuple[str,
 
 
 def tuning_sets(env: str = TORQUE_ID) -> tuple[str, ...]:
-    """Names of the sets of an environment id on which controllers are tuned: all that separate
-    policies, of a version or not, without goals."""
-    of_env = (name for name, entry in SETS.items() if entry.env == env and name not in _KNOWN)
+    """Names of the sets of an environment id on which controllers are tuned: those of the newest
+    version, without goals."""
     return tuple(
         name
-        for name in dict.fromkeys((*default_sets(env), *of_env))
+        for name in default_sets(env)
         if "goal" not in SETS[name].arguments.get("observation", ())
     )
 

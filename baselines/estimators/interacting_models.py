@@ -22,7 +22,8 @@ part of what is claimed. It is kept as the estimate in block 0 of the memory.
     trends    both parameters changing slowly look like neither model, and no innovation is large:
               a slower estimate watches, which knows no walk of parameter 1. Where the mean of its
               eps / sqrt(S) over TREND_TIME is not 0, parameter 1 of the calm model walks as well,
-              for TREND_HELD. The vehicle's two regressions share this alarm (`share_alarm`)
+              for TREND_HELD. An alarm of the longitudinal regression is one of the turning one,
+              an `evident` one of the turning regression is one of both where sideslip allows it
 
 References: [1] H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780.
 """
@@ -54,6 +55,7 @@ MOST_SQUARED = 1e12  # [-] normalised innovation squared that a sample may have
 LEAST_EVIDENCE = -6.0  # [-] log of the likelihood ratio of one sample to the best model
 TREND_TIME = 1.5  # [s] over which the monitor averages
 TREND_HELD = 4.0  # [s] that an alarm lasts
+EVIDENT = 16.0 / 9.0  # [-] times the gate: four standard deviations where the gate is three
 HELD_GATE = 1.25  # [-] times the gate, while parameter 1 is held: little speaks for a trend of it
 MOST_NORMALISED = 3.0  # [-] that a sample may count in that mean: a change is no trend
 JUMPED = 0.1  # [-] odds of a jump from which on other estimators are told
@@ -177,6 +179,13 @@ def _learn(memory, i, sample, prior, table, hold_1, least):
 
 
 @formula
+def _trend_squared(memory, i, table):
+    """Square of the monitor's mean, in units of its variance."""
+    share = table[SLOW, AVERAGED]
+    return memory[i, TREND] * memory[i, TREND] * (2.0 - share) / share
+
+
+@formula
 def _watch(memory, i, sample, prior, table, hold_1):
     """The monitor of slow trends takes the sample."""
     share, left = table[SLOW, AVERAGED], memory[i, ALARM]
@@ -191,7 +200,7 @@ def _watch(memory, i, sample, prior, table, hold_1):
     normalised = error / math.sqrt(gain + sample.variance)
     normalised = min(max(normalised, -MOST_NORMALISED), MOST_NORMALISED)
     memory[i, TREND] += share * (normalised - memory[i, TREND])
-    squared = memory[i, TREND] * memory[i, TREND] * (2.0 - share) / share
+    squared = _trend_squared(memory, i, table)
     smallest, _largest = ls.eigenvalues(memory, i)
     determined = smallest >= ls.EXCITED
     gate = table[SLOW, GATE] * (HELD_GATE if hold_1 else 1.0)
@@ -247,8 +256,14 @@ def let_jump(memory, i, prior, table):
 
 
 @formula
+def evident(memory, i, table):
+    """Whether the trend that the monitor of vehicle i sees is beyond the usual doubt."""
+    return _trend_squared(memory, i, table) > EVIDENT * table[SLOW, GATE]
+
+
+@formula
 def share_alarm(memory, other, i):
-    """An alarm of one regression on vehicle i is one of the other, too."""
+    """An alarm of the `other` regression on vehicle i is one of this one, too."""
     memory[i, ALARM] = max(memory[i, ALARM], other[i, ALARM])
 
 

@@ -41,6 +41,7 @@ OUTAGE_TIME = 10.0  # [s] over which the error of the soil is one and the same
 UNSEEN = 1e9  # [SI] variance of a row of z that says nothing, through a long outage
 LARGEST_BRAKING = 0.5  # [-] slip by the effort beyond which a braked belt does not tell the speed
 SPEED_FLOOR = 0.01  # [m/s] sigma of the speed by the effort, beside that of the soil
+LASTING = 0.0045  # [m/s] sigma of what lasts of that error, on a soil that is not certain
 SIDE_FLOOR = 0.01  # [m/s] sigma of v_y by the friction
 SOIL_DRIFT = 0.1  # [1/sqrt(s)] of ln F_max and ln K, since the last pose
 DISAGREEMENT = 4.0  # [-] squared innovation, in its variance, from which the soil is another one
@@ -97,6 +98,7 @@ def _speed_row(memory, i, at, values, v, p, left, right, k):
     floor = SPEED_FLOOR * SPEED_FLOOR
     error = by_effort - v
     certain = memory[i, at + P_FF] == 0.0
+    spread += 0.0 if certain else LASTING * LASTING
     if not certain and error * error > DISAGREEMENT * (known + spread + floor):
         spread += error * error
     variance = floor + spread * OUTAGE_TIME / k.period

@@ -14,6 +14,9 @@ friction nothing to share. On other soils it is compared with the longitudinal r
 nothing changes, and used where the ratio of measured to expected v_y speaks for it by AGREES: its
 likelihood, normal about 1, over that of any ratio between 0 and 1. The turning regression is told
 this agreement, for its claim of the inertia.
+Where the equation holds, C is a property of vehicle and soil, and an evident trend of it says that
+the mass may change as well: it is an alarm of the longitudinal regression, which itself cannot see
+a mass that grows as the resistance falls. Elsewhere C changes with slip and turn alone.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 3 (lateral friction).
 """
@@ -133,9 +136,11 @@ def _take(i, longitudinal, prior, known, v_y, found, variance, inverse_mass, hol
 
 
 @loop
-def update_all(z, fresh, age, attitude, memory, longitudinal, prior, turning, other_prior, known):
+def update_all(
+    z, fresh, age, attitude, memory, longitudinal, prior, turning, other_prior, table, known
+):  # fmt: skip
     """One sample of every vehicle: z (N, CHANNELS), fresh, age and attitude (N, 3), memory (N, 2)
-    and those of the longitudinal and the turning regression in and out."""
+    and those of the longitudinal and the turning regression in and out; table: of the latter."""
     for i in range(z.shape[0]):
         started = longitudinal[i, im.ODDS] > 0.0 and turning[i, im.ODDS] > 0.0
         if not (started and _usable(z, i, fresh, age, known)):
@@ -154,6 +159,8 @@ def update_all(z, fresh, age, attitude, memory, longitudinal, prior, turning, ot
         turning[i, AGREEMENT] = _agreement(memory, i)
         firm = turning[i, TURNED] > 0.0 and slip_share(turning, i) < FIRM
         holds = firm or turning[i, AGREEMENT] >= AGREES
+        if holds and im.evident(turning, i, table):
+            im.share_alarm(longitudinal, turning, i)
         _take(i, longitudinal, prior, known, z[i, _V_Y], found, variance, inverse_mass, holds)
 
 
@@ -180,7 +187,8 @@ class SideslipRow:
         """Take one sample of every vehicle."""
         update_all(
             latest.values, latest.fresh, latest.age, attitude_of(latest), self.memory,
-            longitudinal.memory, longitudinal.prior, turning.memory, turning.prior, self._known,
+            longitudinal.memory, longitudinal.prior, turning.memory, turning.prior, turning.table,
+            self._known,
         )  # fmt: skip
 
     def reset(self, rows: ArrayLike | None = None) -> None:

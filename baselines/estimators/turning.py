@@ -156,7 +156,7 @@ def complete_all(out, memory, prior, table, mass, variance, known):
 def hand_on(answer, longitudinal, memory, prior, table, mass, variance, resistance):
     """What the longitudinal estimator answers, for this one: mass, its variance and mu_l (N,).
 
-    longitudinal: the memory of that estimator; an alarm in one of the two memories is one in both.
+    longitudinal: the memory of that estimator; an alarm in it is one in this memory, too.
     """
     for i in range(memory.shape[0]):
         im.share_alarm(memory, longitudinal, i)

@@ -92,6 +92,22 @@ def test_the_agreement_is_the_likelihood_of_a_ratio_of_one_over_that_of_any_othe
         assert turning.memory[0, AGREEMENT] == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("deviations", "share", "alarmed"),
+    [(4.5, 0.01, True), (3.5, 0.01, False), (4.5, 0.25, False)],
+    ids=["evident", "not evident", "evident, but shared friction"],
+)
+def test_an_evident_trend_of_the_friction_is_an_alarm_of_the_mass_where_it_holds(
+    deviations, share, alarmed
+):
+    row, along, turning, turn = known([0.0, 0.0], share)
+    averaged = 0.02 / im.TREND_TIME
+    turning.memory[:, im.TREND] = deviations * np.sqrt(averaged / (2.0 - averaged))
+    turning.memory[:, im.ALARM] = 2.5
+    row.compute(turn, along, turning)
+    assert along.memory[0, im.ALARM] == (2.5 if alarmed else 0.0)
+
+
 @pytest.mark.parametrize("channel", ["v_y", "acceleration_y", "yaw_rate", "v_x"])
 def test_a_missing_number_leaves_everything_as_it_was(channel):
     row, along, turning, turn = known([100.0, 100.0])

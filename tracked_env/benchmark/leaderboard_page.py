@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Curves = Mapping[str, Sequence[Sequence[tuple[float, float]]]]
+LEARNING = "Learning curves"
 THRESHOLDS = 80  # of the performance profile
 TEMPLATES = Path(__file__).with_name("templates")
 FILES = {
@@ -188,13 +189,19 @@ def figures(board: Leaderboard, row: Row, curves: Curves) -> "dict[str, Figure]"
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
         drawn = {"Performance profile": profiles(row, board, style)}
         if any(agent in curves for agent in style):
-            drawn["Learning curves"] = learning(curves, board, style)
+            drawn[LEARNING] = learning(curves, board, style)
     return drawn
 
 
 def _drawings(board: Leaderboard, row: Row, curves: Curves) -> list[Drawing]:
     return [
-        Drawing(title, _said_shown(board), inline_svg(svg_text(figure, title), title))
+        Drawing(
+            title,
+            f"Those of {', '.join(a for a in lb.shown(board) if a in curves)}."
+            if title == LEARNING
+            else _said_shown(board),
+            inline_svg(svg_text(figure, title), title),
+        )
         for title, figure in figures(board, row, curves).items()
     ]
 

@@ -17,6 +17,7 @@ from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import leaderboard_page as page
 from tracked_env.benchmark.drawing import MAX_DRAWN, colour, marks
+from tracked_env.benchmark.records import READS_TRUTH
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import rows_of, summarise
 from tracked_env.benchmark.text_tables import cell
@@ -152,6 +153,11 @@ def test_figures_draw_five_agents_the_reference_and_both_ends_of_the_score_among
     shown = lb.shown(found)
     assert len(shown) == MAX_DRAWN
     assert {"adaptive", "nominal", "oracle"} < set(shown)
+    given = [r for name in ("a", "b") for r in records(name, **{**ALL, **others})]
+    for record in given:  # another policy reads the truth, whatever its name
+        record.update({READS_TRUTH: True} if record["policy"] == "few@3" else {})
+    rows_truth = rows_of(given)
+    assert "few" in lb.shown(lb.leaderboard(summarise(given, rows_truth), rows_truth))
     drawn = page.figures(found, rows["all sets"], {"z0": CURVES["ppo"]})
     assert list(drawn) == ["Performance profile", "Learning curves"]
     legend = drawn["Performance profile"].axes[0].get_legend()

@@ -34,7 +34,6 @@ from tracked_env.benchmark.report import (
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.summary import (
-    STARTS,
     Comparison,
     PolicySummary,
     Row,
@@ -78,6 +77,7 @@ class Leaderboard(NamedTuple):
     reference: str
     conditions: str  # what was run, in a sentence
     agreement: dict[str, float]  # Kendall's tau of this order with those by other statistics
+    anchors: tuple[str, ...] = ()  # the policies that score 0 and 1 over all sets, if both are here
 
 
 def leaderboard(
@@ -109,7 +109,9 @@ def leaderboard(
     ]
     places.sort(key=lambda place: place.relative.whole.value)
     ranked = {place.agent: place.relative.whole.value for place in places}
-    return Leaderboard(places, sets, reference, conditions, agreement(of_sets, ranked))
+    return Leaderboard(
+        places, sets, reference, conditions, agreement(of_sets, ranked), rows[last].anchors() or ()
+    )
 
 
 def _balanced(
@@ -132,9 +134,7 @@ def shown(board: Leaderboard) -> list[str]:
     The reference, where the score is 0, the best that reads the truth, and the best of the others.
     """
     agents = [place.agent for place in board.places]
-    start = next((name for name in STARTS if name in agents), board.reference)
-    ceiling = next((name for name in agents if "oracle" in name), board.reference)
-    first = list(dict.fromkeys([board.reference, start, ceiling, *agents]))[:MAX_DRAWN]
+    first = list(dict.fromkeys([board.reference, *board.anchors, *agents]))[:MAX_DRAWN]
     return [name for name in agents if name in first]
 
 

@@ -33,7 +33,7 @@ if __name__ == "__main__":
 
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, redirect_stdout, suppress
-from dataclasses import make_dataclass, replace
+from dataclasses import fields, make_dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,7 @@ try:
     from agents.training.environments import make_held_out
     from agents.training.folder import AlreadyFinished, begin, finish, going_on
     from agents.training.learner import Diverged, Learner
-    from agents.training.options import Options, options_of_train
+    from agents.training.options import Options, in_words, options_of_train
     from agents.training.progress import Progress
     from agents.training.run import Run, chosen_settings, resolve
     from agents.training.unread_options import check_given, check_names
@@ -69,7 +69,7 @@ def progress_bar(total: int, done: int, quiet: bool) -> "tqdm[Any]":
     """The progress bar of a training of which so many steps are done."""
     return tqdm(
         total=total, initial=done, unit=" steps", unit_scale=True, disable=quiet,
-        dynamic_ncols=True,
+        dynamic_ncols=True, mininterval=0.1 if sys.stderr.isatty() else 30.0,  # [s]
     )  # fmt: skip
 
 
@@ -238,7 +238,13 @@ def command(arguments: Sequence[str] | None = None) -> int:
     It has the algorithms that are registered when it is called.
     """
     kind = options_of_train()
-    both: Any = make_dataclass("Config", [], bases=(several.Several, kind), frozen=True)
+    named: list[Any] = [
+        (each.name, in_words(each.type), each.default)
+        for of in (kind, several.Several)
+        for each in fields(of)
+        if in_words(each.type) is not each.type
+    ]
+    both: Any = make_dataclass("Config", named, bases=(several.Several, kind), frozen=True)
     both.__doc__ = kind.__doc__
     given = sys.argv[1:] if arguments is None else arguments
     try:

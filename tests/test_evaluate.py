@@ -59,12 +59,12 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(
     assert "Leaderboard" in done.stdout
     assert document["identity"]["sensors"] == {"preset": "rtk", "pose_delay": 0.02}
     (folder,) = (tmp_path / "results").iterdir()
-    assert "data:image/png" in (folder / "leaderboard.html").read_text()
+    assert "tracking RMSE of an episode" in (folder / "leaderboard.html").read_text()
     assert len(json.loads((folder / "leaderboard.json").read_text())["agents"]) == 3
     assert folder.name.startswith("rtk-1s-seed0-")
     assert {path.name for path in (folder / "figures").iterdir()} == {
-        "overview.png", "errors.png", "paths-payload.png", "drive-payload.png",
-        "beliefs-payload.png",
+        "overview.svg", "errors.svg", "paths-payload.svg", "drive-payload.svg",
+        "beliefs-payload.svg",
     }  # fmt: skip
 
 

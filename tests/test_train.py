@@ -103,6 +103,7 @@ def test_the_help_lists_what_there_is(repository):
         "--overwrite", "--env-args", "1 000 000 for recurrent PPO", "a tenth of all",
     ):  # fmt: skip
         assert name in result.stdout
+    assert "{None" not in result.stdout and "INTEGER" in result.stdout
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,9 @@ whatever algorithm trained that one. The training itself: `agents.training.stude
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import tyro.conf
 
 from agents.algorithms.algorithm import Algorithm
 from agents.algorithms.settings import check
@@ -37,7 +39,7 @@ class StudentSettings:
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers."""
 
-    lstm_hidden: int | None = None
+    lstm_hidden: Annotated[int | None, tyro.conf.arg(metavar="INTEGER")] = None
     """Units of an LSTM that sees dead reckoning instead of past samples, and infers the true motion
     too, for a teacher that was trained with ideal sensors; without: none. It is regressed on
     sequences of n_steps, of which batch_size / n_steps make a gradient step."""

@@ -3,8 +3,10 @@
 from dataclasses import dataclass, field, make_dataclass
 from dataclasses import fields as dataclass_fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from types import NoneType
+from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
+import tyro.conf
 from tyro.constructors import PrimitiveConstructorSpec
 
 from agents.algorithms import ALGORITHMS
@@ -201,6 +203,25 @@ class Options:
         track = "" if self.env == TORQUE_ID else self.env.rpartition("/")[2]
         name = f"{self.algorithm}-{self.augmentation}-seed{self.seed}"
         return self.output or Path("runs", track, name)
+
+
+WORDS: dict[Any, str] = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH", Folder: "PATH"}
+
+
+def in_words(kind: Any) -> Any:
+    """A type of an option that may be left out, so that the help names it by a word."""
+    parts = [part for part in get_args(kind) if part is not NoneType]
+    if get_origin(kind) is Annotated or len(parts) != 1 or NoneType not in get_args(kind):
+        return kind
+    (part,) = parts
+    if get_origin(part) is Literal:
+        word = "{" + ",".join(get_args(part)) + "}"
+    elif get_origin(part) is tuple:
+        word = WORDS[get_args(part)[0]]
+        word = f"{word} [{word} ...]"
+    else:
+        word = WORDS[part]
+    return Annotated[kind, tyro.conf.arg(metavar=word)]
 
 
 def options_of_train() -> type[Options]:

@@ -45,12 +45,12 @@ def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(
     store, records = finished
     files = episode_figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
     assert sorted(path.name for path in files) == [
-        "drive-payload.png",
-        "errors.png",
-        "overview.png",
-        "paths-payload.png",
+        "drive-payload.svg",
+        "errors.svg",
+        "overview.svg",
+        "paths-payload.svg",
     ]
-    assert all(path.read_bytes().startswith(b"\x89PNG") for path in files)
+    assert all("<svg" in path.read_text() and "<image" not in path.read_text() for path in files)
 
 
 @pytest.mark.parametrize("damaged", [["coast"], ["coast", "spin"]])
@@ -152,7 +152,7 @@ def test_policies_that_estimate_get_a_picture_of_their_beliefs(
 ) -> None:
     store, records = believed
     files = episode_figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
-    assert "beliefs-payload.png" in [path.name for path in files]
+    assert "beliefs-payload.svg" in [path.name for path in files]
 
 
 def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(
@@ -196,3 +196,41 @@ def test_without_matplotlib_the_error_names_the_extra(
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ImportError, match=r"tracked-env\[render\]"):
         episode_figures.save_all(tmp_path, store, records, CONFIG.sets, 0)
+
+
+def test_paths_have_the_error_of_every_policy_over_time_below_them(
+    finished: tuple[Store, list[episode_figures.Record]],
+) -> None:
+    style = episode_figures.looks(["coast", "spin"])
+    figure = episode_figures.paths("payload", drawn(finished)["payload"], style, seed=0)
+    below = [axes for axes in figure.axes if axes.get_xlabel() == "time [s]"]
+    assert len(below) == 3 and all(len(axes.lines) == 2 for axes in below)
+    assert all(axes.get_yscale() == "log" for axes in below)
+
+
+def test_a_figure_draws_five_policies_in_the_order_that_is_given_and_keeps_its_legend_whole(
+    finished: tuple[Store, list[episode_figures.Record]], tmp_path: Path
+) -> None:
+    original, records = finished
+    names = [f"policy-with-quite-a-long-name-{i}" for i in range(7)]
+    store = Store(tmp_path / "copy", CONFIG.identity())
+    trace = original.load_trace("coast", "payload")
+    assert trace is not None
+    for name in names:
+        store.save_trace(name, "payload", trace)
+    own = [r for r in records if r["policy"] == "coast"]
+    given = [{**r, "policy": name} for name in names for r in own]
+    wanted = [names[i] for i in (6, 0, 3, 5, 1, 2)]
+    files = episode_figures.save_all(tmp_path, store, given, CONFIG.sets, 0, wanted)
+    for path in files:
+        text = path.read_text()
+        shown = sorted((text.index(f"{name}<"), name) for name in names if f"{name}<" in text)
+        assert {name for _, name in shown} == set(wanted[:5]), path.name
+    style = episode_figures.looks(wanted[:5])
+    traces = dict.fromkeys(wanted[:5], trace)
+    figure = episode_figures.drive("payload", traces, style)
+    figure.canvas.draw()
+    legend = figure.legends[0].get_window_extent()
+    assert len(figure.legends[0].get_texts()) == 5
+    assert legend.x1 <= figure.bbox.x1
+    assert legend.y0 >= max(axes.get_window_extent().y1 for axes in figure.axes)

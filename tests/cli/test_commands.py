@@ -51,6 +51,20 @@ def test_evaluate_compares_and_writes_what_evaluate_py_writes(
     assert "ppo-blind" in (file.parent / "leaderboard.html").read_text()
 
 
+def test_quiet_shows_where_the_results_are_and_no_table(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["evaluate", *TINY, "--policies", "nominal,oracle", "--no-figures", "--quiet"]) == 0
+    shown = capsys.readouterr()
+    (page,) = Path("results").glob("*/leaderboard.html")
+    assert shown.out.rstrip().endswith(f"the page: {page}")
+    assert "RMSE" not in shown.out and "Leaderboard" not in shown.out
+    assert shown.err == ""
+    text = page.read_text()
+    assert "<dt>command</dt>" in text and "<dt>machine</dt>" in text
+    assert json.loads((page.parent / "results.json").read_text())["hash"] in text
+
+
 def test_a_wrong_argument_is_one_line_that_names_the_command(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -1,10 +1,10 @@
-"""Figures of a finished benchmark, as PNG; needs matplotlib (extra `render`).
+"""Figures of a finished benchmark, as SVG; needs matplotlib (extra `render`).
 
-overview.png        tracking RMSE of every episode, per set and policy
-errors.png          distance to the reference over time: median and quartiles
-paths-<set>.png     reference and driven paths of the first episodes
-drive-<set>.png     error, torque and slip of one episode over time
-beliefs-<set>.png   true and estimated parameters over time, if a policy estimates any
+overview.svg        tracking RMSE of every episode, per set and policy
+errors.svg          distance to the reference over time: median and quartiles
+paths-<set>.svg     reference and driven paths of the first episodes, and their errors over time
+drive-<set>.svg     error, torque and slip of one episode over time
+beliefs-<set>.svg   true and estimated parameters over time, if a policy estimates any
 """
 
 from collections.abc import Sequence
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark.drawing import (
     DPI,
+    MAX_DRAWN,
     PALETTE,
     REFERENCE_COLOUR,
     STYLE,
@@ -24,9 +25,10 @@ from tracked_env.benchmark.drawing import (
     head,
     looks,
     new_figure,
+    svg_text,
 )
 from tracked_env.benchmark.metrics import CHANNELS
-from tracked_env.benchmark.store import Record, Store
+from tracked_env.benchmark.store import Record, Store, write_atomically
 from tracked_env.benchmark.summary import agent_of
 
 if TYPE_CHECKING:
@@ -43,6 +45,7 @@ BELIEFS = {  # drawn, with their labels
     "longitudinal_resistance": "longitudinal resistance [-]",
     "lateral_resistance": "lateral resistance [-]",
 }
+SMALLEST_DRAWN = 1e-3  # [m] of errors on a logarithmic axis
 MARKER_TIME = 5.0  # [s] between two markers on a path
 
 
@@ -118,15 +121,16 @@ def _motion(trace: dict[str, NDArray[Any]], name: str, episode: int) -> NDArray[
 
 
 def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figure":
-    """Reference and driven paths of the first episodes of a set, one panel each.
+    """Reference and driven paths of the first episodes of a set, and their errors over time.
 
-    Markers every MARKER_TIME show who is where at the same time: a delay is an error as well.
+    Errors of centimetres are not seen beside paths of many metres: hence the lower row. Markers
+    every MARKER_TIME show who is where at the same time: a delay is an error as well.
     """
     longest = max(traces.values(), key=lambda trace: len(trace["motion"]))
     count = min(trace["motion"].shape[1] for trace in traces.values())
     every = max(round(MARKER_TIME / float(longest["control_period"])), 1)
-    figure, grid = new_figure((2.4, 2.6), 1, count, gap=(0.5, 0.0))
-    for episode, axes in enumerate(grid[0]):
+    figure, grid = new_figure((2.4, 2.2), 2, count, gap=(0.5, 0.5))
+    for episode, (axes, below) in enumerate(grid.T):
         x, y = (_motion(longest, f"reference_{axis}", episode) for axis in "xy")
         axes.plot(
             x, y, color=REFERENCE_COLOUR, linewidth=5.0, alpha=0.5, label="reference",
@@ -142,10 +146,18 @@ def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figu
             if np.isnan(x).any() or len(x) < len(longest["motion"]):  # it ended early: mark where
                 end = np.flatnonzero(np.isfinite(x))[-1]
                 axes.plot(x[end], y[end], "X", color=look.colour, markersize=8.0)
+            error = _motion(trace, "error", episode)
+            time = np.arange(1, len(error) + 1) * trace["control_period"]
+            line = {"linestyle": look.line_style, "color": look.colour, "linewidth": 1.1}
+            below.plot(time, np.maximum(error, SMALLEST_DRAWN), **line)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_title(f"episode {episode} (seed {seed + episode})")
         axes.set_xlabel("x [m]")
+        below.set_yscale("log")
+        below.yaxis.set_major_formatter("{x:g}")
+        below.set_xlabel("time [s]")
     grid[0, 0].set_ylabel("y [m]")
+    grid[1, 0].set_ylabel("distance to reference [m]")
     head(figure, grid[0, 0], f"{name}: paths, a marker every {MARKER_TIME:g} s", style)
     return figure
 
@@ -228,11 +240,17 @@ def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Fi
 
 
 def save_all(
-    folder: Path, store: Store, records: Sequence[Record], sets: Sequence[str], seed: int
+    folder: Path,
+    store: Store,
+    records: Sequence[Record],
+    sets: Sequence[str],
+    seed: int,
+    agents: Sequence[str] | None = None,
 ) -> list[Path]:
     """Draw everything into `folder`; returns the files. Raises ImportError without matplotlib.
 
-    Of an agent with several seeds the first one is drawn.
+    agents: those that are drawn, by default the first ones; MAX_DRAWN of them. Of an agent with
+    several seeds the first one is drawn.
     """
     try:
         import matplotlib
@@ -244,6 +262,8 @@ def save_all(
     first: dict[str, str] = {}
     for record in records:
         first.setdefault(agent_of(record["policy"]), record["policy"])
+    chosen = list(first if agents is None else agents)[:MAX_DRAWN]
+    first = {agent: first[agent] for agent in chosen}  # in this order, as their colours
     records = [record for record in records if record["policy"] in first.values()]
     style = looks(list(first.values()))
     found: dict[str, Traces] = {}
@@ -265,7 +285,7 @@ def save_all(
                 drawn[f"beliefs-{name}"] = believed
         files = []
         for title, figure in drawn.items():
-            path = folder / f"{title}.png"
-            figure.savefig(path, bbox_inches="tight", pad_inches=0.1)  # labels stay whole
+            path = folder / f"{title}.svg"
+            write_atomically(path, svg_text(figure, title).encode())
             files.append(path)
     return files

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tracked_env.benchmark.drawing import MAX_DRAWN
 from tracked_env.benchmark.relative_errors import RelativeError, agreement, relative
 from tracked_env.benchmark.reliability import FEW_EPISODES, FEW_SEEDS, enough, estimate, fewest
 from tracked_env.benchmark.report import (
@@ -28,11 +29,18 @@ from tracked_env.benchmark.report import (
     goal_cells,
     marked,
     plain,
+    rate_unit,
 )
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
-from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary, action_rate
-from tracked_env.benchmark.text_tables import aligned, escaped_lines, markdown_rows
+from tracked_env.benchmark.summary import (
+    Comparison,
+    PolicySummary,
+    Row,
+    Summary,
+    action_rate,
+)
+from tracked_env.benchmark.text_tables import aligned, escaped_lines, folded, markdown_rows
 from tracked_env.benchmark.training_curves import TrainingCost
 
 # What agents have to beat, by torque and by speed; the summary's baseline where both are missing.
@@ -69,6 +77,7 @@ class Leaderboard(NamedTuple):
     reference: str
     conditions: str  # what was run, in a sentence
     agreement: dict[str, float]  # Kendall's tau of this order with those by other statistics
+    anchors: tuple[str, ...] = ()  # the policies that score 0 and 1 over all sets, if both are here
 
 
 def leaderboard(
@@ -100,7 +109,9 @@ def leaderboard(
     ]
     places.sort(key=lambda place: place.relative.whole.value)
     ranked = {place.agent: place.relative.whole.value for place in places}
-    return Leaderboard(places, sets, reference, conditions, agreement(of_sets, ranked))
+    return Leaderboard(
+        places, sets, reference, conditions, agreement(of_sets, ranked), rows[last].anchors() or ()
+    )
 
 
 def _balanced(
@@ -117,13 +128,24 @@ def _balanced(
     return estimate(value, drawn, fewest(*own))
 
 
+def shown(board: Leaderboard) -> list[str]:
+    """The agents that figures draw, at most MAX_DRAWN, in the order of the leaderboard.
+
+    The reference, where the score is 0, the best that reads the truth, and the best of the others.
+    """
+    agents = [place.agent for place in board.places]
+    first = list(dict.fromkeys([board.reference, *board.anchors, *agents]))[:MAX_DRAWN]
+    return [name for name in agents if name in first]
+
+
 def between(e: Estimate, digits: int, seeds: int) -> str:
     """Value and interval; the value alone of an agent with one seed."""
     value = f"{e.value:.{digits}f}"
     return value if seeds == 1 else f"{value} [{e.low:.{digits}f}, {e.high:.{digits}f}]"
 
 
-def _said(ratio: Estimate) -> str:
+def said(ratio: Estimate) -> str:
+    """What the interval of a ratio of errors says of 1."""
     return "better" if ratio.high < 1.0 else "worse" if ratio.low > 1.0 else "not certain"
 
 
@@ -144,9 +166,9 @@ def verdict(place: Place, settled: bool = False) -> str:
         first, *others = place.relative.lost
         return f"loses {first}" + (f" and {len(others)}" if others else "")
     if settled:
-        return _said(place.relative.settled)
-    said, mean = _said(place.relative.whole), _of_mean(place.against.difference)
-    return f"{said}, mean {mean}" if {said, mean} == {"better", "worse"} else said
+        return said(place.relative.settled)
+    word, mean = said(place.relative.whole), _of_mean(place.against.difference)
+    return f"{word}, mean {mean}" if {word, mean} == {"better", "worse"} else word
 
 
 def table(board: Leaderboard) -> list[list[str]]:
@@ -197,7 +219,7 @@ def set_table(board: Leaderboard) -> list[list[str]]:
 
 def cost_table(board: Leaderboard) -> list[list[str]]:
     """Rows of cells, the header first: cost metrics and those about changes, over all sets."""
-    unit = action_rate(board.places[0].overall.means)[1]
+    unit, factor = rate_unit(place.overall.means for place in board.places)
     cells = [
         ["agent", "success", "ended early", "recovery [s]", "peak [m]", "energy [kJ]", "effort",
          "saturated", f"action rate [{unit}]", "predict [us]", "training"],
@@ -208,7 +230,8 @@ def cost_table(board: Leaderboard) -> list[list[str]]:
         cells.append(
             [place.agent, f"{m['success']:.1%}", f"{m['terminated']:.1%}",
              *(change if o.changed else ["-", "-"]), f"{m['energy'] / 1e3:.4g}",
-             f"{m['effort']:.4f}", f"{m['saturation_share']:.1%}", f"{action_rate(m)[0]:.4g}",
+             f"{m['effort']:.4f}", f"{m['saturation_share']:.1%}",
+             f"{factor * action_rate(m)[0]:.4g}",
              f"{'' if o.timed_alone else '~'}{o.predict_time * 1e6:.1f}",
              "-" if place.training is None else str(place.training)]
         )  # fmt: skip
@@ -257,19 +280,25 @@ SCORES = (
 )
 
 
-def terminal(board: Leaderboard) -> str:
-    """The leaderboard as plain text."""
+def terminal(board: Leaderboard, width: int = 80) -> str:
+    """The leaderboard as plain text of at most `width` columns; wider tables are folded."""
     parts = [
-        aligned(table(board)),
+        aligned(table(board), width=width),
         explanation(board),
         agreement_text(board),
-        f"{aligned(score_table(board), 1)}\n\n{SCORES}",
-        f"{aligned(set_table(board), 1)}\n\nScore, and in brackets the IQM of the RMSE [m]",
-        f"{aligned(cost_table(board), 1)}\n\n{COSTS}",
+        aligned(score_table(board), 1, width),
+        SCORES,
+        aligned(set_table(board), 1, width),
+        "Score, and in brackets the IQM of the RMSE [m]",
+        aligned(cost_table(board), 1, width),
+        COSTS,
     ]
     if len(goals := goal_table(board)) > 1:
-        parts.append(f"{aligned(goals, 1)}\n\n{GOAL_LEGEND}")
-    return "\n\n".join(part for part in [*parts, board.conditions] if part)
+        parts += [aligned(goals, 1, width), GOAL_LEGEND]
+    parts.append(board.conditions)
+    tables = parts[0], parts[3], parts[5], parts[7], parts[9] if len(goals) > 1 else ""
+    texts = (part if part in tables else folded(part, width) for part in parts if part)
+    return "\n\n".join(texts)
 
 
 def markdown(board: Leaderboard) -> str:

@@ -1,147 +1,139 @@
-"""The leaderboard as one HTML page that needs nothing else: no script, no other file.
+"""The leaderboard as one HTML page that needs no other file and asks for none.
 
-Figures are PNG inside the page; without matplotlib (extra `render`) there are none, and tables and
-heat map, which are HTML, remain.
+The template is filled with tables, whose columns of names and verdicts stay in view, with figures
+as SVG, and with where the numbers come from; one short script sorts and filters. Without matplotlib
+(extra `render`) there are no figures; tables, intervals as marks, and colours remain.
 """
 
-import base64
-import html
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
+from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import reliability as rel
+from tracked_env.benchmark import report
 from tracked_env.benchmark.drawing import (
-    REFERENCE_COLOUR,
+    MARK_LIMIT,
     STYLE,
     Look,
+    colour,
+    inline_svg,
     looks,
+    marks,
     new_figure,
     plain_ticks,
+    svg_text,
 )
-from tracked_env.benchmark.leaderboard import (
-    COSTS,
-    SCORES,
-    Leaderboard,
-    agreement_text,
-    cost_table,
-    explanation,
-    score_table,
-    table,
-)
+from tracked_env.benchmark.leaderboard import Leaderboard, Place
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import write_atomically
-from tracked_env.benchmark.summary import Row
+from tracked_env.benchmark.summary import Row, Summary
+from tracked_env.benchmark.text_tables import Cell, Table, plain_table, verdict_cell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Curves = Mapping[str, Sequence[Sequence[tuple[float, float]]]]
-FIGURE_DPI = 150  # [1/inch]
+LEARNING = "Learning curves"
 THRESHOLDS = 80  # of the performance profile
-# Colours of the heat map at scores of 0, 1/2 and 1: red, pale yellow, blue; with any colour vision.
-_COLOURS = np.array([(202, 86, 44), (246, 237, 200), (38, 112, 168)], dtype=np.float64)
-_CSS = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 75em; margin: 2em auto;
-  padding: 0 1em; }
-h1 { font-size: 1.6em; } h2 { font-size: 1.2em; margin-top: 2em; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: 0.25em 0.7em; text-align: right; white-space: nowrap; }
-th { border-bottom: 2px solid #888; font-weight: 600; }
-td { border-bottom: 1px solid #ddd; }
-th.name, td.name { text-align: left; }
-.heat td { border: 2px solid #fff; text-align: center; }
-.heat th { border: 0; text-align: center; }
-.heat td.name { text-align: left; }
-img { max-width: 100%; height: auto; }
-.note { color: #555; max-width: 60em; }
-"""
+TEMPLATES = Path(__file__).with_name("templates")
+FILES = {
+    "results.json": "configuration, versions, units, all intervals and all records",
+    "episodes.csv": "one row per set, policy and episode",
+    "leaderboard.json": "the leaderboard as numbers",
+    "summary.md": "the tables of every set as text",
+}
 
 
-def colour(score: float) -> tuple[str, str]:
-    """Background and text colour of a score, clipped to 0 .. 1."""
-    place = 2.0 * min(max(score, 0.0), 1.0)
-    low = min(int(place), 1)
-    red, green, blue = (_COLOURS[low] + (place - low) * (_COLOURS[low + 1] - _COLOURS[low])).round()
-    light = 0.299 * red + 0.587 * green + 0.114 * blue
-    text = "#000" if light > 140.0 else "#fff"
-    return f"#{int(red):02x}{int(green):02x}{int(blue):02x}", text
+class Drawing(NamedTuple):
+    """A figure of the page; a folded one is opened by its title."""
+
+    title: str
+    caption: str
+    svg: str
+    folded: bool = False
 
 
-def _table(rows: Sequence[Sequence[str]], names: int = 2) -> str:
-    def cells(row: Sequence[str], tag: str) -> str:
-        kinds = [' class="name"' if i < names else "" for i in range(len(row))]
-        return "".join(
-            f"<{tag}{kind}>{html.escape(cell)}</{tag}>"
-            for kind, cell in zip(kinds, row, strict=True)
-        )
+class Section(NamedTuple):
+    """A part of the page."""
 
-    head_row, *body = rows
-    lines = [f"<tr>{cells(row, 'td')}</tr>" for row in body]
-    return (
-        f'<div class="scroll"><table><thead><tr>{cells(head_row, "th")}</tr></thead>'
-        f"<tbody>{''.join(lines)}</tbody></table></div>"
+    title: str
+    anchor: str
+    tables: Sequence[Table] = ()
+    figures: Sequence[Drawing] = ()
+    facts: Mapping[str, str] = {}
+    links: Mapping[str, str] = {}
+
+
+def main_table(board: Leaderboard) -> Table:
+    """What leads the leaderboard, with intervals as marks and as text."""
+    head, *rows = lb.table(board)
+    made = plain_table(
+        f"Agents by their error over that of {board.reference}. A mark is the ratio, its bar the "
+        f"95 % interval, the dashed line 1; the axis is logarithmic and ends at {MARK_LIMIT:g}",
+        [["place", *head[1:-1]], *(row[:-1] for row in rows)],
+        (1, 8),
+        [lb.explanation(board), lb.agreement_text(board)],
+    )
+    for row, (*_, whole, settled) in zip(made.rows, rows, strict=True):
+        if settled != whole:
+            row[1] = row[1]._replace(more=(f"after 5 s: {settled}",))
+    columns = [
+        (4, marks([place.relative.whole for place in board.places])),
+        (5, marks([place.relative.settled for place in board.places])),
+    ]
+    for column, of in columns:
+        for row, mark in zip(made.rows, of, strict=True):
+            row[column] = row[column]._replace(mark=mark)
+    return made
+
+
+def _of_set(place: Place, board: Leaderboard, row: Row, rmse: Estimate) -> Cell:
+    """Ratio of the errors in one set: value, interval and verdict in words, error in metres."""
+    metres = f"{rmse.value:.3f} m"
+    if place.against is None:
+        return Cell("1", 1.0, "heat", ("reference", metres), colour(1.0))
+    ratio = rel.relative_error([(row.redrawn[place.agent], row.redrawn[board.reference])])
+    said = lb.said(ratio) if rel.enough(min(row.sizes), place.seeds) else report.TOO_FEW
+    interval = () if place.seeds == 1 else (f"[{ratio.low:.2f}, {ratio.high:.2f}]",)
+    return Cell(
+        f"{ratio.value:.2f}", ratio.value, "heat", (*interval, said, metres), colour(ratio.value)
     )
 
 
-def _heat_cell(score: Estimate | None, rmse: Estimate) -> str:
-    title = f"IQM of the RMSE: {rmse.value:.3f} m [{rmse.low:.3f}, {rmse.high:.3f}]"
-    if score is None:
-        return f'<td title="{title}">-</td>'
-    back, text = colour(score.value)
-    title += f"; score [{score.low:.2f}, {score.high:.2f}]"
-    style = f"background:{back};color:{text}"
-    return f'<td style="{style}" title="{title}">{score.value:.2f}<br>{rmse.value:.3f} m</td>'
-
-
-def heat_map(board: Leaderboard) -> str:
-    """Score of every agent on every set, as an HTML table."""
-    header = "".join(f"<th>{html.escape(name)}</th>" for name in ("", *board.sets))
-    lines = []
-    for place in board.places:
-        cells = "".join(_heat_cell(place.scores[name], place.rmse[name]) for name in board.sets)
-        lines.append(f'<tr><td class="name">{html.escape(place.agent)}</td>{cells}</tr>')
-    return (
-        f'<div class="scroll"><table class="heat"><thead><tr>{header}</tr></thead>'
-        f"<tbody>{''.join(lines)}</tbody></table></div>"
+def set_table(board: Leaderboard, rows: Mapping[str, Row]) -> Table:
+    """Error of every agent over that of the reference on every set."""
+    body = [
+        [
+            Cell(place.agent, None, "name"),
+            verdict_cell(lb.verdict(place)),
+            *(_of_set(place, board, rows[name], place.rmse[name]) for name in board.sets),
+        ]
+        for place in board.places
+    ]
+    note = (
+        f"IQM of the RMSE over that of {board.reference}, its 95 % interval, what that says, and "
+        "the IQM in metres. Blue: a smaller error than the reference; red: a larger one; white: 1. "
+        f"No verdict ({report.TOO_FEW}) below {rel.FEW_EPISODES + 1} episodes or "
+        f"{rel.FEW_SEEDS + 1} seeds."
     )
-
-
-def intervals(board: Leaderboard, style: Mapping[str, Look]) -> "Figure":
-    """Error over the reference's with its interval, whole episode and after the start."""
-    panels = ("whole episode", "after the start")
-    figure, grid = new_figure((3.6, 0.32 * len(board.places) + 0.3), columns=2, left=1.9)
-    for axes, name, settled in zip(grid[0], panels, (False, True), strict=True):
-        for row, place in enumerate(board.places):
-            e = place.relative.settled if settled else place.relative.whole
-            look = style[place.agent]
-            axes.plot([e.low, e.high], [row, row], color=look.colour, linewidth=5.0, alpha=0.4,
-                      solid_capstyle="butt")  # fmt: skip
-            axes.plot(e.value, row, look.marker, color=look.colour, markersize=6.0)
-        axes.axvline(1.0, color=REFERENCE_COLOUR, linewidth=1.0)
-        names = [place.agent for place in board.places] if not settled else []
-        axes.set_yticks(range(len(board.places)), names or [""] * len(board.places))
-        axes.set_ylim(len(board.places) - 0.5, -0.5)
-        axes.set_xscale("log")
-        plain_ticks(axes.xaxis)
-        axes.set_xlabel(f"{name}: error / {board.reference}")
-    grid[0, 0].set_title("Tracking error and its 95 % interval, over all sets", loc="left")
-    return figure
+    head = ["agent", f"than {board.reference}", *board.sets]
+    return Table("Error of every agent on every set", head, body, 2, [note])
 
 
 def profiles(row: Row, board: Leaderboard, style: dict[str, Look]) -> "Figure":
     """Share of seeds and episodes with an RMSE below a threshold, with 95 % bands."""
-    values = np.concatenate([of.values.ravel() for of in row.redrawn.values()])
+    values = np.concatenate([row.redrawn[agent].values.ravel() for agent in style])
     low, high = max(float(values.min()), 1e-3), max(float(values.max()), 2e-3)
     tau = np.geomspace(low, high, THRESHOLDS)
     figure, grid = new_figure((6.5, 3.2))
     axes = grid[0, 0]
-    for place in board.places:
+    for place in [p for p in board.places if p.agent in style]:
         look = style[place.agent]
         share, below, above = rel.profile(row.redrawn[place.agent], row.redraws, tau)
         axes.fill_between(tau, below, above, color=look.colour, alpha=0.2, linewidth=0)
@@ -162,7 +154,7 @@ def learning(curves: Curves, board: Leaderboard, style: dict[str, Look]) -> "Fig
     """RMSE on held-out episodes over the steps of the training, a line per seed."""
     figure, grid = new_figure((6.5, 3.2))
     axes = grid[0, 0]
-    shown = [place for place in board.places if place.agent in curves]
+    shown = [p for p in board.places if p.agent in curves and p.agent in style]
     for place in shown:
         look = style[place.agent]
         for seed, curve in enumerate(curves[place.agent]):
@@ -187,64 +179,133 @@ def _legend(axes: "Axes", title: str) -> None:
 
 
 def figures(board: Leaderboard, row: Row, curves: Curves) -> "dict[str, Figure]":
-    """All figures by title; empty without matplotlib. row: that of all sets."""
+    """The figures of all sets by title; empty without matplotlib. row: that of all sets."""
     try:
         import matplotlib
     except ImportError:
         return {}
-    style = looks([place.agent for place in board.places])
+    style = looks(lb.shown(board))
     # Names of agents are shown as they are: a dollar sign in one begins no formula.
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        drawn = {
-            "Tracking error": intervals(board, style),
-            "Performance profile": profiles(row, board, style),
-        }
-        if curves:
-            drawn["Learning curves"] = learning(curves, board, style)
+        drawn = {"Performance profile": profiles(row, board, style)}
+        if any(agent in curves for agent in style):
+            drawn[LEARNING] = learning(curves, board, style)
     return drawn
 
 
-def _inline(figure: "Figure", title: str) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=FIGURE_DPI, bbox_inches="tight")
-    picture = buffer.getvalue()
-    width = int.from_bytes(picture[16:20], "big") * 96 // FIGURE_DPI  # [px] of its head
-    data = base64.b64encode(picture).decode()
-    return f'<img alt="{html.escape(title)}" width="{width}" src="data:image/png;base64,{data}">'
-
-
-def render(board: Leaderboard, drawn: "Mapping[str, Figure]") -> str:
-    """The whole page."""
-    parts = [
-        f'<p class="note">{html.escape(board.conditions)}</p>',
-        _table(table(board)),
-        f'<p class="note">{html.escape(explanation(board)).replace(chr(10), " ")}</p>',
-        f'<p class="note">{html.escape(agreement_text(board))}</p>',
-        "<h2>Scores</h2>",
-        _table(score_table(board), 1),
-        f'<p class="note">{html.escape(SCORES).replace(chr(10), " ")}</p>',
-        "<h2>Score on every set</h2>",
-        heat_map(board),
-        '<p class="note">0 (red): as good as integral, or nominal; 1 (blue): as the ceiling; below '
-        "it the IQM of the RMSE. Intervals appear under the pointer.</p>",
-        "<h2>Cost metrics</h2>",
-        _table(cost_table(board), 1),
-        f'<p class="note">{html.escape(COSTS).replace(chr(10), " ")}</p>',
+def _drawings(board: Leaderboard, row: Row, curves: Curves) -> list[Drawing]:
+    return [
+        Drawing(
+            title,
+            f"Those of {', '.join(a for a in lb.shown(board) if a in curves)}."
+            if title == LEARNING
+            else _said_shown(board),
+            inline_svg(svg_text(figure, title), title),
+        )
+        for title, figure in figures(board, row, curves).items()
     ]
-    for title, figure in drawn.items():
-        parts.append(f"<h2>{html.escape(title)}</h2>\n{_inline(figure, title)}")
-    body = "\n".join(parts)
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>Leaderboard</title>\n<style>{_CSS}</style>\n</head>\n<body>\n"
-        f"<h1>Leaderboard: tracked vehicles on unknown soil</h1>\n{body}\n</body>\n</html>\n"
+
+
+def _said_shown(board: Leaderboard) -> str:
+    shown = lb.shown(board)
+    if len(shown) == len(board.places):
+        return "All agents are drawn."
+    return f"Drawn: {', '.join(shown)}, of {len(board.places)} agents; --policies names others."
+
+
+def _of_episodes(board: Leaderboard, files: Sequence[Path]) -> list[Drawing]:
+    """Figures of episodes, which `episode_figures` has written, titled by their names."""
+    return [
+        Drawing(
+            path.stem.replace("-", " of ", 1),
+            f"{_said_shown(board)} As a file: figures/{path.name}",
+            inline_svg(path.read_text(encoding="utf-8"), path.stem),
+            folded=path.stem not in ("overview", "errors"),
+        )
+        for path in files
+    ]
+
+
+def _details(summary: Summary) -> list[Table]:
+    """The tables of every set, the policy first."""
+    titles = {
+        "RMSE": "Errors and costs", "clearly": f"Compared with {summary.baseline}",
+        "recovery": "After abrupt changes", "goals": "Goals", "NEES": "Estimates",
+        "NIS": "Innovations of the filters",
+    }  # fmt: skip
+    tables = []
+    for rows, _, legend in report.parts(summary):
+        text = " ".join(rows[0])
+        keys = ("clearly", "recovery", "goals", "NEES", "NIS", "RMSE")
+        title = titles[next(key for key in keys if key in text)]
+        front = (1, rows[0].index("clearly worse")) if "clearly worse" in rows[0] else (1, 0)
+        tables.append(plain_table(title, rows, front, [legend]))
+    return tables
+
+
+def sections(
+    board: Leaderboard,
+    rows: Mapping[str, Row],
+    drawn: Sequence[Drawing],
+    episodes: Sequence[Drawing],
+    summary: Summary | None,
+    origin: Mapping[str, str],
+) -> list[Section]:
+    """The parts of the page in their order; what is empty is left out."""
+    costs = [plain_table("Cost metrics", lb.cost_table(board), (0,), [lb.COSTS])]
+    if len(goals := lb.goal_table(board)) > 1:
+        costs.append(plain_table("Goals", goals, (0,), [report.GOAL_LEGEND]))
+    scores = plain_table("Score and errors in metres", lb.score_table(board), (0,), [lb.SCORES])
+    found = [
+        Section("Leaderboard", "leaderboard", [main_table(board)]),
+        Section("Every set", "sets", [set_table(board, rows)]),
+        Section("Figures", "figures", figures=drawn),
+        Section("Episodes", "episodes", figures=episodes),
+        Section("Scores", "scores", [scores]),
+        Section("Costs", "costs", costs),
+        Section("Details", "details", _details(summary) if summary else ()),
+        Section("Provenance", "provenance", facts=origin),
+        Section("Files", "files", links=FILES),
+    ]
+    return [part for part in found if part.tables or part.figures or part.facts or part.links]
+
+
+def render(board: Leaderboard, parts: Sequence[Section], environment: str = "") -> str:
+    """The whole page."""
+    engine = Environment(
+        loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    own: dict[str, Any] = {
+        name: (TEMPLATES / file).read_text(encoding="utf-8")
+        for name, file in (("css", "page.css"), ("script", "page.js"))
+    }
+    return engine.get_template("leaderboard.html").render(
+        conditions=board.conditions,
+        environment=environment,
+        sections=parts,
+        **{name: Markup(text) for name, text in own.items()},
     )
 
 
-def write(folder: Path, board: Leaderboard, row: Row, curves: Curves, draw: bool = True) -> Path:
-    """Write leaderboard.html into `folder`; draw: with figures."""
+def write(
+    folder: Path,
+    board: Leaderboard,
+    rows: Mapping[str, Row],
+    curves: Curves,
+    draw: bool = True,
+    episodes: Sequence[Path] = (),
+    summary: Summary | None = None,
+    origin: Mapping[str, str] | None = None,
+) -> Path:
+    """Write leaderboard.html into `folder`.
+
+    rows: of every set and, last, of all; draw: with figures; episodes: figures as SVG files;
+    summary: for the tables of every set; origin: where the numbers come from, by what it is.
+    """
     path = folder / "leaderboard.html"
-    drawn = figures(board, row, curves) if draw else {}
-    write_atomically(path, render(board, drawn).encode())
+    given = origin or {}
+    drawn = _drawings(board, list(rows.values())[-1], curves) if draw else []
+    parts = sections(board, rows, drawn, _of_episodes(board, episodes), summary, given)
+    write_atomically(path, render(board, parts, given.get("environment", "")).encode())
     return path

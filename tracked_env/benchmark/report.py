@@ -28,7 +28,7 @@ from tracked_env.benchmark.summary import (
     action_rate,
     summarise,
 )
-from tracked_env.benchmark.text_tables import aligned, escaped_lines, markdown_rows
+from tracked_env.benchmark.text_tables import aligned, escaped_lines, folded, markdown_rows
 
 __all__ = [
     "ALL_SETS", "SEPARATION_RATIO", "Comparison", "Summary", "aligned", "markdown",
@@ -204,7 +204,7 @@ IDENTIFICATION_LEGEND = (
 )
 
 
-def _parts(summary: Summary) -> list[tuple[list[list[str]], int, str]]:
+def parts(summary: Summary) -> list[tuple[list[list[str]], int, str]]:
     """Tables that are not empty, how many of their columns are names, their legends."""
     tables = [
         (policy_table(summary), 2, legend(summary)),
@@ -221,18 +221,20 @@ def _parts(summary: Summary) -> list[tuple[list[list[str]], int, str]]:
     return [table for table in tables if len(table[0]) > 1]
 
 
-def terminal(summary: Summary) -> str:
-    """The whole summary as plain text."""
-    parts = _parts(summary)
-    return "\n\n".join(f"{aligned(rows, names)}\n\n{text}" for rows, names, text in parts)
+def terminal(summary: Summary, width: int = 80) -> str:
+    """The whole summary as plain text of at most `width` columns; wider tables are folded."""
+    return "\n\n".join(
+        f"{aligned(rows, names, width)}\n\n{folded(text, width)}"
+        for rows, names, text in parts(summary)
+    )
 
 
 def markdown(summary: Summary) -> str:
     """The whole summary as Markdown."""
-    parts = _parts(summary)
     return (
         "\n\n".join(
-            f"{markdown_rows(r, names)}\n\n{escaped_lines(text)}" for r, names, text in parts
+            f"{markdown_rows(rows, names)}\n\n{escaped_lines(text)}"
+            for rows, names, text in parts(summary)
         )
         + "\n"
     )

@@ -3,6 +3,7 @@
 import argparse
 import csv
 import io
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -33,7 +34,7 @@ from tracked_env.benchmark.registered_policies import (
 from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.store import Store, write_atomically
 from tracked_env.benchmark.summary import agent_of, rows_of
-from tracked_env.benchmark.text_tables import aligned, markdown_rows
+from tracked_env.benchmark.text_tables import aligned, folded, markdown_rows
 from tracked_env.cli.evaluate_command import result_folder
 from tracked_env.cli.evaluate_options import add_options, config_of
 from tracked_env.validation import unknown
@@ -101,7 +102,7 @@ def main(arguments: Sequence[str], program: str) -> int:
         store = Store(result_folder(config.output, benchmark), benchmark.identity())
         tasks = pending(benchmark, entries, store, executor.workers if executor else 1)
         steps = sum(len(t.episodes) * benchmark.max_steps(t.uncertainty_set) for t in tasks)
-        with progress_bar(steps) as progress:
+        with progress_bar(steps, config.quiet) as progress:
             records = run(benchmark, entries, store, progress, executor)
         rows = rows_of(records)
     except (PolicyError, OSError) as error:
@@ -113,6 +114,8 @@ def main(arguments: Sequence[str], program: str) -> int:
     found = {name: adaptation.scores(rows[name]) for name in benchmark.sets}
     cells = adaptation.table(found)
     write(store.folder, store, cells, benchmark.sets, entries, config.figures)
-    print(f"\n{aligned(cells, 2)}\n\n{adaptation.LEGEND}\n")
+    if not config.quiet:
+        width = shutil.get_terminal_size().columns
+        print(f"\n{aligned(cells, 2, width)}\n\n{folded(adaptation.LEGEND, width)}\n")
     print(f"adaptation.csv, adaptation.md and figures in {store.folder}")
     return 0

@@ -3,6 +3,7 @@
 import argparse
 import csv
 import io
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -134,7 +135,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     except ValueError as error:
         print(f"{program}: {error}", file=sys.stderr)
         return 2
-    print(f"\n{aligned(breaking.table(points), 1)}\n")
+    print(f"\n{aligned(breaking.table(points), 1, shutil.get_terminal_size().columns)}\n")
     print(
         f"Half or more of {given.episodes} episodes succeed at the first number, fewer at the "
         f"second.\nbreaking_points.csv and breaking_points.png in {store.folder}"

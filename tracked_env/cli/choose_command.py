@@ -5,6 +5,7 @@ Run it again with other policies: what was run is kept, and only what is missing
 
 import argparse
 import json
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -127,8 +128,9 @@ def _choose(options: Options) -> None:
         f"{config.episodes} episodes of each set, from seed {config.seed} on (development split), "
         f"{len(entries)} policies; source {config.identity()['source']}."
     )
-    print(f"\n{aligned(choosing.table(found))}\n\n{choosing.EXPLANATION}\n")
-    print(f"{aligned(choosing.correlation_table(found), 1)}\n")
+    width = shutil.get_terminal_size().columns
+    print(f"\n{aligned(choosing.table(found), width=width)}\n\n{choosing.EXPLANATION}\n")
+    print(f"{aligned(choosing.correlation_table(found), 1, width)}\n")
     print(f"{choosing.verdict(found)}\n\n{conditions}")
     values = {each.name: each.iqm for each in found.sets}
     write_atomically(store.folder / "choice.json", json.dumps(values, indent=1).encode())

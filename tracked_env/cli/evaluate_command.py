@@ -1,8 +1,11 @@
 """`tracked-env evaluate`: the paired comparison of policies, from options to files and tables."""
 
+import shlex
+import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +13,6 @@ from tracked_env import TORQUE_ID
 from tracked_env.benchmark import (
     BenchmarkConfig,
     Store,
-    Summary,
     check,
     default_sets,
     leaderboard,
@@ -30,7 +32,7 @@ from tracked_env.benchmark.registered_policies import (
 )
 from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.store import identity_hash
-from tracked_env.benchmark.summary import Row, rows_of
+from tracked_env.benchmark.summary import rows_of
 from tracked_env.benchmark.training_curves import read_costs, read_curves
 from tracked_env.cli import clone
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, Config, parsed
@@ -88,15 +90,20 @@ def draw(
     entries: list[PolicyEntry],
     store: Store,
     records: list[dict[str, Any]],
-) -> None:
-    """Figures and videos, as far as they are asked for and their packages are installed."""
+    agents: Sequence[str],
+) -> list[Path]:
+    """Figures and videos, as far as they are asked for and their packages are installed.
+
+    agents: those in the figures. Returns the files of figures.
+    """
     folder = store.folder
+    files: list[Path] = []
     try:
         if config.figures:
             from tracked_env.benchmark import episode_figures
 
             files = episode_figures.save_all(
-                folder / "figures", store, records, benchmark.sets, benchmark.seed
+                folder / "figures", store, records, benchmark.sets, benchmark.seed, agents
             )
             print(f"{len(files)} figures in {folder / 'figures'}")
         if config.video:
@@ -107,25 +114,23 @@ def draw(
                 print(f"video {path}")
     except ImportError as error:
         print(f"not drawn: {error}", file=sys.stderr)
+    return files
 
 
-def write_leaderboard(
-    config: Config,
-    store: Store,
-    summary: Summary,
-    rows: Mapping[str, Row],
-    conditions: str,
-    folders: Mapping[str, Sequence[Path]],
-) -> str:
-    """Write the leaderboard as JSON, Markdown and HTML; returns it as text.
-
-    folders: of the archives of an agent, which may have learning curves.
-    """
-    board = leaderboard.leaderboard(summary, rows, conditions, read_costs(folders))
-    leaderboard.write(store.folder, board)
-    curves = read_curves(folders)
-    leaderboard_page.write(store.folder, board, list(rows.values())[-1], curves, config.figures)
-    return leaderboard.terminal(board)
+def origin(benchmark: BenchmarkConfig, store: Store) -> dict[str, str]:
+    """Where the numbers of a page come from, by what it is."""
+    of_machine = store.header["machine"]
+    return {
+        "environment": benchmark.env,
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        "sets": check(benchmark).message,
+        "episodes": f"{benchmark.episodes} per set, seeds from {benchmark.seed}",
+        "hash of the configuration": store.header["hash"],
+        "hash of the source": str(benchmark.identity()["source"]),
+        "versions": ", ".join(f"{name} {of}" for name, of in store.header["versions"].items()),
+        "machine": ", ".join(f"{name} {of}" for name, of in of_machine.items() if of),
+    }
 
 
 def open_with(config: Config, extras: Extras) -> Callable[[Path], PolicyEntry]:
@@ -198,7 +203,7 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     elif missing < asked:
         print(f"{asked - missing} of {asked} episodes are already in {store.folder}")
     steps = sum(len(task.episodes) * benchmark.max_steps(task.uncertainty_set) for task in tasks)
-    with progress_bar(steps) as progress:
+    with progress_bar(steps, config.quiet) as progress:
         records = run(benchmark, entries, store, progress, executor)
     if config.shard is not None:
         print(
@@ -217,11 +222,19 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     folders: dict[str, list[Path]] = {}
     for name, path in (found for spec in specs for found in archives(spec, trained)):
         folders.setdefault(name, []).append(path.parent)
-    board = write_leaderboard(config, store, summary, rows, conditions, folders)
-    print(f"\n{report.terminal(summary)}\n\n\nLeaderboard\n\n{board}\n")
+    board = leaderboard.leaderboard(summary, rows, conditions, read_costs(folders))
+    leaderboard.write(store.folder, board)
+    if not config.quiet:
+        width = shutil.get_terminal_size().columns
+        tables = report.terminal(summary, width), leaderboard.terminal(board, width)
+        print(f"\n{tables[0]}\n\n\nLeaderboard\n\n{tables[1]}\n")
+    files = draw(config, benchmark, entries, store, records, leaderboard.shown(board))
+    curves = read_curves(folders)
+    page = leaderboard_page.write(
+        store.folder, board, rows, curves, config.figures, files, summary, origin(benchmark, store)
+    )
     print(f"results.json, episodes.csv, summary.md and leaderboard.html in {store.folder}")
-    draw(config, benchmark, entries, store, records)
     for notice in store.notices[known:]:
         print(notice)
-    print(f"done in {time.perf_counter() - began:.1f} s")
+    print(f"done in {time.perf_counter() - began:.1f} s; the page: {page}")
     return 0

@@ -118,8 +118,9 @@ class Config:
         "time may write",
         type=Path,
     )
-    figures: bool = flag(True, "draw paths, errors, torque and slip as PNG")
+    figures: bool = flag(True, "draw paths, errors, torque and slip as SVG, on the page too")
     video: bool = flag(False, "record the first episode of the first set, every policy")
+    quiet: bool = flag(False, "show neither progress nor tables: only where the results are")
     paper: str = option(
         "none",
         "instead of the benchmark, run a paper's experiments again: its claims beside what comes "

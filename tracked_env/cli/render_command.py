@@ -13,7 +13,8 @@ from tracked_env.benchmark.registered_policies import by_name, open_archive, reg
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_options, config_of
 
-_OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk")
+_OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk",
+           "quiet")  # fmt: skip
 
 
 def main(arguments: Sequence[str], program: str) -> int:

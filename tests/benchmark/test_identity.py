@@ -90,6 +90,7 @@ def test_the_simulation_takes_nothing_but_pictures_from_what_is_without_influenc
         ("benchmark/runner.py", "benchmark/executors"),
         ("benchmark/runner.py", "benchmark/figure_data"),
         ("benchmark/runner.py", "benchmark/progress_bar"),
+        ("benchmark/runner.py", "benchmark/records"),
         ("benchmark/runner.py", "benchmark/store"),
         *(
             ("benchmark/__init__.py", f"benchmark/{name}")

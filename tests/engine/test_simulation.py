@@ -225,6 +225,8 @@ def test_every_uncertainty_set_draws_physical_values_and_changes_what_it_promise
         "resistance-map": resistance,
         "drift": {"mass", "inertia"} | resistance,
         "actuator-fault": {"actuator_gain_left", "actuator_gain_right"},
+        "alternating-gains": {"actuator_gain_left", "actuator_gain_right"},
+        "alternating-floors": {"friction_angle"},
         "alternating-soils": {"cohesion", "friction_angle", "shear_deformation_modulus"},
     }
     if name in expected:

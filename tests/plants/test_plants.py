@@ -24,7 +24,7 @@ DEFAULTS = (
     "env.py",
     "vector_env.py",
     "engine/env_config.py",
-    "benchmark/sets.py",
+    "benchmark/set_catalogue.py",
     "cli/evaluate_options.py",
 )
 

@@ -19,13 +19,13 @@ from baselines.batch_policy import BatchPolicy
 from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.motion_filter import MotionFilter
 from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, DRIVE, DataSheet, Measurement
-from baselines.linearizing.adaptive_policy import show
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
     shows_attitude,
 )
+from baselines.linearizing.shown_motion import show
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
 

@@ -32,9 +32,9 @@ from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.store import Store, write_atomically
 from tracked_env.benchmark.summary import agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned, markdown_rows
-from tracked_env.cli.ending import reported
 from tracked_env.cli.evaluate_command import result_folder
 from tracked_env.cli.evaluate_options import add_options, config_of
+from tracked_env.cli.exit_status import reported
 from tracked_env.validation import unknown
 
 # Sets with a change inside the episode, by environment.

@@ -26,8 +26,8 @@ from tracked_env.benchmark.store import Store, identity_hash, write_atomically
 from tracked_env.benchmark.summary import agent_of
 from tracked_env.benchmark.text_tables import aligned
 from tracked_env.cli.choose_command import few_seeds
-from tracked_env.cli.ending import reported
 from tracked_env.cli.evaluate_options import names, short_env
+from tracked_env.cli.exit_status import reported
 from tracked_env.uncertainty.law import fingerprint
 from tracked_env.validation import checked_choice
 

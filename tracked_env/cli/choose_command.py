@@ -29,8 +29,8 @@ from tracked_env.benchmark.splits import DEVELOPMENT
 from tracked_env.benchmark.store import Store, identity_hash, write_atomically
 from tracked_env.benchmark.summary import agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned, markdown_rows
-from tracked_env.cli.ending import reported
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, names, short_env
+from tracked_env.cli.exit_status import reported
 
 _KNOWN = ("nominal", "floor", "level")  # nothing is unknown there: no candidates
 

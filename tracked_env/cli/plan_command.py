@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tracked_env.benchmark.registered_policies import command_function
-from tracked_env.cli.ending import reported
+from tracked_env.cli.exit_status import reported
 from tracked_env.cli.waiting import explained
 
 POSE: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "YAW")}

@@ -9,9 +9,9 @@ from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
-from tracked_env.cli.ending import reported
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_options, config_of
+from tracked_env.cli.exit_status import reported
 
 _OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk")
 

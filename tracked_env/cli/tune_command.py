@@ -30,9 +30,9 @@ from tracked_env.benchmark.tuning_records import (
     page,
     sensitivity_rows,
 )
-from tracked_env.cli.ending import reported
 from tracked_env.cli.evaluate_options import ENVIRONMENTS as IDS
 from tracked_env.cli.evaluate_options import names, short_env
+from tracked_env.cli.exit_status import reported
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole, unknown
 

@@ -1,4 +1,4 @@
-"""How a command ends: errors as one line with an exit status, and at once at Ctrl-C."""
+"""Exit status of a command: errors as one line, and the end at Ctrl-C."""
 
 import os
 import signal

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import pytest
 
 from tracked_env.benchmark.policy_interface import PolicyError
-from tracked_env.cli.ending import reported
+from tracked_env.cli.exit_status import reported
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,29 @@ def test_dead_reckoning_trusts_each_pose_by_the_data_sheet():
     assert 0.001 < moved[1] < 0.05 and 0.0 < moved[2] < 0.001
 
 
+def test_the_bias_of_the_gyro_is_learned_with_poses_and_taken_off_without_until_a_new_start():
+    """A vehicle that stands as its reference does; the gyro alone says that it turns."""
+    sensors = RTK.sensors._replace(gyro_bias=0.005)
+    made = make_augmentation("reckoned", {}, RTK._replace(sensors=sensors), 1)
+    ended = []
+    for learning in (0.0, 40.0):  # [s] with poses before an outage of 10 s
+        start = np.array([True])
+        for step in range(round((learning + 10.0) / PERIOD)):
+            missing = max(step * PERIOD - learning, 0.0)
+            shown = made.observe(seen(yaw_rate=sensors.gyro_bias, pose_age=missing), start)[0]
+            start[:] = False
+        ended.append(-(shown * _SCALES)[2])
+    assert ended[0] == pytest.approx(10.0 * sensors.gyro_bias, rel=0.05)
+    assert abs(ended[1]) < 0.1 * ended[0]
+    memories = made.memories()
+    other = make_augmentation("reckoned", {}, RTK._replace(sensors=sensors), 1)
+    other.restore(memories)
+    later = seen(yaw_rate=sensors.gyro_bias, pose_age=10.0 + PERIOD)
+    for each in (made, other):
+        found = -(each.observe(later, start)[0] * _SCALES)[2]
+        assert found == pytest.approx(ended[1], abs=0.2 * PERIOD * sensors.gyro_bias)
+
+
 def test_without_a_pose_reckoned_errors_are_far_nearer_to_the_truth_than_the_held_ones():
     """On firm soil, where tracks hardly slip, wherever the vehicle drives."""
     env = TrackedVehicleVectorEnv(
@@ -130,6 +153,34 @@ def test_a_residual_agent_corrects_the_policy_that_it_names(monkeypatch):
     )
     np.testing.assert_array_equal(usual, named)
     assert not np.allclose(usual, other, atol=1e-3)
+
+
+def test_a_residual_agent_on_predictive_control_goes_on_from_its_memories_and_can_be_frozen():
+    env = TrackedVehicleVectorEnv(2, uncertainty="soil-and-mass", autoreset_mode="Disabled")
+    made, again, held = (
+        make_augmentation("residual", {"base": "mpc-adaptive"}, RTK, 2) for _ in range(3)
+    )
+    parameters = lambda one: one.policy.controller.parameters.copy()  # noqa: E731
+    observation, _ = env.reset(seed=1)
+    start, nothing = np.ones(2, bool), np.zeros((2, 2), np.float32)
+    for step in range(60):
+        if step == 40:
+            for one in (again, held):
+                one.restore(made.memories())
+                one.observe(observation, start)
+            held.freeze(np.array([False, True]))
+            learned = parameters(held)
+        features = made.observe(observation, start)
+        if step > 40:
+            np.testing.assert_array_equal(again.observe(observation, start), features)
+            np.testing.assert_array_equal(held.observe(observation, start)[0], features[0])
+        start[:] = False
+        action = made.command(nothing, features)
+        np.testing.assert_array_equal(action, features[:, :2])
+        observation = env.step(action)[0]
+    np.testing.assert_array_equal(parameters(held)[:, 1], learned[:, 1])
+    np.testing.assert_array_equal(parameters(held)[:, 0], parameters(made)[:, 0])
+    assert not np.array_equal(parameters(made)[:, 1], learned[:, 1])
 
 
 @pytest.mark.parametrize(

@@ -62,25 +62,23 @@ def test_dead_reckoning_trusts_each_pose_by_the_data_sheet():
 
 def test_the_bias_of_the_gyro_is_learned_with_poses_and_taken_off_without_until_a_new_start():
     """A vehicle that stands as its reference does; the gyro alone says that it turns."""
-    sensors = RTK.sensors._replace(gyro_bias=0.005)
-    made = make_augmentation("reckoned", {}, RTK._replace(sensors=sensors), 1)
-    ended = []
-    for learning in (0.0, 40.0):  # [s] with poses before an outage of 10 s
-        start = np.array([True])
+    context = RTK._replace(sensors=RTK.sensors._replace(gyro_bias=0.005))
+    bias, made, other = 0.005, *(make_augmentation("reckoned", {}, context, 1) for _ in range(2))
+    turned, none = {}, np.array([False])
+
+    def shown_heading(one, age, start):
+        return -(one.observe(seen(yaw_rate=bias, pose_age=age), start)[0] * _SCALES)[2]
+
+    for learning in (40.0, 0.0):  # [s] with poses before an outage of 10 s
         for step in range(round((learning + 10.0) / PERIOD)):
+            if learning == 40.0 and step == 2100:
+                other.restore(made.memories())
             missing = max(step * PERIOD - learning, 0.0)
-            shown = made.observe(seen(yaw_rate=sensors.gyro_bias, pose_age=missing), start)[0]
-            start[:] = False
-        ended.append(-(shown * _SCALES)[2])
-    assert ended[0] == pytest.approx(10.0 * sensors.gyro_bias, rel=0.05)
-    assert abs(ended[1]) < 0.1 * ended[0]
-    memories = made.memories()
-    other = make_augmentation("reckoned", {}, RTK._replace(sensors=sensors), 1)
-    other.restore(memories)
-    later = seen(yaw_rate=sensors.gyro_bias, pose_age=10.0 + PERIOD)
-    for each in (made, other):
-        found = -(each.observe(later, start)[0] * _SCALES)[2]
-        assert found == pytest.approx(ended[1], abs=0.2 * PERIOD * sensors.gyro_bias)
+            turned[learning] = shown_heading(made, missing, np.array([step == 0]))
+            if learning == 40.0 and step >= 2100:
+                assert shown_heading(other, missing, none) == turned[learning]
+    assert turned[0.0] == pytest.approx(10.0 * bias, rel=0.05)
+    assert abs(turned[40.0]) < 0.1 * turned[0.0]
 
 
 def test_without_a_pose_reckoned_errors_are_far_nearer_to_the_truth_than_the_held_ones():

@@ -94,11 +94,14 @@ def test_a_frozen_row_keeps_what_it_learned_until_it_starts_anew(recorded, name)
     whole, _ = replay(policy, recorded)
     _, state = replay(policy, recorded[:80])
     policy.freeze(np.array([False, True, False]))
-    learned = state.adaptation[1].copy()
+    learned, law = state.adaptation[1].copy(), policy.controller
+    lacking, parameters = law.lacking[1].copy(), law.parameters[:, 1].copy()
     assert np.abs(learned[[4, DRIVE_COLUMNS + 4]]).min() > 0.0
     for step in range(80, 120):
         action, state = policy.predict(recorded[step], state)
         assert np.array_equal(state.adaptation[1], learned)
+        assert np.array_equal(law.lacking[1], lacking)
+        assert np.array_equal(law.parameters[:, 1], parameters)
         assert np.array_equal(action[[0, 2]], whole[step, [0, 2]])
         assert not np.array_equal(action[1], whole[step, 1])
     anew, state = policy.predict(recorded[120], state, np.array([False, True, False]))

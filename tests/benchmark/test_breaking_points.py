@@ -11,6 +11,7 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import SETS, BenchmarkConfig
 from tracked_env.benchmark import breaking_points as bp
 from tracked_env.cli import breaking_command
+from tracked_env.sensors import make_sensors
 
 # By axis: the fields of the sensors that differ between two of its levels.
 SENSOR_FIELDS = {
@@ -64,7 +65,11 @@ def test_the_levels_of_an_axis_change_what_it_names_and_nothing_else(env: str) -
         easy, hard = (drawn[axis, bp.AXES[axis].level(share)] for share in (0.0, 0.5))
         assert np.array_equal(easy.profile.table, hard.profile.table)
         assert easy.noise_seed == hard.noise_seed and easy.state == hard.state
-        before, after = (episode.sensors._asdict() for episode in (easy, hard))
+        assert (repr(easy.sensors) == repr(hard.sensors)) == (axis in ("mass", "soil-strength"))
+        before, after = (
+            make_sensors(SETS[bp.set_of(env, axis, bp.AXES[axis].level(share))].sensors)._asdict()
+            for share in (0.0, 0.5)
+        )
         differing = {field for field in before if before[field] != after[field]}
         assert differing == SENSOR_FIELDS.get(axis, set())
         assert (easy.parameters == hard.parameters) == (axis not in ("mass", "soil-strength"))

@@ -9,9 +9,20 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.estimators.sensor_samples import ATTITUDE
 from tracked_env import observation as layout
 
 State = TypeVar("State")
+
+
+def not_finite(observation: NDArray[np.float32], row: int) -> ValueError:
+    """The error that names the first field of a row (N, >= SIZE) that is not finite."""
+    column = int(np.argmin(np.isfinite(observation[row])))
+    name = (*layout.NAMES, *ATTITUDE)[column]
+    return ValueError(
+        f"observation[{row}]: {name} = {observation[row, column]}; must be finite. Did the state "
+        "diverge, or a wrapper divide by zero?"
+    )
 
 
 class BatchPolicy(Generic[State]):

@@ -1,4 +1,4 @@
-"""Learning curves of the shipped agents: the figure of docs/agents.md.
+"""Learning curves of the shipped agents: the figure of docs/trained_agents.md.
 
     python docs/learning_curves.py        writes docs/_static/learning_curves.png
 

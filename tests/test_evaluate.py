@@ -190,14 +190,18 @@ def test_the_help_explains_every_option(evaluate: Any) -> None:
 def test_the_page_on_evaluation_shows_every_metric_and_policy_and_its_examples_run(
     repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    text = (repository / "docs" / "evaluation.md").read_text(encoding="utf-8")
+    docs = repository / "docs"
+    text, sets, metrics = (
+        (docs / f"{page}.md").read_text(encoding="utf-8")
+        for page in ("evaluation", "evaluation_sets", "metrics")
+    )
     for name, metric in METRICS.items():
-        assert f"| `{name}` | {metric.unit} | {metric.meaning} |" in text
+        assert f"| `{name}` | {metric.unit} | {metric.meaning} |" in metrics
     assert all(f"| `{name}` |" in text for name in POLICIES)
-    assert f"at least {SEPARATION_RATIO}" in text
-    assert all(f"| `{s.name}` | `{s.uncertainty}` |" in text for s in SETS.values())
-    assert f"first {EPISODES} episodes" in text
-    assert all(f"version {name}" in text for name in VERSIONS)
+    assert f"at least {SEPARATION_RATIO}" in metrics
+    assert all(f"| `{s.name}` | `{s.uncertainty}` |" in sets for s in SETS.values())
+    assert f"first {EPISODES} episodes" in sets
+    assert all(f"version {name}" in sets for name in VERSIONS)
     monkeypatch.chdir(tmp_path)
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
         found: dict[str, Any] = {}

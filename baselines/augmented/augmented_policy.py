@@ -19,13 +19,13 @@ from baselines.batch_policy import BatchPolicy
 from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.motion_filter import MotionFilter
 from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, DRIVE, DataSheet, Measurement
-from baselines.linearizing.adaptive_policy import show
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
     shows_attitude,
 )
+from baselines.linearizing.shown_motion import show
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
 
@@ -88,7 +88,20 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         nominal = np.array(self.parameters, dtype=np.float64)
         controller.parameters = np.repeat(nominal[:, None], count, axis=1)
         controller.lacking = np.zeros((count, 2))
+        self._frozen: NDArray[np.bool_] | None = None  # rows that learn no more
+        self._held = self._learned(count)
         self.count = count
+
+    def _learned(self, count: int) -> tuple[NDArray[np.float64], ...]:
+        """Copies of the rows of the adaptation, of `lacking` and of the parameters, by vehicle."""
+        given = np.tile(self.first, (count, 1)) if self._given is None else self._given.adaptation
+        return given.copy(), self.controller.lacking.copy(), self.controller.parameters.T.copy()
+
+    def freeze(self, rows: NDArray[np.bool_]) -> None:
+        """Keep what is cancelled, the parameters and the corrections of the drives as they are in
+        these rows (N,), until they start anew; the filter of the motion goes on."""
+        self._held = self._learned(self.count)
+        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
 
     def adapt(
         self,
@@ -116,8 +129,8 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         if state is not None:
             self.same_count(len(state.controller), count)
         if count != self.count:
-            self._build(count)
             self._given = None
+            self._build(count)
         if state is not None and state is not self._given:
             self.filter.restore(state.memories)
         self._given = None  # until this call has ended well, the filter is in no known state
@@ -130,6 +143,13 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         fresh = np.zeros((count, len(self.first))) if state is None else state.adaptation.copy()
         fresh[start] = self.first
         self.adapt(observation, self._torques(known.latest), fresh)
+        if self._frozen is not None:
+            self._frozen &= ~start
+            for now, kept in zip(
+                (fresh, self.controller.lacking, self.controller.parameters.T), self._held,
+                strict=True,
+            ):  # fmt: skip
+                now[self._frozen] = kept[self._frozen]
         held = None if state is None else state.controller
         action, held = self.controller.act(observation, held, start)
         correct_all(fresh, 0, action)

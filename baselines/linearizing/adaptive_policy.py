@@ -22,7 +22,7 @@ from baselines.batch_policy import BatchPolicy
 from baselines.estimators.actuator_step import LEAST_DECAY
 from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.estimate import Status
-from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, INERTIAL, DataSheet
+from baselines.estimators.sensor_samples import ATTITUDE, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing.drive_lead import lead_all
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
@@ -31,10 +31,10 @@ from baselines.linearizing.linearizing_policy import (
     FeedbackLinearizingController,
     shows_attitude,
 )
+from baselines.linearizing.shown_motion import show
 from tracked_env import observation as layout
 from tracked_env.physics import vehicle
-from tracked_env.physics.elementary import rotation, wrap_angle
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
     PlantParameters,
@@ -44,15 +44,6 @@ from tracked_env.physics.parameters import (
 from tracked_env.physics.vehicle import torque_decay
 
 _ROW = PARAMETER_INDEX
-_I, _SCALE, _SIZE = layout.INDEX, layout.SCALE, layout.SIZE
-_X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
-_V_X, _V_Y, _W = _I["v_x"], _I["v_y"], _I["yaw_rate"]
-_GYRO, _REJECTED = COLUMN["yaw_rate"], int(Status.REJECTED)
-WILD_GYRO = 1.0  # [rad/s] from the yaw rate of the belts: a refused gyro beyond that is not used
-# Sensor fields that the controller does not use, but whose NaN would stop it.
-_UNUSED = np.array(
-    [_I[name] for name in layout.NAMES if name.startswith(("acc", "yaw_acc", "sprocket", "torque"))]
-)
 _MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
 _INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
 _COHESION, _ANGLE = _ROW["cohesion"], _ROW["friction_angle"]
@@ -67,49 +58,6 @@ class AdaptiveState(NamedTuple):
     controller: NDArray[np.float64]  # state of the controller, (N, 3) of the linearizing one
     memories: Memories  # of the estimators
     given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
-
-
-@formula
-def _show(observation, i, column, value, always):
-    """Write an SI value in place of what was measured: always, or where that is missing."""
-    if always or not np.isfinite(observation[i, column]):
-        layout.store(observation, i, column, value)
-
-
-@formula
-def _yaw_rate(i, yaw_rate, values, age, summary, status, stale):
-    """The gyro [rad/s] where its sample is new and the filter has not refused it, else yaw_rate."""
-    gyro = values[i, _GYRO]
-    wild = abs(gyro - yaw_rate) > WILD_GYRO
-    outlier = status[i] == _REJECTED and np.isfinite(summary[i, 2]) and wild
-    usable = np.isfinite(gyro) and not (age[i, INERTIAL] > stale or outlier)
-    return gyro if usable else yaw_rate
-
-
-@loop
-def show(observation, reference, motion, values, age, summary, status, stale, filtered):
-    """Put the filtered motion (N, 6) into observation (N, >= SIZE), in one frame with reference
-    (N, 3); not filtered: only where NaN. A missing attitude counts as level.
-
-    values, age: of the latest samples; stale [s]: an older gyro is not used. summary, status: of
-    the slip observer's answer.
-    """
-    for i in range(observation.shape[0]):
-        c, s = rotation(motion[i, 2])
-        e_x, e_y = reference[i, 0] - motion[i, 0], reference[i, 1] - motion[i, 1]
-        turn = wrap_angle(reference[i, 2] - motion[i, 2])
-        yaw_rate = _yaw_rate(i, motion[i, 5], values, age, summary, status, stale)
-        _show(observation, i, _X, c * e_x + s * e_y, filtered)
-        _show(observation, i, _Y, c * e_y - s * e_x, filtered)
-        _show(observation, i, _YAW, turn, filtered)
-        _show(observation, i, _V_X, motion[i, 3], filtered)
-        _show(observation, i, _V_Y, motion[i, 4], filtered)
-        _show(observation, i, _W, yaw_rate, filtered)
-        for k in range(_UNUSED.shape[0]):
-            _show(observation, i, _UNUSED[k], 0.0, False)
-        for column in range(_SIZE, observation.shape[1]):
-            if not np.isfinite(observation[i, column]):
-                observation[i, column] = 0.0
 
 
 @loop

@@ -20,7 +20,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.batch_policy import BatchPolicy
+from baselines.batch_policy import BatchPolicy, not_finite
 from baselines.estimators.sensor_samples import ATTITUDE
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
@@ -287,10 +287,5 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
             self._constrained, self.sloped, action,
         )  # fmt: skip
         if bad >= 0:
-            column = int(np.argmin(np.isfinite(observation[bad])))
-            name = (*layout.NAMES, *ATTITUDE)[column]
-            raise ValueError(
-                f"observation[{bad}]: {name} = {observation[bad, column]}; must be "
-                "finite. Did the state diverge, or a wrapper divide by zero?"
-            )
+            raise not_finite(observation, bad)
         return action, kept

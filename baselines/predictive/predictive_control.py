@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimators.sensor_samples import ATTITUDE
+from baselines.batch_policy import not_finite
 from baselines.linearizing.drive_lead import reached_all
 from baselines.linearizing.linearizing_law import pressed
 from baselines.predictive import box_riccati
@@ -242,12 +242,7 @@ class PredictiveController:
             self.sloped, self._work, plans, action,
         )  # fmt: skip
         if bad >= 0:
-            column = int(np.argmin(np.isfinite(observation[bad])))
-            name = (*layout.NAMES, *ATTITUDE)[column]
-            raise ValueError(
-                f"observation[{bad}]: {name} = {observation[bad, column]}; must be "
-                "finite. Did the state diverge, or a wrapper divide by zero?"
-            )
+            raise not_finite(observation, bad)
         return action, plans
 
 

@@ -1,15 +1,10 @@
 """Model predictive control of sprocket speeds on the pseudo-kinematic model.
 
-Stages k of h seconds at constant sprocket speeds u_k, in units of their limit, with beta(u) and
-alpha(u) of the slip model that is now believed:
-    v = (r omega_L - beta_L + r omega_R - beta_R) / 2
-    w = (r omega_R - beta_R - r omega_L + beta_L) / B
-    yaw' = yaw + h w,   (x', y') by (v, v tan(alpha)) along the mean heading
-The states are pose, v and w of the stage before, and its sprocket speeds, so that the cost is that
-of `tracking_cost` and the step that of `box_riccati`, with drives that follow at once: the change
-of sprocket speeds from stage to stage takes the place of that of efforts. v, w and tan(alpha) are
-linear in the sprocket speeds about the last plan, by differences of the slip model.
-The reference is that of `path_ahead`; a vehicle on it has the path's heading less alpha.
+The model is that of `sprocket_prediction`, linear about the last plan, with beta(u) and alpha(u) of
+the slip model that is now believed; the cost is that of `tracking_cost` and the step that of
+`box_riccati`, with drives that follow at once: the change of sprocket speeds from stage to stage
+takes the place of that of efforts. The reference is that of `path_ahead`; a vehicle on it has the
+path's heading less alpha.
 
 References: [F] Focchi et al. (2025), section 3.2.
 """
@@ -21,104 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators.sensor_samples import DataSheet
-from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pseudo_kinematic as kinematics
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
 from baselines.lyapunov.pseudo_kinematic import Array, Geometry
 from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
 from baselines.lyapunov.slope_errors import shows_attitude
 from baselines.predictive import box_riccati
-from baselines.predictive.path_ahead import (
-    HEADING,
-    PATH_SPEED,
-    PATH_YAW_RATE,
-    interpolation,
-    lay_path,
-)
 from baselines.predictive.path_ahead import NEEDS as PATH_NEEDS
+from baselines.predictive.path_ahead import interpolation, lay_path
 from baselines.predictive.predictive_control import Work, checked_settings, make_work, shift
-from baselines.predictive.tracked_prediction import (
-    GIVEN_LEFT,
-    GIVEN_RIGHT,
-    SPEED,
-    STATES,
-    YAW,
-    YAW_RATE,
-    X,
-    Y,
-)
+from baselines.predictive.sprocket_prediction import differentiate, motion_at, move, on_the_path
+from baselines.predictive.tracked_prediction import GIVEN_LEFT, GIVEN_RIGHT, STATES
 from baselines.predictive.tracking_cost import PredictiveSettings, set_costs
 from tracked_env import observation as layout
 from tracked_env.physics.attitude import LEVEL
-from tracked_env.physics.elementary import rotation
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PlantParameters
 
 PROBE = 0.01  # [-] of the limit: step of the differences of the slip model
 SETTINGS = PredictiveSettings(
     position=100.0, heading=10.0, speed=1.0, yaw_rate=0.3, effort=1.0, effort_change=10.0
 )
-
-
-@formula
-def _motion_at(felt, k, i, left, right):
-    """v [m/s], w [rad/s] and tan(alpha) [-] of stage k, a change of (left, right) off the plan."""
-    v, w, t = felt[0, k, i, 0], felt[0, k, i, 1], felt[0, k, i, 2]
-    return (
-        v + left * felt[1, k, i, 0] + right * felt[2, k, i, 0],
-        w + left * felt[1, k, i, 1] + right * felt[2, k, i, 1],
-        t + left * felt[1, k, i, 2] + right * felt[2, k, i, 2],
-    )
-
-
-@formula
-def _move(s, motion, left, right, h, after):
-    """State after one stage; returns cosine and sine of its mean heading."""
-    v, w, t = motion
-    cosine, sine = rotation(s[YAW] + 0.5 * h * w)
-    after[X] = s[X] + h * v * (cosine - t * sine)
-    after[Y] = s[Y] + h * v * (sine + t * cosine)
-    after[YAW] = s[YAW] + h * w
-    after[SPEED], after[YAW_RATE] = v, w
-    after[GIVEN_LEFT], after[GIVEN_RIGHT] = left, right
-    return cosine, sine
-
-
-@formula
-def _differentiate(s, after, motion, felt, k, i, turn, h, forward):
-    """forward of stage k, see tracked_prediction; v and w of the stage before have no effect."""
-    v, _w, t = motion
-    cosine, sine = turn
-    forward[:, :] = 0.0
-    way_x, way_y = after[X] - s[X], after[Y] - s[Y]
-    forward[0, X], forward[0, Y], forward[0, YAW] = -way_y, way_x, 1.0
-    for side in range(2):
-        d_v, d_w, d_t = felt[1 + side, k, i, 0], felt[1 + side, k, i, 1], felt[1 + side, k, i, 2]
-        column = forward[5 + side]
-        column[X] = h * (d_v * (cosine - t * sine) - v * d_t * sine) - 0.5 * h * d_w * way_y
-        column[Y] = h * (d_v * (sine + t * cosine) + v * d_t * cosine) + 0.5 * h * d_w * way_x
-        column[YAW], column[SPEED], column[YAW_RATE] = h * d_w, d_v, d_w
-
-
-@formula
-def _on_the_path(ahead, felt, beta, i, half_gauge, unit):
-    """Bring heading, v_x and yaw rate of `ahead` to a vehicle on the path, and fill its inputs.
-
-    beta (stages, V, 2) [m/s]; unit [m/s]: belt speed at the limit.
-    """
-    path, v, w = ahead.path, ahead.speed, ahead.turn
-    count = ahead.efforts.shape[0]
-    for k in range(count):
-        tangent = felt[0, k, i, 2]
-        speed = 0.5 * (v[k] + v[k + 1]) / np.sqrt(1.0 + tangent * tangent)
-        turn = 0.5 * (w[k] + w[k + 1])
-        path[k + 1, HEADING] -= np.arctan(tangent)
-        path[k + 1, PATH_SPEED], path[k + 1, PATH_YAW_RATE] = speed, turn
-        left, right = law.belt_speeds(
-            law.BodyMotion(speed, turn), beta[k, i, 0], beta[k, i, 1], half_gauge
-        )
-        ahead.efforts[k, 0] = min(max(left / unit, -1.0), 1.0)
-        ahead.efforts[k, 1] = min(max(right / unit, -1.0), 1.0)
 
 
 @loop
@@ -137,13 +55,13 @@ def plan_all(observation, error, last, start, felt, beta, weights, settings, geo
         # The error is the vehicle's in its own axes: the reference stands at minus that.
         lay_path(observation, i, weights, 1.0, place, LEVEL, h, ahead)
         unit = geometry.radius[i] * geometry.limit[i]
-        _on_the_path(ahead, felt, beta, i, geometry.half_gauge[i], unit)
+        on_the_path(ahead, felt, beta, i, geometry.half_gauge[i], unit)
         states[0, :] = 0.0
         states[0, GIVEN_LEFT], states[0, GIVEN_RIGHT] = last[i, 0], last[i, 1]
         for k in range(plans.shape[1]):
-            motion = _motion_at(felt, k, i, 0.0, 0.0)
-            turn = _move(states[k], motion, plans[i, k, 0], plans[i, k, 1], h, states[k + 1])
-            _differentiate(states[k], states[k + 1], motion, felt, k, i, turn, h, a.forward[k])
+            motion = motion_at(felt, k, i, 0.0, 0.0)
+            turn = move(states[k], motion, plans[i, k, 0], plans[i, k, 1], h, states[k + 1])
+            differentiate(states[k], states[k + 1], motion, felt, k, i, turn, h, a.forward[k])
         coupling = 0.0 if start[i] else settings.effort_change
         set_costs(a, ahead, states, plans[i], settings, coupling)
         box_riccati.improve(a, plans[i], bounds, 0.0, coupling)
@@ -156,8 +74,8 @@ def plan_all(observation, error, last, start, felt, beta, weights, settings, geo
                     a, k, side, plans[i, k, side], 1.0, a.change, 1.0
                 )
             left, right = new_inputs[k, 0], new_inputs[k, 1]
-            motion = _motion_at(felt, k, i, left - plans[i, k, 0], right - plans[i, k, 1])
-            _move(new_states[k], motion, left, right, h, new_states[k + 1])
+            motion = motion_at(felt, k, i, left - plans[i, k, 0], right - plans[i, k, 1])
+            move(new_states[k], motion, left, right, h, new_states[k + 1])
         plans[i, :, :] = new_inputs
 
 

@@ -88,7 +88,11 @@ def spied(policy: Any, look: Any) -> tuple[Any, list[Any]]:
     ("make", "look", "env"),
     [
         ("adaptive", lambda p: p.controller.parameters.T, "payload"),
+        ("mpc-adaptive", lambda p: p.controller.parameters.T, "payload"),
+        ("l1", lambda p: p.controller.lacking, "payload"),
+        ("mrac", lambda p: p.controller.parameters.T, "payload"),
         ("slc-adaptive", lambda p: p.estimator.friction, "friction-step"),
+        ("mpc-adaptive", lambda p: p.estimator.friction, "friction-step"),
         ("ppo-history", lambda p: p._seen[0], "payload"),
         ("recurrent-ppo-blind", lambda p: p._held[2][0] if p._held else p._seen[1][0], "payload"),
     ],

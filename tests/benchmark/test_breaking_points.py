@@ -11,6 +11,13 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import SETS, BenchmarkConfig
 from tracked_env.benchmark import breaking_points as bp
 from tracked_env.cli import breaking_command
+from tracked_env.sensors import make_sensors
+
+# By axis: the fields of the sensors that differ between two of its levels.
+SENSOR_FIELDS = {
+    "pose-delay": {"pose_delay"}, "position-noise": {"position_noise"},
+    "outage": {"pose_outage_length"},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("axis", [*bp.AXES])
@@ -59,6 +66,12 @@ def test_the_levels_of_an_axis_change_what_it_names_and_nothing_else(env: str) -
         assert np.array_equal(easy.profile.table, hard.profile.table)
         assert easy.noise_seed == hard.noise_seed and easy.state == hard.state
         assert (repr(easy.sensors) == repr(hard.sensors)) == (axis in ("mass", "soil-strength"))
+        before, after = (
+            make_sensors(SETS[bp.set_of(env, axis, bp.AXES[axis].level(share))].sensors)._asdict()
+            for share in (0.0, 0.5)
+        )
+        differing = {field for field in before if before[field] != after[field]}
+        assert differing == SENSOR_FIELDS.get(axis, set())
         assert (easy.parameters == hard.parameters) == (axis not in ("mass", "soil-strength"))
     heavy, light = (drawn["mass", bp.AXES["mass"].level(s)].parameters for s in (0.5, 0.0))
     assert heavy.mass / light.mass == pytest.approx(10.0**0.5) == heavy.inertia / light.inertia

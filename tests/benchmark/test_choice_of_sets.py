@@ -58,6 +58,15 @@ def test_a_small_gap_does_not_make_a_small_difference_a_strong_separation() -> N
     assert found.of_identification == 0.0 and not found.needs_identification
 
 
+def test_identification_that_gains_most_of_a_small_gap_is_no_strong_separation() -> None:
+    close = {**FACTORS, "integral": 1.25, "adaptive": 1.1}
+    (found,) = chosen(("a", close)).sets
+    assert found.of_identification == pytest.approx(0.6)  # of a gap of 0.25, 14 % of the error
+    assert not found.needs_identification
+    (wider,) = chosen(("a", {**close, "integral": 1.35})).sets
+    assert wider.needs_identification
+
+
 def test_without_policies_of_a_role_there_is_no_separation() -> None:
     (found,) = chosen(("a", {"integral": 4.0, "oracle": 1.0})).sets
     assert np.isnan(found.of_memory) and np.isnan(found.of_identification)

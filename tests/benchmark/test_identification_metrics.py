@@ -57,7 +57,7 @@ def measured(
 
 def test_every_metric_is_computed_and_documented(repository: Path) -> None:
     assert set(measured(1000.0)) == set(ident.ESTIMATION_METRICS)
-    text = (repository / "docs" / "evaluation.md").read_text(encoding="utf-8")
+    text = (repository / "docs" / "metrics.md").read_text(encoding="utf-8")
     for name, metric in ident.ESTIMATION_METRICS.items():
         assert f"| `{name}` | {metric.unit} | {metric.meaning} |" in text
 

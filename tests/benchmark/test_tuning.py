@@ -3,6 +3,7 @@
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 
 from tracked_env.benchmark.tuning import (
@@ -73,6 +74,20 @@ def test_settings_that_are_refused_are_not_counted_and_the_search_goes_round_the
     assert best["gain"] < 20.0 and best["gain"] > 15.0
 
 
+def test_a_refusal_costs_nothing_of_the_budget_in_either_stage() -> None:
+    evaluate, _ = bowl(refused=20.0)
+    refused: list[str] = []
+
+    def watched(stage: str, settings: Settings) -> Candidate | None:
+        found = evaluate(stage, settings)
+        if found is None:
+            refused.append(stage)
+        return found
+
+    assert len(list(searched(RANGES, DEFAULT, 16, watched))) == 16
+    assert set(refused) == {"search", "refine"}
+
+
 def test_the_search_covers_the_ranges_and_is_the_same_each_time() -> None:
     def points() -> list[Settings]:
         found = searched(RANGES, DEFAULT, 40, bowl()[0])
@@ -88,9 +103,8 @@ def test_the_search_covers_the_ranges_and_is_the_same_each_time() -> None:
 def test_points_and_settings_are_inverse_and_stay_in_their_ranges() -> None:
     settings = unscaled(RANGES, scaled(RANGES, OPTIMUM))
     assert settings == pytest.approx(OPTIMUM, rel=1e-3)
-    assert unscaled(RANGES, scaled(RANGES, {"gain": math.inf, "share": -1.0})) == {
-        "gain": 100.0, "share": 0.0,
-    }  # fmt: skip
+    assert scaled(RANGES, {"gain": math.inf, "share": -1.0}).tolist() == [1.0, 0.0]
+    assert unscaled(RANGES, np.array([1.5, -0.5])) == {"gain": 100.0, "share": 0.0}
 
 
 def test_the_cost_is_the_geometric_mean_of_the_errors_with_a_price_on_failures() -> None:

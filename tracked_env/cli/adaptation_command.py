@@ -4,7 +4,6 @@ import argparse
 import csv
 import io
 import shutil
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,6 @@ from tracked_env.benchmark.chunks import pending
 from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.policy_interface import (
     PolicyEntry,
-    PolicyError,
     can_freeze,
     checked_policy,
     frozen,
@@ -37,6 +35,7 @@ from tracked_env.benchmark.summary import agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned, folded, markdown_rows
 from tracked_env.cli.evaluate_command import result_folder
 from tracked_env.cli.evaluate_options import add_options, config_of
+from tracked_env.cli.exit_status import reported
 from tracked_env.validation import unknown
 
 # Sets with a change inside the episode, by environment.
@@ -78,6 +77,7 @@ def write(folder: Path, store: Store, cells: list[list[str]], sets: Sequence[str
         write_atomically(folder / f"adaptation-{name}.png", image.getvalue())
 
 
+@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Run what is missing, print the table, write it and the figures; returns the exit status."""
     parser = argparse.ArgumentParser(
@@ -90,27 +90,20 @@ def main(arguments: Sequence[str], program: str) -> int:
     config = config_of(parser.parse_args(arguments))
     config = replace(config, sets=config.sets or CHANGING[config.env])
     assert config.sets is not None
-    try:
-        benchmark = BenchmarkConfig(config.sets, config.episodes, config.seed, chunk=config.chunk)
-        if benchmark.env != config.env:
-            raise unknown(f"set of {config.env}", config.sets[0], CHANGING[config.env])
-        policies = registered_policies()
-        registry, trained = by_name(policies, benchmark.env)
-        specs = config.policies or default_names(policies, benchmark.env)
-        entries = both(load_policies(specs, registry, trained, open_archive), benchmark)
-        executor = make_executor(config.workers, config.ray, None)
-        store = Store(result_folder(config.output, benchmark), benchmark.identity())
-        tasks = pending(benchmark, entries, store, executor.workers if executor else 1)
-        steps = sum(len(t.episodes) * benchmark.max_steps(t.uncertainty_set) for t in tasks)
-        with progress_bar(steps, config.quiet) as progress:
-            records = run(benchmark, entries, store, progress, executor)
-        rows = rows_of(records)
-    except (PolicyError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1
-    except ValueError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 2
+    benchmark = BenchmarkConfig(config.sets, config.episodes, config.seed, chunk=config.chunk)
+    if benchmark.env != config.env:
+        raise unknown(f"set of {config.env}", config.sets[0], CHANGING[config.env])
+    policies = registered_policies()
+    registry, trained = by_name(policies, benchmark.env)
+    specs = config.policies or default_names(policies, benchmark.env)
+    entries = both(load_policies(specs, registry, trained, open_archive), benchmark)
+    executor = make_executor(config.workers, config.ray, None)
+    store = Store(result_folder(config.output, benchmark), benchmark.identity())
+    tasks = pending(benchmark, entries, store, executor.workers if executor else 1)
+    steps = sum(len(t.episodes) * benchmark.max_steps(t.uncertainty_set) for t in tasks)
+    with progress_bar(steps, config.quiet) as progress:
+        records = run(benchmark, entries, store, progress, executor)
+    rows = rows_of(records)
     found = {name: adaptation.scores(rows[name]) for name in benchmark.sets}
     cells = adaptation.table(found)
     write(store.folder, store, cells, benchmark.sets, entries, config.figures)

@@ -13,7 +13,7 @@ import numpy as np
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import breaking_points as breaking
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError
+from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.progress_bar import progress_bar
 from tracked_env.benchmark.registered_policies import (
@@ -28,6 +28,7 @@ from tracked_env.benchmark.summary import agent_of
 from tracked_env.benchmark.text_tables import aligned
 from tracked_env.cli.choose_command import few_seeds
 from tracked_env.cli.evaluate_options import names, short_env
+from tracked_env.cli.exit_status import reported
 from tracked_env.uncertainty.law import fingerprint
 from tracked_env.validation import checked_choice
 
@@ -116,25 +117,19 @@ def write(folder: Path, env: str, points: Sequence[breaking.Point]) -> None:
     write_atomically(folder / "breaking_points.png", image.getvalue())
 
 
+@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Find the points, print and write them; returns the exit status."""
     given = _options(arguments, program)
-    try:
-        axes = given.axes or list(breaking.AXES)
-        for axis in axes:
-            checked_choice("axis", axis, breaking.AXES)
-        policies = registered_policies()
-        registry, trained = by_name(policies, given.env)
-        specs = given.policies or default_names(policies, given.env)
-        entries = few_seeds(load_policies(specs, registry, trained, open_archive), given.seeds)
-        store, points = find(given, entries, axes)
-        write(store.folder, given.env, points)
-    except (PolicyError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1
-    except ValueError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 2
+    axes = given.axes or list(breaking.AXES)
+    for axis in axes:
+        checked_choice("axis", axis, breaking.AXES)
+    policies = registered_policies()
+    registry, trained = by_name(policies, given.env)
+    specs = given.policies or default_names(policies, given.env)
+    entries = few_seeds(load_policies(specs, registry, trained, open_archive), given.seeds)
+    store, points = find(given, entries, axes)
+    write(store.folder, given.env, points)
     print(f"\n{aligned(breaking.table(points), 1, shutil.get_terminal_size().columns)}\n")
     print(
         f"Half or more of {given.episodes} episodes succeed at the first number, fewer at the "

@@ -6,7 +6,6 @@ Run it again with other policies: what was run is kept, and only what is missing
 import argparse
 import json
 import shutil
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +15,7 @@ from tracked_env.benchmark import choice_of_sets as choosing
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.files import replace_block
-from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError
+from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.progress_bar import progress_bar
 from tracked_env.benchmark.registered_policies import (
@@ -32,6 +31,7 @@ from tracked_env.benchmark.store import Store, identity_hash, write_atomically
 from tracked_env.benchmark.summary import agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned, markdown_rows
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, names, short_env
+from tracked_env.cli.exit_status import reported
 
 _KNOWN = ("nominal", "floor", "level")  # nothing is unknown there: no candidates
 
@@ -139,15 +139,9 @@ def _choose(options: Options) -> None:
         replace_block(options.page, block, page_of(found, conditions))
 
 
+@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Run the command; returns the exit status."""
     options = _options(arguments, program)
-    try:
-        _choose(options)
-    except (PolicyError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1
-    except ValueError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 2
+    _choose(options)
     return 0

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from tracked_env.cli.interruption import end_at_interrupt
+from tracked_env.cli.exit_status import end_at_interrupt
 
 COMMANDS = {
     "evaluate": ("evaluate_command", "compare policies on the same randomized episodes"),

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from tracked_env.benchmark.registered_policies import command_function
+from tracked_env.cli.exit_status import reported
 from tracked_env.cli.waiting import explained
 
 POSE: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "YAW")}
@@ -61,25 +62,19 @@ def _parser(program: str) -> argparse.ArgumentParser:
     return parser
 
 
+@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Plan, print, draw; returns the exit status."""
     given = _parser(program).parse_args(arguments)
     limits = {name: value for name in LIMITS if (value := getattr(given, name)) is not None}
-    try:
-        with explained():
-            found = command_function("plan")(
-                given.goal, given.start, given.method, given.vehicle, given.friction,
-                not given.no_slip, limits, given.via, given.obstacle_circle,
-                given.reverse, given.slope,
-            )  # fmt: skip
-        print("\n".join(table(found)))
-        _write(given, found)
-    except (ImportError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1
-    except ValueError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 2
+    with explained():
+        found = command_function("plan")(
+            given.goal, given.start, given.method, given.vehicle, given.friction,
+            not given.no_slip, limits, given.via, given.obstacle_circle,
+            given.reverse, given.slope,
+        )  # fmt: skip
+    print("\n".join(table(found)))
+    _write(given, found)
     if not found.trajectory.converged:
         print(f"{program}: {found.trajectory.message}", file=sys.stderr)
         return 1

@@ -1,22 +1,23 @@
 """`tracked-env render`: one policy in one episode of a set, as GIF, MP4, PNG or HTML."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from tracked_env.benchmark import default_sets
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError
+from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_options, config_of
+from tracked_env.cli.exit_status import reported
 
 _OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk",
            "quiet")  # fmt: skip
 
 
+@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Draw an episode; returns the exit status."""
     parser = argparse.ArgumentParser(
@@ -39,17 +40,10 @@ def main(arguments: Sequence[str], program: str) -> int:
     add_options(parser, without=_OTHERS)
     given = parser.parse_args(arguments)
     given.sets = [(given.set or default_sets(given.env)[0],)]
-    try:
-        benchmark = benchmark_config(config_of(given))
-        registry, trained = by_name(registered_policies(), benchmark.env)
-        entry = load_policies([given.policy], registry, trained, open_archive)[0]
-        _write(given, benchmark, entry)
-    except (PolicyError, ImportError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1
-    except ValueError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 2
+    benchmark = benchmark_config(config_of(given))
+    registry, trained = by_name(registered_policies(), benchmark.env)
+    entry = load_policies([given.policy], registry, trained, open_archive)[0]
+    _write(given, benchmark, entry)
     return 0
 
 

@@ -1,13 +1,12 @@
 """`tracked-env tune`: search the settings of a controller on the development episodes."""
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.policy_interface import PolicyError, source_fingerprint
+from tracked_env.benchmark.policy_interface import source_fingerprint
 from tracked_env.benchmark.progress_bar import Progress, progress_bar
 from tracked_env.benchmark.registered_policies import ENVIRONMENTS, registered_policies
 from tracked_env.benchmark.sets import tuning_sets
@@ -33,6 +32,7 @@ from tracked_env.benchmark.tuning_records import (
 )
 from tracked_env.cli.evaluate_options import ENVIRONMENTS as IDS
 from tracked_env.cli.evaluate_options import names, short_env
+from tracked_env.cli.exit_status import reported
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole, unknown
 
@@ -177,25 +177,19 @@ def tune(search: Search, budget: int, audit: bool) -> str:
     return "\n\n".join([conditions, *(aligned(table, names=1) for table in tables)])
 
 
+@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Search and print; returns the exit status."""
     given = _parser(program).parse_args(arguments)
-    try:
-        budget = checked_whole("--budget", given.budget, BUDGET)
-        episodes = checked_whole("--episodes", given.episodes, EPISODES)
-        chosen = tuple(dict.fromkeys(name for part in given.sets or () for name in part))
-        search = Search(
-            registered(given.policy, given.env), chosen or tuning_sets(given.env), episodes,
-            given.output, given.duration,
-        )  # fmt: skip
-        if len(search.records):
-            print(f"going on with {len(search.records)} settings of {search.records.file}")
-        print(tune(search, budget, given.audit))
-        print(search.records.file, search.page, sep="\n")
-    except (PolicyError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1
-    except ValueError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 2
+    budget = checked_whole("--budget", given.budget, BUDGET)
+    episodes = checked_whole("--episodes", given.episodes, EPISODES)
+    chosen = tuple(dict.fromkeys(name for part in given.sets or () for name in part))
+    search = Search(
+        registered(given.policy, given.env), chosen or tuning_sets(given.env), episodes,
+        given.output, given.duration,
+    )  # fmt: skip
+    if len(search.records):
+        print(f"going on with {len(search.records)} settings of {search.records.file}")
+    print(tune(search, budget, given.audit))
+    print(search.records.file, search.page, sep="\n")
     return 0

@@ -7,6 +7,7 @@ import pytest
 
 from baselines.augmented.augmented_policy import AugmentedState
 from baselines.augmented.channel_loads import OWN
+from baselines.augmented.drive_loop import DRIVE_COLUMNS
 from baselines.augmented.l1_policy import L1Policy, L1Settings
 from baselines.augmented.mrac_policy import HIGH, LOW, MracPolicy, MracSettings
 from baselines.estimators.sensor_samples import DataSheet
@@ -84,6 +85,29 @@ def test_episode_start_makes_only_its_rows_new(recorded, name):
     fresh, _ = replay(POLICIES[name](), recorded[80:, 1])
     assert np.array_equal(np.concatenate([mixed[None, 1], rest[:, 1]]), fresh)
     assert not np.array_equal(rest[:, 1], whole[81:, 1])
+
+
+@both
+def test_a_frozen_row_keeps_what_it_learned_until_it_starts_anew(recorded, name):
+    """Channels, parameters, and the correction of each drive."""
+    policy = POLICIES[name]()
+    whole, _ = replay(policy, recorded)
+    _, state = replay(policy, recorded[:80])
+    policy.freeze(np.array([False, True, False]))
+    learned, law = state.adaptation[1].copy(), policy.controller
+    lacking, parameters = law.lacking[1].copy(), law.parameters[:, 1].copy()
+    assert np.abs(learned[[4, DRIVE_COLUMNS + 4]]).min() > 0.0
+    for step in range(80, 120):
+        action, state = policy.predict(recorded[step], state)
+        assert np.array_equal(state.adaptation[1], learned)
+        assert np.array_equal(law.lacking[1], lacking)
+        assert np.array_equal(law.parameters[:, 1], parameters)
+        assert np.array_equal(action[[0, 2]], whole[step, [0, 2]])
+        assert not np.array_equal(action[1], whole[step, 1])
+    anew, state = policy.predict(recorded[120], state, np.array([False, True, False]))
+    rest, _ = replay(policy, recorded[121:], state)
+    fresh, _ = replay(POLICIES[name](), recorded[120:, 1])
+    assert np.array_equal(np.concatenate([anew[None, 1], rest[:, 1]]), fresh)
 
 
 @both

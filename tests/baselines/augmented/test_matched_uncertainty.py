@@ -137,4 +137,7 @@ def test_what_is_cancelled_stays_within_its_bound_and_leaves_it_at_once():
 def test_the_channel_is_odd():
     rng = np.random.default_rng(0)
     changes, modelled = rng.normal(size=40), rng.normal(size=40)
-    np.testing.assert_array_equal(fed(changes, modelled), -fed(-changes, -modelled))
+    for bound in (FREE, 0.3):
+        one, other = (fed(sign * changes, sign * modelled, bound=bound) for sign in (1.0, -1.0))
+        np.testing.assert_array_equal(one, -other)
+        assert (np.abs(one[:, 2]).max() == bound) == (bound == 0.3)

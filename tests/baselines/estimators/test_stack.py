@@ -129,13 +129,13 @@ def inside(seen, truths, name, first=0):
 def test_on_patches_of_soil_the_claims_of_mass_and_inertia_hold_from_the_first_turn_on():
     seen, truths = record("loose-soil", 500, plant="distributed")
     assert inside(seen, truths, "mass") > 0.97
-    assert inside(seen, truths, "inertia") > 0.93  # without the slip share 0.6
+    assert inside(seen, truths, "inertia") > 0.93  # without the slip share 0.62
 
 
 def test_in_a_slow_drift_of_everything_the_claims_of_mass_and_inertia_hold():
     seen, truths = record("drift", 1500, 64)
-    assert inside(seen, truths, "mass") > 0.96  # without an alarm of slow trends 0.38
-    assert inside(seen, truths, "inertia") > 0.97  # 0.69
+    assert inside(seen, truths, "mass") > 0.96  # without an alarm of slow trends 0.35
+    assert inside(seen, truths, "inertia") > 0.97  # 0.75
 
 
 # --- memory ---------------------------------------------------------------------------------

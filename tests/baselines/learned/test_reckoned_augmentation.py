@@ -60,6 +60,27 @@ def test_dead_reckoning_trusts_each_pose_by_the_data_sheet():
     assert 0.001 < moved[1] < 0.05 and 0.0 < moved[2] < 0.001
 
 
+def test_the_bias_of_the_gyro_is_learned_with_poses_and_taken_off_without_until_a_new_start():
+    """A vehicle that stands as its reference does; the gyro alone says that it turns."""
+    context = RTK._replace(sensors=RTK.sensors._replace(gyro_bias=0.005))
+    bias, made, other = 0.005, *(make_augmentation("reckoned", {}, context, 1) for _ in range(2))
+    turned, none = {}, np.array([False])
+
+    def shown_heading(one, age, start):
+        return -(one.observe(seen(yaw_rate=bias, pose_age=age), start)[0] * _SCALES)[2]
+
+    for learning in (40.0, 0.0):  # [s] with poses before an outage of 10 s
+        for step in range(round((learning + 10.0) / PERIOD)):
+            if learning == 40.0 and step == 2100:
+                other.restore(made.memories())
+            missing = max(step * PERIOD - learning, 0.0)
+            turned[learning] = shown_heading(made, missing, np.array([step == 0]))
+            if learning == 40.0 and step >= 2100:
+                assert shown_heading(other, missing, none) == turned[learning]
+    assert turned[0.0] == pytest.approx(10.0 * bias, rel=0.05)
+    assert abs(turned[40.0]) < 0.1 * turned[0.0]
+
+
 def test_without_a_pose_reckoned_errors_are_far_nearer_to_the_truth_than_the_held_ones():
     """On firm soil, where tracks hardly slip, wherever the vehicle drives."""
     env = TrackedVehicleVectorEnv(
@@ -130,6 +151,34 @@ def test_a_residual_agent_corrects_the_policy_that_it_names(monkeypatch):
     )
     np.testing.assert_array_equal(usual, named)
     assert not np.allclose(usual, other, atol=1e-3)
+
+
+def test_a_residual_agent_on_predictive_control_goes_on_from_its_memories_and_can_be_frozen():
+    env = TrackedVehicleVectorEnv(2, uncertainty="soil-and-mass", autoreset_mode="Disabled")
+    made, again, held = (
+        make_augmentation("residual", {"base": "mpc-adaptive"}, RTK, 2) for _ in range(3)
+    )
+    parameters = lambda one: one.policy.controller.parameters.copy()  # noqa: E731
+    observation, _ = env.reset(seed=1)
+    start, nothing = np.ones(2, bool), np.zeros((2, 2), np.float32)
+    for step in range(60):
+        if step == 40:
+            for one in (again, held):
+                one.restore(made.memories())
+                one.observe(observation, start)
+            held.freeze(np.array([False, True]))
+            learned = parameters(held)
+        features = made.observe(observation, start)
+        if step > 40:
+            np.testing.assert_array_equal(again.observe(observation, start), features)
+            np.testing.assert_array_equal(held.observe(observation, start)[0], features[0])
+        start[:] = False
+        action = made.command(nothing, features)
+        np.testing.assert_array_equal(action, features[:, :2])
+        observation = env.step(action)[0]
+    np.testing.assert_array_equal(parameters(held)[:, 1], learned[:, 1])
+    np.testing.assert_array_equal(parameters(held)[:, 0], parameters(made)[:, 0])
+    assert not np.array_equal(parameters(made)[:, 1], learned[:, 1])
 
 
 @pytest.mark.parametrize(

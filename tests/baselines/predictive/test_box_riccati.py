@@ -31,16 +31,22 @@ def linear_system(seed):
     return forward, a, b
 
 
+def after_improving(forward, q, r, coupling, count, gradient=0.0, bounds=(np.inf, np.inf)):
+    """Stages of the linear system, improved about no input."""
+    work = box_riccati.make_stages(count)
+    work.forward[:] = forward
+    work.weight[:, :STATES], work.weight[:, LEFT:] = q, r + coupling
+    work.gradient[:] = gradient
+    box_riccati.improve(work, np.zeros((count, 2)), np.array(bounds), DECAY, coupling)
+    return work
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("coupling", [0.0, 0.5])
 def test_over_a_long_horizon_it_is_the_regulator_of_the_algebraic_riccati_equation(seed, coupling):
     forward, a, b = linear_system(seed)
     q, r = np.array([1.0, 2.0, 3.0, 0.5, 0.2, coupling, coupling]), 0.7
-    count = 600
-    work = box_riccati.make_stages(count)
-    work.forward[:] = forward
-    work.weight[:, :STATES], work.weight[:, LEFT:] = q, r + coupling
-    box_riccati.improve(work, np.zeros((count, 2)), np.full(2, np.inf), DECAY, coupling)
+    work = after_improving(forward, q, r, coupling, 600)
     cross = np.zeros((STATES, 2))
     cross[GIVEN_LEFT:] = -coupling * np.eye(2)
     effort = (r + coupling) * np.eye(2)
@@ -48,6 +54,53 @@ def test_over_a_long_horizon_it_is_the_regulator_of_the_algebraic_riccati_equati
     gains = -np.linalg.solve(effort + b.T @ value @ b, b.T @ value @ a + cross.T)
     np.testing.assert_allclose(work.value, value, rtol=1e-7, atol=1e-7)
     np.testing.assert_allclose(work.gains[0], gains, rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_an_input_at_its_bound_has_no_gain_and_the_other_one_is_the_regulator_by_itself(side):
+    """Riccati recursion with the other column of B; the bound leaves no room, the gradient asks."""
+    forward, a, b = linear_system(0)
+    q, r, coupling, count = np.array([1.0, 2.0, 3.0, 0.5, 0.2, 0.5, 0.5]), 0.7, 0.5, 15
+    gradient, bounds = np.zeros((count + 1, STATES + 2)), [1e6, 1e6]
+    gradient[:, LEFT + side], bounds[side] = 30.0, 0.0
+    work = after_improving(forward, q, r, coupling, count, gradient, bounds)
+    other = 1 - side
+    free, cross = b[:, [other]], np.zeros((STATES, 1))
+    cross[GIVEN_LEFT + other] = -coupling
+    value = np.diag(q)
+    for _ in range(count):
+        curve = r + coupling + free.T @ value @ free
+        gains = -(free.T @ value @ a + cross.T) / curve
+        value = np.diag(q) + a.T @ value @ a + (a.T @ value @ free + cross) @ gains
+    np.testing.assert_allclose(work.gains[0, other], gains[0], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(work.value, value, rtol=1e-9, atol=1e-12)
+    assert not work.gains[:, side].any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_without_bounds_one_step_is_the_minimum_of_a_linear_quadratic_problem(seed):
+    forward, a, b = linear_system(seed)
+    q, r, coupling, count = np.array([1.0, 2.0, 3.0, 0.5, 0.2, 0.5, 0.5]), 0.7, 0.5, 15
+    gradient = np.random.default_rng(9).standard_normal((count + 1, STATES + 2))
+    work = after_improving(forward, q, r, coupling, count, gradient)
+    change, inputs = np.zeros(STATES), np.empty((count, 2))
+    for k in range(count):
+        inputs[k] = work.offsets[k] + work.gains[k] @ change
+        change = a @ change + b @ inputs[k]
+
+    def cost(given):
+        total, s = 0.0, np.zeros(STATES)
+        for k, u in enumerate(given.reshape(-1, 2)):
+            total += 0.5 * (q @ s**2 + (r + coupling) * u @ u) - coupling * s[GIVEN_LEFT:] @ u
+            total += gradient[k] @ np.concatenate([s, u])
+            s = a @ s + b @ u
+        return total + 0.5 * q @ s**2 + gradient[count, :STATES] @ s
+
+    steps = 1e-2 * np.eye(inputs.size)  # exact differences of a quadratic function
+    at = inputs.reshape(-1)
+    slopes = np.array([cost(at + step) - cost(at - step) for step in steps]) / 2e-2
+    assert np.abs(slopes).max() < 1e-9
+    assert np.abs(inputs).max() > 0.1
 
 
 def test_the_least_value_in_a_box_is_that_of_a_fine_search():

@@ -9,6 +9,7 @@ from baselines.predictive.tracking_cost import PredictiveSettings
 from tests.baselines.predictive.predictive_cases import Problem, model, observed
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import plant_parameters
+from tracked_env.physics.vehicle import drive_limits
 
 ERRORS = {"position_error_x": 0.1, "position_error_y": -0.2, "heading_error": 0.15}
 
@@ -33,8 +34,12 @@ def test_a_reference_that_the_model_can_follow_costs_nothing(path):
     assert problem.step() < 1e-4
 
 
-def test_plans_cost_less_with_every_step():
-    problem = Problem(observed(**ERRORS))
+FAR = {"position_error_y": 1.5, "heading_error": 1.0}  # a whole first step would cost more
+
+
+@pytest.mark.parametrize("errors", [ERRORS, FAR], ids=["near", "far"])
+def test_plans_cost_less_with_every_step(errors):
+    problem = Problem(observed(**errors))
     costs = []
     for _ in range(8):
         costs.append(problem.cost(problem.inputs))
@@ -107,8 +112,6 @@ def test_commands_stay_below_what_the_soil_carries():
     made.parameters[:] = np.array(plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2))[
         :, None
     ]
-    from tracked_env.physics.vehicle import drive_limits
-
     p = plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2)
     carried = 0.98 * drive_limits(p).effort_limit / (p.torque_limit / p.sprocket_radius)
     assert carried < 0.5

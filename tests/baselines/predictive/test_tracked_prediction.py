@@ -17,6 +17,7 @@ from baselines.predictive.tracked_prediction import (
 from tests.baselines.closed_loop import STEP, SUB_STEP, starts
 from tests.baselines.predictive.predictive_cases import STAGE, model
 from tracked_env.physics.parameters import plant_parameters
+from tracked_env.physics.terramechanics import GRAVITY
 
 MOTIONS = [  # v, w, u_L, u_R: cruise, turn, standstill, spin, reverse, drift through zero
     (2.0, 0.02, 0.2, 0.25), (1.5, 0.4, -0.1, 0.6), (0.02, 0.01, 0.16, 0.2),
@@ -121,6 +122,33 @@ def test_mirrored_states_move_in_a_mirror():
     other = after(np.concatenate([flip * s[:5], s[6:4:-1]]), u[::-1].copy(), m)[0]
     np.testing.assert_allclose(other[:5], flip * one[:5], atol=1e-14)
     np.testing.assert_allclose(other[5:], one[6:4:-1], atol=1e-14)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_mirrored_states_have_mirrored_derivatives(motion):
+    """Differences of the friction are taken away from zero, so the kink at zero is none of them."""
+    v, w, left, right = motion
+    m, flip = model(), np.array([1.0, -1.0, -1.0, 1.0, -1.0])
+    found = []
+    for sign, turn in ((np.ones(5), 1), (flip, -1)):
+        s = np.concatenate([sign * state(v, w)[:5], np.array([0.1, 0.3])[::turn]])
+        forward = np.zeros((COLUMNS, CHANGED))
+        reached, sides = after(s, np.array([left, right])[::turn].copy(), m)
+        differentiate(s, reached, sides, m, forward)
+        found.append(forward)
+    one, other = found
+    rows = [0, 1, 2, 4, 3, 6, 5]
+    signs = np.array([-1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(other, signs[:, None] * one[rows] * flip, atol=1e-13)
+
+
+@pytest.mark.parametrize(("speed", "turn"), [(0.0, 0.5), (0.0, -0.5), (0.3, 0.1), (-0.3, 0.1)])
+def test_each_track_meets_resistance_against_its_own_motion(speed, turn):
+    m = model()
+    most = 0.5 * plant_parameters().longitudinal_resistance * plant_parameters().mass * GRAVITY
+    half = m.k.half_gauge * turn
+    expected = most * np.sign([speed - half, speed + half])
+    np.testing.assert_allclose(prediction.resistances(speed, turn, m), expected, rtol=1e-12)
 
 
 def test_gravity_along_the_body_accelerates_it():

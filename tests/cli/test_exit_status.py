@@ -1,0 +1,35 @@
+"""How a command ends: one line and an exit status for what the user can mend."""
+
+from collections.abc import Sequence
+
+import pytest
+
+from tracked_env.benchmark.policy_interface import PolicyError
+from tracked_env.cli.exit_status import reported
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [(ValueError("wrong"), 2), (PolicyError("wrong"), 1), (OSError("wrong"), 1),
+     (ImportError("wrong"), 1)],
+    ids=lambda value: type(value).__name__,
+)  # fmt: skip
+def test_errors_of_a_command_are_one_line_and_an_exit_status(
+    error: Exception, status: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(arguments: Sequence[str], program: str) -> int:
+        raise error
+
+    assert reported(fails)([], "program") == status
+    assert capsys.readouterr().err == "program: wrong\n"
+
+
+@pytest.mark.parametrize("error", [BrokenPipeError(), TypeError("a fault of ours")])
+def test_a_closed_pipe_and_faults_of_the_program_are_not_reported_as_errors_of_the_user(
+    error: Exception,
+) -> None:
+    def fails(arguments: Sequence[str], program: str) -> int:
+        raise error
+
+    with pytest.raises(type(error)):
+        reported(fails)([], "program")

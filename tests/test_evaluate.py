@@ -110,7 +110,7 @@ def test_a_policy_of_another_package_is_compared_from_its_folder(
     assert {r["policy"] for r in result(tmp_path)["episodes"]} == {"mine:Coast", "oracle"}
 
 
-@pytest.mark.parametrize(("env", "duration"), [(SPEED_ID, 3), (TERRAIN_ID, 12)])
+@pytest.mark.parametrize(("env", "duration"), [(SPEED_ID, 12), (TERRAIN_ID, 12)])
 def test_other_environments_have_their_own_policies_sets_and_score(
     env: str, duration: int, evaluate: Any, tmp_path: Path
 ) -> None:

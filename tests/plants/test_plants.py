@@ -25,6 +25,7 @@ DEFAULTS = (
     "vector_env.py",
     "engine/env_config.py",
     "benchmark/set_catalogue.py",
+    "benchmark/sets.py",
     "cli/evaluate_options.py",
 )
 

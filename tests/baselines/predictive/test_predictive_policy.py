@@ -33,7 +33,7 @@ def by_speed(name, uncertainty="friction"):
 def test_it_tracks_closer_than_feedback_linearization_on_the_same_estimates(uncertainty):
     mine, other = (by_torque(name, uncertainty) for name in ("mpc-adaptive", "adaptive"))
     assert interquartile_mean(mine.rmse) < 0.9 * interquartile_mean(other.rmse)
-    assert np.median(mine.settled) < 0.8 * np.median(other.settled)
+    assert np.median(mine.settled) < 0.9 * np.median(other.settled)
     assert (mine.rmse < FAILED).all()
 
 
@@ -99,5 +99,5 @@ def test_an_observation_without_what_it_needs_is_refused_by_the_group(name, grou
 def test_settings_are_those_that_the_factory_is_given():
     policy = POLICIES["mpc-adaptive"](context(), effort=7.0)
     assert policy.controller.settings.effort == 7.0
-    with pytest.raises(TypeError, match="effort_of_all"):
+    with pytest.raises(ValueError, match="effort_of_all"):
         POLICIES["mpc-adaptive"](context(), effort_of_all=7.0)

@@ -5,7 +5,8 @@
 
 Likewise with `--env tracked_env/Speed-v0` and results/speed-v3-*, and with
 `--env tracked_env/Terrain-v0` and results/terrain-v3-*. docs/results.md gets the whole
-table between the two markers of that environment, and README.md the columns SHORT of it.
+table between the two markers of that environment, and README.md the columns SHORT of its first
+SHORT_ROWS policies.
 `baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE per seed or
 controller and set with a 95 % bootstrap interval over the episodes; tests run some of them again,
 and ask whether each set separates the policies that it should.
@@ -36,6 +37,7 @@ PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"
 SHORT = (
     "", "policy", "seeds", "error", "after 5 s", "RMSE, all sets [m]", "after 5 s [m]", "success",
 )  # fmt: skip # and the verdict
+SHORT_ROWS = 8  # policies
 
 
 def track_of(board: dict[str, Any]) -> str:
@@ -98,9 +100,11 @@ def table(board: dict[str, Any]) -> str:
 
 
 def short_table(full: str) -> str:
-    """The columns SHORT and the verdict of the first table in `full`, which `table` has made."""
+    """The columns SHORT and the verdict of the first SHORT_ROWS policies of the first table in
+    `full`, which `table` has made."""
     overall, _, _ = full.partition("\n\n")
-    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in overall.split("\n")]
+    lines = overall.split("\n")[: 2 + SHORT_ROWS]  # two of head
+    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in lines]
     names = [cell.strip() for cell in rows[0]]
     kept = [i for i, name in enumerate(names) if name in SHORT or name.startswith("than ")]
     return "\n".join("|" + "|".join(row[i] for i in kept) + "|" for row in rows)

@@ -60,8 +60,8 @@ def test_the_command_of_an_agent_says_its_whole_configuration(folder: Path) -> N
         assert today[name] == recipe["config"][name], name
 
 
-# Some vehicles are stuck or slide away there, whatever is known: intervals are wide. In the last two
-# intervals of 32 episodes lie 1.12 and 1.19 apart: noise, and slow driving, are most of the error.
+# Some vehicles are stuck or slide away there, whatever is known: intervals are wide. In the last
+# two they lie 1.12 and 1.19 apart: noise, and slow driving, are most of the error.
 WIDE = {"soft-patches", "hills-ood", "hills-noisy", "hills-reversing"}
 
 

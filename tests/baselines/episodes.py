@@ -18,6 +18,27 @@ def context(sensors=RTK, lateral="sliding"):
     return PolicyContext(PERIOD, lateral, sensors)
 
 
+def seen_by(policy):
+    """Observations (200, 3, SIZE) of three vehicles driven by the policy."""
+    env = TrackedVehicleVectorEnv(3, uncertainty="mixed", autoreset_mode="Disabled")
+    seen, state = [], None
+    observation, _ = env.reset(seed=4)
+    for _ in range(200):
+        seen.append(observation)
+        action, state = policy.predict(observation, state)
+        observation, *_ = env.step(action)
+    return np.array(seen)
+
+
+def replay(policy, observations, state=None):
+    """Actions and the last state."""
+    actions = []
+    for observation in observations:
+        action, state = policy.predict(observation, state)
+        actions.append(action)
+    return np.array(actions), state
+
+
 class Episodes(NamedTuple):
     """What a closed loop gave."""
 

@@ -13,7 +13,7 @@ from baselines.augmented.mrac_policy import HIGH, LOW, MracPolicy, MracSettings
 from baselines.estimators.sensor_samples import DataSheet
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.registry import l1, mrac
-from tests.baselines.episodes import context, run
+from tests.baselines.episodes import context, replay, run, seen_by
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
 from tracked_env.physics.parameters import PARAMETER_INDEX, plant_parameters
@@ -30,23 +30,7 @@ both = pytest.mark.parametrize("name", list(POLICIES))
 @pytest.fixture(scope="module")
 def recorded():
     """Observations (200, 3, SIZE) of three vehicles driven by a policy."""
-    env = TrackedVehicleVectorEnv(3, uncertainty="mixed", autoreset_mode="Disabled")
-    policy, seen, state = L1Policy(), [], None
-    observation, _ = env.reset(seed=4)
-    for _ in range(200):
-        seen.append(observation)
-        action, state = policy.predict(observation, state)
-        observation, *_ = env.step(action)
-    return np.array(seen)
-
-
-def replay(policy, observations, state=None):
-    """Actions and the last state."""
-    actions = []
-    for observation in observations:
-        action, state = policy.predict(observation, state)
-        actions.append(action)
-    return np.array(actions), state
+    return seen_by(L1Policy())
 
 
 # --- state ----------------------------------------------------------------------------------

@@ -9,11 +9,10 @@ from baselines.estimators.sensor_samples import DataSheet
 from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import STATE
-from tests.baselines.episodes import run
+from tests.baselines.episodes import replay, run, seen_by
 from tracked_env import observation as layout
 from tracked_env.sb3 import make_vec_env
 from tracked_env.sensors import IDEAL, RTK
-from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 SENSORS = slice(0, layout.INDEX["reference_speed"])
 
@@ -21,23 +20,7 @@ SENSORS = slice(0, layout.INDEX["reference_speed"])
 @pytest.fixture(scope="module")
 def recorded():
     """Observations (200, 3, SIZE) of three vehicles driven by the policy."""
-    env = TrackedVehicleVectorEnv(3, uncertainty="mixed", autoreset_mode="Disabled")
-    policy, seen, state = AdaptivePolicy(), [], None
-    observation, _ = env.reset(seed=4)
-    for _ in range(200):
-        seen.append(observation)
-        action, state = policy.predict(observation, state)
-        observation, *_ = env.step(action)
-    return np.array(seen)
-
-
-def replay(policy, observations, state=None):
-    """Actions and the last state."""
-    actions = []
-    for observation in observations:
-        action, state = policy.predict(observation, state)
-        actions.append(action)
-    return np.array(actions), state
+    return seen_by(AdaptivePolicy())
 
 
 def copied(state):

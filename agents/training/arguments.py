@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MIXTURE = {
     TORQUE_ID: (
         "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
-        "mixed", "alternating-soils", "weak-actuator", "actuator-fault",
+        "mixed", "alternating-soils", "weak-actuator", "actuator-fault", "alternating-gains",
     ),
     SPEED_ID: ("friction", "friction-step", "friction-drift", "floor-mixed"),
     TERRAIN_ID: ("slope", "hills", "slope-step", "soft-patches", "slope-payload"),
@@ -41,6 +41,7 @@ SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
         "strawa",
         {"preset": "rtk", "velocity_measured": 0.0},
         "rtk-outages",
+        {"preset": "rtk", "pose_rate": 1.0},
     ),
     SPEED_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}, "mocap-outages"),
     TERRAIN_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}, "mocap-outages"),

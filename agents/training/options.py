@@ -82,7 +82,8 @@ class Options:
     """Sensor presets ideal, rtk, strawa or mocap, or JSON overrides:
     '{"preset": "rtk", "pose_delay": 0.1}'; of several, each gets its part of
     the vehicles. `mixture`: rtk; rtk 0.2 s late; strawa; rtk without velocity;
-    rtk-outages (on Speed-v0 and Terrain-v0: mocap; mocap 0.1 s late; mocap-outages)."""
+    rtk-outages; rtk with one pose a second (on Speed-v0 and Terrain-v0: mocap;
+    mocap 0.1 s late; mocap-outages)."""
 
     reference: str | None = None
     """Kind of reference to follow, or JSON."""

@@ -40,10 +40,12 @@ from tracked_env.validation import unknown
 
 # Sets with a change inside the episode, by environment.
 CHANGING = {
-    "tracked_env/Torque-v0": ("payload", "terrain-transition", "mixed", "outages-alternating"),
-    "tracked_env/Speed-v0": ("friction-step", "floor-mixed"),
-    "tracked_env/Terrain-v0": ("slope-step", "slope-payload"),
-}
+    "tracked_env/Torque-v0": (
+        "alternating", "actuator-fault", "outages-alternating", "late-gains", "reversing-payload",
+    ),
+    "tracked_env/Speed-v0": ("friction-step", "floor-mixed", "floor-outages-alternating"),
+    "tracked_env/Terrain-v0": ("slope-payload", "slope-step-late", "slope-payload-outages"),
+}  # fmt: skip
 _FIXED = ("trust", "sensors", "reference", "duration", "lateral", "video", "paper", "shard")
 
 

@@ -18,6 +18,7 @@ from tracked_env.physics import (
     terramechanics,
     vehicle,
 )
+from tracked_env.physics.jit import formula, loop, summation
 from tracked_env.physics.parameters import plant_parameters
 from tracked_env.physics.vehicle import Motion
 
@@ -167,9 +168,9 @@ def test_the_loop_over_vehicles_equals_pure_python_bit_for_bit(euler):
     speeds, table = np.array([[3.0, 4.0], [0.0, -5.0]]), np.array([FOCCHI, CLAY])
     start = np.array([[1.0, 2.0, 0.7, 0.3, 0.0, 0.1], [0.0, 0.0, -3.0, -0.4, 0.2, 1.0]])
     results = []
-    for loop in (patch_dynamics.hold_speeds, patch_dynamics.hold_speeds.py_func):
+    for kernel in (patch_dynamics.hold_speeds, patch_dynamics.hold_speeds.py_func):
         states, loads = start.copy(), np.zeros((2, 6))
-        loop(states, speeds, table, PATCHES, 4, 0.0025, euler, loads)
+        kernel(states, speeds, table, PATCHES, 4, 0.0025, euler, loads)
         results.append(np.concatenate([states, loads], axis=1))
     assert np.array_equal(*results)
     assert not np.array_equal(results[0][:, :6], start)
@@ -182,3 +183,27 @@ def test_the_resistance_of_the_soil_equals_pure_python_all_the_way_down(monkeypa
         monkeypatch.setattr(patch_forces, name, getattr(patch_forces, name).py_func)
     for arguments, expected in zip(SHEAR, compiled, strict=True):
         assert patch_forces.resistance.py_func(*arguments) == expected
+
+
+@formula
+def _to_integer(x):
+    """Round x to an integer: the sum has no bits left for fractions."""
+    return (x + elementary.ROUND_MAGIC) - elementary.ROUND_MAGIC
+
+
+@summation
+def _sum_of_integers(x):
+    total = 0.0
+    for k in range(x.size):
+        total += _to_integer(x[k])
+    return total
+
+
+@loop
+def _called_first(x):
+    return _sum_of_integers(x)
+
+
+def test_a_formula_keeps_its_rounding_when_a_sum_that_may_be_reordered_compiles_it_first():
+    """What a formula leaves open of its options it would take from the caller being compiled."""
+    assert _called_first(np.array([0.3, 1.4, 2.6])) == 4.0

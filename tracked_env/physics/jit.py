@@ -2,7 +2,10 @@
 
 All kernels: cached on disk; division follows IEEE (`error_model="numpy"`, so no hidden
 branch); no fastmath, so that a batch of any size gives the same bits as one vehicle. The exception
-is `summation`, for loops over the patches of one vehicle.
+is `summation`, for loops over the patches of one vehicle. `fastmath=False` must be written out:
+what is left open is taken from the caller that is being compiled when a function is compiled first,
+and stays in the disk cache, so that bits would depend on what was compiled first; `reassoc` also
+deletes the rounding to integers in `exponential`.
 `formula` is for the small pure functions (one equation each): they are inlined into the
 loop that calls them, which lets the compiler vectorise that loop over vehicles.
 `template` is for functions that take compiled functions as arguments: they become part of their
@@ -25,9 +28,11 @@ from numba import njit, typeof, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-formula = partial(njit, cache=True, error_model="numpy", forceinline=True)()
+formula = partial(njit, cache=True, error_model="numpy", fastmath=False, forceinline=True)()
 template = partial(njit, error_model="numpy", inline="always")()
-loop = partial(njit, cache=True, error_model="numpy", nogil=True, boundscheck=False)()
+loop = partial(
+    njit, cache=True, error_model="numpy", fastmath=False, nogil=True, boundscheck=False
+)()
 
 # For loops that add up over the patches of ONE vehicle: their order of summation is the choice of
 # the compiler, which lets it add several patches at once. The number of patches is the same for one

@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parent.parent
 TERMS = "--uncertainty mixture --sensors mixture"
 SHOWN = f"{TERMS} --data-sheet"
 PPO = "--steps 2000000"
+RESIDUAL = "--steps 400000 --augmentation residual --ppo.log-std-init -2"  # more did not help
 REPLAY = "--smoothness 1"  # which agents with a replay buffer would leave out
 STUDENT = (
     "--augmentation student --student.lstm-hidden 64 --student.hidden 64 --student.n-steps 250 "
@@ -40,10 +41,8 @@ FAMILIES = {
         "ppo-history": f"{SHOWN} {PPO} --augmentation history",
         "ppo-reckoned": f"{SHOWN} {PPO} --augmentation reckoned",
         "ppo-estimates": f"{SHOWN} {PPO} --augmentation estimates",
-        "ppo-residual": f"{SHOWN} {PPO} --augmentation residual --residual-scale 0.1 "
-        "--ppo.log-std-init -2",
-        "ppo-residual-mpc": f"{SHOWN} {PPO} --augmentation residual --base mpc-adaptive "
-        "--residual-scale 0.1 --ppo.log-std-init -2",
+        "ppo-residual": f"{SHOWN} {RESIDUAL} --residual-scale 0.1",
+        "ppo-residual-mpc": f"{SHOWN} {RESIDUAL} --residual-scale 0.1 --base mpc-adaptive",
         "ppo-teacher": f"--uncertainty mixture --sensors ideal {PPO} --augmentation teacher",
         "ppo-student": f"{SHOWN} {STUDENT}",
         "recurrent-ppo-blind": f"{SHOWN} {PPO} --agent recurrent-ppo --recurrent-ppo.n-steps 512",
@@ -54,7 +53,7 @@ FAMILIES = {
     "Speed-v0": {
         "ppo-blind": f"{SHOWN} --steps 1500000",
         "ppo-reckoned": f"{SHOWN} --steps 1500000 --augmentation reckoned",
-        "ppo-residual": f"{SHOWN} --steps 400000 --augmentation residual --ppo.log-std-init -2",
+        "ppo-residual": f"{SHOWN} {RESIDUAL}",
     },
     "Terrain-v0": {
         "ppo-blind": f"{SHOWN} --steps 1500000",

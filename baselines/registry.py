@@ -42,10 +42,10 @@ from baselines.linearizing.linearizing_law import TUNED_GAINS
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.lyapunov import lyapunov_laws
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
-from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
+from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
-from baselines.lyapunov.slope_errors import shows_attitude
+from baselines.lyapunov.slope_errors import shows_attitude, tuned_gains
 from baselines.predictive.predictive_policy import (
     NominalPredictivePolicy,
     PredictiveOraclePolicy,
@@ -179,8 +179,8 @@ def _speed_arguments(context: Context, settings: Mapping[str, float]) -> dict[st
 
 
 def lyapunov_gains(context: Context) -> LyapunovGains:
-    """Gains of the policies that command speeds: of slopes where the attitude is shown."""
-    return GAINS_ON_SLOPES if shows_attitude(context.observation) else LyapunovGains()
+    """Gains of the policies that command speeds."""
+    return tuned_gains(context.observation)
 
 
 @tunable(lyapunov_laws.TUNABLE, lyapunov_gains)

@@ -30,6 +30,7 @@ from baselines.learned.augmentation import BASE, RESIDUAL_SCALE
 from baselines.learned.history_augmentation import LAGS
 from baselines.learned.recipe import STUDENT, Driven
 from baselines.linearizing.linearizing_law import TUNED_GAINS
+from baselines.lyapunov.slope_errors import tuned_gains
 from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.engine.env_config import EnvConfig
 
@@ -142,14 +143,21 @@ def _commands_torques(options: Options) -> bool:
     return bool(_driven(options.env, environment_arguments(options))["drive"] == "torque")
 
 
+def _residual(options: Options) -> dict[str, Any]:
+    """Options of a residual agent, with the gains of the controller that it corrects."""
+    residual: dict[str, Any] = {"scale": _residual_scale(options)}
+    torques = _commands_torques(options)
+    if options.base not in (None, BASE) or (options.base == BASE and not torques):
+        return {**residual, "base": options.base}  # refused where the drives take speeds
+    if torques:
+        return {**residual, "gains": list(TUNED_GAINS)}
+    shown = layout_of(options.env, environment_arguments(options)).names
+    return {**residual, "gains": list(tuned_gains(shown))}
+
+
 def _augmentation(options: Options) -> Augmentation:
     lags = list(_lags(options))
-    residual: dict[str, Any] = {"scale": _residual_scale(options)}
-    torques = options.augmentation == "residual" and _commands_torques(options)
-    if options.base not in (None, BASE) or (options.base == BASE and not torques):
-        residual["base"] = options.base  # refused where the drives take speeds
-    elif torques:
-        residual["gains"] = list(TUNED_GAINS)  # of the controller that it corrects
+    residual = _residual(options) if options.augmentation == "residual" else {}
     student = options.student
     inferred: dict[str, Any] = {"lags": lags, "hidden": list(student.hidden)}
     if student.lstm_hidden:

@@ -26,6 +26,7 @@ from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import NEEDS as CONTROLLER_NEEDS
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
+from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.slope_errors import ATTITUDE, shows_attitude
 from baselines.registry import POLICIES, Context
 from tracked_env.observation import NAMES, joined
@@ -89,9 +90,9 @@ def make_augmentation(
     """A fresh augmentation of `count` vehicles.
 
     options: `lags` of history, `scale` and `base` of residual, and of all `data_sheet`, whether
-    that of the sensors is shown. `gains` of residual are those of `adaptive`, by default the
-    paper's: agents without them in their archive were trained on these. Raises ValueError for an
-    unknown kind or option.
+    that of the sensors is shown. `gains` of residual are those of `adaptive` or `slc-adaptive`, by
+    default the paper's (on slopes GAINS_ON_SLOPES): agents without them in their archive were
+    trained on these. Raises ValueError for an unknown kind or option.
     """
     known = {"history": {"lags"}, "residual": {"scale", "base", "gains"}}.get(kind, set())
     if kind not in KINDS or set(options) - {*known, "data_sheet"}:
@@ -124,7 +125,10 @@ def _plain(kind: str, options: Mapping[str, Any], context: Context, count: int) 
             )
         # A View gives it the fields of V0, and those that it needs besides behind them.
         names = (*NAMES, *ATTITUDE) if shows_attitude(context.observation) else NAMES
-        driver = AdaptiveSlipPolicy(vehicle, context.control_period, sheet, observation=names)
+        chosen = LyapunovGains(*options["gains"]) if "gains" in options else None
+        driver = AdaptiveSlipPolicy(
+            vehicle, context.control_period, sheet, gains=chosen, observation=names
+        )
         if kind == "estimates":
             return SlipEstimates(driver, count)
         return SlipResidual(driver, count, scale)

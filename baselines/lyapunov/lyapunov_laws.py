@@ -49,7 +49,9 @@ class LyapunovGains(NamedTuple):
     reach: float = math.inf  # [m] L, beyond it V grows with the distance, not with its square
 
 
-# Where the attitude is shown, of every policy; chosen on development episodes (docs/slip.md).
+# Of the registered policies, chosen on development episodes (docs/tuning.md); on slopes, where the
+# attitude is shown, of every policy.
+GAINS_ON_FLOORS = LyapunovGains(k_p=5.0, k_phi=3.0, k_y=40.0, reach=0.04)
 GAINS_ON_SLOPES = LyapunovGains(k_p=5.0, k_phi=3.0, k_y=40.0, reach=0.1)
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators.sensor_samples import DataSheet
+from baselines.lyapunov.lyapunov_laws import GAINS_ON_FLOORS, GAINS_ON_SLOPES, LyapunovGains
 from baselines.lyapunov.pseudo_kinematic import Array, steady_gain
 from tracked_env import observation as layout
 from tracked_env.physics.attitude import in_body_plane
@@ -41,6 +42,11 @@ _POSE_SCALE = layout.SCALE[_POSE]
 def shows_attitude(observation: Sequence[str]) -> bool:
     """Whether an observation of these fields tells roll and pitch."""
     return all(name in observation for name in ATTITUDE)
+
+
+def tuned_gains(observation: Sequence[str]) -> LyapunovGains:
+    """Gains of the registered policies: of slopes where these names show the attitude."""
+    return GAINS_ON_SLOPES if shows_attitude(observation) else GAINS_ON_FLOORS
 
 
 class AttitudeFilter:

@@ -131,7 +131,9 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         if state is not None:
             friction = at_least(friction, grades(*state.driving.attitude.T))
         self._policy.slip_model = self.estimator.family.at(friction)
-        self._policy.driven = self.estimator.velocities()
+        # On level ground the drag of the belts makes their plant forget its errors; on a slope they
+        # add up, and an outage is bridged with the steady slip as by the other policies.
+        self._policy.driven = None if self._slopes else self.estimator.velocities()
         driving = None if state is None else state.driving
         action, driving = self._policy.act(observation, driving, start)
         return action, AdaptiveSlipState(driving, self.estimator.memory.copy())

@@ -8,7 +8,10 @@ lag of a yawing vehicle, and the controller acts on that.
 
 On slopes gravity pulls, and a vehicle that is taken to be on level ground seems to slip more than
 its friction explains. There the plants are those of `slope_motion`, each on the slope that the
-vehicle feels, with its load and the transfer of load that the slope makes.
+vehicle feels, with its load and the transfer of load that the slope makes. Without a measured
+velocity nothing draws a plant back that slides down, at metres per second after a second, and
+what its yaw rate does then says nothing of the vehicle: there no plant has less friction than
+a vehicle needs to hold, |t| / STEEPEST (slope_models).
 
 The plants of a bank (friction_bank) are driven by the measured sprocket speeds. Plants and not the
 tables predict, because on slippery ground the vehicle takes seconds to become steady.
@@ -38,10 +41,10 @@ from baselines.slip.slip_sweep import (
     strength_over_weight,
     with_friction,
 )
-from baselines.slip.slope_models import SlopeSlipFamily
+from baselines.slip.slope_models import STEEPEST, SlopeSlipFamily, grades
 from baselines.slip.slope_motion import CONTACT, PLANAR, STATE_SIZE, hold_on_slope
 from baselines.slip.slope_sweep import PATCHES, middles, slope_slip_family
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 from tracked_env.physics.patch_dynamics import hold_speeds
 from tracked_env.physics.patch_forces import Patches, make_patches
 from tracked_env.physics.tracked_body import SCALED
@@ -54,6 +57,7 @@ MODEL_SPEED = 0.01  # [m/s] what the plants leave unexplained in v_x and v_y
 MODEL_YAW_RATE = 0.01  # [rad/s] the same in w
 IMPOSSIBLE = 3.0  # [-] times what the sprockets can drive: such a sample counts as missing
 LARGEST_STEP = 0.01  # [s] of the plants
+_FRICTION_ANGLE = PARAMETER_NAMES.index("friction_angle")
 
 
 class RecursiveSlipEstimator:
@@ -151,7 +155,8 @@ class RecursiveSlipEstimator:
         held = np.where(possible, measured[:, :2], self.memory[:, :2])
         self.memory[:, :2] = held
         planar = self.memory[:, VELOCITIES : VELOCITIES + CHANNELS * bank]
-        moved = self._moved(planar.reshape(n * bank, CHANNELS), held, attitude)
+        seen = np.isfinite(measured[:, 2] + measured[:, 3])
+        moved = self._moved(planar.reshape(n * bank, CHANNELS), held, attitude, seen)
         states = np.zeros((n * bank, 6))
         states[:, 3:] = moved
         used = np.empty(n, dtype=np.bool_)
@@ -161,8 +166,13 @@ class RecursiveSlipEstimator:
         )  # fmt: skip
         return used
 
-    def _moved(self, velocities: Array, held: Array, attitude: Array | None) -> Array:
-        """v_x, v_y, w (N M, 3) of the plants after one control period at sprocket speeds (N, 2)."""
+    def _moved(
+        self, velocities: Array, held: Array, attitude: Array | None, seen: NDArray[np.bool_]
+    ) -> Array:
+        """v_x, v_y, w (N M, 3) of the plants after one control period at sprocket speeds (N, 2).
+
+        seen (N,): whether the velocity is measured; without it no plant slides down a slope.
+        """
         count, bank = len(velocities), len(FRICTIONS)
         speeds, period = np.repeat(held, bank, axis=0), self.control_period / self._steps
         if not self.slopes:
@@ -176,12 +186,22 @@ class RecursiveSlipEstimator:
         states = np.empty((count, STATE_SIZE))
         contact = self.memory[:, -2 - len(CONTACT) * bank : -2]
         states[:, PLANAR], states[:, CONTACT] = velocities, contact.reshape(count, -1)
+        plants = self._holding(level, seen)
         hold_on_slope(
-            states, np.repeat(level, bank, axis=0), speeds, self._plants, *middles(PATCHES),
-            SCALED, False, self._steps, period, 0.0, 1, np.empty(count),
+            states, np.repeat(level, bank, axis=0), speeds, plants, *middles(PATCHES), SCALED,
+            False, self._steps, period, 0.0, 1, np.empty(count),
         )  # fmt: skip
         contact[:] = states[:, CONTACT].reshape(contact.shape)
         return states[:, PLANAR]
+
+    def _holding(self, attitude: Array, seen: NDArray[np.bool_]) -> Array:
+        """Parameters (N M, ...) of the plants; where no velocity is seen, of those that hold."""
+        steep = np.linalg.norm(grades(*attitude.T), axis=1)
+        needed = np.where(seen, 0.0, steep / STEEPEST)
+        plants = self._plants.copy()
+        angle = plants[:, _FRICTION_ANGLE]
+        np.maximum(angle, np.arctan(np.repeat(needed, len(FRICTIONS))), out=angle)
+        return plants
 
     def estimates(self) -> dict[str, tuple[Array, Array]]:
         """By name (value, standard deviation), (N,) each: friction mu [-]."""

@@ -191,6 +191,11 @@ def test_across_a_border_of_friction_on_a_slope_the_adaptive_one_beats_the_plana
     assert np.median(found["slc-adaptive"]) < 0.7 * np.median(found["slc-flat"])
 
 
+def test_seconds_without_a_pose_leave_the_adaptive_one_as_near_as_nominal_friction():
+    outages = {"uncertainty": "slope", "sensors": "mocap-outages", "duration": 20.0}
+    assert rmse("slc-adaptive", 8, **outages).mean() < rmse("slc", 8, **outages).mean()
+
+
 def test_the_gains_of_slopes_hold_where_the_attitude_is_shown_and_only_there():
     for names, expected in ((layout.NAMES, LyapunovGains()), (SHOWN.names, GAINS_ON_SLOPES)):
         assert UnicyclePolicy(FOCCHI, 0.02, observation=names).gains == expected

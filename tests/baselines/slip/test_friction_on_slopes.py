@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from baselines.estimators.sensor_samples import DataSheet
+from baselines.slip.friction_bank import CHANNELS, VELOCITIES
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
-from baselines.slip.slip_sweep import with_friction
+from baselines.slip.slip_sweep import FRICTIONS, with_friction
 from tracked_env.physics import state as s
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.plants.terrain_rig import TerrainRig
@@ -18,10 +19,11 @@ SHEET = DataSheet.of(MOCAP)
 PERIOD, DIRECTIONS = 0.02, 8
 
 
-def relative_errors(grade, mu=0.5, duration=10.0):
+def relative_errors(grade, mu=0.5, duration=10.0, blind=False):
     """(slopes known, taken for level): estimate over mu - 1, (steps, DIRECTIONS), late in a drive.
 
-    Vehicles that begin in all directions on a plane of that grade, and turn to and fro.
+    Vehicles that begin in all directions on a plane of that grade, and turn to and fro. blind: the
+    velocity is not measured in the second half.
     """
     rng, parameters = np.random.default_rng(0), with_friction(FOCCHI, mu)
     terrain = {"terrain": {"kind": "plane", "slope_x": grade}}
@@ -43,6 +45,8 @@ def relative_errors(grade, mu=0.5, duration=10.0):
         seen = rig.states[:, [s.V_X, s.V_Y, s.YAW_RATE]]
         noise = [SHEET.velocity_noise, SHEET.velocity_noise, SHEET.gyro_noise]
         seen = seen + noise * rng.standard_normal(seen.shape)
+        if blind and k >= steps // 2:
+            seen[:, :2] = math.nan
         for j, estimator in enumerate(both):
             estimator.update(*speeds, *seen.T, attitude)
             found[j, k] = estimator.friction / mu - 1.0
@@ -71,6 +75,22 @@ def test_on_a_slope_friction_is_found_as_well_as_on_level_ground(errors, grade):
 def test_an_estimator_that_takes_every_place_for_level_errs_by_half_of_the_friction(errors, grade):
     assert rms(errors[grade][1]) > 0.4
     assert rms(errors[grade][1]) > 8.0 * rms(errors[grade][0])
+
+
+def test_without_a_velocity_the_friction_found_before_is_kept_on_a_slope():
+    assert rms(relative_errors(0.1, blind=True)[0]) < 0.1
+
+
+def test_without_a_velocity_no_plant_of_the_bank_slides_away():
+    """On every friction below the grade of 0.3 it would, faster than the belts within a second."""
+    estimator = RecursiveSlipEstimator(FOCCHI, PERIOD, SHEET, slopes=True)
+    attitude, belts = np.array([[0.0, math.atan(0.3)]]), 0.3
+    for k in range(200):
+        velocity = belts if k < 10 else math.nan
+        speed = belts / FOCCHI.sprocket_radius
+        estimator.update(speed, speed, velocity, 0.0 * velocity, 0.0, attitude)
+    forward = estimator.memory[0, VELOCITIES : VELOCITIES + CHANNELS * len(FRICTIONS) : CHANNELS]
+    assert np.abs(forward - belts).max() < belts
 
 
 def test_a_copy_of_the_memory_resumes_bit_for_bit_on_slopes():

@@ -35,7 +35,7 @@ from tracked_env.physics.parameters import PlantParameters
 
 PROBE = 0.01  # [-] of the limit: step of the differences of the slip model
 SETTINGS = PredictiveSettings(
-    position=100.0, heading=10.0, speed=1.0, yaw_rate=0.3, effort=1.0, effort_change=10.0
+    position=100.0, heading=4.0, speed=1.0, yaw_rate=0.3, effort=1.0, effort_change=10.0
 )
 
 

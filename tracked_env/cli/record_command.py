@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tracked_env.benchmark import default_sets
-from tracked_env.benchmark.policy_interface import checked_policy
+from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.cli.evaluate_command import benchmark_config
@@ -43,6 +43,8 @@ def main(arguments: Sequence[str], program: str) -> int:
     entry = load_policies([given.policy], registry, trained, open_archive)[0]
     with explained():
         policy = checked_policy(entry, benchmark.context(name))
+        if needs_truth(policy):
+            raise ValueError(f"policy {entry.name!r} needs the truth; a log is driven without it")
         env = benchmark.environment(name, 1, truth=False)
         truth = record_log(env, policy, given.file, benchmark.seed)
     print(f"{entry.name}, set {name}, seed {benchmark.seed}: {given.file}")

@@ -55,9 +55,12 @@ def main(arguments: Sequence[str], program: str) -> int:
     with explained():
         fitted = fit(runs, vehicle)
     count = len(np.unique(fitted.runs.run))
-    print(f"{len(fitted.data.alpha)} samples of {count} runs, {fitted.runs.rows_left_out} rows of "
-          f"them left out; {len(fitted.runs.refused)} runs or samples not used, {fitted.outliers} "
-          "of them outliers\n")  # fmt: skip
+    said = (
+        f"{len(fitted.data.alpha)} samples of {count} runs, {fitted.runs.rows_left_out} rows of "
+        f"them left out; {len(fitted.runs.refused)} runs or samples not used, {fitted.outliers} "
+        "of them outliers."
+    )
+    print(f"{folded(said, WIDTH)}\n")
     print(aligned(slip_page.score_rows(fitted), 2, WIDTH))
     refused = [f"* {r.run}: {r.reason}" for r in fitted.runs.refused]
     if refused:

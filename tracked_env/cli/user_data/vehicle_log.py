@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.cli.user_data.csv_columns import Column, Floats, Table, check_speeds, read
+from tracked_env.cli.user_data.csv_columns import Column, Floats, check_speeds, read
 from tracked_env.cli.user_data.log_checks import check_agreement, unwrapped
+from tracked_env.cli.user_data.log_grid import in_order, middle_step, on_grid
 from tracked_env.physics.channels import CHANNELS, GROUP_START, GROUPS
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import UNMEASURED, Sensors
@@ -51,10 +52,6 @@ COLUMNS = (
 DRIVE_PAIRS = ("sprocket_speed", "torque", "current")
 WINDOW = 0.1  # [s] of the straight lines whose slopes are accelerations
 TORQUES = ("torque_left", "torque_right")
-EVEN = 0.1  # [-] of a step: farther off the grid in more than one row of a hundred is uneven
-STEPS = (1e-3, 0.2)  # [s] of a log
-LEAST = 5.0  # [s] a log lasts at least
-LOST = 0.1  # [-] share of rows with a wrong time that is too much
 
 
 class Drivetrain(NamedTuple):
@@ -114,15 +111,16 @@ def read_log(
     table = read(path, wider, mapping, units)
     notes = [f"Read: {table.said}."]
     values = _at_the_sprocket(table.values, drivetrain, path, notes)
-    values, dropped = _in_order(values, path)
+    values, dropped = in_order(values, path)
     faults = [(table.truncated, "truncated lines"), (table.unreadable, "cells that are no numbers"),
               (dropped, "rows whose time does not rise, which were left out")]  # fmt: skip
     notes += [f"{count} {what}." for count, what in faults if count]
+    middle_step(values["time"], path)
     speeds = [values[f"sprocket_speed_{side}"] for side in ("left", "right")]
     check_speeds(np.concatenate(speeds), vehicle, path)
     values["yaw"] = unwrapped(values["yaw"], values["time"], values["yaw_rate"], path)
     check_agreement(values, vehicle, path)
-    period, grid, seen = _on_grid(values, path, notes)
+    period, grid, seen = on_grid(values, path, notes)
     return _complete(period, grid, seen, sensors, notes)
 
 
@@ -156,64 +154,6 @@ def _at_the_sprocket(
             )
         values[f"torque_{side}"] = ratio * torque
     return values
-
-
-def _in_order(values: dict[str, Floats], path: Path) -> tuple[dict[str, Floats], int]:
-    """Rows whose time rises, and how many were left out."""
-    time = values["time"]
-    latest = np.maximum.accumulate(np.where(np.isfinite(time), time, -math.inf))
-    before = np.concatenate([[-math.inf], latest[:-1]])
-    rising = np.isfinite(time) & (time > before)
-    dropped = int(len(time) - rising.sum())
-    if dropped > LOST * len(time):
-        raise ValueError(
-            f"{path}: in {dropped} of {len(time)} rows the time does not rise; must be less than "
-            f"{LOST:.0%}. Are several logs in one file, or is `time` another column?"
-        )
-    return {name: column[rising] for name, column in values.items()}, dropped
-
-
-def _on_grid(
-    values: dict[str, Floats], path: Path, notes: list[str]
-) -> tuple[float, dict[str, Floats], NDArray[np.bool_]]:
-    """(step [s], columns (T,), (T,) whether a row is there)."""
-    time = values["time"] - values["time"][0]
-    values = {name: column for name, column in values.items() if name != "time"}
-    gaps = np.diff(time)
-    middle = float(np.median(gaps)) if len(gaps) else math.nan
-    if not (len(gaps) and STEPS[0] <= middle <= STEPS[1]):
-        raise ValueError(
-            f"{path}: a row every {middle:.3g} s; must be in [{STEPS[0]:g}, {STEPS[1]:g}] s. Is "
-            "the time in ms? Then --units time=ms"
-        )
-    period = float(np.mean(gaps[gaps < 1.5 * middle]))
-    if time[-1] < LEAST:
-        raise ValueError(f"{path} lasts {time[-1]:.3g} s; must be {LEAST:g} s or more")
-    place = np.concatenate([[0.0], np.cumsum(np.maximum(np.round(gaps / period), 1.0))])
-    off = np.abs(gaps / period - np.maximum(np.round(gaps / period), 1.0))
-    even = np.mean(off > EVEN) < 0.01
-    count = int(place[-1]) + 1 if even else int(time[-1] / period) + 1
-    seen = np.zeros(count, dtype=bool)
-    grid = {}
-    if even:
-        where = place.astype(np.int64)
-        seen[where] = True
-        for name, column in values.items():
-            grid[name] = np.full(count, math.nan)
-            grid[name][where] = column
-    else:
-        at = period * np.arange(count)
-        nearest = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-        seen = time[nearest] - time[nearest - 1] < 2.5 * period
-        for name, column in values.items():
-            grid[name] = np.where(seen, np.interp(at, time, column), math.nan)
-    lost = int(count - seen.sum())
-    notes.append(
-        f"{count} steps of {1e3 * period:.4g} ms, {'as logged' if even else 'resampled'}"
-        + (f", {lost} of them without a row" if lost else "")
-        + ("." if even else ": rows are unevenly spaced, and were interpolated linearly.")
-    )
-    return period, grid, seen
 
 
 def _held(columns: list[Floats], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -325,6 +265,3 @@ def _latest(
     notes.append(f"Steps with a new sample: {shares[:-1]}.")
     time = np.arange(len(age), dtype=np.float64) * period
     return Log(period, time, held, new, age, sensors, attitude, averaged, notes)
-
-
-__all__ = ["COLUMNS", "Drivetrain", "Log", "Table", "averages", "read_log", "slopes"]

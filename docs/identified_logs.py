@@ -14,7 +14,7 @@ import numpy as np
 
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from tracked_env.cli.user_data.log_identification import SOIL, identify
-from tracked_env.cli.user_data.log_recording import record_log
+from tracked_env.cli.user_data.log_recording import record_logs
 from tracked_env.cli.user_data.vehicle_log import Drivetrain, read_log
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
@@ -28,14 +28,12 @@ Intervals = dict[str, list[tuple[bool, float, float]]]
 
 def driven(folder: Path, count: int, duration: float, soils: str = "soil-and-mass") -> Logs:
     """(log, true values) of `count` episodes of `duration` [s] of an uncertainty set."""
-    made = []
     env = TrackedVehicleVectorEnv(
-        1, uncertainty=soils, duration=duration, error_limit=1e5, autoreset_mode="Disabled"
+        count, uncertainty=soils, duration=duration, error_limit=1e5, autoreset_mode="Disabled"
     )
-    for number in range(count):
-        path = folder / f"{number}.csv"
-        made.append((path, record_log(env, AdaptivePolicy(), path, SEED + number)))
-    return made
+    paths = [folder / f"{number}.csv" for number in range(count)]
+    seeds = [SEED + number for number in range(count)]
+    return list(zip(paths, record_logs(env, AdaptivePolicy(), paths, seeds), strict=True))
 
 
 def intervals(logs: Logs) -> Intervals:

@@ -23,6 +23,11 @@ from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.sensors import Sensors, make_sensors
 from tracked_env.validation import checked_number
 
+DESCRIPTION = (
+    "Run the identification of the adaptive policy over a log and write a report, a set of "
+    "parameters for `gymnasium.make(id, **set['make'])`, and all estimates over time. x forward, "
+    "y to the left, yaw and yaw rate positive to the left."
+)
 WIDTH = 80  # [characters] of what is printed
 GEAR = Range(1e-3, 1e4, "-", "It is the motor speed over the sprocket speed.")
 PER_AMPERE = Range(0.0, 1e3, "N m/A", "It is the torque constant of the motor.")
@@ -70,9 +75,7 @@ def _parser(program: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=program,
         allow_abbrev=False,
-        description="Run the identification of the adaptive policy over a log and write a report, "
-        "a set of parameters for `gymnasium.make(id, **set['make'])`, and all estimates over time. "
-        "x forward, y to the left, yaw and yaw rate positive to the left.",
+        description=folded(DESCRIPTION, WIDTH),
         epilog="columns of the log:\n" + table_of(COLUMNS),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -20,6 +20,11 @@ from tracked_env.cli.user_data.slip_runs import COLUMNS, ORDER, read_runs
 from tracked_env.cli.waiting import explained
 from tracked_env.validation import checked_number
 
+DESCRIPTION = (
+    "Fit the slip velocity of both tracks and the slip angle as functions of the sprocket speeds "
+    "to runs of a vehicle, and write a model that the slippage-aware policies load, and a report. "
+    "A file has a row a run, or rows over time (with the column `time`)."
+)
 SHOWN = 20  # runs that are not used, on the terminal
 
 
@@ -27,9 +32,7 @@ def _parser(program: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=program,
         allow_abbrev=False,
-        description="Fit the slip velocity of both tracks and the slip angle as functions of the "
-        "sprocket speeds to runs of a vehicle, and write a model that the slippage-aware policies "
-        "load, and a report. A file has a row a run, or rows over time (with the column `time`).",
+        description=folded(DESCRIPTION, WIDTH),
         epilog="columns:\n" + table_of(COLUMNS) + "\n\nA file without a header and --columns has "
         f"{', '.join(ORDER)}.",
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -136,6 +136,20 @@ def half_width(deviation: float, shifts: Sequence[float]) -> float:
     return float(brentq(lacking, 0.0, float(np.abs(sums).max()) + 5.0 * deviation))
 
 
+def _module(name: str) -> Any:
+    """The module of one of the regressions."""
+    return command_function(f"identify-{name}")
+
+
+def shared_friction(stack: Any, inertia: float, deviation: float) -> float:
+    """The deviation of the inertia where the slip may share friction, as `stack` found it."""
+    turning = _module("turning")
+    out = np.zeros((1, stack.turning.answer.shape[1]))
+    out[0, turning.VALUE_1], out[0, turning.P_11] = inertia, deviation**2
+    turning.admit_shared_friction(out, 0, stack.turning.memory, stack.turning.prior)
+    return math.sqrt(float(out[0, turning.P_11]))
+
+
 def _joined(answers: list[Any]) -> Any:
     """Bare answers of T steps as one of T rows."""
     if isinstance(answers[0], tuple):
@@ -163,9 +177,7 @@ class _Residuals:
     """Residuals of the two regressions, each by the estimates before its sample."""
 
     def __init__(self, stack: Any) -> None:
-        self.equations = {
-            name: command_function(f"identify-{name}") for name in ("longitudinal", "turning")
-        }
+        self.equations = {name: _module(name).equation for name in ("longitudinal", "turning")}
         self.stack = stack
         self.found: dict[str, list[float]] = {name: [] for name in self.equations}
         self.before: tuple[tuple[float, float], tuple[float, float]] | None = None
@@ -279,6 +291,8 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
     found = {}
     for name in CONSTANT:
         value, noise = constant[name]
+        if name == "inertia":
+            noise = shared_friction(stack, value, noise)
         now, claimed = series[name]
         off = np.abs(now - value) > CONTRADICTED * np.hypot(claimed, noise)
         changed = bool(np.mean(off[settled]) > CONTRADICTED_SHARE)

@@ -5,6 +5,7 @@ sample leaves its cells empty; a delay is taken off, so that every row is of one
 """
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,32 +27,48 @@ def record_log(
     object with `predict(observation, state, episode_start)`, as Stable-Baselines3 has it.
     Raises ValueError for a vector of several vehicles.
     """
+    return record_logs(env, policy, [path], seed)[0]
+
+
+def record_logs(
+    env: Any, policy: Any, paths: Sequence[Path | str], seed: Any = None
+) -> list[dict[str, float]]:
+    """The same for each vehicle of a vector environment; seed: as its `reset` takes it.
+
+    Raises ValueError for another number of vehicles than of paths.
+    """
     inner = env.unwrapped
-    batch = inner.simulation.batch
-    if len(batch.floats) != 1:
-        raise ValueError(f"the environment has {len(batch.floats)} vehicles; a log is of one")
+    batch, count = inner.simulation.batch, len(paths)
+    if len(batch.floats) != count:
+        raise ValueError(f"the environment has {len(batch.floats)} vehicles, for {count} logs")
     observation, _ = env.reset(seed=seed)
     period = inner.simulation.solver.control_period
-    rows, state, start, over = [_row(batch, period)], None, np.ones(1, dtype=bool), False
-    while not over:
+    rows = [[_row(batch, i, period)] for i in range(count)]
+    state, start, over = None, np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
+    while not over.all():
         action, state = policy.predict(observation, state, start)
         observation, _reward, terminated, truncated, _info = env.step(action)
-        rows.append(_row(batch, period))
-        start, over = np.zeros(1, dtype=bool), bool(np.any(terminated | truncated))
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["time", *CHANNELS])
-        writer.writerows(rows)
-    return {name: float(batch.floats[0, columns.COLUMN[name]]) for name in IDENTIFIED}
+        for i in np.flatnonzero(~over).tolist():
+            rows[i].append(_row(batch, i, period))
+        over |= np.asarray(terminated) | np.asarray(truncated)
+        start = np.zeros(count, dtype=bool)
+    for path, log in zip(map(Path, paths), rows, strict=True):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time", *CHANNELS])
+            writer.writerows(log)
+    places = [columns.COLUMN[name] for name in IDENTIFIED]
+    return [
+        dict(zip(IDENTIFIED, batch.floats[i, places].tolist(), strict=True)) for i in range(count)
+    ]
 
 
-def _row(batch: Any, period: float) -> list[str]:
-    """Time and samples; empty where a group has no new one."""
-    step = int(batch.counters[0, columns.STEP])
-    samples = batch.floats[0, columns.SAMPLE : columns.SAMPLE + CHANNEL_COUNT]
-    taken = batch.floats[0, columns.SAMPLE + CHANNEL_COUNT : columns.SAMPLE + CHANNEL_COUNT + 3]
+def _row(batch: Any, i: int, period: float) -> list[str]:
+    """Time and samples of vehicle i; empty where a group has no new one."""
+    step = int(batch.counters[i, columns.STEP])
+    samples = batch.floats[i, columns.SAMPLE : columns.SAMPLE + CHANNEL_COUNT]
+    taken = batch.floats[i, columns.SAMPLE + CHANNEL_COUNT : columns.SAMPLE + CHANNEL_COUNT + 3]
     new = [
         round(float(taken[group])) == step
         for group in range(len(GROUPS))

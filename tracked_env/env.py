@@ -92,7 +92,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         | `lateral` | `"sliding"` | of the lumped plant; or `"constrained"`, which patches refuse |
         | `error_limit` | 5 | [m] distance that ends an episode |
         | `time_step` | 0.0025 | [s] longest integration step; its error: docs/numerics.md |
-        | `vehicle` | `"strawa"` | nominal vehicle and soil: `strawa`, `focchi`, `focchi-short` |
+        | `vehicle` | `"strawa"` | nominal vehicle and soil: `strawa`, `focchi`, `focchi-short`, or
+        a dict, {"base": "focchi", parameter: value}: what is not named is of the base |
         | `plant` | `"lumped"` | closed-form forces, `"distributed"`: patches under the tracks, or
         `"terrain"`: these on uneven ground; a name of `tracked_env.plants`, or a `Plant` |
         | `drive` | `"torque"` | what the actions are; `"speed"` needs one with patches |

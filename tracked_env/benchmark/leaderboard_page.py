@@ -270,8 +270,14 @@ def sections(
     return [part for part in found if part.tables or part.figures or part.facts or part.links]
 
 
-def render(board: Leaderboard, parts: Sequence[Section], environment: str = "") -> str:
-    """The whole page."""
+def page_text(
+    title: str,
+    subject: str,
+    introduction: Sequence[str],
+    parts: Sequence[Section],
+    filter_by: str = "agent, set or verdict",
+) -> str:
+    """A whole page of this style, "TITLE of SUBJECT"; introduction: its first paragraphs."""
     engine = Environment(
         loader=FileSystemLoader(TEMPLATES), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
@@ -281,9 +287,11 @@ def render(board: Leaderboard, parts: Sequence[Section], environment: str = "") 
         for name, file in (("css", "page.css"), ("script", "page.js"))
     }
     return engine.get_template("leaderboard.html").render(
-        conditions=board.conditions,
-        environment=environment,
+        title=title,
+        subject=subject,
+        introduction=introduction,
         sections=parts,
+        filter=filter_by,
         **{name: Markup(text) for name, text in own.items()},
     )
 
@@ -307,5 +315,6 @@ def write(
     given = origin or {}
     drawn = _drawings(board, list(rows.values())[-1], curves) if draw else []
     parts = sections(board, rows, drawn, _of_episodes(board, episodes), summary, given)
-    write_atomically(path, render(board, parts, given.get("environment", "")).encode())
+    text = page_text("Leaderboard", given.get("environment", ""), [board.conditions], parts)
+    write_atomically(path, text.encode())
     return path

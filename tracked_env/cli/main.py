@@ -22,6 +22,9 @@ COMMANDS = {
     "render": ("render_command", "write a GIF, MP4 or PNG of a policy on an evaluation set"),
     "plan": ("plan_command", "plan a motion to a goal with slip, print and draw it"),
     "tune": ("tune_command", "search the settings of a controller on development episodes"),
+    "record": ("record_command", "drive an episode and write the log of its sensors as CSV"),
+    "identify": ("identify_command", "mass, inertia, resistance, slip, soil from your own log"),
+    "slip": ("slip_command", "slip over the sprocket speeds, from your own runs"),
     "train": ("clone", "train an agent; needs a clone of the repository"),
 }
 

@@ -20,6 +20,7 @@ from tracked_env.validation import (
     checked_choice,
     checked_keys,
     checked_number,
+    checked_parameter,
     checked_whole,
     unknown,
 )
@@ -38,7 +39,7 @@ class EnvConfig(NamedTuple):
     lateral: str = "sliding"
     error_limit: float = 5.0  # [m]
     time_step: float = SUBSTEP  # [s]
-    vehicle: str = "strawa"
+    vehicle: str | Mapping[str, Any] = "strawa"
     plant: str | Plant = "lumped"
     drive: str = "torque"
     patches: Sequence[int] = (10, 4)
@@ -147,6 +148,19 @@ def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
     return {**{k: v for k, v in arguments.items() if k in plant.options}, **own}
 
 
+def make_vehicle(spec: object) -> PlantParameters:
+    """A nominal vehicle on its soil: a key of VEHICLES, or a dict {"base": key, parameter: value}.
+
+    Without "base" the other parameters are those of "strawa". Raises ValueError for an unknown name
+    and for a value outside its range.
+    """
+    if not isinstance(spec, Mapping):
+        return VEHICLES[checked_choice("vehicle", spec, VEHICLES)]
+    given = dict(checked_keys("vehicle", spec, ("base", *PlantParameters._fields)))
+    base = VEHICLES[checked_choice("vehicle base", given.pop("base", "strawa"), VEHICLES)]
+    return base._replace(**{name: checked_parameter(name, of) for name, of in given.items()})
+
+
 def make_solver(config: EnvConfig) -> Solver:
     """Check and combine; the sub-step is the largest one <= time_step that divides a step.
 
@@ -164,11 +178,10 @@ def make_solver(config: EnvConfig) -> Solver:
     )
     threads = checked_whole("threads", config.threads, Range(1, 64, "-", "Number of threads."))
     plant = find(config.plant)
-    vehicle = checked_choice("vehicle", config.vehicle, VEHICLES)
     ready = prepared(plant, config.drive, plant_options(plant, config))
     substeps = int(np.ceil(1.0 / (rate * longest) - 1e-9))
     substep = 1.0 / (rate * substeps)
     return Solver(
-        1.0 / rate, substeps, substep, plant, DRIVES[config.drive], ready, VEHICLES[vehicle],
-        limit, threads,
+        1.0 / rate, substeps, substep, plant, DRIVES[config.drive], ready,
+        make_vehicle(config.vehicle), limit, threads,
     )  # fmt: skip

@@ -1,0 +1,323 @@
+"""`tracked-env identify` and `record`: what a log says, what it cannot say, and what is refused."""
+
+import csv
+import json
+import re
+import shlex
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from docs.identified_logs import KNOWN, driven, intervals
+from tracked_env.cli.main import main
+from tracked_env.cli.user_data import vehicle_log
+from tracked_env.cli.user_data.log_identification import biases, half_width, identify
+from tracked_env.cli.user_data.log_recording import record_log
+from tracked_env.cli.user_data.parameter_set import parameter_set, untold
+from tracked_env.cli.user_data.vehicle_log import Drivetrain, Log, read_log
+from tracked_env.cli.waiting import explained
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.sensors import PRESETS
+
+STRAWA, RTK = VEHICLES["strawa"], PRESETS["rtk"]
+Columns = dict[str, Any]
+ALL_ACCELERATIONS = ("acceleration_x", "acceleration_y", "yaw_acceleration")
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+    quiet = partial(explained, after=3600.0)  # a cold cache is no business of the other tests
+    for command in ("identify", "record"):
+        monkeypatch.setattr(f"tracked_env.cli.{command}_command.explained", quiet)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, dict[str, float]]]:
+    """Twelve logs of random vehicles on random soils, with the true values."""
+    return driven(tmp_path_factory.mktemp("logs"), 12, 30.0)
+
+
+def columns_of(path: Path) -> Columns:
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    return {name: table[name].copy() for name in table.dtype.names}
+
+
+def written(columns: Columns, path: Path = Path("changed.csv"), header: str = "") -> Path:
+    table = np.column_stack([*columns.values()])
+    np.savetxt(path, table, delimiter=",", header=header or ",".join(columns), comments="",
+               fmt="%.10g")  # fmt: skip
+    return path
+
+
+def read(path: Path, units: dict[str, str] | None = None, **of: Any) -> Log:
+    return read_log(path, of.pop("mapping", {}), units or {}, Drivetrain(**of), STRAWA, RTK)
+
+
+def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_say(
+    logs: list[tuple[Path, dict[str, float]]],
+) -> None:
+    """48 intervals of 95 %: fewer than the 0.1 % quantile would be no accident."""
+    found = intervals(logs)
+    held = [inside for name in KNOWN for inside, _, _ in found[name]]
+    assert sum(held) >= binom.ppf(0.001, len(held), 0.95)
+    for name in KNOWN:  # and they are narrow: a few per cent of the value
+        assert np.median([half / value for _, half, value in found[name]]) < 0.04
+
+
+def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
+    logs: list[tuple[Path, dict[str, float]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, truth = logs[0]
+    assert main(["identify", str(path), "--output", "out", "--no-figures"]) == 0
+    shown = capsys.readouterr().out
+    assert "determined" in shown and max(map(len, shown.splitlines())) <= 80
+    made = json.loads(Path("out/parameters.json").read_text())
+    env = gymnasium.make("tracked_env:tracked_env/Torque-v0", uncertainty="nominal",
+                         expose_truth=True, **made["make"])  # fmt: skip
+    _, info = env.reset(seed=0)
+    assert info["truth"]["mass"] == pytest.approx(truth["mass"], rel=0.03)
+    assert info["truth"]["inertia"] == pytest.approx(truth["inertia"], rel=0.06)
+    with Path("out/identification.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(columns_of(path)["time"])
+    assert float(rows[-1]["mass_deviation"]) > 0.0
+    page = Path("out/identification.html").read_text()
+    assert path.name in page and "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass() -> None:
+    """A vehicle that goes straight on: m g mu_l is what its torques say, and nothing else."""
+    count, speed, force = 2000, 1.5, 6000.0
+    noise = np.random.default_rng(0).standard_normal
+    time = 0.02 * np.arange(count)
+    columns: Columns = {
+        "time": time, "x": speed * time + 0.02 * noise(count), "y": 0.02 * noise(count),
+        "yaw": 0.005 * noise(count), "yaw_rate": 0.002 * noise(count),
+        "v_x": speed + 0.03 * noise(count), "v_y": 0.03 * noise(count),
+        "acceleration_x": 0.05 * noise(count), "acceleration_y": 0.05 * noise(count),
+        "yaw_acceleration": 0.07 * noise(count),
+    }  # fmt: skip
+    for side in ("left", "right"):
+        columns[f"sprocket_speed_{side}"] = 1.01 * speed / 0.3 + 0.02 * noise(count)
+        columns[f"torque_{side}"] = 0.5 * force * 0.3 + 10.0 * noise(count)
+    identified = identify(read(written(columns)), STRAWA)
+    verdicts = {name: of.verdict for name, of in identified.found.items()}
+    assert {verdicts[n] for n in ("mass", "inertia", "lateral_resistance")} == {"not determined"}
+    assert identified.resistance_force[0] == pytest.approx(force, rel=0.05)
+    said = " ".join(untold(identified))
+    assert "not told apart" in said and "m g mu_l" in said and "turns" in said
+    kept = parameter_set(identified)
+    assert kept["make"]["vehicle"]["mass"] == STRAWA.mass and "mass" not in kept["ranges"]
+
+
+def test_a_mass_that_changes_within_the_log_is_not_called_constant(
+    logs: list[tuple[Path, dict[str, float]]],
+) -> None:
+    """The same vehicle with half its forces in the second half: as if it were lighter."""
+    columns = columns_of(logs[1][0])
+    later = columns["time"] > 15.0
+    for name in ("acceleration_x", "yaw_acceleration"):
+        columns[name] = np.where(later, 1.6 * columns[name], columns[name])
+    identified = identify(read(written(columns)), STRAWA)
+    assert identified.found["mass"].changed or identified.found["inertia"].changed
+    assert "changed" in " ".join(untold(identified))
+
+
+def test_the_inertia_of_a_vehicle_whose_slip_shares_friction_is_claimed_no_better_than_it_is() -> (
+    None
+):
+    """On patches the yaw equation finds the inertia too small, by up to the slip share."""
+    env = gymnasium.make("tracked_env:tracked_env/Torque-v0", plant="distributed",
+                         uncertainty="nominal", duration=20.0, error_limit=1e5)  # fmt: skip
+    truth = record_log(env, AdaptivePolicy(), "patches.csv", seed=3)
+    found = identify(read(Path("patches.csv")), STRAWA).found["inertia"]
+    assert found.value < 0.95 * truth["inertia"]
+    assert abs(found.value - truth["inertia"]) < 3.0 * found.deviation
+
+
+def test_accelerations_that_are_not_logged_are_derived(
+    logs: list[tuple[Path, dict[str, float]]],
+) -> None:
+    """In three claimed deviations, and the yaw rate says as much as two accelerometers do."""
+    for (path, truth), lacking in zip(
+        logs, (ALL_ACCELERATIONS, ALL_ACCELERATIONS, ALL_ACCELERATIONS[2:]), strict=False
+    ):
+        columns = columns_of(path)
+        for name in lacking:
+            del columns[name]
+        log = read(written(columns))
+        assert any("slopes of straight lines" in note for note in log.notes)
+        found = identify(log, STRAWA).found
+        for name in KNOWN:
+            assert abs(found[name].value - truth[name]) < 3.0 * found[name].deviation, name
+    assert found["inertia"].deviation < 0.03 * truth["inertia"]
+
+
+def test_motors_currents_and_other_units_are_those_of_the_sprockets(
+    logs: list[tuple[Path, dict[str, float]]],
+) -> None:
+    columns = columns_of(logs[2][0])
+    plain = read(written(columns))
+    gear, constant = 20.0, 0.5
+    other = dict(columns)
+    other["yaw"] = np.degrees(columns["yaw"]) % 360.0
+    other["x"] = 1e3 * columns["x"]
+    for side in ("left", "right"):
+        other[f"sprocket_speed_{side}"] = gear * columns[f"sprocket_speed_{side}"] / (np.pi / 30.0)
+        other[f"current_{side}"] = other.pop(f"torque_{side}") / (0.9 * gear * constant)
+    path = written(other, header=",".join(other).replace("yaw,", "heading [deg],"))
+    log = read(path, {"sprocket_speed": "rpm", "x": "mm"}, gear=gear, torque_per_ampere=constant,
+               efficiency=0.9)  # fmt: skip
+    for name, column in plain.values.items():
+        turns = 2.0 * np.pi * np.round((log.values[name] - column)[0] / (2.0 * np.pi))
+        shift = turns if name == "yaw" else 0.0
+        np.testing.assert_allclose(log.values[name] - shift, column, rtol=1e-6, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda c: c.update(yaw=np.degrees(c["yaw"])), "--units yaw=deg"),
+        (lambda c: c.update(yaw_rate=np.degrees(c["yaw_rate"])), "yaw_rate=deg/s"),
+        (lambda c: c.update(yaw_rate=-c["yaw_rate"]), "positive to the left"),
+        (lambda c: c.update(x=1e3 * c["x"], y=1e3 * c["y"]), "x=mm,y=mm"),
+        (lambda c: c.update({n: 30.0 / np.pi * c[n] for n in SPEEDS}), "rpm"),
+        (lambda c: c.update(dict(zip(SPEEDS, [c[n] for n in SPEEDS[::-1]], strict=True))),
+         "left and right swapped"),
+        (lambda c: c.update(time=1e3 * c["time"]), "--units time=ms"),
+        (lambda c: c.update(time=np.tile(c["time"][:300], 10)[: len(c["time"])]), "does not rise"),
+        (lambda c: c.update({n: 1e3 * c[n] for n in TORQUES}), "torque_left reaches"),
+        (lambda c: [c.pop(n) for n in TORQUES], "lacks torque_left"),
+        (lambda c: c.pop("yaw_rate"), "lacks yaw_rate"),
+        (lambda c: c.update({n: of[:100] for n, of in c.items()}), "lasts"),
+    ],
+)  # fmt: skip
+def test_a_log_of_other_units_or_signs_is_refused_with_the_likely_cause(
+    change: Any, said: str, logs: list[tuple[Path, dict[str, float]]]
+) -> None:
+    columns = columns_of(logs[3][0])
+    change(columns)
+    with pytest.raises(ValueError, match=r".") as error:
+        read(written(columns))
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+SPEEDS = ("sprocket_speed_left", "sprocket_speed_right")
+TORQUES = ("torque_left", "torque_right")
+
+
+def test_rows_that_are_uneven_or_lost_are_placed_on_a_grid_and_said(
+    logs: list[tuple[Path, dict[str, float]]],
+) -> None:
+    path, truth = logs[4]
+    columns = columns_of(path)
+    generator = np.random.default_rng(1)
+    inner = 1 + np.sort(generator.choice(len(columns["time"]) - 2, 1455, False))
+    kept = np.concatenate([[0], inner, [len(columns["time"]) - 1]])
+    lost = read(written({name: column[kept] for name, column in columns.items()}))
+    assert f"{len(columns['time']) - len(kept)} of them without a row" in " ".join(lost.notes)
+    at = columns["time"] + np.append(0.0, generator.uniform(-0.008, 0.008, len(kept) * 2))[
+        : len(columns["time"])
+    ]  # fmt: skip
+    uneven = {n: np.interp(at, columns["time"], c) for n, c in columns.items()} | {"time": at}
+    log = read(written(uneven))
+    assert "resampled" in " ".join(log.notes)
+    for one in (lost, log):
+        found = identify(one, STRAWA).found
+        assert found["mass"].value == pytest.approx(truth["mass"], rel=0.03)
+
+
+def test_a_pose_that_is_held_between_its_samples_is_no_new_sample(
+    logs: list[tuple[Path, dict[str, float]]],
+) -> None:
+    columns = columns_of(logs[5][0])
+    held = np.arange(len(columns["time"])) // 5 * 5
+    for name in ("x", "y", "yaw", "v_x", "v_y"):
+        columns[name] = columns[name][held]
+    log = read(written(columns))
+    assert log.fresh[:, 0].mean() == pytest.approx(0.2, abs=0.01)
+    assert log.age[:, 0].max() == pytest.approx(0.08, abs=1e-6)
+
+
+def test_a_slope_is_that_of_a_line_and_an_average_has_its_weights() -> None:
+    """slopes(v) = averages(dv/dt) for any v that is a parabola, whose derivative is a line."""
+    time = 0.02 * np.arange(60)
+    speed = 1.0 + 2.0 * time + 3.0 * time**2
+    np.testing.assert_allclose(
+        vehicle_log.slopes(speed, 0.02, 5)[2:-2], (2.0 + 6.0 * time)[2:-2], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        vehicle_log.averages(2.0 + 6.0 * time, 5)[2:-2], (2.0 + 6.0 * time)[2:-2], atol=1e-9
+    )
+
+
+def test_an_interval_holds_noise_and_biases_of_either_sign() -> None:
+    """Noise alone: 1.96 sigma. One large bias: it and 1.64 sigma, half of the noise is inside."""
+    assert half_width(1.0, []) == pytest.approx(1.959964, abs=1e-5)
+    assert half_width(1.0, [100.0]) == pytest.approx(101.644854, abs=1e-5)
+    assert half_width(0.0, [2.0, 1.0]) == 3.0
+    draw = np.random.default_rng(0)
+    errors = draw.standard_normal(200_000) + draw.choice([-1.0, 1.0], 200_000) * 1.5
+    assert np.mean(np.abs(errors) <= half_width(1.0, [1.5])) == pytest.approx(0.95, abs=0.003)
+
+
+def test_the_bias_of_two_accelerometers_is_that_of_their_difference(
+    logs: list[tuple[Path, dict[str, float]]],
+) -> None:
+    found = biases(read(logs[0][0]))
+    assert found["yaw_acceleration"] == pytest.approx(np.sqrt(2.0) * RTK.acceleration_bias)
+
+
+def test_an_interval_of_the_resistance_holds_the_bias_of_the_accelerometer(
+    logs: list[tuple[Path, dict[str, float]]],
+) -> None:
+    """A bias b is taken for a resistance of b / g, however long the log is."""
+    log = read(logs[0][0])
+    none = log._replace(sensors=RTK._replace(acceleration_bias=0.0, gyro_bias=0.0))
+    wide, narrow = (identify(one, STRAWA).found["longitudinal_resistance"] for one in (log, none))
+    more = 0.5 * (wide.high - wide.low) - 0.5 * (narrow.high - narrow.low)
+    assert 0.5 < more / (RTK.acceleration_bias / 9.81) < 1.1
+
+
+def test_record_writes_a_log_and_the_truth_and_leaves_missing_samples_empty(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rare = '{"preset": "rtk", "pose_rate": 10}'
+    assert main(["record", "adaptive", "--set", "payload", "--duration", "6", "--file", "a/l.csv",
+                 "--truth", "t.json", "--sensors", rare]) == 0  # fmt: skip
+    assert "a/l.csv" in capsys.readouterr().out
+    columns = columns_of(Path("a/l.csv"))
+    assert np.mean(np.isfinite(columns["x"])) == pytest.approx(0.2, abs=0.01)
+    assert np.isfinite(columns["torque_left"]).all()
+    assert json.loads(Path("t.json").read_text())["mass"] > 0.0
+    assert main(["record", "oracle", "--duration", "1"]) == 2
+    assert "truth" in capsys.readouterr().err
+
+
+def test_the_blocks_of_the_page_run_as_they_stand(
+    repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In order, in one folder: what one block writes the next one reads."""
+    quiet = partial(explained, after=3600.0)
+    monkeypatch.setattr("tracked_env.cli.slip_command.explained", quiet)
+    text = (repository / "docs" / "your_data.md").read_text()
+    blocks = re.findall(r"```(python|bash)\n(.*?)```", text, flags=re.DOTALL)
+    assert [kind for kind, _ in blocks] == ["python", "bash", "python", "bash", "python"]
+    for kind, block in blocks:
+        if kind == "python":
+            exec(compile(block, "your_data.md", "exec"), {})
+            continue
+        for line in block.splitlines():
+            program, *arguments = shlex.split(line)
+            assert program == "tracked-env" and main(arguments) == 0
+    truth = json.loads(Path("truth.json").read_text())
+    found = json.loads(Path("identified/parameters.json").read_text())["parameters"]
+    assert found["mass"]["value"] == pytest.approx(truth["mass"], rel=0.03)

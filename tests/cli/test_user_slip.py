@@ -1,0 +1,269 @@
+"""`tracked-env slip`: corrupt runs are found and named, R^2 is of runs not seen."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
+from baselines.slip.slip_models import load
+from baselines.slip.slip_sweep import steady_motion, with_friction
+from tracked_env.cli.main import main
+from tracked_env.cli.user_data.slip_fit import fit
+from tracked_env.cli.user_data.slip_runs import Runs, mean_motion, read_runs
+from tracked_env.cli.waiting import explained
+from tracked_env.physics.parameters import VEHICLES
+
+FOCCHI = VEHICLES["focchi"]
+SLIPPERY = with_friction(FOCCHI, 0.2)
+GEAR = 30.0
+Columns = dict[str, Any]
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+    quiet = partial(explained, after=3600.0)
+    monkeypatch.setattr("tracked_env.cli.slip_command.explained", quiet)
+
+
+@pytest.fixture(scope="module")
+def steady() -> tuple[Any, Any, Any]:
+    """Sprocket speeds left, right [rad/s] and motion (N, 3) of 80 runs."""
+    generator = np.random.default_rng(0)
+    left, right = generator.uniform(-6.0, 6.0, (2, 80))
+    return left, right, steady_motion(SLIPPERY, left, right)
+
+
+def driven(left: float, right: float, motion: Any, number: int, rate: float = 20.0) -> Columns:
+    """Rows over time of one run that starts where it likes: pose, motors, noise of both."""
+    generator = np.random.default_rng(number)
+    time = np.arange(0.0, 4.0, 1.0 / rate)
+    v_x, v_y, yaw_rate = motion
+    yaw = generator.uniform(-3.0, 3.0) + yaw_rate * time
+    middle = yaw[:-1] + 0.5 * yaw_rate / rate
+    d_x = (v_x * np.cos(middle) - v_y * np.sin(middle)) / rate
+    d_y = (v_x * np.sin(middle) + v_y * np.cos(middle)) / rate
+    noise = generator.standard_normal((5, len(time)))
+    return {
+        "time": 10.0 * number + time,
+        "sprocket_speed_left": GEAR * (left + 0.01 * noise[0]),
+        "sprocket_speed_right": GEAR * (right + 0.01 * noise[1]),
+        "x": np.append(0.0, np.cumsum(d_x)) + 0.001 * noise[2],
+        "y": np.append(0.0, np.cumsum(d_y)) + 0.001 * noise[3],
+        "yaw": (yaw + 0.002 * noise[4] + np.pi) % (2.0 * np.pi) - np.pi,
+        "run": np.full(len(time), float(number)),
+    }
+
+
+def written(runs: list[Columns], path: Path = Path("runs.csv")) -> Path:
+    table = np.concatenate([np.column_stack([*run.values()]) for run in runs])
+    np.savetxt(path, table, delimiter=",", header=",".join(runs[0]), comments="", fmt="%.8g")
+    return path
+
+
+def read(path: Path, gear: float = GEAR, **mapping: str) -> Runs:
+    return read_runs([path], mapping, {}, gear, FOCCHI)
+
+
+def _set(name: str, value: Callable[[Any], Any]) -> Callable[[Columns], None]:
+    return lambda run: run.update({name: value(run[name].copy())})
+
+
+def _from(at: int, change: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    return lambda column: np.concatenate([column[:at], change(column[at:])])
+
+
+def _cut(run: Columns) -> None:
+    run.update({name: column[:12] for name, column in run.items()})
+
+
+def _lacking(run: Columns) -> None:
+    run["x"][10:30] = np.nan
+
+
+FAULTS: dict[str, Callable[[Columns], None]] = {
+    "left sprocket speed is": _set("sprocket_speed_left", lambda c: np.full_like(c, c[0])),
+    "right sprocket speed is 0": _set("sprocket_speed_right", np.zeros_like),
+    "time goes backward": _set("time", _from(40, lambda c: c - 1.0)),
+    "position jumps": _set("x", _from(40, lambda c: c + 3.0)),
+    "heading jumps": _set("yaw", _from(40, lambda c: c + 1.5)),
+    "lack numbers, most of x": _lacking,
+    "12 rows in": _cut,
+    "stand twice": _set("time", lambda c: np.repeat(c[::2], 2)),
+    "x, y, yaw are the same in every row": lambda run: run.update(
+        {name: np.full_like(run[name], 0.3) for name in ("x", "y", "yaw")}
+    ),
+    "the pose is the same in": lambda run: run.update(
+        {n: np.where(np.arange(80) < 40, run[n], run[n][40]) for n in ("x", "y", "yaw")}
+    ),
+    "both sprocket speeds are 0": lambda run: run.update(
+        {n: np.zeros(80) for n in ("sprocket_speed_left", "sprocket_speed_right")}
+    ),
+    "faster than a belt": lambda run: run.update({n: 4.0 * run[n] for n in ("x", "y")}),
+}
+
+
+def test_twelve_corrupt_runs_are_found_and_named_and_no_other(steady: Any) -> None:
+    left, right, motion = steady
+    # Corrupt ones go forward fast, so that each fault is there to be seen.
+    fast = np.flatnonzero((np.abs(motion[:, 0]) > 0.2) & (left * right > 0.0))[: len(FAULTS)]
+    runs = [driven(left[k], right[k], motion[k], k) for k in range(80)]
+    for k, spoil in zip(fast, FAULTS.values(), strict=True):
+        spoil(runs[k])
+    found = read(written(runs))
+    refused = {one.run: one.reason for one in found.refused}
+    for k, reason in zip(fast, FAULTS, strict=True):
+        assert reason in refused.pop(f"runs run {k}"), reason
+    assert refused == {}
+    assert set(found.run) == {f"runs run {k}" for k in range(80)} - {f"runs run {k}" for k in fast}
+
+
+def test_a_steady_sample_is_the_motion_that_was_driven(steady: Any) -> None:
+    left, right, motion = steady
+    found = read(written([driven(left[k], right[k], motion[k], k) for k in range(20)]))
+    assert [*found.run] == [f"runs run {k}" for k in range(20)]
+    np.testing.assert_allclose(found.sprocket_left, left[:20], atol=0.01)
+    np.testing.assert_allclose(found.motion, motion[:20], atol=0.004)
+
+
+def test_the_mean_motion_of_a_circle_is_that_of_its_centre_line() -> None:
+    time = np.linspace(0.0, 2.0, 401)
+    yaw = 0.7 + 0.9 * time
+    part = {
+        "time": time, "yaw": yaw,
+        "x": (0.5 * np.sin(yaw) + 0.1 * np.cos(yaw)) / 0.9,
+        "y": (-0.5 * np.cos(yaw) + 0.1 * np.sin(yaw)) / 0.9,
+    }  # fmt: skip
+    np.testing.assert_allclose(mean_motion(part), [0.5, 0.1, 0.9], atol=1e-4)
+
+
+def test_the_command_writes_a_model_that_a_controller_drives_with(
+    steady: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left, right, motion = steady
+    path = written([driven(left[k], right[k], motion[k], k) for k in range(80)])
+    assert (
+        main(["slip", str(path), "--vehicle", "focchi", "--gear", str(GEAR), "--no-figures"]) == 0
+    )
+    shown = capsys.readouterr().out
+    assert "80 runs" in shown and max(map(len, shown.splitlines())) <= 80
+    model = load("slip/slip.npz")
+    speeds = np.array([[2.0, 4.0], [3.0, 1.0], [-2.0, -3.0]])
+    true = steady_motion(SLIPPERY, *speeds.T)
+    beta_left, beta_right, alpha = model.slip(*speeds.T)
+    np.testing.assert_allclose(alpha, np.arctan(true[:, 1] / true[:, 0]), atol=0.05)
+    belt = FOCCHI.sprocket_radius * speeds[:, 1]
+    track = true[:, 0] + 0.5 * FOCCHI.track_gauge * true[:, 2]
+    np.testing.assert_allclose(beta_right, belt - track, atol=0.015)
+    assert np.isfinite(beta_left).all()
+    SlippageAwarePolicy(FOCCHI, 0.02, model)
+    page = Path("slip/slip.html").read_text()
+    assert "R^2" in page and "runs.csv" in page
+
+
+def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady: Any) -> None:
+    """Slip that is noise alone: a fit of the runs themselves would explain it."""
+    left, right, motion = steady
+    noise = np.random.default_rng(1).normal(0.0, 0.05, motion.shape)
+    names = np.array([f"run {k}" for k in range(80)])
+    belts = FOCCHI.sprocket_radius * np.stack([left, right])
+    straight = np.stack([belts.mean(axis=0), 0.0 * left,
+                         (belts[1] - belts[0]) / FOCCHI.track_gauge], axis=1)  # fmt: skip
+    found = fit(Runs(left, right, straight + noise, names, [], 0, []), FOCCHI)
+    assert found.scores.beta_left < 0.2
+    # Every run twice, to the same numbers: its other half must not give it away.
+    twice = Runs(
+        *(np.concatenate([c, c]) for c in (left, right, straight + noise, names)), [], 0, []
+    )
+    assert fit(twice, FOCCHI).scores.beta_left < 0.2
+
+
+def test_outliers_are_counted_and_named(steady: Any) -> None:
+    left, right, motion = steady
+    wrong = motion.copy()
+    wrong[[7, 30], 0] += 0.25
+    names = np.array([f"run {k}" for k in range(80)])
+    found = fit(Runs(left, right, wrong, names, [], 0, []), FOCCHI)
+    outliers = {one.run for one in found.runs.refused}
+    assert {"run 7", "run 30"} <= outliers and len(outliers) <= 6
+    assert found.outliers == len(found.runs.refused)
+
+
+@pytest.mark.parametrize("count", [0, 5, 11])
+def test_too_few_runs_are_refused_with_the_number_needed(
+    count: int, steady: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left, right, motion = steady
+    runs = [driven(left[k], right[k], motion[k], k) for k in range(12)]
+    for run in runs[count:]:
+        _cut(run)
+    path = written(runs)
+    assert main(["slip", str(path), "--vehicle", "focchi", "--gear", str(GEAR)]) == 2
+    error = capsys.readouterr().err
+    assert f"{count} usable runs, {12 - count} refused; needs 12" in error
+    assert error.count("\n") == 1
+
+
+def test_a_row_a_run_is_read_with_and_without_a_header(steady: Any) -> None:
+    left, right, motion = steady
+    half, radius = 0.5 * FOCCHI.track_gauge, FOCCHI.sprocket_radius
+    table = np.stack([
+        GEAR * left, GEAR * right, radius * left - (motion[:, 0] - half * motion[:, 2]),
+        radius * right - (motion[:, 0] + half * motion[:, 2]),
+        np.arctan2(motion[:, 1], motion[:, 0]),
+    ], axis=1)  # fmt: skip
+    moving = np.abs(motion[:, 0]) > 0.05
+    np.savetxt("bare.csv", table[moving], delimiter=",")
+    header = "wl;wr;beta_l;beta_r;alpha"
+    np.savetxt("named.csv", table[moving], delimiter=";", header=header, comments="")
+    bare = read(Path("bare.csv"))
+    named = read(Path("named.csv"), sprocket_speed_left="wl", sprocket_speed_right="2")
+    np.testing.assert_allclose(bare.motion, motion[moving], atol=1e-9)
+    np.testing.assert_array_equal(bare.motion, named.motion)
+    table = table[moving]
+    table[3, 2], table[5, 4], table[8] = np.nan, 9.0, table[9]
+    table[11, 2] = -1.5
+    np.savetxt("bare.csv", table, delimiter=",")
+    reasons = {one.run: one.reason for one in read(Path("bare.csv")).refused}
+    assert "beta_left" in reasons["bare row 4"] and "full turn" in reasons["bare row 6"]
+    assert "same motion as bare row 9" in reasons["bare row 10"]
+    assert "belt" in reasons["bare row 12"] and len(reasons) == 4
+
+
+@pytest.mark.parametrize(
+    ("scale", "gear", "said"),
+    [
+        ({}, 1.0, "--gear"),
+        ({"yaw": 57.3, "x": 1e3, "y": 1e3}, GEAR, "position jumps"),
+        (
+            {"sprocket_speed_left": 0.3, "sprocket_speed_right": 0.3},
+            GEAR,
+            "another sprocket_radius",
+        ),
+    ],
+)
+def test_runs_of_other_units_are_refused(
+    scale: dict[str, float], gear: float, said: str, steady: Any,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    left, right, motion = steady
+    runs = [driven(left[k], right[k], motion[k], k) for k in range(20)]
+    for run in runs:
+        run.update({name: factor * run[name] for name, factor in scale.items()})
+    assert main(["slip", str(written(runs)), "--vehicle", "focchi", "--gear", str(gear)]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_the_measured_runs_of_the_indoor_vehicle_are_explained(reference_data: Path) -> None:
+    path = reference_data / "slip_real_indoor.csv"
+    if not path.exists():
+        pytest.skip(f"no measured slip at {path}: it is not part of the project")
+    found = fit(read(path, 34.45), FOCCHI)
+    assert 250 <= len(found.data.alpha) <= 270 and found.outliers <= 20
+    assert found.scores.beta_left > 0.9 and found.scores.beta_right > 0.8
+    assert min(found.scores.alpha_forward, found.scores.alpha_reverse) > 0.94

@@ -1,0 +1,160 @@
+"""`tracked-env identify`: mass, inertia, resistance, slip and soil from a user's own log."""
+
+import argparse
+import csv
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tracked_env.benchmark.provenance import machine, versions
+from tracked_env.benchmark.store import write_atomically
+from tracked_env.benchmark.text_tables import aligned, folded
+from tracked_env.cli.exit_status import reported
+from tracked_env.cli.user_data.csv_columns import UNITS, pairs, table_of
+from tracked_env.cli.user_data.vehicle_log import COLUMNS, Drivetrain, read_log
+from tracked_env.cli.waiting import explained
+from tracked_env.engine.env_config import make_vehicle
+from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.sensors import Sensors, make_sensors
+from tracked_env.validation import checked_number
+
+DESCRIPTION = (
+    "Run the identification of the adaptive policy over a log and write a report, a set of "
+    "parameters for `gymnasium.make(id, **set['make'])`, and all estimates over time. x forward, "
+    "y to the left, yaw and yaw rate positive to the left."
+)
+WIDTH = 80  # [characters] of what is printed
+GEAR = Range(1e-3, 1e4, "-", "It is the motor speed over the sprocket speed.")
+PER_AMPERE = Range(0.0, 1e3, "N m/A", "It is the torque constant of the motor.")
+EFFICIENCY = Range(0.05, 1.0, "-", "Did you pass a percentage?")
+
+
+def add_vehicle_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the columns, units, gear and vehicle of a user's file."""
+    known = [of for of in UNITS.values() if len(of) > 1]
+    parser.add_argument("--columns", default="", metavar="NAME=COLUMN,..",
+                        help="names or positions (from 1) of columns in the file")  # fmt: skip
+    parser.add_argument("--units", default="", metavar="NAME=UNIT,..",
+                        help="units that are not SI; a header may also say them, `yaw [deg]`. "
+                        "Known are " + "; ".join(", ".join(of) for of in known))  # fmt: skip
+    parser.add_argument("--gear", type=float, default=1.0, metavar="RATIO",
+                        help="motor speed over sprocket speed, where the file has those of motors "
+                        "(default: 1, the file has those of sprockets)")  # fmt: skip
+    parser.add_argument("--vehicle", default="strawa", metavar="NAME|JSON|FILE",
+                        help="geometry and nominal values: strawa, focchi, focchi-short, or a JSON "
+                        "object or file: {\"base\": \"strawa\", \"track_gauge\": 1.2} "
+                        "(default: strawa)")  # fmt: skip
+
+
+def json_or_name(text: str, what: str) -> Any:
+    """A name, a JSON object, or that of a file. Raises ValueError for a file that is no object."""
+    if text.endswith(".json"):
+        text = Path(text).read_text(encoding="utf-8")
+    if not text.lstrip().startswith("{"):
+        return text
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{what}: no JSON object: {error}") from error
+
+
+def vehicle_of(text: str) -> PlantParameters:
+    """The vehicle of --vehicle; a set of parameters that `identify` wrote is one too."""
+    spec = json_or_name(text, "--vehicle")
+    if isinstance(spec, dict) and "make" in spec:
+        spec = spec["make"].get("vehicle", {})
+    return make_vehicle(spec)
+
+
+def _parser(program: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=program,
+        allow_abbrev=False,
+        description=folded(DESCRIPTION, WIDTH),
+        epilog="columns of the log:\n" + table_of(COLUMNS),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("log", type=Path, help="CSV file, a row per sample")
+    add_vehicle_options(parser)
+    parser.add_argument("--torque-per-ampere", type=float, default=0.0, metavar="NM/A",
+                        help="torque constant of the motors, for a log of currents")  # fmt: skip
+    parser.add_argument("--efficiency", type=float, default=1.0, metavar="SHARE",
+                        help="of the gear, for torques of the motors (default: 1)")  # fmt: skip
+    parser.add_argument("--sensors", default="rtk", metavar="NAME|JSON|FILE",
+                        help="noise of the sensors: rtk, mocap, strawa, ideal, or a JSON object "
+                        "or file: '{\"preset\": \"rtk\", \"torque_noise\": 30}' "
+                        "(default: rtk)")  # fmt: skip
+    parser.add_argument("--lateral", choices=("sliding", "constrained"), default="sliding",
+                        help="lateral model (default: sliding)")  # fmt: skip
+    parser.add_argument("--output", type=Path, default=Path("identified"), metavar="FOLDER",
+                        help="of the files (default: identified)")  # fmt: skip
+    parser.add_argument("--no-figures", action="store_true", help="tables alone on the page")
+    return parser
+
+
+@reported
+def main(arguments: Sequence[str], program: str) -> int:
+    """Identify, print, write; returns the exit status."""
+    given = _parser(program).parse_args(arguments)
+    drivetrain = Drivetrain(
+        checked_number("--gear", given.gear, GEAR),
+        checked_number("--torque-per-ampere", given.torque_per_ampere, PER_AMPERE),
+        checked_number("--efficiency", given.efficiency, EFFICIENCY),
+    )
+    vehicle, sensors = (
+        vehicle_of(given.vehicle),
+        make_sensors(json_or_name(given.sensors, "--sensors")),
+    )
+    mapping, units = pairs(given.columns, "--columns"), pairs(given.units, "--units")
+    log = read_log(given.log, mapping, units, drivetrain, vehicle, sensors)
+    # Here, because compiled code is loaded with it: a wrong file is refused at once.
+    from tracked_env.cli.user_data import log_page
+    from tracked_env.cli.user_data.log_identification import identify
+    from tracked_env.cli.user_data.parameter_set import parameter_set
+
+    with explained():
+        identified = identify(log, vehicle, given.lateral)
+    made = parameter_set(identified)
+    rows = [[*row[:5], row[6]] for row in log_page.result_rows(identified)]
+    print(aligned(rows, 2, WIDTH))
+    for text in made["not_told"]:
+        print(f"\n{folded(text, WIDTH)}")
+    command = shlex.join([*program.split(), *arguments])
+    page = log_page.page(identified, given.log.name, _facts(command, sensors), not given.no_figures)
+    _write(given.output, identified, made, page)
+    return 0
+
+
+def _facts(command: str, sensors: Sensors) -> dict[str, str]:
+    """Where the numbers come from."""
+    noise = {k: v for k, v in sensors._asdict().items() if k.endswith(("_noise", "_bias"))}
+    return {
+        "command": command,
+        "data sheet": ", ".join(f"{name} {value:g}" for name, value in noise.items()),
+        "versions": ", ".join(f"{name} {of}" for name, of in versions().items()),
+        "machine": ", ".join(str(of) for of in machine().values()),
+    }
+
+
+def _write(folder: Path, identified: Any, made: dict[str, Any], page: str) -> None:
+    """The three files, each named on a line."""
+    folder.mkdir(parents=True, exist_ok=True)
+    series = {"time": identified.log.time}
+    for name, (value, deviation) in identified.series.items():
+        series |= {name: value, f"{name}_deviation": deviation}
+    series |= {f"{name}_excitation": of for name, of in identified.excitation.items()}
+    names = ("x", "y", "yaw", "v_x", "v_y", "yaw_rate")
+    series |= {name: identified.motion[:, k] for k, name in enumerate(names)}
+    with (folder / "identification.csv").open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerow(series)
+        np.savetxt(file, np.column_stack([*series.values()]), delimiter=",", fmt="%.6g")
+    write_atomically(folder / "parameters.json", (json.dumps(made, indent=1) + "\n").encode())
+    write_atomically(folder / "identification.html", page.encode())
+    print(file=sys.stdout)
+    for name in ("identification.html", "parameters.json", "identification.csv"):
+        print(folder / name)

@@ -1,0 +1,1 @@
+"""Files of users: logs of a vehicle and runs for its slip, as CSV."""

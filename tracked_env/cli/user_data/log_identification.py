@@ -1,0 +1,323 @@
+"""What a log says of vehicle and soil, by the identification stack of the adaptive policy.
+
+The stack goes over the log twice:
+    over time  as the policy has it: every parameter may change at any moment, so old samples are
+               forgotten, and the deviations are those of a vehicle that may be loaded or leave its
+               soil right now
+    constant   without forgetting and without the models of change: mass, inertia and the two
+               resistances of the whole log. Beside the noise counts what a bias of each sensor of
+               its stated magnitude does: the stack goes over as many copies of the log, each with
+               one bias. The 95 % interval holds normal noise plus biases of either sign.
+The second holds where nothing has changed. Where the first contradicts it, the values are those of
+the first at the end. Soil strength is estimated over windows; the most informative ones count.
+
+The stack is that of the installed package which registers `identify` in `tracked_env.commands`.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import norm
+
+from tracked_env import observation as layout
+from tracked_env.benchmark.registered_policies import command_function
+from tracked_env.cli.user_data.csv_columns import Floats
+from tracked_env.cli.user_data.vehicle_log import Log
+from tracked_env.observation_fields import GROUPS as FIELDS
+from tracked_env.physics.channels import CHANNELS, GROUPS
+from tracked_env.physics.parameters import PlantParameters
+
+SCALE = {field.name: field.scale for group in FIELDS.values() for field in group.fields}
+CONSTANT = ("mass", "longitudinal_resistance", "inertia", "lateral_resistance")
+SOIL = ("effort_maximum", "shear_deformation_modulus")
+PARTS = ("longitudinal", "turning", "slip", "soil")
+COVERED = 0.95  # [-] of the intervals
+NORMAL = float(norm.isf(0.5 * (1.0 - COVERED)))
+DETERMINED = 0.1  # [-] claimed deviation over the value, below which the log determines a parameter
+LEARNED = 0.5  # [-] over the deviation before the log, below which it says something of it
+CONTRADICTED = 4.0  # [-] deviations between the two passes, and the share of time with more
+CONTRADICTED_SHARE = 0.02
+WINDOW = 50  # [steps] of the soil estimator
+BEST = 20  # windows of the soil estimator that count, the most informative ones
+SETTLING = 5.0  # [s] at first in which the passes are not compared
+
+
+class Found(NamedTuple):
+    """A parameter of the whole log."""
+
+    value: float  # SI
+    deviation: float
+    low: float  # 95 % interval
+    high: float
+    prior_deviation: float
+    changed: bool  # it changes within the log; then the value is that at its end
+
+    @property
+    def verdict(self) -> str:
+        """How much the log says of it."""
+        if self.deviation <= DETERMINED * abs(self.value):
+            return "determined"
+        return "weakly" if self.deviation <= LEARNED * self.prior_deviation else "not determined"
+
+
+class Identified(NamedTuple):
+    """Everything that a log says; series over the T steps of the log."""
+
+    log: Log
+    nominal: PlantParameters
+    series: dict[str, tuple[Floats, Floats]]  # (T,) value and standard deviation by quantity
+    excitation: dict[str, Floats]  # (T,) by estimator
+    status: dict[str, NDArray[np.int64]]  # (T,) 0 learning, 1 holding, 2 refused
+    nis: dict[str, Floats]  # (T,) normalised innovation squared, NaN without a sample
+    motion: Floats  # (T, 6) filtered x, y, yaw, v_x, v_y, yaw_rate
+    residuals: dict[str, Floats]  # (K,) of each regression over their standard deviation
+    found: dict[str, Found]
+    resistance_force: tuple[float, float]  # [N] m g mu_l and its deviation
+    stiffness: tuple[float, float]  # [N/m] F_max / K of a track and its deviation
+
+
+def observations(log: Log, needs: Sequence[str]) -> NDArray[np.float32]:
+    """The log as observations (T, SIZE + registered fields) of a reference that stands still at
+    the first position. Sensors that are missing are NaN."""
+    behind = [name for name in needs if name not in layout.INDEX]
+    rows = np.zeros((len(log.time), layout.SIZE + len(behind)), dtype=np.float32)
+    values = log.values
+    c, s = np.cos(values["yaw"]), np.sin(values["yaw"])
+    x, y = values["x"][0] - values["x"], values["y"][0] - values["y"]
+    shown = {
+        "position_error_x": c * x + s * y, "position_error_y": c * y - s * x,
+        "heading_error": -values["yaw"],
+        **{name: values[name] for name in CHANNELS[3:]},
+        **{f"{group}_age": np.minimum(log.age[:, k], 60.0) for k, group in enumerate(GROUPS)},
+    }  # fmt: skip
+    for name, column in shown.items():
+        rows[:, layout.INDEX[name]] = column / SCALE[name]
+    for k, name in enumerate(behind):
+        rows[:, layout.SIZE + k] = values[name] / SCALE[name]
+    return rows
+
+
+def make_stack(log: Log, nominal: PlantParameters, lateral: str, count: int = 1) -> Any:
+    """The stack for a log."""
+    module: Any = command_function("identify")
+    return module.IdentificationStack(
+        nominal, control_period=log.period, data_sheet=module.DataSheet.of(log.sensors),
+        count=count, lateral=lateral, attitude=log.attitude,
+    )  # fmt: skip
+
+
+def biases(log: Log) -> dict[str, float]:
+    """Magnitude [SI] of the bias of each channel that has one."""
+    sheet = log.sensors
+    bend = math.sqrt(2.0) * sheet.acceleration_bias / sheet.accelerometer_distance
+    found = {
+        "acceleration_x": sheet.acceleration_bias, "acceleration_y": sheet.acceleration_bias,
+        "yaw_rate": sheet.gyro_bias, "yaw_acceleration": bend,
+    }  # fmt: skip
+    return {name: bias for name, bias in found.items() if bias > 0.0}
+
+
+def half_width(deviation: float, shifts: Sequence[float]) -> float:
+    """h for which |n + sum of +-shifts| <= h with probability COVERED, n of that deviation."""
+    size = sorted((abs(one) for one in shifts), reverse=True)[:6]
+    sums = np.array([sum(signs) for signs in itertools.product(*((-s, s) for s in size))])
+    if deviation <= 0.0:
+        return float(np.abs(sums).max())
+
+    def lacking(h: float) -> float:
+        inside = norm.cdf((h - sums) / deviation) - norm.cdf((-h - sums) / deviation)
+        return float(np.mean(inside)) - COVERED
+
+    return float(brentq(lacking, 0.0, float(np.abs(sums).max()) + 5.0 * deviation))
+
+
+def _module(name: str) -> Any:
+    """The module of one of the regressions."""
+    return command_function(f"identify-{name}")
+
+
+def shared_friction(stack: Any, inertia: float, deviation: float) -> float:
+    """The deviation of the inertia where the slip may share friction, as `stack` found it."""
+    turning = _module("turning")
+    out = np.zeros((1, stack.turning.answer.shape[1]))
+    out[0, turning.VALUE_1], out[0, turning.P_11] = inertia, deviation**2
+    turning.admit_shared_friction(out, 0, stack.turning.memory, stack.turning.prior)
+    return math.sqrt(float(out[0, turning.P_11]))
+
+
+def _joined(answers: list[Any]) -> Any:
+    """Bare answers of T steps as one of T rows."""
+    if isinstance(answers[0], tuple):
+        return tuple(np.concatenate(column) for column in zip(*answers, strict=True))
+    return np.concatenate(answers)
+
+
+def _over_time(
+    rows: NDArray[np.float32], stack: Any
+) -> tuple[dict[str, Any], Floats, dict[str, Floats]]:
+    """Estimates of T rows by estimator, motion (T, 6), and the residuals of the regressions."""
+    answers: dict[str, list[Any]] = {name: [] for name in PARTS}
+    motion, residuals = [], _Residuals(stack)
+    for row in rows:
+        known = stack.update(row[None])
+        for name in PARTS:
+            answers[name].append(known.parts.answers[name])
+        motion.append(known.motion_rows[0].copy())
+        residuals.add(known.reading.paired)
+    parts = {name: stack.parts[name].estimate(_joined(answers[name])) for name in PARTS}
+    return parts, np.array(motion), residuals.normalised()
+
+
+class _Residuals:
+    """Residuals of the two regressions, each by the estimates before its sample."""
+
+    def __init__(self, stack: Any) -> None:
+        self.equations = {name: _module(name).equation for name in ("longitudinal", "turning")}
+        self.stack = stack
+        self.found: dict[str, list[float]] = {name: [] for name in self.equations}
+        self.before: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    def add(self, paired: Any) -> None:
+        """Compare a sample with what was known before it."""
+        parts = self.stack.parts
+        if self.before is not None and paired.fresh[0, 1] and paired.fresh[0, 2]:
+            (mass, resistance), (inertia, friction) = self.before
+            straight, turning = (parts[name].known() for name in ("longitudinal", "turning"))
+            arguments = {
+                "longitudinal": ((straight[0], 1.0), (1.0 / mass, resistance)),
+                "turning": (
+                    (turning[0], mass, resistance, mass * friction, inertia, 1.0),
+                    (inertia, mass * friction),
+                ),
+            }
+            for name, (known, (first, second)) in arguments.items():
+                sample, usable = self.equations[name](paired.values, 0, *known)
+                error = sample.y - sample.phi_1 * first - sample.phi_2 * second
+                if usable and math.isfinite(error):
+                    self.found[name].append(error / math.sqrt(sample.variance))
+        straight, turning = (parts[name].answer[0] for name in ("longitudinal", "turning"))
+        self.before = ((1.0 / straight[0], straight[1]), (turning[0], turning[1]))
+
+    def normalised(self) -> dict[str, Floats]:
+        """(K,) of each regression."""
+        return {name: np.array(values) for name, values in self.found.items()}
+
+
+def _constant(
+    rows: NDArray[np.float32], log: Log, nominal: PlantParameters, lateral: str
+) -> tuple[dict[str, Any], dict[str, Floats]]:
+    """({name: (value, deviation)} at the end without forgetting, shifts by each bias)."""
+    shifted = biases(log)
+    stack = make_stack(log, nominal, lateral, 1 + len(shifted))
+    for part in (stack.longitudinal, stack.turning):
+        part.table = part.table[:0]  # no models of change
+        part.prior = part.prior._replace(forgetting=1.0)
+    offsets = np.zeros((1 + len(shifted), rows.shape[1]), dtype=np.float32)
+    for k, (name, bias) in enumerate(shifted.items()):
+        offsets[1 + k, layout.INDEX[name]] = bias / SCALE[name]
+    for row in rows:
+        known = stack.update(row + offsets)
+    told = known.estimates()
+    values = {name: (float(told[name][0][0]), float(told[name][1][0])) for name in CONSTANT}
+    return values, {name: told[name][0][1:] - told[name][0][0] for name in CONSTANT}
+
+
+def _prior_deviations(stack: Any) -> dict[str, float]:
+    """Before the first sample, to first order."""
+    told: dict[str, float] = {}
+    for part in (stack.longitudinal, stack.turning):
+        estimate = part.read()
+        told |= {q.name: float(q.read(estimate)[1][0]) for q in part.provides}
+    return told
+
+
+def _soil(soil: Any, nominal: dict[str, float]) -> tuple[dict[str, Found], tuple[float, float]]:
+    """F_max and K of a log, and F_max / K with its deviation.
+
+    The mean of the logarithms over the BEST of all windows, weighted by what they claim. Windows
+    share errors of the slips, so that many are not better than one: the deviation is that of the
+    best window and the scatter of all together.
+    """
+    ends = np.arange(WINDOW - 1, len(soil.value), WINDOW) if len(soil.value) > WINDOW else [-1]
+    values = np.log(soil.value[ends])
+    values = np.column_stack([values, values[:, 0] - values[:, 1]])
+    relative = soil.covariance[ends] / (soil.value[ends, :, None] * soil.value[ends, None, :])
+    variances = np.diagonal(relative, axis1=1, axis2=2)
+    ratio = np.maximum(variances.sum(axis=1) - 2.0 * relative[:, 0, 1], 1e-12)
+    variances = np.column_stack([variances, ratio])
+    best = np.argsort(np.sqrt(variances[:, :2]).sum(axis=1))[:BEST]
+    values, weights = values[best], 1.0 / variances[best]
+    mean = np.sum(weights * values, axis=0) / weights.sum(axis=0)
+    scatter = np.sum(weights * (values - mean) ** 2, axis=0) / weights.sum(axis=0)
+    spread = np.sqrt(variances[best].min(axis=0) + scatter)
+    found, prior = {}, np.sqrt(np.diagonal(soil.covariance[0])) / soil.value[0]
+    for k, name in enumerate(SOIL):
+        value, factor = float(np.exp(mean[k])), float(np.exp(NORMAL * spread[k]))
+        before = float(prior[k]) * nominal[name]
+        found[name] = Found(
+            value, float(spread[k]) * value, value / factor, value * factor, before, False
+        )
+    ratio_found = float(np.exp(mean[2]))
+    return found, (ratio_found, ratio_found * float(spread[2]))
+
+
+def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Identified:
+    """Go over a log. nominal: where every estimate begins, and the geometry.
+
+    Raises ValueError for a log that the stack refuses.
+    """
+    stack = make_stack(log, nominal, lateral)
+    prior = _prior_deviations(stack)
+    rows = observations(log, stack.needs)
+    parts, motion, residuals = _over_time(rows, stack)
+    if log.averaged:  # forces of a moment, for what compares them with slips
+        for name in ("torque_left", "torque_right"):
+            column = log.values[f"raw_{name}"] / SCALE[name]
+            rows[:, layout.INDEX[name]] = column
+        plain, motion, _ = _over_time(rows, make_stack(log, nominal, lateral))
+        parts |= {name: plain[name] for name in ("slip", "soil")}
+        rows = observations(log, stack.needs)
+    series = {
+        quantity.name: quantity.read(parts[name])
+        for name in PARTS for quantity in stack.quantities[name]
+    }  # fmt: skip
+    constant, shifts = _constant(rows, log, nominal, lateral)
+    settled = log.time > min(SETTLING, 0.5 * log.time[-1])
+    found = {}
+    for name in CONSTANT:
+        value, noise = constant[name]
+        if name == "inertia":
+            noise = shared_friction(stack, value, noise)
+        now, claimed = series[name]
+        off = np.abs(now - value) > CONTRADICTED * np.hypot(claimed, noise)
+        changed = bool(np.mean(off[settled]) > CONTRADICTED_SHARE)
+        if changed:
+            value, deviation = float(now[-1]), float(claimed[-1])
+            half = NORMAL * deviation
+        else:
+            deviation = math.sqrt(noise**2 + float(np.sum(shifts[name] ** 2)))
+            half = half_width(noise, list(shifts[name]))
+        found[name] = Found(value, deviation, value - half, value + half, prior[name], changed)
+    soil, stiffness = _soil(parts["soil"], {name: series[name][0][0] for name in SOIL})
+    regression = parts["longitudinal"]
+    return Identified(
+        log, nominal, series,
+        {name: parts[name].excitation for name in PARTS},
+        {name: parts[name].status for name in PARTS},
+        {name: parts[name].nis for name in PARTS},
+        motion, residuals, found | soil, _force(regression.value[-1], regression.covariance[-1]),
+        stiffness,
+    )  # fmt: skip
+
+
+def _force(value: Floats, covariance: Floats) -> tuple[float, float]:
+    """m g mu_l [N] and its deviation, of 1/m and mu_l with their covariance."""
+    inverse, resistance = value
+    force = 9.81 * resistance / inverse
+    gradient = np.array([-force / inverse, 9.81 / inverse])
+    return float(force), float(math.sqrt(max(gradient @ covariance @ gradient, 0.0)))

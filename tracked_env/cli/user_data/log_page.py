@@ -1,0 +1,236 @@
+"""The report of an identified log: one page that needs no other file, tables and figures.
+
+Figures need matplotlib (extra `render`); without it the page has its tables alone.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tracked_env.benchmark.drawing import PALETTE, STYLE, inline_svg, new_figure, svg_text
+from tracked_env.benchmark.leaderboard_page import Drawing, Section, page_text
+from tracked_env.benchmark.text_tables import plain_table
+from tracked_env.cli.user_data.log_identification import CONSTANT, NORMAL, SOIL, Identified
+from tracked_env.cli.user_data.parameter_set import (
+    NAMES,
+    WHITE_LAGS,
+    autocorrelation,
+    untold,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+POINTS = 600  # of a curve: more are not seen
+ESTIMATE, CLAIM, CONSTANT_LINE = PALETTE[1], PALETTE[5], PALETTE[0]
+FILES = {
+    "parameters.json": "the set of parameters, for `gymnasium.make(id, **set['make'])`",
+    "identification.csv": "estimates, deviations, excitation and filtered motion of every step",
+}
+EXPECTED = {"longitudinal": 1.0, "turning": 1.0, "slip": 6.0}  # mean NIS, its dimension
+
+
+def result_rows(identified: Identified) -> list[list[str]]:
+    """Rows of cells, the header first: what was found."""
+    rows = [["parameter", "unit", "value", "standard deviation", "95 % interval", "nominal",
+             "verdict"]]  # fmt: skip
+    nominal = identified.nominal
+    for name, of in identified.found.items():
+        label, unit = NAMES[name]
+        start = getattr(nominal, name, identified.series[name][0][0])
+        verdict = of.verdict + (", changes" if of.changed else "")
+        rows.append([label, unit, f"{of.value:.4g}", f"{of.deviation:.2g}",
+                     f"{of.low:.4g} to {of.high:.4g}", f"{start:.4g}", verdict])  # fmt: skip
+    return rows
+
+
+def excitation_rows(identified: Identified) -> list[list[str]]:
+    """Rows of cells, the header first: how far the log excites each estimator."""
+    rows = [["estimator", "median excitation", "largest", "time with all parameters excited",
+             "samples refused", "mean NIS", "expected"]]  # fmt: skip
+    for name, excitation in identified.excitation.items():
+        status, nis = identified.status[name], identified.nis[name]
+        mean = f"{np.nanmean(nis):.2g}" if np.isfinite(nis).any() else "-"
+        rows.append([name, f"{np.median(excitation):.3g}", f"{excitation.max():.3g}",
+                     f"{np.mean(status == 0):.0%}", f"{np.mean(status == 2):.1%}", mean,
+                     f"{EXPECTED[name]:g}" if name in EXPECTED else "-"])  # fmt: skip
+    return rows
+
+
+def residual_rows(identified: Identified) -> list[list[str]]:
+    """Rows of cells, the header first: residuals of the two regressions."""
+    rows = [["equation", "samples", "mean", "rms", "beyond 1.96", "autocorrelation at lag 1",
+             f"lags 1 to {WHITE_LAGS} beyond the band"]]  # fmt: skip
+    for name, r in identified.residuals.items():
+        if len(r) < 4 * WHITE_LAGS:
+            rows.append([name, f"{len(r)}", *["-"] * 5])
+            continue
+        correlation = autocorrelation(r)
+        outside = float(np.mean(np.abs(correlation) > NORMAL / np.sqrt(len(r))))
+        rows.append([name, f"{len(r)}", f"{r.mean():.2f}", f"{np.sqrt(np.mean(r**2)):.2f}",
+                     f"{np.mean(np.abs(r) > NORMAL):.1%}", f"{correlation[0]:.2f}",
+                     f"{outside:.0%}"])  # fmt: skip
+    return rows
+
+
+def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: bool = True) -> str:
+    """The whole page; subject: name of the log, facts: where the numbers come from."""
+    said = untold(identified)
+    results = plain_table(
+        "What the log says. Constant parameters of the whole log, or where one changes its value "
+        "at the end; a deviation holds the noise and the biases of the data sheet",
+        result_rows(identified), (0,), [],
+    )  # fmt: skip
+    excitation = plain_table(
+        "Excitation is the smallest eigenvalue of the information, 1 where data and prior weigh "
+        "the same. NIS is the normalised innovation squared",
+        excitation_rows(identified), (0,), [],
+    )  # fmt: skip
+    residuals = plain_table(
+        "Residuals of each sample by the estimates before it, over the standard deviation that the "
+        "data sheet gives: the rms is 1 and the autocorrelation 0 where model and data sheet are "
+        f"right; 5 % of {WHITE_LAGS} lags lie beyond the band by chance",
+        residual_rows(identified), (0,), [],
+    )  # fmt: skip
+    drawn = _drawings(identified) if draw else {}
+    sections = [
+        Section("Parameters", "parameters", [results]),
+        Section("What the log cannot tell", "untold",
+                facts={f"{k}.": text for k, text in enumerate(said, 1)}),
+        Section("Over time", "time", figures=drawn.get("time", ())),
+        Section("Excitation", "excitation", [excitation], drawn.get("excitation", ())),
+        Section("Residuals", "residuals", [residuals], drawn.get("residuals", ())),
+        Section("The log", "log", figures=drawn.get("log", ()),
+                facts={f"{k}.": text for k, text in enumerate(identified.log.notes, 1)}),
+        Section("Provenance", "provenance", facts=facts),
+        Section("Files", "files", links=FILES),
+    ]  # fmt: skip
+    introduction = [
+        f"{identified.log.time[-1]:.0f} s of driving, {len(identified.log.time)} steps of "
+        f"{1e3 * identified.log.period:.3g} ms."
+    ]
+    kept = [part for part in sections if part.tables or part.figures or part.facts or part.links]
+    return page_text("Identification", subject, introduction, kept, "parameter or estimator")
+
+
+def _drawings(identified: Identified) -> dict[str, Sequence[Drawing]]:
+    """Figures by section; empty without matplotlib."""
+    try:
+        import matplotlib
+    except ImportError:
+        return {}
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        figures = {
+            "time": [
+                ("Parameters over time", "Line: estimate, which may change at any moment; band: "
+                 "95 %. Dashed: constant value of the whole log.", _parameters(identified)),
+                ("Slip over time", "Slip ratio of both tracks and side slip; band: 95 %.",
+                 _slips(identified)),
+            ],
+            "excitation": [("Excitation over time", "From 1 on the data weigh more than the prior.",
+                            _excitation(identified))],
+            "residuals": [("Autocorrelation of the residuals", "Dotted: 95 % band of white noise.",
+                           _whiteness(identified))],
+            "log": [("The path", "Filtered positions, and those of the log.", _path(identified))],
+        }  # fmt: skip
+        return {
+            section: [
+                Drawing(title, text, inline_svg(svg_text(figure, title), title))
+                for title, text, figure in of
+            ]
+            for section, of in figures.items()
+        }
+
+
+def _thin(identified: Identified) -> Any:
+    """Steps that are drawn."""
+    return np.unique(np.linspace(0, len(identified.log.time) - 1, POINTS).astype(int))
+
+
+def _banded(axes: "Axes", identified: Identified, name: str, colour: str, label: str = "") -> None:
+    """One quantity with its 95 % band; the axis shows the band once it is narrower."""
+    k, (value, deviation) = _thin(identified), identified.series[name]
+    time = identified.log.time[k]
+    low, high = value[k] - NORMAL * deviation[k], value[k] + NORMAL * deviation[k]
+    if name in SOIL:
+        factor = np.exp(NORMAL * deviation[k] / value[k])
+        low, high = value[k] / factor, value[k] * factor
+    axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0.0)
+    axes.plot(time, value[k], color=colour, linewidth=1.2, label=label)
+    later = slice(len(k) // 8, None)
+    bottom, top = float(np.min(low[later])), float(np.max(high[later]))
+    margin = 0.1 * (top - bottom) + 1e-9
+    axes.set_ylim(bottom - margin, top + margin)
+
+
+def _parameters(identified: Identified) -> Any:
+    figure, panels = new_figure((3.4, 1.5), 3, 2, gap=(0.75, 0.35), sharex=True)
+    for axes, name in zip(panels.flat, (*CONSTANT, *SOIL), strict=True):
+        _banded(axes, identified, name, ESTIMATE)
+        if name in CONSTANT and not identified.found[name].changed:
+            axes.axhline(identified.found[name].value, color=CONSTANT_LINE, linestyle="--",
+                         linewidth=1.0)  # fmt: skip
+        label, unit = NAMES[name]
+        axes.set_title(f"{label} [{unit}]", loc="left", fontsize=9)
+    for axes in panels[-1]:
+        axes.set_xlabel("time [s]")
+    return figure
+
+
+def _slips(identified: Identified) -> Any:
+    figure, panels = new_figure((7.5, 1.5), 2, 1, gap=(0.35, 0.35), sharex=True)
+    for name, colour in (("slip_left", PALETTE[0]), ("slip_right", PALETTE[1])):
+        _banded(panels[0, 0], identified, name, colour, name.replace("_", " "))
+    k = _thin(identified)
+    both = [identified.series[name][0][k] for name in ("slip_left", "slip_right")]
+    reach = 1.2 * float(np.percentile(np.abs(both), 99.0)) + 0.01
+    panels[0, 0].set_ylim(-reach, reach)
+    panels[0, 0].legend(loc="upper right", ncols=2)
+    panels[0, 0].set_title("slip ratio [-]", loc="left", fontsize=9)
+    _banded(panels[1, 0], identified, "side_slip", PALETTE[2])
+    panels[1, 0].set_title("side slip [rad]", loc="left", fontsize=9)
+    panels[1, 0].set_xlabel("time [s]")
+    return figure
+
+
+def _excitation(identified: Identified) -> Any:
+    figure, panels = new_figure((7.5, 1.8))
+    axes, k = panels[0, 0], _thin(identified)
+    for (name, excitation), colour in zip(identified.excitation.items(), PALETTE, strict=False):
+        axes.semilogy(identified.log.time[k], np.maximum(excitation[k], 1e-4), color=colour,
+                      label=name, linewidth=1.0)  # fmt: skip
+    axes.axhline(1.0, color="0.5", linestyle=":")
+    axes.legend(loc="lower center", ncols=4)
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("time [s]")
+    return figure
+
+
+def _whiteness(identified: Identified) -> Any:
+    figure, panels = new_figure((3.4, 1.6), 1, 2, gap=(0.6, 0.4), sharey=True)
+    for axes, (name, r) in zip(panels[0], identified.residuals.items(), strict=True):
+        axes.set_title(f"{name} equation", loc="left", fontsize=9)
+        axes.set_xlabel("lag [samples]")
+        if len(r) >= 4 * WHITE_LAGS:
+            axes.bar(np.arange(1, WHITE_LAGS + 1), autocorrelation(r), color=ESTIMATE, width=0.7)
+            for side in (-1.0, 1.0):
+                axes.axhline(side * NORMAL / np.sqrt(len(r)), color="0.4", linestyle=":")
+        else:
+            axes.text(0.5, 0.5, "too few samples", ha="center", transform=axes.transAxes)
+        axes.set_ylim(-0.3, 0.3)
+    return figure
+
+
+def _path(identified: Identified) -> Any:
+    figure, panels = new_figure((4.5, 4.0))
+    axes, k, log = panels[0, 0], _thin(identified), identified.log
+    x, y = log.values["x"] - log.values["x"][0], log.values["y"] - log.values["y"][0]
+    axes.plot(x[k], y[k], ".", color="0.6", markersize=2.0, label="log")
+    axes.plot(identified.motion[k, 0], identified.motion[k, 1], color=ESTIMATE, linewidth=1.0,
+              label="filtered")  # fmt: skip
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x from the start [m]")
+    axes.set_ylabel("y from the start [m]")
+    axes.legend()
+    return figure

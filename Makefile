@@ -16,7 +16,7 @@ DOCS_STAMP := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install leaderboard evaluate paper tune train test lint format docs package bare benchmark clean clean-cache
+.PHONY: help install leaderboard evaluate paper tune train test lint format docs tools package bare benchmark clean clean-cache
 
 help: ## list the commands
 	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
@@ -63,6 +63,9 @@ format: $(STAMP) ## sort imports and format the code
 
 docs: $(DOCS_STAMP) ## build the documentation into docs/_build/html
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+
+tools: ## install each tool of docs/tools.md in its own environment and run its examples (GBs)
+	$(PYTHON) tests/tools/tools_page.py --folder build/tools $(PIP_ARGS)
 
 package: $(STAMP) ## build wheel and source distribution into dist/ and check their metadata
 	rm -rf dist

@@ -1,4 +1,5 @@
-"""Sphinx configuration: Markdown pages (MyST), one from the docstring of the env, furo."""
+"""Sphinx configuration: Markdown pages (MyST; tutorials run while they are built), one from the
+docstring of the env, furo."""
 
 from importlib.metadata import version as installed_version
 
@@ -7,11 +8,17 @@ author = "tracked-env contributors"
 copyright = "2026, tracked-env contributors"
 release = version = installed_version("tracked-env")
 
-extensions = ["myst_parser", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.mathjax"]  # myst_nb is myst_parser with cells that run
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
 exclude_patterns = ["_build", "_generated"]
 nitpicky = False
+
+nb_execution_mode = "force"  # numbers and figures are those of the code as it is
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600  # [s] of one cell: the first ones compile kernels
+nb_execution_show_tb = True
+nb_output_stderr = "remove"  # progress bars
 
 html_theme = "furo"
 html_title = f"tracked-env {release}"

@@ -20,12 +20,17 @@ VEHICLES = Range(1, 10**7, "-", "It is the number of vehicles.")
 SIGMA = Range(0.0, 1e4, "its SI unit", "Did you pass a variance or degrees?")
 
 
-def unknown(what: str, name: object, allowed: Iterable[str]) -> ValueError:
-    """The error for a name that does not exist, with the nearest ones that do."""
+def known(name: object, allowed: Iterable[str]) -> str:
+    """What an error says of a name that does not exist: those that do, and the nearest one."""
     names = sorted(allowed)
     near = difflib.get_close_matches(str(name), names, n=1)
     hint = f" Did you mean '{near[0]}'?" if near else ""
-    return ValueError(f"unknown {what} {name!r}; known are {names}.{hint}")
+    return f"known are {names}.{hint}"
+
+
+def unknown(what: str, name: object, allowed: Iterable[str]) -> ValueError:
+    """The error for a name that does not exist, with the nearest ones that do."""
+    return ValueError(f"unknown {what} {name!r}; {known(name, allowed)}")
 
 
 def checked_keys(what: str, given: object, allowed: Iterable[str]) -> Mapping[str, Any]:

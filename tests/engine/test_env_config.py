@@ -64,7 +64,7 @@ def test_every_argument_reaches_the_simulation(kind, name, value):
 def test_threads_are_an_argument_of_the_vector_environment_alone():
     assert TrackedVehicleVectorEnv(2).simulation.config.threads == 2
     assert TrackedVehicleVectorEnv(2, threads=5).simulation.config.threads == 5
-    with pytest.raises(TypeError, match="unknown argument 'threads'"):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'threads'"):
         TrackedVehicleEnv(threads=5)
 
 
@@ -72,9 +72,12 @@ def test_threads_are_an_argument_of_the_vector_environment_alone():
 @pytest.mark.parametrize(
     "arguments, says",
     [
-        ({"sensor": "rtk"}, "unknown argument 'sensor'; known are .* Did you mean 'sensors'"),
+        (
+            {"sensor": "rtk"},
+            "unexpected keyword argument 'sensor'; known are .* Did you mean 'sensors'",
+        ),
         ({"refrence": "circle"}, "Did you mean 'reference'"),
-        ({"config": None}, "unknown argument 'config'; known are"),
+        ({"config": None}, "unexpected keyword argument 'config'; known are"),
     ],
 )
 def test_an_unknown_argument_is_a_type_error_that_names_the_nearest(kind, arguments, says):

@@ -22,7 +22,7 @@ from tracked_env.validation import (
     checked_number,
     checked_parameter,
     checked_whole,
-    unknown,
+    known,
 )
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
@@ -81,7 +81,10 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
         function = type(self).__name__
         for name in named:
             if name not in names:
-                raise TypeError(f"{function}(): {unknown('argument', name, names)}")
+                # Python's own words: tools, such as TorchRL's GymEnv, look for them.
+                raise TypeError(
+                    f"{function}(): unexpected keyword argument {name!r}; {known(name, names)}"
+                )
         try:
             given = signature.bind(self, *positional, **named).arguments
         except TypeError as error:

@@ -1,0 +1,184 @@
+"""Installs each tool as docs/tools.md says, runs the examples of its section, writes the versions.
+
+python tests/tools/tools_page.py [--only TITLE] [--folder build/tools] [pip arguments]
+
+A section is an environment (the line `pip install ...`), files (blocks that begin with `# name`)
+and examples (Python, and shell lines that begin with `python -m`), which run in order in one
+folder. Sections with the same line share an environment. docs/tools_tested.json has what ran, with
+which versions; the table of the page is written from it.
+"""
+
+import argparse
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import venv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+PAGE, TESTED = ROOT / "docs" / "tools.md", ROOT / "docs" / "tools_tested.json"
+MARKS = "<!-- versions: begin -->\n", "<!-- versions: end -->"
+CLONE = "/path/to/tracked-env"
+# Title of a section -> its distribution and the module that tells whether it is installed.
+TOOLS = {
+    "Stable-Baselines3": ("stable-baselines3", "stable_baselines3"),
+    "sb3-contrib": ("sb3-contrib", "sb3_contrib"),
+    "rl-zoo3": ("rl_zoo3", "rl_zoo3"),
+    "A loop of your own": ("torch", "torch"),
+    "TorchRL": ("torchrl", "torchrl"),
+    "Tianshou": ("tianshou", "tianshou"),
+    "Minari": ("minari", "minari"),
+    "RLlib": ("ray", "ray.rllib"),
+}
+BESIDE = ("gymnasium", "torch", "numpy")  # versions that the table has besides
+# The examples are for readers; a small part of their budget shows that they run.
+SMALL = {
+    r"learn\([\d_]+\)": "learn(64)",
+    r"\bepisodes=\d+": "episodes=2",
+    r"\bn_steps=\d+": "n_steps=16",
+    r"\bn_envs=64": "n_envs=4",
+    "= 1_000_000, 64, 128": "= 1024, 8, 64",
+    "max_epochs=10": "max_epochs=1",
+    "epoch_num_steps=20_000": "epoch_num_steps=512",
+    "num_training_envs=16": "num_training_envs=2",
+    "learner=4000": "learner=256",
+    r"range\(100\)": "range(1)",
+    "!!float 1e6": "512",
+    r"n_steps: \d+": "n_steps: 64",
+}
+
+
+def sections(text: str) -> dict[str, str]:
+    """Text below each heading `## ...` of a page."""
+    parts = re.split(r"^## (.*)$", text, flags=re.MULTILINE)[1:]
+    return dict(zip(parts[::2], parts[1::2], strict=True))
+
+
+def installation(section: str) -> list[str]:
+    """Arguments of the section's `pip install`."""
+    line = re.search(r"^pip install (.*)$", section, re.MULTILINE)
+    if line is None:
+        raise ValueError(f"the section has no line `pip install`: {section[:60]!r}")
+    return shlex.split(line[1])
+
+
+def examples(section: str) -> tuple[dict[str, str], list[list[str]]]:
+    """Files of a section {name: text}, and its commands in order, without the interpreter."""
+    for budget, small in SMALL.items():
+        section = re.sub(budget, small, section)
+    files, commands = dict[str, str](), list[list[str]]()
+    blocks = re.findall(r"^```(\w+)\n(.*?)^```", section, re.DOTALL | re.MULTILINE)
+    for number, (kind, block) in enumerate(blocks):
+        if name := re.match(r"# ([\w.]+)\n", block):
+            files[name[1]] = block
+        elif kind == "python":
+            files[f"example_{number}.py"] = block
+            commands.append([f"example_{number}.py"])
+        elif kind == "bash":
+            for line in block.replace("\\\n", " ").splitlines():
+                if line.startswith("python -m "):
+                    commands.append(shlex.split(line)[1:])
+    return files, commands
+
+
+def run_section(python: Path, section: str, folder: Path, timeout: float = 900.0) -> None:
+    """Run its examples in `folder`. Raises AssertionError with what the first that fails prints."""
+    files, commands = examples(section)
+    assert commands, "the section has no example"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    environment = {**os.environ, "MINARI_DATASETS_PATH": str(folder / "minari")}
+    environment.update(MPLBACKEND="Agg", RAY_USAGE_STATS_ENABLED="0", PYTHONPATH=str(ROOT))
+    for command in commands:
+        done = subprocess.run(
+            [python, *command], cwd=folder, env=environment, timeout=timeout,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout[-4000:]}"
+
+
+def versions(python: Path, names: Sequence[str]) -> dict[str, str]:
+    """Versions of distributions in an environment, and of its Python; absent ones left out."""
+    code = (
+        "import json, platform, sys\nfrom importlib.metadata import PackageNotFoundError, version\n"
+        "found = {'python': platform.python_version()}\n"
+        "for name in sys.argv[1:]:\n"
+        "    try:\n        found[name] = version(name).partition('+')[0]\n"
+        "    except PackageNotFoundError:\n        pass\n"
+        "print(json.dumps(found))"
+    )
+    done = subprocess.run([python, "-c", code, *names], capture_output=True, text=True, check=True)
+    return dict(json.loads(done.stdout))
+
+
+def table(tested: Mapping[str, Mapping[str, Any]]) -> str:
+    """The table of the page from what ran."""
+    lines = ["| tool | version | Gymnasium | PyTorch | NumPy | Python |", "|--|--|--|--|--|--|"]
+    for title, found in tested.items():
+        anchor = title.lower().replace(" ", "-")
+        own = found.get(TOOLS[title][0], "-") if title in TOOLS else "-"
+        shown = [str(found.get(name, "-")) for name in (*BESIDE, "python")]
+        lines.append(f"| [{title}](#{anchor}) | {own} | {' | '.join(shown)} |")
+    return "\n".join(lines) + "\n"
+
+
+def with_table(text: str, tested: Mapping[str, Mapping[str, Any]]) -> str:
+    """The page with the table between its marks."""
+    before, _, rest = text.partition(MARKS[0])
+    return before + MARKS[0] + table(tested) + MARKS[1] + rest.partition(MARKS[1])[2]
+
+
+def environment_of(arguments: Sequence[str], folder: Path, pip: Sequence[str]) -> Path:
+    """The interpreter of an environment with this installation, made where it is not there."""
+    name = re.sub(r"\W+", "-", " ".join(arguments).replace(CLONE, "")).strip("-") or "plain"
+    python = folder / name / "bin" / "python"
+    if not (folder / name / ".installed").exists():
+        venv.create(folder / name, with_pip=True, clear=True)
+        given = [part for a in arguments for part in _of_clone(a)]
+        subprocess.run([python, "-m", "pip", "install", "-q", *pip, *given], check=True)
+        (folder / name / ".installed").touch()
+    return python
+
+
+def _of_clone(argument: str) -> list[str]:
+    """An argument of pip with this clone, in place, so that compiled kernels are shared."""
+    if CLONE not in argument:
+        return [argument]
+    return ["-e", argument.replace(CLONE, str(ROOT))]
+
+
+def main() -> int:
+    """Run the sections, write the versions of those that ran; status 1 if one failed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="*", default=list(TOOLS), metavar="TITLE")
+    parser.add_argument("--folder", type=Path, default=ROOT / "build" / "tools")
+    given, pip = parser.parse_known_args()
+    found = sections(PAGE.read_text())
+    tested = json.loads(TESTED.read_text()) if TESTED.exists() else {}
+    failed = []
+    for title in given.only:
+        print(f"{title} ...", flush=True)
+        try:
+            python = environment_of(installation(found[title]), given.folder, pip)
+            run_section(python, found[title], given.folder / "runs" / TOOLS[title][1])
+        except (AssertionError, subprocess.SubprocessError) as error:
+            print(f"{title} FAILED: {error}", flush=True)
+            failed.append(title)
+            tested.pop(title, None)
+            continue
+        tested[title] = versions(python, (TOOLS[title][0], *BESIDE))
+        print(f"{title}: {tested[title]}", flush=True)
+    tested = {title: tested[title] for title in TOOLS if title in tested}
+    TESTED.write_text(json.dumps(tested, indent=1) + "\n")
+    PAGE.write_text(with_table(PAGE.read_text(), tested))
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

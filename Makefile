@@ -34,11 +34,11 @@ paper: $(STAMP) ## run both papers again: their claims, figures, one page each (
 
 leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the tables of results
 	rm -rf results/leaderboard
-	$(BIN)/python evaluate.py --no-figures --output results/leaderboard
+	$(BIN)/python evaluate.py --all --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/publish.py results/leaderboard/torque-v3-seed0-*
-	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --no-figures --output results/leaderboard
+	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --all --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/publish.py results/leaderboard/speed-v3-seed0-*
-	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --no-figures --output results/leaderboard
+	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --all --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/publish.py results/leaderboard/terrain-v3-seed0-*
 
 tune: $(STAMP) ## search the settings of the controllers on development episodes (an hour)

@@ -8,7 +8,7 @@ from tracked_env.cli.evaluate_options import ENVIRONMENTS, add_options, config_o
 
 # What a leaderboard has in its own way; everything else is as in `tracked-env evaluate`.
 _FIXED = ("env", "policies", "trust", "sets", "sensors", "reference", "duration", "lateral",
-          "figures", "video", "paper")  # fmt: skip
+          "figures", "video", "paper", "all")  # fmt: skip
 
 
 def main(arguments: Sequence[str], program: str) -> int:
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     given = parser.parse_args(arguments)
     chosen = [given.env] if given.env else list(ENVIRONMENTS)
     for env in chosen:
-        given.env, given.figures = env, False
+        given.env, given.all, given.figures = env, True, False
         status = run_config(config_of(given), program)
         if status != 0:
             return status

@@ -48,6 +48,8 @@ class Extras(NamedTuple):
 
 
 INSTALLED = Extras()
+STEP_TIME = 25e-6  # [s] of a processor for a control step of one vehicle, a mean of all policies
+LONG = 5_000_000  # control steps of vehicles, about two minutes
 
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
@@ -217,6 +219,11 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     if config.is_first_look and executor is None and tasks:
         compile_kernels(benchmark, specs, entries)
     steps = sum(len(task.episodes) * benchmark.max_steps(task.uncertainty_set) for task in tasks)
+    if steps > LONG and executor is None and not config.quiet:
+        print(
+            f"{missing} episodes take about {steps * STEP_TIME / 60:.0f} min of one processor; "
+            "--workers N shares them, and an interrupted run goes on where it was"
+        )
     with progress_bar(steps, config.quiet) as progress:
         records = run(benchmark, entries, store, progress, executor)
     if config.shard is not None:
@@ -240,8 +247,9 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     leaderboard.write(store.folder, board)
     if not config.quiet:
         width = shutil.get_terminal_size().columns
-        tables = report.terminal(summary, width), leaderboard.terminal(board, width)
-        print(f"\n{tables[0]}\n\n\nLeaderboard\n\n{tables[1]}\n")
+        if not config.is_first_look:
+            print(f"\n{report.terminal(summary, width)}\n")
+        print(f"\nLeaderboard\n\n{leaderboard.terminal(board, width)}\n")
     files = draw(config, benchmark, entries, store, records, leaderboard.shown(board))
     curves = read_curves(folders)
     page = leaderboard_page.write(

@@ -24,6 +24,7 @@ An interrupted run loses at most the chunk of episodes in progress; run it again
 """
 ENVIRONMENTS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)  # those with evaluation sets
 EPISODES, EPISODES_AT_FIRST = 32, 16  # of each set; with fewer than 16 there is no verdict
+SHORT = "{" + ",".join(env.rpartition("/")[2] for env in ENVIRONMENTS) + "}"  # as helps show them
 PAPERS = ("none", "strawa2021", "focchi2025")
 
 
@@ -62,8 +63,9 @@ class Config:
     """What to compare, on what, and where the results go."""
 
     env: str = option(
-        TORQUE_ID, "environment id: sprocket torques as actions, or speeds, on level ground or "
-        "on slopes", type=short_env, choices=ENVIRONMENTS,
+        TORQUE_ID, "environment id, with or without `tracked_env/`: sprocket torques as actions, "
+        "or speeds, on level ground or on slopes", type=short_env, choices=ENVIRONMENTS,
+        metavar=SHORT,
     )  # fmt: skip
     policies: tuple[str, ...] | None = option(
         None,

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 
 from tracked_env.cli.evaluate_command import run_config
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, add_options, config_of, short_env
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, SHORT, add_options, config_of, short_env
 
 # What a leaderboard has in its own way; everything else is as in `tracked-env evaluate`.
 _FIXED = ("env", "policies", "trust", "sets", "sensors", "reference", "duration", "lateral",
@@ -20,7 +20,7 @@ def main(arguments: Sequence[str], program: str) -> int:
         "leaderboard.md and leaderboard.html.",
     )
     parser.add_argument(
-        "--env", type=short_env, choices=ENVIRONMENTS, help="this environment alone"
+        "--env", type=short_env, choices=ENVIRONMENTS, metavar=SHORT, help="this environment alone"
     )
     add_options(parser, without=_FIXED)
     given = parser.parse_args(arguments)

@@ -25,20 +25,21 @@ help: ## list the commands
 
 install: $(STAMP) ## create the virtual environment and install everything but the docs tools
 
-evaluate: $(STAMP) ## compare the policies on the uncertainty sets (the main job)
+evaluate: $(STAMP) ## compare a few policies on a few sets: a first look, about a minute
 	$(BIN)/python evaluate.py $(EVALUATE_ARGS)
 
 paper: $(STAMP) ## run both papers again: their claims, figures, one page each (minutes)
 	$(BIN)/python evaluate.py --paper strawa2021 $(EVALUATE_ARGS)
 	$(BIN)/python evaluate.py --paper focchi2025 $(EVALUATE_ARGS)
 
-leaderboard: $(STAMP) ## evaluate controllers and shipped agents, and renew the tables of results
+leaderboard: $(STAMP) ## evaluate controllers and shipped agents on all sets, and renew the tables of results
+	@echo "All policies on all sets of three environments: about 40 minutes of one processor."
 	rm -rf results/leaderboard
-	$(BIN)/python evaluate.py --no-figures --output results/leaderboard
+	$(BIN)/python evaluate.py --all --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/publish.py results/leaderboard/torque-v3-seed0-*
-	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --no-figures --output results/leaderboard
+	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --all --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/publish.py results/leaderboard/speed-v3-seed0-*
-	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --no-figures --output results/leaderboard
+	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --all --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/publish.py results/leaderboard/terrain-v3-seed0-*
 
 tune: $(STAMP) ## search the settings of the controllers on development episodes (an hour)

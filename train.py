@@ -50,7 +50,7 @@ try:
     from agents.training.environments import make_held_out
     from agents.training.folder import AlreadyFinished, begin, finish, going_on
     from agents.training.learner import Diverged, Learner
-    from agents.training.options import Options, in_words, options_of_train
+    from agents.training.options import REGISTRY, Options, in_words, options_of_train
     from agents.training.progress import Progress
     from agents.training.run import Run, chosen_settings, resolve
     from agents.training.unread_options import check_given, check_names
@@ -249,7 +249,7 @@ def command(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     try:
         check_names(given)
-        options: Any = tyro.cli(both, args=given, description=__doc__)
+        options: Any = tyro.cli(both, args=given, description=__doc__, registry=REGISTRY)
         check_given(given, options)
     except ValueError as error:
         return failed(error)

@@ -1,6 +1,7 @@
 """train.py from the command line: a folder with an agent, killed and resumed, in the benchmark."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -104,6 +105,7 @@ def test_the_help_lists_what_there_is(repository):
     ):  # fmt: skip
         assert name in result.stdout
     assert "{None" not in result.stdout and "INTEGER" in result.stdout
+    assert not re.search(r"\b(INT|FLOAT|STR)\b", result.stdout)
 
 
 @pytest.mark.parametrize(

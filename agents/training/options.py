@@ -6,8 +6,13 @@ from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, cast, get_args, get_origin
 
+import gymnasium
 import tyro.conf
-from tyro.constructors import PrimitiveConstructorSpec
+from tyro.constructors import (
+    ConstructorRegistry,
+    PrimitiveConstructorSpec,
+    PrimitiveTypeInfo,
+)
 
 from agents.algorithms import ALGORITHMS
 from agents.algorithms.settings import check
@@ -72,7 +77,7 @@ class Options:
     """Vehicles stepped together."""
 
     env: str = TORQUE_ID
-    """Id of the environment."""
+    """Id of the environment, with or without `tracked_env/`."""
 
     uncertainty: tuple[str, ...] | None = None
     """Uncertainty sets to train on (default: that of ENV), or `mixture` for all that
@@ -166,6 +171,9 @@ class Options:
     """Settings of augmentation student."""
 
     def __post_init__(self) -> None:
+        ours = f"tracked_env/{self.env}"
+        if self.env not in gymnasium.registry and ours in gymnasium.registry:
+            object.__setattr__(self, "env", ours)
         check(self)
         if self.agent is not None and self.agent not in ALGORITHMS:
             known = ", ".join(ALGORITHMS)
@@ -207,6 +215,21 @@ class Options:
 
 
 WORDS: dict[Any, str] = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH", Folder: "PATH"}
+
+# Names the types of all options by these words too, where they may not be left out.
+REGISTRY = ConstructorRegistry()
+
+
+@REGISTRY.primitive_rule
+def _by_words(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    of: Any = kind.type
+    if of not in (int, float, str):
+        return None
+    return PrimitiveConstructorSpec(
+        1, WORDS[of], lambda words: of(words[0]),
+        lambda given: isinstance(given, of) or (of is float and isinstance(given, int)),
+        lambda given: [str(given)],
+    )  # fmt: skip
 
 
 def in_words(kind: Any) -> Any:

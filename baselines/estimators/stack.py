@@ -241,6 +241,22 @@ class IdentificationStack:
         links.advance(motion, behind, paired.values, attitude_of(latest))
         return Identification(reading, motion, estimates, self.quantities, self.soil.limit_known)
 
+    def compile_kernels(self) -> None:
+        """Compile what `update` calls, the last estimators first; what is known then is no matter.
+
+        A process that does this beside one that drives meets it half way.
+        """
+        nothing = np.zeros(self._shape, dtype=np.float32)
+        reading = self.reader.take(nothing, ~self._none)
+        latest, paired = reading.latest, reading.paired
+        if self._added:
+            added = self._samples(nothing)
+            latest, paired = (WiderMeasurement.of(one, added) for one in (latest, paired))
+        for _, part in reversed(self._after):
+            measurement = paired if part.paired else latest
+            compute = part.compute if isinstance(part, AnsweringEstimator) else part.update
+            compute(measurement)
+
     def _samples(self, observation: NDArray[np.float32]) -> Mapping[str, NDArray[np.float64]]:
         """The fields besides sensors by name, (N,) SI."""
         return {

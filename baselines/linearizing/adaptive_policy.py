@@ -223,6 +223,15 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             )  # fmt: skip
         return action, memory
 
+    def compile_kernels(self) -> None:
+        """Compile most of what `predict` calls, the last first, see `stack.compile_kernels`."""
+        self._build(1)
+        shown = self._view(np.zeros(self._view.size, dtype=np.float32))
+        self._drive(shown, np.ones(1, dtype=bool), None, np.zeros((1, 2)))
+        self.stack.compile_kernels()
+        self._build(1)
+        self._given = None
+
     def freeze(self, rows: NDArray[np.bool_]) -> None:
         """Keep the controller's present parameters in these rows (N,), until they start anew.
 

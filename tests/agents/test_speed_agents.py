@@ -1,12 +1,14 @@
 """Agents that drive by sprocket speeds are trained and drive."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import train
 from agents.loading import agent_entry
+from agents.training.options import Options
 from tests.agents.agent_cases import small
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID
 from tracked_env import observation as obs
@@ -15,6 +17,13 @@ from tracked_env.env import TrackedVehicleEnv
 from tracked_env.sensors import MOCAP
 
 CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
+
+
+@pytest.mark.parametrize("env", [SPEED_ID, SPEED_ID.rpartition("/")[2]])
+def test_an_environment_is_known_with_and_without_its_name_space(env):
+    options = Options(env=env)
+    assert options.env == SPEED_ID and options.folder == Path("runs/Speed-v0/ppo-blind-seed0")
+    assert Options(env="Unknown-v0").env == "Unknown-v0"  # refused by its own name
 
 
 @pytest.mark.parametrize("kind", ["blind", "history", "estimates", "residual", "teacher"])

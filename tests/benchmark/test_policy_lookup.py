@@ -59,6 +59,16 @@ def test_a_registered_agent_is_known_by_its_name_with_all_its_seeds(tmp_path: Pa
     assert archives("new=ppo", shipped) == [("new", path) for path in shipped["ppo"]]
 
 
+def test_one_training_of_a_registered_agent_is_called_as_among_all_of_them(tmp_path: Path) -> None:
+    shipped = {"ppo": made(tmp_path, "ppo-seed0/agent.zip", "ppo-seed1/agent.zip")}
+    assert names(["ppo@1"], shipped=shipped) == ["ppo@1"]
+    assert names(["new=ppo@1", "ppo@0"], shipped=shipped) == ["new@1", "ppo@0"]
+    assert names(["ppo@1", "ppo"], shipped=shipped) == ["ppo@1", "ppo@0"]
+    assert archives("ppo@1", shipped) == [("ppo", shipped["ppo"][1])]
+    with pytest.raises(ValueError, match=r"unknown seed of 'ppo' '7'; known are \['0', '1'\]"):
+        names(["ppo@7"], shipped=shipped)
+
+
 def test_an_agent_without_archives_is_refused_with_where_they_are() -> None:
     for spec in ("tqc", "new=tqc"):
         with pytest.raises(ValueError, match=r"'tqc' .* 0 archives .* wheel .* clone") as refused:

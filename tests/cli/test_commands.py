@@ -172,7 +172,7 @@ def test_leaderboard_evaluates_everything_on_every_environment(
         lambda config, program: asked.append(config) or 0,
     )
     assert main(["leaderboard", "--episodes", "3", "--output", "board"]) == 0
-    shown = {"episodes": 3, "output": Path("board"), "figures": False}
+    shown = {"all": True, "episodes": 3, "output": Path("board"), "figures": False}
     assert asked == [Config(env=env, **shown) for env in (TORQUE_ID, SPEED_ID, TERRAIN_ID)]  # type: ignore[arg-type]
 
 

@@ -2,6 +2,7 @@
 
     name                  that a package registers (`registered_policies`)
     module:attribute      an object with `predict`, or a class or function that makes one
+    NAME@SEED             one training of such an agent
     path/to/agent.zip     a trained agent; opened by a function that the caller passes in
     NAME=any of these     under another name; the path may be a pattern: every file that matches
                           is one training of the agent NAME
@@ -29,6 +30,7 @@ from tracked_env.benchmark.policy_interface import (
     load_policy,
 )
 from tracked_env.benchmark.summary import SEED_MARK
+from tracked_env.validation import unknown
 
 ARCHIVE = ".zip"
 NAME_LIMIT = 200  # [characters] of the name of a policy
@@ -100,6 +102,12 @@ def archives(spec: str, shipped: Mapping[str, Sequence[Path]]) -> list[tuple[str
                 "install --only-binary tracked-env tracked-env), or use a clone of the repository"
             )
         return [(given or source, path) for path in shipped[source]]
+    agent, _, seed = source.rpartition(SEED_MARK)
+    if agent in shipped:
+        one = dict(zip(_seeds(shipped[agent]), shipped[agent], strict=True))
+        if seed not in one:
+            raise unknown(f"seed of {agent!r}", seed, one)
+        return [(given or agent, one[seed])]
     if not source.endswith(ARCHIVE):
         return []
     paths = [Path(found) for found in sorted(glob.glob(source))] or [Path(source)]
@@ -143,7 +151,9 @@ def load_policies(
         for name, path in found:
             if name not in trained:  # its place in the order; filled in below
                 entries.append(PolicyEntry(name, _nothing, ""))
-            trained.setdefault(name, []).append(path)
+            paths = trained.setdefault(name, [])
+            if path not in paths:  # as `NAME` and `NAME@SEED` have it
+                paths.append(path)
     names = [entry.name for entry in entries]
     for name in names:
         if not name.isprintable() or len(name) > NAME_LIMIT or SEED_MARK in name:

@@ -46,7 +46,8 @@ CHANGING = {
     "tracked_env/Speed-v0": ("friction-step", "floor-mixed", "floor-outages-alternating"),
     "tracked_env/Terrain-v0": ("slope-payload", "slope-step-late", "slope-payload-outages"),
 }  # fmt: skip
-_FIXED = ("trust", "sensors", "reference", "duration", "lateral", "video", "paper", "shard")
+_FIXED = ("trust", "sensors", "reference", "duration", "lateral", "video", "paper", "shard",
+          "all")  # fmt: skip
 
 
 def both(entries: Sequence[PolicyEntry], config: BenchmarkConfig) -> list[PolicyEntry]:
@@ -92,7 +93,9 @@ def main(arguments: Sequence[str], program: str) -> int:
     config = config_of(parser.parse_args(arguments))
     config = replace(config, sets=config.sets or CHANGING[config.env])
     assert config.sets is not None
-    benchmark = BenchmarkConfig(config.sets, config.episodes, config.seed, chunk=config.chunk)
+    benchmark = BenchmarkConfig(
+        config.sets, config.episodes_per_set, config.seed, chunk=config.chunk
+    )
     if benchmark.env != config.env:
         raise unknown(f"set of {config.env}", config.sets[0], CHANGING[config.env])
     policies = registered_policies()

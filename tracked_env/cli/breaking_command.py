@@ -40,7 +40,9 @@ def _options(arguments: Sequence[str], program: str) -> argparse.Namespace:
         description="Find, for each policy and difficulty, the level at which half of the episodes "
         "fail, on the same episodes. What was run is kept, and only what is missing is run.",
     )
-    parser.add_argument("--env", type=short_env, choices=(TORQUE_ID, SPEED_ID), default=TORQUE_ID)
+    parser.add_argument("--env", type=short_env, choices=(TORQUE_ID, SPEED_ID), default=TORQUE_ID,
+                        metavar="{Torque-v0,Speed-v0}",
+                        help=f"environment id (default: {TORQUE_ID})")  # fmt: skip
     parser.add_argument(
         "--policies", nargs="+", type=names, metavar="POLICY",
         help="as in `tracked-env evaluate`; by default all that are registered",

@@ -30,7 +30,7 @@ from tracked_env.benchmark.splits import DEVELOPMENT
 from tracked_env.benchmark.store import Store, identity_hash, write_atomically
 from tracked_env.benchmark.summary import agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned, markdown_rows
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, names, short_env
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, SHORT, names, short_env
 from tracked_env.cli.exit_status import reported
 
 _KNOWN = ("nominal", "floor", "level")  # nothing is unknown there: no candidates
@@ -57,7 +57,8 @@ def _options(arguments: Sequence[str], program: str) -> Options:
         "memory from blind ones, adaptive controllers from others; and which candidates rank the "
         "policies alike. Episodes are those of the development split.",
     )
-    parser.add_argument("--env", type=short_env, choices=ENVIRONMENTS, default=TORQUE_ID)
+    parser.add_argument("--env", type=short_env, choices=ENVIRONMENTS, default=TORQUE_ID,
+                        metavar=SHORT, help=f"environment id (default: {TORQUE_ID})")  # fmt: skip
     parser.add_argument(
         "--policies", nargs="+", type=names, metavar="POLICY",
         help="as in `tracked-env evaluate`; by default all that are registered",

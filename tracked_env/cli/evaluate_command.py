@@ -36,6 +36,7 @@ from tracked_env.benchmark.summary import rows_of
 from tracked_env.benchmark.training_curves import read_costs, read_curves
 from tracked_env.cli import clone
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, Config, parsed
+from tracked_env.cli.first_look import FIRST_LOOKS, compile_kernels, first_policies
 from tracked_env.validation import checked_choice, name_or_json
 
 
@@ -47,14 +48,16 @@ class Extras(NamedTuple):
 
 
 INSTALLED = Extras()
+STEP_TIME = 25e-6  # [s] of a processor for a control step of one vehicle, a mean of all policies
+LONG = 5_000_000  # control steps of vehicles, about two minutes
 
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
     """The part of the command line that the benchmark knows. Raises ValueError."""
     checked_choice("environment", config.env, ENVIRONMENTS)
     return BenchmarkConfig(
-        sets=config.sets or default_sets(config.env, config.sets_version),
-        episodes=config.episodes,
+        sets=chosen_sets(config),
+        episodes=config.episodes_per_set,
         seed=config.seed,
         reference=name_or_json(config.reference, "reference"),
         sensors=name_or_json(config.sensors, "sensors"),
@@ -63,6 +66,13 @@ def benchmark_config(config: Config) -> BenchmarkConfig:
         chunk=config.chunk,
         version=config.sets_version,
     )
+
+
+def chosen_sets(config: Config) -> tuple[str, ...]:
+    """Those that are named, else those of the first look or all."""
+    if config.is_first_look:
+        return FIRST_LOOKS[config.env].sets
+    return config.sets or default_sets(config.env, config.sets_version)
 
 
 def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
@@ -182,6 +192,8 @@ def compare(config: Config, program: str, extras: Extras) -> int:
         policies = registered_policies()
         registry, trained = by_name(policies, benchmark.env)
         specs = config.policies or default_names(policies, benchmark.env)
+        if config.is_first_look:
+            specs = first_policies(benchmark.env, specs)
         entries = load_policies(specs, registry, trained, open_with(config, extras))
         for entry in entries:  # reject incompatible policies first
             checked_policy(entry, benchmark.context(benchmark.sets[0]))
@@ -202,7 +214,16 @@ def compare(config: Config, program: str, extras: Extras) -> int:
         print(f"shard {config.shard}: {missing} of {asked} episodes run here")
     elif missing < asked:
         print(f"{asked - missing} of {asked} episodes are already in {store.folder}")
+    if config.is_first_look and not config.quiet:
+        print(f"a first look: {', '.join(specs)}; --all compares everything")
+    if config.is_first_look and executor is None and tasks:
+        compile_kernels(benchmark, specs, entries)
     steps = sum(len(task.episodes) * benchmark.max_steps(task.uncertainty_set) for task in tasks)
+    if steps > LONG and executor is None and not config.quiet:
+        print(
+            f"{missing} episodes take about {steps * STEP_TIME / 60:.0f} min of one processor; "
+            "--workers N shares them, and an interrupted run goes on where it was"
+        )
     with progress_bar(steps, config.quiet) as progress:
         records = run(benchmark, entries, store, progress, executor)
     if config.shard is not None:
@@ -226,8 +247,9 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     leaderboard.write(store.folder, board)
     if not config.quiet:
         width = shutil.get_terminal_size().columns
-        tables = report.terminal(summary, width), leaderboard.terminal(board, width)
-        print(f"\n{tables[0]}\n\n\nLeaderboard\n\n{tables[1]}\n")
+        if not config.is_first_look:
+            print(f"\n{report.terminal(summary, width)}\n")
+        print(f"\nLeaderboard\n\n{leaderboard.terminal(board, width)}\n")
     files = draw(config, benchmark, entries, store, records, leaderboard.shown(board))
     curves = read_curves(folders)
     page = leaderboard_page.write(

@@ -17,9 +17,14 @@ worse than the others; the leaderboard orders them by score. Results go to a fol
 the configuration, under OUTPUT: results.json, episodes.csv, summary.md, leaderboard.html and
 figures.
 
+Where neither policies nor sets are named, a few policies drive a few episodes of four sets, in
+about a minute: a first look. --all compares everything that is registered, on all sets.
+
 An interrupted run loses at most the chunk of episodes in progress; run it again to continue.
 """
 ENVIRONMENTS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)  # those with evaluation sets
+EPISODES, EPISODES_AT_FIRST = 32, 16  # of each set; with fewer than 16 there is no verdict
+SHORT = "{" + ",".join(env.rpartition("/")[2] for env in ENVIRONMENTS) + "}"  # as helps show them
 PAPERS = ("none", "strawa2021", "focchi2025")
 
 
@@ -58,14 +63,16 @@ class Config:
     """What to compare, on what, and where the results go."""
 
     env: str = option(
-        TORQUE_ID, "environment id: sprocket torques as actions, or speeds, on level ground or "
-        "on slopes", type=short_env, choices=ENVIRONMENTS,
+        TORQUE_ID, "environment id, with or without `tracked_env/`: sprocket torques as actions, "
+        "or speeds, on level ground or on slopes", type=short_env, choices=ENVIRONMENTS,
+        metavar=SHORT,
     )  # fmt: skip
     policies: tuple[str, ...] | None = option(
         None,
         "policies to compare, separated by spaces or commas; the first one is the baseline. By "
-        "default all that are registered for the environment: `tracked-env policies` lists them. "
-        "NAME: a registered controller or agent, with all its seeds. path/to/agent.zip: an agent "
+        "default, where sets are named, all that are registered for the environment: `tracked-env "
+        "policies` lists them. NAME: a registered controller or agent, with all its seeds. "
+        "NAME@SEED: one of them. path/to/agent.zip: an agent "
         "of train.py, or, with --trust, any other archive of Stable-Baselines3. "
         "NAME=runs/ppo-*/agent.zip: the seeds of one agent, summarised together. "
         "module:attribute: any object with a `predict` as in Stable-Baselines3, or what makes one; "
@@ -80,17 +87,25 @@ class Config:
     )
     sets: tuple[str, ...] | None = option(
         None,
-        "evaluation sets: laws of vehicle, soil and changes, and sensors. By default all of the "
-        "environment but the known ones: `tracked-env envs` lists them",
+        "evaluation sets: laws of vehicle, soil and changes, and sensors, separated by spaces or "
+        "commas. By default, where policies are named, all of the environment but the known ones: "
+        "`tracked-env envs` lists them",
         nargs="+", type=names, metavar="SET",
+    )  # fmt: skip
+    all: bool = flag(
+        False, "all policies that are registered, unless some are named, on all sets, unless some "
+        "are named",
     )  # fmt: skip
     sets_version: str | None = option(
         None, "version of the frozen sets, such as v2; by default the newest one that holds them",
         metavar="VERSION",
     )  # fmt: skip
-    episodes: int = option(
-        32, "episodes per set; the frozen ones are the first 100 of each", type=int
-    )
+    episodes: int | None = option(
+        None,
+        f"episodes per set (default: {EPISODES}, and {EPISODES_AT_FIRST} where neither policies "
+        "nor sets are named); the frozen ones are the first 100 of each",
+        type=int, metavar="N",
+    )  # fmt: skip
     seed: int = option(0, "seed of the first episode; of the frozen ones it is 0", type=int)
     sensors: str | None = option(
         None,
@@ -144,6 +159,18 @@ class Config:
         "run the chunks on a Ray cluster (extra `cluster`): local, auto or HOST:PORT",
         metavar="ADDRESS",
     )
+
+    @property
+    def is_first_look(self) -> bool:
+        """Whether neither policies nor sets are named, nor all of them asked for."""
+        return not (self.policies or self.sets or self.sets_version or self.all)
+
+    @property
+    def episodes_per_set(self) -> int:
+        """How many episodes of each set are run."""
+        if self.episodes is not None:
+            return self.episodes
+        return EPISODES_AT_FIRST if self.is_first_look else EPISODES
 
 
 def add_options(parser: argparse.ArgumentParser, without: Sequence[str] = ()) -> None:

@@ -4,11 +4,11 @@ import argparse
 from collections.abc import Sequence
 
 from tracked_env.cli.evaluate_command import run_config
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, add_options, config_of, short_env
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, SHORT, add_options, config_of, short_env
 
 # What a leaderboard has in its own way; everything else is as in `tracked-env evaluate`.
 _FIXED = ("env", "policies", "trust", "sets", "sensors", "reference", "duration", "lateral",
-          "figures", "video", "paper")  # fmt: skip
+          "figures", "video", "paper", "all")  # fmt: skip
 
 
 def main(arguments: Sequence[str], program: str) -> int:
@@ -20,13 +20,13 @@ def main(arguments: Sequence[str], program: str) -> int:
         "leaderboard.md and leaderboard.html.",
     )
     parser.add_argument(
-        "--env", type=short_env, choices=ENVIRONMENTS, help="this environment alone"
+        "--env", type=short_env, choices=ENVIRONMENTS, metavar=SHORT, help="this environment alone"
     )
     add_options(parser, without=_FIXED)
     given = parser.parse_args(arguments)
     chosen = [given.env] if given.env else list(ENVIRONMENTS)
     for env in chosen:
-        given.env, given.figures = env, False
+        given.env, given.all, given.figures = env, True, False
         status = run_config(config_of(given), program)
         if status != 0:
             return status

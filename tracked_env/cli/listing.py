@@ -8,7 +8,7 @@ import gymnasium
 from tracked_env.benchmark import frozen
 from tracked_env.benchmark.registered_policies import registered_policies
 from tracked_env.benchmark.sets import SETS, default_sets, group_of, version_of
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, short_env
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, SHORT, short_env
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.entry_points import OURS
 
@@ -63,7 +63,11 @@ def main(arguments: Sequence[str], program: str) -> int:
         else "List the environments and their evaluation sets.",
     )
     parser.add_argument(
-        "--env", type=short_env, choices=ENVIRONMENTS, help="of this environment alone"
+        "--env",
+        type=short_env,
+        choices=ENVIRONMENTS,
+        metavar=SHORT,
+        help="of this environment alone",
     )
     chosen = parser.parse_args(arguments).env
     envs = ENVIRONMENTS if chosen is None else (chosen,)

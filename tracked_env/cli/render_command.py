@@ -14,7 +14,7 @@ from tracked_env.cli.evaluate_options import add_options, config_of
 from tracked_env.cli.exit_status import reported
 
 _OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk",
-           "quiet")  # fmt: skip
+           "quiet", "all")  # fmt: skip
 
 
 @reported

@@ -31,7 +31,7 @@ from tracked_env.benchmark.tuning_records import (
     sensitivity_rows,
 )
 from tracked_env.cli.evaluate_options import ENVIRONMENTS as IDS
-from tracked_env.cli.evaluate_options import names, short_env
+from tracked_env.cli.evaluate_options import SHORT, names, short_env
 from tracked_env.cli.exit_status import reported
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole, unknown
@@ -51,7 +51,7 @@ def _parser(program: str) -> argparse.ArgumentParser:
     )
     parser.add_argument("policy", help="a registered controller that declares its ranges")
     parser.add_argument("--env", type=short_env, choices=IDS, default=TORQUE_ID,
-                        help=f"environment id (default: {TORQUE_ID})")  # fmt: skip
+                        metavar=SHORT, help=f"environment id (default: {TORQUE_ID})")  # fmt: skip
     parser.add_argument("--sets", nargs="+", type=names, metavar="SET",
                         help="evaluation sets (default: all that separate policies)")  # fmt: skip
     parser.add_argument("--budget", type=int, default=80, metavar="N",

@@ -1,0 +1,127 @@
+"""The first look of `evaluate`: what it compares, and how its kernels are compiled."""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from baselines.estimators import soil_window, turning
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.predictive import predictive_control
+from baselines.predictive.predictive_policy import PredictivePolicy
+from tests.benchmark.stub_policies import Constant, entry
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env import observation as layout
+from tracked_env.benchmark import BenchmarkConfig, default_sets
+from tracked_env.benchmark.registered_policies import default_names, registered_policies
+from tracked_env.benchmark.sets import group_of, version_of
+from tracked_env.cli import first_look
+from tracked_env.cli.evaluate_command import benchmark_config
+from tracked_env.cli.evaluate_options import Config, parsed
+from tracked_env.cli.first_look import FIRST_LOOKS, first_policies
+from tracked_env.cli.main import main
+
+IDS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)
+
+
+@pytest.fixture(autouse=True)
+def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+
+
+@pytest.mark.parametrize("env", IDS)
+def test_where_nothing_is_named_a_set_of_each_group_has_few_episodes(env: str) -> None:
+    benchmark = benchmark_config(parsed(["--env", env], "test"))
+    version = version_of(env)
+    assert version is not None
+    assert [group_of(name, version) for name in benchmark.sets] == list(version.groups)
+    assert benchmark.episodes == 16
+    known = default_names(registered_policies(), env)
+    chosen = first_policies(env, known)
+    assert chosen == FIRST_LOOKS[env].policies
+    trained = [name for name in chosen if "@" in name]
+    assert len(trained) == 2 and len(chosen) - len(trained) == 4
+
+
+@pytest.mark.parametrize("env", IDS)
+@pytest.mark.parametrize("named", ["--all", "--policies=adaptive", "--sets-version=v3"])
+def test_all_sets_have_all_their_episodes_as_soon_as_something_is_named(
+    env: str, named: str
+) -> None:
+    config = parsed(["--env", env, *named.split("=")], "test")
+    benchmark = benchmark_config(config)
+    assert benchmark.sets == default_sets(env)
+    assert benchmark.episodes == 32
+    assert not config.is_first_look
+
+
+def test_a_number_of_episodes_that_is_given_holds_for_the_first_look_too() -> None:
+    assert Config(episodes=3).is_first_look
+    assert benchmark_config(Config(episodes=3)).episodes == 3
+    assert benchmark_config(Config(sets=("payload",), episodes=3)).episodes == 3
+
+
+def test_policies_that_are_not_registered_are_left_out_of_the_first_look() -> None:
+    assert first_policies(TORQUE_ID, ("mine", "adaptive", "oracle")) == ("adaptive", "oracle")
+    assert first_policies(TORQUE_ID, ("mine", "oracle")) == ("mine", "oracle")
+
+
+def test_the_command_alone_compares_its_policies_and_ends_with_the_page(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["evaluate", "--episodes", "1", "--duration", "0.5", "--no-figures"]) == 0
+    (page,) = Path("results").glob("*/leaderboard.html")
+    records = json.loads((page.parent / "results.json").read_text())["episodes"]
+    look = FIRST_LOOKS[TORQUE_ID]
+    assert {record["policy"] for record in records} == set(look.policies)
+    assert {record["set"] for record in records} == set(look.sets)
+    shown = capsys.readouterr().out.rstrip().splitlines()
+    assert "a first look" in shown[1] and "--all" in shown[1]
+    assert shown[-1].endswith(f"the page: {page}")
+    assert len(shown) < 60  # the leaderboard; all other tables are in the files
+
+
+@pytest.mark.parametrize(("seconds", "said"), [(0.4, True), (0.0, False)])
+def test_a_line_says_that_kernels_are_compiled_where_they_are(
+    seconds: float, said: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[Any] = []
+
+    class Pool:
+        def __init__(self, workers: int) -> None:
+            assert workers == 1
+
+        def results(self, function: Any, shared: Any, jobs: list[int]) -> Any:
+            asked.append((function, shared.specs))
+            return iter(())
+
+    monkeypatch.setattr(first_look, "WorkerPool", Pool)
+    monkeypatch.setattr(first_look, "PATIENCE", 0.2)
+    monkeypatch.setattr(first_look, "run_task", lambda task, config: time.sleep(seconds))
+    policy = entry("constant", lambda context: Constant())
+    first_look.compile_kernels(BenchmarkConfig(sets=("payload",)), ("constant",), [policy])
+    assert ("compiling kernels, once" in capsys.readouterr().err) == said
+    assert bool(asked) == said  # a second process, where there is something to compile
+    time.sleep(0.3)
+    assert bool(asked) == said
+
+
+@pytest.mark.parametrize("kind", [AdaptivePolicy, PredictivePolicy])
+def test_what_is_compiled_ahead_is_what_driving_calls(kind: type[AdaptivePolicy]) -> None:
+    kernels: list[Any] = [soil_window.update_all, turning.update_all]
+    if kind is PredictivePolicy:
+        kernels.append(predictive_control.plan_all)
+    ahead, fresh = kind(), kind()
+    ahead.compile_kernels()
+    compiled = [set(kernel.signatures) for kernel in kernels]
+    assert all(compiled)
+    seen = np.random.default_rng(0).normal(0.0, 0.1, (3, layout.SIZE)).astype(np.float32)
+    action, expected = ahead.predict(seen)[0], fresh.predict(seen)[0]
+    assert [set(kernel.signatures) for kernel in kernels] == compiled
+    np.testing.assert_array_equal(action, expected)  # and nothing of it is remembered

@@ -57,8 +57,6 @@ SECTIONS = (
     Section("libraries", "Other libraries", "Stable-Baselines3, RLlib and Minari.",
             ("tracked_env.sb3", "tracked_env.rllib", "tracked_env.datasets")),
 )  # fmt: skip
-# Not for other projects: the core behind the environments, and the command line.
-INTERNAL = ("tracked_env.engine", "tracked_env.cli", "tracked_env.entry_points")
 _FIELD = re.compile(r"^    (\w+): (.+?)  # (.+)$", re.MULTILINE)
 _ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
 _ITEM = re.compile(r"[*-] ")

@@ -21,6 +21,7 @@ IDS = {
     "speed_v0": "tracked_env/Speed-v0",
     "terrain_v0": "tracked_env/Terrain-v0",
 }  # page -> id
+DOCS = Path(__file__).resolve().parent
 
 
 def write_environment_pages(folder: Path) -> None:
@@ -46,8 +47,7 @@ def reference(env_id: str) -> str:
         "Info": _info(parts["Info"], info),
     }
     head = (
-        "| | |\n|--|--|\n"
-        f'| Make | `gymnasium.make("tracked_env:{env_id}")` |\n'
+        f'| Make | `gymnasium.make("tracked_env:{env_id}")` |\n|--|--|\n'
         f"| Action space | `{core.action_space}`: {_drive(core)[1]} of the sprockets |\n"
         f"| Observation space | `Box({core.layout.size}, float32)`: {len(core.layout.groups)} "
         "groups of sensor readings and the reference |\n"
@@ -137,4 +137,9 @@ def _info(text: str, info: dict[str, Any]) -> str:
 
 def _linked(text: str) -> str:
     """Files of the documentation that the docstring names, as links from docs/environments."""
-    return re.sub(r"docs/(\w+)\.md", r"[\1](../\1.md)", text)
+
+    def link(match: re.Match[str]) -> str:
+        title = (DOCS / f"{match[1]}.md").read_text(encoding="utf-8").partition("\n")[0]
+        return f"[{title.removeprefix('# ')}](../{match[1]}.md)"
+
+    return re.sub(r"docs/(\w+)\.md", link, text)

@@ -13,10 +13,12 @@ import gymnasium
 import pytest
 
 import tracked_env
-from docs.api_pages import INTERNAL, restructured
+from docs.api_pages import restructured
 from docs.environment_pages import IDS
 
 PUBLIC = ("tracked_env", "baselines")
+# Not for other projects: the core behind the environments, and the command line.
+INTERNAL = ("tracked_env.engine", "tracked_env.cli", "tracked_env.entry_points")
 VOID = ("img", "input", "br", "hr", "meta", "link", "source", "path", "use", "wbr", "line", "rect")
 
 

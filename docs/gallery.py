@@ -8,6 +8,7 @@ whole of it, and of an agent with several trainings the first one drives.
 """
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,8 +54,8 @@ VIEWS = {TORQUE_ID: "top", SPEED_ID: "top", TERRAIN_ID: "3d"}
 # Kinds of terrain that need more than their name.
 TERRAINS: dict[str, dict[str, Any]] = {
     "plane": {"slope_x": 0.2, "slope_y": 0.1},
-    "ramp": {"slope": 0.3},
-    "step": {"height": 0.2},
+    "ramp": {"slope": 0.3, "start": 0.0},
+    "step": {"height": 0.2, "start": 0.3},
     "waves": {"waves": [[0.15, 0.8, 0.3, 0.0], [0.08, -0.5, 1.6, 1.0]]},
     "map": {
         "heights": [[0.0, 0.1, 0.3, 0.4], [0.1, 0.4, 0.5, 0.3], [0.0, 0.3, 0.2, 0.0]],
@@ -145,12 +146,11 @@ def draw_terrain(kind: str, path: Path) -> None:
     env.close()
 
 
-def write_replay(path: Path) -> None:
-    """The clip on hills as a page in which the eye can be moved."""
+def write_replay(shown: Shown, path: Path) -> None:
+    """An episode as a page in which the eye can be moved."""
     from tracked_env.benchmark import video
     from tracked_env.rendering import viewer
 
-    (shown,) = (one for one in plants() if one.view == "3d")
     config, entry = prepared(shown)
     viewer.write_html(video.record_episode(config, entry, shown.set, 0), path)
 
@@ -170,8 +170,7 @@ def page() -> str:
         "## Terrains",
         "Each kind of `terrain`, with the vehicle after 2 s straight on.",
         "{.cards}\n" + "\n".join(
-            f"- ![Terrain of the kind {kind}](_static/gallery/terrain-{kind}.webp)\n\n"
-            f"  `{kind}`\n\n  `terrain={terrain(kind)}`"
+            card(f"terrain-{kind}", f"Terrain {kind}", f"`{kind}`", f"terrain={terrain(kind)}")
             for kind in KINDS
         ),
     ]  # fmt: skip
@@ -193,21 +192,33 @@ def page() -> str:
 def cards(shown: list[Shown]) -> str:
     """A list that the style sheet shows as cards."""
     return "{.cards}\n" + "\n".join(
-        f"- ![{one.policy} on the set {one.set}](_static/gallery/{one.name}.webp)\n\n"
-        f"  {one.title}\n\n  `{one.command}`"
+        card(one.name, f"{one.policy} on the set {one.set}", one.title, one.command)
         for one in shown
     )
+
+
+def card(name: str, alternative: str, title: str, code: str) -> str:
+    """One of them; without its picture as long as nobody has drawn it."""
+    drawn = (FOLDER / f"{name}.webp").exists()
+    picture = f"![{alternative}](_static/gallery/{name}.webp)" if drawn else "*not drawn yet*"
+    return f"- {picture}\n\n  {title}\n\n  `{code}`"
+
+
+def pictures() -> dict[str, tuple[Callable[[Any, Path], None], Any, str]]:
+    """Name -> what draws it, of what, and the file."""
+    jobs: dict[str, Any] = {one.name: (draw, one, f"{one.name}.webp") for one in plants()}
+    jobs["replay"] = (write_replay, plants()[-1], REPLAY)
+    jobs |= {f"terrain-{kind}": (draw_terrain, kind, f"terrain-{kind}.webp") for kind in KINDS}
+    for env in BASELINES:
+        shown = (*sets(env), *policies(env))
+        jobs |= {one.name: (draw, one, f"{one.name}.webp") for one in shown}
+    return jobs
 
 
 def main(names: list[str]) -> int:
     """Draw those that are named, or all that are missing; returns the exit status."""
     FOLDER.mkdir(parents=True, exist_ok=True)
-    jobs: dict[str, Any] = {one.name: (draw, one, f"{one.name}.webp") for one in plants()}
-    jobs["replay"] = (lambda _, path: write_replay(path), None, REPLAY)
-    jobs |= {f"terrain-{kind}": (draw_terrain, kind, f"terrain-{kind}.webp") for kind in KINDS}
-    for env in BASELINES:
-        shown = (*sets(env), *policies(env))
-        jobs |= {one.name: (draw, one, f"{one.name}.webp") for one in shown}
+    jobs = pictures()
     for name in names:
         if name not in jobs:
             print(

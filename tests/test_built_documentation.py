@@ -15,6 +15,7 @@ import pytest
 import tracked_env
 from docs.api_pages import restructured
 from docs.environment_pages import IDS
+from docs.gallery import FOLDER, pictures
 
 PUBLIC = ("tracked_env", "baselines")
 # Not for other projects: the core behind the environments, and the command line.
@@ -172,3 +173,10 @@ def test_the_class_docstring_of_the_environment_is_markdown_without_indentation(
     for line in lines:
         tables[line.startswith("|") and line.endswith("|")] += line.startswith("|")
     assert tables[False] == 0 and tables[True] > 40
+
+
+def test_the_gallery_has_a_picture_of_every_plant_terrain_set_and_policy_and_no_other() -> None:
+    drawn = {path.name for path in FOLDER.iterdir()}
+    expected = {file for _, _, file in pictures().values()}
+    assert drawn == expected, "python -m docs.gallery draws what is missing"
+    assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 6e6

@@ -160,7 +160,7 @@ def convert_docstring(
 ) -> None:
     """Hook of autodoc: the docstring becomes reStructuredText in place."""
     if any(line.startswith("## ") for line in lines):  # Markdown with tables: it has its own page
-        lines[:] = [lines[0], "", "Its docstring is the page on each environment id."]
+        lines[:] = [lines[0], "", "Its text is on the pages of the :doc:`ids </environment>`."]
     else:
         lines[:] = restructured("\n".join(lines)).split("\n")
     if what == "class" and (hasattr(thing, "_fields") or hasattr(thing, "__dataclass_fields__")):

@@ -16,7 +16,12 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import BenchmarkConfig, default_sets
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.policy_lookup import load_policies
-from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
+from tracked_env.benchmark.registered_policies import (
+    by_name,
+    default_names,
+    open_archive,
+    registered_policies,
+)
 from tracked_env.terrain.height_field import KINDS
 
 FOLDER = Path(__file__).resolve().parent / "_static" / "gallery"
@@ -51,6 +56,7 @@ class Shown(NamedTuple):
 # What drives on every set of an environment, and the set on which every policy is shown.
 BASELINES = {TORQUE_ID: "adaptive", SPEED_ID: "slc-adaptive", TERRAIN_ID: "slc"}
 VIEWS = {TORQUE_ID: "top", SPEED_ID: "top", TERRAIN_ID: "3d"}
+GOALS, WITH_GOAL = "goals-step", ("slc-replan", "slc-once")
 # Kinds of terrain that need more than their name.
 TERRAINS: dict[str, dict[str, Any]] = {
     "plane": {"slope_x": 0.2, "slope_y": 0.1},
@@ -88,10 +94,18 @@ def sets(env: str) -> list[Shown]:
 
 
 def policies(env: str) -> list[Shown]:
-    """Each policy at the end of the first episode of the first set of the leaderboard."""
-    names, _ = by_name(registered_policies(), env)
+    """Each policy at the end of the first episode of the first set of the leaderboard.
+
+    Those that need a goal are on no leaderboard, and drive on the set GOALS.
+    """
+    names = default_names(registered_policies(), env)
     track, first = env.partition("/")[2].lower(), default_sets(env)[0]
-    return [Shown(f"driver-{track}-{name}", f"`{name}`", env, name, first, "top") for name in names]
+    drivers = [(name, first, f"`{name}`") for name in names]
+    if env == SPEED_ID:
+        drivers += [(name, GOALS, f"`{name}`, which plans to a goal") for name in WITH_GOAL]
+    return [
+        Shown(f"driver-{track}-{name}", title, env, name, where) for name, where, title in drivers
+    ]
 
 
 def prepared(shown: Shown) -> tuple[BenchmarkConfig, PolicyEntry]:

@@ -12,7 +12,6 @@ BENCHMARK_ARGS ?=
 BIN        := $(VENV)/bin
 PIP        := $(BIN)/python -m pip --disable-pip-version-check
 STAMP      := $(VENV)/.installed
-DOCS_STAMP := $(VENV)/.installed-docs
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
@@ -23,7 +22,7 @@ help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-13s %s\n", $$1, $$2 }' Makefile
 	@echo "PIP_ARGS go to pip install, EVALUATE_ARGS, TUNE_ARGS, TRAIN_ARGS, PYTEST_ARGS and BENCHMARK_ARGS to their program."
 
-install: $(STAMP) ## create the virtual environment and install everything but the docs tools
+install: $(STAMP) ## create the virtual environment and install everything
 
 evaluate: $(STAMP) ## compare a few policies on a few sets: a first look, about a minute
 	$(BIN)/python evaluate.py $(EVALUATE_ARGS)
@@ -62,7 +61,7 @@ format: $(STAMP) ## sort imports and format the code
 	$(BIN)/python -m ruff check --select I --fix .
 	$(BIN)/python -m ruff format .
 
-docs: $(DOCS_STAMP) ## build the documentation into docs/_build/html
+docs: $(STAMP) ## build the documentation into docs/_build/html
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 
 tools: ## install each tool of docs/tools.md in its own environment and run its examples (GBs)
@@ -84,7 +83,7 @@ benchmark: $(STAMP) ## measure the speed of the environment beside its peers
 	$(BIN)/python benchmarks/speed.py $(BENCHMARK_ARGS)
 
 clean: clean-cache ## remove what tools and builds left (keeps results and the virtual environment)
-	rm -rf build dist docs/_build .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage
+	rm -rf build dist docs/_build docs/_generated docs/api .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage
 	rm -rf *.egg-info
 
 clean-cache: ## remove compiled code; needed after editing an inlined formula
@@ -124,10 +123,6 @@ $(STAMP): pyproject.toml constraints.txt
 	  echo "ERROR: could not create the virtual environment $(VENV); is the folder writable?" >&2; \
 	  exit 1; }
 	@$(call INSTALL,rl$(COMMA)render$(COMMA)cli$(COMMA)dev)
-	@touch $@
-
-$(DOCS_STAMP): $(STAMP)
-	@$(call INSTALL,docs)
 	@touch $@
 
 COMMA := ,

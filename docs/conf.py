@@ -1,18 +1,41 @@
-"""Sphinx configuration: Markdown pages (MyST; tutorials run while they are built), one from the
-docstring of the env, furo."""
+"""Sphinx configuration: Markdown pages (MyST; tutorials run while they are built), pages made of the
+code, furo."""
 
+import re
+import sys
+import tomllib
 from importlib.metadata import version as installed_version
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent))  # the repository, whatever else is installed
 
 project = "tracked-env"
 author = "tracked-env contributors"
 copyright = "2026, tracked-env contributors"
 release = version = installed_version("tracked-env")
 
-extensions = ["myst_nb", "sphinx.ext.mathjax"]  # myst_nb is myst_parser with cells that run
-myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
+extensions = [  # myst_nb is myst_parser with cells that run
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+]
+myst_enable_extensions = ["amsmath", "attrs_block", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
 exclude_patterns = ["_build", "_generated"]
 nitpicky = False
+smartquotes = False  # f' is a derivative
+autodoc_default_options = {
+    "members": True,
+    "ignore-module-all": True,
+    "show-inheritance": True,
+}
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+python_maximum_signature_line_length = 90
+toc_object_entries = False  # the side bar names modules, not each of 2000 functions
 
 nb_execution_mode = "force"  # numbers and figures are those of the code as it is
 nb_execution_raise_on_error = True
@@ -22,21 +45,50 @@ nb_output_stderr = "remove"  # progress bars
 
 html_theme = "furo"
 html_title = f"tracked-env {release}"
+html_static_path = ["_style"]
+html_extra_path = ["_static/gallery/replay.html"]
+html_css_files = ["site.css"]
 
 
-def write_environment_page(app: object) -> None:
-    """The class docstring is Markdown: hand it to MyST as a page."""
-    import inspect
-    from pathlib import Path
+def write_pages(app: object) -> None:
+    """Pages made of the code, and those of files that stand outside this folder."""
+    from docs.api_pages import write_api_pages, write_changed
+    from docs.environment_pages import write_environment_pages
+    from docs.gallery import page
 
-    from tracked_env.env import TrackedVehicleEnv
+    write_api_pages(HERE / "api")
+    write_environment_pages(HERE / "_generated")
+    write_changed(HERE / "_generated" / "gallery.md", page())
+    for name in ("CONTRIBUTING", "NOTATION", "CHANGELOG"):
+        text = (HERE.parent / f"{name}.md").read_text(encoding="utf-8")
+        write_changed(HERE / "_generated" / f"{name.lower()}.md", inside(text))
 
-    folder = Path(__file__).parent / "_generated"
-    folder.mkdir(exist_ok=True)
-    text = inspect.getdoc(TrackedVehicleEnv) or ""
-    (folder / "environment.md").write_text(text)
+
+def inside(text: str) -> str:
+    """Markdown of the repository's root with links as they are in this folder.
+
+    What has a page here is linked to it, everything else to the repository.
+    """
+    project = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))
+
+    def target(match: re.Match[str]) -> str:
+        path, _, place = match[1].partition("#")
+        if path in ("CONTRIBUTING.md", "NOTATION.md", "CHANGELOG.md"):
+            path = path.lower()
+        elif path.startswith("docs/"):
+            path = path.removeprefix("docs/")
+        elif path and "://" not in path:
+            path = f"{project['project']['urls']['Repository']}/blob/HEAD/{path}"
+        return f"]({path}#{place})" if place else f"]({path})"
+
+    return re.sub(r"\]\(([^)\s]+)\)", target, text)
 
 
-def setup(app: object) -> None:
+def setup(app: Sphinx) -> None:
     """Sphinx's hook."""
-    app.connect("builder-inited", write_environment_page)  # type: ignore[attr-defined]
+    from docs.api_pages import convert_docstring, shorten_signature, skip_member
+
+    app.connect("builder-inited", write_pages)
+    app.connect("autodoc-process-docstring", convert_docstring)
+    app.connect("autodoc-process-signature", shorten_signature)
+    app.connect("autodoc-skip-member", skip_member)

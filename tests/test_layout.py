@@ -15,7 +15,10 @@ PARALLEL = ("strawa2021", "focchi2025")  # folders of reproduce/ whose files may
 PUBLIC = {
     "create_dataset", "env_creator", "unpack", "IdentifiedObservation", "setup", "__all__",
     "author", "copyright", "extensions", "myst_enable_extensions", "myst_heading_anchors",
-    "exclude_patterns", "nitpicky", "html_theme", "html_title", "release",
+    "exclude_patterns", "nitpicky", "html_theme", "html_title", "release", "smartquotes",
+    "autodoc_default_options", "autodoc_member_order", "autodoc_typehints_format",
+    "python_maximum_signature_line_length", "toc_object_entries", "html_static_path",
+    "html_css_files", "html_extra_path",
 }  # fmt: skip
 # Equations of the model that the plants use in another form; tests compare the two.
 MODEL = {"tractive_effort", "regularised_sign", "kinetic_energy"}

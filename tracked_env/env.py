@@ -1,5 +1,6 @@
 """One tracked vehicle behind the Gymnasium interface: the simulation core with N = 1."""
 
+import inspect
 from typing import Any
 
 import gymnasium
@@ -32,92 +33,106 @@ def _checked_action(action: Any) -> NDArray[Any]:
 class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     """A skid-steering tracked vehicle on unknown soil follows a reference in time.
 
-        ## Description
-        A tracked vehicle turns by driving its two tracks differently: by their sprocket torques
-        (`tracked_env/Torque-v0`, after Strawa et al. 2021) or by their sprocket speeds
-        (`tracked_env/Speed-v0`, after Focchi et al. 2025, and `tracked_env/Terrain-v0`, the same on
-        slopes and hills; its page, docs/terrain_env.md, has what differs). Mass, inertia, soil
-        strength and resistance are drawn per episode, may change inside it, and are not observed.
-        The task is to stay on a moving reference pose.
-        SI units, body frame x forward and y left, yaw positive to the left.
+    ## Description
+    A tracked vehicle turns by driving its two tracks differently: by their sprocket torques
+    (`tracked_env/Torque-v0`, after Strawa et al. 2021) or by their sprocket speeds
+    (`tracked_env/Speed-v0`, after Focchi et al. 2025, and `tracked_env/Terrain-v0`, the same on
+    slopes and hills; its page, docs/terrain_env.md, has what differs). Mass, inertia, soil
+    strength and resistance are drawn per episode, may change inside it, and are not observed.
+    The task is to stay on a moving reference pose.
+    SI units, body frame x forward and y left, yaw positive to the left.
 
-        ## Action Space
-        `Box(-1, 1, (2,), float32)`
+    ## Action Space
+    `Box(-1, 1, (2,), float32)`
 
-        | index | action | min | max | unit |
-        |--|--|--|--|--|
-        | 0 | left sprocket torque over `torque_limit` | -1 | 1 | - |
-        | 1 | right sprocket torque over `torque_limit` | -1 | 1 | - |
+    | index | action | min | max | unit |
+    |--|--|--|--|--|
+    | 0 | left sprocket torque over `torque_limit` | -1 | 1 | - |
+    | 1 | right sprocket torque over `torque_limit` | -1 | 1 | - |
 
-        With `drive="speed"` it is the sprocket speed over `sprocket_speed_limit`. Values outside
-        are clipped; a non-finite value or a wrong shape is a ValueError. Equal actions drive
-        straight on; more on the right turns left.
+    With `drive="speed"` it is the sprocket speed over `sprocket_speed_limit`. Values outside
+    are clipped; a non-finite value or a wrong shape is a ValueError. Equal actions drive
+    straight on; more on the right turns left.
 
-        ## Observation Space
-        `Box(float32)`: sensor readings and the reference, each over its scale. No true state. The
-        table is that of `observation="v0"`; the attribute `layout` has the names, scales and table
-        of the groups that this environment shows.
+    ## Observation Space
+    `Box(float32)`: sensor readings and the reference, each over its scale. No true state. The
+    table is that of `observation="v0"`; the attribute `layout` has the names, scales and table
+    of the groups that this environment shows.
 
     OBSERVATION_TABLE
 
-        ## Rewards
-        Sum of bounded terms (`tracked_env.rewards`), in [-0.1, 1] per step: closeness of position
-        (weight 0.7), heading (0.15) and speed (0.15), minus effort (0.05) and change of the action
-        (0.05). Each is in `info`: `reward_position`, `reward_heading`, `reward_speed`,
-        `reward_effort`, `reward_smoothness`.
+    ## Rewards
+    Sum of bounded terms (`tracked_env.rewards`), in [-0.1, 1] per step: closeness of position
+    (weight 0.7), heading (0.15) and speed (0.15), minus effort (0.05) and change of the action
+    (0.05). Each is in `info`: `reward_position`, `reward_heading`, `reward_speed`,
+    `reward_effort`, `reward_smoothness`.
 
-        ## Starting State
-        Beside the start of the reference: U(-0.15, 0.15) contact lengths l forward and to the
-        left (0.3 m for l = 2 m), U(-0.1, 0.1) rad off, at its speed *U(0.8, 1.2).
+    ## Starting State
+    Beside the start of the reference: U(-0.15, 0.15) contact lengths l forward and to the
+    left (0.3 m for l = 2 m), U(-0.1, 0.1) rad off, at its speed *U(0.8, 1.2).
 
-        ## Episode End
-        Terminated: more than `error_limit` from the reference, or a non-finite state. Then the
-        observation keeps the last readings of the sensors, the reward is the worst, -0.1, and
-        `truth` and `tracking_error` show the state as it is.
-        Truncated: after `duration`, by the environment itself. `spec.max_episode_steps` is None,
-        because it would be a fixed number of steps while `duration` and `control_rate` are
-        arguments: Gymnasium's TimeLimit would cut longer episodes in their middle.
+    ## Episode End
+    Terminated: more than `error_limit` from the reference, or a non-finite state. Then the
+    observation keeps the last readings of the sensors, the reward is the worst, -0.1, and
+    `truth` and `tracking_error` show the state as it is.
+    Truncated: after `duration`, by the environment itself. `spec.max_episode_steps` is None,
+    because it would be a fixed number of steps while `duration` and `control_rate` are
+    arguments: Gymnasium's TimeLimit would cut longer episodes in their middle.
 
-        ## Arguments
-        All but a function are JSON-able; `tracked_env/Speed-v0` and `tracked_env/Terrain-v0` have
-        defaults of their own (`tracked_env.SPEED`, `tracked_env.TERRAIN`).
+    ## Arguments
+    All but a function are JSON-able; `tracked_env/Speed-v0` and `tracked_env/Terrain-v0` have
+    defaults of their own (`tracked_env.SPEED`, `tracked_env.TERRAIN`).
 
-        | argument | default | meaning |
-        |--|--|--|
-        | `reference` | `"random"` | name or dict, see `tracked_env.references` |
-        | `uncertainty` | `"soil-and-mass"` | set by name, {parameter: [low, high]}, or a function |
-        | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, `mocap`, .., or dict of overrides |
-        | `duration` | 30 | [s] of an episode |
-        | `control_rate` | 50 | [Hz] of actions and observations |
-        | `lateral` | `"sliding"` | of the lumped plant; or `"constrained"`, which patches refuse |
-        | `error_limit` | 5 | [m] distance that ends an episode |
-        | `time_step` | 0.0025 | [s] longest integration step; its error: docs/numerics.md |
-        | `vehicle` | `"strawa"` | nominal vehicle and soil: `strawa`, `focchi`, `focchi-short`, or
-        a dict, {"base": "focchi", parameter: value}: what is not named is of the base |
-        | `plant` | `"lumped"` | closed-form forces, `"distributed"`: patches under the tracks, or
-        `"terrain"`: these on uneven ground; a name of `tracked_env.plants`, or a `Plant` |
-        | `drive` | `"torque"` | what the actions are; `"speed"` needs one with patches |
-        | `patches` | (10, 4) | of the plants with patches: along and across a track |
-        | `plant_options` | None | {option: value} of the plant, see its file in `plants/` |
-        | `observation` | `"v0"` | groups that are shown: a list of names from the table above |
-        | `expose_truth` | False | put true state and parameters into `info["truth"]` |
-        | `render_mode` | None | `"human"` or `"rgb_array"` |
-        | `terrain` | None | of the plant `"terrain"`, level if None; see docs/terrain.md |
+    | argument | default | meaning |
+    |--|--|--|
+    | `reference` | `"random"` | name or dict, see `tracked_env.references` |
+    | `uncertainty` | `"soil-and-mass"` | set by name, {parameter: [low, high]}, or a function |
+    | `sensors` | `"rtk"` | preset `ideal`, `rtk`, `strawa`, `mocap`, .., or dict of overrides |
+    | `duration` | 30 | [s] of an episode |
+    | `control_rate` | 50 | [Hz] of actions and observations |
+    | `lateral` | `"sliding"` | of the lumped plant; or `"constrained"`, which patches refuse |
+    | `error_limit` | 5 | [m] distance that ends an episode |
+    | `time_step` | 0.0025 | [s] longest integration step; its error: docs/numerics.md |
+    | `vehicle` | `"strawa"` | nominal one: `strawa`, `focchi`, `focchi-short`, or a dict |
+    | `plant` | `"lumped"` | `"lumped"`, `"distributed"`, `"terrain"` or a `Plant`, see below |
+    | `drive` | `"torque"` | what the actions are; `"speed"` needs one with patches |
+    | `patches` | (10, 4) | of the plants with patches: along and across a track |
+    | `plant_options` | None | {option: value} of the plant, see its file in `plants/` |
+    | `observation` | `"v0"` | groups that are shown: a list of names from the table above |
+    | `expose_truth` | False | put true state and parameters into `info["truth"]` |
+    | `render_mode` | None | `"human"` or `"rgb_array"` |
+    | `terrain` | None | of the plant `"terrain"`, level if None; see docs/terrain.md |
 
-        `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
-        `lateral_model` (formerly `closure`; {parameter: value}), `reference`, `sensors`, `schedule`
-        (a list of changes, see `tracked_env.events`), `start` ({offset_x, offset_y, offset_yaw,
-        speed, yaw_rate}) and `terrain` (the number of one of those that are drawn from). An unknown
-        key is a ValueError, and so is a parameter that the plant does not read
-        (docs/uncertainty.md has the table).
+    A `vehicle` may be a dict, {"base": "focchi", parameter: value}: what is not named is of the
+    base. The plants: `"lumped"` has closed-form forces, `"distributed"` patches under the tracks,
+    `"terrain"` these on uneven ground; others have the name under which
+    `tracked_env.plants.register` knows them.
 
-        ## Info
-        `tracking_error` (2,) [m, rad]: distance to the reference, heading error; the terms of the
-        reward, one number each; `is_success`: ended by time with an RMSE below l/4; `truth` when
-        asked for.
+    `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
+    `lateral_model` (formerly `closure`; {parameter: value}), `reference`, `sensors`, `schedule`
+    (a list of changes, see `tracked_env.events`), `start` ({offset_x, offset_y, offset_yaw,
+    speed, yaw_rate}) and `terrain` (the number of one of those that are drawn from). An unknown
+    key is a ValueError, and so is a parameter that the plant does not read
+    (docs/uncertainty.md has the table).
 
-        ## Version History
-        * v0: initial version
+    ## Info
+    | key | value | meaning |
+    |--|--|--|
+    | `tracking_error` | (2,) [m, rad] | true distance to the reference, heading error |
+    | `reward_position` | float | term of the reward: closeness of position |
+    | `reward_heading` | float | closeness of heading |
+    | `reward_speed` | float | closeness of speed |
+    | `reward_effort` | float | mean square of the action |
+    | `reward_smoothness` | float | mean square of the change of the action |
+    | `is_success` | bool | the episode has ended by time, with an RMSE below l/4 |
+    | `ended_off_path` | bool | on terrain: ended more than `error_limit` from the reference |
+    | `ended_tilted` | bool | on terrain: more than the option `tilt_limit` off the vertical |
+    | `ended_off_map` | bool | on terrain: a patch is beyond the edge of the height map |
+    | `ended_overloaded` | bool | on terrain: the moment at which a uniform load tips |
+    | `truth` | dict | with `expose_truth`: state and parameters by name, SI |
+
+    ## Version History
+    * v0: initial version
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012, an instance variable in Gymnasium
@@ -226,6 +241,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             self._renderer = None
 
 
-TrackedVehicleEnv.__doc__ = (TrackedVehicleEnv.__doc__ or "").replace(
-    "OBSERVATION_TABLE", "    " + obs.markdown_table().replace("\n", "\n    ")
+# Indentation first: it is that of the source, and the table has none.
+TrackedVehicleEnv.__doc__ = inspect.cleandoc(TrackedVehicleEnv.__doc__ or "").replace(
+    "OBSERVATION_TABLE", obs.markdown_table()
 )

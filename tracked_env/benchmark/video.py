@@ -64,21 +64,37 @@ def draw(
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(f"file {path}: must end in {', '.join(FORMATS)}")
-    policy = checked_policy(entry, config.context(uncertainty_set))
+    steps = FORMATS[suffix]
+    drawn = pictures(config, entry, uncertainty_set, episode, steps, view)
     path.parent.mkdir(parents=True, exist_ok=True)
     ours = f".{os.getpid()}.tmp"  # as `files.temporary` has it: a later run removes what is left
     with tempfile.TemporaryDirectory(prefix=".video", suffix=ours, dir=path.parent) as place:
         new = Path(place) / f"new{suffix}"
         try:
-            env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
-            steps = FORMATS[suffix]
-            driven = _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, steps)
-            _write(new, _pictures(env, driven, view), config.control_rate / steps)
+            _write(new, drawn, config.control_rate / steps)
         except (ImportError, gymnasium.error.DependencyNotInstalled) as error:
             raise ImportError(
                 f"{error}; pictures need pip install 'tracked-env[render]'"
             ) from error
         os.replace(new, path)
+
+
+def pictures(
+    config: BenchmarkConfig,
+    entry: PolicyEntry,
+    uncertainty_set: str,
+    episode: int,
+    steps: int,
+    view: str = "top",
+) -> Iterator[Picture]:
+    """Pictures of one episode: at the start, after each `steps` control steps, and at the end.
+
+    Raises as `draw`.
+    """
+    policy = checked_policy(entry, config.context(uncertainty_set))
+    env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
+    driven = _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, steps)
+    return _pictures(env, driven, view)
 
 
 def record_episode(

@@ -1,0 +1,183 @@
+"""Pages of the API reference: the docstrings of every public module, as `docs/conf.py` asks.
+
+A docstring of this project is plain text. Paragraphs and `code` read as in Markdown, `*` begins an
+item of a list, and an indented block is a formula or a table that is shown as it stands.
+"""
+
+import importlib
+import inspect
+import pkgutil
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+
+class Section(NamedTuple):
+    """One page: its file, its title, a sentence, and the modules; a package brings all of its."""
+
+    file: str
+    title: str
+    sentence: str
+    modules: tuple[str, ...]
+
+
+SECTIONS = (
+    Section("environments", "Environments", "The single and the vector environment, their rewards "
+            "and the changes inside an episode.",
+            ("tracked_env", "tracked_env.env", "tracked_env.vector_env", "tracked_env.rewards",
+             "tracked_env.events", "tracked_env.streams", "tracked_env.validation")),
+    Section("wrappers", "Wrappers and observations", "What an agent sees: groups of fields, "
+            "sensors with their errors, and what an observer appends.",
+            ("tracked_env.wrappers", "tracked_env.observation", "tracked_env.observation_fields",
+             "tracked_env.sensors", "tracked_env.sensor_draws")),
+    Section("episodes", "References, uncertainty and ground", "What an episode is made of: the "
+            "motion to follow, the laws of what is unknown, and the terrain.",
+            ("tracked_env.references", "tracked_env.uncertainty", "tracked_env.terrain")),
+    Section("plants", "Plants", "The equations of motion as the engine takes them, one file for "
+            "each plant.", ("tracked_env.plants",)),
+    Section("physics", "Physics", "Pure formulas: terramechanics, contact, rigid bodies and "
+            "integration.", ("tracked_env.physics",)),
+    Section("benchmark", "Benchmark", "Frozen sets, policies, metrics, statistics and the "
+            "leaderboard.", ("tracked_env.benchmark",)),
+    Section("controllers", "Controllers", "Feedback linearization, its adaptive augmentations, "
+            "model predictive and Lyapunov control.",
+            ("baselines.registry", "baselines.batch_policy", "baselines.linearizing",
+             "baselines.augmented", "baselines.predictive", "baselines.lyapunov")),
+    Section("estimators", "Estimators", "Identification of vehicle, soil and drives from what the "
+            "sensors show.", ("baselines.estimators",)),
+    Section("slip", "Slip models", "Slip of the tracks, identified by driving and on line.",
+            ("baselines.slip",)),
+    Section("planners", "Planners", "Motions to a pose: Dubins, Reeds-Shepp, clothoids and least "
+            "time with slip.", ("baselines.planners",)),
+    Section("learned", "Trained agents", "Archives of agents, and how they drive with NumPy alone.",
+            ("baselines.learned",)),
+    Section("rendering", "Rendering", "Pictures, films and pages that replay an episode.",
+            ("tracked_env.rendering",)),
+    Section("libraries", "Other libraries", "Stable-Baselines3, RLlib and Minari.",
+            ("tracked_env.sb3", "tracked_env.rllib", "tracked_env.datasets")),
+)  # fmt: skip
+_FIELD = re.compile(r"^    (\w+): (.+?)  # (.+)$", re.MULTILINE)
+_ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
+_ITEM = re.compile(r"[*-] ")
+
+
+def modules_of(name: str) -> Iterator[str]:
+    """The module, and all below it where it is a package; `tracked_env` itself stands alone."""
+    yield name
+    module = importlib.import_module(name)
+    if name.count(".") and hasattr(module, "__path__"):
+        for found in sorted(one.name for one in pkgutil.iter_modules(module.__path__, f"{name}.")):
+            yield from modules_of(found)
+
+
+def write_api_pages(folder: Path) -> None:
+    """One Markdown page for each section, and `index.md` with a table of them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = [f"| [{s.title}]({s.file}.md) | {s.sentence} |" for s in SECTIONS]
+    tree = "\n".join(section.file for section in SECTIONS)
+    write_changed(
+        folder / "index.md",
+        "# API reference\n\nMade of the docstrings of all public modules. Arrays have their shape, "
+        "numbers their unit in brackets. Names and symbols: NOTATION.md of the repository.\n\n"
+        "| section | content |\n|--|--|\n" + "\n".join(rows)
+        + f"\n\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n",
+    )  # fmt: skip
+    for section in SECTIONS:
+        names = [name for module in section.modules for name in modules_of(module)]
+        blocks = [
+            f"## `{name}`\n\n```{{eval-rst}}\n.. automodule:: {name}\n```\n"
+            for name in names
+            if inspect.getdoc(importlib.import_module(name))
+        ]
+        write_changed(folder / f"{section.file}.md", "\n".join(
+            [f"# {section.title}\n\n{section.sentence}\n", *blocks]
+        ))  # fmt: skip
+
+
+def write_changed(path: Path, text: str) -> None:
+    """Write where something changes: Sphinx then reads only changed pages again."""
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+def restructured(text: str) -> str:
+    """A docstring of this project as reStructuredText."""
+    found: list[str] = []
+    for block in re.split(r"\n\s*\n", text):
+        for kind, lines in _runs(block.split("\n")):
+            if kind == "shown":
+                found.append(
+                    "\n".join([".. code-block:: text", "", *(f"   {one}" for one in lines)])
+                )
+            else:
+                found.append(_escaped("\n".join(lines), kind == "item"))
+    return "\n\n".join(found)
+
+
+def _runs(lines: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+    """(kind, lines) of the parts of a block: "plain", "item" of a list, "shown" as it stands."""
+    kind, run = "", list[str]()
+    for line in lines:
+        if _ITEM.match(line):
+            new = "item"
+        elif line.startswith(" "):
+            new = "item" if kind == "item" else "shown"
+        else:
+            new = "plain"
+        if run and (new != kind or _ITEM.match(line)):
+            yield kind, run
+            run = []
+        kind = new
+        run.append(line)
+    if run:
+        yield kind, run
+
+
+def _escaped(text: str, item: bool = False) -> str:
+    """Signs that mean something in reStructuredText, outside `code`, as themselves."""
+    mark, text = (text[:2], text[2:]) if item else ("", text)
+    parts = re.split(r"`([^`]+)`", text)
+    for i, part in enumerate(parts):
+        if i % 2:  # the sign \\ and a space separate it from a letter beside it
+            parts[i] = rf"\ ``{part}``\ "
+        else:
+            parts[i] = re.sub(r"([\\*|`])|(?<=\w)(_)(?!\w)", r"\\\1\2", part)
+    return mark + "".join(parts)
+
+
+def fields_of(thing: Any) -> list[str]:
+    """Fields of a NamedTuple or a dataclass with their comments, which have the units."""
+    try:
+        source = inspect.getsource(thing)
+    except (OSError, TypeError):
+        return []
+    return [f"* ``{name}``: {_escaped(text)}" for name, _, text in _FIELD.findall(source)]
+
+
+def convert_docstring(
+    app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
+) -> None:
+    """Hook of autodoc: the docstring becomes reStructuredText in place."""
+    if any(line.startswith("## ") for line in lines):  # Markdown with tables: it has its own page
+        lines[:] = [lines[0], "", "Its text is on the pages of the :doc:`ids </environment>`."]
+    else:
+        lines[:] = restructured("\n".join(lines)).split("\n")
+    if what == "class" and (hasattr(thing, "_fields") or hasattr(thing, "__dataclass_fields__")):
+        lines += ["", *fields_of(thing), ""]
+
+
+def shorten_signature(
+    app: Any, what: str, name: str, thing: Any, options: Any, signature: Any, returns: Any
+) -> tuple[Any, Any]:
+    """Hook of autodoc: arrays by the name that the code uses, NDArray[float64]."""
+    short = [one and _ARRAY.sub(r"NDArray[\1]", one) for one in (signature, returns)]
+    return short[0], short[1]
+
+
+def skip_member(
+    app: Any, what: str, name: str, thing: Any, skip: bool, options: Any
+) -> bool | None:
+    """Hook of autodoc: leave out what says nothing, as 'Alias for field number 0'."""
+    document = getattr(thing, "__doc__", None) or ""
+    return True if document.startswith("Alias for field number") else None

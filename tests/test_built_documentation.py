@@ -1,0 +1,182 @@
+"""The built pages: no warning, no dead link, tables on the pages of the ids, all that is public."""
+
+import ast
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import gymnasium
+import pytest
+
+import tracked_env
+from docs.api_pages import restructured
+from docs.environment_pages import IDS
+from docs.gallery import FOLDER, pictures
+
+PUBLIC = ("tracked_env", "baselines")
+# Not for other projects: the core behind the environments, and the command line.
+INTERNAL = ("tracked_env.engine", "tracked_env.cli", "tracked_env.entry_points")
+VOID = ("img", "input", "br", "hr", "meta", "link", "source", "path", "use", "wbr", "line", "rect")
+
+
+class Page(HTMLParser):
+    """What a page holds: anchors, links, and the texts of `code` in the cells of its tables."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.anchors: set[str] = set()
+        self.links: list[str] = []
+        self.cells: list[str] = []
+        self._open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.anchors |= {value for name in ("id", "name") if (value := given.get(name))}
+        self.links += [value for name in ("href", "src") if (value := given.get(name))]
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        while self._open and self._open.pop() != tag:
+            pass
+
+    def handle_data(self, data: str) -> None:
+        if "td" in self._open and "code" in self._open:
+            self.cells.append(data)
+
+
+def pages_of(folder: Path) -> dict[Path, Page]:
+    """Every HTML page that the documentation wrote; the replay is a program, not a page."""
+    found = (path for path in sorted(folder.rglob("*.html")) if path.name != "replay.html")
+    return {path.resolve(): Page(path.read_text(encoding="utf-8")) for path in found}
+
+
+def dead_links(folder: Path) -> list[str]:
+    """Links, pictures and scripts of the pages of a folder that lead to nothing inside it."""
+    pages = pages_of(folder)
+    dead = []
+    for path, page in pages.items():
+        for link in page.links:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            known = pages.get(target)
+            place = unquote(parts.fragment)
+            missing = not target.is_file() or (known and place and place not in known.anchors)
+            if missing:
+                dead.append(f"{path.relative_to(folder.resolve())}: {link}")
+    return dead
+
+
+def public_names(root: Path) -> set[str]:
+    """Classes and functions with a docstring of every module that other projects may call."""
+    names = set()
+    for path in (one for package in PUBLIC for one in (root / package).rglob("*.py")):
+        parts = path.relative_to(root).with_suffix("").parts
+        module = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        if module.startswith(INTERNAL):
+            continue
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            known = isinstance(node, (ast.ClassDef, ast.FunctionDef)) and ast.get_docstring(node)
+            if known and not node.name.startswith("_"):
+                names.add(f"{module}.{node.name}")
+    return names
+
+
+def info_keys(env_id: str) -> set[str]:
+    """Keys of `info` after a step."""
+    env = gymnasium.make(env_id, expose_truth=True)
+    env.reset(seed=0)
+    info = env.step(env.action_space.sample())[4]
+    env.close()
+    return set(info)
+
+
+def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code_has(
+    repository: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("furo", reason="building the pages needs the extra `docs`")
+    html = tmp_path / "html"
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    done = subprocess.run(
+        [*command, "-d", str(tmp_path / "trees"), "docs", str(html)],
+        cwd=repository, capture_output=True, text=True, timeout=900,
+        env={**os.environ, "PYTHONPATH": str(repository)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert dead_links(html) == []
+    for page, env_id in IDS.items():
+        cells = set(Page((html / "environments" / f"{page}.html").read_text()).cells)
+        env = gymnasium.make(env_id)
+        names = set(env.unwrapped.layout.names)  # type: ignore[attr-defined]
+        assert names <= cells, f"{env_id}: {names - cells}"
+        keys = {cell for cell in cells if cell.startswith(("reward_", "ended_", "is_", "truth"))}
+        assert keys | {"tracking_error"} == info_keys(env_id), env_id
+        given = gymnasium.spec(env_id).kwargs
+        assert {*given, "uncertainty", "duration"} <= cells
+        assert all(f'"{v}"' in cells for v in given.values() if isinstance(v, str)), env_id
+    shown = {anchor for page in pages_of(html / "api").values() for anchor in page.anchors}
+    assert public_names(repository) - shown == set()
+    landing = (html / "index.html").read_text(encoding="utf-8")
+    assert "mpc-adaptive" in landing and "policy-adaptive" in landing
+
+
+@pytest.mark.parametrize(
+    ("text", "dead"),
+    [
+        ('<a href="b.html">b</a>', []),
+        ('<a href="b.html#here">b</a>', []),
+        ('<a href="b.html#there">b</a>', ["a.html: b.html#there"]),
+        ('<a href="c.html">c</a>', ["a.html: c.html"]),
+        ('<a href="#there">b</a>', ["a.html: #there"]),
+        ('<img src="p.png">', ["a.html: p.png"]),
+        ('<a href="https://example.org/c.html">c</a>', []),
+    ],
+)
+def test_a_link_that_leads_to_nothing_is_found(text: str, dead: list[str], tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text(text)
+    (tmp_path / "b.html").write_text('<p id="here">b</p>')
+    assert dead_links(tmp_path) == dead
+
+
+def test_only_code_in_the_cells_of_a_table_counts_as_an_entry() -> None:
+    page = Page("<pre>| <code>a</code> |</pre><table><tr><td><code>b</code> c</td></tr></table>")
+    assert page.cells == ["b"]
+
+
+@pytest.mark.parametrize(
+    ("docstring", "expected"),
+    [
+        ("The `mass` [kg].", "The \\ ``mass``\\  [kg]."),
+        ("Of v_ and |x|.", "Of v\\_ and \\|x\\|."),
+        ("With\n    a = b\nit ends.",
+         "With\n\n.. code-block:: text\n\n       a = b\n\nit ends."),
+        ("* one\n  more\n* two", "* one\n  more\n\n* two"),
+    ],
+)  # fmt: skip
+def test_a_docstring_keeps_its_formulas_lists_and_code(docstring: str, expected: str) -> None:
+    assert restructured(docstring) == expected
+
+
+def test_the_class_docstring_of_the_environment_is_markdown_without_indentation() -> None:
+    doc = tracked_env.env.TrackedVehicleEnv.__doc__ or ""  # type: ignore[attr-defined]
+    lines = doc.split("\n")
+    assert "## Action Space" in lines and "## Info" in lines
+    assert not [line for line in lines if line.startswith(" ")]
+    tables = defaultdict(int)
+    for line in lines:
+        tables[line.startswith("|") and line.endswith("|")] += line.startswith("|")
+    assert tables[False] == 0 and tables[True] > 40
+
+
+def test_the_gallery_has_a_picture_of_every_plant_terrain_set_and_policy_and_no_other() -> None:
+    drawn = {path.name for path in FOLDER.iterdir()}
+    expected = {file for _, _, file in pictures().values()}
+    assert drawn == expected, "python -m docs.gallery draws what is missing"
+    assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 6e6

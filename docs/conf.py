@@ -1,5 +1,5 @@
-"""Sphinx configuration: Markdown pages (MyST; tutorials run while they are built), pages made of the
-code, furo."""
+"""Sphinx configuration: Markdown pages (MyST; tutorials run while they are built), pages made of
+the code, furo."""
 
 import re
 import sys

@@ -181,7 +181,10 @@ def open_archive(path: Path) -> PolicyEntry:
 
 
 def command_function(name: str) -> Callable[..., Any]:
-    """What a command of that name calls. Raises ValueError where no package registers it."""
+    """What a command of that name calls, or the module of it.
+
+    Raises ValueError where no package registers it.
+    """
     for _, entry, found in _loaded(COMMANDS, _to_stderr):
         if entry.name == name:
             function: Callable[..., Any] = found

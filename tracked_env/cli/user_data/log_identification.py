@@ -236,7 +236,7 @@ def _prior_deviations(stack: Any) -> dict[str, float]:
     return told
 
 
-def _soil(soil: Any, nominal: dict[str, float]) -> tuple[dict[str, Found], tuple[float, float]]:
+def _soil(soil: Any) -> tuple[dict[str, Found], tuple[float, float]]:
     """F_max and K of a log, and F_max / K with its deviation.
 
     The mean of the logarithms over the BEST of all windows, weighted by what they claim. Windows
@@ -258,7 +258,7 @@ def _soil(soil: Any, nominal: dict[str, float]) -> tuple[dict[str, Found], tuple
     found, prior = {}, np.sqrt(np.diagonal(soil.covariance[0])) / soil.value[0]
     for k, name in enumerate(SOIL):
         value, factor = float(np.exp(mean[k])), float(np.exp(NORMAL * spread[k]))
-        before = float(prior[k]) * nominal[name]
+        before = float(prior[k]) * value  # of the logarithm
         found[name] = Found(
             value, float(spread[k]) * value, value / factor, value * factor, before, False
         )
@@ -303,7 +303,7 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
             deviation = math.sqrt(noise**2 + float(np.sum(shifts[name] ** 2)))
             half = half_width(noise, list(shifts[name]))
         found[name] = Found(value, deviation, value - half, value + half, prior[name], changed)
-    soil, stiffness = _soil(parts["soil"], {name: series[name][0][0] for name in SOIL})
+    soil, stiffness = _soil(parts["soil"])
     regression = parts["longitudinal"]
     return Identified(
         log, nominal, series,

@@ -24,6 +24,7 @@ from tracked_env.physics.terramechanics import GRAVITY
 WHITE_LAGS = 50  # [samples] of the autocorrelation
 EXPLAINED = (0.7, 1.5)  # [-] rms of residuals whose data sheet is right
 REFUSED = 0.05  # [-] share of samples from which on outliers are worth a word
+OUTLYING = 4.0  # [-] residuals beyond it count as that large
 CORRELATED = 0.2  # [-] autocorrelation from which on residuals hang together
 NAMES = {
     "mass": ("mass", "kg"), "inertia": ("yaw inertia", "kg m^2"),
@@ -126,9 +127,11 @@ braking and turning. At constant speed only their product shows"
 def _against(identified: Identified) -> list[str]:
     """What speaks against model or data sheet."""
     said = []
-    for name, residuals in identified.residuals.items():
-        if len(residuals) < 4 * WHITE_LAGS:
+    changed = any(of.changed for of in identified.found.values())
+    for name, found in identified.residuals.items():
+        if len(found) < 4 * WHITE_LAGS or changed:  # a change leaves residuals until it is learned
             continue
+        residuals = np.clip(found, -OUTLYING, OUTLYING)
         size = float(np.sqrt(np.mean(residuals**2)))
         if not EXPLAINED[0] <= size <= EXPLAINED[1]:
             cause = "more noise than" if size > 1.0 else "less noise than"

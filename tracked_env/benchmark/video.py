@@ -1,11 +1,13 @@
-"""Pictures of one episode of a policy, MP4, GIF or PNG, or a page that replays it.
+"""Pictures of one episode, of one policy or of several side by side, MP4, GIF or PNG, or a page
+that replays it. A policy that identifies has its beliefs in the panel, beside the truth.
 
 Needs the extra `render`, the page the extra `viewer` too.
 """
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +23,7 @@ from tracked_env.benchmark.policy_interface import (
     blamed,
     checked_answer,
     checked_policy,
+    identifies,
     needs_truth,
     tell_plant,
 )
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
 # Suffix of a file: one picture in this many control steps is drawn.
+MOST = 4  # policies in one picture
 FORMATS = {".mp4": 1, ".gif": 5, ".png": 5}
 
 
@@ -50,7 +54,7 @@ def record(
 
 def draw(
     config: BenchmarkConfig,
-    entry: PolicyEntry,
+    entries: PolicyEntry | Sequence[PolicyEntry],
     uncertainty_set: str,
     episode: int,
     path: Path,
@@ -58,22 +62,32 @@ def draw(
 ) -> None:
     """Draw one episode of the benchmark, the same vehicle, soil, reference and noise.
 
-    path: with a suffix of FORMATS; a PNG shows the end; view: as `rendering.Renderer` has it.
-    Raises ImportError that names the extra to install, ValueError for another suffix or view.
+    entries: one policy, or 2 to MOST, side by side under their names; one whose episode ends early
+    stays on its last picture. path: with a suffix of FORMATS; a PNG shows the end; view: as
+    `rendering.Renderer` has it. Raises ImportError that names the extra to install, ValueError for
+    another suffix, view or number of policies.
     """
+    entries = [entries] if isinstance(entries, PolicyEntry) else list(entries)
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(f"file {path}: must end in {', '.join(FORMATS)}")
-    policy = checked_policy(entry, config.context(uncertainty_set))
+    if not 1 <= len(entries) <= MOST:
+        raise ValueError(f"{len(entries)} policies in one picture; must be 1 to {MOST}")
+    policies = [checked_policy(entry, config.context(uncertainty_set)) for entry in entries]
     path.parent.mkdir(parents=True, exist_ok=True)
     ours = f".{os.getpid()}.tmp"  # as `files.temporary` has it: a later run removes what is left
     with tempfile.TemporaryDirectory(prefix=".video", suffix=ours, dir=path.parent) as place:
         new = Path(place) / f"new{suffix}"
         try:
-            env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
             steps = FORMATS[suffix]
-            driven = _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, steps)
-            _write(new, _pictures(env, driven, view), config.control_rate / steps)
+            films = []
+            for entry, policy in zip(entries, policies, strict=True):
+                env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
+                seed = config.seed + episode
+                driven = _driven(env, policy, entry.name, uncertainty_set, seed, steps)
+                films.append(_pictures(env, policy, driven, view))
+            names = [entry.name for entry in entries]
+            _write(new, _beside(names, films), config.control_rate / steps)
         except (ImportError, gymnasium.error.DependencyNotInstalled) as error:
             raise ImportError(
                 f"{error}; pictures need pip install 'tracked-env[render]'"
@@ -136,7 +150,35 @@ def _driven(
         env.close()
 
 
-def _pictures(env: TrackedVehicleEnv, driven: Iterator[None], view: str) -> Iterator[Picture]:
+def _beside(names: Sequence[str], films: Sequence[Iterator[Picture]]) -> Iterator[Picture]:
+    """The pictures of several films side by side under their names, until the last film ends."""
+    if len(films) == 1:
+        yield from films[0]
+        return
+    from tracked_env.rendering.side_by_side import side_by_side
+
+    shown: list[Picture] = []
+    for pictures in zip_longest(*films):
+        former = shown or [None] * len(films)
+        shown = [new if new is not None else old for new, old in zip(pictures, former, strict=True)]
+        yield side_by_side(names, shown)
+
+
+def beliefs_of(policy: Policy) -> dict[str, tuple[float, float]] | None:
+    """(value, standard deviation) by parameter of the one vehicle; None where nothing is ever
+    believed."""
+    if not identifies(policy):
+        return None
+    estimates = policy.estimates()  # type: ignore[attr-defined]
+    return {
+        name: (float(np.asarray(value)[0]), float(np.asarray(deviation)[0]))
+        for name, (value, deviation) in estimates.items()
+    }
+
+
+def _pictures(
+    env: TrackedVehicleEnv, policy: Policy, driven: Iterator[None], view: str
+) -> Iterator[Picture]:
     """A picture at each stop of an episode."""
     from tracked_env.rendering import Renderer, source_of
 
@@ -144,7 +186,7 @@ def _pictures(env: TrackedVehicleEnv, driven: Iterator[None], view: str) -> Iter
         "rgb_array", env.metadata["render_fps"], view=view, terrain=source_of(env.simulation, 0)
     )
     for _ in driven:
-        picture = renderer.draw(env.simulation, 0)
+        picture = renderer.draw(env.simulation, 0, beliefs_of(policy))
         assert picture is not None
         yield picture
 

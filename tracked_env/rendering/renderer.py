@@ -12,6 +12,7 @@ from tracked_env.physics.parameters import SoilParameters
 from tracked_env.references import sample
 from tracked_env.rendering import canvas, legend, scene, sizes
 from tracked_env.rendering.afterglow import Memory
+from tracked_env.rendering.belief_rows import Beliefs
 from tracked_env.rendering.landscape import interval_around
 from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
 from tracked_env.rendering.panel import Panel
@@ -142,16 +143,20 @@ class Renderer:
             self.render_mode, self.fps, self._zoom, self._soil_parameter, self.view, self.terrain
         )  # fmt: skip
 
-    def draw(self, simulation: Simulation, row: int) -> NDArray[np.uint8] | None:
+    def draw(
+        self, simulation: Simulation, row: int, beliefs: Beliefs | None = None
+    ) -> NDArray[np.uint8] | None:
         """The picture of vehicle `row` (height, width, 3), see `size`; None in `human` mode.
 
+        beliefs: what a policy believes of the parameters, {name: (value, standard deviation)} SI;
+        the panel shows them with their 95 % bands beside the truth.
         Raises gymnasium.error.ResetNeeded before the first episode, and ValueError for a zoom
         that does not suit the vehicle.
         """
         shot = take(simulation, row)
         if self.terrain is not None and self.terrain.loads is not None:
             shot = shot._replace(loads=self.terrain.loads(simulation, row))
-        picture = self._compose(shot)
+        picture = self._compose(shot, beliefs)
         if self.render_mode == "rgb_array":
             return canvas.to_array(picture)
         self._show(picture)
@@ -169,7 +174,7 @@ class Renderer:
         self._text = canvas.Text()
         self._stage: _Stage | None = None
 
-    def _compose(self, shot: Snapshot) -> pygame.Surface:
+    def _compose(self, shot: Snapshot, beliefs: Beliefs | None) -> pygame.Surface:
         if self._picture is None:
             self._picture = canvas.surface(*self.size)
         if self._stage is None or shot.episode is not self._stage.episode:
@@ -191,7 +196,8 @@ class Renderer:
             view = 0.5 * SCENE_WIDTH / zoom, 0.5 * SCENE_HEIGHT / zoom
             self._from_above(ground, stage, shot, lines, view)
         legend.draw(ground, self._text, stage.soil, shot, stage.memory.notices(), zoom)
-        picture.blit(stage.panel.draw(shot, stage.memory, refresh, view), (SCENE_WIDTH, 0))
+        panel = stage.panel.draw(shot, stage.memory, refresh, view, beliefs)
+        picture.blit(panel, (SCENE_WIDTH, 0))
         if stage.strip is not None:
             strip = stage.strip.draw(shot, done, stage.soil.interval)
             picture.blit(strip, (0, SCENE_HEIGHT))

@@ -1,11 +1,13 @@
-"""Pictures of one episode of a policy, MP4, GIF or PNG, or a page that replays it.
+"""Pictures of one episode, of one policy or of several side by side, MP4, GIF or PNG, or a page
+that replays it. A policy that identifies has its beliefs in the panel, beside the truth.
 
 Needs the extra `render`, the page the extra `viewer` too.
 """
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +23,7 @@ from tracked_env.benchmark.policy_interface import (
     blamed,
     checked_answer,
     checked_policy,
+    identifies,
     needs_truth,
     tell_plant,
 )
@@ -32,6 +35,7 @@ if TYPE_CHECKING:
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
 # Suffix of a file: one picture in this many control steps is drawn.
+MOST = 4  # policies in one picture
 FORMATS = {".mp4": 1, ".gif": 5, ".png": 5}
 
 
@@ -50,7 +54,7 @@ def record(
 
 def draw(
     config: BenchmarkConfig,
-    entry: PolicyEntry,
+    entries: PolicyEntry | Sequence[PolicyEntry],
     uncertainty_set: str,
     episode: int,
     path: Path,
@@ -58,20 +62,26 @@ def draw(
 ) -> None:
     """Draw one episode of the benchmark, the same vehicle, soil, reference and noise.
 
-    path: with a suffix of FORMATS; a PNG shows the end; view: as `rendering.Renderer` has it.
-    Raises ImportError that names the extra to install, ValueError for another suffix or view.
+    entries: one policy, or 2 to MOST, side by side under their names; one whose episode ends early
+    stays on its last picture. path: with a suffix of FORMATS; a PNG shows the end; view: as
+    `rendering.Renderer` has it. Raises ImportError that names the extra to install, ValueError for
+    another suffix, view or number of policies.
     """
+    entries = [entries] if isinstance(entries, PolicyEntry) else list(entries)
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         raise ValueError(f"file {path}: must end in {', '.join(FORMATS)}")
+    if not 1 <= len(entries) <= MOST:
+        raise ValueError(f"{len(entries)} policies in one picture; must be 1 to {MOST}")
     steps = FORMATS[suffix]
-    drawn = pictures(config, entry, uncertainty_set, episode, steps, view)
+    films = [pictures(config, entry, uncertainty_set, episode, steps, view) for entry in entries]
     path.parent.mkdir(parents=True, exist_ok=True)
     ours = f".{os.getpid()}.tmp"  # as `files.temporary` has it: a later run removes what is left
     with tempfile.TemporaryDirectory(prefix=".video", suffix=ours, dir=path.parent) as place:
         new = Path(place) / f"new{suffix}"
         try:
-            _write(new, drawn, config.control_rate / steps)
+            names = [entry.name for entry in entries]
+            _write(new, _beside(names, films), config.control_rate / steps)
         except (ImportError, gymnasium.error.DependencyNotInstalled) as error:
             raise ImportError(
                 f"{error}; pictures need pip install 'tracked-env[render]'"
@@ -94,7 +104,7 @@ def pictures(
     policy = checked_policy(entry, config.context(uncertainty_set))
     env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
     driven = _driven(env, policy, entry.name, uncertainty_set, config.seed + episode, steps)
-    return _pictures(env, driven, view)
+    return _pictures(env, policy, driven, view)
 
 
 def record_episode(
@@ -111,20 +121,20 @@ def record_episode(
     return recorder.finish()
 
 
-def _write(path: Path, pictures: Iterator[Picture], rate: float) -> None:
+def _write(path: Path, film: Iterator[Picture], rate: float) -> None:
     """Write pictures, `rate` a second, in the format of the suffix."""
     if path.suffix == ".mp4":
         from moviepy import ImageSequenceClip
 
-        ImageSequenceClip(list(pictures), fps=rate).write_videofile(str(path), logger=None)
+        ImageSequenceClip(list(film), fps=rate).write_videofile(str(path), logger=None)
         return
     from PIL import Image
 
     if path.suffix == ".png":
-        *_, last = pictures
+        *_, last = film
         Image.fromarray(last).save(path)
         return
-    first, *others = [Image.fromarray(picture).quantize(128) for picture in pictures]
+    first, *others = [Image.fromarray(picture).quantize(128) for picture in film]
     duration = round(1000.0 / rate)  # [ms]
     first.save(path, save_all=True, append_images=others, duration=duration, loop=0)
 
@@ -152,7 +162,35 @@ def _driven(
         env.close()
 
 
-def _pictures(env: TrackedVehicleEnv, driven: Iterator[None], view: str) -> Iterator[Picture]:
+def _beside(names: Sequence[str], films: Sequence[Iterator[Picture]]) -> Iterator[Picture]:
+    """The pictures of several films side by side under their names, until the last film ends."""
+    if len(films) == 1:
+        yield from films[0]
+        return
+    from tracked_env.rendering.side_by_side import side_by_side
+
+    shown: list[Picture] = []
+    for drawn in zip_longest(*films):
+        former = shown or [None] * len(films)
+        shown = [new if new is not None else old for new, old in zip(drawn, former, strict=True)]
+        yield side_by_side(names, shown)
+
+
+def beliefs_of(policy: Policy) -> dict[str, tuple[float, float]] | None:
+    """(value, standard deviation) by parameter of the one vehicle; None where nothing is ever
+    believed."""
+    if not identifies(policy):
+        return None
+    estimates = policy.estimates()  # type: ignore[attr-defined]
+    return {
+        name: (float(np.asarray(value)[0]), float(np.asarray(deviation)[0]))
+        for name, (value, deviation) in estimates.items()
+    }
+
+
+def _pictures(
+    env: TrackedVehicleEnv, policy: Policy, driven: Iterator[None], view: str
+) -> Iterator[Picture]:
     """A picture at each stop of an episode."""
     from tracked_env.rendering import Renderer, source_of
 
@@ -160,7 +198,7 @@ def _pictures(env: TrackedVehicleEnv, driven: Iterator[None], view: str) -> Iter
         "rgb_array", env.metadata["render_fps"], view=view, terrain=source_of(env.simulation, 0)
     )
     for _ in driven:
-        picture = renderer.draw(env.simulation, 0)
+        picture = renderer.draw(env.simulation, 0, beliefs_of(policy))
         assert picture is not None
         yield picture
 

@@ -1,4 +1,4 @@
-"""`tracked-env render`: one policy in one episode of a set, as GIF, MP4, PNG or HTML."""
+"""`tracked-env render`: policies in one episode of a set, as GIF, MP4, PNG or HTML."""
 
 import argparse
 from collections.abc import Sequence
@@ -9,12 +9,14 @@ from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
+from tracked_env.cli.choose_command import few_seeds
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_options, config_of
+from tracked_env.cli.evaluate_options import names as split_names
 from tracked_env.cli.exit_status import reported
 
 _OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk",
-           "quiet", "all")  # fmt: skip
+           "quiet", "all", "workers", "shard", "ray")  # fmt: skip
 
 
 @reported
@@ -24,10 +26,12 @@ def main(arguments: Sequence[str], program: str) -> int:
         prog=program,
         allow_abbrev=False,
         description="Write a picture of the end (PNG), a film (GIF, MP4) or a page that replays it "
-        "(HTML) of one policy in one episode of an evaluation set.",
+        "(HTML) of a policy in one episode of an evaluation set; two to four policies are shown "
+        "side by side in PNG, GIF and MP4.",
     )
-    parser.add_argument("policy", help="as in `tracked-env evaluate --policies`; of several seeds, "
-                        "the first one drives")  # fmt: skip
+    parser.add_argument("policies", nargs="+", type=split_names, metavar="POLICY",
+                        help="as in `tracked-env evaluate --policies`; of several seeds, the first "
+                        "one drives")  # fmt: skip
     parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
     parser.add_argument("--file", type=Path, metavar="FILE", help="ends in .gif, .mp4 or .png "
                         "(default: episode.gif, and none with --html or --live)")  # fmt: skip
@@ -39,34 +43,41 @@ def main(arguments: Sequence[str], program: str) -> int:
                         help="serve it at 127.0.0.1 with a slider (default: 8080)")  # fmt: skip
     add_options(parser, without=_OTHERS)
     given = parser.parse_args(arguments)
+    specs = list(dict.fromkeys(one for part in given.policies for one in part))
+    given.policies = None
     given.sets = [(given.set or default_sets(given.env)[0],)]
     benchmark = benchmark_config(config_of(given))
     registry, trained = by_name(registered_policies(), benchmark.env)
-    entry = load_policies([given.policy], registry, trained, open_archive)[0]
-    _write(given, benchmark, entry)
+    loaded = load_policies(specs, registry, trained, open_archive)
+    _write(given, benchmark, few_seeds(loaded, 1))
     return 0
 
 
-def _write(given: argparse.Namespace, benchmark: BenchmarkConfig, entry: PolicyEntry) -> None:
+def _write(
+    given: argparse.Namespace, benchmark: BenchmarkConfig, entries: list[PolicyEntry]
+) -> None:
     """Write the files, each named on a line, then serve the page if it is to be."""
     from tracked_env.benchmark import video
 
     uncertainty_set = benchmark.sets[0]
-    label = f"{entry.name}, set {uncertainty_set}, seed {benchmark.seed}"
+    names = ", ".join(entry.name for entry in entries)
+    label = f"{names}, set {uncertainty_set}, seed {benchmark.seed}"
     browser = given.html is not None or given.live is not None
     if given.html is not None and given.html.suffix.lower() != ".html":
         raise ValueError(f"file {given.html}: must end in .html")
+    if browser and len(entries) > 1:
+        raise ValueError(f"{len(entries)} policies in one page; must be one. Give --file instead")
     if browser:
         from tracked_env.rendering import viewer
 
         viewer.check_installed()
     file = given.file or (None if browser else Path("episode.gif"))
     if file is not None:
-        video.draw(benchmark, entry, uncertainty_set, 0, file, given.view)
+        video.draw(benchmark, entries, uncertainty_set, 0, file, given.view)
         print(f"{label}: {file}")
     if not browser:
         return
-    recording = video.record_episode(benchmark, entry, uncertainty_set, 0)
+    recording = video.record_episode(benchmark, entries[0], uncertainty_set, 0)
     if given.html is not None:
         viewer.write_html(recording, given.html)
         print(f"{label}: {given.html}")

@@ -5,6 +5,8 @@
     quantities   labels, units, displayed ranges  afterglow  what a picture needs of those before it
     soil_map     the ground, coloured             scene      the vehicle and paths, from above
     panel        numbers, bars and the overview   renderer   puts them together
+    belief_rows  estimates beside the truth       tile       few large numbers instead of a panel
+    side_by_side several pictures in one
 On terrain and from behind the vehicle:
     terrain_source  heights, loads, pose          hill_shading   brightness of slopes, contour lines
     terrain_strip   profile, loads, tilt          raster         depth buffer: ground and polygons

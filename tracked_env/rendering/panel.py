@@ -6,8 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pygame
 
-from tracked_env.rendering import canvas, drives
+from tracked_env.rendering import belief_rows, canvas, drives
 from tracked_env.rendering.afterglow import Memory
+from tracked_env.rendering.belief_rows import Beliefs
 from tracked_env.rendering.canvas import Text
 from tracked_env.rendering.quantities import QUANTITIES, Quantity, value_of
 from tracked_env.rendering.scene import Points
@@ -34,17 +35,26 @@ class Panel:
         self._ground: pygame.Surface | None = None
 
     def draw(
-        self, shot: Snapshot, memory: Memory, refresh: bool, view: tuple[float, float] | None
+        self,
+        shot: Snapshot,
+        memory: Memory,
+        refresh: bool,
+        view: tuple[float, float] | None,
+        beliefs: Beliefs | None = None,
     ) -> pygame.Surface:
         """The panel now; refresh: the map has changed; view [m]: half the scene, if it is seen
-        from above.
+        from above; beliefs: of the policy that drives, beside the true parameters.
         """
         self.surface.fill(canvas.PAPER)
         self._clock(shot)
         self._tracking(shot)
         self._heading("DRIVES", 150)
         drives.draw(self.surface, self._text, shot)
-        self._parameters(shot)
+        self._heading("VEHICLE AND SOIL UNDER IT", 278)
+        if beliefs is not None:
+            belief_rows.draw(self.surface, self._text, shot, beliefs)
+        else:
+            self._parameters(shot)
         self._overview(shot, memory, refresh, view)
         pygame.draw.line(self.surface, canvas.RULE, (0, 0), (0, HEIGHT))
         return self.surface
@@ -87,7 +97,6 @@ class Panel:
             self._put(_tidy(wanted), _RIGHT, y, colour=canvas.BLUE, align=1.0)
 
     def _parameters(self, shot: Snapshot) -> None:
-        self._heading("VEHICLE AND SOIL UNDER IT", 278)
         self._put("at start", 196, 291, size=10, colour=canvas.MUTED, align=1.0)
         self._put("now", _RIGHT, 291, size=10, colour=canvas.MUTED, align=1.0)
         for row, (quantity, usual, start, now) in enumerate(_rows(shot)):

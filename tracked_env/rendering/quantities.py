@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from tracked_env.physics import vehicle
 from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, PlantParameters
 
 ROUNDING = 0.05  # [-] of the usual value of a parameter
@@ -62,8 +63,10 @@ for _name in PARAMETER_NAMES:  # those without an entry of their own
 # What follows from parameters and may be shown in their place.
 FOLLOWING: dict[str, Callable[[PlantParameters], float]] = {
     "friction": lambda p: math.tan(p.friction_angle),
+    "effort_maximum": lambda p: float(vehicle.drive_limits(p).effort_maximum),
 }
 QUANTITIES["friction"] = Quantity("friction μ = tan φ", "", 1.0, 2)
+QUANTITIES["effort_maximum"] = Quantity("largest effort of a track", "kN", 1e-3, 1)
 
 
 def value_of(parameters: PlantParameters, name: str) -> float:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import SoilParameters
 from tracked_env.references import sample
-from tracked_env.rendering import canvas, legend, scene, sizes
+from tracked_env.rendering import canvas, legend, scene, sizes, tile
 from tracked_env.rendering.afterglow import Memory
+from tracked_env.rendering.belief_rows import Beliefs
 from tracked_env.rendering.landscape import interval_around
 from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
 from tracked_env.rendering.panel import Panel
@@ -29,6 +30,8 @@ WIDTH, HEIGHT = SCENE_WIDTH + PANEL_WIDTH, SCENE_HEIGHT  # [px] of a picture
 PATH_STEP, PATH_POINTS = 0.05, 4000  # [s] between points of the path, and at most that many
 MODES = ("human", "rgb_array")
 VIEWS = ("top", "3d", "3d-standing")
+LAYOUTS = ("panel", "tile")
+MOST_PANELS = 4  # vehicles of a simulation that are drawn with their panels
 
 
 class _Stage:
@@ -109,6 +112,7 @@ class Renderer:
         soil_parameter: str | None = None,
         view: str = "top",
         terrain: TerrainSource | None = None,
+        layout: str | None = None,
     ) -> None:
         """Open nothing yet.
 
@@ -118,7 +122,10 @@ class Renderer:
         default the first of the plant's `soil_map` that varies in the plane, else its first;
         view: "top", from above; "3d", from behind the vehicle, or "3d-standing", from places behind
         it that change where it leaves the middle of the picture; terrain: what the vehicle drives
-        on, shown with its relief and a strip below the scene; None: level ground without them.
+        on, shown with its relief and a strip below the scene; None: level ground without them;
+        layout: "panel", the scene with all numbers beside it, or "tile", the scene with a few
+        large ones, for films of many vehicles; None: a tile where the simulation has more than
+        MOST_PANELS vehicles.
         Raises ValueError for anything else; `draw` for a zoom that does not suit the vehicle.
         """
         self.render_mode = checked_choice("render_mode", render_mode, MODES)
@@ -128,7 +135,10 @@ class Renderer:
             checked_choice("soil_parameter", soil_parameter, SoilParameters._fields)
         self.view = checked_choice("view", view, VIEWS)
         self.terrain = terrain
-        self.size = WIDTH, HEIGHT + (0 if terrain is None else STRIP_HEIGHT)  # [px] of a picture
+        if layout is not None:
+            checked_choice("layout", layout, LAYOUTS)
+        self._layout = layout
+        self._is_tile = layout == "tile"
         self.fps = fps
         self._zoom = pixels_per_metre
         self._soil_parameter = soil_parameter
@@ -139,19 +149,33 @@ class Renderer:
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy has opened nothing yet and has not seen the pictures before it."""
         return type(self), (
-            self.render_mode, self.fps, self._zoom, self._soil_parameter, self.view, self.terrain
+            self.render_mode, self.fps, self._zoom, self._soil_parameter, self.view, self.terrain,
+            self._layout,
         )  # fmt: skip
 
-    def draw(self, simulation: Simulation, row: int) -> NDArray[np.uint8] | None:
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of a picture [px]; by the number of vehicles from the first one on."""
+        if self._is_tile:
+            return SCENE_WIDTH, SCENE_HEIGHT
+        return WIDTH, HEIGHT + (0 if self.terrain is None else STRIP_HEIGHT)
+
+    def draw(
+        self, simulation: Simulation, row: int, beliefs: Beliefs | None = None
+    ) -> NDArray[np.uint8] | None:
         """The picture of vehicle `row` (height, width, 3), see `size`; None in `human` mode.
 
+        beliefs: what a policy believes of the parameters, {name: (value, standard deviation)} SI;
+        the panel shows them with their 95 % bands beside the truth.
         Raises gymnasium.error.ResetNeeded before the first episode, and ValueError for a zoom
         that does not suit the vehicle.
         """
         shot = take(simulation, row)
+        if self._picture is None and self._layout is None:
+            self._is_tile = len(simulation.episodes) > MOST_PANELS
         if self.terrain is not None and self.terrain.loads is not None:
             shot = shot._replace(loads=self.terrain.loads(simulation, row))
-        picture = self._compose(shot)
+        picture = self._compose(shot, beliefs)
         if self.render_mode == "rgb_array":
             return canvas.to_array(picture)
         self._show(picture)
@@ -169,7 +193,7 @@ class Renderer:
         self._text = canvas.Text()
         self._stage: _Stage | None = None
 
-    def _compose(self, shot: Snapshot) -> pygame.Surface:
+    def _compose(self, shot: Snapshot, beliefs: Beliefs | None) -> pygame.Surface:
         if self._picture is None:
             self._picture = canvas.surface(*self.size)
         if self._stage is None or shot.episode is not self._stage.episode:
@@ -190,8 +214,13 @@ class Renderer:
             zoom = stage.zoom
             view = 0.5 * SCENE_WIDTH / zoom, 0.5 * SCENE_HEIGHT / zoom
             self._from_above(ground, stage, shot, lines, view)
-        legend.draw(ground, self._text, stage.soil, shot, stage.memory.notices(), zoom)
-        picture.blit(stage.panel.draw(shot, stage.memory, refresh, view), (SCENE_WIDTH, 0))
+        notices = stage.memory.notices()
+        if self._is_tile:
+            tile.draw(ground, self._text, shot, notices)
+            return picture
+        legend.draw(ground, self._text, stage.soil, shot, notices, zoom)
+        panel = stage.panel.draw(shot, stage.memory, refresh, view, beliefs)
+        picture.blit(panel, (SCENE_WIDTH, 0))
         if stage.strip is not None:
             strip = stage.strip.draw(shot, done, stage.soil.interval)
             picture.blit(strip, (0, SCENE_HEIGHT))
@@ -208,7 +237,8 @@ class Renderer:
         """Soil map and objects on it, from the lowest to the highest; view [m]: half the scene."""
         left, top = shot.state.x - view[0], shot.state.y + view[1]
         stage.soil.draw(ground, shot, left, top)
-        legend.coordinates(ground, self._text, left, top, stage.zoom)
+        if not self._is_tile:
+            legend.coordinates(ground, self._text, left, top, stage.zoom)
         width, height = ground.get_size()
         camera = Camera(shot.state.x, shot.state.y, stage.zoom, 0.5 * width, 0.5 * height)
         for points, colour in lines:

@@ -1,0 +1,129 @@
+"""`tracked-env drive`, without a screen: keys are posted as a person presses them."""
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pygame
+import pytest
+
+from tracked_env.cli.drive_command import REACH, Controls
+from tracked_env.cli.main import main
+from tracked_env.rendering import Renderer
+
+PERIOD = 0.02  # [s]
+FULL, TURN = REACH["speed"]
+
+
+def key(kind: int, name: int) -> Any:
+    return pygame.event.Event(kind, key=name)
+
+
+def after(seconds: float, controls: Controls) -> list[float]:
+    for _ in range(round(seconds / PERIOD)):
+        action = controls.action(PERIOD)
+    found: list[float] = action.tolist()
+    return found
+
+
+def test_keys_move_both_tracks_ahead_and_apart() -> None:
+    controls = Controls("speed")
+    controls.take([key(pygame.KEYDOWN, pygame.K_UP)])
+    assert 0.0 < controls.action(PERIOD)[0] < 0.1  # no jump
+    assert after(1.0, controls) == pytest.approx([FULL, FULL])
+    controls.take([key(pygame.KEYDOWN, pygame.K_LEFT)])
+    assert after(1.0, controls) == pytest.approx([FULL - TURN, FULL + TURN])
+    controls.take([key(pygame.KEYUP, pygame.K_UP), key(pygame.KEYUP, pygame.K_LEFT)])
+    assert after(1.0, controls) == [0.0, 0.0]
+    controls.take([key(pygame.KEYDOWN, pygame.K_s), key(pygame.KEYDOWN, pygame.K_d)])
+    assert after(1.0, controls) == pytest.approx([TURN - FULL, -FULL - TURN])
+    controls.take([key(pygame.KEYDOWN, pygame.K_SPACE)])
+    assert controls.action(PERIOD).tolist() == [0.0, 0.0]
+
+
+def test_a_stick_drives_in_proportion_and_rests_in_its_dead_zone() -> None:
+    controls = Controls("speed")
+    controls.take([pygame.event.Event(pygame.JOYAXISMOTION, axis=1, value=-0.5)])
+    assert after(1.0, controls) == pytest.approx([0.5 * FULL, 0.5 * FULL])
+    controls.take([pygame.event.Event(pygame.JOYAXISMOTION, axis=0, value=1.0)])
+    assert after(1.0, controls) == pytest.approx([0.5 * FULL + TURN, 0.5 * FULL - TURN])
+    controls.take([pygame.event.Event(pygame.JOYAXISMOTION, axis=k, value=0.05) for k in (0, 1)])
+    assert after(1.0, controls) == [0.0, 0.0]
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[int, list[Any]]], list[Any]]:
+    """Posts events at pictures; returns what each picture was drawn from."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+
+    def post_at(events: dict[int, list[Any]]) -> list[Any]:
+        pictures: list[Any] = []
+        draw = Renderer.draw
+
+        def drawn(self: Renderer, simulation: Any, row: int, beliefs: Any = None) -> Any:
+            answer = draw(self, simulation, row, beliefs)
+            state = dict(zip(("v_x", "yaw_rate"), (
+                float(simulation.column("v_x")[row]), float(simulation.column("yaw_rate")[row]),
+            ), strict=True))  # fmt: skip
+            pictures.append((simulation.episodes[row], state, beliefs))
+            for event in events.get(len(pictures), ()):
+                pygame.event.post(event)
+            return answer
+
+        monkeypatch.setattr(Renderer, "draw", drawn)
+        return pictures
+
+    return post_at
+
+
+def test_a_person_drives_and_sees_what_the_observer_believes(
+    seen: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = seen({
+        2: [key(pygame.KEYDOWN, pygame.K_UP)],
+        40: [key(pygame.KEYDOWN, pygame.K_LEFT)],
+        60: [key(pygame.KEYDOWN, pygame.K_r)],
+        70: [key(pygame.KEYDOWN, pygame.K_ESCAPE)],
+    })  # fmt: skip
+    assert main(["drive", "--set", "payload", "--seed", "5"]) == 0
+    assert len(pictures) == 70
+    (first, slow, before), (_, fast, believed), (_, turning, _) = (
+        pictures[k] for k in (1, 39, 59)
+    )  # fmt: skip
+    assert fast["v_x"] > slow["v_x"] + 0.3 and turning["yaw_rate"] > 0.1
+    value, deviation = believed["mass"]
+    assert 200.0 < value < 5000.0 and deviation < before["mass"][1]
+    again = pictures[-1][0]
+    assert again.noise_seed != first.noise_seed
+    shown = capsys.readouterr().out
+    assert "arrows" in shown and "s driven, RMSE" in shown and "set payload, seed 5" in shown
+
+
+def test_closing_the_window_ends_a_drive_without_an_observer(seen: Any) -> None:
+    pictures = seen({3: [pygame.event.Event(pygame.QUIT)]})
+    assert main(["drive", "--env", "Speed-v0", "--observer", "none"]) == 0
+    assert len(pictures) == 3 and pictures[-1][2] is None
+
+
+@pytest.mark.parametrize("observer", ["oracle", "nominal"])
+def test_an_observer_that_estimates_nothing_is_refused(
+    observer: str, seen: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen({})
+    assert main(["drive", "--observer", observer]) == 2
+    error = capsys.readouterr().err
+    assert f"--observer {observer}: must be a policy that estimates" in error
+    assert error.count("\n") == 1
+
+
+def test_without_pygame_driving_says_what_to_install(
+    seen: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in [name for name in sys.modules if name.startswith("tracked_env.rendering")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delattr("tracked_env.rendering", raising=False)
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    assert main(["drive"]) == 1
+    error = capsys.readouterr().err
+    assert 'pip install "tracked-env[render]"' in error and error.count("\n") == 1

@@ -1,0 +1,89 @@
+"""What a policy believes stands in the panel beside the truth, to scale."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.rendering.picture_cases import started
+from tracked_env.engine.simulation import Simulation
+from tracked_env.physics import vehicle
+from tracked_env.rendering import Renderer, belief_rows, canvas, snapshot
+from tracked_env.rendering.belief_rows import PITCH, SIGMAS, TOP
+
+SCENE = 680  # [px]
+SCALE = SCENE + 176, 50  # [px] left end and width
+ENDS = 0.0, 2.0  # [-] of a scale, in nominal values
+
+
+def drawn(simulation: Simulation, beliefs: belief_rows.Beliefs | None) -> np.ndarray:
+    picture = Renderer("rgb_array", 50).draw(simulation, 0, beliefs)
+    assert picture is not None
+    return picture
+
+
+def band(picture: np.ndarray, row: int) -> tuple[int, int]:
+    """First and last column of the band in a row, relative to its scale."""
+    line = picture[TOP + PITCH * row + 5, SCALE[0] : SCALE[0] + SCALE[1]]
+    blue = [canvas.PALE_BLUE, canvas.BLUE, canvas.INK]  # the estimate and the truth lie on it
+    columns = [k for k, pixel in enumerate(line.tolist()) if tuple(pixel) in blue]
+    return columns[0], columns[-1]
+
+
+def test_beliefs_change_the_rows_of_the_panel_and_nothing_else() -> None:
+    simulation = started().simulation
+    without, with_them = drawn(simulation, None), drawn(simulation, {"mass": (1000.0, 50.0)})
+    different = np.argwhere((without != with_them).any(axis=2))
+    rows, columns = different[:, 0], different[:, 1]
+    assert columns.min() >= SCENE and rows.min() >= TOP - 14
+    assert rows.max() <= TOP + PITCH * belief_rows.MOST
+    assert np.array_equal(without, drawn(simulation, None))
+
+
+def test_a_band_reaches_as_far_as_95_percent_of_a_normal_distribution() -> None:
+    simulation = started().simulation
+    nominal = simulation.solver.nominal.mass
+    value, deviation = 0.9 * nominal, 0.2 * nominal
+    picture = drawn(simulation, {"mass": (value, deviation)})
+    width = (SCALE[1] - 1) / (2.0 * nominal)
+    expected = [width * (value + side * SIGMAS * deviation) for side in (-1, 1)]
+    assert band(picture, 0) == pytest.approx(expected, abs=1.1)
+    assert math.erf(SIGMAS / math.sqrt(2.0)) == pytest.approx(0.95, abs=1e-6)
+
+
+def test_bands_beyond_the_scale_end_with_it_and_unknown_ones_are_not_drawn() -> None:
+    simulation = started().simulation
+    wide = drawn(simulation, {"mass": (simulation.solver.nominal.mass, 1e9)})
+    assert band(wide, 0) == pytest.approx((0, SCALE[1] - 1), abs=1)
+    unknown = drawn(simulation, {"mass": (math.nan, math.nan)})
+    assert np.array_equal(unknown, drawn(simulation, {}))
+
+
+def test_the_largest_effort_stands_for_the_strengths_that_make_it_up() -> None:
+    shot = snapshot.take(started().simulation, 0)
+    true = float(vehicle.drive_limits(shot.parameters).effort_maximum)
+    rows = {row.name: row for row in belief_rows.rows(shot, {"effort_maximum": (2e4, 1e3)})}
+    assert "cohesion" not in rows and "friction_angle" not in rows
+    assert rows["effort_maximum"].truth == true
+    usual = {row.name for row in belief_rows.rows(shot, {"mass": (1.0, 1.0)})}
+    assert {"cohesion", "friction_angle"} <= usual and "effort_maximum" not in usual
+
+
+def test_an_angle_of_friction_is_shown_as_the_friction_of_patches() -> None:
+    simulation = started(plant="distributed").simulation
+    shot = snapshot.take(simulation, 0)
+    (row,) = [
+        row
+        for row in belief_rows.rows(shot, {"friction_angle": (0.5, 0.1)})
+        if row.name == "friction"
+    ]
+    assert row.truth == math.tan(shot.parameters.friction_angle)
+    ends = [math.tan(0.5 + side * SIGMAS * 0.1) for side in (-1, 1)]
+    assert [row.value, row.low, row.high] == pytest.approx([math.tan(0.5), *ends])
+
+
+def test_what_the_plant_does_not_read_is_not_shown() -> None:
+    shot = snapshot.take(started(plant="distributed").simulation, 0)
+    assert "lateral_resistance" not in shot.reads
+    shown = {row.name for row in belief_rows.rows(shot, {"lateral_resistance": (0.5, 0.1)})}
+    assert "lateral_resistance" not in shown

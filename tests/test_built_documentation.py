@@ -106,7 +106,7 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
     done = subprocess.run(
         [*command, "-d", str(tmp_path / "trees"), "docs", str(html)],
-        cwd=repository, capture_output=True, text=True, timeout=900,
+        cwd=repository, capture_output=True, text=True, timeout=1800,
         env={**os.environ, "PYTHONPATH": str(repository)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

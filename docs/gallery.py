@@ -28,6 +28,7 @@ FOLDER = Path(__file__).resolve().parent / "_static" / "gallery"
 REPLAY = "replay.html"
 STEPS = 15  # control steps from one picture to the next; of a clip one in CLIP_SHARE is kept
 CLIP_SHARE = 2
+BEHIND_STEPS = 50  # the same for a still from behind the vehicle, where a picture takes longer
 CLIP_RATE = 8.0  # [1/s] pictures of a clip
 CLIP_WIDTH, STILL_WIDTH = 600, 480  # [px]
 CLIP_QUALITY, STILL_QUALITY = 40, 65  # of WebP
@@ -123,7 +124,8 @@ def draw(shown: Shown, path: Path) -> None:
 
     width = CLIP_WIDTH if shown.moving else STILL_WIDTH
     config, entry = prepared(shown)
-    drawn = video.pictures(config, entry, shown.set, 0, STEPS, shown.view)
+    steps = STEPS if shown.moving or shown.view == "top" else BEHIND_STEPS
+    drawn = video.pictures(config, entry, shown.set, 0, steps, shown.view)
     images = [Image.fromarray(picture) for picture in drawn]
     kept = images[::CLIP_SHARE] if shown.moving else images[-1:]
     small = [one.resize((width, round(width * one.height / one.width))) for one in kept]
@@ -150,10 +152,12 @@ def draw_terrain(kind: str, path: Path) -> None:
     env = gymnasium.make(TERRAIN_ID, uncertainty="nominal", terrain=terrain(kind))
     env.reset(seed=0)
     for _ in range(GROUND_STEPS):
-        env.step(np.float32([0.3, 0.3]))
+        env.step(np.array([0.3, 0.3], dtype=np.float32))
     simulation = env.unwrapped.simulation  # type: ignore[attr-defined]
     renderer = Renderer("rgb_array", 50, view="3d", terrain=source_of(simulation, 0))
-    image = Image.fromarray(renderer.draw(simulation, 0))
+    picture = renderer.draw(simulation, 0)
+    assert picture is not None
+    image = Image.fromarray(picture)
     image.resize((STILL_WIDTH, round(STILL_WIDTH * image.height / image.width))).save(
         path, quality=STILL_QUALITY
     )

@@ -33,7 +33,7 @@ TOOLS = {
     "TorchRL": ("torchrl", "torchrl"),
     "Tianshou": ("tianshou", "tianshou"),
     "Minari": ("minari", "minari"),
-    "RLlib": ("ray", "ray.rllib"),
+    "RLlib": ("ray", "tree"),  # of its extra; Ray's core has the folder of RLlib too
 }
 BESIDE = ("gymnasium", "torch", "numpy")  # versions that the table has besides
 # The examples are for readers; a small part of their budget shows that they run.

@@ -220,7 +220,6 @@ WORDS: dict[Any, str] = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PA
 REGISTRY = ConstructorRegistry()
 
 
-@REGISTRY.primitive_rule
 def _by_words(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     of: Any = kind.type
     if of not in (int, float, str):
@@ -230,6 +229,9 @@ def _by_words(kind: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
         lambda given: isinstance(given, of) or (of is float and isinstance(given, int)),
         lambda given: [str(given)],
     )  # fmt: skip
+
+
+REGISTRY.primitive_rule(_by_words)
 
 
 def in_words(kind: Any) -> Any:

@@ -97,6 +97,7 @@ def drive(config: BenchmarkConfig, name: str, observer: Policy | None) -> list[f
 
     pygame.display.init()
     pygame.joystick.init()
+    pygame.event.clear([pygame.QUIT, pygame.WINDOWCLOSE])  # of windows that were closed before
     env = TrackedVehicleEnv(**config.arguments(name, truth=False))
     period = env.simulation.solver.control_period
     terrain = source_of(env.simulation, 0)

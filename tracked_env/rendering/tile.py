@@ -28,6 +28,7 @@ def draw(picture: pygame.Surface, text: Text, shot: Snapshot, notices: list[str]
         _veil(picture, pygame.Rect(0, y, width, STRIP), _VEIL)
         text.put(picture, left, _MARGIN, y + _DROP, SIZE, bold=True)
         text.put(picture, right, width - _MARGIN, y + _DROP, SIZE, bold=True, align=1.0)
+    pygame.draw.rect(picture, canvas.INK, picture.get_rect(), 2)
     line = shot.ending.partition(":")[0] or (notices[-1].partition(":")[0] if notices else "")
     if line:
         _veil(picture, pygame.Rect(0, STRIP + 8, width, STRIP), _NOTICE)

@@ -1,4 +1,4 @@
-"""Pictures of the gallery: every plant, terrain, policy and set of the leaderboards.
+"""Pictures of the gallery: every plant, kind of terrain, policy and set of the leaderboards.
 
     python -m docs.gallery                    # all that are missing in docs/_static/gallery
     python -m docs.gallery plant-distributed  # this one again
@@ -57,7 +57,6 @@ class Shown(NamedTuple):
 # What drives on every set of an environment, and the set on which every policy is shown.
 BASELINES = {TORQUE_ID: "adaptive", SPEED_ID: "slc-adaptive", TERRAIN_ID: "slc"}
 VIEWS = {TORQUE_ID: "top", SPEED_ID: "top", TERRAIN_ID: "3d"}
-GOALS, WITH_GOAL = "goals-step", ("slc-replan", "slc-once")
 # Kinds of terrain that need more than their name.
 TERRAINS: dict[str, dict[str, Any]] = {
     "plane": {"slope_x": 0.2, "slope_y": 0.1},
@@ -95,18 +94,10 @@ def sets(env: str) -> list[Shown]:
 
 
 def policies(env: str) -> list[Shown]:
-    """Each policy at the end of the first episode of the first set of the leaderboard.
-
-    Those that need a goal are on no leaderboard, and drive on the set GOALS.
-    """
+    """Each policy of the leaderboard at the end of the first episode of its first set."""
     names = default_names(registered_policies(), env)
     track, first = env.partition("/")[2].lower(), default_sets(env)[0]
-    drivers = [(name, first, f"`{name}`") for name in names]
-    if env == SPEED_ID:
-        drivers += [(name, GOALS, f"`{name}`, which plans to a goal") for name in WITH_GOAL]
-    return [
-        Shown(f"driver-{track}-{name}", title, env, name, where) for name, where, title in drivers
-    ]
+    return [Shown(f"driver-{track}-{name}", f"`{name}`", env, name, first) for name in names]
 
 
 def prepared(shown: Shown) -> tuple[BenchmarkConfig, PolicyEntry]:

@@ -86,6 +86,8 @@ def test_a_person_drives_and_sees_what_the_observer_believes(
         60: [key(pygame.KEYDOWN, pygame.K_r)],
         70: [key(pygame.KEYDOWN, pygame.K_ESCAPE)],
     })  # fmt: skip
+    pygame.display.init()
+    pygame.event.post(pygame.event.Event(pygame.QUIT))  # of a window before this one
     assert main(["drive", "--set", "payload", "--seed", "5"]) == 0
     assert len(pictures) == 70
     (first, slow, before), (_, fast, believed), (_, turning, _) = (

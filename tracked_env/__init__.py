@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 TORQUE_ID = "tracked_env/Torque-v0"
 SPEED_ID = "tracked_env/Speed-v0"

@@ -171,8 +171,7 @@ def _beside(names: Sequence[str], films: Sequence[Iterator[Picture]]) -> Iterato
 
     shown: list[Picture] = []
     for drawn in zip_longest(*films):
-        former = shown or [None] * len(films)
-        shown = [new if new is not None else old for new, old in zip(drawn, former, strict=True)]
+        shown = [shown[k] if new is None else new for k, new in enumerate(drawn)]
         yield side_by_side(names, shown)
 
 

@@ -17,11 +17,15 @@ from tracked_env.sensors import PRESETS, Sensors
 from tracked_env.uncertainty import SOILS, UNCERTAINTY_SETS
 
 ROOT = Path(__file__).resolve().parent.parent
-BESIDE = "tools.md"  # its examples need what is not installed beside this package: tests/tools
+# Examples that need what is not installed beside this package (tests/tools), or what the commands
+# between them have written (tests/cli/test_user_logs.py).
+BESIDE = ("tools.md", "your_data.md")
 PAGES = [
     str(path.relative_to(ROOT))
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
-    if "```python" in path.read_text() and path.name != BESIDE and "_generated" not in path.parts
+    if "```python" in path.read_text()
+    and path.name not in BESIDE
+    and "_generated" not in path.parts
 ]
 # Budgets are for readers; here a small part of them shows that it runs.
 BUDGETS = {

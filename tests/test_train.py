@@ -114,7 +114,7 @@ def test_the_help_lists_what_there_is(repository):
         (("--uncertainty", "nope"), "soil-and-mass"),
         (("--sensors", "rtk", '{"preset": "rtk",'), "not a JSON object"),
         (("--sensors", "rtk", "nope"), "ideal"),
-        (("--sensors", "mixture"), "2 vehicles or held-out episodes for 5 kinds of sensors"),
+        (("--sensors", "mixture"), "2 vehicles or held-out episodes for 6 kinds of sensors"),
         (("--sensors", '{"pose_delay": -1}'), "pose_delay"),
         (("--augmentation", "residual", "--residual-scale", "0"), "must be in"),
         (("--augmentation", "residual", "--base", "nobody"), "base = 'nobody'; must be a regist"),

@@ -128,7 +128,7 @@ def test_its_settings_are_options_with_the_help_of_their_docstrings(cross_entrop
     with pytest.raises(SystemExit):
         train.command(["--help"])
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert "cross-entropy" in shown and "--cross-entropy.elite FLOAT" in shown
+    assert "cross-entropy" in shown and "--cross-entropy.elite NUMBER" in shown
     assert "Share of the candidates around which the next ones are drawn." in shown
 
 

@@ -10,17 +10,17 @@ from agents.agent_vector_env import AgentVectorEnv
 from agents.algorithms.student import StudentSettings
 from agents.inference import StudentModel, make_inference, weights
 from agents.loading import agent_entry
+from agents.networks import to_npz
 from agents.privileged import Privileged, TruthfulVectorEnv
 from agents.training import checkpoints
 from agents.training.progress import Progress
 from agents.training.run import resolve
 from agents.training.sb3_learner import RolloutCallback
 from agents.training.student_learner import StudentLearner
-from baselines.learned.agent_archive import INFERENCE, read_entry, read_recipe
+from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
 from baselines.learned.agent_policy import Normalisation
 from baselines.learned.history_augmentation import History
 from baselines.learned.privileged_inputs import PRIVILEGED, privileged
-from baselines.learned.shipped import shipped_agents
 from baselines.learned.student_network import read_student
 from tests.agents.agent_cases import actor, same_parameters, small
 from tests.agents.test_agents import STEPS, Recorded, as_evaluated
@@ -174,9 +174,9 @@ def test_a_normalised_inference_of_the_former_scale_is_refused(student):
         patch.setattr("baselines.learned.student_network.INFERENCE_FORMAT", 3)
         with pytest.raises(ValueError, match="inference of format 2; must be 3"):
             read_student(content, options, None, scaling)
-    shipped = shipped_agents("torque")["ppo-student"][0]
-    options = read_recipe(shipped)["augmentation_options"]
-    content = read_entry(shipped, INFERENCE)
+    stored = from_npz(content, INFERENCE)
+    del stored["format"]
+    content = to_npz(stored)
     read_student(content, options, None, None)  # of format 1, without normalisation
     with pytest.raises(ValueError, match="inference of format 1; must be 2"):
         read_student(content, options, None, scaling)

@@ -73,8 +73,9 @@ def test_policies_that_are_not_registered_are_left_out_of_the_first_look() -> No
 
 
 def test_the_command_alone_compares_its_policies_and_ends_with_the_page(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "240")  # else tables are folded
     assert main(["evaluate", "--episodes", "1", "--duration", "0.5", "--no-figures"]) == 0
     (page,) = Path("results").glob("*/leaderboard.html")
     records = json.loads((page.parent / "results.json").read_text())["episodes"]

@@ -27,6 +27,8 @@ DEFAULTS = (
     "benchmark/set_catalogue.py",
     "benchmark/sets.py",
     "cli/evaluate_options.py",
+    "cli/first_look.py",
+    "cli/identify_command.py",
 )
 
 

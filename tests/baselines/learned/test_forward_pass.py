@@ -6,9 +6,9 @@ import pytest
 from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
 from baselines.learned.agent_policy import policy_of
 from baselines.learned.forward_pass import ALGORITHMS, Actor, Perceptron, actor_shapes
-from baselines.learned.recipe import STUDENT, normalisation_of
+from baselines.learned.recipe import STUDENT, groups_of, normalisation_of
 from baselines.learned.shipped import shipped_agents
-from baselines.learned.student_network import inference_layers
+from baselines.learned.student_network import inference_layers, widened_by
 from baselines.learned.trained_agent import open_agent
 from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
@@ -84,7 +84,12 @@ def with_torch(path, context):
     """The agent of an archive with networks of PyTorch."""
     torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
     from agents.archive import load_network
-    from agents.inference import StudentModel, make_inference
+    from agents.inference import (
+        RecurrentInference,
+        RecurrentStudentModel,
+        StudentModel,
+        make_inference,
+    )
 
     recipe = read_recipe(path)
     kind, options, normalisation = (
@@ -92,12 +97,20 @@ def with_torch(path, context):
     )  # fmt: skip
     model = load_network(path, recipe)
     if kind == STUDENT:
-        inference = make_inference(tuple(options["lags"]), tuple(options["hidden"]))
         stored = from_npz(read_entry(path, INFERENCE), INFERENCE)
         stored.pop("format", None)
+        hidden = tuple(options["hidden"])
+        if "lstm_hidden" in options:
+            stored = {name.removesuffix("_l0"): value for name, value in stored.items()}
+            inputs = stored["lstm.weight_ih"].shape[1]
+            inference = RecurrentInference(inputs, hidden, options["lstm_hidden"])
+            names = [field for of_group in groups_of(recipe).values() for field in of_group]
+            model = RecurrentStudentModel(inference, model, normalisation, names)
+        else:
+            inference = make_inference(tuple(options["lags"]), hidden)
+            model = StudentModel(inference, model, normalisation)
         inference.load_state_dict({name: torch.from_numpy(v) for name, v in stored.items()})
-        model = StudentModel(inference, model, normalisation)
-        kind, options, normalisation = "history", {"lags": options["lags"]}, None
+        (kind, options), normalisation = widened_by(options), None
     return policy_of(model, kind, options, context, normalisation)
 
 

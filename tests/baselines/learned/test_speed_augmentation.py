@@ -5,6 +5,7 @@ import pytest
 
 from baselines.learned.augmentation import make_augmentation
 from baselines.learned.speed_augmentation import KNOWN
+from baselines.lyapunov.slope_errors import tuned_gains
 from baselines.registry import slc_adaptive
 from tracked_env import SPEED, TERRAIN
 from tracked_env.benchmark import PolicyContext
@@ -68,7 +69,9 @@ def test_a_residual_of_nothing_drives_as_the_adaptive_controller_of_its_environm
 ):
     """On slopes that is the one that knows them: its observation shows the attitude."""
     env = TrackedVehicleVectorEnv(2, **arguments)
-    augmentation, controller = make_augmentation("residual", {}, context, 2), slc_adaptive(context)
+    options = {"gains": list(tuned_gains(context.observation))}
+    augmentation = make_augmentation("residual", options, context, 2)
+    controller = slc_adaptive(context)
     view, state = View(context.observation, augmentation.needs), None
     observation, _ = env.reset(seed=3)
     start = np.ones(2, dtype=bool)

@@ -20,7 +20,7 @@ from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-SEED = 90_000  # episodes on which nothing was chosen begin after it
+SEED = 90_000  # the design of the intervals was chosen on 100 logs of `soil-and-mass` from here
 KNOWN = ("mass", "longitudinal_resistance", "inertia", "lateral_resistance")
 Logs = list[tuple[Path, dict[str, float]]]
 Intervals = dict[str, list[tuple[bool, float, float]]]

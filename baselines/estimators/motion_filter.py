@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.estimators import late_pose
 from baselines.estimators import stack_links as links
 from baselines.estimators.estimate import Setting
 from baselines.estimators.observation_reader import NEEDS, ObservationReader
@@ -55,7 +56,7 @@ class MotionFilter:
         setting = Setting(
             parameters, control_period, data_sheet, count, lateral, "coupled", attitude
         )
-        self.reader = ObservationReader(control_period, count)
+        self.reader = ObservationReader(control_period, count, data_sheet.pose_delay)
         self.slip = SlipObserver.for_stack(setting)
         self._scales = layout.make_layout(["attitude"]).scale[:3] if attitude else None
         maximum = drive_limits(parameters).effort_maximum
@@ -101,14 +102,16 @@ class MotionFilter:
             self.reader.reset(start)
             self.slip.reset(start)
         reading = self.reader.take(observation, start)
-        latest, behind = reading.latest, np.empty(len(observation))
+        moment = late_pose.moment_of(self.reader, reading)
+        latest, behind = moment.samples, np.empty(len(observation))
         if self._scales is not None:
             shown = observation[:, layout.SIZE : layout.SIZE + 3].astype(np.float64) * self._scales
             latest = WiderMeasurement.of(latest, dict(zip(ATTITUDE, shown.T, strict=True)))
-        links.date(latest.age, reading.drive_delay, behind)
+        links.date(latest.age, moment.drive_delay, behind)
         self.slip.take_ground(self._soil, self._uncertain, self._friction)
-        answer = self.slip.compute(latest)
+        answer = late_pose.filtered(self.slip, latest, moment.held)
         motion = self.slip.motion_rows()
-        links.put_velocity(motion, reading.paired.values)
-        links.advance(motion, behind, reading.paired.values, attitude_of(latest))
-        return FilteredMotion(latest, reading.reference, motion, answer)
+        links.put_velocity(motion, moment.paired.values)
+        links.advance(motion, behind, moment.paired.values, attitude_of(latest))
+        late_pose.to_present(motion, self.reader, self.slip, moment, attitude_of(latest))
+        return FilteredMotion(reading.latest, reading.reference, motion, answer)

@@ -21,9 +21,11 @@ from tracked_env import observation as layout
 from tracked_env.physics.channels import CHANNEL_COUNT, CHANNELS, GROUPS
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import Range
 from tracked_env.validation import CONTROL_PERIOD, VEHICLES, checked_number, checked_whole
 
 LONGEST_AGE = 1.0  # [s] older samples are not paired
+POSE_DELAY = Range(0.0, LONGEST_AGE, "s", "Did you pass milliseconds?")
 DELAY_RISE = 0.2  # [-] slope at which the delay of a group follows ages that stay up
 
 # Columns of `memory`: reference pose and motion, ages, steps, when the last pair was taken (plus
@@ -47,7 +49,7 @@ _SPEED, _ACCELERATION, _REF_YAW_RATE, _BEND = (_I[name] for name in _PATH)
 _AGES = _I["pose_age"]
 _OLDEST = float(layout.FIELDS[_AGES].bound)  # [s] at which ages are clipped
 _COPIED = np.array([(_I[name], COLUMN[name]) for name in _CHANNELS])  # observation column, channel
-_FIRST = np.array([0, COLUMN["acceleration_x"], COLUMN["sprocket_speed_left"]])  # of each group
+FIRST = np.array([0, COLUMN["acceleration_x"], COLUMN["sprocket_speed_left"]])  # of each group
 assert [_I["inertial_age"], _I["drive_age"]] == [_AGES + 1, _AGES + 2]
 
 
@@ -94,8 +96,8 @@ def _pair(memory, i, taken_inertial, taken_drive, slots, paired):
     b = drive_ring + (when % slots) * SLOT
     together = memory[i, a] == when + 1.0 and memory[i, b] == when + 1.0
     for c in range(GROUP_SIZE):
-        paired[i, _FIRST[INERTIAL] + c] = memory[i, a + 1 + c]
-        paired[i, _FIRST[DRIVE] + c] = memory[i, b + 1 + c]
+        paired[i, FIRST[INERTIAL] + c] = memory[i, a + 1 + c]
+        paired[i, FIRST[DRIVE] + c] = memory[i, b + 1 + c]
     if not together or memory[i, LAST_PAIR] > when:
         return False
     memory[i, LAST_PAIR] = when + 1.0
@@ -144,7 +146,7 @@ def read_all(
                 at = RINGS + ((g - 1) * slots + taken % slots) * SLOT
                 memory[i, at] = taken + 1.0
                 for k in range(GROUP_SIZE):
-                    memory[i, at + 1 + k] = latest[i, _FIRST[g] + k]
+                    memory[i, at + 1 + k] = latest[i, FIRST[g] + k]
         for k in range(CHANNEL_COUNT):
             paired[i, k] = latest[i, k]
         taken_inertial = max(step - int(age[i, INERTIAL] / period + 0.5), 0)
@@ -160,14 +162,16 @@ def read_all(
 class ObservationReader:
     """Reads the observations of N vehicles, one call per control step.
 
-    control_period [s]; count: vehicles. Its whole state is `memory`.
-    Raises ValueError for a period or count that makes no sense.
+    control_period [s]; count: vehicles; pose_delay [s], see late_pose. Its whole state is `memory`.
+    Raises ValueError for a number that makes no sense.
     """
 
-    def __init__(self, control_period: float, count: int = 1) -> None:
+    def __init__(self, control_period: float, count: int = 1, pose_delay: float = 0.0) -> None:
         count = checked_whole("count", count, VEHICLES)
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.slots = round(LONGEST_AGE / control_period) + 2
+        delay = checked_number("pose_delay", pose_delay, POSE_DELAY)
+        self.lag = round(delay / self.control_period)  # [steps]
         self.memory = np.zeros((count, RINGS + 2 * self.slots * SLOT))
         self._none = np.zeros(count, dtype=bool)
 

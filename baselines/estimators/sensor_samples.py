@@ -25,7 +25,7 @@ POSE, INERTIAL, DRIVE = range(len(GROUPS))  # columns of `fresh` and `age`
 
 
 class DataSheet(NamedTuple):
-    """Standard deviations and bias magnitudes of the sensors; default is the `rtk` set.
+    """Standard deviations, bias magnitudes and delay of the sensors; default is the `rtk` set.
 
     Field names are those of tracked_env.sensors.Sensors.
     """
@@ -40,6 +40,7 @@ class DataSheet(NamedTuple):
     accelerometer_distance: float = 1.0  # [m] D, between the two that give the yaw acceleration
     sprocket_speed_noise: float = 0.02  # [rad/s] sigma
     torque_noise: float = 10.0  # [N m] sigma, at the sprocket
+    pose_delay: float = 0.0  # [s] of position, heading, velocity
 
     @classmethod
     def of(cls, sensors: Any) -> "DataSheet":

@@ -23,6 +23,7 @@ from baselines.estimators import (
 )
 from baselines.estimators import slip_step as step
 from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity, Setting
+from baselines.estimators.observation_reader import POSE_DELAY
 from baselines.estimators.sensor_samples import ATTITUDE, DataSheet, Measurement, attitude_of
 from baselines.estimators.slip_kinematics import ROWS, STATES
 from tracked_env.physics.attitude import LEVEL
@@ -155,8 +156,8 @@ class SlipObserver(AnsweringEstimator):
         count = checked_whole("count", count, VEHICLES)
         for name in ("track_gauge", "sprocket_radius"):
             checked_number(name, getattr(parameters, name), RANGES[name])
-        for name, sigma in data_sheet._asdict().items():
-            checked_number(name, sigma, SIGMA)
+        for name, number in data_sheet._asdict().items():
+            checked_number(name, number, POSE_DELAY if name == "pose_delay" else SIGMA)
         drifts = (position_drift, yaw_drift, slip_drift, side_slip_drift)
         for name, drift in zip(("position", "yaw", "slip", "side_slip"), drifts, strict=True):
             checked_number(f"{name}_drift", drift, _DRIFT)

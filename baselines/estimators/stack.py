@@ -20,6 +20,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from baselines.estimators import late_pose
 from baselines.estimators import stack_links as links
 from baselines.estimators.actuators import COMMANDS, ActuatorEstimator
 from baselines.estimators.estimate import AnsweringEstimator, Estimator, Setting, Status
@@ -96,7 +97,7 @@ class IdentificationStack:
         sheet = DataSheet() if data_sheet is None else data_sheet
         self.parameters, self.data_sheet = p, sheet
         self.control_period, self.lateral = float(control_period), lateral
-        self.reader = ObservationReader(control_period, count)
+        self.reader = ObservationReader(control_period, count, sheet.pose_delay)
         setting = Setting(
             p, self.control_period, sheet, int(count), lateral, regression, bool(attitude)
         )  # fmt: skip
@@ -122,6 +123,9 @@ class IdentificationStack:
         self._sideslip = SideslipRow(setting) if own_law else None
         # The filter comes first: its velocities are what the regressions see.
         self._after = [(name, part) for name, part in self.parts.items() if name != "slip"]
+        self._of_commands = {
+            name for name, part in self._after if part.paired and set(part.needs) & set(COMMANDS)
+        }
         # Fields besides sensors that are needed: commands, and registered ones, behind those of v0.
         self._added: list[str] = []
         self._check_needs(("slip", *(name for name, _ in self._after)))
@@ -218,27 +222,36 @@ class IdentificationStack:
         if self._check(observation, start):
             self.reset(start)
         reading = self.reader.take(observation, start)
-        latest, paired, behind = reading.latest, reading.paired, self._behind
+        moment = late_pose.moment_of(self.reader, reading)
+        latest, paired, present = moment.samples, moment.paired, reading.paired
         if self._added:
             added = self._samples(observation)
-            latest, paired = (WiderMeasurement.of(one, added) for one in (latest, paired))
+            latest, paired, present = (
+                WiderMeasurement.of(one, added) for one in (latest, paired, present)
+            )
         if self._sideslip is not None:
             self._sideslip.compute(latest, self.longitudinal, self.turning)
-        links.date(latest.age, reading.drive_delay, behind)
+        links.date(latest.age, moment.drive_delay, self._behind)
         estimates = Estimates()
-        estimates.add("slip", self.slip.compute(latest), self.slip.estimate)
+        answer = late_pose.filtered(self.slip, latest, moment.held)
+        estimates.add("slip", answer, self.slip.estimate)
         motion = self.slip.motion_rows()
         links.put_velocity(motion, paired.values)
+        links.advance(motion, self._behind, paired.values, attitude_of(latest))
+        late_pose.to_present(motion, self.reader, self.slip, moment, attitude_of(latest))
+        if self.reader.lag > 0:
+            links.put_velocity(motion, present.values)
         for name, part in self._after:
             part.take_over(self.parts, estimates)
             measurement = paired if part.paired else latest
+            if name in self._of_commands:  # they are those of now
+                measurement = present
             if isinstance(part, AnsweringEstimator):
                 estimates.add(name, part.compute(measurement), part.estimate)
             else:
                 estimates.add_made(name, part.update(measurement))
         soil, covariance, _summary, _status = estimates.answers["soil"]
         self.slip.take_ground(soil, covariance, estimates.answers["turning"][:, 1].copy())
-        links.advance(motion, behind, paired.values, attitude_of(latest))
         return Identification(reading, motion, estimates, self.quantities, self.soil.limit_known)
 
     def compile_kernels(self) -> None:

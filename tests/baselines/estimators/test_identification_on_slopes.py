@@ -211,10 +211,12 @@ def test_gravity_is_not_taken_for_thrust_where_a_late_filter_is_brought_to_the_p
             for stack, view in zip((sloped, flat), views, strict=True)
         ]
         errors.append([one.motion.v_x - truth["v_x"] for one in known])
-    bias = np.mean(errors[-20:], axis=(0, 2))
     taken = GRAVITY * math.sin(math.atan(slope)) * LATE["pose_delay"]  # 0.38 m/s
-    assert bias[1] == pytest.approx(taken, rel=0.15)
-    assert abs(bias[0]) < 0.05 * abs(taken)
+    after_delay = np.mean(errors[12:], axis=2)
+    np.testing.assert_allclose(after_delay[:, 0], 0.0, atol=0.05 * abs(taken))
+    np.testing.assert_allclose(after_delay[:8, 1], taken, rtol=0.05)
+    # Later the flat stack counts gravity as the accelerometer's bias, which is right on this slope.
+    assert abs(after_delay[-1, 1]) < 0.1 * abs(taken)
 
 
 @pytest.mark.parametrize("slip", ["batched", "filterpy"])

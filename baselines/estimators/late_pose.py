@@ -10,6 +10,7 @@ L is of the data sheet. In the first L steps of an episode nothing new is known 
 the first pose: the filter waits, and what is shown is that pose and the inertial way since.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,7 @@ from tracked_env.physics.terramechanics import GRAVITY
 
 _FELT = COLUMN["acceleration_x"] - int(FIRST[INERTIAL])
 _GYRO = COLUMN["yaw_rate"] - int(FIRST[INERTIAL])
+_BEND = COLUMN["yaw_acceleration"] - int(FIRST[INERTIAL])
 
 
 class Moment(NamedTuple):
@@ -97,8 +99,8 @@ def look_back(
 def carry(motion, memory, period, slots, steps, biases, attitude):
     """Motion (N, 6) of `steps` (N,) ago to the present, in place, by what was felt since.
 
-    biases (N, 2) of accelerometer [m/s^2] and gyro [rad/s]; attitude (N, 3). A missing sample is
-    that of before.
+    biases (N, 2) of accelerometer [m/s^2] and gyro [rad/s]; attitude (N, 3). Where a sample is
+    missing, the accelerations of the one before last on.
     """
     for i in range(motion.shape[0]):
         now = int(memory[i, STEP]) - 1
@@ -106,11 +108,13 @@ def carry(motion, memory, period, slots, steps, biases, attitude):
         turn, carried = heading_rate(incline, attitude[i, 2])
         v_y, felt, turning = motion[i, 4], 0.0, motion[i, 5]
         for k in range(steps[i] + 1):
-            at, _older = _newest(memory, i, INERTIAL, slots, now - steps[i] + k)
+            at, older = _newest(memory, i, INERTIAL, slots, now - steps[i] + k)
             a, w = felt, turning
             if at >= 0:
                 new_a = memory[i, at + 1 + _FELT] - biases[i, 0] + GRAVITY * incline.down_x
                 new_w = memory[i, at + 1 + _GYRO] - biases[i, 1]
+                if older > 0 and math.isfinite(memory[i, at + 1 + _BEND]):
+                    new_w += older * period * memory[i, at + 1 + _BEND]
                 a = new_a if abs(new_a) < slip_outage.LARGEST_ACCELERATION else felt
                 w = new_w if abs(new_w - motion[i, 5]) < slip_outage.WILD_TURN else turning
             if k > 0:

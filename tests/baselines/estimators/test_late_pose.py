@@ -97,6 +97,27 @@ def test_the_way_since_is_that_of_the_equations_of_motion(bias):
     assert np.hypot(*(exact[:2] - (x, y))) > 0.2 and abs(exact[2] - yaw) > 0.02
 
 
+def test_beyond_the_last_inertial_sample_its_accelerations_go_on():
+    motions = []
+    for last in (LAG, LAG - 5):
+        reader = ObservationReader(PERIOD, 1, LAG * PERIOD)
+        reader.memory[0, STEP] = LAG + 1
+        for step in range(last + 1):
+            at = RINGS + step * SLOT
+            reader.memory[0, at] = step + 1.0
+            values = reader.memory[0, at + 1 : at + SLOT]
+            values[COLUMN["acceleration_x"] - FIRST[INERTIAL]] = 0.7
+            values[COLUMN["yaw_rate"] - FIRST[INERTIAL]] = 0.2 + 1.1 * step * PERIOD
+            values[COLUMN["yaw_acceleration"] - FIRST[INERTIAL]] = 1.1
+        motion = np.array([[3.0, -2.0, 0.7, 1.2, 0.1, 0.2]])
+        late_pose.carry(
+            motion, reader.memory, PERIOD, reader.slots, np.array([LAG]), np.zeros((1, 2)),
+            np.zeros((1, 3)),
+        )  # fmt: skip
+        motions.append(motion)
+    np.testing.assert_allclose(motions[1], motions[0], rtol=1e-12)
+
+
 @pytest.mark.parametrize("name", ["adaptive", "mpc-adaptive"])
 def test_a_late_pose_on_weak_soil_costs_little(name):
     """Before, slips that were constant over the delay turned the filter's heading away: 0.19 m."""

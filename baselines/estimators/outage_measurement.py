@@ -16,9 +16,7 @@ import math
 
 from baselines.estimators.sensor_samples import COLUMN, INERTIAL
 from baselines.estimators.slip_kinematics import (
-    SLIP_LEFT,
     SLIP_LIMIT,
-    SLIP_RIGHT,
     STANDING_VEHICLE,
 )
 from baselines.estimators.slip_outage import (
@@ -33,6 +31,7 @@ from baselines.estimators.slip_outage import (
     SILENT,
     TURN_BIAS,
     WILD_TURN,
+    speed_variance,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula
@@ -50,15 +49,6 @@ LARGEST_SIDE = 0.5  # [-] |v_y| over the speed, as the controller bounds it
 
 _A_Y, _YAW_RATE = COLUMN["acceleration_y"], COLUMN["yaw_rate"]
 _SPROCKET, _TORQUE = COLUMN["sprocket_speed_left"], COLUMN["torque_left"]
-
-
-@formula
-def _speed_variance(p, left, right):
-    """Variance [m^2/s^2] of the speed by slips of covariance p and belts [m/s]."""
-    both = 2.0 * left * right * p[SLIP_LEFT, SLIP_RIGHT]
-    return 0.25 * abs(
-        left * left * p[SLIP_LEFT, SLIP_LEFT] + right * right * p[SLIP_RIGHT, SLIP_RIGHT] + both
-    )
 
 
 @formula
@@ -94,7 +84,7 @@ def _speed_row(memory, i, at, values, v, p, left, right, k):
     spread = f * f * (memory[i, at + P_FF] + changed)
     spread += twist * twist * (memory[i, at + P_KK] + changed)
     spread = max(spread + 2.0 * f * twist * memory[i, at + P_FK], 0.0)
-    known = _speed_variance(p, left, right)
+    known = speed_variance(p, left, right)
     floor = SPEED_FLOOR * SPEED_FLOOR
     error = by_effort - v
     certain = memory[i, at + P_FF] == 0.0

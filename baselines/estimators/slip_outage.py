@@ -31,11 +31,13 @@ from baselines.estimators.slip_kinematics import (
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula
+from tracked_env.sensors import UNMEASURED
 
 SLIP_SHOWN = 0.8  # [-] slips count as at most that in an outage
 WILD_TURN = 3.0  # [rad/s] a gyro that differs more from the belts is not used
 LARGEST_ACCELERATION = 100.0  # [m/s^2] anything beyond is a fault of the sensor, as NaN is
 LARGEST_SPEED = 100.0  # [m/s] likewise
+FILTERED = 1.0  # [s] over which the error of the filter's speed is one and the same
 
 # What is remembered of one vehicle, from column `at` of its memory on.
 (
@@ -64,6 +66,15 @@ def _speeds(x, left, right, k):
     v_left = soil.track_speed_from_belt(left, x[SLIP_LEFT])
     v_right = soil.track_speed_from_belt(right, x[SLIP_RIGHT])
     return 0.5 * (v_left + v_right), (v_right - v_left) * k.inverse_gauge
+
+
+@formula
+def speed_variance(p, left, right):
+    """Variance [m^2/s^2] of the speed by slips of covariance p and belts [m/s]."""
+    both = 2.0 * left * right * p[SLIP_LEFT, SLIP_RIGHT]
+    return 0.25 * abs(
+        left * left * p[SLIP_LEFT, SLIP_LEFT] + right * right * p[SLIP_RIGHT, SLIP_RIGHT] + both
+    )
 
 
 @formula
@@ -184,9 +195,9 @@ def see(memory, i, at, v, yaw, age, values, k):
 
 
 @formula
-def settle(memory, i, at, x, left, right, used, k):
+def settle(memory, i, at, x, p, left, right, used, k):
     """At the end of a step, with belts [m/s]; used: a pose was, and inertial speed and
-    heading are compared with it."""
+    heading are compared with it. Where no velocity is measured, the filter's stands for it."""
     v, _w = _speeds(x, left, right, k)
     for column in range(GAP_X, GAP_SPEED + 1):
         memory[i, at + column] *= k.fading
@@ -200,7 +211,10 @@ def settle(memory, i, at, x, left, right, used, k):
         memory[i, at + TURNED] = x[YAW]
         memory[i, at + P_TT], memory[i, at + P_TG] = 1.0, 0.0
     memory[i, at + SILENT] = 0.0
-    if abs(memory[i, at + SEEN_SPEED]) < LARGEST_SPEED:
+    if k.velocity_variance >= UNMEASURED * UNMEASURED:
+        variance = speed_variance(p, left, right) * FILTERED / k.period
+        compare(memory, i, at + SPEED, v - memory[i, at + SPEED], variance)
+    elif abs(memory[i, at + SEEN_SPEED]) < LARGEST_SPEED:
         compare(memory, i, at + SPEED, memory[i, at + SEEN_SPEED], k.velocity_variance)
     compare(memory, i, at + TURNED, memory[i, at + SEEN_TURN], k.yaw_variance)
 

@@ -277,7 +277,7 @@ def finish(memory, i, x, p, root, u, used, outcome, k):
             p[:, a] = 0.0
             p[a, a] = variance
     if memory[i, STARTED] > 0.0:
-        slip_outage.settle(memory, i, OUTAGE, x, memory[i, BELT_L], memory[i, BELT_R], used, k)
+        slip_outage.settle(memory, i, OUTAGE, x, p, memory[i, BELT_L], memory[i, BELT_R], used, k)
     store(memory, i, x, p)
     smallest, largest = slip_covariance.information(p)
     moves = min(min(u.fade_left, u.fade_right), u.fade_side) > 0.0

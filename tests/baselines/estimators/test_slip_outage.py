@@ -14,6 +14,8 @@ from baselines.registry import adaptive, oracle
 from tests.baselines.episodes import context
 from tests.baselines.estimators.slip_cases import PARAMETERS, PERIOD, RTK, weaving
 from tests.baselines.estimators.slip_cases import simulate as slipping
+from tracked_env.benchmark import BenchmarkConfig, metrics
+from tracked_env.benchmark.runner import drive
 from tracked_env.engine import columns as b
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.parameters import plant_parameters
@@ -204,6 +206,20 @@ def test_a_belt_that_stands_while_the_track_slides_does_not_stop_the_vehicle():
     for m in run.measurements:
         answer = observer.update(m)
     assert abs(run.state[-1, 0, 0] - answer.value[0, 0]) < 0.1
+
+
+def test_without_a_velocity_sensor_the_bias_is_learned_from_the_speed_of_the_filter():
+    """Else the inertial speed that carries the outage is wrong by 30 s of the bias: 0.6 m."""
+    errors, worst = {}, {}
+    for chosen in ("outages", "outages-no-velocity"):
+        config = BenchmarkConfig(sets=(chosen,))
+        env = config.environment(chosen, 16, False)
+        trace, _time = drive(adaptive(config.context(chosen)), env, range(72000, 72016), int)
+        env.close()
+        found = np.sort(metrics.evaluate(trace)["tracking_rmse"])
+        errors[chosen], worst[chosen] = found[4:12].mean(), found[-1]
+    assert errors["outages-no-velocity"] < 1.3 * errors["outages"] < 0.06
+    assert worst["outages-no-velocity"] < 0.5
 
 
 def test_a_pose_that_is_only_late_or_rare_is_no_outage():

@@ -82,6 +82,11 @@ def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
     assert float(rows[-1]["mass_deviation"]) > 0.0
     page = Path("out/identification.html").read_text()
     assert path.name in page and "http" not in page.replace("http://www.w3.org", "")
+    assert "e+" not in shown and not re.search(r">[\d.]+e[+-]\d", page)
+    for place, said in (("untold", made["not_told"]), ("log", [])):  # sentences, no facts
+        part = page.partition(f'<section id="{place}">')[2].partition("</section>")[0]
+        assert "<li>" in part and "<dl>" not in part
+        assert not said or part.count("<li>") == len(said)
 
 
 def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass() -> None:

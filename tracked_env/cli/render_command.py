@@ -28,6 +28,8 @@ def main(arguments: Sequence[str], program: str) -> int:
                         "one drives")  # fmt: skip
     parser.add_argument("--file", type=Path, metavar="FILE", help="ends in .gif, .mp4 or .png "
                         "(default: episode.gif, and none with --html or --live)")  # fmt: skip
+    parser.add_argument("--at", type=float, metavar="T",
+                        help="time that a PNG shows [s] (default: the end)")  # fmt: skip
     parser.add_argument("--view", choices=("top", "3d", "3d-standing"), default="top",
                         help="from above or from behind the vehicle (default: top)")  # fmt: skip
     parser.add_argument("--html", type=Path, metavar="FILE",
@@ -63,7 +65,7 @@ def _write(
         viewer.check_installed()
     file = given.file or (None if browser else Path("episode.gif"))
     if file is not None:
-        video.draw(benchmark, entries, uncertainty_set, 0, file, given.view)
+        video.draw(benchmark, entries, uncertainty_set, 0, file, given.view, given.at)
         print(f"{label}: {file}")
     if not browser:
         return

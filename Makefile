@@ -50,7 +50,7 @@ train: $(STAMP) ## train a PPO agent into runs/ppo-blind-seed0
 	$(BIN)/python train.py $(TRAIN_ARGS)
 
 test: $(STAMP) ## run the whole test suite
-	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 lint: $(STAMP) ## ruff (rules and format) and mypy
 	$(BIN)/python -m ruff check .

@@ -21,10 +21,8 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
-from tracked_env import TORQUE_ID
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.leaderboard import REFERENCES
@@ -45,7 +43,8 @@ from tracked_env.benchmark.store import Record, Store, identity_hash
 from tracked_env.benchmark.summary import Row, agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned
 from tracked_env.benchmark.tuning import default_settings, tunable
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, names, short_env
+from tracked_env.cli.evaluate_options import add_env, add_option
+from tracked_env.cli.exit_status import Parser
 
 FACTORS = (0.5, 0.7, 1.4, 2.0)
 TOLERATED = 0.05  # [-] that one gain may make the reference better
@@ -167,21 +166,14 @@ def of_sets(records: Sequence[Record]) -> dict[str, Row]:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0], allow_abbrev=False)
-    parser.add_argument("--env", type=short_env, choices=ENVIRONMENTS, default=TORQUE_ID)
-    parser.add_argument("--policies", nargs="+", type=names, metavar="POLICY",
-                        help="by default all that are registered")  # fmt: skip
-    parser.add_argument("--sets", nargs="+", type=names, metavar="SET",
-                        help="by default those of the leaderboard")  # fmt: skip
-    parser.add_argument("--episodes", type=int, default=32, help="of a set (default: 32)")
-    parser.add_argument("--seed", type=int, default=AUDIT,
-                        help="of the first one (default: that of the audit split)")  # fmt: skip
-    parser.add_argument("--output", type=Path, default=Path("results"))
-    given = parser.parse_args()
-    for name in ("policies", "sets"):
-        lists = getattr(given, name)
-        setattr(given, name, lists and tuple(one for part in lists for one in part))
-    return given
+    parser = Parser("break_headline.py", __doc__.split("\n")[0])
+    add_env(parser)
+    add_option(parser, "policies", "by default all that are registered")
+    add_option(parser, "sets", "by default those of the leaderboard")
+    add_option(parser, "episodes", "of a set", default=32)
+    add_option(parser, "seed", "of the first one, at first that of the audit split", default=AUDIT)
+    add_option(parser, "output", "folder of the results")
+    return parser.parse_args()
 
 
 def main() -> int:

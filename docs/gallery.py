@@ -174,7 +174,7 @@ def page() -> str:
         f'```{{raw}} html\n<iframe class="replay" src="{REPLAY}" loading="lazy" '
         'title="Replay of an episode on hills"></iframe>\n'
         f'<p><a href="{REPLAY}">Open it in a page of its own.</a> Drag to turn, scroll to come '
-        "nearer.</p>\n```",
+        "nearer. Where no graphics card draws, the first picture takes some seconds.</p>\n```",
         f"`{replayed} --html {REPLAY}`",
         "## Terrains",
         "Each kind of `terrain`, with the vehicle after 2 s straight on.",

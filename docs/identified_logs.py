@@ -1,6 +1,7 @@
 """How often the 95 % intervals of `tracked-env identify` hold the truth.
 
-    python -m docs.identified_logs
+    python -m docs.identified_logs               # the logs on which the intervals were designed
+    python -m docs.identified_logs --seed 91000  # fresh ones
 
 Vehicles and soils are drawn at random and driven by the adaptive policy; what the sensors say goes
 through CSV files, as a user's log does.
@@ -26,13 +27,18 @@ Logs = list[tuple[Path, dict[str, float]]]
 Intervals = dict[str, list[tuple[bool, float, float]]]
 
 
-def driven(folder: Path, count: int, duration: float, soils: str = "soil-and-mass") -> Logs:
-    """(log, true values) of `count` episodes of `duration` [s] of an uncertainty set."""
+def driven(
+    folder: Path, count: int, duration: float, soils: str = "soil-and-mass", first: int = SEED
+) -> Logs:
+    """(log, true values) of `count` episodes of `duration` [s] of an uncertainty set.
+
+    first: seed of the first episode.
+    """
     env = TrackedVehicleVectorEnv(
         count, uncertainty=soils, duration=duration, error_limit=1e5, autoreset_mode="Disabled"
     )
     paths = [folder / f"{number}.csv" for number in range(count)]
-    seeds = [SEED + number for number in range(count)]
+    seeds = [first + number for number in range(count)]
     return list(zip(paths, record_logs(env, AdaptivePolicy(), paths, seeds), strict=True))
 
 
@@ -65,7 +71,8 @@ if __name__ == "__main__":
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("--set", default="soil-and-mass")
+    parser.add_argument("--seed", type=int, default=SEED)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        logs = driven(Path(folder), given.count, given.duration, given.set)
+        logs = driven(Path(folder), given.count, given.duration, given.set, given.seed)
         print(table(intervals(logs)))

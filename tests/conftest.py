@@ -1,6 +1,7 @@
 """What all tests share: no window, no sound, no display, and where reference data lies."""
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,6 +35,19 @@ def reference_data() -> Path:
             f"reference data not found at {folder}; set TRACKED_ENV_REFERENCE_DATA to its folder"
         )
     return folder
+
+
+@pytest.fixture
+def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The working folder is empty; what commands change in their process is put back.
+
+    That is the path of imports and what Ctrl-C does. No command says that it compiles kernels: a
+    cold cache is no business of the tests.
+    """
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+    monkeypatch.setattr("tracked_env.cli.waiting.PATIENCE", 3600.0)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import re
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -98,17 +99,28 @@ def info_keys(env_id: str) -> set[str]:
     return set(info)
 
 
-def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code_has(
-    repository: Path, tmp_path: Path
-) -> None:
+@pytest.fixture(scope="module")
+def built(
+    repository: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The documentation, built once: folder of the pages, and how the build ended."""
     pytest.importorskip("furo", reason="building the pages needs the extra `docs`")
-    html = tmp_path / "html"
+    folder = tmp_path_factory.mktemp("documentation")
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
+    command += ["-D", "nb_execution_in_temp=1"]  # who downloads a notebook has no clone
+    environment = {**os.environ, "PYTHONPATH": str(repository)}
+    environment.pop("MPLBACKEND", None)  # figures stand in the notebooks
     done = subprocess.run(
-        [*command, "-d", str(tmp_path / "trees"), "docs", str(html)],
-        cwd=repository, capture_output=True, text=True, timeout=1800,
-        env={**os.environ, "PYTHONPATH": str(repository)},
+        [*command, "-d", str(folder / "trees"), "docs", str(folder / "html")],
+        cwd=repository, capture_output=True, text=True, timeout=1800, env=environment,
     )  # fmt: skip
+    return folder / "html", done
+
+
+def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code_has(
+    repository: Path, built: tuple[Path, subprocess.CompletedProcess[str]]
+) -> None:
+    html, done = built
     assert done.returncode == 0, done.stderr
     assert dead_links(html) == []
     for page, env_id in IDS.items():
@@ -125,6 +137,30 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
     assert public_names(repository) - shown == set()
     landing = (html / "index.html").read_text(encoding="utf-8")
     assert "mpc-adaptive" in landing and "policy-adaptive" in landing
+
+
+@pytest.mark.parametrize("page", ["adaptive_control", "train_and_compare"])
+def test_the_notebook_of_a_tutorial_has_the_cells_of_its_page_and_runs(
+    page: str, repository: Path, built: tuple[Path, subprocess.CompletedProcess[str]]
+) -> None:
+    """What the page offers to download is made from the page, and runs from its first cell on."""
+    nbformat = pytest.importorskip("nbformat", reason="notebooks are made by the extra `docs`")
+    html, _ = built
+    (file,) = html.glob(f"_downloads/*/{page}.ipynb")
+    notebook = nbformat.read(file, as_version=4)
+    nbformat.validate(notebook)
+    text = (repository / f"docs/tutorials/{page}.md").read_text()
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell.source for cell in cells] == [
+        cell.strip()
+        for cell in re.findall(r"^```\{code-cell\} ipython3\n(.*?)^```", text, re.S | re.M)
+    ]
+    assert [cell.execution_count for cell in cells] == [*range(1, len(cells) + 1)]
+    outputs = [output for cell in cells for output in cell.outputs]
+    assert sum("image/png" in output.get("data", ()) for output in outputs) >= 4
+    assert not [output for output in outputs if output.output_type == "error"]
+    values = [output for output in outputs if output.output_type == "execute_result"]
+    assert not values, "a cell ends with an expression, whose value a reader would see"
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,8 @@ SMALL = (
     "--quiet", "--vehicles", "4", "--held-out", "2", "--duration", "1", "--uncertainty", "payload",
     "--ppo.n-steps", "32", "--ppo.batch-size", "128", "--ppo.n-epochs", "2", "--ppo.hidden", "16",
 )  # fmt: skip
+
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 SWEEP: dict[str, Any] = {
     "output": "swept", "agents": ["ppo"], "augmentations": ["blind", "history"], "seeds": [1],
     "uncertainty": ["payload"], "sets": ["payload"], "episodes": 4,
@@ -36,11 +38,6 @@ SWEEP: dict[str, Any] = {
         "ppo": {"n_steps": 32, "batch_size": 128, "n_epochs": 2, "hidden": [16]},
     },
 }  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users_command(

@@ -173,10 +173,11 @@ def test_a_wrong_place_to_run_is_one_line_before_anything_runs(
     monkeypatch.chdir(tmp_path)
     try:
         status = main(["evaluate", "--policies", "nominal", *options])
-    except SystemExit as error:  # of argparse, after its usage
+    except SystemExit as error:
         status = int(error.code or 0)
     assert status == 2
-    assert message in capsys.readouterr().err.splitlines()[-1]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("tracked-env evaluate: ") and message in line
     assert not list(tmp_path.iterdir())
 
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,14 +12,9 @@ from tracked_env.benchmark.splits import DEVELOPMENT
 from tracked_env.cli.choose_command import candidates
 from tracked_env.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
+
 ARGUMENTS = ("choose-sets", "--sets", "alternating", "payload", "--episodes", "2")
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
 
 
 def chunks() -> list[dict[str, object]]:

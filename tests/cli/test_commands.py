@@ -21,15 +21,9 @@ from tracked_env.cli import clone, evaluate_command
 from tracked_env.cli.evaluate_options import Config, parsed
 from tracked_env.cli.main import COMMANDS, main
 
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
+
 TINY = ("--sets", "payload", "--episodes", "1", "--duration", "0.5")
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands change the path of imports and what Ctrl-C does; both are put back."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
 
 
 @pytest.fixture
@@ -73,7 +67,39 @@ def test_a_wrong_argument_is_one_line_that_names_the_command(
     assert error.startswith("tracked-env evaluate: unknown policy") and error.count("\n") == 1
     with pytest.raises(SystemExit, match="2"):
         main(["evaluat"])
-    assert "invalid choice: 'evaluat'" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert error.startswith("tracked-env: ") and error.count("\n") == 1
+    assert "invalid choice: 'evaluat'" in error
+
+
+@pytest.mark.parametrize("command", sorted({*COMMANDS} - {"train"}))
+@pytest.mark.parametrize("wrong", ["--nosuch", "--env=Sped-v0"])
+def test_an_option_or_environment_that_a_command_does_not_know_is_one_line(
+    wrong: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main([command, wrong])
+    error = capsys.readouterr().err
+    assert error.startswith(f"tracked-env {command}: ") and error.count("\n") == 1
+    has_env = command not in ("plan", "identify", "slip")
+    assert ("Did you mean 'Speed-v0'?" in error) == (has_env and wrong != "--nosuch")
+
+
+def test_without_a_command_all_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    shown = capsys.readouterr().err
+    assert all(f"\n  {name} " in shown for name in COMMANDS)
+
+
+def test_commands_that_drive_one_episode_take_no_option_that_they_do_not_follow(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for command in ("record", "render", "drive"):
+        with pytest.raises(SystemExit, match="0"):
+            main([command, "--help"])
+        shown = capsys.readouterr().out
+        assert "--seed" in shown and "--set " in shown
+        assert not any(f"--{name}" in shown for name in ("all", "sets-version", "episodes"))
 
 
 @pytest.mark.parametrize(
@@ -228,7 +254,9 @@ def test_an_interruption_is_one_line_that_names_the_command(
         # In the background of a shell SIGINT is ignored, and children inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
-    time.sleep(9.0)  # it compiles
+    until = time.monotonic() + 60.0
+    while not [*tmp_path.rglob("*.nbc")] and time.monotonic() < until:  # then it compiles
+        time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)
     assert process.returncode == 130

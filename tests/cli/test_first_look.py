@@ -1,7 +1,6 @@
 """The first look of `evaluate`: what it compares, and how its kernels are compiled."""
 
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -25,14 +24,9 @@ from tracked_env.cli.evaluate_options import Config, parsed
 from tracked_env.cli.first_look import FIRST_LOOKS, first_policies
 from tracked_env.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
+
 IDS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
 
 
 @pytest.mark.parametrize("env", IDS)

@@ -3,7 +3,6 @@
 import csv
 import sys
 import time
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,19 +12,12 @@ from baselines.planners.plan_request import planned
 from tracked_env import entry_points
 from tracked_env.cli.main import main
 from tracked_env.cli.plan_figure import outline
-from tracked_env.cli.waiting import COMPILING, explained
+from tracked_env.cli.waiting import COMPILING
+
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 GOAL = ("--goal", "2", "2.5", "-0.4")
 QUICK = ("plan", *GOAL, "--method", "dubins", "--no-slip", "--no-figure")
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
-    quiet = partial(explained, after=3600.0)  # a cold cache is no business of the other tests
-    monkeypatch.setattr("tracked_env.cli.plan_command.explained", quiet)
 
 
 def printed(text: str) -> dict[str, str]:
@@ -71,7 +63,7 @@ def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(
         return planned((2.0, 2.5, -0.4), method="dubins", slips=False)
 
     monkeypatch.setattr("tracked_env.cli.plan_command.command_function", lambda name: slow)
-    monkeypatch.setattr("tracked_env.cli.plan_command.explained", partial(explained, after=0.05))
+    monkeypatch.setattr("tracked_env.cli.waiting.PATIENCE", 0.05)
     assert main([*QUICK]) == 0
     assert capsys.readouterr().err == f"{COMPILING}\n"
 

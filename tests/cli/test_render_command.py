@@ -8,13 +8,7 @@ import pytest
 
 from tracked_env.cli.main import main
 
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands change the path of imports and what Ctrl-C does; both are put back."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4", ".png"])
@@ -36,6 +30,27 @@ def test_render_writes_the_episode_in_the_format_of_the_file(suffix: str) -> Non
         frames = getattr(picture, "n_frames", 1)
         assert frames == (11 if suffix == ".gif" else 1)
         assert picture.convert("L").getextrema() != (0, 0)
+
+
+def test_a_picture_shows_the_time_that_is_asked_for_and_else_the_end(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pytest.importorskip("pygame", reason="pictures need the extra `render`")
+    image = pytest.importorskip("PIL.Image")
+    drawn = {}
+    for time in ("0", "0.5", "1", ""):
+        at = ["--at", time] if time else []
+        assert main(["render", "nominal", "--duration", "1", "--file", "one.png", *at]) == 0
+        with image.open("one.png") as picture:
+            drawn[time] = np.asarray(picture)
+    assert np.array_equal(drawn["1"], drawn[""])
+    assert not np.array_equal(drawn["0"], drawn["0.5"])
+    assert not np.array_equal(drawn["0.5"], drawn["1"])
+    capsys.readouterr()
+    for wrong in (["--at", "1.5"], ["--at", "0.5", "--file", "one.gif"]):
+        assert main(["render", "nominal", "--duration", "1", "--file", "one.png", *wrong]) == 2
+    beyond, moving = capsys.readouterr().err.splitlines()
+    assert "must be in [0, 1] s" in beyond and "must end in .png" in moving
 
 
 def test_render_shows_the_same_episode_from_behind_the_vehicle() -> None:

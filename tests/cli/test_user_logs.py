@@ -4,7 +4,6 @@ import csv
 import json
 import re
 import shlex
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +20,14 @@ from tracked_env.cli.user_data.log_identification import biases, half_width, ide
 from tracked_env.cli.user_data.log_recording import record_log
 from tracked_env.cli.user_data.parameter_set import parameter_set, untold
 from tracked_env.cli.user_data.vehicle_log import Drivetrain, Log, read_log
-from tracked_env.cli.waiting import explained
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
+
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 STRAWA, RTK = VEHICLES["strawa"], PRESETS["rtk"]
 Columns = dict[str, Any]
 ALL_ACCELERATIONS = ("acceleration_x", "acceleration_y", "yaw_acceleration")
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
-    quiet = partial(explained, after=3600.0)  # a cold cache is no business of the other tests
-    for command in ("identify", "record"):
-        monkeypatch.setattr(f"tracked_env.cli.{command}_command.explained", quiet)
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +82,11 @@ def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
     assert float(rows[-1]["mass_deviation"]) > 0.0
     page = Path("out/identification.html").read_text()
     assert path.name in page and "http" not in page.replace("http://www.w3.org", "")
+    assert "e+" not in shown and not re.search(r">[\d.]+e[+-]\d", page)
+    for place, said in (("untold", made["not_told"]), ("log", [])):  # sentences, no facts
+        part = page.partition(f'<section id="{place}">')[2].partition("</section>")[0]
+        assert "<li>" in part and "<dl>" not in part
+        assert not said or part.count("<li>") == len(said)
 
 
 def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass() -> None:
@@ -302,12 +298,8 @@ def test_record_writes_a_log_and_the_truth_and_leaves_missing_samples_empty(
     assert "truth" in capsys.readouterr().err
 
 
-def test_the_blocks_of_the_page_run_as_they_stand(
-    repository: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_blocks_of_the_page_run_as_they_stand(repository: Path) -> None:
     """In order, in one folder: what one block writes the next one reads."""
-    quiet = partial(explained, after=3600.0)
-    monkeypatch.setattr("tracked_env.cli.slip_command.explained", quiet)
     text = (repository / "docs" / "your_data.md").read_text()
     blocks = re.findall(r"```(python|bash)\n(.*?)```", text, flags=re.DOTALL)
     assert [kind for kind, _ in blocks] == ["python", "bash", "python", "bash", "python"]

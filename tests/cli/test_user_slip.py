@@ -1,7 +1,6 @@
 """`tracked-env slip`: corrupt runs are found and named, R^2 is of runs not seen."""
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +13,14 @@ from baselines.slip.slip_sweep import steady_motion, with_friction
 from tracked_env.cli.main import main
 from tracked_env.cli.user_data.slip_fit import fit
 from tracked_env.cli.user_data.slip_runs import Runs, mean_motion, read_runs
-from tracked_env.cli.waiting import explained
 from tracked_env.physics.parameters import VEHICLES
+
+pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 FOCCHI = VEHICLES["focchi"]
 SLIPPERY = with_friction(FOCCHI, 0.2)
 GEAR = 30.0
 Columns = dict[str, Any]
-
-
-@pytest.fixture(autouse=True)
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
-    quiet = partial(explained, after=3600.0)
-    monkeypatch.setattr("tracked_env.cli.slip_command.explained", quiet)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reproduce.focchi2025 import load_models as loads
-from reproduce.focchi2025 import slope_claims, slope_runs
+from reproduce.focchi2025 import slope_chicane, slope_claims, slope_identification, slope_runs
 from reproduce.focchi2025 import uneven_ground as ground
 from reproduce.focchi2025.runs import vehicle
 from tracked_env.terrain.height_field import make_height_field
@@ -42,7 +42,11 @@ def test_a_vehicle_starts_on_a_flank_of_both_grounds(mapped):
 
 
 def test_without_the_map_its_file_is_named_and_the_seeded_field_is_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(loads, "DURATION", 0.5)
+    for module in (loads, slope_chicane):
+        monkeypatch.setattr(module, "DURATION", 0.5)
+    monkeypatch.setattr(slope_chicane, "RATE", 50.0)
+    monkeypatch.setattr(slope_identification, "SPEED_STEP", 6.0)
+    monkeypatch.setattr(slope_identification, "PROBES", 40)
     said = []
     found = slope_runs.run_all(said.append, tmp_path / "gone.npz")
     assert "gone.npz" in said[0] and "left out" in said[0] and found.missing == said[0]

@@ -68,6 +68,7 @@ class Section(NamedTuple):
     figures: Sequence[Drawing] = ()
     facts: Mapping[str, str] = {}
     links: Mapping[str, str] = {}
+    notes: Sequence[str] = ()  # sentences
 
 
 def main_table(board: Leaderboard) -> Table:

@@ -7,7 +7,7 @@ Needs the extra `render`, the page the extra `viewer` too.
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,13 +59,14 @@ def draw(
     episode: int,
     path: Path,
     view: str = "top",
+    at: float | None = None,
 ) -> None:
     """Draw one episode of the benchmark, the same vehicle, soil, reference and noise.
 
     entries: one policy, or 2 to MOST, side by side under their names; one whose episode ends early
-    stays on its last picture. path: with a suffix of FORMATS; a PNG shows the end; view: as
-    `rendering.Renderer` has it. Raises ImportError that names the extra to install, ValueError for
-    another suffix, view or number of policies.
+    stays on its last picture. path: with a suffix of FORMATS; view: as `rendering.Renderer` has it;
+    at: time [s] that a PNG shows, None for the end. Raises ImportError that names the extra to
+    install, ValueError for another suffix, view, time or number of policies.
     """
     entries = [entries] if isinstance(entries, PolicyEntry) else list(entries)
     suffix = path.suffix.lower()
@@ -73,8 +74,16 @@ def draw(
         raise ValueError(f"file {path}: must end in {', '.join(FORMATS)}")
     if not 1 <= len(entries) <= MOST:
         raise ValueError(f"{len(entries)} policies in one picture; must be 1 to {MOST}")
-    steps = FORMATS[suffix]
-    films = [pictures(config, entry, uncertainty_set, episode, steps, view) for entry in entries]
+    steps, length = FORMATS[suffix], config.max_steps(uncertainty_set) / config.control_rate
+    if at is not None and suffix != ".png":
+        raise ValueError(f"file {path}: must end in .png where a time is given")
+    if at is not None and not 0.0 <= at <= length:
+        raise ValueError(f"time = {at:g} s; must be in [0, {length:g}] s, the episode")
+    count = None if at is None else round(at * config.control_rate / steps) + 1
+    films = [
+        islice(pictures(config, entry, uncertainty_set, episode, steps, view), count)
+        for entry in entries
+    ]
     path.parent.mkdir(parents=True, exist_ok=True)
     ours = f".{os.getpid()}.tmp"  # as `files.temporary` has it: a later run removes what is left
     with tempfile.TemporaryDirectory(prefix=".video", suffix=ours, dir=path.parent) as place:

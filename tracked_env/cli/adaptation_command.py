@@ -1,6 +1,5 @@
 """`tracked-env adaptation`: every policy beside itself without learning from the change on."""
 
-import argparse
 import csv
 import io
 import shutil
@@ -35,7 +34,7 @@ from tracked_env.benchmark.summary import agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned, folded, markdown_rows
 from tracked_env.cli.evaluate_command import result_folder
 from tracked_env.cli.evaluate_options import add_options, config_of
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.validation import unknown
 
 # Sets with a change inside the episode, by environment.
@@ -47,7 +46,7 @@ CHANGING = {
     "tracked_env/Terrain-v0": ("slope-payload", "slope-step-late", "slope-payload-outages"),
 }  # fmt: skip
 _FIXED = ("trust", "sensors", "reference", "duration", "lateral", "video", "paper", "shard",
-          "all")  # fmt: skip
+          "all", "sets_version")  # fmt: skip
 
 
 def both(entries: Sequence[PolicyEntry], config: BenchmarkConfig) -> list[PolicyEntry]:
@@ -83,10 +82,9 @@ def write(folder: Path, store: Store, cells: list[list[str]], sets: Sequence[str
 @reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Run what is missing, print the table, write it and the figures; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description="Compare each policy with itself where it learns no more from the first abrupt "
+    parser = Parser(
+        program,
+        "Compare each policy with itself where it learns no more from the first abrupt "
         "change of an episode on, and with the best policy that reads the truth.",
     )
     add_options(parser, without=_FIXED)

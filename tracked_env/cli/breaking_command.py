@@ -27,38 +27,30 @@ from tracked_env.benchmark.store import Store, identity_hash, write_atomically
 from tracked_env.benchmark.summary import agent_of
 from tracked_env.benchmark.text_tables import aligned
 from tracked_env.cli.choose_command import few_seeds
-from tracked_env.cli.evaluate_options import names, short_env
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.evaluate_options import JoinedNames, add_env, add_option, names
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.uncertainty.law import fingerprint
 from tracked_env.validation import checked_choice
 
 
 def _options(arguments: Sequence[str], program: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description="Find, for each policy and difficulty, the level at which half of the episodes "
+    parser = Parser(
+        program,
+        "Find, for each policy and difficulty, the level at which half of the episodes "
         "fail, on the same episodes. What was run is kept, and only what is missing is run.",
     )
-    parser.add_argument("--env", type=short_env, choices=(TORQUE_ID, SPEED_ID), default=TORQUE_ID,
-                        metavar="{Torque-v0,Speed-v0}",
-                        help=f"environment id (default: {TORQUE_ID})")  # fmt: skip
-    parser.add_argument(
-        "--policies", nargs="+", type=names, metavar="POLICY",
-        help="as in `tracked-env evaluate`; by default all that are registered",
-    )  # fmt: skip
-    parser.add_argument("--axes", nargs="+", type=names, metavar="AXIS",
+    add_env(parser, (TORQUE_ID, SPEED_ID))
+    add_option(
+        parser, "policies", "as in `tracked-env evaluate`; by default all that are registered"
+    )
+    parser.add_argument("--axes", nargs="+", type=names, action=JoinedNames, metavar="AXIS",
                         help=f"of {', '.join(breaking.AXES)}; by default all")  # fmt: skip
-    parser.add_argument("--episodes", type=int, default=32, help="of a level (default: 32)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first one (default: 0)")
+    add_option(parser, "episodes", "of a level", default=32)
+    add_option(parser, "seed", "of the first episode")
     parser.add_argument("--seeds", type=int, default=1,
                         help="trainings of an agent, at most (default: 1)")  # fmt: skip
-    parser.add_argument("--output", type=Path, default=Path("results"))
-    given = parser.parse_args(arguments)
-    for name in ("policies", "axes"):
-        lists = getattr(given, name)
-        setattr(given, name, lists and [one for part in lists for one in part])
-    return given
+    add_option(parser, "output", "folder of the results")
+    return parser.parse_args(arguments)
 
 
 def find(

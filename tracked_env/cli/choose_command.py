@@ -8,9 +8,7 @@ import json
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
-from tracked_env import TORQUE_ID
 from tracked_env.benchmark import choice_of_sets as choosing
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.executors import make_executor
@@ -30,53 +28,32 @@ from tracked_env.benchmark.splits import DEVELOPMENT
 from tracked_env.benchmark.store import Store, identity_hash, write_atomically
 from tracked_env.benchmark.summary import agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned, markdown_rows
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, SHORT, names, short_env
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.evaluate_options import add_env, add_option
+from tracked_env.cli.exit_status import Parser, reported
 
 _KNOWN = ("nominal", "floor", "level")  # nothing is unknown there: no candidates
 
 
-class Options(NamedTuple):
-    """Options of the command."""
-
-    env: str
-    policies: list[str] | None
-    sets: list[str] | None
-    episodes: int
-    seeds: int
-    output: Path
-    workers: int | None
-    page: Path | None
-
-
-def _options(arguments: Sequence[str], program: str) -> Options:
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description="Print what every candidate for the evaluation sets separates: policies with "
+def _options(arguments: Sequence[str], program: str) -> argparse.Namespace:
+    parser = Parser(
+        program,
+        "Print what every candidate for the evaluation sets separates: policies with "
         "memory from blind ones, adaptive controllers from others; and which candidates rank the "
         "policies alike. Episodes are those of the development split.",
     )
-    parser.add_argument("--env", type=short_env, choices=ENVIRONMENTS, default=TORQUE_ID,
-                        metavar=SHORT, help=f"environment id (default: {TORQUE_ID})")  # fmt: skip
-    parser.add_argument(
-        "--policies", nargs="+", type=names, metavar="POLICY",
-        help="as in `tracked-env evaluate`; by default all that are registered",
-    )  # fmt: skip
-    parser.add_argument("--sets", nargs="+", type=names, metavar="SET",
-                        help="candidates; by default all sets of the environment")  # fmt: skip
-    parser.add_argument("--episodes", type=int, default=24, help="per set (default: 24)")
+    add_env(parser)
+    add_option(
+        parser, "policies", "as in `tracked-env evaluate`; by default all that are registered"
+    )
+    add_option(parser, "sets", "candidates; by default all sets of the environment")
+    add_option(parser, "episodes", "per set", default=24)
     parser.add_argument("--seeds", type=int, default=1,
                         help="of every agent, at most (default: 1)")  # fmt: skip
-    parser.add_argument("--output", type=Path, default=Path("results"))
-    parser.add_argument("--workers", type=int, metavar="N", help="processes at the same time")
+    add_option(parser, "output", "folder of the results")
+    add_option(parser, "workers")
     parser.add_argument("--page", type=Path, metavar="FILE",
                         help="page whose block of this environment is renewed")  # fmt: skip
-    given = parser.parse_args(arguments)
-    for name in ("policies", "sets"):
-        lists = getattr(given, name)
-        setattr(given, name, lists and [one for part in lists for one in part])
-    return Options(**vars(given))
+    return parser.parse_args(arguments)
 
 
 def candidates(env: str) -> tuple[str, ...]:
@@ -108,7 +85,7 @@ def page_of(found: choosing.Choice, conditions: str) -> str:
     return "\n\n".join(parts)
 
 
-def _choose(options: Options) -> None:
+def _choose(options: argparse.Namespace) -> None:
     config = BenchmarkConfig(
         sets=tuple(options.sets or candidates(options.env)),
         episodes=options.episodes,

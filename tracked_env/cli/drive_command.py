@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark import default_sets
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.policy_interface import Policy, checked_policy, needs_truth, tell_plant
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.cli.evaluate_command import benchmark_config
-from tracked_env.cli.evaluate_options import add_options, config_of
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.evaluate_options import add_episode_options, config_of
+from tracked_env.cli.exit_status import Parser, reported
 
 OBSERVERS = {TORQUE_ID: "adaptive", SPEED_ID: "slc-adaptive", TERRAIN_ID: "slc-adaptive"}
 DURATION = 120.0  # [s] of an episode
@@ -33,8 +32,6 @@ space               no command at once
 R                   a new episode
 Esc, Q              end
 left stick          the same by gamepad; its start button begins a new episode"""
-_OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk",
-           "quiet", "all", "workers", "shard", "ray", "sets_version")  # fmt: skip
 
 
 class Controls:
@@ -133,23 +130,20 @@ def drive(config: BenchmarkConfig, name: str, observer: Policy | None) -> list[f
 @reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Drive; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description="Drive a vehicle of an evaluation set in a window; the panel shows what an "
+    parser = Parser(
+        program,
+        "Drive a vehicle of an evaluation set in a window; the panel shows what an\n"
         "observer believes of vehicle and soil, beside the truth.",
         epilog=KEYS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
     parser.add_argument("--observer", metavar="POLICY",
                         help="policy whose estimates are shown, or `none` (default: "
                         "adaptive, on Speed-v0 and Terrain-v0 slc-adaptive)")  # fmt: skip
-    add_options(parser, without=_OTHERS)
+    add_episode_options(parser)
     given = parser.parse_args(arguments)
     import tracked_env.rendering  # noqa: F401, says what is missing before anything is compiled
 
-    given.sets = [(given.set or default_sets(given.env)[0],)]
     config = replace(benchmark_config(config_of(given)), error_limit=ERROR_LIMIT)
     if config.duration is None:
         config = replace(config, duration=DURATION)

@@ -1,13 +1,16 @@
 """Options of `tracked-env evaluate` and evaluate.py, and a configuration from them."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.executors.shard import Shard, parse_shard
+from tracked_env.benchmark.sets import default_sets
+from tracked_env.cli.exit_status import Parser
+from tracked_env.validation import checked_choice
 
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
 
@@ -24,8 +27,9 @@ An interrupted run loses at most the chunk of episodes in progress; run it again
 """
 ENVIRONMENTS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)  # those with evaluation sets
 EPISODES, EPISODES_AT_FIRST = 32, 16  # of each set; with fewer than 16 there is no verdict
-SHORT = "{" + ",".join(env.rpartition("/")[2] for env in ENVIRONMENTS) + "}"  # as helps show them
 PAPERS = ("none", "strawa2021", "focchi2025")
+# Options of what drives a single episode.
+EPISODE = ("env", "seed", "sensors", "reference", "duration", "lateral")
 
 
 def short_env(text: str) -> str:
@@ -38,6 +42,31 @@ def names(text: str) -> tuple[str, ...]:
     given = text.rpartition("=")[2]
     parts = (text,) if Path(given).exists() else text.split(",")
     return tuple(part for part in parts if part)
+
+
+class JoinedNames(argparse.Action):
+    """Stores what `names` made of each argument as one tuple, every name once."""
+
+    def __call__(
+        self, parser: object, given: argparse.Namespace, values: Any, option: object = None
+    ) -> None:
+        """Store the names."""
+        joined = tuple(dict.fromkeys(name for part in values for name in part))
+        setattr(given, self.dest, joined)
+
+
+def env_type(allowed: Sequence[str]) -> Callable[[str], str]:
+    """What makes one of the allowed environment ids of an argument."""
+
+    short = [env.rpartition("/")[2] for env in allowed]
+
+    def env_of(text: str) -> str:
+        try:
+            return short_env(checked_choice("environment", text.rpartition("/")[2], short))
+        except ValueError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+
+    return env_of
 
 
 def shard_of(text: str) -> Shard:
@@ -63,10 +92,10 @@ class Config:
     """What to compare, on what, and where the results go."""
 
     env: str = option(
-        TORQUE_ID, "environment id, with or without `tracked_env/`: sprocket torques as actions, "
-        "or speeds, on level ground or on slopes", type=short_env, choices=ENVIRONMENTS,
-        metavar=SHORT,
-    )  # fmt: skip
+        TORQUE_ID,
+        "environment id, with or without `tracked_env/`: sprocket torques as actions, "
+        "or speeds, on level ground or on slopes",
+    )
     policies: tuple[str, ...] | None = option(
         None,
         "policies to compare, separated by spaces or commas; the first one is the baseline. By "
@@ -77,7 +106,7 @@ class Config:
         "NAME=runs/ppo-*/agent.zip: the seeds of one agent, summarised together. "
         "module:attribute: any object with a `predict` as in Stable-Baselines3, or what makes one; "
         "it is imported and run",
-        nargs="+", type=names, metavar="POLICY",
+        nargs="+", type=names, action=JoinedNames, metavar="POLICY",
     )  # fmt: skip
     trust: bool = flag(
         False,
@@ -90,7 +119,7 @@ class Config:
         "evaluation sets: laws of vehicle, soil and changes, and sensors, separated by spaces or "
         "commas. By default, where policies are named, all of the environment but the known ones: "
         "`tracked-env envs` lists them",
-        nargs="+", type=names, metavar="SET",
+        nargs="+", type=names, action=JoinedNames, metavar="SET",
     )  # fmt: skip
     all: bool = flag(
         False, "all policies that are registered, unless some are named, on all sets, unless some "
@@ -173,35 +202,64 @@ class Config:
         return EPISODES_AT_FIRST if self.is_first_look else EPISODES
 
 
-def add_options(parser: argparse.ArgumentParser, without: Sequence[str] = ()) -> None:
+FIELDS = {each.name: each for each in fields(Config)}
+
+
+def add_option(
+    parser: argparse.ArgumentParser, name: str, text: str | None = None, **changed: Any
+) -> None:
+    """A field of Config as an option.
+
+    text: its help, where it is not that of the field. changed: what else argparse gets in place of
+    what the field says, as `default`.
+    """
+    of = FIELDS[name]
+    more = {"default": of.default, **of.metadata, **changed}
+    told = more.pop("help")
+    said = told if text is None else text
+    default = more["default"]
+    if default is not None and not isinstance(default, bool):
+        said += f" (default: {default})"
+    parser.add_argument(f"--{name.replace('_', '-')}", help=said.lstrip(), **more)
+
+
+def add_env(
+    parser: argparse.ArgumentParser, envs: Sequence[str] = ENVIRONMENTS, **changed: Any
+) -> None:
+    """The option --env of a command for these environments; changed: as in `add_option`."""
+    short = "{" + ",".join(env.rpartition("/")[2] for env in envs) + "}"
+    add_option(parser, "env", type=env_type(envs), metavar=short, **changed)
+
+
+def add_options(
+    parser: argparse.ArgumentParser,
+    only: Sequence[str] = tuple(FIELDS),
+    without: Sequence[str] = (),
+) -> None:
     """The fields of Config as options."""
-    for each in fields(Config):
-        if each.name in without:
-            continue
-        more = {key: value for key, value in each.metadata.items() if key != "help"}
-        is_shown = each.default is not None and not isinstance(each.default, bool)
-        text = each.metadata["help"] + (f" (default: {each.default})" if is_shown else "")
-        parser.add_argument(
-            f"--{each.name.replace('_', '-')}", default=each.default, help=text, **more
-        )
+    for name in (each for each in FIELDS if each in only and each not in without):
+        if name == "env":
+            add_env(parser)
+        else:
+            add_option(parser, name)
+
+
+def add_episode_options(parser: argparse.ArgumentParser) -> None:
+    """Options of what drives a single episode: those of EPISODE, and --set."""
+    parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
+    add_options(parser, only=EPISODE)
 
 
 def config_of(given: argparse.Namespace) -> Config:
-    """The options of a command line; lists of lists, as `names` makes them, are joined."""
-    values = {each.name: getattr(given, each.name) for each in fields(Config) if each.name in given}
-    for name in ("policies", "sets"):
-        if values.get(name):
-            values[name] = tuple(dict.fromkeys(one for part in values[name] for one in part))
+    """The options of a command line; one set where `given.set` names it."""
+    values = {name: getattr(given, name) for name in FIELDS if name in given}
+    if "set" in given:
+        values["sets"] = (given.set or default_sets(given.env)[0],)
     return Config(**values)
 
 
 def parsed(arguments: Sequence[str] | None, program: str) -> Config:
     """The configuration of a command line; exits with a message for one that is wrong."""
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description=DESCRIPTION,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser(program, DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser)
     return config_of(parser.parse_args(arguments))

@@ -1,13 +1,30 @@
 """Exit status of a command: errors as one line, and the end at Ctrl-C."""
 
+import argparse
 import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import wraps
+from typing import Any, NoReturn
 
 Main = Callable[[Sequence[str], str], int]
+
+
+class Parser(argparse.ArgumentParser):
+    """Reads the arguments of a program; what is wrong is one line on stderr and exit status 2.
+
+    Names of options are not understood from their beginning alone.
+    """
+
+    def __init__(self, program: str, description: str, **more: Any) -> None:
+        super().__init__(prog=program, description=description, allow_abbrev=False, **more)
+
+    def error(self, message: str) -> NoReturn:
+        """End the program."""
+        said = message.removeprefix("argument ")
+        self.exit(2, f"{self.prog}: {said} (see {self.prog} --help)\n")
 
 
 def reported(main: Main) -> Main:

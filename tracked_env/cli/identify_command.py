@@ -14,7 +14,7 @@ import numpy as np
 from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.text_tables import aligned, folded
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.cli.user_data.csv_columns import UNITS, pairs, table_of
 from tracked_env.cli.user_data.vehicle_log import COLUMNS, Drivetrain, read_log
 from tracked_env.cli.waiting import explained
@@ -72,10 +72,9 @@ def vehicle_of(text: str) -> PlantParameters:
 
 
 def _parser(program: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description=folded(DESCRIPTION, WIDTH),
+    parser = Parser(
+        program,
+        folded(DESCRIPTION, WIDTH),
         epilog="columns of the log:\n" + table_of(COLUMNS),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

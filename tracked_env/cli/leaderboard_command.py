@@ -1,10 +1,10 @@
 """`tracked-env leaderboard`: evaluation of everything that is registered, and the tables."""
 
-import argparse
 from collections.abc import Sequence
 
 from tracked_env.cli.evaluate_command import run_config
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, SHORT, add_options, config_of, short_env
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, add_env, add_options, config_of
+from tracked_env.cli.exit_status import Parser
 
 # What a leaderboard has in its own way; everything else is as in `tracked-env evaluate`.
 _FIXED = ("env", "policies", "trust", "sets", "sensors", "reference", "duration", "lateral",
@@ -13,15 +13,12 @@ _FIXED = ("env", "policies", "trust", "sets", "sensors", "reference", "duration"
 
 def main(arguments: Sequence[str], program: str) -> int:
     """Evaluate on the environments one after the other; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description="Evaluate all registered policies on all sets, and write leaderboard.json, "
+    parser = Parser(
+        program,
+        "Evaluate all registered policies on all sets, and write leaderboard.json, "
         "leaderboard.md and leaderboard.html.",
     )
-    parser.add_argument(
-        "--env", type=short_env, choices=ENVIRONMENTS, metavar=SHORT, help="this environment alone"
-    )
+    add_env(parser, text="this environment alone", default=None)
     add_options(parser, without=_FIXED)
     given = parser.parse_args(arguments)
     chosen = [given.env] if given.env else list(ENVIRONMENTS)

@@ -1,6 +1,5 @@
 """`tracked-env policies` and `tracked-env envs`: one line each."""
 
-import argparse
 from collections.abc import Sequence
 
 import gymnasium
@@ -8,7 +7,8 @@ import gymnasium
 from tracked_env.benchmark import frozen
 from tracked_env.benchmark.registered_policies import registered_policies
 from tracked_env.benchmark.sets import SETS, default_sets, group_of, version_of
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, SHORT, short_env
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, add_env
+from tracked_env.cli.exit_status import Parser
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.entry_points import OURS
 
@@ -56,19 +56,13 @@ def environments(envs: Sequence[str]) -> list[str]:
 def main(arguments: Sequence[str], program: str) -> int:
     """Either command; returns the exit status."""
     lists_policies = program.endswith("policies")
-    parser = argparse.ArgumentParser(
-        prog=program,
-        description="List the policies that are registered, with all their seeds."
+    parser = Parser(
+        program,
+        "List the policies that are registered, with all their seeds."
         if lists_policies
         else "List the environments and their evaluation sets.",
     )
-    parser.add_argument(
-        "--env",
-        type=short_env,
-        choices=ENVIRONMENTS,
-        metavar=SHORT,
-        help="of this environment alone",
-    )
+    add_env(parser, text="of this environment alone", default=None)
     chosen = parser.parse_args(arguments).env
     envs = ENVIRONMENTS if chosen is None else (chosen,)
     print("\n".join(policies(envs) if lists_policies else environments(envs)))

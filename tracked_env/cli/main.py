@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from tracked_env.cli.exit_status import end_at_interrupt
+from tracked_env.cli.exit_status import Parser, end_at_interrupt
 
 COMMANDS = {
     "evaluate": ("evaluate_command", "compare policies on the same randomized episodes"),
@@ -33,16 +33,20 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns the exit status."""
     width = max(map(len, COMMANDS))
-    parser = argparse.ArgumentParser(
-        prog="tracked-env",
-        description="Benchmark of policies for tracked vehicles on unknown soil.",
+    parser = Parser(
+        "tracked-env",
+        "Benchmark of policies for tracked vehicles on unknown soil.",
         epilog="\n".join(f"  {name:<{width}}  {text}" for name, (_, text) in COMMANDS.items())
         + "\n\n`tracked-env COMMAND --help` lists the options of a command.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help="of the command")
-    given = parser.parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    if not words:
+        parser.print_help(sys.stderr)
+        return 2
+    given = parser.parse_args(words)
     program = f"tracked-env {given.command}"
     end_at_interrupt(program)
     sys.path.insert(0, "")  # so that `module:attribute` finds modules of the current folder

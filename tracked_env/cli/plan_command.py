@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tracked_env.benchmark.registered_policies import command_function
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.cli.waiting import explained
 
 POSE: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "YAW")}
@@ -31,10 +31,9 @@ SLIP_COLUMNS = ("beta_left", "beta_right", "alpha")
 
 
 def _parser(program: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description="Plan a motion to a goal, print it as a table and draw it. Lengths in m, "
+    parser = Parser(
+        program,
+        "Plan a motion to a goal, print it as a table and draw it. Lengths in m, "
         "angles in rad, speeds in m/s and rad/s. The exit status is 1 where no plan was found.",
     )
     parser.add_argument("--goal", required=True, help="pose to reach", **POSE)

@@ -1,42 +1,34 @@
 """`tracked-env record`: the log of one episode as CSV, as `tracked-env identify` reads it."""
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from tracked_env.benchmark import default_sets
 from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.cli.evaluate_command import benchmark_config
-from tracked_env.cli.evaluate_options import add_options, config_of
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.evaluate_options import add_episode_options, config_of
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.cli.user_data.log_recording import record_log
 from tracked_env.cli.waiting import explained
-
-_OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk",
-           "quiet", "workers", "shard", "ray")  # fmt: skip
 
 
 @reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Record a log; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description="Drive one episode of an evaluation set and write what the sensors say as a "
+    parser = Parser(
+        program,
+        "Drive one episode of an evaluation set and write what the sensors say as a "
         "CSV log with a row per control step, for `tracked-env identify`.",
     )
     parser.add_argument("policy", help="as in `tracked-env evaluate --policies`")
-    parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
     parser.add_argument("--file", type=Path, default=Path("log.csv"), metavar="FILE",
                         help="(default: log.csv)")  # fmt: skip
     parser.add_argument("--truth", type=Path, metavar="FILE",
                         help="write the true values at the end as JSON too")  # fmt: skip
-    add_options(parser, without=_OTHERS)
+    add_episode_options(parser)
     given = parser.parse_args(arguments)
-    given.sets = [(given.set or default_sets(given.env)[0],)]
     benchmark = benchmark_config(config_of(given))
     name = benchmark.sets[0]
     registry, trained = by_name(registered_policies(), benchmark.env)

@@ -4,51 +4,43 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from tracked_env.benchmark import default_sets
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.policy_lookup import load_policies
 from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.cli.choose_command import few_seeds
 from tracked_env.cli.evaluate_command import benchmark_config
-from tracked_env.cli.evaluate_options import add_options, config_of
-from tracked_env.cli.evaluate_options import names as split_names
-from tracked_env.cli.exit_status import reported
-
-_OTHERS = ("policies", "trust", "sets", "episodes", "output", "figures", "video", "paper", "chunk",
-           "quiet", "all", "workers", "shard", "ray")  # fmt: skip
+from tracked_env.cli.evaluate_options import JoinedNames, add_episode_options, config_of, names
+from tracked_env.cli.exit_status import Parser, reported
 
 
 @reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Draw an episode; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description="Write a picture of the end (PNG), a film (GIF, MP4) or a page that replays it "
+    parser = Parser(
+        program,
+        "Write a picture of the end (PNG), a film (GIF, MP4) or a page that replays it "
         "(HTML) of a policy in one episode of an evaluation set; two to four policies are shown "
         "side by side in PNG, GIF and MP4.",
     )
-    parser.add_argument("policies", nargs="+", type=split_names, metavar="POLICY",
+    parser.add_argument("drivers", nargs="+", type=names, action=JoinedNames, metavar="POLICY",
                         help="as in `tracked-env evaluate --policies`; of several seeds, the first "
                         "one drives")  # fmt: skip
-    parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
     parser.add_argument("--file", type=Path, metavar="FILE", help="ends in .gif, .mp4 or .png "
                         "(default: episode.gif, and none with --html or --live)")  # fmt: skip
+    parser.add_argument("--at", type=float, metavar="T",
+                        help="time that a PNG shows [s] (default: the end)")  # fmt: skip
     parser.add_argument("--view", choices=("top", "3d", "3d-standing"), default="top",
                         help="from above or from behind the vehicle (default: top)")  # fmt: skip
     parser.add_argument("--html", type=Path, metavar="FILE",
                         help="page that replays the episode, without a server")  # fmt: skip
     parser.add_argument("--live", type=int, nargs="?", const=8080, metavar="PORT",
                         help="serve it at 127.0.0.1 with a slider (default: 8080)")  # fmt: skip
-    add_options(parser, without=_OTHERS)
+    add_episode_options(parser)
     given = parser.parse_args(arguments)
-    specs = list(dict.fromkeys(one for part in given.policies for one in part))
-    given.policies = None
-    given.sets = [(given.set or default_sets(given.env)[0],)]
     benchmark = benchmark_config(config_of(given))
     registry, trained = by_name(registered_policies(), benchmark.env)
-    loaded = load_policies(specs, registry, trained, open_archive)
+    loaded = load_policies(given.drivers, registry, trained, open_archive)
     _write(given, benchmark, few_seeds(loaded, 1))
     return 0
 
@@ -60,8 +52,8 @@ def _write(
     from tracked_env.benchmark import video
 
     uncertainty_set = benchmark.sets[0]
-    names = ", ".join(entry.name for entry in entries)
-    label = f"{names}, set {uncertainty_set}, seed {benchmark.seed}"
+    drivers = ", ".join(entry.name for entry in entries)
+    label = f"{drivers}, set {uncertainty_set}, seed {benchmark.seed}"
     browser = given.html is not None or given.live is not None
     if given.html is not None and given.html.suffix.lower() != ".html":
         raise ValueError(f"file {given.html}: must end in .html")
@@ -73,7 +65,7 @@ def _write(
         viewer.check_installed()
     file = given.file or (None if browser else Path("episode.gif"))
     if file is not None:
-        video.draw(benchmark, entries, uncertainty_set, 0, file, given.view)
+        video.draw(benchmark, entries, uncertainty_set, 0, file, given.view, given.at)
         print(f"{label}: {file}")
     if not browser:
         return

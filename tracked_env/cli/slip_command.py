@@ -13,7 +13,7 @@ import numpy as np
 from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.text_tables import aligned, folded
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.cli.identify_command import GEAR, WIDTH, add_vehicle_options, vehicle_of
 from tracked_env.cli.user_data.csv_columns import pairs, table_of
 from tracked_env.cli.user_data.slip_runs import COLUMNS, ORDER, read_runs
@@ -29,10 +29,9 @@ SHOWN = 20  # runs that are not used, on the terminal
 
 
 def _parser(program: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description=folded(DESCRIPTION, WIDTH),
+    parser = Parser(
+        program,
+        folded(DESCRIPTION, WIDTH),
         epilog="columns:\n" + table_of(COLUMNS) + "\n\nA file without a header and --columns has "
         f"{', '.join(ORDER)}.",
         formatter_class=argparse.RawDescriptionHelpFormatter,

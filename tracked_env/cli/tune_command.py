@@ -4,7 +4,6 @@ import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tracked_env import TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.policy_interface import source_fingerprint
 from tracked_env.benchmark.progress_bar import Progress, progress_bar
@@ -30,9 +29,8 @@ from tracked_env.benchmark.tuning_records import (
     page,
     sensitivity_rows,
 )
-from tracked_env.cli.evaluate_options import ENVIRONMENTS as IDS
-from tracked_env.cli.evaluate_options import SHORT, names, short_env
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.evaluate_options import add_env, add_option
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole, unknown
 
@@ -42,32 +40,26 @@ EPISODES = Range(4, LENGTH, "-", "It is the number of episodes of each set.")
 
 
 def _parser(program: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=program,
-        allow_abbrev=False,
-        description="Search the settings of a controller on the development episodes, and write a "
+    parser = Parser(
+        program,
+        "Search the settings of a controller on the development episodes, and write a "
         "CSV file with all that was driven and a page of tables. An interrupted search goes on "
         "when the same command is given again.",
     )
     parser.add_argument("policy", help="a registered controller that declares its ranges")
-    parser.add_argument("--env", type=short_env, choices=IDS, default=TORQUE_ID,
-                        metavar=SHORT, help=f"environment id (default: {TORQUE_ID})")  # fmt: skip
-    parser.add_argument("--sets", nargs="+", type=names, metavar="SET",
-                        help="evaluation sets (default: all that separate policies)")  # fmt: skip
+    add_env(parser)
+    add_option(parser, "sets", "evaluation sets (default: all that separate policies)")
     parser.add_argument("--budget", type=int, default=80, metavar="N",
                         help="settings to be driven, the default among them, without those of the "
                         "sensitivity (default: 80)")  # fmt: skip
-    parser.add_argument("--episodes", type=int, default=32, metavar="N",
-                        help="of each set (default: 32)")  # fmt: skip
-    parser.add_argument("--duration", type=float, metavar="T",
-                        help="instead of the length of the episodes of each set [s]")  # fmt: skip
+    add_option(parser, "episodes", "of each set", default=32)
+    add_option(parser, "duration")
     parser.add_argument(
         "--audit",
         action="store_true",
         help="drive default and best on the audit split at the end; look once",
     )
-    parser.add_argument("--output", type=Path, default=Path("results/tuning"), metavar="FOLDER",
-                        help="of the files (default: results/tuning)")  # fmt: skip
+    add_option(parser, "output", "folder of the files", default=Path("results/tuning"))
     return parser
 
 
@@ -183,9 +175,8 @@ def main(arguments: Sequence[str], program: str) -> int:
     given = _parser(program).parse_args(arguments)
     budget = checked_whole("--budget", given.budget, BUDGET)
     episodes = checked_whole("--episodes", given.episodes, EPISODES)
-    chosen = tuple(dict.fromkeys(name for part in given.sets or () for name in part))
     search = Search(
-        registered(given.policy, given.env), chosen or tuning_sets(given.env), episodes,
+        registered(given.policy, given.env), given.sets or tuning_sets(given.env), episodes,
         given.output, given.duration,
     )  # fmt: skip
     if len(search.records):

@@ -10,9 +10,13 @@ COMPILING = "compiling kernels, once after an installation: about a minute ..."
 
 
 @contextmanager
-def explained(text: str = COMPILING, after: float = PATIENCE) -> Iterator[None]:
-    """Print `text` to the standard error if the block takes longer than `after` [s]."""
-    timer = threading.Timer(after, lambda: print(text, file=sys.stderr, flush=True))
+def explained(text: str = COMPILING, after: float | None = None) -> Iterator[None]:
+    """Print `text` to the standard error if the block takes longer than `after` [s].
+
+    None: PATIENCE.
+    """
+    wait = PATIENCE if after is None else after
+    timer = threading.Timer(wait, lambda: print(text, file=sys.stderr, flush=True))
     timer.daemon = True
     timer.start()
     try:

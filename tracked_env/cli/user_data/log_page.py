@@ -25,10 +25,15 @@ if TYPE_CHECKING:
 POINTS = 600  # of a curve: more are not seen
 ESTIMATE, CLAIM, CONSTANT_LINE = PALETTE[1], PALETTE[5], PALETTE[0]
 FILES = {
-    "parameters.json": "the set of parameters, for `gymnasium.make(id, **set['make'])`",
+    "parameters.json": "the set of parameters, for gymnasium.make(id, **set['make'])",
     "identification.csv": "estimates, deviations, excitation and filtered motion of every step",
 }
 EXPECTED = {"longitudinal": 1.0, "turning": 1.0, "slip": 6.0}  # mean NIS, its dimension
+
+
+def digits(value: float, count: int) -> str:
+    """A number with so many significant digits, without an exponent."""
+    return np.format_float_positional(value, count, unique=False, fractional=False, trim="-")
 
 
 def result_rows(identified: Identified) -> list[list[str]]:
@@ -40,8 +45,9 @@ def result_rows(identified: Identified) -> list[list[str]]:
         label, unit = NAMES[name]
         start = getattr(nominal, name, identified.series[name][0][0])
         verdict = of.verdict + (", changes" if of.changed else "")
-        rows.append([label, unit, f"{of.value:.4g}", f"{of.deviation:.2g}",
-                     f"{of.low:.4g} to {of.high:.4g}", f"{start:.4g}", verdict])  # fmt: skip
+        interval = f"{digits(of.low, 4)} to {digits(of.high, 4)}"
+        rows.append([label, unit, digits(of.value, 4), digits(of.deviation, 2), interval,
+                     digits(start, 4), verdict])  # fmt: skip
     return rows
 
 
@@ -52,7 +58,7 @@ def excitation_rows(identified: Identified) -> list[list[str]]:
     for name, excitation in identified.excitation.items():
         status, nis = identified.status[name], identified.nis[name]
         mean = f"{np.nanmean(nis):.2g}" if np.isfinite(nis).any() else "-"
-        rows.append([name, f"{np.median(excitation):.3g}", f"{excitation.max():.3g}",
+        rows.append([name, digits(np.median(excitation), 3), digits(excitation.max(), 3),
                      f"{np.mean(status == 0):.0%}", f"{np.mean(status == 2):.1%}", mean,
                      f"{EXPECTED[name]:g}" if name in EXPECTED else "-"])  # fmt: skip
     return rows
@@ -76,7 +82,6 @@ def residual_rows(identified: Identified) -> list[list[str]]:
 
 def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: bool = True) -> str:
     """The whole page; subject: name of the log, facts: where the numbers come from."""
-    said = untold(identified)
     results = plain_table(
         "What the log says. Constant parameters of the whole log, or where one changes its value "
         "at the end; a deviation holds the noise and the biases of the data sheet",
@@ -96,13 +101,11 @@ def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: b
     drawn = _drawings(identified) if draw else {}
     sections = [
         Section("Parameters", "parameters", [results]),
-        Section("What the log cannot tell", "untold",
-                facts={f"{k}.": text for k, text in enumerate(said, 1)}),
+        Section("What the log cannot tell", "untold", notes=untold(identified)),
         Section("Over time", "time", figures=drawn.get("time", ())),
         Section("Excitation", "excitation", [excitation], drawn.get("excitation", ())),
         Section("Residuals", "residuals", [residuals], drawn.get("residuals", ())),
-        Section("The log", "log", figures=drawn.get("log", ()),
-                facts={f"{k}.": text for k, text in enumerate(identified.log.notes, 1)}),
+        Section("The log", "log", figures=drawn.get("log", ()), notes=identified.log.notes),
         Section("Provenance", "provenance", facts=facts),
         Section("Files", "files", links=FILES),
     ]  # fmt: skip
@@ -110,7 +113,7 @@ def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: b
         f"{identified.log.time[-1]:.0f} s of driving, {len(identified.log.time)} steps of "
         f"{1e3 * identified.log.period:.3g} ms."
     ]
-    kept = [part for part in sections if part.tables or part.figures or part.facts or part.links]
+    kept = [part for part in sections if any(part[2:])]
     return page_text("Identification", subject, introduction, kept, "parameter or estimator")
 
 

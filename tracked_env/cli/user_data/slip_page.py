@@ -70,7 +70,7 @@ def page(fitted: Fitted, subject: str, facts: Mapping[str, str], draw: bool = Tr
         f"runs or samples are not, {fitted.outliers} of them outliers. In the runs that are used "
         f"{fitted.runs.rows_left_out} rows are left out."
     ]
-    kept = [part for part in sections if part.tables or part.figures or part.facts or part.links]
+    kept = [part for part in sections if any(part[2:])]
     return page_text("Slip", subject, introduction, kept, "run or reason")
 
 

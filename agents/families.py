@@ -54,13 +54,13 @@ FAMILIES = {
     "Speed-v0": {
         "ppo-blind": f"{SHOWN} --steps 1500000",
         "ppo-reckoned": f"{SHOWN} --steps 1500000 --augmentation reckoned",
-        "ppo-residual": f"{SHOWN} {RESIDUAL}",
+        "ppo-residual": f"{SHOWN} {RESIDUAL} --residual-scale 0.1",
     },
     "Terrain-v0": {
         "ppo-blind": f"{SHOWN} --steps 1500000",
         "ppo-reckoned": f"{SHOWN} --steps 1500000 --augmentation reckoned",
         "ppo-residual": f"{SHOWN} --steps 300000 --evaluate-every 100000 --augmentation residual "
-        "--ppo.log-std-init -2",
+        "--ppo.log-std-init -2 --residual-scale 0.1",
     },
 }
 

@@ -30,10 +30,20 @@ MIXTURE = {
         "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
         "mixed", "alternating-soils", "weak-actuator", "actuator-fault", "alternating-gains",
     ),
-    SPEED_ID: ("friction", "friction-step", "friction-drift", "floor-mixed"),
+    SPEED_ID: (
+        "friction", "friction-step", "friction-drift", "floor-mixed", "alternating-floors",
+    ),
     TERRAIN_ID: ("slope", "hills", "slope-step", "soft-patches", "slope-payload"),
 }  # fmt: skip
 # `mixture` of sensors: good ones, and what asks for the past, outages of the pose among it.
+_INDOORS: tuple[str | Mapping[str, Any], ...] = (
+    "mocap",
+    {"preset": "mocap", "pose_delay": 0.1},
+    {"preset": "mocap", "position_noise": 0.05},
+    {"preset": "mocap", "velocity_measured": 0.0},
+    "mocap-outages",
+    {"preset": "mocap", "pose_rate": 1.0},
+)
 SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
     TORQUE_ID: (
         "rtk",
@@ -43,8 +53,8 @@ SENSOR_MIXTURE: dict[str, tuple[str | Mapping[str, Any], ...]] = {
         "rtk-outages",
         {"preset": "rtk", "pose_rate": 1.0},
     ),
-    SPEED_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}, "mocap-outages"),
-    TERRAIN_ID: ("mocap", {"preset": "mocap", "pose_delay": 0.1}, "mocap-outages"),
+    SPEED_ID: _INDOORS,
+    TERRAIN_ID: _INDOORS,
 }
 # What an environment draws from where its registration does not say so.
 _DEFAULTS = {

@@ -88,7 +88,8 @@ class Options:
     '{"preset": "rtk", "pose_delay": 0.1}'; of several, each gets its part of
     the vehicles. `mixture`: rtk; rtk 0.2 s late; strawa; rtk without velocity;
     rtk-outages; rtk with one pose a second (on Speed-v0 and Terrain-v0: mocap;
-    mocap 0.1 s late; mocap-outages)."""
+    mocap 0.1 s late; mocap with noise of 5 cm; mocap without velocity; mocap-outages;
+    mocap with one pose a second)."""
 
     reference: str | None = None
     """Kind of reference to follow, or JSON."""

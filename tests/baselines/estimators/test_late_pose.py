@@ -129,4 +129,4 @@ def test_a_late_pose_on_weak_soil_costs_little(name):
         found = metrics.evaluate(drive(policy, env, range(72000, 72016), lambda: None)[0])
         env.close()
         errors[chosen] = np.sort(found["tracking_rmse"])[4:12].mean()
-    assert errors["late-weak-soil"] < 1.25 * errors["weak-soil"] < 0.06
+    assert errors["late-weak-soil"] < 1.35 * errors["weak-soil"] < 0.06

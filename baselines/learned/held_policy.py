@@ -7,7 +7,10 @@ from numpy.typing import NDArray
 
 
 def chosen(old: Any, new: Any, rows: NDArray[np.bool_]) -> Any:
-    """`old` in the rows marked, `new` in the others; arrays (N, ...), or tuples of them."""
+    """`old` in the rows marked, `new` in the others; arrays (N, ...), tuples of them, or None of
+    a network that carries nothing on."""
+    if old is None or new is None:
+        return new if old is None else old
     if isinstance(old, tuple):
         parts = [chosen(one, other, rows) for one, other in zip(old, new, strict=True)]
         return type(old)(*parts) if hasattr(old, "_fields") else tuple(parts)

@@ -31,12 +31,12 @@ from baselines.estimators.slip_kinematics import (
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula
-from tracked_env.sensors import UNMEASURED
 
 SLIP_SHOWN = 0.8  # [-] slips count as at most that in an outage
 WILD_TURN = 3.0  # [rad/s] a gyro that differs more from the belts is not used
 LARGEST_ACCELERATION = 100.0  # [m/s^2] anything beyond is a fault of the sensor, as NaN is
 LARGEST_SPEED = 100.0  # [m/s] likewise
+UNMEASURED = 1e3  # [m/s] velocity noise on a data sheet where nothing is measured
 FILTERED = 1.0  # [s] over which the error of the filter's speed is one and the same
 
 # What is remembered of one vehicle, from column `at` of its memory on.

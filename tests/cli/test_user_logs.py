@@ -13,6 +13,7 @@ import pytest
 from scipy.stats import binom
 
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.linearizing_law import Gains
 from docs.identified_logs import KNOWN, driven, intervals
 from tracked_env.cli.main import main
 from tracked_env.cli.user_data import vehicle_log
@@ -133,7 +134,9 @@ def test_the_inertia_of_a_vehicle_whose_slip_shares_friction_is_claimed_no_bette
     """On patches the yaw equation finds the inertia too small, by up to the slip share."""
     env = gymnasium.make("tracked_env:tracked_env/Torque-v0", plant="distributed",
                          uncertainty="nominal", duration=20.0, error_limit=1e5)  # fmt: skip
-    truth = record_log(env, AdaptivePolicy(), "patches.csv", seed=3)
+    # With larger gains the estimate runs to its bound on this ground: docs/identification.md.
+    gains = Gains(80.0, 60.0, 12.0, 0.5)
+    truth = record_log(env, AdaptivePolicy(gains=gains), "patches.csv", seed=3)
     found = identify(read(Path("patches.csv")), STRAWA).found["inertia"]
     assert found.value < 0.95 * truth["inertia"]
     assert abs(found.value - truth["inertia"]) < 3.0 * found.deviation

@@ -13,7 +13,7 @@ import pytest
 from scipy.stats import binom
 
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
-from baselines.linearizing.linearizing_law import Gains
+from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
 from docs.identified_logs import KNOWN, driven, intervals
 from tracked_env.cli.main import main
 from tracked_env.cli.user_data import vehicle_log
@@ -128,14 +128,24 @@ def test_a_mass_that_changes_within_the_log_is_not_called_constant(
     assert "changed" in " ".join(untold(identified))
 
 
-def test_the_inertia_of_a_vehicle_whose_slip_shares_friction_is_claimed_no_better_than_it_is() -> (
-    None
-):
+@pytest.mark.parametrize(
+    "gains",
+    [
+        Gains(80.0, 60.0, 12.0, 0.5),
+        pytest.param(
+            TUNED_GAINS,
+            marks=pytest.mark.xfail(
+                strict=True, reason="runs to its bound: docs/identification.md, limits"
+            ),
+        ),
+    ],
+)
+def test_the_inertia_of_a_vehicle_whose_slip_shares_friction_is_claimed_no_better_than_it_is(
+    gains: Gains,
+) -> None:
     """On patches the yaw equation finds the inertia too small, by up to the slip share."""
     env = gymnasium.make("tracked_env:tracked_env/Torque-v0", plant="distributed",
                          uncertainty="nominal", duration=20.0, error_limit=1e5)  # fmt: skip
-    # With larger gains the estimate runs to its bound on this ground: docs/identification.md.
-    gains = Gains(80.0, 60.0, 12.0, 0.5)
     truth = record_log(env, AdaptivePolicy(gains=gains), "patches.csv", seed=3)
     found = identify(read(Path("patches.csv")), STRAWA).found["inertia"]
     assert found.value < 0.95 * truth["inertia"]

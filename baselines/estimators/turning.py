@@ -13,6 +13,9 @@ of the yaw rate of the belts. Which of the two a soil is, is not known: a bias a
 has the mean square s^2 / 3, and that much is added to the claimed variance of the inertia. The
 recursion knows nothing of it. On firm soil s is 0.01 to 0.02.
 
+Where the cohesion of the soil resists (cohesive_soil), C alone is learned, and may exceed m mu_t of
+any friction; then "lateral_resistance" is the resistance of this moment over the weight.
+
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2.
 """
 
@@ -22,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from baselines.estimators import cohesive_soil
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
 from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
@@ -70,8 +74,9 @@ _V_X, _A_Y, _TORQUE = COLUMN["v_x"], COLUMN["acceleration_y"], COLUMN["torque_le
 _W, _SPROCKET = COLUMN["yaw_rate"], COLUMN["sprocket_speed_left"]
 # Columns of the memory behind those of the regression: means of (w B)^2 and w B (belt_R - belt_L).
 # AGREEMENT: how well the side slip agrees with a friction that is not shared, 0: nothing known.
-TURNED, BELTS, AGREEMENT = range(im.MEMORY, im.MEMORY + 3)
-MEMORY = AGREEMENT + 1
+# COHESIVE: the first of those of cohesive_soil.
+TURNED, BELTS, AGREEMENT, COHESIVE = range(im.MEMORY, im.MEMORY + 4)
+MEMORY = COHESIVE + cohesive_soil.COLUMNS
 
 
 @formula
@@ -101,10 +106,11 @@ def admit_shared_friction(out, i, memory, prior):
 
 
 @formula
-def per_mass(out, i, mass, variance, known):
-    """m mu_t of vehicle i becomes mu_t; the variance [kg^2] of the mass adds to its own."""
+def per_mass(out, i, mass, variance, known, high):
+    """m mu_t of vehicle i becomes mu_t, at most high; the variance [kg^2] of the mass adds to its
+    own."""
     square = mass[i] * mass[i]
-    friction = min(max(out[i, VALUE_2] / mass[i], known.low), known.high)
+    friction = min(max(out[i, VALUE_2] / mass[i], known.low), high)
     out[i, VALUE_2] = friction
     out[i, P_12] /= mass[i]
     relative = variance[i] / square
@@ -116,7 +122,19 @@ def complete(out, i, memory, prior, table, mass, variance, known):
     """The answer of the regression on vehicle i becomes that of this estimator."""
     if table.shape[0] > 0:
         admit_shared_friction(out, i, memory, prior)
-    per_mass(out, i, mass, variance, known)
+    cohesive = memory[i, COHESIVE + cohesive_soil.LEFT] > 0.0
+    per_mass(out, i, mass, variance, known, math.inf if cohesive else known.high)
+
+
+@formula
+def _inertia_apart(memory, i, sample, prior, mass, known):
+    """The sample; on cohesive soil one on the friction alone."""
+    inertia, _friction = ls.values(memory, i, prior)
+    most, period = known.high * mass, known.averaged * SHARE_TIME
+    if cohesive_soil.resists(memory, i, COHESIVE, sample, inertia, most, period):
+        variance, _p_12, _p_22 = ls.covariance(memory, i, prior)
+        sample = cohesive_soil.on_friction_alone(sample, inertia, variance)
+    return sample
 
 
 @loop
@@ -137,7 +155,11 @@ def update_all(z, fresh, attitude, memory, prior, table, known, mass, variance, 
             elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > known.largest_torque:
                 status = REJECTED
             elif moving:
+                if table.shape[0] > 0:
+                    sample = _inertia_apart(memory, i, sample, prior, mass[i], known)
                 status, nis = take(memory, i, sample, prior, table)
+                if memory[i, COHESIVE + cohesive_soil.LEFT] > 0.0:
+                    status = max(status, HOLDING)
                 _compare_belts(z, i, memory, known)
             elif table.shape[0] > 0:
                 im.wait(memory, i, prior, table)

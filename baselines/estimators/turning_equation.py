@@ -51,8 +51,8 @@ class Known(NamedTuple):
     slowest: float  # [m/s] slower tracks are left out
     largest_torque: float  # [N m] that can be
     constrained: bool
-    low: float  # [-] bounds of mu_t
-    high: float  # [-]
+    low: float  # [-] least mu_t
+    high: float  # [-] largest mu_t of friction; what resists more is cohesive
     averaged: float  # [-] share of a sample in the mean slip share of the yaw rate
 
 

@@ -23,6 +23,7 @@ from tracked_env.physics.terramechanics import GRAVITY
 
 WHITE_LAGS = 50  # [samples] of the autocorrelation
 EXPLAINED = (0.7, 1.5)  # [-] rms of residuals whose data sheet is right
+COHESIVE = 0.02  # [-] share of the log beyond the largest mu_t from which on it is worth a word
 REFUSED = 0.05  # [-] share of samples from which on outliers are worth a word
 OUTLYING = 4.0  # [-] residuals beyond it count as that large
 CORRELATED = 0.2  # [-] autocorrelation from which on residuals hang together
@@ -115,6 +116,14 @@ braking and turning. At constant speed only their product shows"
         said.append(
             f"Within the log {', '.join(changing)} changed, or an equation does not hold there. "
             "The values are those at the end, with the deviations of a vehicle that may change."
+        )
+    most = RANGES["lateral_resistance"].high
+    cohesive = float(np.mean(identified.series["lateral_resistance"][0] > most))
+    if cohesive > COHESIVE:
+        said.append(
+            f"In {100.0 * cohesive:.0f} % of the log the resistance to a turn is more than a mu_t "
+            f"of {most:g} explains. Cohesion of firm soil does that: it does not grow with the "
+            "weight, but with the curvature, and hides the inertia. plant='distributed' models it."
         )
     said += _against(identified)
     said.append(

@@ -1,5 +1,6 @@
 """What a set separates, and how alike two sets are, on made-up numbers."""
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -100,3 +101,36 @@ def test_the_ceiling_of_a_set_is_the_best_policy_that_reads_the_truth_and_may_di
     assert summary.ceilings["a"] == "mpc-oracle" and summary.ceilings["b"] == "oracle"
     without = summarise(records("a", nominal=EASY, adaptive=0.5 * EASY))
     assert without.ceilings == {}
+
+
+def most_by_trying(correlation: np.ndarray[Any, Any]) -> int:
+    """Of the most rows of which no two correlate above ALIKE, by trying all choices."""
+    places = range(len(correlation))
+    return max(
+        size
+        for size in range(len(correlation) + 1)
+        for some in combinations(places, size)
+        if all(correlation[pair] <= choosing.ALIKE for pair in combinations(some, 2))
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_most_sets_that_are_unlike_are_as_many_as_by_trying_all_choices(seed: int) -> None:
+    noise = np.random.default_rng(seed).normal(size=(9, 4))
+    correlation = np.corrcoef(noise + np.array([2.0, 0.0, -2.0, 0.0]))
+    found = choosing.unlike(correlation)
+    assert all(correlation[pair] <= choosing.ALIKE for pair in combinations(found, 2))
+    assert 1 < len(found) == most_by_trying(correlation) < 9
+
+
+def test_of_two_sets_that_are_alike_the_chosen_one_stays() -> None:
+    correlation = np.array([[1.0, 0.95, 0.1], [0.95, 1.0, 0.2], [0.1, 0.2, 1.0]])
+    assert choosing.unlike(correlation, preferred=[0]) == [0, 2]
+    assert choosing.unlike(correlation, preferred=[1]) == [1, 2]
+
+
+def test_the_verdict_says_how_many_sets_could_go_together() -> None:
+    other = dict(zip(FACTORS, reversed(FACTORS.values()), strict=True))
+    found = chosen(("alternating", FACTORS), ("late-gains", FACTORS), ("mine", other))
+    assert "of the 2 chosen sets at most 1 go together" in choosing.verdict(found)
+    assert "of the 3 candidates at most 2 go together" in choosing.verdict(found)

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 from tracked_env.benchmark.sets import Version, group_of
 from tracked_env.benchmark.statistics import interquartile_mean
@@ -142,6 +143,31 @@ def rank_correlation(one: Mapping[str, float], other: Mapping[str, float]) -> fl
     return float(np.corrcoef(first, second)[0, 1])
 
 
+def correlations(sets: Sequence[Mapping[str, float]]) -> NDArray[np.float64]:
+    """Rank correlations (S, S) of sets {policy: value} with one another."""
+    return np.array([[rank_correlation(one, other) for other in sets] for one in sets])
+
+
+def unlike(correlation: NDArray[np.float64], preferred: Sequence[int] = ()) -> list[int]:
+    """The most sets of which no two have a rank correlation above ALIKE: their places, rising.
+
+    correlation (S, S). Exact, by integer programming: x_i + x_j <= 1 for each pair that is alike.
+    preferred: places that are taken rather than others where the number is the same.
+    """
+    count = len(correlation)
+    if count == 0:
+        return []
+    gain = np.ones(count)
+    gain[list(preferred)] += 0.5 / count
+    pairs = np.argwhere(np.triu(correlation > ALIKE, 1))
+    rows = np.zeros((len(pairs), count))
+    for row, pair in zip(rows, pairs, strict=True):
+        row[pair] = 1.0
+    limits = [LinearConstraint(rows, -np.inf, 1.0)] if len(pairs) else []
+    found = milp(-gain, constraints=limits, integrality=np.ones(count), bounds=Bounds(0.0, 1.0))
+    return [int(i) for i in np.flatnonzero(found.x > 0.5)]
+
+
 class Choice(NamedTuple):
     """All candidates of an environment, in their order."""
 
@@ -159,6 +185,13 @@ class Choice(NamedTuple):
         pairs = [(row[index[each.name]], each.name) for each in among if each.name != name]
         value, other = max(pairs, default=(math.nan, ""))
         return other, float(value)
+
+    def most_unlike(self, among: Sequence[Separation]) -> list[Separation]:
+        """The most of these sets of which no two are alike; chosen ones rather than others."""
+        places = [i for i, each in enumerate(self.sets) if each in among]
+        preferred = [k for k, i in enumerate(places) if self.sets[i].group]
+        found = unlike(self.correlation[np.ix_(places, places)], preferred)
+        return [self.sets[places[k]] for k in found]
 
     def judgement(self) -> list[tuple[bool, str]]:
         """Whether the chosen sets are as many, as strong and as different as they should be."""
@@ -192,8 +225,7 @@ class Choice(NamedTuple):
 def choice(rows: Mapping[str, Row], version: Version | None = None) -> Choice:
     """The separations of all sets, and how alike they are; rows: of the summary."""
     sets = [separation(name, row, version) for name, row in rows.items() if name != ALL_SETS]
-    correlation = [[rank_correlation(a.of_seeds, b.of_seeds) for b in sets] for a in sets]
-    return Choice(sets, np.array(correlation))
+    return Choice(sets, correlations([each.of_seeds for each in sets]))
 
 
 def table(found: Choice) -> list[list[str]]:
@@ -244,5 +276,13 @@ EXPLANATION = (
 
 
 def verdict(found: Choice) -> str:
-    """The judgement in lines, each with `met` or `NOT met`."""
-    return "\n".join(f"{'met' if met else 'NOT met'}: {text}" for met, text in found.judgement())
+    """The judgement in lines, each with `met` or `NOT met`, and what could be had."""
+    lines = [f"{'met' if met else 'NOT met'}: {text}" for met, text in found.judgement()]
+    for among, all_of in ((found.chosen(), "chosen sets"), (found.sets, "candidates")):
+        unalike = found.most_unlike(among)
+        names = ", ".join(each.name for each in unalike)
+        lines.append(
+            f"of the {len(among)} {all_of} at most {len(unalike)} go together without a pair above "
+            f"{ALIKE}: {names or 'none'}"
+        )
+    return "\n".join(lines)

@@ -12,7 +12,8 @@ therefore an agent that loses a set is never called better, and the set is named
 to a quarter of a set's episodes is cut off by its IQM; it shows in worst tenth and success.
 
 Is it the choice of the statistic that decides? Agents are ordered by OTHER ones as well, and the
-agreement with the order of the leaderboard is Kendall's tau.
+agreement with the order of the leaderboard is Kendall's tau. Is it that some sets say the same, and
+count twice? The same order is made of the most sets of which no two are alike (choice_of_sets).
 """
 
 import math
@@ -22,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracked_env.benchmark import statistics as stats
+from tracked_env.benchmark.choice_of_sets import correlations, unlike
 from tracked_env.benchmark.reliability import SMALLEST, ratio, relative_error
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import Row
@@ -101,7 +103,11 @@ def agreement(sets: Mapping[str, Row], ranked: Mapping[str, float]) -> dict[str,
     """
     rows = list(sets.values())
     values = list(ranked.values())
-    return {
+    found = {
         name: stats.kendalls_tau(values, [by(rows, agent) for agent in ranked])
         for name, by in OTHER.items()
     }
+    apart = unlike(correlations([{name: row.iqm(name) for name in ranked} for row in rows]))
+    by = _geometric(lambda row, agent: row.iqm(agent))
+    fewer = [by([rows[i] for i in apart], agent) for agent in ranked]
+    return found | {f"{len(apart)} unlike sets": stats.kendalls_tau(values, fewer)}

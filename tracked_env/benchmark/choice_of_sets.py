@@ -165,7 +165,8 @@ def unlike(correlation: NDArray[np.float64], preferred: Sequence[int] = ()) -> l
         row[pair] = 1.0
     limits = [LinearConstraint(rows, -np.inf, 1.0)] if len(pairs) else []
     found = milp(-gain, constraints=limits, integrality=np.ones(count), bounds=Bounds(0.0, 1.0))
-    return [int(i) for i in np.flatnonzero(found.x > 0.5)]
+    taken = np.asarray(found.x) > 0.5  # there is a solution: no set at all is one
+    return [int(i) for i in np.flatnonzero(taken)]
 
 
 class Choice(NamedTuple):

@@ -157,14 +157,14 @@ def unlike(correlation: NDArray[np.float64], preferred: Sequence[int] = ()) -> l
     count = len(correlation)
     if count == 0:
         return []
-    gain = np.ones(count)
+    gain, whole = np.ones(count), np.ones(count, dtype=np.int64)
     gain[list(preferred)] += 0.5 / count
     pairs = np.argwhere(np.triu(correlation > ALIKE, 1))
     rows = np.zeros((len(pairs), count))
     for row, pair in zip(rows, pairs, strict=True):
         row[pair] = 1.0
     limits = [LinearConstraint(rows, -np.inf, 1.0)] if len(pairs) else []
-    found = milp(-gain, constraints=limits, integrality=np.ones(count), bounds=Bounds(0.0, 1.0))
+    found = milp(-gain, constraints=limits, integrality=whole, bounds=Bounds(0.0, 1.0))
     taken = np.asarray(found.x) > 0.5  # there is a solution: no set at all is one
     return [int(i) for i in np.flatnonzero(taken)]
 

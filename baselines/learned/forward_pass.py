@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.physics.jit import loop
+from tracked_env.physics.jit import copy_entries, loop
 
 Floats = NDArray[np.float32]
 Arrays = dict[str, NDArray[Any]]
@@ -63,7 +63,7 @@ def _linear(inputs, weights, bias, out):
     whole = count - count % 4
     for row in range(inputs.shape[0]):
         x, y = inputs[row], out[row]
-        y[:] = bias
+        copy_entries(bias, y)
         for k in range(0, whole, 4):
             x_0, x_1, x_2, x_3 = x[k], x[k + 1], x[k + 2], x[k + 3]
             w_0, w_1, w_2, w_3 = weights[k], weights[k + 1], weights[k + 2], weights[k + 3]

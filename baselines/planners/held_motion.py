@@ -14,7 +14,7 @@ from baselines.lyapunov.lyapunov_laws import BodyMotion
 from baselines.lyapunov.pseudo_kinematic import pose_step
 from baselines.planners.arc_motion import chord
 from baselines.planners.slip_surface import COLUMNS, ROWS, motion_jets
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import copy_entries, formula, loop
 
 # Columns of a sample, in the order of Trajectory.
 COLUMN_COUNT = 13
@@ -50,7 +50,7 @@ def samples(pose, duration, belts, surface, radius, times, out):
     rows, columns = np.empty((3, ROWS)), np.empty((3, 2 * COLUMNS))
     forward, alpha, speed, turn = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     knots = np.empty((n + 1, 3))
-    knots[0] = pose
+    copy_entries(pose, knots[0])
     x, y, yaw = pose[0], pose[1], pose[2]
     for k in range(n):
         v_x, v_y, w = motion_jets(surface, belts[k, 0], belts[k, 1], rows, columns)

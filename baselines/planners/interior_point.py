@@ -16,7 +16,7 @@ from baselines.planners import interval_limits
 from baselines.planners.newton_step import newton_step
 from baselines.planners.planning_problem import NODES, evaluate
 from baselines.planners.riccati import BEFORE_P, DURATION, P, Q
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import copy_table, formula, loop
 
 BOUNDARY = 0.995  # [-] share of the way to the boundary
 FIRST_BARRIER = 1e-2  # [s] mu at first
@@ -127,7 +127,7 @@ def _line_search(task, bounds, surface, duration, cost, barrier, weights, active
     before = _merit(cost, barrier, penalty, w, n, active)
     slope = _predicted(a, w, n, active, barrier) + _cost_slope(a, weights, w.belts, bounds.fixed)
     slope -= penalty * missed
-    w.kept[:, :active] = w.slacks[:, :active]
+    copy_table(w.slacks[:, :active], w.kept)
     for _ in range(HALVINGS):
         for k in range(n):
             w.trial[k, 0] = w.belts[k, 0] + share * a.step[k, P]
@@ -140,7 +140,7 @@ def _line_search(task, bounds, surface, duration, cost, barrier, weights, active
                 w.slacks[k, i] = max(s, w.values[k, i])
         after = _merit(new_cost, barrier, penalty, w, n, active)
         if after <= before + SUFFICIENT * share * slope + 1e-9:
-            w.belts[:, :] = w.trial
+            copy_table(w.trial, w.belts)
             for k in range(n):
                 for i in range(active):
                     w.duals[k, i] += dual_share * w.dual_steps[k, i]
@@ -148,7 +148,7 @@ def _line_search(task, bounds, surface, duration, cost, barrier, weights, active
                 w.nu[i] += share * (w.new_nu[i] - w.nu[i])
             return share, at, new_cost
         share *= 0.5
-    w.slacks[:, :active] = w.kept[:, :active]
+    copy_table(w.kept[:, :active], w.slacks)
     evaluate(task, bounds, surface, duration, w.belts, active, w)
     return 0.0, duration, cost
 

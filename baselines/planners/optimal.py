@@ -46,7 +46,7 @@ from baselines.planners.trajectory import (
     checked_poses,
     checked_start,
 )
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import copy_table, formula, loop
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.validation import checked_number, checked_whole
 
@@ -141,7 +141,7 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
         if (converged and cost < best[COST]) or (not converged and found == 0):
             best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
             best[COST] = cost if converged else math.inf
-            belts[:, :] = w.belts
+            copy_table(w.belts, belts)
     return found
 
 

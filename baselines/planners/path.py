@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import copy_entries, formula, loop
 
 Array = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ def places(path: Path, distances: ArrayLike) -> Place:
 @loop
 def _integrated(start, length, curvature, sharpness, steps, pose):
     """The pose at the end by Runge-Kutta's method of order 4 on yaw' = k, x' = cos, y' = sin."""
-    pose[:] = start
+    copy_entries(start, pose)
     for piece in range(len(length)):
         step = length[piece] / steps
         for i in range(steps):

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from baselines.planners.dubins import SIGNS, SNAP, segments_of_words
 from baselines.planners.obstacles import Clearance, Footprint, clearances, vehicle_clearance
 from baselines.planners.path import Path, places
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import copy_entries, formula, loop
 
 Array = NDArray[np.float64]
 
@@ -175,7 +175,7 @@ def _search(
     cost[:] = math.inf
     first = _cell(grid, start[0], start[1], start[2])
     cost[first], parent[first] = 0.0, -1
-    poses[first] = start
+    copy_entries(start, poses[first])
     size = _push(heap, keys, 0, 0.0, first)
     expanded, best, last = 0, math.inf, -1
     while size > 0 and keys[0] < best:
@@ -190,7 +190,7 @@ def _search(
             found = _shot(field, footprint, x, y, yaw, goal, radius, words, trial)
             if cost[here] + found < best:
                 best, last = cost[here] + found, here
-                shot[:] = trial
+                copy_entries(trial, shot)
         expanded += 1
         for arc in range(ARCS):
             curvature = (2.0 * arc / (ARCS - 1) - 1.0) / radius

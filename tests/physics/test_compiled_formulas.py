@@ -207,3 +207,20 @@ def _called_first(x):
 def test_a_formula_keeps_its_rounding_when_a_sum_that_may_be_reordered_compiles_it_first():
     """What a formula leaves open of its options it would take from the caller being compiled."""
     assert _called_first(np.array([0.3, 1.4, 2.6])) == 4.0
+
+
+@formula
+def _doubled(x):
+    return 2.0 * x
+
+
+@loop
+def _calls_it(x):
+    return _doubled(x)
+
+
+def test_a_formula_gets_an_entry_for_python_only_where_python_calls_it():
+    assert _calls_it(1.5) == 3.0
+    assert not _doubled.signatures, "it was compiled for Python because a kernel calls it"
+    assert _doubled(1.5) == 3.0
+    assert len(_doubled.signatures) == 1

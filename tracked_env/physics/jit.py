@@ -7,7 +7,9 @@ what is left open is taken from the caller that is being compiled when a functio
 and stays in the disk cache, so that bits would depend on what was compiled first; `reassoc` also
 deletes the rounding to integers in `exponential`.
 `formula` is for the small pure functions (one equation each): they are inlined into the
-loop that calls them, which lets the compiler vectorise that loop over vehicles.
+loop that calls them, which lets the compiler vectorise that loop over vehicles. What a kernel calls
+is compiled without an entry for Python, which costs a third of the time; a formula that is called
+from Python is compiled for that as well.
 `template` is for functions that take compiled functions as arguments: they become part of their
 callers before anything is compiled, and are never kept on disk, where they would be keyed by
 functions of another process. Large bodies belong there too: every level of compiled functions
@@ -21,6 +23,7 @@ inlined formula, run `make clean-cache` so that its callers are compiled again.
 from collections.abc import Callable
 from functools import partial
 from inspect import signature
+from types import FunctionType
 from typing import Any
 
 from llvmlite import ir
@@ -28,19 +31,40 @@ from numba import njit, typeof, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-formula = partial(njit, cache=True, error_model="numpy", fastmath=False, forceinline=True)()
+
+def _inlined(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator of functions that are inlined into kernels; options: those of `numba.njit`."""
+    options |= {"cache": True, "error_model": "numpy", "forceinline": True}
+    compiled = partial(njit, no_cfunc_wrapper=True, **options)
+
+    def decorated(function: Callable[..., Any]) -> Any:
+        inside: Any = FunctionType(
+            function.__code__, function.__globals__, function.__name__,
+            function.__defaults__, function.__closure__,
+        )  # fmt: skip
+        inside.__qualname__ = f"inside.{function.__qualname__}"  # its files in the cache
+        inside.__module__ = function.__module__
+        kernel: Any = compiled(no_cpython_wrapper=True)(inside)
+        called: Any = compiled()(function)
+        # what numba asks when another kernel calls this one
+        called.get_call_template = kernel.get_call_template
+        called.get_overload = kernel.get_overload
+        return called
+
+    return decorated
+
+
+formula = _inlined(fastmath=False)
 template = partial(njit, error_model="numpy", inline="always")()
 loop = partial(
-    njit, cache=True, error_model="numpy", fastmath=False, nogil=True, boundscheck=False
-)()
+    njit, cache=True, error_model="numpy", fastmath=False, nogil=True, boundscheck=False,
+    no_cfunc_wrapper=True,
+)()  # fmt: skip
 
 # For loops that add up over the patches of ONE vehicle: their order of summation is the choice of
 # the compiler, which lets it add several patches at once. The number of patches is the same for one
 # vehicle and for many, so the bits are too. Formulas called inside keep their own rounding.
-summation = partial(
-    njit, cache=True, error_model="numpy", forceinline=True,
-    fastmath={"reassoc", "contract", "nsz"},
-)()  # fmt: skip
+summation = _inlined(fastmath={"reassoc", "contract", "nsz"})
 
 
 @formula
@@ -51,6 +75,14 @@ def copy_entries(source, target):
     """
     for k in range(source.size):
         target[k] = source[k]
+
+
+@formula
+def copy_table(source, target):
+    """Let target (>= M, >= K) begin with the rows of source (M, K), as `copy_entries`."""
+    for i in range(source.shape[0]):
+        for k in range(source.shape[1]):
+            target[i, k] = source[i, k]
 
 
 @formula

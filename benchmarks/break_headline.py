@@ -43,7 +43,7 @@ from tracked_env.benchmark.store import Record, Store, identity_hash
 from tracked_env.benchmark.summary import Row, agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned
 from tracked_env.benchmark.tuning import default_settings, tunable
-from tracked_env.cli.evaluate_options import add_env, add_option
+from tracked_env.cli.evaluate_options import add_env, add_option, env_of
 from tracked_env.cli.exit_status import Parser
 
 FACTORS = (0.5, 0.7, 1.4, 2.0)
@@ -180,11 +180,12 @@ def main() -> int:
     """Run what is missing and print what changes; returns the exit status."""
     given = _options()
     try:
-        chosen = given.sets or default_sets(given.env)
+        env = env_of(given.env, given.sets)
+        chosen = given.sets or default_sets(env)
         config = BenchmarkConfig(chosen, given.episodes, given.seed)
         policies = registered_policies()
-        registry, trained = by_name(policies, given.env)
-        specs = given.policies or default_names(policies, given.env)
+        registry, trained = by_name(policies, env)
+        specs = given.policies or default_names(policies, env)
         entries = load_policies(specs, registry, trained, open_archive)
         agents = list(dict.fromkeys(agent_of(entry.name) for entry in entries))
         reference = next((name for name in REFERENCES if name in agents), None)

@@ -55,6 +55,15 @@ def test_a_page_without_a_place_for_the_table_is_one_line_on_stderr(
     assert "has no block" in capsys.readouterr().err.splitlines()[-1]
 
 
+def test_a_page_that_does_not_exist_is_told_before_anything_is_driven(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main([*ARGUMENTS, "--policies", "integral", "--page", "pag.md"]) == 2
+    error = capsys.readouterr().err
+    assert "--page pag.md: no such file" in error and error.count("\n") == 1
+    assert not Path("results").exists()
+
+
 def test_candidates_are_all_sets_in_which_something_is_unknown_the_chosen_ones_first() -> None:
     found = candidates(TORQUE_ID)
     assert found[: len(TORQUE_SETS.sets)] == TORQUE_SETS.sets

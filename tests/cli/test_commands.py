@@ -18,7 +18,7 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import frozen
 from tracked_env.benchmark.sets import SETS, version_of
 from tracked_env.cli import clone, evaluate_command
-from tracked_env.cli.evaluate_options import Config, parsed
+from tracked_env.cli.evaluate_options import Config, env_of, parsed
 from tracked_env.cli.main import COMMANDS, main
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
@@ -70,6 +70,71 @@ def test_a_wrong_argument_is_one_line_that_names_the_command(
     error = capsys.readouterr().err
     assert error.startswith("tracked-env: ") and error.count("\n") == 1
     assert "invalid choice: 'evaluat'" in error
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (["evaluate", "--policies", "nominal"], "--sets"),
+        (["adaptation", "--policies", "nominal"], "--sets"),
+        (["choose-sets", "--policies", "nominal"], "--sets"),
+        (["tune", "adaptive"], "--sets"),
+        (["render", "nominal"], "--set"),
+        (["record", "nominal"], "--set"),
+        (["drive", "--observer", "adaptive"], "--set"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else None,
+)
+def test_a_set_of_another_environment_than_the_named_one_is_refused_in_one_line(
+    command: list[str], option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def ended(*arguments: str) -> str:
+        try:
+            status = main([*command, *arguments])
+        except SystemExit as error:
+            status = int(str(error))
+        error = capsys.readouterr().err
+        assert status == 2 and error.count("\n") == 1
+        assert error.startswith(f"tracked-env {command[0]}: ")
+        return error
+
+    error = ended("--env", "Speed-v0", option, "payload")
+    assert f"{option} 'payload' is of Torque-v0, which contradicts --env Speed-v0" in error
+    assert "tracked-env envs" in error and "Leave --env out" in error
+    error = ended("--env", "Speed-v0", option, "friction-stp")
+    assert "unknown evaluation set 'friction-stp'" in error
+    assert "Did you mean 'friction-step'?" in error
+    assert not list(Path().iterdir())
+
+
+def test_the_environment_is_that_of_the_sets_where_none_is_named() -> None:
+    assert env_of(None, None) == TORQUE_ID
+    assert env_of(None, ("floor-mixed",)) == SPEED_ID
+    assert env_of(TERRAIN_ID, None) == TERRAIN_ID
+    with pytest.raises(ValueError, match="'floor' is of Speed-v0, which contradicts 'payload'"):
+        env_of(None, ("payload", "floor"))
+    benchmark = evaluate_command.benchmark_config(parsed(["--sets", "slope"], "test"))
+    assert benchmark.env == TERRAIN_ID
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["evaluate", "--polices", "nominal"], "--polices nominal; did you mean --policies?"),
+        (["evaluat"], "did you mean evaluate?"),
+        (["evaluate", "--episodes", "1.5"], "--episodes: 1.5; must be a whole number"),
+        (["evaluate", "--duration", "3s"], "--duration: 3s; must be a number, with a point"),
+        (["choose-sets", "--seeds", "0"], "--seeds: 0; must be a whole number, at least 1"),
+        (["breaking-points", "--seeds", "-1"], "--seeds: -1; must be a whole number, at least 1"),
+    ],
+)
+def test_a_wrong_argument_is_told_with_its_value_what_is_allowed_and_what_is_near(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
 
 
 @pytest.mark.parametrize("command", sorted({*COMMANDS} - {"train"}))

@@ -1,11 +1,12 @@
 """How a command ends: one line and an exit status for what the user can mend."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
 
 from tracked_env.benchmark.policy_interface import PolicyError
-from tracked_env.cli.exit_status import reported
+from tracked_env.cli.exit_status import one_line, reported
 
 
 @pytest.mark.parametrize(
@@ -22,6 +23,18 @@ def test_errors_of_a_command_are_one_line_and_an_exit_status(
 
     assert reported(fails)([], "program") == status
     assert capsys.readouterr().err == "program: wrong\n"
+
+
+def test_an_error_of_a_file_has_its_name_and_the_likely_cause(tmp_path: Path) -> None:
+    with pytest.raises(OSError) as missing:
+        (tmp_path / "log.csv").read_text()
+    said = one_line(missing.value)
+    assert said.startswith(f"{tmp_path / 'log.csv'}: no such file or directory. Is the name right")
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(OSError) as taken:
+        (tmp_path / "taken").mkdir()
+    assert "A file stands where a folder is needed" in one_line(taken.value)
+    assert one_line(OSError("wrong")) == "wrong"
 
 
 @pytest.mark.parametrize("error", [BrokenPipeError(), TypeError("a fault of ours")])

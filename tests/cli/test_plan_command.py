@@ -127,6 +127,10 @@ def test_the_outline_of_a_vehicle_turns_with_its_yaw() -> None:
         (["--obstacle-circle", "2", "2.5", "0.3"], 2, "the vehicle at its goal is"),
         (["--reverse"], 2, "must be False with method = 'dubins'"),
         (["--slope", "0.1", "0"], 2, "slope without slip"),
+        (["--goal", "2", "2", "90"], 2, "--goal yaw = 90.0 rad; must be a number in"),
+        (["--via", "1", "1", "45"], 2, "Did you pass degrees?"),
+        (["--v-max", "100"], 2, "--v-max = 100.0 m/s; must be a number in [0.001, 30] m/s."),
+        (["--sprocket-acceleration", "-1"], 2, "--sprocket-acceleration = -1.0 rad/s^2"),
     ],
 )
 def test_what_cannot_be_planned_is_one_line(

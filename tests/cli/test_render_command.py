@@ -133,6 +133,9 @@ def test_without_viser_render_says_what_to_install(
         (["nominal", "--set", "mud"], "unknown evaluation set 'mud'"),
         (["uc"], "this policy commands each sprocket's speed"),
         (["nothing"], "unknown policy"),
+        (["nominal", "--html", "a.html", "--at", "1"], "--at 1 changes nothing on a page"),
+        (["nominal", "--html", "a.html", "--view", "3d"], "--view 3d changes nothing on a page"),
+        (["nominal", "--live", "70000"], "--live = 70000.0; must be a number in [1, 65535]"),
     ],
 )
 def test_what_cannot_be_rendered_is_one_line(

@@ -2,12 +2,14 @@
 
 import json
 import re
+import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
+from tests.tools import tools_page
 from tests.tools.tools_page import (
     PAGE,
     TESTED,
@@ -63,3 +65,88 @@ def test_a_section_that_fails_says_which_command_and_what_it_printed(tmp_path):
     section = "```bash\npip install x\n```\n```python\nprint('so far')\n1 / 0\n```\n"
     with pytest.raises(AssertionError, match=r"(?s)example_1.py\nso far.*ZeroDivisionError"):
         run_section(Path(sys.executable), section, tmp_path)
+
+
+@pytest.fixture
+def a_page_of_four(tmp_path, monkeypatch):
+    """A page whose second example fails and whose third tool cannot be installed."""
+    texts = {
+        "One": "open('ran', 'a').write('.')",
+        "Two": "1 / 0",
+        "Three": "pass",
+        "Four": "open('ran', 'a').write('.')",
+    }
+    page, tested = tmp_path / "page.md", tmp_path / "tested.json"
+    page.write_text(
+        "".join(tools_page.MARKS)
+        + "".join(
+            f"\n## {title}\n```bash\npip install {title}\n```\n```python\n{text}\n```\n"
+            for title, text in texts.items()
+        )
+    )
+    tested.write_text(json.dumps({title: {"python": "3.1"} for title in texts}))
+    installations = []
+
+    def environment(arguments, folder, pip):
+        installations.append(*arguments)
+        if arguments == ["Three"]:
+            raise subprocess.CalledProcessError(1, "pip")
+        return Path(sys.executable)
+
+    monkeypatch.setattr(tools_page, "PAGE", page)
+    monkeypatch.setattr(tools_page, "TESTED", tested)
+    monkeypatch.setattr(tools_page, "TOOLS", {title: (title, title) for title in texts})
+    monkeypatch.setattr(tools_page, "environment_of", environment)
+    return page, tested, tmp_path / "tools", installations
+
+
+def test_a_tool_that_fails_does_not_stop_the_others_and_the_end_says_what_failed(
+    a_page_of_four, capsys
+):
+    page, tested, folder, _ = a_page_of_four
+    assert tools_page.main(["--folder", str(folder)]) == 1
+    said = capsys.readouterr().out
+    assert "ZeroDivisionError" in said
+    closing = [re.split(r"\s{2,}", line)[:2] for line in said.splitlines()[-4:]]
+    assert closing == [
+        ["One", "passed"],
+        ["Two", "examples failed"],
+        ["Three", "not installed"],
+        ["Four", "passed"],
+    ]
+    # An example that fails makes its row untrue; a network that fails does not.
+    assert list(json.loads(tested.read_text())) == ["One", "Three", "Four"]
+    assert re.findall(r"^\| \[(\w+)\]", page.read_text(), re.MULTILINE) == ["One", "Three", "Four"]
+
+
+def test_a_second_start_runs_only_what_did_not_pass_or_has_changed(a_page_of_four, capsys):
+    page, _, folder, installations = a_page_of_four
+    tools_page.main(["--folder", str(folder)])
+    installations.clear()
+    assert tools_page.main(["--folder", str(folder)]) == 1
+    assert installations == ["Two", "Three"]
+    assert "passed before" in capsys.readouterr().out
+    page.write_text(page.read_text().replace("1 / 0", "1 / 1").replace("'.')", "'!')", 1))
+    installations.clear()
+    tools_page.main(["--folder", str(folder)])
+    assert installations == ["One", "Two", "Three"]
+    assert [(folder / "runs" / title / "ran").read_text() for title in ("One", "Four")] == [
+        ".!",
+        ".",
+    ]
+    installations.clear()
+    tools_page.main(["--folder", str(folder), "--again", "--only", "Four"])
+    assert installations == ["Four"]
+
+
+def test_every_environment_gets_the_pytorch_of_the_project(tmp_path, monkeypatch):
+    given = []
+    monkeypatch.setattr(tools_page.venv, "create", lambda path, **_: path.mkdir(parents=True))
+    monkeypatch.setattr(
+        tools_page.subprocess, "run", lambda command, **_: given.extend(map(str, command))
+    )
+    tools_page.environment_of(["x", "/path/to/tracked-env[rl]"], tmp_path, ["--extra"])
+    held = Path(given[given.index("-c") + 1])
+    pinned = Path(tools_page.ROOT / "constraints.txt").read_text().splitlines()
+    assert held.read_text().strip() in pinned and held.read_text().startswith("torch==")
+    assert given[-3:] == ["x", "-e", f"{tools_page.ROOT}[rl]"] and "--extra" in given

@@ -1,24 +1,29 @@
 """Installs each tool as docs/tools.md says, runs the examples of its section, writes the versions.
 
-python tests/tools/tools_page.py [--only TITLE] [--folder build/tools] [pip arguments]
+python tests/tools/tools_page.py [--only TITLE ...] [--again] [--folder build/tools] [pip arguments]
 
 A section is an environment (the line `pip install ...`), files (blocks that begin with `# name`)
 and examples (Python, and shell lines that begin with `python -m`), which run in order in one
-folder. Sections with the same line share an environment. docs/tools_tested.json has what ran, with
-which versions; the table of the page is written from it.
+folder. Sections with the same line share an environment. PyTorch is the version of constraints.txt.
+docs/tools_tested.json has what ran, with which versions; the table of the page is written from it.
+
+A tool that fails does not stop the others: the table at the end says what failed, and the next
+start runs that alone. What passed is run again where its section or the package has changed.
 """
 
 import argparse
+import hashlib
 import json
 import os
 import re
 import shlex
 import subprocess
 import sys
+import time
 import venv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PAGE, TESTED = ROOT / "docs" / "tools.md", ROOT / "docs" / "tools_tested.json"
@@ -134,13 +139,24 @@ def with_table(text: str, tested: Mapping[str, Mapping[str, Any]]) -> str:
     return before + MARKS[0] + table(tested) + MARKS[1] + rest.partition(MARKS[1])[2]
 
 
+def torch_pin() -> str:
+    """The line of constraints.txt that says the version of PyTorch."""
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    return next(line for line in lines if line.startswith("torch=="))
+
+
 def environment_of(arguments: Sequence[str], folder: Path, pip: Sequence[str]) -> Path:
-    """The interpreter of an environment with this installation, made where it is not there."""
+    """The interpreter of an environment with this installation, made where it is not there.
+
+    Raises CalledProcessError where pip fails, OSError where the folder cannot be written.
+    """
     name = re.sub(r"\W+", "-", " ".join(arguments).replace(CLONE, "")).strip("-") or "plain"
     python = folder / name / "bin" / "python"
     if not (folder / name / ".installed").exists():
         venv.create(folder / name, with_pip=True, clear=True)
-        given = [part for a in arguments for part in _of_clone(a)]
+        held = folder / "torch.txt"
+        held.write_text(f"{torch_pin()}\n")
+        given = ["-c", str(held), *(part for a in arguments for part in _of_clone(a))]
         subprocess.run([python, "-m", "pip", "install", "-q", *pip, *given], check=True)
         (folder / name / ".installed").touch()
     return python
@@ -153,31 +169,87 @@ def _of_clone(argument: str) -> list[str]:
     return ["-e", argument.replace(CLONE, str(ROOT))]
 
 
-def main() -> int:
+def digest(section: str) -> str:
+    """What a result depends on here: the section and the code of the package."""
+    found = hashlib.sha256(section.encode())
+    for name in ("tracked_env", "baselines"):
+        for path in sorted((ROOT / name).rglob("*.py")):
+            found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+class Result(NamedTuple):
+    """What became of a tool: passed, passed before, examples failed, or not installed."""
+
+    title: str
+    outcome: str
+    seconds: float
+    versions: dict[str, str]
+
+    @property
+    def passed(self) -> bool:
+        """Whether its examples ran, now or before."""
+        return self.outcome.startswith("passed")
+
+
+def run_tool(title: str, section: str, folder: Path, pip: Sequence[str], again: bool) -> Result:
+    """Install a tool and run its section, unless that passed before; an error is printed."""
+    began, stamp = time.perf_counter(), folder / "passed" / f"{TOOLS[title][1]}.json"
+    kept = json.loads(stamp.read_text()) if stamp.exists() and not again else {}
+    now = digest(section)  # before it runs: what changes meanwhile is not what passed
+    if kept.get("digest") == now:
+        return Result(title, "passed before", 0.0, kept["versions"])
+    stamp.unlink(missing_ok=True)
+    outcome, found = "passed", dict[str, str]()
+    try:
+        python = environment_of(installation(section), folder, pip)
+        run_section(python, section, folder / "runs" / TOOLS[title][1])
+        found = versions(python, (TOOLS[title][0], *BESIDE))
+        stamp.parent.mkdir(parents=True, exist_ok=True)
+        stamp.write_text(json.dumps({"digest": now, "versions": found}))
+    except (AssertionError, subprocess.TimeoutExpired) as error:
+        outcome = "examples failed"
+        print(f"{title}: {error}", flush=True)
+    except (subprocess.CalledProcessError, OSError) as error:
+        outcome = "not installed"
+        print(f"{title}: {error}", flush=True)
+    return Result(title, outcome, time.perf_counter() - began, found)
+
+
+def closing_table(results: Sequence[Result]) -> str:
+    """A line for each tool: what became of it, its version and how long it took."""
+    width = max(len(result.title) for result in results)
+    lines = []
+    for title, outcome, seconds, found in results:
+        version = found.get(TOOLS[title][0], "-")
+        lines.append(f"{title:<{width}}  {outcome:<15}  {version:<8}  {seconds:6.0f} s")
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the sections, write the versions of those that ran; status 1 if one failed."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="*", default=list(TOOLS), metavar="TITLE")
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", nargs="*", default=list(TOOLS), metavar="TITLE", choices=TOOLS)
+    parser.add_argument("--again", action="store_true", help="run what passed before too")
     parser.add_argument("--folder", type=Path, default=ROOT / "build" / "tools")
-    given, pip = parser.parse_known_args()
+    given, pip = parser.parse_known_args(arguments)
+    given.folder.mkdir(parents=True, exist_ok=True)
     found = sections(PAGE.read_text())
     tested = json.loads(TESTED.read_text()) if TESTED.exists() else {}
-    failed = []
+    results = []
     for title in given.only:
         print(f"{title} ...", flush=True)
-        try:
-            python = environment_of(installation(found[title]), given.folder, pip)
-            run_section(python, found[title], given.folder / "runs" / TOOLS[title][1])
-        except (AssertionError, subprocess.SubprocessError) as error:
-            print(f"{title} FAILED: {error}", flush=True)
-            failed.append(title)
+        result = run_tool(title, found[title], given.folder.resolve(), pip, given.again)
+        results.append(result)
+        if result.passed:
+            tested[title] = result.versions
+        elif result.outcome == "examples failed":  # then the table no longer tells the truth of it
             tested.pop(title, None)
-            continue
-        tested[title] = versions(python, (TOOLS[title][0], *BESIDE))
-        print(f"{title}: {tested[title]}", flush=True)
-    tested = {title: tested[title] for title in TOOLS if title in tested}
-    TESTED.write_text(json.dumps(tested, indent=1) + "\n")
+        tested = {each: tested[each] for each in TOOLS if each in tested}
+        TESTED.write_text(json.dumps(tested, indent=1) + "\n")
     PAGE.write_text(with_table(PAGE.read_text(), tested))
-    return 1 if failed else 0
+    print(f"\n{closing_table(results)}")
+    return 0 if all(result.passed for result in results) else 1
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ import csv
 import io
 import shutil
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +32,8 @@ from tracked_env.benchmark.store import Store, write_atomically
 from tracked_env.benchmark.summary import agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned, folded, markdown_rows
 from tracked_env.cli.evaluate_command import result_folder
-from tracked_env.cli.evaluate_options import add_options, config_of
+from tracked_env.cli.evaluate_options import add_options, config_of, env_of
 from tracked_env.cli.exit_status import Parser, reported
-from tracked_env.validation import unknown
 
 # Sets with a change inside the episode, by environment.
 CHANGING = {
@@ -89,13 +87,9 @@ def main(arguments: Sequence[str], program: str) -> int:
     )
     add_options(parser, without=_FIXED)
     config = config_of(parser.parse_args(arguments))
-    config = replace(config, sets=config.sets or CHANGING[config.env])
-    assert config.sets is not None
-    benchmark = BenchmarkConfig(
-        config.sets, config.episodes_per_set, config.seed, chunk=config.chunk
-    )
-    if benchmark.env != config.env:
-        raise unknown(f"set of {config.env}", config.sets[0], CHANGING[config.env])
+    sets = config.sets or CHANGING[env_of(config.env, None)]
+    env_of(config.env, sets)
+    benchmark = BenchmarkConfig(sets, config.episodes_per_set, config.seed, chunk=config.chunk)
     policies = registered_policies()
     registry, trained = by_name(policies, benchmark.env)
     specs = config.policies or default_names(policies, benchmark.env)

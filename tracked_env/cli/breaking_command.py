@@ -26,7 +26,7 @@ from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.store import Store, identity_hash, write_atomically
 from tracked_env.benchmark.summary import agent_of
 from tracked_env.benchmark.text_tables import aligned
-from tracked_env.cli.choose_command import few_seeds
+from tracked_env.cli.choose_command import few_seeds, seed_count
 from tracked_env.cli.evaluate_options import JoinedNames, add_env, add_option, names
 from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.uncertainty.law import fingerprint
@@ -39,7 +39,7 @@ def _options(arguments: Sequence[str], program: str) -> argparse.Namespace:
         "Find, for each policy and difficulty, the level at which half of the episodes "
         "fail, on the same episodes. What was run is kept, and only what is missing is run.",
     )
-    add_env(parser, (TORQUE_ID, SPEED_ID))
+    add_env(parser, (TORQUE_ID, SPEED_ID), text="environment id", default=TORQUE_ID)
     add_option(
         parser, "policies", "as in `tracked-env evaluate`; by default all that are registered"
     )
@@ -47,7 +47,7 @@ def _options(arguments: Sequence[str], program: str) -> argparse.Namespace:
                         help=f"of {', '.join(breaking.AXES)}; by default all")  # fmt: skip
     add_option(parser, "episodes", "of a level", default=32)
     add_option(parser, "seed", "of the first episode")
-    parser.add_argument("--seeds", type=int, default=1,
+    parser.add_argument("--seeds", type=seed_count, default=1, metavar="N",
                         help="trainings of an agent, at most (default: 1)")  # fmt: skip
     add_option(parser, "output", "folder of the results")
     return parser.parse_args(arguments)

@@ -28,10 +28,19 @@ from tracked_env.benchmark.splits import DEVELOPMENT
 from tracked_env.benchmark.store import Store, identity_hash, write_atomically
 from tracked_env.benchmark.summary import agent_of, rows_of
 from tracked_env.benchmark.text_tables import aligned, markdown_rows
-from tracked_env.cli.evaluate_options import add_env, add_option
+from tracked_env.cli.evaluate_options import add_env, add_option, env_of
 from tracked_env.cli.exit_status import Parser, reported
 
 _KNOWN = ("nominal", "floor", "level")  # nothing is unknown there: no candidates
+
+
+def seed_count(text: str) -> int:
+    """How many trainings of each agent are run, of an argument."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(
+            f"{text}; must be a whole number, at least 1: of the trainings of each agent"
+        )
+    return int(text)
 
 
 def _options(arguments: Sequence[str], program: str) -> argparse.Namespace:
@@ -47,7 +56,7 @@ def _options(arguments: Sequence[str], program: str) -> argparse.Namespace:
     )
     add_option(parser, "sets", "candidates; by default all sets of the environment")
     add_option(parser, "episodes", "per set", default=24)
-    parser.add_argument("--seeds", type=int, default=1,
+    parser.add_argument("--seeds", type=seed_count, default=1, metavar="N",
                         help="of every agent, at most (default: 1)")  # fmt: skip
     add_option(parser, "output", "folder of the results")
     add_option(parser, "workers")
@@ -86,8 +95,12 @@ def page_of(found: choosing.Choice, conditions: str) -> str:
 
 
 def _choose(options: argparse.Namespace) -> None:
+    env = env_of(options.env, options.sets)
+    if options.page is not None and not options.page.is_file():
+        raise ValueError(f"--page {options.page}: no such file; must be a page with the block "
+                         f"`choice for {env.partition('/')[2]}`")  # fmt: skip
     config = BenchmarkConfig(
-        sets=tuple(options.sets or candidates(options.env)),
+        sets=tuple(options.sets or candidates(env)),
         episodes=options.episodes,
         seed=DEVELOPMENT,
     )

@@ -154,7 +154,11 @@ def main(arguments: Sequence[str], program: str) -> int:
         entry = load_policies([observer], registry, trained, open_archive)[0]
         chosen = checked_policy(entry, config.context(config.sets[0]))
         if needs_truth(chosen) or not hasattr(chosen, "estimates"):
-            raise ValueError(f"--observer {observer}: must be a policy that estimates")
+            why = "it is given the truth" if needs_truth(chosen) else "it identifies nothing"
+            raise ValueError(
+                f"--observer {observer}: {why}; must be a policy that identifies, as "
+                f"{OBSERVERS[config.env]}, or none"
+            )
     print(KEYS)
     distances = drive(config, config.sets[0], chosen)
     error = math.sqrt(float(np.mean(np.square(distances)))) if distances else 0.0

@@ -35,7 +35,8 @@ from tracked_env.benchmark.store import identity_hash
 from tracked_env.benchmark.summary import rows_of
 from tracked_env.benchmark.training_curves import read_costs, read_curves
 from tracked_env.cli import clone
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, Config, parsed
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, Config, env_of, parsed
+from tracked_env.cli.exit_status import one_line
 from tracked_env.cli.first_look import FIRST_LOOKS, compile_kernels, first_policies
 from tracked_env.validation import checked_choice, name_or_json
 
@@ -54,9 +55,10 @@ LONG = 5_000_000  # control steps of vehicles, about two minutes
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
     """The part of the command line that the benchmark knows. Raises ValueError."""
-    checked_choice("environment", config.env, ENVIRONMENTS)
+    env = env_of(config.env, config.sets)
+    checked_choice("environment", env, ENVIRONMENTS)
     return BenchmarkConfig(
-        sets=chosen_sets(config),
+        sets=chosen_sets(config, env),
         episodes=config.episodes_per_set,
         seed=config.seed,
         reference=name_or_json(config.reference, "reference"),
@@ -68,11 +70,11 @@ def benchmark_config(config: Config) -> BenchmarkConfig:
     )
 
 
-def chosen_sets(config: Config) -> tuple[str, ...]:
+def chosen_sets(config: Config, env: str) -> tuple[str, ...]:
     """Those that are named, else those of the first look or all."""
     if config.is_first_look:
-        return FIRST_LOOKS[config.env].sets
-    return config.sets or default_sets(config.env, config.sets_version)
+        return FIRST_LOOKS[env].sets
+    return config.sets or default_sets(env, config.sets_version)
 
 
 def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
@@ -169,7 +171,7 @@ def run_config(config: Config, program: str, extras: Extras = INSTALLED) -> int:
             )
         return extras.reproduce(config)
     except (PolicyError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
+        print(f"{program}: {one_line(error)}", file=sys.stderr)
         return 1
     except ValueError as error:
         print(f"{program}: {error}", file=sys.stderr)

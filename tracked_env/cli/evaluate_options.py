@@ -8,9 +8,9 @@ from typing import Any
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.executors.shard import Shard, parse_shard
-from tracked_env.benchmark.sets import default_sets
+from tracked_env.benchmark.sets import SETS, default_sets
 from tracked_env.cli.exit_status import Parser
-from tracked_env.validation import checked_choice
+from tracked_env.validation import checked_choice, known
 
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
 
@@ -55,6 +55,37 @@ class JoinedNames(argparse.Action):
         setattr(given, self.dest, joined)
 
 
+def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") -> str:
+    """The environment id that is named, else that of the first named set, else Torque-v0.
+
+    option: that names the sets. Raises ValueError for unknown sets and for those of another id.
+    """
+    for name in sets or ():
+        if name not in SETS:
+            own = [each.name for each in SETS.values() if env in (None, each.env)]
+            near = known(name, own).rpartition("].")[2]
+            raise ValueError(
+                f"unknown evaluation set {name!r}; `tracked-env envs` lists the {len(own)} sets "
+                f"of {env or 'the environments'}.{near}"
+            )
+    if not sets:
+        return env or TORQUE_ID
+    first, chosen = sets[0], env or SETS[sets[0]].env
+    for name in sets:
+        if SETS[name].env != chosen:
+            cause = f"--env {_bare(chosen)}" if env else f"{first!r} of {_bare(chosen)}"
+            raise ValueError(
+                f"{option} {name!r} is of {_bare(SETS[name].env)}, which contradicts {cause}; must "
+                "be of one environment: `tracked-env envs` lists them"
+                + (". Leave --env out, or name another set" if env else "")
+            )
+    return chosen
+
+
+def _bare(env: str) -> str:
+    return env.rpartition("/")[2]
+
+
 def env_type(allowed: Sequence[str]) -> Callable[[str], str]:
     """What makes one of the allowed environment ids of an argument."""
 
@@ -91,10 +122,11 @@ def flag(default: bool, text: str) -> Any:
 class Config:
     """What to compare, on what, and where the results go."""
 
-    env: str = option(
-        TORQUE_ID,
+    env: str | None = option(
+        None,
         "environment id, with or without `tracked_env/`: sprocket torques as actions, "
-        "or speeds, on level ground or on slopes",
+        "or speeds, on level ground or on slopes (default: that of the sets that are named, "
+        "else Torque-v0)",
     )
     policies: tuple[str, ...] | None = option(
         None,
@@ -254,7 +286,8 @@ def config_of(given: argparse.Namespace) -> Config:
     """The options of a command line; one set where `given.set` names it."""
     values = {name: getattr(given, name) for name in FIELDS if name in given}
     if "set" in given:
-        values["sets"] = (given.set or default_sets(given.env)[0],)
+        env = env_of(given.env, None if given.set is None else (given.set,), "--set")
+        values.update(env=env, sets=(given.set or default_sets(env)[0],))
     return Config(**values)
 
 
@@ -262,4 +295,9 @@ def parsed(arguments: Sequence[str] | None, program: str) -> Config:
     """The configuration of a command line; exits with a message for one that is wrong."""
     parser = Parser(program, DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser)
-    return config_of(parser.parse_args(arguments))
+    config = config_of(parser.parse_args(arguments))
+    try:
+        env_of(config.env, config.sets)
+    except ValueError as error:
+        parser.error(str(error))
+    return config

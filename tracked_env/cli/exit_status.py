@@ -1,7 +1,10 @@
 """Exit status of a command: errors as one line, and the end at Ctrl-C."""
 
 import argparse
+import difflib
+import errno
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -15,16 +18,65 @@ Main = Callable[[Sequence[str], str], int]
 class Parser(argparse.ArgumentParser):
     """Reads the arguments of a program; what is wrong is one line on stderr and exit status 2.
 
-    Names of options are not understood from their beginning alone.
+    Names of options are not understood from their beginning alone; what is near an unknown one is
+    named.
     """
 
     def __init__(self, program: str, description: str, **more: Any) -> None:
         super().__init__(prog=program, description=description, allow_abbrev=False, **more)
+        self.register("type", int, _whole)
+        self.register("type", float, _number)
 
     def error(self, message: str) -> NoReturn:
         """End the program."""
         said = message.removeprefix("argument ")
-        self.exit(2, f"{self.prog}: {said} (see {self.prog} --help)\n")
+        near = difflib.get_close_matches(*self._wrong_and_known(said), n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        self.exit(2, f"{self.prog}: {said}{hint} (see {self.prog} --help)\n")
+
+    def _wrong_and_known(self, message: str) -> tuple[str, list[str]]:
+        """A name that is not known, of a message of argparse, and those that are."""
+        if option := re.match(r"unrecognized arguments: (--[\w-]+)", message):
+            return option[1], [name for each in self._actions for name in each.option_strings]
+        if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            return choice[1], [name.strip("'") for name in choice[2].split(", ")]
+        return "", []
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}; must be a whole number") from error
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(
+            f"{text}; must be a number, with a point for decimals and without a unit"
+        ) from error
+
+
+# Likely causes, by the number of the system's error.
+CAUSES = {
+    errno.ENOENT: "Is the name right, and the current folder the one you mean?",
+    errno.EISDIR: "A file is needed there; did you leave out its name?",
+    errno.EEXIST: "A file stands where a folder is needed; name another one.",
+    errno.ENOTDIR: "A file stands where a folder is needed; name another one.",
+    errno.EACCES: "May you read and write there?",
+    errno.EROFS: "Name a folder that can be written.",
+    errno.ENOSPC: "Name a folder on another disk.",
+}
+
+
+def one_line(error: Exception) -> str:
+    """What an error says, of a file with its name first and the likely cause."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        cause = CAUSES.get(error.errno or 0, "")
+        return f"{error.filename}: {error.strerror.lower()}. {cause}".rstrip()
+    return str(error)
 
 
 def reported(main: Main) -> Main:
@@ -44,7 +96,7 @@ def reported(main: Main) -> Main:
         except BrokenPipeError:  # nobody reads on: no error of the command
             raise
         except (PolicyError, ImportError, OSError) as error:
-            print(f"{program}: {error}", file=sys.stderr)
+            print(f"{program}: {one_line(error)}", file=sys.stderr)
             return 1
         except ValueError as error:
             print(f"{program}: {error}", file=sys.stderr)

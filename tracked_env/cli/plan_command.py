@@ -15,6 +15,8 @@ import numpy as np
 from tracked_env.benchmark.registered_policies import command_function
 from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.cli.waiting import explained
+from tracked_env.physics.parameters import Range
+from tracked_env.validation import checked_number
 
 POSE: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "YAW")}
 # Options that are limits of the plan: field and help.
@@ -25,6 +27,12 @@ LIMITS = {
     "sprocket_acceleration": "of either sprocket [rad/s^2]; without it a plan does not brake",
 }
 MOVING = 0.25  # [-] of v_max: slower, a turn on the spot has any curvature
+YAW = Range(-2.0 * np.pi, 2.0 * np.pi, "rad", "Did you pass degrees?")
+RANGES = {
+    "v_min": Range(0.0, 30.0, "m/s", "Did you pass km/h, or mean --reverse?"),
+    "v_max": Range(0.001, 30.0, "m/s", "Did you pass km/h, or mean --reverse?"),
+    "sprocket_acceleration": Range(0.001, 1e5, "rad/s^2", "Did you mean the sprocket speed?"),
+}
 COLUMNS = ("time", "x", "y", "yaw", "course", "speed", "course_rate", "yaw_rate", "sprocket_left",
            "sprocket_right")  # fmt: skip
 SLIP_COLUMNS = ("beta_left", "beta_right", "alpha")
@@ -65,7 +73,12 @@ def _parser(program: str) -> argparse.ArgumentParser:
 def main(arguments: Sequence[str], program: str) -> int:
     """Plan, print, draw; returns the exit status."""
     given = _parser(program).parse_args(arguments)
+    for name, poses in (("--start", [given.start]), ("--via", given.via), ("--goal", [given.goal])):
+        for pose in poses:
+            checked_number(f"{name} yaw", pose[2], YAW)
     limits = {name: value for name in LIMITS if (value := getattr(given, name)) is not None}
+    for name in limits.keys() & RANGES.keys():
+        checked_number(f"--{name.replace('_', '-')}", limits[name], RANGES[name])
     with explained():
         found = command_function("plan")(
             given.goal, given.start, given.method, given.vehicle, given.friction,

@@ -12,6 +12,10 @@ from tracked_env.cli.choose_command import few_seeds
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import JoinedNames, add_episode_options, config_of, names
 from tracked_env.cli.exit_status import Parser, reported
+from tracked_env.physics.parameters import Range
+from tracked_env.validation import checked_whole
+
+PORTS = Range(1, 65535, "-", "It is the port of 127.0.0.1 that is tried first.")
 
 
 @reported
@@ -55,6 +59,12 @@ def _write(
     drivers = ", ".join(entry.name for entry in entries)
     label = f"{drivers}, set {uncertainty_set}, seed {benchmark.seed}"
     browser = given.html is not None or given.live is not None
+    if browser and given.file is None and (given.at is not None or given.view != "top"):
+        named = f"--view {given.view}" if given.at is None else f"--at {given.at:g}"
+        raise ValueError(f"{named} changes nothing on a page, which has its own time and view; "
+                         "must be given with --file")  # fmt: skip
+    if given.live is not None:
+        checked_whole("--live", given.live, PORTS)
     if given.html is not None and given.html.suffix.lower() != ".html":
         raise ValueError(f"file {given.html}: must end in .html")
     if browser and len(entries) > 1:

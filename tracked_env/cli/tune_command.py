@@ -29,7 +29,7 @@ from tracked_env.benchmark.tuning_records import (
     page,
     sensitivity_rows,
 )
-from tracked_env.cli.evaluate_options import add_env, add_option
+from tracked_env.cli.evaluate_options import add_env, add_option, env_of
 from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole, unknown
@@ -175,10 +175,9 @@ def main(arguments: Sequence[str], program: str) -> int:
     given = _parser(program).parse_args(arguments)
     budget = checked_whole("--budget", given.budget, BUDGET)
     episodes = checked_whole("--episodes", given.episodes, EPISODES)
-    search = Search(
-        registered(given.policy, given.env), given.sets or tuning_sets(given.env), episodes,
-        given.output, given.duration,
-    )  # fmt: skip
+    env = env_of(given.env, given.sets)
+    policy, sets = registered(given.policy, env), given.sets or tuning_sets(env)
+    search = Search(policy, sets, episodes, given.output, given.duration)
     if len(search.records):
         print(f"going on with {len(search.records)} settings of {search.records.file}")
     print(tune(search, budget, given.audit))

@@ -31,7 +31,7 @@ REPLAY = "--smoothness 1"  # which agents with a replay buffer would leave out
 STUDENT = (
     "--augmentation student --student.lstm-hidden 64 --student.hidden 64 --student.n-steps 250 "
     "--student.batch-size 16000 --student.buffer-size 400000 --student.gradient-steps 24 "
-    "--vehicles 60 --steps 2400000"
+    "--vehicles 60 --steps 1600000"
 )
 TEACHERS = {"ppo-student": "ppo-teacher"}  # by family: whose agent of the same seed teaches it
 

@@ -3,6 +3,7 @@
 import argparse
 import math
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -27,11 +28,19 @@ STEPS_SHOWN = 2  # control steps between two pictures
 REACH = {"torque": (0.25, 0.3), "speed": (0.6, 0.3)}
 RATE = 2.0  # [1/s] at which keys move the command
 DEAD_ZONE = 0.1  # [-] of a stick that does not come back to its middle
+START_BUTTONS = (6, 7)  # of the common makes: start, options, back
 KEYS = """arrows or W A S D   drive and turn; let go: the command falls to zero
 space               no command at once
 R                   a new episode
 Esc, Q              end
-left stick          the same by gamepad; its start button begins a new episode"""
+left stick          the same by gamepad, which may be plugged in under way; its
+                    start button begins a new episode"""
+
+
+def of_stick(value: float) -> float:
+    """What an axis asks for in [-1, 1]: nothing in the dead zone, then in proportion."""
+    beyond = (abs(value) - DEAD_ZONE) / (1.0 - DEAD_ZONE)
+    return math.copysign(min(beyond, 1.0), value) if beyond > 0.0 else 0.0
 
 
 class Controls:
@@ -41,9 +50,9 @@ class Controls:
         self._reach = REACH[drive]
         self.quit = self.again = False  # asked for
         self._held: set[int] = set()
-        self._stick = [0.0, 0.0]  # to the right, down
+        self._sticks: dict[int, list[float]] = {}  # of each gamepad: to the right, down
         self._command = np.zeros(2)  # forward, to the left
-        self._pads: list[Any] = []
+        self._pads: dict[int, Any] = {}  # by their id; one that nobody holds sends nothing
 
     def take(self, events: Iterable[Any]) -> None:
         """Take note of what has happened since the last call."""
@@ -59,11 +68,18 @@ class Controls:
             elif event.type == pygame.KEYUP:
                 self._held.discard(event.key)
             elif event.type == pygame.JOYDEVICEADDED:
-                self._pads.append(pygame.joystick.Joystick(event.device_index))
+                with suppress(pygame.error):  # one that has gone again
+                    pad = pygame.joystick.Joystick(event.device_index)
+                    self._pads[pad.get_instance_id()] = pad
+                    print(f"gamepad: {pad.get_name()}", flush=True)
+            elif event.type == pygame.JOYDEVICEREMOVED:
+                self._sticks.pop(event.instance_id, None)  # else its last command would go on
+                if self._pads.pop(event.instance_id, None) is not None:
+                    print("gamepad unplugged; the keys drive", flush=True)
             elif event.type == pygame.JOYAXISMOTION and event.axis < 2:
-                moved = abs(event.value) > DEAD_ZONE
-                self._stick[event.axis] = float(event.value) if moved else 0.0
-            elif event.type == pygame.JOYBUTTONDOWN and event.button == 7:
+                stick = self._sticks.setdefault(event.instance_id, [0.0, 0.0])
+                stick[event.axis] = of_stick(event.value)
+            elif event.type == pygame.JOYBUTTONDOWN and event.button in START_BUTTONS:
                 self.again = True
 
     def action(self, period: float) -> NDArray[np.float32]:
@@ -73,8 +89,9 @@ class Controls:
         def asked(more: tuple[int, int], less: tuple[int, int]) -> float:
             return float(bool(self._held & {*more})) - float(bool(self._held & {*less}))
 
-        forward = asked((pygame.K_UP, pygame.K_w), (pygame.K_DOWN, pygame.K_s)) - self._stick[1]
-        left = asked((pygame.K_LEFT, pygame.K_a), (pygame.K_RIGHT, pygame.K_d)) - self._stick[0]
+        right, down = np.sum([[0.0, 0.0], *self._sticks.values()], axis=0)
+        forward = asked((pygame.K_UP, pygame.K_w), (pygame.K_DOWN, pygame.K_s)) - down
+        left = asked((pygame.K_LEFT, pygame.K_a), (pygame.K_RIGHT, pygame.K_d)) - right
         wanted = np.clip([forward, left], -1.0, 1.0) * self._reach
         step = RATE * period
         self._command += np.clip(wanted - self._command, -step, step)

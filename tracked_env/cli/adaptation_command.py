@@ -37,9 +37,7 @@ from tracked_env.cli.exit_status import Parser, reported
 
 # Sets with a change inside the episode, by environment.
 CHANGING = {
-    "tracked_env/Torque-v0": (
-        "alternating", "actuator-fault", "outages-alternating", "late-gains", "reversing-payload",
-    ),
+    "tracked_env/Torque-v0": ("alternating", "actuator-fault", "late-gains", "reversing-payload"),
     "tracked_env/Speed-v0": ("friction-step", "floor-mixed", "floor-outages-alternating"),
     "tracked_env/Terrain-v0": ("slope-payload", "slope-step-late", "slope-payload-outages"),
 }  # fmt: skip

@@ -32,7 +32,7 @@ paper: $(STAMP) ## run both papers again: their claims, figures, one page each (
 	$(BIN)/python evaluate.py --paper focchi2025 $(EVALUATE_ARGS)
 
 leaderboard: $(STAMP) ## evaluate controllers and shipped agents on all sets, and renew the tables of results
-	@echo "All policies on all sets of three environments: about 40 minutes of one processor."
+	@echo "All policies on all sets of three environments: about 25 minutes of one processor."
 	rm -rf results/leaderboard
 	$(BIN)/python evaluate.py --all --no-figures --output results/leaderboard
 	$(BIN)/python benchmarks/publish.py results/leaderboard/torque-v3-seed0-*

@@ -15,7 +15,7 @@ STAMP      := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install leaderboard evaluate paper tune train test lint format docs tools package bare benchmark clean clean-cache
+.PHONY: help install leaderboard evaluate paper tune train test test-slow lint format docs tools package bare benchmark clean clean-cache
 
 help: ## list the commands
 	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
@@ -49,8 +49,13 @@ tune: $(STAMP) ## search the settings of the controllers on development episodes
 train: $(STAMP) ## train a PPO agent into runs/ppo-blind-seed0
 	$(BIN)/python train.py $(TRAIN_ARGS)
 
-test: $(STAMP) ## run the whole test suite
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+
+test: $(STAMP) ## run the tests but for the slow ones (6 minutes)
+	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
+
+test-slow: $(STAMP) ## run the slow tests: trainings, whole programs, clusters, the documentation (6 minutes)
+	$(PYTEST) -m slow $(PYTEST_ARGS)
 
 lint: $(STAMP) ## ruff (rules and format) and mypy
 	$(BIN)/python -m ruff check .

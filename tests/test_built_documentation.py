@@ -117,6 +117,7 @@ def built(
     return folder / "html", done
 
 
+@pytest.mark.slow
 def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code_has(
     repository: Path, built: tuple[Path, subprocess.CompletedProcess[str]]
 ) -> None:
@@ -139,6 +140,7 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
     assert "mpc-adaptive" in landing and "policy-adaptive" in landing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", ["adaptive_control", "train_and_compare"])
 def test_the_notebook_of_a_tutorial_has_the_cells_of_its_page_and_runs(
     page: str, repository: Path, built: tuple[Path, subprocess.CompletedProcess[str]]

@@ -68,6 +68,7 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_continues_with_what_it_had(
     evaluate: Any, repository: Path, tmp_path: Path
 ) -> None:
@@ -110,6 +111,7 @@ def test_a_policy_of_another_package_is_compared_from_its_folder(
     assert {r["policy"] for r in result(tmp_path)["episodes"]} == {"mine:Coast", "oracle"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("env", "duration"), [(SPEED_ID, 12), (TERRAIN_ID, 6)])
 def test_other_environments_have_their_own_policies_sets_and_score(
     env: str, duration: int, evaluate: Any, tmp_path: Path
@@ -153,6 +155,7 @@ def test_an_interruption_while_it_starts_is_one_line(
     assert lines == ["evaluate.py: interrupted; finished episodes are kept, run it again"]
 
 
+@pytest.mark.slow
 def test_two_runs_in_one_folder_are_refused_with_a_clear_message(
     evaluate: Any, repository: Path, tmp_path: Path
 ) -> None:

@@ -56,6 +56,7 @@ def test_the_agent_comes_with_its_configuration_and_learning_curve(trained):
     }
 
 
+@pytest.mark.slow
 def test_a_killed_training_goes_on_to_the_same_agent(trained, repository, tmp_path):
     arguments = ("--steps", "4096", "--output", str(tmp_path), "--seed", "3")
     process = subprocess.Popen(
@@ -72,6 +73,7 @@ def test_a_killed_training_goes_on_to_the_same_agent(trained, repository, tmp_pa
     assert same_parameters(trained / "last.zip", tmp_path / "last.zip")
 
 
+@pytest.mark.slow
 def test_a_loop_over_seeds_can_be_started_again(trained, repository):
     arguments = ("--steps", "4096", "--output", str(trained), "--seed", "3")
     written = (trained / "agent.zip").stat().st_mtime_ns

@@ -57,6 +57,7 @@ def same_tensors(one, other):
     return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkeypatch, capsys):
     """In mid-episode, with running normalisation and a history, over a held-out evaluation."""
@@ -87,6 +88,7 @@ def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkey
     assert not (torn.folder / checkpoints.FILE).exists()
 
 
+@pytest.mark.slow
 def test_a_resumed_residual_goes_on_with_its_estimators(tmp_path, monkeypatch):
     whole = small(tmp_path / "whole", augmentation="residual")
     assert train.main(whole) == 0

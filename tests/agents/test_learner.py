@@ -48,6 +48,7 @@ def cross_entropy(blocks, tmp_path):
     del ALGORITHMS["cross-entropy"], sys.modules["cross_entropy"]
 
 
+@pytest.mark.slow
 def test_the_page_can_be_followed_in_a_folder_of_ones_own(blocks, repository, tmp_path):
     assert len(blocks) == 2 and blocks[0].startswith("# cross_entropy.py\n")
     (tmp_path / "cross_entropy.py").write_text(blocks[0])

@@ -40,6 +40,7 @@ SWEEP: dict[str, Any] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users_command(
     repository: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -63,6 +64,7 @@ def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users
     assert "holds a finished training" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_a_training_what_it_did_since_its_checkpoint(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
@@ -91,6 +93,7 @@ def test_a_killed_worker_costs_a_training_what_it_did_since_its_checkpoint(
     assert same_parameters(Path("killed/last.zip"), Path("alone/last.zip"))
 
 
+@pytest.mark.slow
 def test_a_sweep_trains_what_its_file_says_goes_on_and_ends_in_one_table(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -127,6 +130,7 @@ def replace_several(**changes: Any) -> Any:
     return both(**changes)
 
 
+@pytest.mark.slow
 def test_one_training_that_fails_is_said_and_the_others_go_on(
     capfd: pytest.CaptureFixture[str],
 ) -> None:

@@ -178,6 +178,7 @@ def simulation_of(state):
     return found
 
 
+@pytest.mark.slow
 def test_no_value_in_a_checkpoint_is_a_traceback(interrupted, tmp_path, capsys):
     """Wrong values in random places of the state: it goes on, or says in a line why not."""
     config, content, files = interrupted

@@ -69,6 +69,7 @@ def test_figures_are_the_same_whatever_the_chunks(tmp_path: Path) -> None:
     assert len(spun["motion"]) < 300  # all four have left the path before the end
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_its_chunk_alone_and_it_runs_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -84,6 +85,7 @@ def test_a_killed_worker_costs_its_chunk_alone_and_it_runs_again(
     assert "payload: " in said and "Traceback" not in said
 
 
+@pytest.mark.slow
 def test_a_chunk_that_is_lost_again_and_again_is_an_error_that_names_it(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"Deadly, episodes 0 to \d+, was lost 3 times.*memory"):
         records_of(tmp_path, policies(f"{STUBS}:Deadly"), WorkerPool(1))
@@ -99,6 +101,7 @@ def test_an_error_of_a_policy_in_a_worker_is_blamed_on_it_and_what_ran_is_kept(
     assert {policy for _, policy, _ in episodes_stored(tmp_path)} == {"nominal"}
 
 
+@pytest.mark.slow
 def test_a_rerun_does_only_the_chunks_that_are_missing(tmp_path: Path) -> None:
     entries = policies("nominal", "adaptive")
     store = Store(tmp_path, CONFIG.identity())
@@ -220,6 +223,7 @@ def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the processes of the system")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_when_the_process_that_asks_ends_its_workers_end_and_what_they_had_done_is_kept(

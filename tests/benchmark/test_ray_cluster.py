@@ -20,6 +20,8 @@ from tracked_env.benchmark import Store, run
 from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.policy_interface import PolicyError
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent
 
 

@@ -113,6 +113,7 @@ def run(repository: Path, *arguments: str) -> Any:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_two_checkouts_are_timed_in_alternation_and_a_missing_row_is_said(
     repository: Path, tmp_path: Path
 ) -> None:
@@ -130,6 +131,7 @@ def test_two_checkouts_are_timed_in_alternation_and_a_missing_row_is_said(
     assert (tmp_path / "table.md").read_text().splitlines() == done.stdout.splitlines()[2:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments, says",
     [

@@ -24,6 +24,8 @@ from reproduce.focchi2025.results import Results
 from reproduce.focchi2025.runs import vehicle
 from reproduce.paper_page import claims_table, terminal
 
+pytestmark = pytest.mark.slow
+
 LENGTH = 5.0  # [s] of the drives; numbers of so short ones mean little, the page is what counts
 COARSE = 1.3  # [rad/s]
 

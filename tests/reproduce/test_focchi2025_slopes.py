@@ -23,6 +23,7 @@ def driven(place):
     return {case.kind: slope_chicane.tracking(runs[case]) for case in cases}
 
 
+@pytest.mark.slow
 def test_on_the_seeded_field_each_piece_of_knowledge_about_slip_lowers_the_error(module_patch):
     found = driven(ground.field())
     assert found["slope"].mean < 0.8 * found["flat"].mean < 0.6 * found["uc"].mean

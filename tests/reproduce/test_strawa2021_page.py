@@ -13,6 +13,8 @@ from reproduce.strawa2021 import soil as soils
 from reproduce.strawa2021.control import PATHS, SCENARIOS, run
 from reproduce.strawa2021.results import REGRESSIONS, Results
 
+pytestmark = pytest.mark.slow
+
 LENGTH = 9.0  # [s] of the drives; numbers of so short ones mean little, the page is what counts
 
 

@@ -39,6 +39,7 @@ def runnable(title):
     return installed(TOOLS[title][1]) and all(installed(name) for name in imported)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("title", TOOLS)
 def test_the_examples_of_a_tool_run_as_they_stand(title, tmp_path):
     if not runnable(title):

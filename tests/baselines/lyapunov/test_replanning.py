@@ -38,6 +38,7 @@ def interval(values):
     return np.mean(values) - half, np.mean(values) + half
 
 
+@pytest.mark.slow
 def test_plans_of_the_moment_end_nearer_to_the_goal_where_the_floor_turns_slippery(driven):
     again, once = driven["step", 1.0], driven["step", math.inf]
     low, _high = interval(once.off - again.off)
@@ -45,6 +46,7 @@ def test_plans_of_the_moment_end_nearer_to_the_goal_where_the_floor_turns_slippe
     assert again.off.mean() < 0.75 * once.off.mean()
 
 
+@pytest.mark.slow
 def test_where_nothing_changes_plans_of_the_moment_are_as_good_as_one(driven):
     again, once = driven["same", 1.0], driven["same", math.inf]
     _low, high = interval(again.off - once.off)
@@ -52,6 +54,7 @@ def test_where_nothing_changes_plans_of_the_moment_are_as_good_as_one(driven):
     assert again.off.max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("floor", FLOORS)
 def test_vehicles_come_to_rest_at_the_goal_with_its_yaw(driven, floor):
     run = driven[floor, 1.0]
@@ -65,6 +68,7 @@ def test_vehicles_come_to_rest_at_the_goal_with_its_yaw(driven, floor):
     assert (plans.not_found == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("floor", FLOORS)
 def test_no_vehicle_drives_circles_to_correct_what_is_left_of_its_error(driven, floor):
     turned = {

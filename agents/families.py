@@ -33,7 +33,8 @@ STUDENT = (
     "--student.batch-size 16000 --student.buffer-size 400000 --student.gradient-steps 24 "
     "--vehicles 60 --steps 1600000"
 )
-TEACHERS = {"ppo-student": "ppo-teacher"}  # by family: whose agent of the same seed teaches it
+# By family: whose agent of the same seed teaches it.
+TEACHERS = {"ppo-student": "ppo-teacher", "ppo-student-estimates": "ppo-teacher"}
 
 # By environment, name of the family -> its options of train.py.
 FAMILIES = {
@@ -46,6 +47,7 @@ FAMILIES = {
         "ppo-residual-mpc": f"{SHOWN} {RESIDUAL} --residual-scale 0.05 --base mpc-adaptive",
         "ppo-teacher": f"--uncertainty mixture --sensors ideal {PPO} --augmentation teacher",
         "ppo-student": f"{SHOWN} {STUDENT}",
+        "ppo-student-estimates": f"{SHOWN} {STUDENT} --student.features estimates",
         "recurrent-ppo-blind": f"{SHOWN} {PPO} --agent recurrent-ppo --recurrent-ppo.n-steps 512",
         "sac-blind": f"{SHOWN} --agent sac --steps 300000 {REPLAY}",
         "td3-blind": f"{SHOWN} --agent td3 --steps 300000 {REPLAY}",

@@ -75,9 +75,9 @@ class RecurrentStudentModel(RecurrentStudent):
 
     def __init__(
         self, inference: RecurrentInference, teacher: Predictor,
-        normalisation: Normalisation | None, names: Sequence[str],
+        normalisation: Normalisation | None, names: Sequence[str], features: str = "reckoned",
     ) -> None:  # fmt: skip
-        super().__init__(self._inferred, teacher, normalisation, names)
+        super().__init__(self._inferred, teacher, normalisation, names, features)
         self.inference = inference
 
     def _inferred(self, inputs: Floats, carried: Any, start: Any) -> tuple[Floats, Any]:

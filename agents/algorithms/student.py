@@ -5,7 +5,7 @@ whatever algorithm trained that one. The training itself: `agents.training.stude
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro.conf
 
@@ -40,9 +40,13 @@ class StudentSettings:
     """Units of the hidden layers."""
 
     lstm_hidden: Annotated[int | None, tyro.conf.arg(metavar="INTEGER")] = None
-    """Units of an LSTM that sees dead reckoning instead of past samples, and infers the true motion
+    """Units of an LSTM that sees `features` instead of past samples, and infers the true motion
     too, for a teacher that was trained with ideal sensors; without: none. It is regressed on
     sequences of n_steps, of which batch_size / n_steps make a gradient step."""
+
+    features: Literal["reckoned", "estimates"] = "reckoned"
+    """What the LSTM sees besides the observation: dead reckoning, or, on Torque-v0, the filtered
+    motion and the parameters that the adaptive controller identifies."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -18,6 +18,7 @@ from agents.training.run import Run
 from agents.training.student_learner import StudentLearner
 from baselines.learned.agent_policy import Normalisation
 from baselines.learned.recurrent_student import OUTPUTS
+from baselines.learned.student_network import features_of
 
 LARGEST_GRADIENT = 1.0  # [-] norm that a gradient is shortened to
 
@@ -25,12 +26,14 @@ LARGEST_GRADIENT = 1.0  # [-] norm that a gradient is shortened to
 class RecurrentStudentLearner(StudentLearner):
     """A student with an LSTM, of the teacher of a run.
 
-    Raises ValueError as StudentLearner, and for an observation without the motion.
+    Raises ValueError as StudentLearner, for an observation without the motion, and for estimates
+    where sprocket speeds are commanded.
     """
 
     outputs = OUTPUTS
 
     def __init__(self, run: Run) -> None:
+        features_of(run.augmentation.options, run.parts[0].context.drive)
         super().__init__(run)
         rows, count = self._rows, self.env.num_envs
         self._began = torch.zeros(rows, count, 1)
@@ -43,7 +46,7 @@ class RecurrentStudentLearner(StudentLearner):
         settings = self.settings
         inference = RecurrentInference(shown[0], settings.hidden, settings.lstm_hidden)
         names = [field for of_group in self.groups.values() for field in of_group]
-        return RecurrentStudentModel(inference, self.teacher, scaling, names)
+        return RecurrentStudentModel(inference, self.teacher, scaling, names, settings.features)
 
     @property
     def truth(self) -> Any:

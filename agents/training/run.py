@@ -28,6 +28,7 @@ from agents.training.unread_options import check_read
 from baselines.learned.agent_policy import Groups, groups_in
 from baselines.learned.augmentation import BASE, RESIDUAL_SCALE
 from baselines.learned.history_augmentation import LAGS
+from baselines.learned.privileged_inputs import STUDENT_FEATURES
 from baselines.learned.recipe import STUDENT, Driven
 from baselines.linearizing.linearizing_law import TUNED_GAINS
 from baselines.lyapunov.slope_errors import tuned_gains
@@ -162,6 +163,8 @@ def _augmentation(options: Options) -> Augmentation:
     inferred: dict[str, Any] = {"lags": lags, "hidden": list(student.hidden)}
     if student.lstm_hidden:
         inferred = {"hidden": list(student.hidden), "lstm_hidden": student.lstm_hidden}
+        if student.features != STUDENT_FEATURES[0]:
+            inferred["features"] = student.features
     known = {"history": {"lags": lags}, "residual": residual, STUDENT: inferred}
     sheet = {"data_sheet": True} if options.data_sheet else {}
     return Augmentation(options.augmentation, {**known.get(options.augmentation, {}), **sheet})
@@ -182,6 +185,8 @@ def configuration(options: Options) -> dict[str, Any]:
     )  # fmt: skip
     if name == STUDENT and options.student.lstm_hidden is None:
         kept[STUDENT].pop("lstm_hidden")
+    if name == STUDENT and options.student.features == STUDENT_FEATURES[0]:
+        kept[STUDENT].pop("features")
     return dict(json.loads(json.dumps(kept, default=str)))
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from agents.algorithms import ALGORITHMS
 from agents.training.options import Options
 from baselines.learned.augmentation import KINDS
+from baselines.learned.privileged_inputs import STUDENT_FEATURES
 from baselines.learned.recipe import STUDENT
 
 # Options that only some kinds of augmentation have, see `agents.training.options`.
@@ -54,7 +55,13 @@ def check_read(options: Options) -> None:
     if options.lags is not None and options.student.lstm_hidden is not None:
         raise ValueError(
             f"--lags has no effect with --student.lstm-hidden {options.student.lstm_hidden}: that "
-            "student sees dead reckoning instead of past samples. Leave one of them out"
+            f"student sees {options.student.features} instead of past samples. Leave one of them "
+            "out"
+        )
+    if options.student.features != STUDENT_FEATURES[0] and options.student.lstm_hidden is None:
+        raise ValueError(
+            f"--student.features {options.student.features} has no effect without an LSTM: that "
+            "student sees past samples. Give --student.lstm-hidden 64 too, or leave it out"
         )
     for name in (*ALGORITHMS, STUDENT):
         for setting in _changed(getattr(options, name.replace("-", "_"))):

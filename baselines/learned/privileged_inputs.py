@@ -20,6 +20,7 @@ Floats = NDArray[np.float32]
 Truth = Mapping[str, NDArray[np.float64]]
 
 TEACHER = "teacher"  # the kind of such an agent in a recipe
+STUDENT_FEATURES = ("reckoned", "estimates")  # what its student with an LSTM may see, first: usual
 # Logarithm of the ratio to nominal that is shown as 1, and the differences that are.
 RATIOS = {"mass": 0.3, "inertia": 0.3, "shear_deformation_modulus": 0.5, "traction_limit": 1.0}
 DIFFERENCES = {

@@ -21,7 +21,7 @@ import numpy as np
 from baselines.learned.agent_policy import V0_GROUPS, Groups, Normalisation
 from baselines.learned.augmentation import KINDS
 from baselines.learned.forward_pass import ALGORITHMS, RECURRENT
-from baselines.learned.privileged_inputs import TEACHER
+from baselines.learned.privileged_inputs import STUDENT_FEATURES, TEACHER
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env.physics.parameters import VEHICLES
 
@@ -118,6 +118,8 @@ def _check_options(kind: str, options: Any) -> None:
     if kind == STUDENT and isinstance(options, dict) and "lstm_hidden" in options:
         needed = ("hidden", "lstm_hidden")
     known = needed if kind == TEACHER else (*needed, "data_sheet")
+    if "lstm_hidden" in needed:
+        known = (*known, "features")
     if not isinstance(options, dict) or not set(options) <= set(known):
         raise ValueError(
             f"augmentation_options = {_short(options)}; of augmentation {kind!r} must have "
@@ -137,6 +139,10 @@ def _check_options(kind: str, options: Any) -> None:
         raise ValueError(f"hidden = {_short(options['hidden'])}; must be a list of sizes")
     if not _is_size(options.get("lstm_hidden", 1)):
         raise ValueError(f"lstm_hidden = {_short(options['lstm_hidden'])}; must be a size")
+    if options.get("features", STUDENT_FEATURES[0]) not in STUDENT_FEATURES:
+        raise ValueError(
+            f"features = {_short(options['features'])}; must be {' or '.join(STUDENT_FEATURES)}"
+        )
     gains = options.get("gains", [1.0])
     numbers = isinstance(gains, list) and all(_is_number(gain, -1.0) for gain in gains)
     if not (numbers and 1 <= len(gains) <= len(Gains._fields)):

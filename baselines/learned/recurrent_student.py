@@ -1,11 +1,12 @@
 """A student that remembers: it infers the true motion too, then drives as its teacher does.
 
-    h = LSTM(x_1 ... x_t),  y = MLP([h, x])       x: observation, dead reckoning, data sheet
-    motion = what dead reckoning says + y_m s     true pose error, v_x, v_y and yaw rate
+    h = LSTM(x_1 ... x_t),  y = MLP([h, x])       x: observation, features, data sheet
+    motion = what the features say + y_m s        true pose error, v_x, v_y and yaw rate
     action = teacher(observation with that motion and a pose of age 0, y_p)
 y_p is what the teacher's network sees of `privileged_inputs`. A teacher that has learned with
-`ideal` sensors then sees what it knows: noise, delays and outages are the student's to bridge. What
-an untrained one infers is dead reckoning and the nominal vehicle.
+`ideal` sensors then sees what it knows: noise, delays and outages are the student's to bridge. The
+features are dead reckoning, or the estimates of the identification stack. What an untrained student
+infers is the motion that they say, and the nominal vehicle.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +28,13 @@ from baselines.learned.forward_pass import (
 )
 from baselines.learned.privileged_inputs import MOTION, PRIVILEGED
 from baselines.learned.reckoned_augmentation import RECKONED
-from baselines.learned.student_network import INFERENCE_FORMAT, inference_layers, scaled_by
+from baselines.learned.student_network import (
+    INFERENCE_FORMAT,
+    features_of,
+    inference_layers,
+    scaled_by,
+)
+from baselines.learned.torque_augmentation import FILTERED
 from tracked_env import observation as layout
 
 Floats = NDArray[np.float32]
@@ -39,47 +46,73 @@ OUTPUTS = len(PRIVILEGED) + len(MOTION)
 _SCALES = np.array([layout.SCALE[layout.INDEX[name]] for name in MOTION])
 _SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
 _BOUND = layout.BOUND[[layout.INDEX[name] for name in MOTION]]
-# Of MOTION, what dead reckoning says: fields of RECKONED; the yaw rate is the gyro's.
-_RECKONED = {
-    "position_error_x": "reckoned_error_x", "position_error_y": "reckoned_error_y",
-    "heading_error": "reckoned_heading_error", "v_x": "belt_speed",
-}  # fmt: skip
+
+# By features, of each of MOTION: the fields that say it, and how often [SI]. The yaw rate beside
+# dead reckoning is the gyro's; what is not named is 0.
+_SAID_BY: dict[str, dict[str, dict[str, float]]] = {
+    "reckoned": {
+        "position_error_x": {"reckoned_error_x": 1.0},
+        "position_error_y": {"reckoned_error_y": 1.0},
+        "heading_error": {"reckoned_heading_error": 1.0},
+        "v_x": {"belt_speed": 1.0},
+        "yaw_rate": {"yaw_rate": 1.0},
+    },
+    "estimates": {
+        "position_error_x": {"filtered_error_x": 1.0},
+        "position_error_y": {"filtered_error_y": 1.0},
+        "heading_error": {"filtered_heading_error": 1.0},
+        "v_x": {"reference_speed": 1.0, "filtered_speed_error": -1.0},
+        "v_y": {"filtered_v_y": 1.0},
+        "yaw_rate": {"reference_yaw_rate": 1.0, "filtered_yaw_rate_error": -1.0},
+    },
+}
+_FEATURES = {"reckoned": RECKONED, "estimates": FILTERED}  # the first of each, and their scales
 
 
 class RecurrentStudent:
-    """Inference and teacher as one network, for observations widened by dead reckoning.
+    """Inference and teacher as one network, for observations widened by features.
 
     inference: from those (N, D), what it carries and the rows that start, to its outputs (N, F) and
     what it carries on. teacher: network that sees observation and privileged inputs.
-    normalisation: of both. names: fields of the observation. Raises ValueError where one of MOTION
-    is not among them.
+    normalisation: of both. names: fields of the observation. features: "reckoned" or "estimates".
+    Raises ValueError where one of MOTION, or a field that says one, is not among the names.
     """
 
     def __init__(
         self, inference: Inference, teacher: Predictor, normalisation: Normalisation | None,
-        names: Sequence[str] = layout.NAMES,
+        names: Sequence[str] = layout.NAMES, features: str = "reckoned",
     ) -> None:  # fmt: skip
         self.infer, self.teacher, self.normalisation = inference, teacher, normalisation
         self.observed = len(names)
         self.found: Any = None  # outputs of the inference in the last call
-        missing = [name for name in MOTION if name not in names]
+        said, scales = _SAID_BY[features], _FEATURES[features]
+        read = dict.fromkeys(
+            [*MOTION, *(name for of in said.values() for name in of if name not in scales)]
+        )
+        missing = [name for name in read if name not in names]
         if missing:
             raise ValueError(
-                f"a student with an LSTM infers {', '.join(missing)}, which the "
-                "observation does not show. Add the groups pose_error and motion"
+                f"a student with an LSTM infers or reads {', '.join(missing)}, which the "
+                "observation does not show. Add the groups pose_error, motion and reference"
             )
         self._motion = np.array([names.index(name) for name in MOTION])
         self._age = [names.index(name) for name in ("pose_age",) if name in names]
-        offset = {name: self.observed + k for k, name in enumerate(RECKONED)}
-        places = [offset.get(_RECKONED.get(name, ""), names.index(name)) for name in MOTION]
-        factors = [RECKONED.get(_RECKONED.get(name, ""), 0.0) for name in MOTION] / _SCALES
-        factors[[*MOTION].index("yaw_rate")] = 1.0
-        self._from, self._factor = np.array(places), factors.astype(np.float32)
+        place = {name: k for k, name in enumerate((*names, *scales))}
+        scale = {name: float(layout.SCALE[layout.INDEX[name]]) for name in read} | scales
+        # MOTION is a sum of two columns of the observation, each times a factor.
+        self._from = np.zeros((2, len(MOTION)), int)
+        self._factor = np.zeros((2, len(MOTION)), np.float32)
+        for column, (name, shown_as_1) in enumerate(zip(MOTION, _SCALES, strict=True)):
+            for row, (field, times) in enumerate(said.get(name, {}).items()):
+                self._from[row, column] = place[field]
+                self._factor[row, column] = times * scale[field] / shown_as_1
 
-    def _reckoned(self, observation: Floats) -> Floats:
-        """MOTION by dead reckoning, as the observation shows it (N, 6)."""
-        reckoned: Floats = observation[:, self._from] * self._factor
-        return reckoned
+    def _said(self, observation: Floats) -> Floats:
+        """MOTION as the features say it and the observation shows it (N, 6)."""
+        first, second = self._from
+        said: Floats = observation[:, first] * self._factor[0]
+        said += observation[:, second] * self._factor[1]
+        return said
 
     def wanted(self, observation: Floats, motion: Floats, truth: Floats) -> Floats:
         """The right outputs of the inference (N, F).
@@ -88,7 +121,7 @@ class RecurrentStudent:
         truth (N, P): PRIVILEGED.
         """
         seen = scaled_by(self.normalisation, truth, slice(self.observed, None))
-        return np.concatenate([seen, (motion - self._reckoned(observation)) / _SPREAD], axis=1)
+        return np.concatenate([seen, (motion - self._said(observation)) / _SPREAD], axis=1)
 
     def predict(
         self, observation: Floats, state: Any = None, episode_start: Any = None,
@@ -101,7 +134,7 @@ class RecurrentStudent:
         carried, of_teacher = (None, None) if state is None else state
         self.found, carried = found, carried = self.infer(observation, carried, start)
         present = observation[:, : self.observed].copy()
-        motion = self._reckoned(observation) + found[:, len(PRIVILEGED) :] * _SPREAD
+        motion = self._said(observation) + found[:, len(PRIVILEGED) :] * _SPREAD
         present[:, self._motion] = np.clip(motion, -_BOUND, _BOUND)
         present[:, self._age] = 0.0
         shown = scaled_by(self.normalisation, present, slice(self.observed))
@@ -138,13 +171,15 @@ def read_recurrent_student(
     content: bytes, options: Mapping[str, Any], inputs: int, teacher: Predictor,
     scaling: Normalisation | None, names: Sequence[str],
 ) -> RecurrentStudent:  # fmt: skip
-    """The student in the file INFERENCE of an archive. options: `hidden` and `lstm_hidden`.
+    """The student in the file INFERENCE of an archive.
 
-    inputs: fields and features that it sees. Raises ValueError for weights that are damaged, not
-    finite, or not those of the options.
+    options: `hidden`, `lstm_hidden` and, where they are not the usual ones, `features`. inputs:
+    fields and features that it sees. Raises ValueError for weights that are damaged, not finite, or
+    not those of the options.
     """
     stored = from_npz(content, INFERENCE)
     if stored.pop("format", np.array(1)).tolist() != INFERENCE_FORMAT:
         raise ValueError(f"{INFERENCE} must be of format {INFERENCE_FORMAT}. Train it again")
     check_weights(stored, recurrent_shapes(inputs, options["hidden"], options["lstm_hidden"]))
-    return RecurrentStudent(RecurrentInference(stored, options["hidden"]), teacher, scaling, names)
+    inference = RecurrentInference(stored, options["hidden"])
+    return RecurrentStudent(inference, teacher, scaling, names, features_of(options))

@@ -16,7 +16,7 @@ from baselines.learned.agent_archive import INFERENCE, from_npz
 from baselines.learned.agent_policy import Normalisation, Predictor
 from baselines.learned.forward_pass import Perceptron, check_weights, linear_shapes
 from baselines.learned.history_augmentation import REMEMBERED
-from baselines.learned.privileged_inputs import PRIVILEGED
+from baselines.learned.privileged_inputs import PRIVILEGED, STUDENT_FEATURES
 from baselines.learned.reckoned_augmentation import SHEET
 from tracked_env import observation as layout
 
@@ -33,11 +33,26 @@ def scaled_by(normalisation: Normalisation | None, values: Floats, columns: slic
     return Normalisation(mean[columns], variance[columns], *rest)(values)
 
 
+def features_of(options: Mapping[str, Any], drive: str = "torque") -> str:
+    """What a student with an LSTM sees besides the observation: a kind of augmentation.
+
+    Raises ValueError for estimates of a vehicle that is driven by its sprocket speeds: these do not
+    say the whole motion.
+    """
+    features = str(options.get("features", STUDENT_FEATURES[0]))
+    if features == "estimates" and drive != "torque":
+        raise ValueError(
+            f"features = {features} of a student on a vehicle driven by its sprocket {drive}; must "
+            "be reckoned: the estimates there have no speeds. Leave --student.features out"
+        )
+    return features
+
+
 def widened_by(options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
     """Kind and options of the observation augmentation of a student with these options."""
     sheet = {"data_sheet": True} if options.get("data_sheet", False) else {}
     if "lstm_hidden" in options:
-        return "reckoned", sheet
+        return features_of(options), sheet
     return "history", {"lags": tuple(options["lags"]), **sheet}
 
 

@@ -37,7 +37,7 @@ from baselines.learned.recipe import (
     normalisation_of,
 )
 from baselines.learned.recurrent_student import read_recurrent_student
-from baselines.learned.student_network import read_student, widened_by
+from baselines.learned.student_network import features_of, read_student, widened_by
 from baselines.registry import Context
 from tracked_env import observation as layout
 
@@ -114,7 +114,7 @@ def agent_of(
         except ValueError as error:
             raise ValueError(f"agent {path}: {error}") from error
 
-    whole = recipe["augmentation"] in ("estimates", "residual")  # estimators and controllers too
+    whole = kind in ("estimates", "residual")  # estimators and controllers too
     return TrainedAgent(make, (HERE.parent if whole else HERE,))
 
 
@@ -126,6 +126,7 @@ def _student(
     names = [field for of_group in groups.values() for field in of_group]
     if "lstm_hidden" not in options:
         return read_student(content, options, teacher, scaling, len(names))
+    features_of(options, known.drive)
     inputs = len(names) + _features(*widened_by(options), known)
     return read_recurrent_student(content, options, inputs, teacher, scaling, names)
 

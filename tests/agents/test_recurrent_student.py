@@ -242,7 +242,7 @@ def test_a_student_goes_on_after_an_interruption_as_if_nothing_had_been(
 
 def test_what_makes_no_recurrent_student_is_a_clear_error(teacher, tmp_path, capsys):
     names = [name for name in obs.NAMES if name != "v_y"]
-    with pytest.raises(ValueError, match=r"infers .*v_y.* Add the groups pose_error and motion"):
+    with pytest.raises(ValueError, match=r"reads v_y, .* Add the groups pose_error, motion and"):
         RecurrentStudentModel(RecurrentInference(40, (8,), 4), None, None, names)
     config = configured(tmp_path / "none", teacher, lags=(1, 2))
     assert main(config) == 2

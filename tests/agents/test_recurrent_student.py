@@ -17,6 +17,8 @@ from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, rea
 from baselines.learned.privileged_inputs import MOTION, PRIVILEGED
 from baselines.learned.reckoned_augmentation import RECKONED, SHEET
 from baselines.learned.recurrent_student import OUTPUTS, read_recurrent_student
+from baselines.learned.student_network import features_of
+from baselines.learned.torque_augmentation import FEATURES, FILTERED, KNOWN
 from tests.agents.agent_cases import actor, same_parameters, small
 from tests.agents.test_agents import as_evaluated
 from tracked_env import observation as obs
@@ -27,6 +29,7 @@ from train import main
 SETTINGS = StudentSettings(
     n_steps=32, gradient_steps=4, batch_size=256, buffer_size=512, hidden=(16,), lstm_hidden=8
 )
+ON_ESTIMATES = replace(SETTINGS, features="estimates")
 WIDTH = obs.SIZE + len(RECKONED) + len(SHEET)
 COLUMNS = [obs.INDEX[name] for name in MOTION]
 
@@ -39,8 +42,11 @@ def teacher(tmp_path_factory):
 
 
 def configured(folder, teacher, **changes):
-    given = {"steps": 1024, "data_sheet": True, "sensors": ("rtk", "rtk-outages"), **changes}
-    return small(folder, augmentation="student", teacher=teacher, student=SETTINGS, **given)
+    given = {
+        "steps": 1024, "data_sheet": True, "sensors": ("rtk", "rtk-outages"), "student": SETTINGS,
+        **changes,
+    }  # fmt: skip
+    return small(folder, augmentation="student", teacher=teacher, **given)
 
 
 def test_the_true_motion_is_what_ideal_sensors_show(teacher, tmp_path):
@@ -82,9 +88,58 @@ def test_an_untrained_student_shows_its_teacher_dead_reckoning_and_the_nominal_v
     np.testing.assert_array_equal(shown[:, others], seen[:, others])
 
 
-def test_the_right_inference_makes_the_teacher_see_the_truth(teacher, tmp_path):
-    """Whatever dead reckoning says: what is wanted is the difference from it."""
-    student = RecurrentStudentLearner(resolve(configured(tmp_path, teacher)))
+def test_an_untrained_student_on_estimates_shows_its_teacher_the_filtered_motion(teacher, tmp_path):
+    """With ideal sensors, on the nominal vehicle and soil: the true motion, to a centimetre."""
+    config = configured(
+        tmp_path, teacher, student=ON_ESTIMATES, sensors=("ideal",), uncertainty=("nominal",)
+    )
+    student = RecurrentStudentLearner(resolve(config))
+    student.env.seed(0)
+    observation = student.env.reset()
+    for _ in range(100):
+        observation, _, _, _ = student.env.step(np.full((4, 2), [0.1, 0.2], np.float32))
+    motion = np.concatenate([truth.motion() for truth in student.truths])
+    scale = obs.SCALE[COLUMNS]
+    np.testing.assert_allclose(student.model._said(observation) * scale, motion * scale, atol=0.01)
+    largest = dict(zip(MOTION, np.abs(motion * scale).max(axis=0), strict=True))
+    assert largest.pop("v_y") == 0.0  # it slides to the side on no nominal path
+    assert min(largest.values()) > 0.02
+
+
+def test_a_student_on_estimates_drives_as_in_training_from_an_archive_that_says_so(
+    teacher, tmp_path
+):
+    config = configured(tmp_path, teacher, student=ON_ESTIMATES, steps=256)
+    assert main(config) == 0
+    recipe = read_recipe(tmp_path / "last.zip")
+    assert recipe["augmentation_options"] == {
+        "hidden": [16], "lstm_hidden": 8, "features": "estimates", "data_sheet": True
+    }  # fmt: skip
+    assert recipe["config"]["student"]["features"] == "estimates"
+    policy = agent_entry(tmp_path / "last.zip").make(resolve(config).parts[0].context)
+    assert policy.augmentation.feature_names == (*KNOWN, *SHEET) and not needs_truth(policy)
+    assert policy.augmentation.learned == FEATURES  # what is kept where it learns no more
+    env = make_vec_env("tracked_env/Torque-v0", 2, 0, {"sensors": "rtk"})
+    observation, state = env.reset(), None
+    for _ in range(20):
+        action, state = policy.predict(observation, state)
+        observation = env.step(action)[0]
+    filtered = policy.augmentation.observe(observation, np.zeros(2, bool))[:, : len(FILTERED)]
+    said = policy.model._said(np.concatenate([observation, filtered], axis=1))
+    wanted = observation[:, [obs.INDEX["reference_speed"], obs.INDEX["reference_yaw_rate"]]]
+    wanted = wanted * obs.SCALE[[obs.INDEX["reference_speed"], obs.INDEX["reference_yaw_rate"]]]
+    x, y, heading, slower, v_y, turning_less = (filtered * [*FILTERED.values()]).T
+    expected = [x, y, heading, wanted[:, 0] - slower, v_y, wanted[:, 1] - turning_less]
+    np.testing.assert_allclose(
+        said * obs.SCALE[COLUMNS], np.transpose(expected), rtol=1e-5, atol=1e-6
+    )
+    assert (np.abs(expected).max(axis=1) > 1e-4).all()
+
+
+@pytest.mark.parametrize("settings", [SETTINGS, ON_ESTIMATES], ids=["reckoned", "estimates"])
+def test_the_right_inference_makes_the_teacher_see_the_truth(settings, teacher, tmp_path):
+    """Whatever the features say: what is wanted is the difference from it."""
+    student = RecurrentStudentLearner(resolve(configured(tmp_path, teacher, student=settings)))
     for _ in range(40):
         action = np.full((4, 2), [0.1, 0.3], np.float32)
         student._observation, _, student._start, _ = student.env.step(action)
@@ -102,7 +157,8 @@ def test_the_right_inference_makes_the_teacher_see_the_truth(teacher, tmp_path):
     np.testing.assert_allclose(seen[0][:, COLUMNS], motion, atol=1e-5)
     hidden = np.concatenate([truth.present for truth in student.truths])
     np.testing.assert_array_equal(seen[0][:, obs.SIZE :], hidden)
-    assert np.abs(wanted[:, len(PRIVILEGED) :]).max() > 0.1
+    least = 0.1 if settings is SETTINGS else 0.01
+    assert np.abs(wanted[:, len(PRIVILEGED) :]).max() > least
 
 
 def test_rows_that_start_forget_and_others_remember():
@@ -247,6 +303,11 @@ def test_what_makes_no_recurrent_student_is_a_clear_error(teacher, tmp_path, cap
     config = configured(tmp_path / "none", teacher, lags=(1, 2))
     assert main(config) == 2
     assert "--lags has no effect with --student.lstm-hidden 8" in capsys.readouterr().err
+    config = configured(tmp_path / "none", teacher, student=StudentSettings(features="estimates"))
+    assert main(config) == 2
+    assert "--student.features estimates has no effect" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="driven by its sprocket speed; must be reckoned"):
+        features_of({"features": "estimates"}, "speed")
     content = weights(RecurrentInference(WIDTH, (16,), 8))
     options = {"hidden": [16], "lstm_hidden": 9}
     with pytest.raises(ValueError, match="weights"):

@@ -61,10 +61,10 @@ def table(board: dict[str, Any]) -> str:
     rates = [f"{factor * action_rate(of)[0]:.1f}" for of in means]
     than = escaped(board["reference"])
     lines = [
-        "| | policy | seeds | error | after 5 s | worst set | worst tenth [m] | success "
-        f"| action rate [{unit}] | energy [kJ] | than {than} | after the start "
+        f"| | policy | error | than {than} | after 5 s | after the start | success | worst set "
+        f"| worst tenth [m] | action rate [{unit}] | energy [kJ] | seeds "
         "| RMSE, all sets [m] | after 5 s [m] | score | P(better) | training of a seed, CPU |",
-        "|--:|--|--:|--:|--:|--|--:|--:|--:|--:|--|--|--:|--:|--:|--:|--:|",
+        "|--:|--|--:|--|--:|--|--:|--|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for rank, entry in enumerate(agents, start=1):
         o, own, count = entry["overall"], entry["relative"], entry["seeds"]
@@ -72,12 +72,13 @@ def table(board: dict[str, Any]) -> str:
         against, training = entry["against"], entry["training"]
         chance = "-" if against is None else f"{against['improvement']['value']:.0%}"
         cells = [
-            f"{rank}", escaped(entry["agent"]), f"{count or '-'}{star}",
-            estimate_text(own["whole"], 2, count), estimate_text(own["settled"], 2, count),
+            f"{rank}", escaped(entry["agent"]),
+            estimate_text(own["whole"], 2, count), entry["verdict"],
+            estimate_text(own["settled"], 2, count), entry["verdict_settled"],
+            f"{100 * o['means']['success']:.1f} %",
             "-" if against is None else f"{own['worst']:.3g} `{own['worst_set']}`",
-            f"{o['rmse_worst']['value']:.2f}",
-            f"{100 * o['means']['success']:.1f} %", rates[rank - 1],
-            f"{means[rank - 1]['energy'] / 1e3:.3g}", entry["verdict"], entry["verdict_settled"],
+            f"{o['rmse_worst']['value']:.2f}", rates[rank - 1],
+            f"{means[rank - 1]['energy'] / 1e3:.3g}", f"{count or '-'}{star}",
             estimate_text(o["rmse_iqm"], 3, count), f"{o['settled_iqm']['value']:.3f}",
             "-" if o["score"] is None else estimate_text(o["score"], 3, count),
             chance, "-" if training is None else str(TrainingCost(**training)),

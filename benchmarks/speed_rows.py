@@ -48,6 +48,7 @@ AGENTS = (
     ("torque", "ppo-blind", "MLP"),
     ("torque", "ppo-residual", "MLP on adaptive"),
     ("torque", "recurrent-ppo-blind", "LSTM"),
+    ("torque", "ppo-student-estimates", "LSTM on estimates"),
     ("speed", "ppo-blind", "MLP"),
 )
 

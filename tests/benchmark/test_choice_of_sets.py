@@ -134,3 +134,19 @@ def test_the_verdict_says_how_many_sets_could_go_together() -> None:
     found = chosen(("alternating", FACTORS), ("late-gains", FACTORS), ("mine", other))
     assert "of the 2 chosen sets at most 1 go together" in choosing.verdict(found)
     assert "of the 3 candidates at most 2 go together" in choosing.verdict(found)
+
+
+def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_long() -> None:
+    """Without it both rank the others alike."""
+    first = {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0, "e": 5.0}
+    second = {**first, "a": 9.0}
+    assert choosing.rank_correlation(first, second) == pytest.approx(0.0)
+    np.testing.assert_allclose(choosing.without_one([first, second]), 1.0)
+    turned = dict(zip(first, reversed(first.values()), strict=True))
+    np.testing.assert_allclose(choosing.without_one([first, turned])[0, 1], -1.0)
+    moved = {**FACTORS, "nominal": 0.5 * min(FACTORS.values())}
+    found = chosen(("alternating", FACTORS), ("mine", moved))
+    assert [each.name for each in found.most_unlike(found.sets)] == ["alternating", "mine"]
+    assert [each.name for each in found.most_unlike(found.sets, lasting=True)] == ["alternating"]
+    said = "of the 2 candidates at most 1 go together without a pair above 0.9, whichever policy"
+    assert said in choosing.verdict(found)

@@ -148,6 +148,19 @@ def correlations(sets: Sequence[Mapping[str, float]]) -> NDArray[np.float64]:
     return np.array([[rank_correlation(one, other) for other in sets] for one in sets])
 
 
+def without_one(sets: Sequence[Mapping[str, float]]) -> NDArray[np.float64]:
+    """The largest rank correlations (S, S) of sets {policy: value} whichever policy is left out."""
+    policies = list(sets[0]) if sets else []
+    if len(policies) < 2:  # nobody is left
+        return correlations(sets)
+    return np.fmax.reduce(
+        [
+            correlations([{p: of[p] for p in policies if p != out} for of in sets])
+            for out in policies
+        ]
+    )
+
+
 def unlike(correlation: NDArray[np.float64], preferred: Sequence[int] = ()) -> list[int]:
     """The most sets of which no two have a rank correlation above ALIKE: their places, rising.
 
@@ -187,12 +200,18 @@ class Choice(NamedTuple):
         value, other = max(pairs, default=(math.nan, ""))
         return other, float(value)
 
-    def most_unlike(self, among: Sequence[Separation]) -> list[Separation]:
-        """The most of these sets of which no two are alike; chosen ones rather than others."""
+    def most_unlike(self, among: Sequence[Separation], lasting: bool = False) -> list[Separation]:
+        """The most of these sets of which no two are alike; chosen ones rather than others.
+
+        lasting: nor are they whichever policy is left out.
+        """
         places = [i for i, each in enumerate(self.sets) if each in among]
         preferred = [k for k, i in enumerate(places) if self.sets[i].group]
-        found = unlike(self.correlation[np.ix_(places, places)], preferred)
-        return [self.sets[places[k]] for k in found]
+        correlation = self.correlation[np.ix_(places, places)]
+        if lasting:
+            apart = without_one([self.sets[i].of_seeds for i in places])
+            correlation = np.fmax(correlation, apart)
+        return [self.sets[places[k]] for k in unlike(correlation, preferred)]
 
     def judgement(self) -> list[tuple[bool, str]]:
         """Whether the chosen sets are as many, as strong and as different as they should be."""
@@ -280,10 +299,11 @@ def verdict(found: Choice) -> str:
     """The judgement in lines, each with `met` or `NOT met`, and what could be had."""
     lines = [f"{'met' if met else 'NOT met'}: {text}" for met, text in found.judgement()]
     for among, all_of in ((found.chosen(), "chosen sets"), (found.sets, "candidates")):
-        unalike = found.most_unlike(among)
-        names = ", ".join(each.name for each in unalike)
-        lines.append(
-            f"of the {len(among)} {all_of} at most {len(unalike)} go together without a pair above "
-            f"{ALIKE}: {names or 'none'}"
-        )
+        for lasting, whichever in ((False, ""), (True, ", whichever policy is left out")):
+            unalike = found.most_unlike(among, lasting)
+            names = ", ".join(each.name for each in unalike)
+            lines.append(
+                f"of the {len(among)} {all_of} at most {len(unalike)} go together without a pair "
+                f"above {ALIKE}{whichever}: {names or 'none'}"
+            )
     return "\n".join(lines)

@@ -35,7 +35,7 @@ def curves() -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
 
 def main() -> None:
     """Draw and write the figure."""
-    figure, axes = plt.subplots(figsize=(7.0, 4.0), layout="constrained")
+    figure, axes = plt.subplots(figsize=(8.4, 4.0), layout="constrained")
     for number, (agent, seeds) in enumerate(curves().items()):
         colour = f"C{number}"
         for steps, rmse in seeds:
@@ -53,7 +53,7 @@ def main() -> None:
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter("")
     axes.grid(which="both", alpha=0.2)
-    axes.legend(fontsize="small", frameon=False)
+    axes.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     figure.savefig(TARGET, dpi=110)
 
 

@@ -6,7 +6,8 @@
 Likewise with `--env tracked_env/Speed-v0` and results/speed-v3-*, and with
 `--env tracked_env/Terrain-v0` and results/terrain-v3-*. docs/results.md gets the whole
 table between the two markers of that environment, and README.md the columns SHORT of its first
-SHORT_ROWS policies.
+SHORT_ROWS policies. Of another version of the sets (`--sets-version`) docs/results.md alone gets
+the table, between the markers of that version.
 `baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE per seed or
 controller and set with a 95 % bootstrap interval over the episodes; tests run some of them again,
 and ask whether each set separates the policies that it should.
@@ -27,6 +28,7 @@ from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.files import replace_block
 from tracked_env.benchmark.leaderboard import between
 from tracked_env.benchmark.report import rate_unit
+from tracked_env.benchmark.sets import NEWEST, VERSIONS
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import action_rate
 from tracked_env.benchmark.text_tables import escaped
@@ -149,6 +151,9 @@ def main() -> int:
     board = json.loads((folder / "leaderboard.json").read_text(encoding="utf-8"))
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     track, full = track_of(board), table(board)
+    version = VERSIONS.get(results.get("benchmark", {}).get("version"))
+    if version is not None and version not in NEWEST:
+        return _publish_aside(version.name, full)
     try:
         replace_block(ROOT / "docs" / "results.md", f"leaderboard of {track}", full)
         replace_block(ROOT / "README.md", f"short leaderboard of {track}", short_table(full))
@@ -159,6 +164,17 @@ def main() -> int:
     target.parent.mkdir(exist_ok=True)
     target.write_text(json.dumps(scores(results), indent=1) + "\n", encoding="utf-8")
     print(f"docs/results.md, README.md and {target} written")
+    return 0
+
+
+def _publish_aside(version: str, full: str) -> int:
+    """Write the table of a version that is not the default one; returns the exit status."""
+    try:
+        replace_block(ROOT / "docs" / "results.md", f"leaderboard of {version}", full)
+    except ValueError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print("docs/results.md written")
     return 0
 
 

@@ -23,6 +23,7 @@ from tracked_env.benchmark.sets import (
     SPEED_SETS,
     TERRAIN_SETS,
     TORQUE_SETS,
+    UNLIKE_SETS,
     VERSIONS,
     Version,
     default_sets,
@@ -41,7 +42,7 @@ ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
 @pytest.mark.parametrize(
     ("env", "version"),
     [(TORQUE_ID, PLANAR), (SPEED_ID, PLANAR), (TERRAIN_ID, SLOPES), (SPEED_ID, GOAL_REACHING),
-     *((version.envs[0], version) for version in NEWEST)],
+     *((version.envs[0], version) for version in (*NEWEST, UNLIKE_SETS))],
 )  # fmt: skip
 def test_every_set_draws_the_episodes_of_the_version(env: str, version: Version) -> None:
     of_env = tuple(name for name in names_of(version) if SETS[name].env == env)
@@ -62,13 +63,14 @@ def test_the_kept_files_hold_every_set_and_their_own_hash() -> None:
         assert len(hashes) == len(document["sets"])
 
 
-@pytest.mark.parametrize("version", NEWEST, ids=lambda version: version.name)
-def test_a_newest_version_has_ten_to_twelve_sets_in_four_groups(version: Version) -> None:
+@pytest.mark.parametrize("version", [*NEWEST, UNLIKE_SETS], ids=lambda version: version.name)
+def test_a_version_in_groups_has_ten_to_twelve_sets_in_four_of_them(version: Version) -> None:
     assert tuple(version.groups) == ("memory", "identification", "mismatch", "out-of-distribution")
     assert FEWEST <= len(set(version.sets)) == len(version.sets) <= MOST
     for name, entry in frozen.kept(version)["sets"].items():
         assert (entry["group"], entry["version"]) == (group_of(name, version), SETS[name].version)
-    assert default_sets(version.envs[0]) == version.sets
+    assert default_sets(version.envs[0], version.name) == version.sets
+    assert (default_sets(version.envs[0]) == version.sets) is (version in NEWEST)
 
 
 def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,6 +124,8 @@ def test_a_version_is_named_or_is_the_newest_one_with_all_the_sets() -> None:
     assert version_of(TORQUE_ID, ("distributed", "drift")) is PLANAR
     assert version_of(TORQUE_ID, ("distributed",), "v2") is PLANAR
     assert version_of(TORQUE_ID, (), "v3") is TORQUE_SETS
+    assert version_of(TORQUE_ID, (), "torque-unlike-v1") is UNLIKE_SETS
+    assert version_of(TORQUE_ID, ("distributed", "distributed-fast")) is UNLIKE_SETS
     assert version_of(TERRAIN_ID, (), "v3") is TERRAIN_SETS
     assert version_of(SPEED_ID, (), "goals-v1") is GOAL_REACHING
     assert default_sets(TORQUE_ID, "v2")[0] == "soil-and-mass"

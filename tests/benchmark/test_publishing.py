@@ -71,6 +71,36 @@ def test_publishing_writes_one_table_into_two_pages_and_leaves_the_rest(
     assert (tmp_path / "README.md").read_text() == text
 
 
+def test_another_version_of_the_sets_is_published_beside_the_default_one(
+    repository: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    publishing = script(repository, "publish")
+    monkeypatch.setattr(publishing, "ROOT", tmp_path)
+    pages(tmp_path)
+    found, _ = board("payload", **ALL)
+    (tmp_path / "leaderboard.json").write_text(json.dumps(lb.document(found)))
+    monkeypatch.setattr(sys, "argv", ["publish.py", str(tmp_path)])
+    results = tmp_path / "docs" / "results.md"
+    mark = "<!-- leaderboard of torque-unlike-v1: {} -->"
+    results.write_text(results.read_text() + mark.format("begin") + mark.format("end"))
+    readme = (tmp_path / "README.md").read_text()
+    for version, status in (("torque-unlike-v1", 0), ("v2", 2)):
+        document = {"benchmark": {"version": version}, "episodes": records("payload", **ALL)}
+        (tmp_path / "results.json").write_text(json.dumps(document))
+        assert publishing.main() == status
+    assert "leaderboard of v2" in capsys.readouterr().err  # no such block: nothing is overwritten
+    assert "| 1 | ppo |" in block(results, "leaderboard of torque-unlike-v1")
+    assert (
+        "leaderboard of Torque-v0: begin --><!-- leaderboard of Torque-v0: end"
+        in results.read_text()
+    )
+    assert (tmp_path / "README.md").read_text() == readme
+    assert not list((tmp_path / "agents" / "pretrained").iterdir())
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tracked_env import TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark.sets import SETS, TORQUE_SETS
+from tracked_env.benchmark.sets import SETS, TORQUE_SETS, UNLIKE_SETS
 from tracked_env.benchmark.splits import DEVELOPMENT
 from tracked_env.cli.choose_command import candidates
 from tracked_env.cli.main import main
@@ -65,7 +65,24 @@ def test_a_page_that_does_not_exist_is_told_before_anything_is_driven(
 
 
 def test_candidates_are_all_sets_in_which_something_is_unknown_the_chosen_ones_first() -> None:
-    found = candidates(TORQUE_ID)
+    found = candidates(TORQUE_ID, TORQUE_SETS)
     assert found[: len(TORQUE_SETS.sets)] == TORQUE_SETS.sets
     assert set(found) == {n for n, s in SETS.items() if s.env == TORQUE_ID} - {"nominal"}
-    assert "level" not in candidates(TERRAIN_ID)
+    assert "level" not in candidates(TERRAIN_ID, None)
+    assert candidates(TORQUE_ID, UNLIKE_SETS)[: len(UNLIKE_SETS.sets)] == UNLIKE_SETS.sets
+
+
+def test_the_choice_of_another_version_is_judged_where_it_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    page = Path("page.md")
+    block = "choice for torque-unlike-v1"
+    page.write_text(f"<!-- {block}: begin -->\n<!-- {block}: end -->\n")
+    given = ["choose-sets", "--sets", "alternating", "distributed-fast", "--episodes", "2"]
+    given += ["--policies", "integral", "adaptive", "--sets-version", "torque-unlike-v1"]
+    assert main([*given, "--page", str(page)]) == 0
+    text = page.read_text()
+    assert "| distributed-fast | out-of-distribution |" in text and "| alternating | - |" in text
+    assert main([*given[:-1], "v9"]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "v9" in error and "torque-unlike-v1" in error

@@ -107,12 +107,21 @@ TERRAIN_SETS = in_groups("terrain-v3", TERRAIN_ID, {
     "mismatch": ("soft-patches", "slope-payload"),
     "out-of-distribution": ("hills-ood", "hills-reversing"),
 })  # fmt: skip
+# No two of them rank the policies alike, whichever policy is left out: run where it is named.
+UNLIKE_SETS = in_groups("torque-unlike-v1", TORQUE_ID, {
+    "memory": ("outages-no-velocity", "noisy-gains"),
+    "identification": ("alternating-gains", "rare-pose-weak-soil"),
+    "mismatch": ("distributed", "distributed-alternating", "distributed-slow-drive"),
+    "out-of-distribution": ("fast-weak-soil", "distributed-fast", "reversing-payload"),
+})  # fmt: skip
 NEWEST = (TORQUE_SETS, SPEED_SETS, TERRAIN_SETS)
-VERSIONS = {v.name: v for v in (*NEWEST, PLANAR, SLOPES, GOAL_REACHING)}
+VERSIONS = {v.name: v for v in (*NEWEST, PLANAR, SLOPES, GOAL_REACHING, UNLIKE_SETS)}
 
 SETS = dict(CATALOGUE)
 OF_VERSION = tuple(  # names; all others come on top
-    dict.fromkeys((*(entry.name for entry in FIRST), *(n for v in NEWEST for n in v.sets)))
+    dict.fromkeys(
+        (*(entry.name for entry in FIRST), *(n for v in (*NEWEST, UNLIKE_SETS) for n in v.sets))
+    )
 )
 # In `nominal` a controller with nominal parameters knows everything: it separates nothing.
 _KNOWN = ("nominal", "floor", "level")

@@ -23,7 +23,7 @@ from tracked_env.benchmark.registered_policies import (
     registered_policies,
 )
 from tracked_env.benchmark.runner import run
-from tracked_env.benchmark.sets import SETS, names_of, version_of
+from tracked_env.benchmark.sets import SETS, Version, names_of, version_of
 from tracked_env.benchmark.splits import DEVELOPMENT
 from tracked_env.benchmark.store import Store, identity_hash, write_atomically
 from tracked_env.benchmark.summary import agent_of, rows_of
@@ -55,19 +55,22 @@ def _options(arguments: Sequence[str], program: str) -> argparse.Namespace:
         parser, "policies", "as in `tracked-env evaluate`; by default all that are registered"
     )
     add_option(parser, "sets", "candidates; by default all sets of the environment")
+    parser.add_argument("--sets-version", metavar="VERSION",
+                        help="whose choice is judged, such as torque-unlike-v1 (default: newest of "
+                        "the environment)")  # fmt: skip
     add_option(parser, "episodes", "per set", default=24)
     parser.add_argument("--seeds", type=seed_count, default=1, metavar="N",
                         help="of every agent, at most (default: 1)")  # fmt: skip
     add_option(parser, "output", "folder of the results")
     add_option(parser, "workers")
     parser.add_argument("--page", type=Path, metavar="FILE",
-                        help="page whose block of this environment is renewed")  # fmt: skip
+                        help="page whose block of this environment, or of the version that is "
+                        "named, is renewed")  # fmt: skip
     return parser.parse_args(arguments)
 
 
-def candidates(env: str) -> tuple[str, ...]:
+def candidates(env: str, version: Version | None) -> tuple[str, ...]:
     """Every set of an environment id in which something is unknown, those of the version first."""
-    version = version_of(env)
     chosen = () if version is None else names_of(version)
     known = [name for name, each in SETS.items() if each.env == env and name not in _KNOWN]
     return tuple(dict.fromkeys((*chosen, *known)))
@@ -96,11 +99,14 @@ def page_of(found: choosing.Choice, conditions: str) -> str:
 
 def _choose(options: argparse.Namespace) -> None:
     env = env_of(options.env, options.sets)
+    version = version_of(env, (), options.sets_version)
+    block = f"choice for {options.sets_version or env.partition('/')[2]}"
     if options.page is not None and not options.page.is_file():
-        raise ValueError(f"--page {options.page}: no such file; must be a page with the block "
-                         f"`choice for {env.partition('/')[2]}`")  # fmt: skip
+        raise ValueError(
+            f"--page {options.page}: no such file; must be a page with the block `{block}`"
+        )
     config = BenchmarkConfig(
-        sets=tuple(options.sets or candidates(env)),
+        sets=tuple(options.sets or candidates(env, version)),
         episodes=options.episodes,
         seed=DEVELOPMENT,
     )
@@ -114,7 +120,7 @@ def _choose(options: argparse.Namespace) -> None:
     steps = sum(config.max_steps(name) for name in config.sets) * config.episodes * len(entries)
     with progress_bar(steps) as progress:
         records = run(config, entries, store, progress, executor)
-    found = choosing.choice(rows_of(records), version_of(config.env))
+    found = choosing.choice(rows_of(records), version)
     conditions = (
         f"{config.episodes} episodes of each set, from seed {config.seed} on (development split), "
         f"{len(entries)} policies; source {config.identity()['source']}."
@@ -126,7 +132,6 @@ def _choose(options: argparse.Namespace) -> None:
     values = {each.name: each.iqm for each in found.sets}
     write_atomically(store.folder / "choice.json", json.dumps(values, indent=1).encode())
     if options.page is not None:
-        block = f"choice for {config.env.partition('/')[2]}"
         replace_block(options.page, block, page_of(found, conditions))
 
 

@@ -1,12 +1,12 @@
 """`tracked-env policies` and `tracked-env envs`: one line each."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import gymnasium
 
 from tracked_env.benchmark import frozen
 from tracked_env.benchmark.registered_policies import registered_policies
-from tracked_env.benchmark.sets import SETS, default_sets, group_of, version_of
+from tracked_env.benchmark.sets import SETS, VERSIONS, default_sets, group_of, version_of
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, add_env
 from tracked_env.cli.exit_status import Parser
 from tracked_env.engine.env_config import EnvConfig
@@ -38,19 +38,27 @@ def environments(envs: Sequence[str]) -> list[str]:
             f"{env}  actions: sprocket {made['drive']}s; vehicle {made['vehicle']}; "
             f"{made['plant']} plant; sensors {made['sensors']}"
         )
-        version = version_of(env)
-        hashes = {} if version is None else frozen.kept(version)["sets"]
+        marks = dict(_marks(env))
         own = [each for each in SETS.values() if each.env == env]
         width = max((len(each.name) for each in own), default=0)
         chosen = dict.fromkeys((*default_sets(env), *(each.name for each in own)))
         for each in (SETS[name] for name in chosen):
             sensors = each.sensors if isinstance(each.sensors, str) else dict(each.sensors)
-            mark = "  [not by default]"
-            if version is not None and each.name in hashes:
-                group, digest = group_of(each.name, version), hashes[each.name]["hash"]
-                mark = f"  [{version.name}, {group}, version {each.version}, hash {digest}]"
-            lines.append(f"  {each.name:<{width}}  {each.uncertainty}, sensors {sensors}{mark}")
+            mark = marks.get(each.name, "not by default")
+            lines.append(f"  {each.name:<{width}}  {each.uncertainty}, sensors {sensors}  [{mark}]")
     return lines
+
+
+def _marks(env: str) -> Iterator[tuple[str, str]]:
+    """Of each set in groups, what is said of it: the default version is said last."""
+    newest = version_of(env)
+    others = (version for version in VERSIONS.values() if version.groups and env in version.envs)
+    for version in sorted(others, key=lambda version: version is newest):
+        for name, entry in frozen.kept(version)["sets"].items():
+            group, digest = group_of(name, version), entry["hash"]
+            asked = "" if version is newest else ", not by default"
+            mark = f"{version.name}, {group}, version {SETS[name].version}, hash {digest}{asked}"
+            yield name, mark
 
 
 def main(arguments: Sequence[str], program: str) -> int:

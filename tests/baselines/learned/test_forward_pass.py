@@ -8,7 +8,7 @@ from baselines.learned.agent_policy import policy_of
 from baselines.learned.forward_pass import ALGORITHMS, Actor, Perceptron, actor_shapes
 from baselines.learned.recipe import STUDENT, groups_of, normalisation_of
 from baselines.learned.shipped import shipped_agents
-from baselines.learned.student_network import inference_layers, widened_by
+from baselines.learned.student_network import features_of, inference_layers, widened_by
 from baselines.learned.trained_agent import open_agent
 from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
@@ -105,7 +105,8 @@ def with_torch(path, context):
             inputs = stored["lstm.weight_ih"].shape[1]
             inference = RecurrentInference(inputs, hidden, options["lstm_hidden"])
             names = [field for of_group in groups_of(recipe).values() for field in of_group]
-            model = RecurrentStudentModel(inference, model, normalisation, names)
+            features = features_of(options)
+            model = RecurrentStudentModel(inference, model, normalisation, names, features)
         else:
             inference = make_inference(tuple(options["lags"]), hidden)
             model = StudentModel(inference, model, normalisation)

@@ -289,12 +289,10 @@ def test_what_only_a_clone_has_is_one_line_that_says_how_to_get_it(
     assert not (tmp_path / "results").exists()
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "train"])
 def test_every_command_has_a_help(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("tyro", reason="train.py needs the extra `cli`")
-    pytest.importorskip("torch", reason="train.py needs the extra `rl`")
     monkeypatch.setenv("COLUMNS", "100")
     with pytest.raises(SystemExit) as ended:
         raise SystemExit(main([command, "--help"]))
@@ -302,6 +300,22 @@ def test_every_command_has_a_help(
     shown = capsys.readouterr().out
     assert "usage:" in shown
     assert len(shown.splitlines()) > 5
+
+
+def test_the_training_which_replaces_the_process_has_a_help(repository: Path) -> None:
+    pytest.importorskip("tyro", reason="train.py needs the extra `cli`")
+    pytest.importorskip("torch", reason="train.py needs the extra `rl`")
+    environment = {**os.environ, "PYTHONPATH": str(repository), "COLUMNS": "100"}
+    done = subprocess.run(
+        [sys.executable, "-m", "tracked_env.cli.main", "train", "--help"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert "usage:" in done.stdout
+    assert len(done.stdout.splitlines()) > 5
 
 
 def test_an_interruption_is_one_line_that_names_the_command(

@@ -51,10 +51,10 @@ train: $(STAMP) ## train a PPO agent into runs/ppo-blind-seed0
 
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-test: $(STAMP) ## run the tests but for the slow ones (6 minutes)
+test: $(STAMP) ## run the tests but for the slow ones (5 minutes, 8 the first time)
 	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
 
-test-slow: $(STAMP) ## run the slow tests: trainings, whole programs, clusters, the documentation (6 minutes)
+test-slow: $(STAMP) ## run the slow tests: trainings, whole programs, clusters, the documentation (4 minutes)
 	$(PYTEST) -m slow $(PYTEST_ARGS)
 
 lint: $(STAMP) ## ruff (rules and format) and mypy

@@ -33,7 +33,7 @@ class RecurrentStudentLearner(StudentLearner):
     outputs = OUTPUTS
 
     def __init__(self, run: Run) -> None:
-        features_of(run.augmentation.options, run.parts[0].context.drive)
+        features_of(run.augmentation.options, run.parts[0].context.drive)  # refuses some
         super().__init__(run)
         rows, count = self._rows, self.env.num_envs
         self._began = torch.zeros(rows, count, 1)

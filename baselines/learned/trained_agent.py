@@ -126,7 +126,7 @@ def _student(
     names = [field for of_group in groups.values() for field in of_group]
     if "lstm_hidden" not in options:
         return read_student(content, options, teacher, scaling, len(names))
-    features_of(options, known.drive)
+    features_of(options, known.drive)  # refuses some
     inputs = len(names) + _features(*widened_by(options), known)
     return read_recurrent_student(content, options, inputs, teacher, scaling, names)
 

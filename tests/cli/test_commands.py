@@ -1,4 +1,4 @@
-"""The command `tracked-env`: comparisons, lists, pictures, and what only a clone has."""
+"""The command `tracked-env`: comparisons, its options and errors, and what only a clone has."""
 
 import json
 import os
@@ -6,17 +6,12 @@ import signal
 import subprocess
 import sys
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from baselines.registry import POLICIES, policies
-from tests.benchmark.plugin_package import Install, install
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark import frozen
-from tracked_env.benchmark.sets import SETS, version_of
 from tracked_env.cli import clone, evaluate_command
 from tracked_env.cli.evaluate_options import Config, env_of, parsed
 from tracked_env.cli.main import COMMANDS, main
@@ -24,12 +19,6 @@ from tracked_env.cli.main import COMMANDS, main
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 TINY = ("--sets", "payload", "--episodes", "1", "--duration", "0.5")
-
-
-@pytest.fixture
-def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
-    """Installs a package with policies of its own."""
-    return partial(install, tmp_path, monkeypatch)
 
 
 def test_evaluate_compares_and_writes_what_evaluate_py_writes(
@@ -206,54 +195,6 @@ def test_no_option_is_understood_from_its_beginning_alone() -> None:
         parsed(["--episode", "3"], "test")
 
 
-def test_policies_lists_controllers_agents_and_those_of_other_packages(
-    plugin: Install,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    plugin(coast="plugin_policies:Coast", broken="broken_policies:Policy")
-    assert main(["policies"]) == 0
-    shown = capsys.readouterr()
-    lines = shown.out.splitlines()
-    names = [line.split()[0] for line in lines if line.startswith("  ")]
-    ours = [name for of in policies().values() for name in of]
-    to_goals = ["slc-replan", "slc-once"]  # compared where they are named
-    assert sorted(names) == sorted([*ours, *to_goals, "coast"]) and set(POLICIES) <= set(names)
-    assert "Lets the vehicle coast.  [other-package]" in next(li for li in lines if " coast " in li)
-    assert shown.err.startswith("warning: policies 'broken' of other-package")
-    assert shown.err.count("\n") == 1
-    assert main(["policies", "--env", "Speed-v0"]) == 0
-    assert "tracked_env/Torque-v0" not in capsys.readouterr().out
-
-
-def test_a_policy_of_another_package_is_evaluated_by_its_name(plugin: Install) -> None:
-    plugin(coast="plugin_policies:Coast")
-    assert main(["evaluate", *TINY, "--policies", "oracle", "coast", "--no-figures"]) == 0
-    (file,) = Path("results").glob("*/results.json")
-    found = {record["policy"] for record in json.loads(file.read_text())["episodes"]}
-    assert found == {"oracle", "coast"}
-
-
-def test_envs_lists_every_environment_and_evaluation_set(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["envs"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    ids = [TORQUE_ID, SPEED_ID, TERRAIN_ID]
-    of_ids = [name for env in ids for name, entry in SETS.items() if entry.env == env]
-    assert len(of_ids) == len(SETS)
-    shown = [line.split()[0] for line in lines if line.startswith("  ")]
-    assert sorted(shown) == sorted(of_ids)
-    firsts = [line for env in ids for line in lines[lines.index(next(
-        line for line in lines if line.startswith(env))) + 1:][:1]]  # fmt: skip
-    for env, first in zip(ids, firsts, strict=True):
-        version = version_of(env)
-        assert version is not None and first.split()[0] == version.sets[0]
-        entry = frozen.kept(version)["sets"][version.sets[0]]
-        mark = f"[{version.name}, {entry['group']}, version 1, hash {entry['hash']}]"
-        assert first.endswith(mark)
-    assert [line.split()[0] for line in lines if not line.startswith("  ")] == ids
-
-
 def test_leaderboard_evaluates_everything_on_every_environment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -339,19 +280,6 @@ def test_an_interruption_is_one_line_that_names_the_command(
     assert process.returncode == 130
     lines = [line for line in error.splitlines() if line.strip() and "steps/s" not in line]
     assert lines == ["tracked-env evaluate: interrupted; finished episodes are kept, run it again"]
-
-
-def test_a_list_that_is_not_read_to_its_end_is_no_error(repository: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(repository)}
-    done = subprocess.run(
-        f"{sys.executable} -m tracked_env.cli.main policies | head -c 1",
-        env=environment,
-        shell=True,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert (len(done.stdout), done.stderr) == (1, "")
 
 
 def test_the_options_of_the_front_and_of_the_command_are_the_same() -> None:

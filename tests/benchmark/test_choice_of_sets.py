@@ -134,6 +134,9 @@ def test_the_verdict_says_how_many_sets_could_go_together() -> None:
     found = chosen(("alternating", FACTORS), ("late-gains", FACTORS), ("mine", other))
     assert "of the 2 chosen sets at most 1 go together" in choosing.verdict(found)
     assert "of the 3 candidates at most 2 go together" in choosing.verdict(found)
+    all_chosen = chosen(("alternating", FACTORS), ("late-gains", other))
+    assert "of the 2 chosen sets at most 2" in choosing.verdict(all_chosen)
+    assert "candidates" not in choosing.verdict(all_chosen)  # which would say the same again
 
 
 def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_long() -> None:

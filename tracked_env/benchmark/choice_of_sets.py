@@ -298,7 +298,8 @@ EXPLANATION = (
 def verdict(found: Choice) -> str:
     """The judgement in lines, each with `met` or `NOT met`, and what could be had."""
     lines = [f"{'met' if met else 'NOT met'}: {text}" for met, text in found.judgement()]
-    for among, all_of in ((found.chosen(), "chosen sets"), (found.sets, "candidates")):
+    pools = [(found.chosen(), "chosen sets"), (found.sets, "candidates")]
+    for among, all_of in pools[: 1 if pools[0][0] == found.sets else 2]:
         for lasting, whichever in ((False, ""), (True, ", whichever policy is left out")):
             unalike = found.most_unlike(among, lasting)
             names = ", ".join(each.name for each in unalike)

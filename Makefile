@@ -15,7 +15,7 @@ STAMP      := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install leaderboard evaluate paper tune train test test-slow lint format docs tools package bare benchmark clean clean-cache
+.PHONY: help install leaderboard evaluate paper tune train test test-slow lint format docs tools package bare benchmark clean
 
 help: ## list the commands
 	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
@@ -87,16 +87,10 @@ bare: package ## follow the quickstart in a new environment that has the wheel a
 benchmark: $(STAMP) ## measure the speed of the environment beside its peers
 	$(BIN)/python benchmarks/speed.py $(BENCHMARK_ARGS)
 
-clean: clean-cache ## remove what tools and builds left (keeps results and the virtual environment)
+clean: ## remove what tools and builds left (keeps results, compiled kernels and the virtual environment)
 	rm -rf build dist docs/_build docs/_generated docs/api .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage
 	rm -rf *.egg-info
-
-clean-cache: ## remove compiled code; needed after editing an inlined formula
-	find tracked_env baselines agents reproduce benchmarks tests \
-	  \( -name '*.nbi' -o -name '*.nbc' \) -type f -delete 2>/dev/null || true
-	find tracked_env baselines agents reproduce benchmarks tests \
-	  -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
-	rm -rf __pycache__
+	find tracked_env baselines agents reproduce benchmarks tests docs -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Installation: once, and again when pyproject.toml or constraints.txt is newer than the stamp.
 define INSTALL

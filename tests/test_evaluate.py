@@ -145,7 +145,7 @@ def test_an_interruption_while_it_starts_is_one_line(
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
     until = time.monotonic() + (60.0 if delay is None else delay)
-    while time.monotonic() < until and (delay is not None or not [*tmp_path.rglob("*.nbc")]):
+    while time.monotonic() < until and (delay is not None or not [*tmp_path.rglob("*.kernel")]):
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)

@@ -4,7 +4,6 @@ import importlib.util
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tarfile
@@ -196,26 +195,11 @@ def records(folder: Path) -> list[dict[str, object]]:
     return [{k: v for k, v in of.items() if not k.endswith(times)} for of in episodes]
 
 
-def take_over_compiled_kernels(unpacked: Path, repository: Path) -> None:
-    """Give each file of the wheel that equals the clone's the kernels compiled there."""
-    for file in unpacked.rglob("*.py"):
-        same = repository / file.relative_to(unpacked)
-        kernels = list((same.parent / "__pycache__").glob(f"{same.stem}.*.nb?"))
-        if kernels and same.read_bytes() == file.read_bytes():
-            stamp = same.stat()  # numba compares it
-            os.utime(file, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
-            cache = file.parent / "__pycache__"
-            cache.mkdir(exist_ok=True)
-            for kernel in kernels:
-                shutil.copy2(kernel, cache)
-
-
 def test_the_wheel_alone_evaluates_as_the_clone_does(
     unpacked: Path, repository: Path, tmp_path: Path
 ) -> None:
     there = run([sys.executable, str(repository / "evaluate.py"), *ARGUMENTS], tmp_path / "clone")
     assert there.returncode == 0, there.stderr
-    take_over_compiled_kernels(unpacked, repository)
     alone = [sys.executable, "-c", ALONE, str(unpacked), str(repository)]
     done = run([*alone, "evaluate", *ARGUMENTS], tmp_path / "wheel")
     assert done.returncode == 0, done.stderr
@@ -251,7 +235,6 @@ def test_the_wheel_alone_says_what_it_has_and_what_it_lacks(
 def test_the_wheel_alone_follows_the_quickstart(
     unpacked: Path, repository: Path, tmp_path: Path
 ) -> None:
-    take_over_compiled_kernels(unpacked, repository)
     blocks = python_blocks((repository / "docs" / "quickstart.md").read_text())
     assert len(blocks) >= 3
     for block in blocks:
@@ -259,3 +242,48 @@ def test_the_wheel_alone_follows_the_quickstart(
         done = run(command, tmp_path, block)
         assert done.returncode == 0, done.stderr
         assert "Warning" not in done.stderr
+
+
+EPISODE = """
+import sys; sys.path[:] = [sys.argv[1], *(place for place in sys.path if place)]
+sys.meta_path[:] = [one for one in sys.meta_path if "editable" not in repr(one)]
+import gymnasium, numpy as np, tracked_env
+assert tracked_env.__file__.startswith(sys.argv[1])
+env = gymnasium.make("tracked_env/Torque-v0")
+env.reset(seed=0)
+for _ in range(25):
+    env.step(np.array([0.1, 0.5], np.float32))
+print(env.unwrapped.simulation.batch.floats.tobytes().hex())
+"""
+
+
+@pytest.mark.slow
+def test_an_update_of_the_wheel_drives_the_new_physics_over_the_old_kernel_cache(
+    wheel: Path, tmp_path: Path
+) -> None:
+    """A formula that kernels inline differs in the new wheel: a tenth of the lateral force."""
+    newer = tmp_path / wheel.name
+    formula = "tracked_env/physics/lumped_forces.py"
+    with zipfile.ZipFile(wheel) as old, zipfile.ZipFile(newer, "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            if name == formula:
+                text = content.decode()
+                content = text.replace("fr, rl, rr, force, k.t", "fr, rl, rr, 0.1 * force, k.t")
+                assert content != text
+            new.writestr(name, content)
+
+    def episode(package: Path, cache: str) -> str:
+        options = ["--quiet", "--no-deps", "--no-index", "--upgrade", "--target"]
+        there = str(tmp_path / "installed")
+        install = [sys.executable, "-m", "pip", "install", *options, there, str(package)]
+        subprocess.run(install, check=True, capture_output=True)
+        command = [sys.executable, "-c", EPISODE, there]
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / cache)}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    before = episode(wheel, "cache")
+    assert episode(newer, "cache") == episode(newer, "empty") != before
+    assert episode(wheel, "cache") == before

@@ -10,7 +10,8 @@ import tracked_env
 from tracked_env.benchmark import (
     BenchmarkConfig,
 )
-from tracked_env.benchmark.benchmark_config import WITHOUT_INFLUENCE
+from tracked_env.benchmark.benchmark_config import SOURCE, WITHOUT_INFLUENCE
+from tracked_env.benchmark.policy_interface import source_fingerprint
 
 SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
 
@@ -41,12 +42,17 @@ def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_every_source_file_is_part_of_the_identity_or_named_as_without_influence(
     copied: Path,
 ) -> None:
-    first = SHORT.identity()
+    def fingerprint() -> str:
+        return source_fingerprint("tracked_env", WITHOUT_INFLUENCE)
+
+    first = fingerprint()
+    assert SHORT.identity()["source"] == SOURCE == first
     unnoticed = set()
     for path in sorted(copied.rglob("*.py")):
         content = path.read_bytes()
         path.write_bytes(content + b"#")
-        if SHORT.identity() == first:
+        assert SHORT.identity()["source"] == SOURCE  # of what runs, not of what is on disk by now
+        if fingerprint() == first:
             unnoticed.add(path.relative_to(copied).as_posix())
         path.write_bytes(content)
     named = {

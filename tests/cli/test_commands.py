@@ -273,7 +273,7 @@ def test_an_interruption_is_one_line_that_names_the_command(
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     until = time.monotonic() + 60.0
-    while not [*tmp_path.rglob("*.nbc")] and time.monotonic() < until:  # then it compiles
+    while not [*tmp_path.rglob("*.kernel")] and time.monotonic() < until:  # then it compiles
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     _, error = process.communicate(timeout=60)

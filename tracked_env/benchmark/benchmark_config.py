@@ -55,6 +55,9 @@ WITHOUT_INFLUENCE = {
     "benchmark/tuning_records.py": "tables of what was chosen from",
     "benchmark/video.py": "pictures of an episode",
 }
+# Of the simulation that this process runs: taken when it is imported, so that an edit while the
+# process runs is not written over results of what it runs.
+SOURCE = source_fingerprint("tracked_env", WITHOUT_INFLUENCE)
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ class BenchmarkConfig:
             for name in self.sets
             if name not in OF_VERSION
         }
-        identity = {**fields, "source": source_fingerprint("tracked_env", WITHOUT_INFLUENCE)}
+        identity = {**fields, "source": SOURCE}
         return {**identity, "own_sets": own} if own else identity
 
     @property

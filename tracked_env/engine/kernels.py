@@ -20,7 +20,7 @@ A plant's file makes its kernels by handing its own functions to the templates:
     def hold(*call):
         return hold_blocks(derive, move_held, LANES, np.empty((ROWS, LANES)), call)
 
-They stand at module level, because numba's disk cache finds those again in a new process, but not
+They stand at module level, because the kernel cache finds those again in a new process, but not
 closures. A plant's options are further arguments of `advance`, and follow in `rest`. Kernels are
 called with plain arrays and numbers: a tuple with names costs microseconds at the boundary from
 Python, and nothing inside, and `*rest` instead of the numbers' names a twentieth of one.

@@ -1,6 +1,6 @@
 """How the kernels are compiled, in one place.
 
-All kernels: cached on disk; division follows IEEE (`error_model="numpy"`, so no hidden
+All kernels: kept on disk; division follows IEEE (`error_model="numpy"`, so no hidden
 branch); no fastmath, so that a batch of any size gives the same bits as one vehicle. The exception
 is `summation`, for loops over the patches of one vehicle. `fastmath=False` must be written out:
 what is left open is taken from the caller that is being compiled when a function is compiled first,
@@ -16,8 +16,8 @@ functions of another process. Large bodies belong there too: every level of comp
 around them is optimised as a whole, which takes a second or more each time.
 `loop` is for the functions that own such a loop; they release the interpreter lock.
 
-Numba keys its disk cache on the file of the function that is called: after editing an
-inlined formula, run `make clean-cache` so that its callers are compiled again.
+What is compiled is kept on disk under the digest of all source that it is made of (kernel_cache):
+no edit and no update ever meets old code.
 """
 
 from collections.abc import Callable
@@ -31,11 +31,24 @@ from numba import njit, typeof, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from tracked_env.physics.kernel_cache import KernelCache
+
+
+def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator as `numba.njit`, with KernelCache in the place of numba's disk cache."""
+
+    def decorated(function: Callable[..., Any]) -> Any:
+        dispatcher: Any = njit(**options)(function)
+        dispatcher._cache = KernelCache(dispatcher.py_func)
+        return dispatcher
+
+    return decorated
+
 
 def _inlined(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator of functions that are inlined into kernels; options: those of `numba.njit`."""
-    options |= {"cache": True, "error_model": "numpy", "forceinline": True}
-    compiled = partial(njit, no_cfunc_wrapper=True, **options)
+    options |= {"error_model": "numpy", "forceinline": True}
+    compiled = partial(_kept, no_cfunc_wrapper=True, **options)
 
     def decorated(function: Callable[..., Any]) -> Any:
         inside: Any = FunctionType(
@@ -56,10 +69,9 @@ def _inlined(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 formula = _inlined(fastmath=False)
 template = partial(njit, error_model="numpy", inline="always")()
-loop = partial(
-    njit, cache=True, error_model="numpy", fastmath=False, nogil=True, boundscheck=False,
-    no_cfunc_wrapper=True,
-)()  # fmt: skip
+loop = _kept(
+    error_model="numpy", fastmath=False, nogil=True, boundscheck=False, no_cfunc_wrapper=True
+)
 
 # For loops that add up over the patches of ONE vehicle: their order of summation is the choice of
 # the compiler, which lets it add several patches at once. The number of patches is the same for one

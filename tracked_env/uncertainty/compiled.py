@@ -6,7 +6,7 @@ A law is a `formula` (rng, nominal, path, truth, changes) that draws with `track
 `truth` has the fields of PlantParameters and begins as the nominal one. Changes are kept in rows as
 `tracked_env.events` encodes them, those of parameters that the plant does not read left out; a
 ninth number keeps the direction of a line. A law's `loop` stands beside it at module level, where
-numba's disk cache finds it:
+the kernel cache finds it:
     @loop
     def _each_payload(*call):
         draw_each(_payload, call)

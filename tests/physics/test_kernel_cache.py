@@ -1,0 +1,188 @@
+"""Compiled kernels on disk: what runs is always the source as it is."""
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+from numba.core.registry import CPUDispatcher
+
+from tracked_env.physics import kernel_cache
+
+# A project of a user's own: formula, constant, template and kernel, each in a file of its own.
+PROJECT = {
+    "soil_law.py": """
+        from tracked_env.physics.jit import formula
+        from soil_constants import STIFFNESS
+
+        @formula
+        def force(sinkage):
+            return STIFFNESS * sinkage
+        """,
+    "soil_constants.py": "STIFFNESS = 3.0\n",
+    "sums.py": """
+        from tracked_env.physics.jit import template
+
+        @template
+        def total(law, values):
+            result = 0.0
+            for value in values:
+                result += law(value)
+            return result
+        """,
+    "kernel.py": """
+        import sys
+        import warnings
+        import numpy as np
+        import soil_law
+        from sums import total
+        from tracked_env.physics.jit import loop
+
+        @loop
+        def run(values):
+            return total(soil_law.force, values)
+
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            result = run(np.ones(4))
+        compiled = sum(run.stats.cache_misses.values())
+        print(result, compiled, len(seen), *(str(each.message) for each in seen))
+        """,
+}
+LARGEST_FILE = 2000  # [bytes] of a disk that is full
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    folder = tmp_path / "project"
+    folder.mkdir()
+    for name, text in PROJECT.items():
+        (folder / name).write_text(textwrap.dedent(text))
+    return folder
+
+
+def start(project: Path, cache: Path, before: str = "") -> tuple[float, int, int, str]:
+    """Result, kernels compiled, warnings and their text, of the project in a new process."""
+    code = f"{before}\nimport runpy; runpy.run_path('kernel.py', run_name='__main__')"
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path.insert(0, '')\n{code}"],
+        cwd=project,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    result, compiled, count, *text = done.stdout.split(maxsplit=3)
+    return float(result), int(compiled), int(count), "".join(text)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "expected"),
+    [
+        ("soil_law.py", "STIFFNESS * sinkage", "STIFFNESS * sinkage + 1.0", 16.0),
+        ("soil_constants.py", "3.0", "5.0", 20.0),
+        ("sums.py", "+= law", "-= law", -12.0),
+    ],
+)
+def test_a_kernel_follows_what_it_inlines_and_is_warm_at_once_when_that_goes_back(
+    project: Path, tmp_path: Path, file: str, old: str, new: str, expected: float
+) -> None:
+    cache, text = tmp_path / "cache", (project / file).read_text()
+    assert start(project, cache)[:2] == (12.0, 1)
+    assert start(project, cache)[:2] == (12.0, 0)
+    status = (project / file).stat()
+    (project / file).write_text(text.replace(old, new))
+    os.utime(project / file, ns=(status.st_atime_ns, status.st_mtime_ns))  # as an unpacked archive
+    assert start(project, cache)[:2] == (expected, 1)
+    (project / file).write_text(text)
+    assert start(project, cache)[:2] == (12.0, 0)
+
+
+def test_source_edited_after_it_was_imported_is_not_what_is_kept(
+    project: Path, tmp_path: Path
+) -> None:
+    """A running process compiles what it imported; the next one must not find that."""
+    edit = (
+        "import soil_law; from pathlib import Path; law = Path('soil_law.py')\n"
+        "law.write_text(law.read_text().replace('* sinkage', '* sinkage * 2.0'))"
+    )
+    assert start(project, tmp_path, edit)[0] == 12.0
+    assert start(project, tmp_path)[:2] == (24.0, 1)
+
+
+def test_nothing_is_kept_where_nothing_can_be_written_and_one_warning_says_so(
+    project: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    result, compiled, warned, text = start(project, tmp_path / "file" / "cache")
+    assert (result, compiled, warned) == (12.0, 1, 1)
+    assert "NUMBA_CACHE_DIR" in text and str(tmp_path / "file") in text
+
+
+def test_a_full_disk_ends_nothing_and_leaves_nothing_half_written(
+    project: Path, tmp_path: Path
+) -> None:
+    full = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({LARGEST_FILE},) * 2)"
+    result, compiled, warned, text = start(project, tmp_path, full)
+    assert (result, compiled, warned) == (12.0, 1, 1) and "cannot be kept" in text
+    assert not list((tmp_path / "tracked_env").iterdir())
+    assert start(project, tmp_path)[:2] == (12.0, 1)
+    text = (project / "soil_law.py").read_text()
+    (project / "soil_law.py").write_text(text.replace("* sinkage", "* sinkage * 2.0"))
+    assert start(project, tmp_path, full)[0] == 24.0
+    assert start(project, tmp_path)[:2] == (24.0, 1)
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "another"])
+def test_a_damaged_file_is_compiled_anew(project: Path, tmp_path: Path, damage: str) -> None:
+    start(project, tmp_path)
+    (path,) = (tmp_path / "tracked_env").glob("run-*.kernel")
+    content = path.read_bytes()
+    path.write_bytes({"cut": content[:-100], "empty": b"", "another": content[::-1]}[damage])
+    assert start(project, tmp_path)[:3] == (12.0, 1, 0)
+    assert start(project, tmp_path)[:3] == (12.0, 0, 0)
+
+
+def test_kernels_that_nobody_has_loaded_for_a_month_are_deleted(
+    project: Path, tmp_path: Path
+) -> None:
+    start(project, tmp_path)
+    (path,) = (tmp_path / "tracked_env").glob("run-*.kernel")
+    for age, is_there in ((0.9, True), (1.1, False)):
+        at = path.stat().st_mtime - age * kernel_cache.KEPT
+        os.utime(path, (at, at))
+        kernel_cache._sweep(path.parent)
+        assert path.exists() is is_there
+
+
+def references(function: object, seen: set[int]) -> set[str]:
+    """Modules of the compiled functions that a function calls, directly or not, by their names."""
+    function = getattr(function, "py_func", function)
+    if id(function) in seen:
+        return set()
+    seen.add(id(function))
+    found = {function.__module__}
+    names, scope = set(function.__code__.co_names), function.__globals__
+    for name in names & scope.keys():
+        value = scope[name]
+        inside = vars(value) if type(value).__name__ == "module" else {name: value}
+        for each in inside.keys() & names:
+            if isinstance(inside[each], CPUDispatcher):
+                found |= references(inside[each], seen)
+    return found
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["tracked_env.plants.lumped", "tracked_env.plants.terrain", "tracked_env.engine.composing",
+     "baselines.estimators.slip_unscented", "baselines.predictive.predictive_control"],
+)  # fmt: skip
+def test_the_key_of_a_module_covers_every_function_that_its_kernels_call(module: str) -> None:
+    """Found the other way round: by the functions themselves instead of by the imports."""
+    __import__(module)
+    covered = kernel_cache.sources_of(module).keys()
+    kernels = [each for each in vars(sys.modules[module]).values() if type(each) is CPUDispatcher]
+    used = set[str]().union(*(references(each, set()) for each in kernels))
+    assert kernels and used <= covered, used - covered

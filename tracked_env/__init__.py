@@ -17,6 +17,7 @@ TERRAIN_ID = "tracked_env/Terrain-v0"
 # What Speed-v0 says differently from the defaults: a light vehicle, indoors, on patches.
 SPEED: dict[str, Any] = {
     "vehicle": "focchi",
+    "base_vehicle": "focchi",
     "plant": "distributed",
     "drive": "speed",
     "uncertainty": "friction",
@@ -26,6 +27,7 @@ SPEED: dict[str, Any] = {
         "speed_range": [0.1, 0.5],
         "yaw_rate_limit": 0.9,
         "lateral_acceleration_limit": 0.4,
+        "vehicle": "focchi",  # another vehicle's speeds are in proportion to its top speed
     },
     "error_limit": 2.0,
 }

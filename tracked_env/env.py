@@ -102,11 +102,13 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     | `expose_truth` | False | put true state and parameters into `info["truth"]` |
     | `render_mode` | None | `"human"` or `"rgb_array"` |
     | `terrain` | None | of the plant `"terrain"`, level if None; see docs/terrain.md |
+    | `base_vehicle` | `"strawa"` | base of a `vehicle` that is a dict without `"base"` |
 
     A `vehicle` may be a dict, {"base": "focchi", parameter: value}: what is not named is of the
-    base. The plants: `"lumped"` has closed-form forces, `"distributed"` patches under the tracks,
-    `"terrain"` these on uneven ground; others have the name under which
-    `tracked_env.plants.register` knows them.
+    base, which is the id's own vehicle where none is named; a warning lists it where mass, contact
+    length or gauge are more than 30 % from the base's. The plants: `"lumped"` has closed-form
+    forces, `"distributed"` patches under the tracks, `"terrain"` these on uneven ground; others
+    have the name under which `tracked_env.plants.register` knows them.
 
     `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
     `lateral_model` (formerly `closure`; {parameter: value}), `reference`, `sensors`, `schedule`

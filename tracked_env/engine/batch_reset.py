@@ -102,7 +102,7 @@ class BatchReset:
         law = settings.law
         assert isinstance(law, ArrayLaw)
         self._law, self._settings = law, settings
-        found = batch_reference(settings.reference)
+        found = batch_reference(settings.reference, settings.nominal)
         self._reference = None if found is None else found[0]
         self._pose = np.array(pose(*(found[1] if found else (0.0, 0.0, 0.0))))
         self.sensors = fixed_part(settings.sensors, settings.control_period, settings.channels)

@@ -7,12 +7,20 @@ environment take theirs from it, with `environment_arguments`.
 import functools
 import inspect
 import reprlib
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracked_env.physics.parameters import VEHICLES, ParametersRead, PlantParameters, Range
+from tracked_env.physics.parameters import (
+    RANGES,
+    VEHICLES,
+    ParametersRead,
+    PlantParameters,
+    Range,
+    VehicleParameters,
+)
 from tracked_env.plants import DRIVES, PLANTS, Drive, Plant, Prepared, find, prepared
 from tracked_env.sensors import Sensors
 from tracked_env.uncertainty import Spec
@@ -48,9 +56,14 @@ class EnvConfig(NamedTuple):
     expose_truth: bool = False
     render_mode: str | None = None
     terrain: Any = None  # of the plant on terrain; the same as in plant_options
+    base_vehicle: str = "strawa"  # of a `vehicle` that is a dict without "base"
     threads: int = 1  # an argument of the vector environment alone
 
 
+SIZES = ("mass", "contact_length", "track_gauge")
+ANOTHER_SIZE = 0.3  # [-] of the base, from which on the rest of the base is unlikely to fit
+# What depends on the size of a vehicle; ratios, gains and offsets do not.
+SIZED = VehicleParameters._fields[: VehicleParameters._fields.index("centre_of_mass_x")]
 SHOWN = ("expose_truth", "render_mode")  # what is returned and drawn: nothing moves by them
 _Constructor = Callable[..., None]
 
@@ -151,17 +164,36 @@ def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
     return {**{k: v for k, v in arguments.items() if k in plant.options}, **own}
 
 
-def make_vehicle(spec: object) -> PlantParameters:
+def make_vehicle(spec: object, base: str = "strawa") -> PlantParameters:
     """A nominal vehicle on its soil: a key of VEHICLES, or a dict {"base": key, parameter: value}.
 
-    Without "base" the other parameters are those of "strawa". Raises ValueError for an unknown name
-    and for a value outside its range.
+    base: key of the vehicle whose other parameters a dict without "base" has. Warns of parameters
+    that are the base's where mass, contact length or gauge are far from the base's. Raises
+    ValueError for an unknown name and for a value outside its range.
     """
+    base = checked_choice("base_vehicle", base, VEHICLES)
     if not isinstance(spec, Mapping):
         return VEHICLES[checked_choice("vehicle", spec, VEHICLES)]
-    given = dict(checked_keys("vehicle", spec, ("base", *PlantParameters._fields)))
-    base = VEHICLES[checked_choice("vehicle base", given.pop("base", "strawa"), VEHICLES)]
-    return base._replace(**{name: checked_parameter(name, of) for name, of in given.items()})
+    own = dict(checked_keys("vehicle", spec, ("base", *PlantParameters._fields)))
+    base = checked_choice("vehicle base", own.pop("base", base), VEHICLES)
+    values = {name: checked_parameter(name, value) for name, value in own.items()}
+    _check_size(values, base)
+    return VEHICLES[base]._replace(**values)
+
+
+def _check_size(values: Mapping[str, float], base: str) -> None:
+    """Warn where `values` are of a vehicle of another size than the base, and lack something."""
+    other = VEHICLES[base]._asdict()
+    far = [n for n in SIZES if abs(values.get(n, other[n]) / other[n] - 1.0) > ANOTHER_SIZE]
+    lacking = [f"{n} = {other[n]:g} {RANGES[n].unit}" for n in SIZED if n not in values]
+    if far and lacking:
+        sizes = ", ".join(f"{n} = {values[n]:g} {RANGES[n].unit} ({other[n]:g})" for n in far)
+        warnings.warn(
+            f'vehicle: {sizes} differs by more than {ANOTHER_SIZE:.0%} from the base "{base}" in '
+            f"parentheses, from which the vehicle has {', '.join(lacking)}. Name these too, or "
+            'another "base".',
+            stacklevel=2,
+        )
 
 
 def make_solver(config: EnvConfig) -> Solver:
@@ -186,5 +218,5 @@ def make_solver(config: EnvConfig) -> Solver:
     substep = 1.0 / (rate * substeps)
     return Solver(
         1.0 / rate, substeps, substep, plant, DRIVES[config.drive], ready,
-        make_vehicle(config.vehicle), limit, threads,
+        make_vehicle(config.vehicle, config.base_vehicle), limit, threads,
     )  # fmt: skip

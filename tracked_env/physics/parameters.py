@@ -215,3 +215,13 @@ VEHICLES: dict[str, PlantParameters] = {  # a vehicle on the soil that its contr
     "focchi": plant_parameters(FOCCHI_VEHICLE, FIRM_FLOOR),
     "focchi-short": plant_parameters(FOCCHI_SHORT_VEHICLE, FIRM_FLOOR),
 }
+
+
+def top_speed(p: PlantParameters) -> float:
+    """v_top = r omega_max [m/s]: straight ahead, without slip, at the speed limit of both drives.
+
+    A drive by speed runs at omega_max. A drive by torque gives no torque there: at a track speed V
+    the plants limit the effort to F((1 - V / v_top) l / K), or let the torque fade over the last
+    few percent, so that V stays below v_top by the slip that carries the motion resistance.
+    """
+    return p.sprocket_radius * p.sprocket_speed_limit

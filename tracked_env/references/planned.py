@@ -11,7 +11,7 @@ the slip of the nominal vehicle. They raise ValueError for what contradicts itse
 
 The goals of "halton" are those of the published code of [1] 7.2: Halton points in a square, as far
 from the start as `annulus` says, with any yaw. Lengths and speeds are for the indoor vehicle of [1]
-and grow with the track gauge for another.
+and grow with the track gauge for another, speeds no more than its top speed does.
 
 References: [1] Focchi et al. (2025), section 7.2 and its code.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.entry_points import declared
-from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
+from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range, top_speed
 from tracked_env.physics.reference_knots import POSE, START, UNIFORM_COLUMNS, PlannedRows
 from tracked_env.references.profile import ReferenceProfile
 from tracked_env.validation import checked_choice, checked_flag, checked_keys, checked_number
@@ -44,7 +44,7 @@ LIMITS = {
     "curvature": Range(0.01, 1e3, "1/m", "Did you pass a radius?"),
     "lateral_acceleration": Range(0.01, 1e3, "m/s^2", "Friction allows mu g at most."),
 }
-# Of the indoor vehicle; speeds grow with the track gauge.
+# Of the indoor vehicle; speeds grow as the track gauge, but no more than the top speed.
 DEFAULT_LIMITS = {"v_max": 0.4, "v_min": 0.15, "reserve": 0.1, "sprocket_acceleration": 20.0}
 SPEEDS = ("v_max", "v_min")
 ANNULUS = (1.0, 4.0)  # [m] from the start, of the same vehicle
@@ -168,7 +168,7 @@ def plan_reference(
     name = given.get("planner", "optimal")
     frame = checked_choice("frame", given.get("frame", "course"), FRAMES)
     slip = checked_flag("slip", given.get("slip", name == "optimal"))
-    limits = _limits(given.get("limits"), scale)
+    limits = _limits(given.get("limits"), min(scale, top_speed(vehicle) / top_speed(_INDOOR)))
     planner = _planner(name)
     start = _pose("start", [given.get(key, 0.0) for key in ("x", "y", "yaw")])
     goals, drawn = _goals(given, scale)

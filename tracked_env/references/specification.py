@@ -5,6 +5,12 @@
 A number may be given as [low, high]: it is drawn, =U(low, high), on a 0.5 s grid for times
 that must lie on it. `direction` may be given as [-1, 1]: either, with equal probability.
 Draws follow the order of the builder's arguments, so the order of the keys has no effect.
+
+Speeds that are not given are for the vehicle "strawa", and those that are given are meant as they
+stand, unless {"vehicle": name} says for which vehicle. For another nominal vehicle
+    v -> v v_top / v_top',  w -> w min(1, (v_top / B) / (v_top' / B'))
+with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for: a
+belt needs no larger share of its top speed than there.
 """
 
 import inspect
@@ -15,13 +21,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters, top_speed
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
 from tracked_env.references import catalogue
 from tracked_env.references.planned import plan_reference
 from tracked_env.references.profile import FloatArray, ReferenceProfile
 from tracked_env.references.random_path import RandomPaths, random_paths, random_smooth
 from tracked_env.references.waypoints import waypoints
+from tracked_env.validation import checked_choice
 
 DURATION_RANGE = (0.01, 3600.0)  # [s]
 POINTS_LIMIT = 1000  # [-] way-points of one reference
@@ -29,6 +36,9 @@ POSITION_LIMIT = 1e5  # [m] beyond it the coordinates lose digits
 
 POSE = ("x", "y", "yaw")
 PLAN = "plan"  # the kind that a planner makes
+SPEEDS = ("speed", "initial_speed", "speed_range", "speed_amplitude")
+YAW_RATES = ("yaw_rate", "yaw_rate_limit")
+DEFAULT_VEHICLE = "strawa"  # for which the defaults of the builders are
 
 
 class Quantity(NamedTuple):
@@ -87,9 +97,12 @@ MIXED: list[dict[str, Any]] = [
 ]
 
 
-def mixed(duration: float, rng: np.random.Generator) -> ReferenceProfile:
+def mixed(
+    duration: float, rng: np.random.Generator, vehicle: PlantParameters | None = None
+) -> ReferenceProfile:
     """One of `MIXED`, with equal probability, its parameters drawn as listed there."""
-    return make_reference(MIXED[rng.integers(len(MIXED))], duration, rng)
+    spec = {**MIXED[rng.integers(len(MIXED))], "vehicle": DEFAULT_VEHICLE}
+    return make_reference(spec, duration, rng, vehicle)
 
 
 REFERENCES: dict[str, Callable[..., ReferenceProfile]] = {
@@ -107,8 +120,13 @@ _ARGUMENTS = {kind: inspect.signature(build).parameters for kind, build in REFER
 
 
 def _parameter_names(kind: str) -> list[str]:
-    names = [name for name in _ARGUMENTS[kind] if name not in ("duration", "rng")]
+    names = [name for name in _ARGUMENTS[kind] if name not in ("duration", "rng", "vehicle")]
     return names if kind == "waypoints" else names + list(POSE)
+
+
+def _defaults(kind: str) -> dict[str, Any]:
+    arguments = _ARGUMENTS[kind]
+    return {name: arguments[name].default for name in _parameter_names(kind) if name in arguments}
 
 
 def _number(name: str, value: Any, quantity: Quantity) -> float:
@@ -210,6 +228,28 @@ def _check(kind: str, values: Mapping[str, Any], profile: ReferenceProfile) -> N
         )
 
 
+def _scaled(
+    values: Mapping[str, Any], vehicle: PlantParameters | None, written_for: str | None
+) -> dict[str, Any]:
+    """Parameters with speeds and yaw rates for `vehicle` in place of the one they are for.
+
+    They stay where either vehicle is None. No speed is scaled beyond what may be given.
+    """
+    if vehicle is None or written_for is None:
+        return dict(values)
+    other = VEHICLES[checked_choice("reference 'vehicle'", written_for, VEHICLES)]
+    ratio = top_speed(vehicle) / top_speed(other)
+    speeds = {name: values[name] for name in SPEEDS if values.get(name) is not None}
+    fastest = max((float(np.abs(value).max()) for value in speeds.values()), default=0.0)
+    faster = min(ratio, max(QUANTITIES["speed"].high / fastest, 1.0)) if fastest else ratio
+    turning = min(ratio * other.track_gauge / vehicle.track_gauge, 1.0)
+    found = dict(values)
+    for name, value in speeds.items():
+        pair = isinstance(value, (list, tuple))
+        found[name] = tuple(faster * v for v in value) if pair else faster * value
+    return found | {name: turning * values[name] for name in YAW_RATES if name in values}
+
+
 def make_reference(
     spec: str | Mapping[str, Any], duration: float, rng: np.random.Generator,
     vehicle: PlantParameters | None = None,
@@ -219,7 +259,8 @@ def make_reference(
     spec: a name of `REFERENCES`, or {"kind": name, parameter: value, ...}; parameters and
     defaults are the arguments of the builder, and the start pose x, y [m], yaw [rad]. A
     missing "kind" is "random"; "plan" is made by a planner for the nominal `vehicle`, see
-    `references.planned`. Raises ValueError for whatever is unknown or out of range.
+    `references.planned`. vehicle: None leaves all speeds as they are. Raises ValueError for
+    whatever is unknown or out of range.
     """
     if not isinstance(spec, (str, Mapping)):
         raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
@@ -233,7 +274,7 @@ def make_reference(
         profile = plan_reference(given, horizon, rng, vehicle)
         _check(kind, {}, profile)
         return profile
-    names = _parameter_names(kind)
+    names, written_for = _parameter_names(kind), given.pop("vehicle", None)
     unknown = sorted(set(given) - set(names), key=str)
     if unknown:
         raise ValueError(
@@ -243,16 +284,20 @@ def make_reference(
     if kind == "waypoints" and "points" not in given:
         raise ValueError("reference 'waypoints': points missing; must be a list of [x, y] [m].")
     arguments = _ARGUMENTS[kind]
-    values = {name: arguments[name].default for name in names if name in arguments}
-    values |= {name: _resolve(kind, name, given[name], rng) for name in names if name in given}
+    values = _scaled(_defaults(kind), vehicle, DEFAULT_VEHICLE)
+    own = {name: _resolve(kind, name, given[name], rng) for name in names if name in given}
+    values |= _scaled(own, vehicle, written_for)
     pose = {name: values.pop(name) for name in POSE if name in values}
-    random = {"rng": rng} if "rng" in arguments else {}
-    profile = REFERENCES[kind](duration=horizon, **random, **values)._replace(**pose)
+    more = {"rng": rng, "vehicle": vehicle}
+    further = {name: value for name, value in more.items() if name in arguments}
+    profile = REFERENCES[kind](duration=horizon, **further, **values)._replace(**pose)
     _check(kind, values, profile)
     return profile
 
 
-def batch_reference(spec: str | Mapping[str, Any]) -> tuple[RandomPaths, list[float]] | None:
+def batch_reference(
+    spec: str | Mapping[str, Any], vehicle: PlantParameters | None = None
+) -> tuple[RandomPaths, list[float]] | None:
     """What draws a reference that `make_reference` takes for many vehicles at once, and its pose.
 
     None for kinds other than "random", and where parameters of the law are drawn as well.
@@ -260,10 +305,11 @@ def batch_reference(spec: str | Mapping[str, Any]) -> tuple[RandomPaths, list[fl
     given: dict[str, Any] = {"kind": spec} if isinstance(spec, str) else dict(spec)
     if given.pop("kind", "random") != "random":
         return None
-    speeds = given.pop("speed_range", None)
+    speeds, written_for = given.pop("speed_range", None), given.pop("vehicle", None)
     if any(isinstance(value, (list, tuple)) for value in given.values()):
         return None
     pose = [float(given.pop(name, 0.0)) for name in POSE]
     if speeds is not None:
         given["speed_range"] = speeds if isinstance(speeds, (list, tuple)) else (speeds, speeds)
-    return random_paths(**given), pose
+    values = _scaled(_defaults("random"), vehicle, DEFAULT_VEHICLE)
+    return random_paths(**(values | _scaled(given, vehicle, written_for))), pose

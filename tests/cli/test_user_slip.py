@@ -230,7 +230,10 @@ def test_a_row_a_run_is_read_with_and_without_a_header(steady: Any) -> None:
 @pytest.mark.parametrize(
     ("scale", "gear", "said"),
     [
-        ({}, 1.0, "--gear"),
+        ({}, 1.0, "motors with a gear of about 30"),
+        ({"sprocket_speed_left": 4.0, "sprocket_speed_right": 4.0}, 1.0, "a gear of about 12"),
+        ({"sprocket_speed_left": 57.3, "sprocket_speed_right": 57.3}, GEAR, "speed=deg/s"),
+        ({"sprocket_speed_left": 9.55, "sprocket_speed_right": 9.55}, GEAR, "speed=rpm"),
         ({"yaw": 57.3, "x": 1e3, "y": 1e3}, GEAR, "position jumps"),
         (
             {"sprocket_speed_left": 0.3, "sprocket_speed_right": 0.3},

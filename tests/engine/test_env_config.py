@@ -18,7 +18,7 @@ GIVEN = {  # a value of every shared argument that is not its default
     "control_rate": 20.0, "lateral": "constrained", "error_limit": 3.0, "time_step": 0.001,
     "vehicle": "focchi", "plant": "distributed", "drive": "speed", "patches": (6, 2),
     "plant_options": {"integrator": "euler"}, "observation": ["motion"], "expose_truth": True,
-    "render_mode": "rgb_array", "terrain": "hills",
+    "render_mode": "rgb_array", "terrain": "hills", "base_vehicle": "focchi",
 }  # fmt: skip
 
 

@@ -143,8 +143,3 @@ def test_no_episode_asks_a_small_robot_for_more_than_it_can_do(env, more):
         batch = several.simulation.episodes[seed].profile
         np.testing.assert_array_equal(profile.table, batch.table)
         assert belts(profile, make_vehicle(ROBOT)) <= 0.856
-
-
-def test_a_reference_faster_than_the_belts_is_told_of():
-    with pytest.warns(UserWarning, match=r"at 2 m/s; the top speed .* is 0.856 m/s"):
-        gymnasium.make(SPEED_ID, reference={"kind": "straight", "speed": 2.0})

@@ -60,7 +60,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     said = (
         f"{len(fitted.data.alpha)} samples of {count} runs, {fitted.runs.rows_left_out} rows of "
         f"them left out; {len(fitted.runs.refused)} runs or samples not used, {fitted.outliers} "
-        "of them outliers."
+        "of them because they contradict both belts."
     )
     print(f"{folded(said, WIDTH)}\n")
     print(aligned(slip_page.score_rows(fitted), 2, WIDTH))

@@ -15,7 +15,6 @@ changes an episode has those of parameters that the plant reads (`plants.base`).
 schedule that names another parameter is a ValueError.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -30,7 +29,6 @@ from tracked_env.physics.parameters import (
     ParametersRead,
     PlantParameters,
     Range,
-    top_speed,
 )
 from tracked_env.physics.reference_knots import COURSE_COLUMNS, UNIFORM_COLUMNS
 from tracked_env.physics.state import VehicleState
@@ -114,7 +112,6 @@ def make_settings(
     length = checked_number("duration", duration, DURATION_RANGE)
     profile = make_reference(reference, length, np.random.default_rng(0), nominal)
     _check_goal(profile, shows_goal)
-    _check_speed(profile, nominal)
     law = make_uncertainty(uncertainty, reads)
     if isinstance(law, CheckedLaw):  # somebody's own: an error in it shows here, not in an episode
         law(np.random.default_rng(0), nominal, profile, length)
@@ -130,19 +127,6 @@ def _check_goal(profile: ReferenceProfile, shows_goal: bool) -> None:
         raise ValueError(
             "observation group 'goal': the reference has no goal; must be of the kind \"plan\": "
             'reference={"kind": "plan", "goals": "halton"}'
-        )
-
-
-def _check_speed(profile: ReferenceProfile, vehicle: PlantParameters) -> None:
-    """Warn where a reference asks for more than the belts of the nominal vehicle run at most."""
-    turning = 0.5 * vehicle.track_gauge * np.abs(profile.yaw_rate[:, 0])
-    fastest, limit = float((np.abs(profile.speed[:, 0]) + turning).max()), top_speed(vehicle)
-    if fastest > limit:
-        warnings.warn(
-            f"reference: a belt would have to run at {fastest:.3g} m/s; the top speed of the "
-            f"nominal vehicle, sprocket_radius times sprocket_speed_limit, is {limit:.3g} m/s. "
-            "Lower the speeds, or leave them out: then they are in proportion to the top speed.",
-            stacklevel=2,
         )
 
 

@@ -1,19 +1,17 @@
-"""The slip of a vehicle fitted to its runs: outliers out, a table for controllers, R^2 on runs that
-the fit has not seen.
+"""The slip of a vehicle fitted to its runs: corrupt ones out, a table, R^2 on runs not seen.
 
 The surfaces are those of `baselines.slip`: thin plate splines through beta_left, beta_right and
 v_y over both sprocket speeds, then a table. Held out are whole runs, in FOLDS parts, each of which
-is predicted by the fit of the others. An outlier is a sample whose held-out error is beyond GATE
-robust deviations and beyond what a surface leaves anyway; the worst are taken out first, and the
-rest is fitted again.
+is predicted by the fit of the others. What `corrupt_runs` finds is left out before, and R^2 is told
+of all runs as well; how well a run is fitted has no influence.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from tracked_env.benchmark.registered_policies import command_function
+from tracked_env.cli.user_data.corrupt_runs import corrupt
 from tracked_env.cli.user_data.csv_columns import Floats
 from tracked_env.cli.user_data.slip_runs import Refused, Runs
 from tracked_env.physics.parameters import PlantParameters
@@ -22,11 +20,6 @@ LEAST_RUNS = 12
 FOLDS = 5
 NODES = 120  # of the grid along the wider side, at most
 FINEST = 0.1  # [rad/s] between them at least
-GATE = 6.0  # [-] robust deviations
-ALWAYS = 0.02  # [m/s] no smaller error makes an outlier
-ROUNDS = 12
-BORDER = 1.5  # [-] on the limit of samples at the border of the speeds driven
-CHANNELS = ("beta_left", "beta_right", "v_y")
 
 
 class Fitted(NamedTuple):
@@ -37,7 +30,8 @@ class Fitted(NamedTuple):
     runs: Runs
     predicted: Floats  # (3, N) beta_left, beta_right, alpha, each sample by a fit without its run
     scores: Any  # Scores: R^2 on those
-    outliers: int
+    outliers: int  # samples that `corrupt_runs` found, left out
+    scores_of_all: Any  # Scores with these among those fitted and predicted
 
 
 def _folds(run: Any) -> Any:
@@ -83,70 +77,25 @@ def _enough(runs: Runs) -> None:
 
 
 def fit(runs: Runs, vehicle: PlantParameters) -> Fitted:
-    """Fit. Raises ValueError for too few runs."""
+    """Fit. Raises ValueError for too few runs, and for runs that contradict their belts."""
     tools: Any = command_function("slip")
     scores = command_function("slip-scores")
-    outliers = 0
-    for _ in range(ROUNDS):
+
+    def held_out(part: Runs) -> tuple[Any, Floats]:
+        data = tools.slip_data(vehicle, part.sprocket_left, part.sprocket_right, part.motion)
+        return data, _held_out(tools, data, part.run, vehicle)
+
+    _enough(runs)
+    reasons = corrupt(runs.sprocket_left, runs.sprocket_right, runs.motion, vehicle)
+    data, predicted = held_out(runs)
+    scores_of_all = scores(predicted, data)
+    if reasons:
+        marked = np.zeros(len(runs.run), dtype=bool)
+        marked[[*reasons]] = True
+        runs = runs.without(marked, [Refused(str(runs.run[k]), of) for k, of in reasons.items()])
         _enough(runs)
-        data = tools.slip_data(vehicle, runs.sprocket_left, runs.sprocket_right, runs.motion)
-        predicted = _held_out(tools, data, runs.run, vehicle)
-        found = _outliers(data, predicted)
-        if not found.any():
-            break
-        reasons = [
-            Refused(str(runs.run[k]), _reason(data, predicted, k))
-            for k in np.flatnonzero(found).tolist()
-        ]
-        outliers += int(found.sum())
-        runs = runs.without(found, reasons)
-    else:
-        _enough(runs)
-        data = tools.slip_data(vehicle, runs.sprocket_left, runs.sprocket_right, runs.motion)
-        predicted = _held_out(tools, data, runs.run, vehicle)
+        data, predicted = held_out(runs)
     model = _fit(tools, data, vehicle)
-    return Fitted(model, data, runs, predicted, scores(predicted, data), outliers)
-
-
-def _errors(data: Any, predicted: Floats) -> Floats:
-    """(3, N) [m/s] beta_left, beta_right, and what the error of alpha moves to the side."""
-    side = data.v_x * np.tan(np.clip(predicted[2], -1.5, 1.5))
-    return np.stack([data.beta_left - predicted[0], data.beta_right - predicted[1],
-                     np.where(np.abs(data.v_x) > ALWAYS, data.v_y - side, 0.0)])  # fmt: skip
-
-
-def _limits(data: Any, errors: Floats) -> Floats:
-    """(3, N) [m/s] beyond which an error is an outlier; it grows with the speed of the belts."""
-    speed = np.abs(data.v_x) + np.abs(data.beta_left) + np.abs(data.beta_right)
-    size = 0.3 + speed / max(float(np.median(speed)), 1e-6)
-    deviation = 1.4826 * np.median(np.abs(errors / size), axis=1, keepdims=True)
-    return np.maximum(GATE * deviation * size, ALWAYS)
-
-
-def _excess(data: Any, predicted: Floats) -> Floats:
-    """(N,) largest error of each sample over what makes an outlier.
-
-    At the border of the speeds driven the fit of the others has to extrapolate; more is allowed.
-    """
-    errors = _errors(data, predicted)
-    found = (np.abs(errors) / _limits(data, errors)).max(axis=0)
-    found[ConvexHull(np.stack([data.sprocket_left, data.sprocket_right], axis=1)).vertices] /= (
-        BORDER
-    )
-    return np.asarray(found)
-
-
-def _outliers(data: Any, predicted: Floats) -> Any:
-    """(N,) the worst samples beyond the limit: others may be off because a fit followed those."""
-    excess = _excess(data, predicted)
-    return (excess > 1.0) & (excess > 0.5 * excess.max())
-
-
-def _reason(data: Any, predicted: Floats, k: int) -> str:
-    errors = _errors(data, predicted)
-    limits = _limits(data, errors)
-    worst = int(np.argmax(np.abs(errors[:, k]) / limits[:, k]))
-    return (
-        f"outlier: {CHANNELS[worst]} is {errors[worst, k]:+.3f} m/s off what runs of similar "
-        f"speeds say, {GATE * abs(errors[worst, k]) / limits[worst, k]:.0f} robust deviations"
+    return Fitted(
+        model, data, runs, predicted, scores(predicted, data), len(reasons), scores_of_all
     )

@@ -19,26 +19,35 @@ FILES = {
 
 
 def score_rows(fitted: Fitted) -> list[list[str]]:
-    """Rows of cells, the header first: R^2 and errors on runs not seen."""
+    """Rows of cells, the header first: R^2 and errors on runs not seen.
+
+    Where runs were left out as corrupt, R^2 with them stands beside the one without.
+    """
     data, left, right, alpha = fitted.data, *fitted.predicted
     rows = [["quantity", "unit", "samples", "R^2, runs not seen", "rms error", "largest slip"]]
+    if fitted.outliers:
+        rows[0].insert(4, "with those left out")
     forward, reverse = data.v_x > 0.05, data.v_x < -0.05
     every = np.ones(len(left), dtype=bool)
     parts = (
         (data.beta_left, left, every, "m/s"), (data.beta_right, right, every, "m/s"),
         (data.alpha, alpha, forward, "rad"), (data.alpha, alpha, reverse, "rad"),
     )  # fmt: skip
-    for label, score, (true, found, chosen, unit) in zip(
-        R2_LABELS, fitted.scores, parts, strict=True
+    for label, score, of_all, (true, found, chosen, unit) in zip(
+        R2_LABELS, fitted.scores, fitted.scores_of_all, parts, strict=True
     ):
+        with_all = [_shown(of_all)] if fitted.outliers else []
         if not chosen.any():
-            rows.append([label, unit, "0", "-", "-", "-"])
+            rows.append([label, unit, "0", "-", *with_all, "-", "-"])
             continue
         error = np.sqrt(np.mean((true[chosen] - found[chosen]) ** 2))
-        shown = f"{score:.3f}" if score == score else "-"
-        rows.append([label, unit, f"{chosen.sum()}", shown, f"{error:.4f}",
+        rows.append([label, unit, f"{chosen.sum()}", _shown(score), *with_all, f"{error:.4f}",
                      f"{np.abs(true[chosen]).max():.3f}"])  # fmt: skip
     return rows
+
+
+def _shown(score: float) -> str:
+    return f"{score:.3f}" if score == score else "-"
 
 
 def refused_rows(fitted: Fitted) -> list[list[str]]:
@@ -67,8 +76,8 @@ def page(fitted: Fitted, subject: str, facts: Mapping[str, str], draw: bool = Tr
     ]
     introduction = [
         f"{len(fitted.data.alpha)} samples of {runs} runs are used; {len(fitted.runs.refused)} "
-        f"runs or samples are not, {fitted.outliers} of them outliers. In the runs that are used "
-        f"{fitted.runs.rows_left_out} rows are left out."
+        f"runs or samples are not, {fitted.outliers} of them because they contradict both belts. "
+        f"In the runs that are used {fitted.runs.rows_left_out} rows are left out."
     ]
     kept = [part for part in sections if any(part[2:])]
     return page_text("Slip", subject, introduction, kept, "run or reason")

@@ -21,9 +21,9 @@ from tracked_env.cli.user_data.run_faults import Fault, check_steady, checked, g
 from tracked_env.physics.parameters import PlantParameters
 
 COLUMNS = (
-    Column("sprocket_speed_left", "rad/s", 200.0, "or that of the motor, with --gear",
+    Column("sprocket_speed_left", "rad/s", 2e4, "or that of the motor, with --gear",
            others=("omega_l", "motor_speed_left", "wheel_l")),
-    Column("sprocket_speed_right", "rad/s", 200.0, "the same of the right sprocket",
+    Column("sprocket_speed_right", "rad/s", 2e4, "the same of the right sprocket",
            others=("omega_r", "motor_speed_right", "wheel_r")),
     Column("time", "s", 1e10, "of rows over time; without it every row is a run", False, ("t",)),
     Column("run", "-", 1e9, "number of the run", False),
@@ -43,7 +43,10 @@ MOTIONS = (("x", "y", "yaw"), ("v_x", "v_y", "yaw_rate"))
 STRETCH = 0.5  # [s] whose mean speeds are compared
 HELD = 0.05, 0.1  # [-] of the speed and [rad/s]: within this a sprocket speed holds
 SETTLING = 0.5  # [s] at the start of a stretch that is left out
-LARGEST = 200.0  # [rad/s] of a sprocket
+LARGEST = 10.0  # [-] of the largest of most sprocket speeds
+STRAIGHT = 0.5  # [-] difference over sum of belt speeds, below which tracks slip little
+LEAST_STRAIGHT = 5  # [-] runs
+FASTER = (0.85, 2.0), (0.85, 5.0)  # [-] belts than tracks, in straight runs and in all
 
 
 class Refused(NamedTuple):
@@ -81,15 +84,11 @@ def read_runs(
     vehicle: PlantParameters,
 ) -> Runs:
     """All samples of some files. Raises ValueError for a file of another layout or unit."""
-    columns = [
-        c._replace(largest=c.largest * gear) if c.name.startswith("sprocket") else c
-        for c in COLUMNS
-    ]
     parts: list[tuple[float, float, Floats, str]] = []
     refused: list[Refused] = []
     left_out, said = 0, []
     for path in files:
-        table = read(path, columns, mapping, units, ORDER)
+        table = read(path, COLUMNS, mapping, units, ORDER)
         for side in ("left", "right"):
             table.values[f"sprocket_speed_{side}"] = table.values[f"sprocket_speed_{side}"] / gear
         said.append(f"{path.name}: {table.said}")
@@ -100,8 +99,8 @@ def read_runs(
             left_out += out
         parts += found
         refused += bad
+    _check_units(parts, vehicle, files[0], gear)
     check_speeds([s for p in parts for s in p[:2]], vehicle, files[0])
-    _check_units(parts, vehicle, files[0])
     return Runs(
         np.array([p[0] for p in parts]), np.array([p[1] for p in parts]),
         np.array([p[2] for p in parts]).reshape(-1, 3), np.array([p[3] for p in parts]),
@@ -109,27 +108,37 @@ def read_runs(
     )  # fmt: skip
 
 
-def _check_units(parts: Sequence[Any], vehicle: PlantParameters, path: Path) -> None:
-    """Raise ValueError where the belts of most runs have nothing to do with the motion."""
+def _check_units(parts: Sequence[Any], vehicle: PlantParameters, path: Path, gear: float) -> None:
+    """Raise ValueError where the belts of most runs have nothing to do with the motion.
+
+    Straight ahead tracks slip little, and no slip lets them move faster than their belts.
+    """
     if not parts:
         return
-    belts = np.array([abs(p[0]) + abs(p[1]) for p in parts]) * 0.5 * vehicle.sprocket_radius
-    half = 0.5 * vehicle.track_gauge
-    tracks = np.array([
-        0.5 * (abs(p[2][0] - half * p[2][2]) + abs(p[2][0] + half * p[2][2])) for p in parts
-    ])  # fmt: skip
+    speeds = vehicle.sprocket_radius * np.array([p[:2] for p in parts])
+    motion = np.array([p[2] for p in parts])
+    turning = 0.5 * vehicle.track_gauge * motion[:, 2]
+    tracks = 0.5 * (np.abs(motion[:, 0] - turning) + np.abs(motion[:, 0] + turning))
     moving = tracks > 0.02
-    ratio = float(np.median(belts[moving] / tracks[moving])) if moving.any() else math.inf
-    if not 0.5 <= ratio <= 5.0:
-        units = {"rpm (--units sprocket_speed=rpm)": 9.549, "deg/s (--units sprocket_speed=deg/s)":
-                 57.3, "mm (--units x=mm,y=mm or v_x=mm/s,v_y=mm/s)": 1e-3}  # fmt: skip
-        likely = next((u for u, of in units.items() if 0.6 < ratio / of < 1.8), "")
-        advice = f"Is it {likely}" if likely else "Is it the speed of the motors"
-        raise ValueError(
-            f"{path}: in the median run the belts run {ratio:.3g} times as fast as the tracks "
-            f"move; must be in [0.5, 5]. {advice}, or --gear {ratio:.3g}, or another "
-            "sprocket_radius?"
-        )
+    chosen = moving & (np.abs(speeds @ [-1.0, 1.0]) < STRAIGHT * np.abs(speeds.sum(axis=1)))
+    straight = chosen.sum() >= LEAST_STRAIGHT
+    chosen = chosen if straight else moving
+    belts = 0.5 * np.abs(speeds).sum(axis=1)
+    ratio = float(np.median(belts[chosen] / tracks[chosen])) if chosen.any() else math.inf
+    low, high = FASTER[0 if straight else 1]
+    if low <= ratio <= high:
+        return
+    units = {"rpm (--units sprocket_speed=rpm)": 9.549, "deg/s (--units sprocket_speed=deg/s)":
+             57.3, "mm (--units x=mm,y=mm or v_x=mm/s,v_y=mm/s)": 1e-3}  # fmt: skip
+    advice = [f"in {unit}" for unit, of in units.items() if low < ratio / of < 1.3]
+    if ratio > high:
+        advice.insert(0, f"of motors with a gear of about {gear * ratio:.3g} (--gear "
+                         f"{gear * ratio:.3g}; the data sheet has the exact ratio)")  # fmt: skip
+    raise ValueError(
+        f"{path}: in the median {'straight ' if straight else ''}run the belts run {ratio:.3g} "
+        f"times as fast as the tracks move; must be in [{low:g}, {high:g}]. Are the speeds "
+        f"{', or '.join([*advice, 'of a vehicle with another sprocket_radius'])}?"
+    )
 
 
 def _rows_as_runs(table: Table, path: Path, vehicle: PlantParameters) -> tuple[list[Any], Any]:
@@ -145,6 +154,7 @@ def _rows_as_runs(table: Table, path: Path, vehicle: PlantParameters) -> tuple[l
     rows = np.stack([values[name] for name in names], axis=1)
     found, refused = [], []
     seen: dict[tuple[float, ...], str] = {}
+    largest = LARGEST * float(np.nanpercentile(np.abs(rows[:, :2]), 90.0))
     for number, row in enumerate(rows):
         name = f"{path.stem} row {number + 1}"
         lacking = [n for n, value in zip(names, row, strict=True) if not np.isfinite(value)]
@@ -153,7 +163,7 @@ def _rows_as_runs(table: Table, path: Path, vehicle: PlantParameters) -> tuple[l
                 raise Fault(f"no number for {', '.join(lacking)}")
             if (key := tuple(row[2:])) in seen and any(key):
                 raise Fault(f"the same motion as {seen[key]}, to the last digit")
-            if max(abs(row[0]), abs(row[1])) > LARGEST:
+            if max(abs(row[0]), abs(row[1])) > largest:
                 raise Fault(f"a sprocket speed of {max(abs(row[:2])):.4g} rad/s")
             motion = row[2:]
             if direct:

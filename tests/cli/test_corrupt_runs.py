@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.cli.skid_steering import runs, spoilt
-from tracked_env.cli.user_data.corrupt_runs import corrupt
+from tracked_env.cli.user_data import corrupt_runs
 from tracked_env.cli.user_data.slip_fit import fit
 from tracked_env.cli.user_data.slip_page import score_rows
 from tracked_env.cli.user_data.slip_runs import Runs, read_runs
@@ -34,15 +34,19 @@ def driven(surface, seed):
     return runs(COUNT, seed, **SURFACES[surface])
 
 
-def as_runs(left, right, motion):
-    names = np.array([f"run {k}" for k in range(len(left))])
+def as_runs(left, right, motion, samples=1):
+    names = np.array([f"run {k // samples}" for k in range(len(left))])
     return Runs(left, right, motion, names, [], 0, [])
+
+
+def corrupt(left, right, motion, samples=1):
+    return corrupt_runs.corrupt(as_runs(left, right, motion, samples), FOCCHI)
 
 
 @pytest.mark.parametrize("surface", SURFACES)
 @pytest.mark.parametrize("seed", range(3))
 def test_no_good_run_is_lost_where_none_is_corrupt(surface, seed):
-    assert corrupt(*driven(surface, seed), FOCCHI) == {}
+    assert corrupt(*driven(surface, seed)) == {}
 
 
 @pytest.mark.parametrize("count", [3, 12, 26])
@@ -52,7 +56,7 @@ def test_corrupt_runs_are_found_and_no_good_run_is_lost(surface, kind, count):
     found = total = 0
     for seed in range(3):
         left, right, motion, bad = spoilt(*driven(surface, seed), kind, count, seed)
-        named = corrupt(left, right, motion, FOCCHI)
+        named = corrupt(left, right, motion)
         assert all(bad[k] for k in named), {k: named[k] for k in named if not bad[k]}
         found, total = found + len(named), total + count
     assert found >= (KINDS[kind] - (0.2 if count == 3 else 0.0)) * total
@@ -65,23 +69,31 @@ def test_what_a_turned_hull_hides_is_smaller_than_the_noise():
             *driven("firm", seed), "hull turned by 180 degrees", 12, seed
         )
         missed = bad.copy()
-        missed[[*corrupt(left, right, motion, FOCCHI)]] = False
+        missed[[*corrupt(left, right, motion)]] = False
         assert (np.hypot(motion[missed, 0], motion[missed, 1]) < 4.0 * 0.012).all()
 
 
 def test_mirrored_and_turned_runs_are_judged_alike():
     left, right, motion, _ = spoilt(*driven("firm", 1), "hull turned by 180 degrees", 12, 1)
-    named = [*corrupt(left, right, motion, FOCCHI)]
+    named = [*corrupt(left, right, motion)]
     assert len(named) > 8
-    assert named == [*corrupt(right, left, motion * [1.0, -1.0, -1.0], FOCCHI)]
-    assert named == [*corrupt(-right, -left, motion * [-1.0, -1.0, 1.0], FOCCHI)]
+    assert named == [*corrupt(right, left, motion * [1.0, -1.0, -1.0])]
+    assert named == [*corrupt(-right, -left, motion * [-1.0, -1.0, 1.0])]
+
+
+def test_a_run_is_left_out_as_a_whole_where_its_samples_together_show_the_fault():
+    left, right, motion = (values.copy() for values in driven("firm", 2))
+    for run in range(0, 33, 3):
+        motion[4 * run : 4 * run + 4, :2] *= -1.0
+    named = corrupt(left, right, motion, 4)
+    assert [*named] == [4 * run + k for run in range(0, 33, 3) for k in range(4)]
 
 
 def test_the_reason_names_the_fault_and_both_belts():
     left, right, motion = (values.copy() for values in driven("firm", 0))
     k = int(np.argmax(np.abs(motion[:, 0])))
     motion[k, :2] *= -1.0
-    ((number, reason),) = corrupt(left, right, motion, FOCCHI).items()
+    ((number, reason),) = corrupt(left, right, motion).items()
     assert number == k and "hull frame were turned by 180 degrees" in reason
     assert f"{FOCCHI.sprocket_radius * left[k]:.3g} and" in reason
 
@@ -93,7 +105,7 @@ def test_the_reason_names_the_fault_and_both_belts():
 def test_a_convention_that_most_runs_contradict_is_an_error(signs, said):
     left, right, motion = driven("firm", 0)
     with pytest.raises(ValueError, match=said):
-        corrupt(left, right, motion * signs, FOCCHI)
+        corrupt(left, right, motion * signs)
 
 
 def test_r_squared_is_told_with_and_without_what_is_left_out():
@@ -119,7 +131,7 @@ def test_twelve_turned_runs_of_the_indoor_vehicle_are_found_among_132(reference_
     every = read_runs([path], {}, {}, 34.45, FOCCHI)
     pick = np.random.default_rng(seed).permutation(len(every.run))[:COUNT]
     measured = every.sprocket_left[pick], every.sprocket_right[pick], every.motion[pick]
-    assert corrupt(*measured, FOCCHI) == {}
+    assert corrupt(*measured) == {}
     *turned, bad = spoilt(*measured, "hull turned by 180 degrees", 12, seed)
-    named = [*corrupt(*turned, FOCCHI)]
+    named = [*corrupt(*turned)]
     assert set(named) <= set(np.flatnonzero(bad)) and len(named) >= 11

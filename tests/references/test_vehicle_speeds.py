@@ -84,8 +84,9 @@ def test_the_batch_draws_from_the_same_speeds():
 @pytest.mark.parametrize("vehicle", ["strawa", "focchi"])
 def test_full_action_drives_a_vehicle_at_its_top_speed_and_no_faster(plant, drive, vehicle):
     top = top_speed(VEHICLES[vehicle])
+    reference = {"kind": "straight", "speed": min(top, 5.0)}
     env = TrackedVehicleEnv(
-        {"kind": "straight", "speed": min(top, 5.0)}, "nominal", "ideal", vehicle=vehicle, plant=plant,
+        reference, "nominal", "ideal", vehicle=vehicle, plant=plant,
         drive=drive, expose_truth=True, error_limit=1e3, control_rate=20.0,
     )  # fmt: skip
     env.reset(seed=0, options={"start": {"speed": 0.0, "offset_yaw": 0.0}})

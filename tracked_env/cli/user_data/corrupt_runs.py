@@ -12,9 +12,9 @@ friction knows directions and no speeds, so to first order the surfaces are of d
 Tracks with unlike grip, or a load off the middle, add the terms d to v_x, m to w B/2, d to v_y.
 The coefficients minimise the sum of absolute errors, which a minority of corrupt runs hardly moves;
 the surfaces that are fitted to the slip afterwards have no part in it. With D the robust deviations
-by which a run is beside the surfaces, and D' those with a fault of a kind put right, it is corrupt
-where D > GATE and D > NEARER D'. Of a kind that occurs SEVERAL times a logarithm of the likelihood
-ratio (D^2 - D'^2) / 2 > LIKELIER is enough.
+by which a run is beside the surfaces (D^2 is summed over its samples), and D' those with a fault of
+a kind put right, the logarithm of the likelihood ratio is (D^2 - D'^2) / 2. A run is corrupt where
+it is above CERTAIN and D > NEARER D', or above LIKELIER and that kind occurs SEVERAL times.
 """
 
 from collections.abc import Iterator
@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.cli.user_data.csv_columns import Floats
+from tracked_env.cli.user_data.slip_runs import Runs
 from tracked_env.physics.parameters import PlantParameters
 
-GATE = 6.0  # [-] robust deviations
-LIKELIER = 7.0  # [-] of a kind of which there are several
+CERTAIN = 18.0  # [-] logarithm of a likelihood ratio: 6 deviations that a fault explains wholly
+LIKELIER = 7.0  # [-] the same, of a kind of which there are several
 SEVERAL = 3  # [-] runs
 NEARER = 2.0  # [-]
 UNLIKE = 10.0  # [-] robust deviations of a run that no kind explains
@@ -115,28 +116,29 @@ def _alternatives(
         yield f"as if its {side} encoder were dead", nearest, np.abs(belt) <= STANDS * fastest
 
 
-def corrupt(
-    left: Floats, right: Floats, motion: Floats, vehicle: PlantParameters
-) -> dict[int, str]:
-    """The number of each corrupt run, and why it is one.
+def corrupt(runs: Runs, vehicle: PlantParameters) -> dict[int, str]:
+    """The number of each sample of a corrupt run, and why it is one.
 
-    left, right (N,) sprocket speeds [rad/s]; motion (N, 3) v_x, v_y [m/s], yaw rate [rad/s]. Raises
-    ValueError where most runs contradict their belts.
+    Raises ValueError where most runs contradict their belts.
     """
+    left, right, motion = runs.sprocket_left, runs.sprocket_right, runs.motion
     mean, half = _belts(left, right, vehicle.sprocket_radius)
     measured = np.stack([motion[:, 0], 0.5 * vehicle.track_gauge * motion[:, 2], motion[:, 1]])
     surfaces = _Surfaces(mean, half, measured)
     _check_most(surfaces, mean, half)
     beside = surfaces.beside(mean, half, measured)
+    _, run = np.unique(runs.run, return_inverse=True)
+    square = np.bincount(run, beside**2)
     found: dict[int, str] = {}
     for words, without, possible in _alternatives(
         surfaces, left, right, measured, vehicle.sprocket_radius
     ):
-        explained = possible & (NEARER * without < beside)
-        clear = explained & (beside > GATE)
+        explained = np.bincount(run, without**2)
+        likelier = 0.5 * (square - explained) * (np.bincount(run, ~possible) == 0)
+        clear = (likelier > CERTAIN) & (square > NEARER**2 * explained)
         if clear.sum() >= SEVERAL:
-            clear = possible & (0.5 * (beside**2 - without**2) > LIKELIER)
-        for k in np.flatnonzero(clear).tolist():
+            clear = likelier > LIKELIER
+        for k in np.flatnonzero(clear[run]).tolist():
             found.setdefault(k, f"moves {words}: {_moves(mean, half, measured, k)}")
     error = np.abs(surfaces.predicted(mean, half) - measured).max(axis=0)
     gross = (beside > UNLIKE) & (error > UNLIKE_SHARE * (np.abs(mean) + np.abs(half)))

@@ -86,7 +86,7 @@ def fit(runs: Runs, vehicle: PlantParameters) -> Fitted:
         return data, _held_out(tools, data, part.run, vehicle)
 
     _enough(runs)
-    reasons = corrupt(runs.sprocket_left, runs.sprocket_right, runs.motion, vehicle)
+    reasons = corrupt(runs, vehicle)
     data, predicted = held_out(runs)
     scores_of_all = scores(predicted, data)
     if reasons:

@@ -62,11 +62,12 @@ def _forms(mean: Floats, half: Floats, median: float) -> tuple[Floats, Floats]:
 
 def _least_absolute(rows: Floats, values: Floats) -> Floats:
     """Coefficients c that minimise sum |rows c - values|, by reweighted least squares."""
-    found = np.zeros(rows.shape[1])
+    found: Floats = np.zeros(rows.shape[1])
     weights = np.ones(len(values))
     scale = float(np.abs(values).max()) or 1.0
     for _ in range(ROUNDS):
-        found = np.linalg.lstsq(weights[:, None] * rows, weights * values, rcond=None)[0]
+        solved = np.linalg.lstsq(weights[:, None] * rows, weights * values, rcond=None)[0]
+        found = np.asarray(solved, dtype=np.float64)
         weights = 1.0 / np.sqrt(np.maximum(np.abs(rows @ found - values), TINY * scale))
     return found
 
@@ -111,8 +112,10 @@ def _alternatives(
     for side, belt in (("left", left), ("right", right)):
         nearest = np.full(len(left), np.inf)
         for speed in np.linspace(-fastest, fastest, SPEEDS):
-            pair = (speed + 0.0 * belt, right) if side == "left" else (left, speed + 0.0 * belt)
-            nearest = np.minimum(nearest, surfaces.beside(*_belts(*pair, radius), measured))
+            other = np.full(len(belt), speed)
+            pair = (other, right) if side == "left" else (left, other)
+            mean, half = _belts(pair[0], pair[1], radius)
+            nearest = np.minimum(nearest, surfaces.beside(mean, half, measured))
         yield f"as if its {side} encoder were dead", nearest, np.abs(belt) <= STANDS * fastest
 
 

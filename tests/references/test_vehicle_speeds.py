@@ -6,6 +6,8 @@ import pytest
 
 import tracked_env
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.sets import SETS, BenchmarkSet
 from tracked_env.engine.env_config import make_vehicle
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES, top_speed
@@ -144,3 +146,13 @@ def test_no_episode_asks_a_small_robot_for_more_than_it_can_do(env, more):
         batch = several.simulation.episodes[seed].profile
         np.testing.assert_array_equal(profile.table, batch.table)
         assert belts(profile, make_vehicle(ROBOT)) <= 0.856
+
+
+def test_a_set_of_ones_own_has_the_base_of_its_id(monkeypatch):
+    own = BenchmarkSet(
+        "own", "nominal", "a lighter robot", env=SPEED_ID,
+        arguments={"vehicle": {"mass": 55.0}, "plant": "distributed", "drive": "speed"},
+    )  # fmt: skip
+    monkeypatch.setitem(SETS, "own", own)
+    made = BenchmarkConfig(sets=("own",)).environment("own", 2, truth=False)
+    assert made.simulation.solver.nominal == FOCCHI._replace(mass=55.0)

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import gymnasium
+
 from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
 from tracked_env.benchmark.set_catalogue import BenchmarkSet
 from tracked_env.benchmark.sets import (
@@ -143,7 +145,10 @@ class BenchmarkConfig:
         """Arguments of an environment for a set; truth: whether it exposes it."""
         chosen = self.evaluation_set(name)
         limit = {} if self.error_limit is None else {"error_limit": self.error_limit}
+        registered = gymnasium.registry.get(chosen.env)
+        own = {} if registered is None else registered.kwargs
         return {
+            **{name: value for name, value in own.items() if name == "base_vehicle"},
             **chosen.arguments,
             **limit,
             "reference": chosen.reference,

@@ -1,12 +1,11 @@
-"""Reads columns of numbers by name out of a CSV file, in any common unit, and checks their size.
+"""Columns of numbers by name, out of a CSV file, in any common unit, and checks of their size.
 
-The separator is a comma, semicolon, tab or blanks; lines that begin with # are comments. The first
-line is a header if any of its cells is no number; a name there may carry its unit, `speed [rpm]`.
-Without a header columns are told apart by their position, counted from 1. A cell that is empty or
-no number is NaN, and so is what a truncated line lacks.
+The cells come from `csv_cells`. The first line is a header if any of its cells is no number; a name
+there may carry its unit, `speed [rpm]`, and so may a line of units below it. Without a header
+columns are told apart by their position, counted from 1. A cell that is empty or no number is NaN,
+and so is what a truncated line lacks.
 """
 
-import csv
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -16,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tracked_env.cli.user_data.csv_cells import read_cells
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.validation import unknown
 
@@ -59,6 +59,7 @@ class Table(NamedTuple):
     truncated: int  # lines with fewer cells than the others
     unreadable: int  # cells that are no numbers
     said: str  # how the file was read, one line
+    faults: tuple[str, ...] = ()  # the first lines that could not be read, a sentence each
 
 
 def pairs(text: str, what: str) -> dict[str, str]:
@@ -68,35 +69,13 @@ def pairs(text: str, what: str) -> dict[str, str]:
         name, equals, value = part.partition("=")
         if not (equals and name.strip() and value.strip()):
             raise ValueError(f"{what}: {part!r}; must be NAME=VALUE, separated by commas")
+        if name.strip() in found:
+            raise ValueError(
+                f"{what}: {name.strip()} stands there twice, as {found[name.strip()]!r} and "
+                f"{value.strip()!r}; must be named once"
+            )
         found[name.strip()] = value.strip()
     return found
-
-
-def _lines(path: Path) -> tuple[list[list[str]], str]:
-    """Cells of every line, and the separator."""
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-    if not lines:
-        raise ValueError(f"{path} is empty; must be lines of numbers. Was the export interrupted?")
-    first = lines[min(1, len(lines) - 1)]  # of numbers, where there is a header
-    separator = next((mark for mark in (";", "\t", ",") if mark in first), " ")
-    if separator == " ":
-        return [line.split() for line in lines], "blanks"
-    if separator == ";" and "," in first and "." not in first:
-        lines = [line.replace(",", ".") for line in lines]  # decimal commas
-    shown = {"\t": "tabs", ";": "semicolons", ",": "commas"}[separator]
-    return list(csv.reader(lines, delimiter=separator, skipinitialspace=True)), shown
-
-
-def _number(cell: str) -> float | None:
-    """The number in a cell, NaN of an empty one, None of text."""
-    cell = cell.strip()
-    if not cell:
-        return math.nan
-    try:
-        return float(cell)
-    except ValueError:
-        return None
 
 
 def _named(cell: str) -> tuple[str, str]:
@@ -112,7 +91,7 @@ def _place(
     """Where a column is; None where it is not. Raises ValueError for a wrong mapping."""
     if (wanted := given.get(column.name)) is not None:
         if wanted.lower() in header:
-            return list(header).index(wanted.lower())
+            return _only(wanted.lower(), column, header, path)
         if wanted.isdigit() and 1 <= int(wanted) <= width:
             return int(wanted) - 1
         if wanted.isdigit():
@@ -122,7 +101,19 @@ def _place(
             )
         raise unknown(f"column of {path}", wanted, header or ["(it has no header)"])
     known = [name for name in (column.name, *column.others) if name in header]
-    return list(header).index(known[0]) if known else None
+    return _only(known[0], column, header, path) if known else None
+
+
+def _only(name: str, column: Column, header: Sequence[str], path: Path) -> int:
+    """Where a name of the header is. Raises ValueError for one that stands there twice."""
+    places = [k for k, one in enumerate(header) if one == name]
+    if len(places) > 1:
+        raise ValueError(
+            f"{path} has {len(places)} columns {name}, at the positions "
+            f"{', '.join(str(k + 1) for k in places)}; must be one. Choose it with "
+            f"--columns {column.name}={places[0] + 1}"
+        )
+    return places[0]
 
 
 def _factor(column: Column, given: Mapping[str, str], headed: str) -> float:
@@ -191,14 +182,16 @@ def read(
     for name in units:
         if name not in names and name not in both:
             raise unknown("--units name", name, sorted({*names, *both}))
-    rows, separator = _lines(path)
-    headed = any(_number(cell) is None for cell in rows[0])
-    header = [_named(cell) for cell in rows[0]] if headed else []
-    body = rows[1:] if headed else rows
-    if not body:
+    cells = read_cells(path)
+    header = [_named(cell) for cell in cells.header]
+    if cells.units:
+        header = [(n, unit or _named(f"[{below}]" if below[:1] not in "[(" else below)[1])
+                  for (n, unit), below in zip(header, cells.units, strict=True)]  # fmt: skip
+    whole = cells.numbers
+    if not len(whole):
         raise ValueError(f"{path} has a header and no numbers. Was the export interrupted?")
-    width = len(header) or max(len(row) for row in body)
-    if not headed and not mapping:
+    width = whole.shape[1]
+    if not header and not mapping:
         if width != len(order):
             raise ValueError(
                 f"{path} has no header and {width} columns; without --columns must be "
@@ -213,22 +206,27 @@ def read(
             f"{path} lacks {', '.join(lacking)}; its columns are {', '.join(known) or width}. Map "
             f"them with --columns {lacking[0]}=NAME, a name of its header or a position from 1"
         )
-    whole = np.full((len(body), width), math.nan)
-    unreadable = truncated = 0
-    for number, row in enumerate(body):
-        truncated += len(row) < width
-        for at, cell in enumerate(row[:width]):
-            value = _number(cell)
-            unreadable += value is None
-            whole[number, at] = math.nan if value is None else value
+    users: dict[int, str] = {}
+    for name in mapping:
+        place = places[name]
+        if place is not None and users.setdefault(place, name) != name:
+            raise ValueError(
+                f"--columns: {users[place]} and {name} are both column {mapping[name]} of {path}; "
+                "must be two columns"
+            )
     values = {}
     for column in columns:
         if (place := places[column.name]) is not None:
             factor = _factor(column, units, header[place][1] if header else "")
             values[column.name] = factor * whole[:, place]
             check_size(column, values[column.name], path)
-    said = f"{len(body)} lines, {separator}, {'a' if headed else 'no'} header"
-    return Table(values, truncated, unreadable, said)
+    said = f"{len(whole)} lines, {cells.separator}, {'a' if header else 'no'} header"
+    at = {place: name for name, place in places.items() if place is not None}
+    faults = tuple(
+        f"Line {line}: {at[place]} is {text[:30]!r}, which is no number."
+        for line, place, text in cells.unreadable if place in at
+    )  # fmt: skip
+    return Table(values, cells.truncated, len(cells.unreadable), said, faults)
 
 
 def table_of(columns: Sequence[Column]) -> str:

@@ -168,5 +168,5 @@ def drive(
 def write(columns: Columns, path: Path = Path("log.csv")) -> Path:
     """The columns as a CSV file with a header."""
     np.savetxt(path, np.column_stack([*columns.values()]), delimiter=",", comments="",
-               header=",".join(columns), fmt="%.9g")  # fmt: skip
+               header=",".join(columns), fmt="%.14g")  # fmt: skip
     return path

@@ -5,6 +5,7 @@ factor that a unit or a gear explains, the log is refused and the factor named.
 """
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,14 @@ from tracked_env.physics.parameters import PlantParameters
 STRETCH = 0.5  # [s] over which ways and turns are compared
 TURNING = 0.05  # [rad/s] mean yaw rate from which on turns are compared
 MOVING = 0.1  # [m/s] likewise of the speed
-SLIPPED = (0.4, 3.0)  # [-] belts over ground: braked hard and nearly spinning
+SLIPPED = (0.75, 2.5)  # [-] belts over ground, in the median: braked and nearly spinning
+TWISTED = 1.4  # [-] yaw rate over that of belts without slip: no vehicle turns faster than those
+AGREED = 0.8  # [-] length of the mean direction between heading and course
+OFF_COURSE = 0.35  # [rad] between heading and course on the straight
+LAGS = 5.0, 0.3  # [s] delays of the heading that are tried, and the largest that is accepted
+SAME = 2.5  # [-] factor within which two measurements of one quantity agree
+CLEAR = 0.1  # [m/s^2], [rad/s^2] standard deviation from which on accelerations are compared
+SPINNING = 1.6  # [-] belts over ground that a fifth of the straight driving stays below
 TURNED = (0.6, 1.6)  # [-] heading over gyro
 DEGREES = 180.0 / math.pi
 
@@ -46,7 +54,8 @@ def unwrapped(yaw: Floats, time: Floats, yaw_rate: Floats, path: Path) -> Floats
 def _integral(time: Floats, rate: Floats) -> Floats:
     """Integral of a rate over time, zero first; missing values count as 0."""
     known = np.nan_to_num(rate)
-    return np.concatenate([[0.0], np.cumsum(0.5 * (known[1:] + known[:-1]) * np.diff(time))])
+    steps = np.minimum(np.diff(time), STRETCH)  # nothing is known of a longer gap
+    return np.concatenate([[0.0], np.cumsum(0.5 * (known[1:] + known[:-1]) * steps)])
 
 
 def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: Path) -> None:
@@ -58,6 +67,7 @@ def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: P
     marks = np.arange(time[0], time[-1], STRETCH)
     if len(marks) < 4:
         return
+    _check_sides(values, path)
     rows = np.flatnonzero(np.isfinite(values["x"] + values["y"] + values["yaw"]))
     if len(rows) < 2:
         raise ValueError(f"{path}: x, y and yaw have fewer than two common rows; must have more")
@@ -67,6 +77,7 @@ def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: P
     gyro = np.diff(np.interp(marks, time, _integral(time, values["yaw_rate"]))) / STRETCH
     driven = np.diff(np.interp(marks, time, _integral(time, belts))) / STRETCH
     _check_turns(turn, gyro, path)
+    _check_lag("yaw", "yaw_rate", time[rows], values["yaw"][rows], time, values["yaw_rate"], path)
     twist = (right - left) * vehicle.sprocket_radius / vehicle.track_gauge
     belt_turn = np.diff(np.interp(marks, time, _integral(time, twist))) / STRETCH
     turning = np.abs(gyro) > TURNING
@@ -75,15 +86,197 @@ def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: P
             f"{path}: where the right sprocket is faster, yaw_rate is negative; must be positive. "
             "Are left and right swapped, or are heading and yaw_rate positive to the right?"
         )
+    _check_signs([right, left], [x, y, yaw, gyro], marks, time, vehicle, path)
+    if turning.sum() >= 4:
+        _check_twist(float(np.sum(gyro[turning] ** 2) / np.sum((belt_turn * gyro)[turning])), path)
     straight = np.abs(turn) < 0.3 * way / vehicle.track_gauge
-    moving = (way > MOVING) & straight
+    moving = (way > MOVING) & (np.abs(driven) > MOVING) & straight
     if moving.sum() >= 4:
-        _check_way(float(np.median(np.abs(driven[moving]) / way[moving])), path)
+        heading = np.stack([0.5 * (yaw[1:] + yaw[:-1]), np.arctan2(np.diff(y), np.diff(x))])
+        _check_course(*heading[:, moving], driven[moving], path)
+        gone = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff([x, y])))])
+        _check_lag("x, y", "the sprockets", marks, gone, time, np.abs(belts), path)
+        ratios = np.abs(driven[moving]) / way[moving]
+        _check_way(float(np.median(ratios)), float(np.percentile(ratios, 20.0)), path)
         if "v_x" in values:
             speed = np.diff(np.interp(marks, time, _integral(time, values["v_x"]))) / STRETCH
             _check_speed(float(np.median(np.abs(speed[moving]) / way[moving])), path)
     elif np.median(np.abs(driven)) > 10.0 * max(MOVING, float(np.median(way))):
-        _check_way(float(np.median(np.abs(driven)) / max(np.median(way), 1e-6)), path)
+        ratio = float(np.median(np.abs(driven)) / max(np.median(way), 1e-6))
+        _check_way(ratio, ratio, path)
+
+
+def _check_signs(
+    sprockets: list[Floats], pose: list[Floats], marks: Floats, time: Floats,
+    vehicle: PlantParameters, path: Path,
+) -> None:  # fmt: skip
+    """Raise ValueError where one sprocket turns against its track; right and left."""
+    x, y, yaw, gyro = pose
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    forward = (np.cos(middle) * np.diff(x) + np.sin(middle) * np.diff(y)) / STRETCH
+    wrong = []
+    for side, speed, turn in zip(("right", "left"), sprockets, (0.5, -0.5), strict=True):
+        belt = np.diff(np.interp(marks, time, _integral(time, speed))) / STRETCH
+        track = forward + turn * vehicle.track_gauge * gyro
+        spread = float(np.linalg.norm(belt) * np.linalg.norm(track))
+        if spread > 0.0 and float(belt @ track) < -0.5 * spread:
+            wrong.append(side)
+    if len(wrong) == 1:
+        raise ValueError(
+            f"{path}: sprocket_speed_{wrong[0]} is negative where its track goes forward; must be "
+            "positive on both sides. Is that motor mounted the other way round?"
+        )
+
+
+def _check_twist(ratio: float, path: Path) -> None:
+    """Yaw rate over that which the belts would give without slip."""
+    if ratio <= TWISTED:
+        return
+    cause = "are yaw and yaw_rate in deg (--units yaw=deg,yaw_rate=deg/s), or "
+    raise ValueError(
+        f"{path}: the vehicle turns {ratio:.3g} times as fast as its belts say; must be "
+        f"{TWISTED:g} or less, and slip makes it less than 1. "
+        f"{(cause if 30.0 < ratio < 90.0 else '').capitalize()}"
+        f"{'is' if 30.0 < ratio < 90.0 else 'Is'} the track_gauge of --vehicle too large, its "
+        "sprocket_radius too small, or the sprocket speed in another unit?"
+    )
+
+
+def _check_course(yaw: Floats, course: Floats, driven: Floats, path: Path) -> None:
+    """Heading and course (K,) [rad] of straight driving, by the way of the belts (K,) [m/s]."""
+    ahead = course + np.where(driven < 0.0, math.pi, 0.0)
+    same, mirrored = (complex(np.mean(np.exp(1j * (ahead - k * yaw)))) for k in (1.0, -1.0))
+    off = math.atan2(same.imag, same.real)
+    if abs(same) > AGREED and abs(off) <= OFF_COURSE:
+        return
+    if abs(same) <= AGREED:
+        cause = "Do x, y and yaw belong together, or does the heading come late?"
+        if abs(mirrored) > 0.8:
+            cause = (
+                "They are mirrored: is the heading positive to the right, as that of a compass, or "
+                "are x and y swapped? y must be x turned to the left"
+            )
+        raise ValueError(
+            f"{path}: straight ahead the course of x, y does not go with yaw, not even with a "
+            f"constant angle between them (they agree by {abs(same):.2f}; must be {AGREED} or more). "
+            f"{cause}"
+        )
+    cause = "Is yaw counted from another axis than x?"
+    if abs(off) > math.pi - OFF_COURSE:
+        cause = "Are sprocket speeds negative where the vehicle drives forward, or yaw turned?"
+    raise ValueError(
+        f"{path}: straight ahead the course of x, y is {math.degrees(off):.0f} deg from yaw; must "
+        f"be within {math.degrees(OFF_COURSE):.0f} deg. {cause}"
+    )
+
+
+def _check_lag(
+    name: str, other: str, at: Floats, way: Floats, time: Floats, rate: Floats, path: Path
+) -> None:
+    """Raise ValueError where a way or heading, at the times `at`, comes long before or after its
+    rate."""
+    step = 0.05
+    marks = np.arange(max(at[0], time[0]), min(at[-1], time[-1]), step)
+    shifts = round(LAGS[0] / step)
+    if len(marks) < 4 * shifts:
+        return
+    wide = round(STRETCH / step)
+    covered = np.interp(marks, at, way)
+    expected = np.interp(marks, time, _integral(time, rate))
+    a, b = (of[wide:] - of[:-wide] for of in (covered, expected))
+    if float(np.std(b)) < TURNING * STRETCH:
+        return
+    inner = b[shifts:-shifts]
+
+    def mismatch(shift: int) -> float:
+        return float(np.mean((a[shifts + shift : len(a) - shifts + shift] - inner) ** 2))
+
+    rest = [mismatch(k) for k in range(-shifts, shifts + 1)]
+    best = int(np.argmin(rest)) - shifts
+    if abs(best) * step > LAGS[1] and min(rest) < 0.5 * rest[shifts]:
+        late = best * step
+        raise ValueError(
+            f"{path}: {name} comes {abs(late):.2g} s {'after' if late > 0 else 'before'} {other}; "
+            f"must be within {LAGS[1]:g} s. Does the pose have a delay? Shift x, y, yaw (and v_x, "
+            f"v_y of the same device) by {-late:.2g} s in the file"
+        )
+
+
+def check_accelerations(values: dict[str, Floats], period: float, path: Path) -> None:
+    """Raise ValueError where accelerations contradict the speeds of belts, hull and gyro.
+
+    values: of a grid of steps of `period` [s]; those that are not measured are left out.
+    """
+    samples = max(round(STRETCH / period), 1)
+    count = len(values["belts"]) // samples
+
+    def means(column: Floats) -> Floats:
+        return np.asarray(np.nanmean(column[: count * samples].reshape(count, samples), axis=1))
+
+    speed = values.get("v_x", values["belts"])
+    if count < 10 or np.isfinite(speed).mean() < 0.5:
+        speed = values["belts"]
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # stretches without a number
+        rate, forward = means(values["yaw_rate"]), means(speed)
+
+        def change(of: Floats) -> Floats:  # of means: the slope over both neighbours
+            return np.asarray((of[2:] - of[:-2]) / (2.0 * samples * period))
+
+        slow = np.array([0.25, 0.5, 0.25])  # what such a slope averages
+        expected = {
+            "acceleration_x": change(forward), "acceleration_y": (rate * forward)[1:-1],
+            "yaw_acceleration": change(rate),
+        }  # fmt: skip
+        for name, other in expected.items():
+            if name not in values or count < 10:
+                continue
+            felt = means(values[name])
+            felt = felt[1:-1] if name == "acceleration_y" else np.convolve(felt, slow, "valid")
+            use = np.isfinite(felt + other)
+            if use.sum() >= 10:
+                _check_same(name, felt[use], other[use], path)
+
+
+def _check_same(name: str, felt: Floats, other: Floats, path: Path) -> None:
+    """One acceleration against what speeds say of it, (K,) each."""
+    unit = "rad/s^2" if name == "yaw_acceleration" else "m/s^2"
+    mean = float(np.median(felt))
+    if abs(mean) > 5.0 and unit == "m/s^2":
+        raise ValueError(
+            f"{path}: {name} is {mean:.3g} m/s^2 in the median; must be near 0. Is it the vertical "
+            "axis, which feels gravity?"
+        )
+    if float(np.std(other)) < CLEAR:
+        return
+    felt, other = felt - felt.mean(), other - other.mean()
+    ratio = float(felt @ other / (other @ other))
+    # Gravity on slopes comes on top: then the ratio is as uncertain as that makes it.
+    doubt = 4.0 * float(np.std(felt - ratio * other) / np.std(other)) / math.sqrt(0.5 * len(felt))
+    if 1.0 / SAME - doubt <= ratio <= SAME + doubt:
+        return
+    axis = {"acceleration_x": "forward", "acceleration_y": "to the left"}.get(name, "to the left")
+    cause = f"Must be positive {axis}" if ratio < 0.0 else "Is it another column?"
+    units = [u for u, of in UNITS[unit].items() if of != 1.0 and 0.5 < ratio * of < 2.0]
+    if units:
+        cause = f"Is it in {units[0]}? Then --units {name}={units[0]}"
+    raise ValueError(
+        f"{path}: {name} is {ratio:.3g} times that of the speeds; must be in [{1.0 / SAME:g}, "
+        f"{SAME:g}]. {cause}"
+    )
+
+
+def _check_sides(values: dict[str, Floats], path: Path) -> None:
+    """Raise ValueError where one column stands for both sides of a vehicle that turns."""
+    if float(np.nanstd(values["yaw_rate"])) < TURNING:
+        return
+    for name in ("sprocket_speed", "torque"):
+        left, right = values[f"{name}_left"], values[f"{name}_right"]
+        if np.array_equal(left, right, equal_nan=True):
+            raise ValueError(
+                f"{path}: {name}_left and {name}_right are the same in every row, while the "
+                "vehicle turns. Is one column mapped twice?"
+            )
 
 
 def _check_turns(turn: Floats, gyro: Floats, path: Path) -> None:
@@ -107,9 +300,9 @@ def _check_turns(turn: Floats, gyro: Floats, path: Path) -> None:
     )
 
 
-def _check_way(ratio: float, path: Path) -> None:
-    """Belts over ground on the straight."""
-    if SLIPPED[0] <= ratio <= SLIPPED[1]:
+def _check_way(ratio: float, least: float, path: Path) -> None:
+    """Belts over ground on the straight: the median, and what a fifth of it stays below."""
+    if SLIPPED[0] <= ratio <= SLIPPED[1] and least <= SPINNING:
         return
     causes = {f"sprocket_speed={unit}": 1.0 / of for unit, of in UNITS["rad/s"].items() if of != 1}
     causes |= {f"x={unit},y={unit}": of for unit, of in UNITS["m"].items() if of != 1}
@@ -117,7 +310,7 @@ def _check_way(ratio: float, path: Path) -> None:
     advice = f"Does --units {likely[0]} explain it" if likely else "Is it the motor's speed"
     raise ValueError(
         f"{path}: on the straight the belts run {ratio:.3g} times as far as the vehicle; must be "
-        f"in [{SLIPPED[0]}, {SLIPPED[1]}]. {advice}, or --gear {ratio:.3g}, or another "
+        f"in [{SLIPPED[0]}, {SLIPPED[1]}], and at times below {SPINNING}. {advice}, or --gear {ratio:.3g}, or another "
         "sprocket_radius of --vehicle?"
     )
 

@@ -12,21 +12,35 @@ EVEN = 0.1  # [-] of a step: farther off the grid in more than one row of a hund
 STEPS = (1e-3, 0.2)  # [s] of a log
 LEAST = 5.0  # [s] a log lasts at least
 LOST = 0.1  # [-] share of rows with a wrong time that is too much
+JUMP = 60.0  # [s] between two rows: a longer one is no gap of a log, but another clock
 
 
 def in_order(values: dict[str, Floats], path: Path) -> tuple[dict[str, Floats], int]:
     """Rows whose time rises, and how many were left out."""
     time = values["time"]
-    latest = np.maximum.accumulate(np.where(np.isfinite(time), time, -math.inf))
-    before = np.concatenate([[-math.inf], latest[:-1]])
-    rising = np.isfinite(time) & (time > before)
+    known = np.isfinite(time)
+    latest = np.maximum.accumulate(np.where(known, time, -math.inf))
+    late = time > np.concatenate([[-math.inf], latest[:-1]])
+    # One row ahead of all others would leave out the others: then it is that row.
+    earliest = np.minimum.accumulate(np.where(known, time, math.inf)[::-1])[::-1]
+    early = time < np.concatenate([earliest[1:], [math.inf]])
+    rising = known & (late if late.sum() >= early.sum() else early)
     dropped = int(len(time) - rising.sum())
     if dropped > LOST * len(time):
         raise ValueError(
             f"{path}: in {dropped} of {len(time)} rows the time does not rise; must be less than "
             f"{LOST:.0%}. Are several logs in one file, or is `time` another column?"
         )
-    return {name: column[rising] for name, column in values.items()}, dropped
+    rows = np.flatnonzero(rising)
+    gaps = np.diff(time[rows])
+    if len(gaps) and (longest := float(gaps.max())) > JUMP:
+        at = int(np.argmax(gaps))
+        raise ValueError(
+            f"{path}: the clock jumps by {longest:.4g} s between the rows {rows[at] + 1} and "
+            f"{rows[at + 1] + 1}; must be {JUMP:g} s or less. Was the clock set while logging? "
+            "Then cut the log there"
+        )
+    return {name: column[rows] for name, column in values.items()}, dropped
 
 
 def middle_step(time: Floats, path: Path) -> float:

@@ -24,7 +24,7 @@ MEAN = 0.2  # [s] over which all is averaged
 MOVING = 0.15  # [m/s] of a track: slower ones may be held by the soil
 SIGN = 0.1  # [m/s] and [rad/s] smoothing of the signs
 LEAST = 20  # means, below which nothing is said
-EXPLAINED = 0.4  # [-] share of the square of a force that the motion explains at least
+EXPLAINED = 0.6  # [-] share of the square of a force that the motion explains at least
 PRESENT = 0.03  # [-] share of the forces from which on an equation is looked at
 BETTER = 0.5  # [-] another way is believed that leaves this share of the residuals, or less
 LEFT = 0.02  # [-] of the square that noise leaves unexplained
@@ -190,7 +190,8 @@ def _check_signs(fits: dict[tuple[bool, int, int], list[Fit | None]], path: Path
     advice += "turn the sign in the file" if wrong else ""
     raise ValueError(
         f"{path}: the torques contradict accelerations and turns: {' and '.join(said)}. Then "
-        f"{1.0 - left(best):.0%} of their square is explained, as they are {1.0 - left(own):.0%}; "
+        f"{max(1.0 - left(best), 0.0):.0%} of their square is explained, as they are "
+        f"{max(1.0 - left(own), 0.0):.0%}; "
         f"a torque that drives forward must be positive on both sides. Please {advice}"
     )
 

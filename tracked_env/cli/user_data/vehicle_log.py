@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.cli.user_data.csv_columns import Column, Floats, check_speeds, read
-from tracked_env.cli.user_data.log_checks import check_agreement, unwrapped
+from tracked_env.cli.user_data.log_checks import check_accelerations, check_agreement, unwrapped
 from tracked_env.cli.user_data.log_grid import in_order, middle_step, on_grid
+from tracked_env.cli.user_data.torque_checks import check_torques
 from tracked_env.physics.channels import CHANNELS, GROUP_START, GROUPS
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import UNMEASURED, Sensors
@@ -52,6 +53,7 @@ COLUMNS = (
 DRIVE_PAIRS = ("sprocket_speed", "torque", "current")
 WINDOW = 0.1  # [s] of the straight lines whose slopes are accelerations
 TORQUES = ("torque_left", "torque_right")
+FAULTS = 5  # lines of the file that are named
 
 
 class Drivetrain(NamedTuple):
@@ -75,6 +77,7 @@ class Log(NamedTuple):
     attitude: bool  # whether roll and pitch are there
     averaged: bool  # whether torques were averaged
     notes: list[str]  # what was done, one sentence each
+    faults: list[str]  # what is wrong in the file, and doubts, one sentence each
 
 
 def slopes(values: Floats, period: float, samples: int) -> Floats:
@@ -114,14 +117,19 @@ def read_log(
     values, dropped = in_order(values, path)
     faults = [(table.truncated, "truncated lines"), (table.unreadable, "cells that are no numbers"),
               (dropped, "rows whose time does not rise, which were left out")]  # fmt: skip
-    notes += [f"{count} {what}." for count, what in faults if count]
+    said = [f"{count} {what}." for count, what in faults if count]
+    said += table.faults[:FAULTS]
     middle_step(values["time"], path)
     speeds = [values[f"sprocket_speed_{side}"] for side in ("left", "right")]
     check_speeds(np.concatenate(speeds), vehicle, path)
     values["yaw"] = unwrapped(values["yaw"], values["time"], values["yaw_rate"], path)
     check_agreement(values, vehicle, path)
     period, grid, seen = on_grid(values, path, notes)
-    return _complete(period, grid, seen, sensors, notes)
+    check_accelerations(grid, period, path)
+    log = _complete(period, grid, seen, sensors, notes)
+    # Torques and accelerations of the same moments, before the first of either is repeated.
+    said += check_torques(log.values, period, vehicle, path)
+    return log._replace(notes=[*notes, *said], faults=said)
 
 
 def _at_the_sprocket(
@@ -264,4 +272,4 @@ def _latest(
     )
     notes.append(f"Steps with a new sample: {shares[:-1]}.")
     time = np.arange(len(age), dtype=np.float64) * period
-    return Log(period, time, held, new, age, sensors, attitude, averaged, notes)
+    return Log(period, time, held, new, age, sensors, attitude, averaged, notes, [])

@@ -62,7 +62,9 @@ def references(seed: int, vehicle: Vehicle, kind: str = "mixed") -> Any:
 
     def wanted(time: float) -> tuple[float, float]:
         waves = np.sin(rates * time + phases).mean(axis=1)
-        forward = {"reverse": -0.7, "pivot": 0.0}.get(kind, 0.7) + 0.6 * waves[0] * (kind != "pivot")
+        forward = {"reverse": -0.7, "pivot": 0.0}.get(kind, 0.7) + 0.6 * waves[0] * (
+            kind != "pivot"
+        )
         return vehicle.speed * forward, turn * vehicle.speed / 2.0 * 2.0 * waves[1]
 
     return wanted

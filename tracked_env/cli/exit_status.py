@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import wraps
+from pathlib import Path
 from typing import Any, NoReturn
 
 Main = Callable[[Sequence[str], str], int]
@@ -57,6 +58,17 @@ def _number(text: str) -> float:
         raise argparse.ArgumentTypeError(
             f"{text}; must be a number, with a point for decimals and without a unit"
         ) from error
+
+
+def output_folder(text: str) -> Path:
+    """A folder of --output that exists or can be made, and written; argparse refuses others."""
+    path = Path(text)
+    place = next(place for place in (path, *path.absolute().parents) if place.exists())
+    if not place.is_dir():
+        raise argparse.ArgumentTypeError(f"{text}: {place} is a file; must be a folder")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise argparse.ArgumentTypeError(f"{text}: no right to write in {place}; must be writable")
+    return path
 
 
 # Likely causes, by the number of the system's error.

@@ -14,7 +14,7 @@ import numpy as np
 from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.text_tables import aligned, folded
-from tracked_env.cli.exit_status import Parser, reported
+from tracked_env.cli.exit_status import Parser, output_folder, reported
 from tracked_env.cli.user_data.csv_columns import UNITS, pairs, table_of
 from tracked_env.cli.user_data.vehicle_log import COLUMNS, Drivetrain, read_log
 from tracked_env.cli.waiting import explained
@@ -66,6 +66,11 @@ def json_or_name(text: str, what: str) -> Any:
 def vehicle_of(text: str) -> PlantParameters:
     """The vehicle of --vehicle; a set of parameters that `identify` wrote is one too."""
     spec = json_or_name(text, "--vehicle")
+    if isinstance(spec, dict) and "contradictions" in spec:
+        raise ValueError(
+            f"--vehicle: {text} is of a log that contradicts its model, and has no vehicle; must "
+            "have one. Its entry `contradictions` says why"
+        )
     if isinstance(spec, dict) and "make" in spec:
         spec = spec["make"].get("vehicle", {})
     return make_vehicle(spec)
@@ -90,7 +95,7 @@ def _parser(program: str) -> argparse.ArgumentParser:
                         "(default: rtk)")  # fmt: skip
     parser.add_argument("--lateral", choices=("sliding", "constrained"), default="sliding",
                         help="lateral model (default: sliding)")  # fmt: skip
-    parser.add_argument("--output", type=Path, default=Path("identified"), metavar="FOLDER",
+    parser.add_argument("--output", type=output_folder, default=Path("identified"), metavar="FOLDER",
                         help="of the files (default: identified)")  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="tables alone on the page")
     return parser
@@ -98,7 +103,7 @@ def _parser(program: str) -> argparse.ArgumentParser:
 
 @reported
 def main(arguments: Sequence[str], program: str) -> int:
-    """Identify, print, write; returns the exit status."""
+    """Identify, print, write; returns the exit status, 1 for a log that contradicts the model."""
     given = _parser(program).parse_args(arguments)
     drivetrain = Drivetrain(
         checked_number("--gear", given.gear, GEAR),
@@ -121,11 +126,18 @@ def main(arguments: Sequence[str], program: str) -> int:
     made = parameter_set(identified)
     rows = [[*row[:5], row[6]] for row in log_page.result_rows(identified)]
     print(aligned(rows, 2, WIDTH))
-    for text in made["not_told"]:
+    for text in (*log.faults, *made["not_told"]):
         print(f"\n{folded(text, WIDTH)}")
     command = shlex.join([*program.split(), *arguments])
     page = log_page.page(identified, given.log.name, _facts(command, sensors), not given.no_figures)
     _write(given.output, identified, made, page)
+    if "make" not in made:
+        print(
+            f"{program}: {given.log}: the log contradicts the model; parameters.json has no "
+            "vehicle for gymnasium.make",
+            file=sys.stderr,
+        )
+        return 1
     return 0
 
 

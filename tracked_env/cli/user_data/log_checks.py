@@ -67,7 +67,7 @@ def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: P
     marks = np.arange(time[0], time[-1], STRETCH)
     if len(marks) < 4:
         return
-    _check_sides(values, path)
+    _check_sides(values, (right - left) * vehicle.sprocket_radius / vehicle.track_gauge, path)
     rows = np.flatnonzero(np.isfinite(values["x"] + values["y"] + values["yaw"]))
     if len(rows) < 2:
         raise ValueError(f"{path}: x, y and yaw have fewer than two common rows; must have more")
@@ -76,8 +76,8 @@ def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: P
     turn = np.diff(yaw) / STRETCH
     gyro = np.diff(np.interp(marks, time, _integral(time, values["yaw_rate"]))) / STRETCH
     driven = np.diff(np.interp(marks, time, _integral(time, belts))) / STRETCH
-    _check_turns(turn, gyro, path)
     _check_lag("yaw", "yaw_rate", time[rows], values["yaw"][rows], time, values["yaw_rate"], path)
+    _check_turns(turn, gyro, path)
     twist = (right - left) * vehicle.sprocket_radius / vehicle.track_gauge
     belt_turn = np.diff(np.interp(marks, time, _integral(time, twist))) / STRETCH
     turning = np.abs(gyro) > TURNING
@@ -266,16 +266,24 @@ def _check_same(name: str, felt: Floats, other: Floats, path: Path) -> None:
     )
 
 
-def _check_sides(values: dict[str, Floats], path: Path) -> None:
-    """Raise ValueError where one column stands for both sides of a vehicle that turns."""
-    if float(np.nanstd(values["yaw_rate"])) < TURNING:
+def _check_sides(values: dict[str, Floats], twist: Floats, path: Path) -> None:
+    """Raise ValueError where a column does not change while the vehicle turns, or stands for both
+    sides; twist (T,) [rad/s] of the belts."""
+    if max(float(np.nanstd(values["yaw_rate"])), float(np.nanstd(twist))) < TURNING:
         return
+    for name in ("x", "y", "yaw", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right"):
+        column = values[name][np.isfinite(values[name])]
+        if len(column) and float(np.ptp(column)) == 0.0:
+            raise ValueError(
+                f"{path}: {name} is {column[0]:.6g} in every row, while the vehicle turns; must "
+                "change. Did the sensor stop, or is it another column?"
+            )
     for name in ("sprocket_speed", "torque"):
         left, right = values[f"{name}_left"], values[f"{name}_right"]
         if np.array_equal(left, right, equal_nan=True):
             raise ValueError(
                 f"{path}: {name}_left and {name}_right are the same in every row, while the "
-                "vehicle turns. Is one column mapped twice?"
+                "vehicle turns; must differ. Is one column mapped twice?"
             )
 
 

@@ -27,10 +27,11 @@ from scipy.stats import norm
 from tracked_env import observation as layout
 from tracked_env.benchmark.registered_policies import command_function
 from tracked_env.cli.user_data.csv_columns import Floats
+from tracked_env.cli.user_data.friction_smoothing import turning_of
 from tracked_env.cli.user_data.vehicle_log import Log
 from tracked_env.observation_fields import GROUPS as FIELDS
 from tracked_env.physics.channels import CHANNELS, GROUPS
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import RANGES, PlantParameters
 
 SCALE = {field.name: field.scale for group in FIELDS.values() for field in group.fields}
 CONSTANT = ("mass", "longitudinal_resistance", "inertia", "lateral_resistance")
@@ -44,6 +45,11 @@ CONTRADICTED = 4.0  # [-] deviations between the two passes, and the share of ti
 CONTRADICTED_SHARE = 0.02
 WINDOW = 50  # [steps] of the soil estimator
 BEST = 20  # windows of the soil estimator that count, the most informative ones
+CONTRADICTING = 3.0  # [-] middle size of residuals over their standard deviation, which are not
+WHITE = 0.3  # [-] white beyond this autocorrelation: then the model is not that of the log
+NEAR = 1e-3  # [-] of a bound: at it
+EQUATION = {"mass": "longitudinal", "longitudinal_resistance": "longitudinal",
+            "inertia": "turning", "lateral_resistance": "turning"}  # fmt: skip
 SETTLING = 5.0  # [s] at first in which the passes are not compared
 
 
@@ -56,10 +62,13 @@ class Found(NamedTuple):
     high: float
     prior_deviation: float
     changed: bool  # it changes within the log; then the value is that at its end
+    against: str = ""  # why the value is none, whatever its deviation: "at its bound", ..
 
     @property
     def verdict(self) -> str:
         """How much the log says of it."""
+        if self.against:
+            return self.against
         if self.deviation <= DETERMINED * abs(self.value):
             return "determined"
         return "weakly" if self.deviation <= LEARNED * self.prior_deviation else "not determined"
@@ -79,6 +88,40 @@ class Identified(NamedTuple):
     found: dict[str, Found]
     resistance_force: tuple[float, float]  # [N] m g mu_l and its deviation
     stiffness: tuple[float, float]  # [N/m] F_max / K of a track and its deviation
+    misfits: dict[str, Misfit]  # of each regression
+
+
+class Misfit(NamedTuple):
+    """How far the residuals of an equation are from those of a log of its model."""
+
+    size: float  # [-] their middle size over their standard deviation, 1 where the model is right
+    following: float  # [-] autocorrelation at lag 1
+
+    @property
+    def contradicts(self) -> bool:
+        """More than noise that was stated too small."""
+        return self.size > CONTRADICTING and self.following > WHITE
+
+
+def misfit(residuals: Floats) -> Misfit:
+    """Of residuals (K,); outliers, and what a change leaves until it is learned, count little."""
+    if len(residuals) < 20:
+        return Misfit(1.0, 0.0)
+    size = float(np.median(np.abs(residuals))) / float(norm.isf(0.25))
+    centred = np.clip(residuals, -4.0 * size, 4.0 * size)
+    power = float(centred @ centred) or 1.0
+    return Misfit(size, float(centred[1:] @ centred[:-1]) / power)
+
+
+def _bounds(stack: Any, mass: float) -> dict[str, tuple[float, float]]:
+    """(low, high) between which the regressions seek each constant."""
+    straight, turning = stack.longitudinal.prior, stack.turning.prior
+    return {
+        "mass": (1.0 / straight.high_1, 1.0 / straight.low_1),
+        "longitudinal_resistance": (straight.low_2, straight.high_2),
+        "inertia": (turning.low_1, turning.high_1),
+        "lateral_resistance": (turning.low_2 / mass, RANGES["lateral_resistance"].high),
+    }
 
 
 def observations(log: Log, needs: Sequence[str]) -> NDArray[np.float32]:
@@ -274,23 +317,35 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
     stack = make_stack(log, nominal, lateral)
     prior = _prior_deviations(stack)
     rows = observations(log, stack.needs)
+    turning = turning_of(log, nominal) if lateral == "sliding" else None
+    if turning is not None:  # as if friction were smoothed as the estimators have it
+        share = turning.excess * nominal.sprocket_radius / nominal.track_gauge
+        for name, sign in (("torque_left", 1.0), ("torque_right", -1.0)):
+            rows[:, layout.INDEX[name]] += sign * share / SCALE[name]
     parts, motion, residuals = _over_time(rows, stack)
-    if log.averaged:  # forces of a moment, for what compares them with slips
+    if log.averaged or turning is not None:  # forces of a moment, for what compares with slips
+        as_measured = observations(log, stack.needs)
         for name in ("torque_left", "torque_right"):
-            column = log.values[f"raw_{name}"] / SCALE[name]
-            rows[:, layout.INDEX[name]] = column
-        plain, motion, _ = _over_time(rows, make_stack(log, nominal, lateral))
+            as_measured[:, layout.INDEX[name]] = log.values[f"raw_{name}"] / SCALE[name]
+        plain, motion, _ = _over_time(as_measured, make_stack(log, nominal, lateral))
         parts |= {name: plain[name] for name in ("slip", "soil")}
-        rows = observations(log, stack.needs)
     series = {
         quantity.name: quantity.read(parts[name])
         for name in PARTS for quantity in stack.quantities[name]
     }  # fmt: skip
     constant, shifts = _constant(rows, log, nominal, lateral)
+    if turning is not None:
+        for name, spread in (("inertia", turning.inertia_spread),
+                             ("lateral_resistance", turning.resistance_spread)):  # fmt: skip
+            shifts[name] = np.append(shifts[name], spread * constant[name][0])
     settled = log.time > min(SETTLING, 0.5 * log.time[-1])
     found = {}
+    misfits = {name: misfit(of) for name, of in residuals.items()}
+    bounds = _bounds(stack, constant["mass"][0])
     for name in CONSTANT:
         value, noise = constant[name]
+        fit, (low, high) = misfits[EQUATION[name]], bounds[name]
+        noise *= max(fit.size, 1.0)  # a data sheet that is too good
         if name == "inertia":
             noise = shared_friction(stack, value, noise)
         now, claimed = series[name]
@@ -302,7 +357,13 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
         else:
             deviation = math.sqrt(noise**2 + float(np.sum(shifts[name] ** 2)))
             half = half_width(noise, list(shifts[name]))
-        found[name] = Found(value, deviation, value - half, value + half, prior[name], changed)
+        margin = NEAR * (high - low)
+        against = "contradicted" if fit.contradicts else ""
+        if not against and not low + margin < value < high - margin:
+            against = "at its bound"
+        found[name] = Found(
+            value, deviation, value - half, value + half, prior[name], changed, against
+        )
     soil, stiffness = _soil(parts["soil"])
     regression = parts["longitudinal"]
     return Identified(
@@ -311,7 +372,7 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
         {name: parts[name].status for name in PARTS},
         {name: parts[name].nis for name in PARTS},
         motion, residuals, found | soil, _force(regression.value[-1], regression.covariance[-1]),
-        stiffness,
+        stiffness, misfits,
     )  # fmt: skip
 
 

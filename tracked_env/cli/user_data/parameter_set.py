@@ -3,6 +3,8 @@
     {"make": {"vehicle": {...}}}     arguments of an environment: gymnasium.make(id, **set["make"])
     {"ranges": {name: [low, high]}}  95 % intervals of what is determined, for `uncertainty=`
     {"parameters": {name: {...}}}    value, deviation, interval, verdict of everything
+    {"contradictions": [...]}        why the log is not one of this vehicle and model; then there is
+                                     no "make" and no range
 What a log does not determine stays at its nominal value. The strength of a soil is one number in
 the log, F_max = c A + (m g / 2) tan phi; the friction angle is kept as far as the cohesion stays
 positive.
@@ -15,6 +17,7 @@ import numpy as np
 
 from tracked_env.cli.user_data.log_identification import (
     CONSTANT,
+    LEARNED,
     SOIL,
     Identified,
 )
@@ -52,12 +55,34 @@ def soil_of(identified: Identified, mass: float) -> dict[str, float]:
 
 def determined(identified: Identified) -> tuple[str, ...]:
     """Names of what the log determines, weakly or well."""
-    return tuple(n for n, of in identified.found.items() if of.verdict != "not determined")
+    return tuple(n for n, of in identified.found.items() if of.verdict in ("determined", "weakly"))
+
+
+def contradictions(identified: Identified) -> list[str]:
+    """What speaks against a log of this vehicle and model, a sentence each."""
+    said = [
+        f"The {name} equation does not hold in this log: its residuals are {fit.size:.3g} times as "
+        "large as the data sheet allows, and follow each other "
+        f"(autocorrelation {fit.following:.2f}). Check signs, sides and units of torques and "
+        "accelerations, their delays, and the geometry of --vehicle."
+        for name, fit in identified.misfits.items() if fit.contradicts
+    ]  # fmt: skip
+    for name in ("mass", "inertia"):
+        of = identified.found[name]
+        if of.against == "at its bound" and of.deviation <= LEARNED * of.prior_deviation:
+            said.append(
+                f"The {NAMES[name][0]} ends at the bound of its search, {of.value:.4g} "
+                f"{NAMES[name][1]}, and is no result. Is the nominal one of --vehicle, "
+                f"{getattr(identified.nominal, name):g}, far off, or are the torques on another "
+                "scale?"
+            )
+    return said
 
 
 def parameter_set(identified: Identified) -> dict[str, Any]:
-    """The set as JSON has it."""
+    """The set as JSON has it; without "make" and ranges where the log contradicts the model."""
     known, found = determined(identified), identified.found
+    against = contradictions(identified)
     vehicle = {name: float(value) for name, value in identified.nominal._asdict().items()}
     ranges = {}
     for name in known:
@@ -67,9 +92,11 @@ def parameter_set(identified: Identified) -> dict[str, Any]:
             ranges[name] = [min(max(x, low), high) for x in (found[name].low, found[name].high)]
     if "effort_maximum" in known:
         vehicle |= soil_of(identified, vehicle["mass"])
+    usable = {"contradictions": against} if against else {
+        "make": {"vehicle": vehicle}, "ranges": ranges
+    }  # fmt: skip
     return {
-        "make": {"vehicle": vehicle},
-        "ranges": ranges,
+        **usable,
         "parameters": {
             name: {
                 "unit": NAMES[name][1], "value": of.value, "deviation": of.deviation,
@@ -90,8 +117,10 @@ def autocorrelation(residuals: Any, lags: int = WHITE_LAGS) -> Any:
 
 def untold(identified: Identified) -> list[str]:
     """What the log cannot tell, and what speaks against the model, a sentence each."""
-    found, said = identified.found, []
-    lost = {name for name in found if found[name].verdict == "not determined"}
+    found, said = identified.found, contradictions(identified)
+    lost = set(found) - set(determined(identified))
+    if said:
+        lost = set()
     if {"mass", "longitudinal_resistance"} & lost:
         force, deviation = identified.resistance_force
         text = "Mass and motion resistance are not told apart: the log has too little speeding up, \
@@ -138,10 +167,12 @@ def _against(identified: Identified) -> list[str]:
     said = []
     changed = any(of.changed for of in identified.found.values())
     for name, found in identified.residuals.items():
-        if len(found) < 4 * WHITE_LAGS or changed:  # a change leaves residuals until it is learned
+        if len(found) < 4 * WHITE_LAGS or identified.misfits[name].contradicts:
             continue
         residuals = np.clip(found, -OUTLYING, OUTLYING)
+        # A change leaves residuals until it is learned; the middle size has few of them.
         size = float(np.sqrt(np.mean(residuals**2)))
+        size = identified.misfits[name].size if changed else size
         if not EXPLAINED[0] <= size <= EXPLAINED[1]:
             cause = "more noise than" if size > 1.0 else "less noise than"
             said.append(
@@ -150,7 +181,7 @@ def _against(identified: Identified) -> list[str]:
                 + (", or the model lacks something." if size > 1.0 else ".")
             )
         first = float(np.abs(autocorrelation(residuals)[:5]).max())
-        if first > CORRELATED:
+        if first > CORRELATED and not changed:
             said.append(
                 f"Residuals of the {name} equation are not white (autocorrelation {first:.2f}): "
                 "the intervals are too narrow."

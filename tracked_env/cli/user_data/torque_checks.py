@@ -93,8 +93,6 @@ def check_torques(
 
     values: of a grid of steps of `period` [s], with accelerations.
     """
-    for side in ("left", "right"):
-        _check_frozen(values[f"torque_{side}"], side, period, path)
     mean = _motion(values, period, vehicle)
     if len(mean["left"]) < LEAST:
         return []
@@ -126,8 +124,11 @@ def check_torques(
     return _check_sizes(own, vehicle, path)
 
 
-def _check_frozen(torque: Floats, side: str, period: float, path: Path) -> None:
-    """A sensor that repeats its last value, while it is no limit of the drive."""
+def check_frozen(torque: Floats, side: str, period: float, path: Path) -> None:
+    """Raise ValueError where a sensor repeats a value that is no limit of the drive.
+
+    torque: rows of the file, `period` [s] apart.
+    """
     known = torque[np.isfinite(torque)]
     if len(known) < 2:
         return

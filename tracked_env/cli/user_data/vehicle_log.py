@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tracked_env.cli.user_data.csv_columns import Column, Floats, check_speeds, read
 from tracked_env.cli.user_data.log_checks import check_accelerations, check_agreement, unwrapped
 from tracked_env.cli.user_data.log_grid import in_order, middle_step, on_grid
-from tracked_env.cli.user_data.torque_checks import check_torques
+from tracked_env.cli.user_data.torque_checks import check_frozen, check_torques
 from tracked_env.physics.channels import CHANNELS, GROUP_START, GROUPS
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import UNMEASURED, Sensors
@@ -119,7 +119,9 @@ def read_log(
               (dropped, "rows whose time does not rise, which were left out")]  # fmt: skip
     said = [f"{count} {what}." for count, what in faults if count]
     said += table.faults[:FAULTS]
-    middle_step(values["time"], path)
+    step = middle_step(values["time"], path)
+    for side in ("left", "right"):
+        check_frozen(values[f"torque_{side}"], side, step, path)
     speeds = [values[f"sprocket_speed_{side}"] for side in ("left", "right")]
     check_speeds(np.concatenate(speeds), vehicle, path)
     values["yaw"] = unwrapped(values["yaw"], values["time"], values["yaw_rate"], path)

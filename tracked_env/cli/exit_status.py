@@ -28,6 +28,19 @@ class Parser(argparse.ArgumentParser):
         self.register("type", int, _whole)
         self.register("type", float, _number)
 
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Read the arguments; a folder of --output that cannot be written is refused here, before
+        any work."""
+        read = super().parse_args(args, namespace)
+        folder = getattr(read, "output", None)
+        if isinstance(folder, Path):
+            place = next(of for of in (folder, *folder.absolute().parents) if of.exists())
+            if not place.is_dir():
+                self.error(f"--output: {folder}: {place} is a file; must be a folder")
+            if not os.access(place, os.W_OK | os.X_OK):
+                self.error(f"--output: {folder}: {place} must be writable. May you write there?")
+        return read
+
     def error(self, message: str) -> NoReturn:
         """End the program."""
         said = message.removeprefix("argument ")
@@ -58,17 +71,6 @@ def _number(text: str) -> float:
         raise argparse.ArgumentTypeError(
             f"{text}; must be a number, with a point for decimals and without a unit"
         ) from error
-
-
-def output_folder(text: str) -> Path:
-    """A folder of --output that exists or can be made, and written; argparse refuses others."""
-    path = Path(text)
-    place = next(place for place in (path, *path.absolute().parents) if place.exists())
-    if not place.is_dir():
-        raise argparse.ArgumentTypeError(f"{text}: {place} is a file; must be a folder")
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise argparse.ArgumentTypeError(f"{text}: no right to write in {place}; must be writable")
-    return path
 
 
 # Likely causes, by the number of the system's error.

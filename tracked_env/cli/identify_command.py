@@ -14,7 +14,7 @@ import numpy as np
 from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.text_tables import aligned, folded
-from tracked_env.cli.exit_status import Parser, output_folder, reported
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.cli.user_data.csv_columns import UNITS, pairs, table_of
 from tracked_env.cli.user_data.vehicle_log import COLUMNS, Drivetrain, read_log
 from tracked_env.cli.waiting import explained
@@ -95,7 +95,7 @@ def _parser(program: str) -> argparse.ArgumentParser:
                         "(default: rtk)")  # fmt: skip
     parser.add_argument("--lateral", choices=("sliding", "constrained"), default="sliding",
                         help="lateral model (default: sliding)")  # fmt: skip
-    parser.add_argument("--output", type=output_folder, default=Path("identified"), metavar="FOLDER",
+    parser.add_argument("--output", type=Path, default=Path("identified"), metavar="FOLDER",
                         help="of the files (default: identified)")  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="tables alone on the page")
     return parser

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tracked_env.benchmark.registered_policies import command_function
-from tracked_env.cli.exit_status import Parser, output_folder, reported
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.cli.waiting import explained
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
@@ -62,7 +62,7 @@ def _parser(program: str) -> argparse.ArgumentParser:
     parser.add_argument("--no-slip", action="store_true", help="plan as if tracks did not slip")
     for name, text in LIMITS.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=text)
-    parser.add_argument("--output", type=output_folder, default=Path(), metavar="FOLDER",
+    parser.add_argument("--output", type=Path, default=Path(), metavar="FOLDER",
                         help="of the files (default: the current one)")  # fmt: skip
     parser.add_argument("--csv", action="store_true", help="write plan.csv too")
     parser.add_argument("--no-figure", action="store_true", help="do not draw plan.png")

@@ -13,7 +13,7 @@ import numpy as np
 from tracked_env.benchmark.provenance import machine, versions
 from tracked_env.benchmark.store import write_atomically
 from tracked_env.benchmark.text_tables import aligned, folded
-from tracked_env.cli.exit_status import Parser, output_folder, reported
+from tracked_env.cli.exit_status import Parser, reported
 from tracked_env.cli.identify_command import GEAR, WIDTH, add_vehicle_options, vehicle_of
 from tracked_env.cli.user_data.csv_columns import pairs, table_of
 from tracked_env.cli.user_data.slip_runs import COLUMNS, ORDER, read_runs
@@ -38,7 +38,7 @@ def _parser(program: str) -> argparse.ArgumentParser:
     )
     parser.add_argument("runs", type=Path, nargs="+", help="CSV files")
     add_vehicle_options(parser)
-    parser.add_argument("--output", type=output_folder, default=Path("slip"), metavar="FOLDER",
+    parser.add_argument("--output", type=Path, default=Path("slip"), metavar="FOLDER",
                         help="of the files (default: slip)")  # fmt: skip
     parser.add_argument("--no-figures", action="store_true", help="tables alone on the page")
     return parser

@@ -158,8 +158,8 @@ def _check_course(yaw: Floats, course: Floats, driven: Floats, path: Path) -> No
             )
         raise ValueError(
             f"{path}: straight ahead the course of x, y does not go with yaw, not even with a "
-            f"constant angle between them (they agree by {abs(same):.2f}; must be {AGREED} or more). "
-            f"{cause}"
+            f"constant angle between them (they agree by {abs(same):.2f}; must be {AGREED} or "
+            f"more). {cause}"
         )
     cause = "Is yaw counted from another axis than x?"
     if abs(off) > math.pi - OFF_COURSE:
@@ -318,8 +318,8 @@ def _check_way(ratio: float, least: float, path: Path) -> None:
     advice = f"Does --units {likely[0]} explain it" if likely else "Is it the motor's speed"
     raise ValueError(
         f"{path}: on the straight the belts run {ratio:.3g} times as far as the vehicle; must be "
-        f"in [{SLIPPED[0]}, {SLIPPED[1]}], and at times below {SPINNING}. {advice}, or --gear {ratio:.3g}, or another "
-        "sprocket_radius of --vehicle?"
+        f"in [{SLIPPED[0]}, {SLIPPED[1]}], and at times below {SPINNING}. {advice}, or --gear "
+        f"{ratio:.3g}, or another sprocket_radius of --vehicle?"
     )
 
 

@@ -74,6 +74,18 @@ class Found(NamedTuple):
         return "weakly" if self.deviation <= LEARNED * self.prior_deviation else "not determined"
 
 
+class Misfit(NamedTuple):
+    """How far the residuals of an equation are from those of a log of its model."""
+
+    size: float  # [-] their middle size over their standard deviation, 1 where the model is right
+    following: float  # [-] autocorrelation at lag 1
+
+    @property
+    def contradicts(self) -> bool:
+        """More than noise that was stated too small."""
+        return self.size > CONTRADICTING and self.following > WHITE
+
+
 class Identified(NamedTuple):
     """Everything that a log says; series over the T steps of the log."""
 
@@ -89,18 +101,6 @@ class Identified(NamedTuple):
     resistance_force: tuple[float, float]  # [N] m g mu_l and its deviation
     stiffness: tuple[float, float]  # [N/m] F_max / K of a track and its deviation
     misfits: dict[str, Misfit]  # of each regression
-
-
-class Misfit(NamedTuple):
-    """How far the residuals of an equation are from those of a log of its model."""
-
-    size: float  # [-] their middle size over their standard deviation, 1 where the model is right
-    following: float  # [-] autocorrelation at lag 1
-
-    @property
-    def contradicts(self) -> bool:
-        """More than noise that was stated too small."""
-        return self.size > CONTRADICTING and self.following > WHITE
 
 
 def misfit(residuals: Floats) -> Misfit:

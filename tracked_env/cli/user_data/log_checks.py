@@ -87,6 +87,9 @@ def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: P
             "Are left and right swapped, or are heading and yaw_rate positive to the right?"
         )
     _check_signs([right, left], [x, y, yaw, gyro], marks, time, vehicle, path)
+    if "v_y" in values and np.isfinite(values["v_y"]).any():
+        known = np.isfinite(values["v_y"])
+        _check_drift([x, y, yaw], np.interp(marks, time[known], values["v_y"][known]), path)
     if turning.sum() >= 4:
         _check_twist(float(np.sum(gyro[turning] ** 2) / np.sum((belt_turn * gyro)[turning])), path)
     straight = np.abs(turn) < 0.3 * way / vehicle.track_gauge
@@ -125,6 +128,20 @@ def _check_signs(
         raise ValueError(
             f"{path}: sprocket_speed_{wrong[0]} is negative where its track goes forward; must be "
             "positive on both sides. Is that motor mounted the other way round?"
+        )
+
+
+def _check_drift(pose: list[Floats], v_y: Floats, path: Path) -> None:
+    """Raise ValueError where v_y has the sign opposite to the way of the pose to the left."""
+    x, y, yaw = pose
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    drift = (np.cos(middle) * np.diff(y) - np.sin(middle) * np.diff(x)) / STRETCH
+    stated = 0.5 * (v_y[1:] + v_y[:-1])
+    spread = float(np.linalg.norm(drift) * np.linalg.norm(stated))
+    if len(drift) >= 20 and spread > 0.0 and float(drift @ stated) < -0.4 * spread:
+        raise ValueError(
+            f"{path}: v_y is negative where x, y go to the left of yaw; must be positive to the "
+            "left, in the axes of the vehicle"
         )
 
 
@@ -193,7 +210,8 @@ def _check_lag(
 
     rest = [mismatch(k) for k in range(-shifts, shifts + 1)]
     best = int(np.argmin(rest)) - shifts
-    if abs(best) * step > LAGS[1] and min(rest) < 0.5 * rest[shifts]:
+    clear = min(rest) < 0.2 * min(rest[shifts], float(np.var(inner)))
+    if clear and LAGS[1] < abs(best) * step < LAGS[0]:
         late = best * step
         raise ValueError(
             f"{path}: {name} comes {abs(late):.2g} s {'after' if late > 0 else 'before'} {other}; "

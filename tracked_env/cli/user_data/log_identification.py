@@ -45,7 +45,8 @@ CONTRADICTED = 4.0  # [-] deviations between the two passes, and the share of ti
 CONTRADICTED_SHARE = 0.02
 WINDOW = 50  # [steps] of the soil estimator
 BEST = 20  # windows of the soil estimator that count, the most informative ones
-CONTRADICTING = 3.0  # [-] middle size of residuals over their standard deviation, which are not
+CONTRADICTING = 1.8  # [-] middle size of residuals over their standard deviation, which are not
+FEW = 200  # residuals, below which they say nothing
 WHITE = 0.3  # [-] white beyond this autocorrelation: then the model is not that of the log
 NEAR = 1e-3  # [-] of a bound: at it
 EQUATION = {"mass": "longitudinal", "longitudinal_resistance": "longitudinal",
@@ -105,7 +106,7 @@ class Identified(NamedTuple):
 
 def misfit(residuals: Floats) -> Misfit:
     """Of residuals (K,); outliers, and what a change leaves until it is learned, count little."""
-    if len(residuals) < 20:
+    if len(residuals) < FEW:
         return Misfit(1.0, 0.0)
     size = float(np.median(np.abs(residuals))) / float(norm.isf(0.25))
     centred = np.clip(residuals, -4.0 * size, 4.0 * size)

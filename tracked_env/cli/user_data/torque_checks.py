@@ -28,6 +28,8 @@ EXPLAINED = 0.6  # [-] share of the square of a force that the motion explains a
 PRESENT = 0.03  # [-] share of the forces from which on an equation is looked at
 BETTER = 0.5  # [-] another way is believed that leaves this share of the residuals, or less
 LEFT = 0.02  # [-] of the square that noise leaves unexplained
+DELAYS = 1.0, 0.06  # [s] of torques that are tried, and the largest that is accepted
+LATER = 0.75  # [-] another moment is believed that leaves this share of the residuals, or less
 FROZEN = 5.0  # [s] a torque that is measured does not hold its last digit for longer
 SIZE = 3.5  # [-] factor between the mass of the log and the nominal one, either way
 ALIKE = 2.5  # [-] factor between the torques of both sides for the same motion
@@ -59,12 +61,21 @@ def _means(column: Floats, samples: int) -> Floats:
     return np.asarray(column[: count * samples].reshape(count, samples).mean(axis=1))
 
 
-def _motion(values: dict[str, Floats], period: float, vehicle: PlantParameters) -> dict[str, Any]:
-    """Means of what the torques are compared with, of the stretches in which both tracks move."""
+def _motion(
+    values: dict[str, Floats], period: float, vehicle: PlantParameters, delay: int = 0
+) -> dict[str, Any]:
+    """Means of what the torques are compared with, of the stretches in which a track moves.
+
+    delay: [steps] by which torques are taken later.
+    """
     samples = max(round(MEAN / period), 1)
     names = ("acceleration_x", "yaw_acceleration", "yaw_rate", "torque_left", "torque_right",
              "sprocket_speed_left", "sprocket_speed_right")  # fmt: skip
-    mean = {name: _means(values[name], samples) for name in names}
+    ends = np.clip(np.arange(len(values["yaw_rate"])) + delay, 0, len(values["yaw_rate"]) - 1)
+    mean = {
+        name: _means(values[name][ends] if name.startswith("torque") else values[name], samples)
+        for name in names
+    }
     left, right = (vehicle.sprocket_radius * mean[f"sprocket_speed_{s}"] for s in ("left", "right"))
     moving = np.maximum(np.abs(left), np.abs(right)) > MOVING
     use = moving & np.isfinite(sum(mean.values()))
@@ -121,7 +132,46 @@ def check_torques(
                 "another log or another time, zero, demands that the drives did not follow, or "
                 "has one side the wrong sign or unit?"
             )
+    _check_delay(values, period, vehicle, [of is not None for of in own], path)
     return _check_sizes(own, vehicle, path)
+
+
+def _check_delay(
+    values: dict[str, Floats], period: float, vehicle: PlantParameters, present: list[bool],
+    path: Path,
+) -> None:  # fmt: skip
+    """Raise ValueError where torques of another moment explain the motion much better.
+
+    present: which of both equations are looked at.
+    """
+    steps = np.arange(-round(DELAYS[0] / period), round(DELAYS[0] / period) + 1)
+    steps = steps[:: max(len(steps) // 40, 1)]
+    steps = np.unique(np.append(steps, 0))
+    rest = []
+    for delay in steps:
+        mean = _motion(values, period, vehicle, int(delay))
+        left, right = (mean[f"torque_{side}"] for side in ("left", "right"))
+        forces = (left + right) / vehicle.sprocket_radius, (right - left) / vehicle.sprocket_radius
+        fits = [
+            _fit(matrix, arm * force)
+            for matrix, force, arm in zip(
+                _equations(mean, vehicle), forces, (1.0, 0.5 * vehicle.track_gauge), strict=True
+            )
+        ]  # fmt: skip
+        rest.append([1.0 - fit.explained for fit in fits])
+    left_over = np.array(rest)
+    now = left_over[int(np.flatnonzero(steps == 0)[0])]
+    for k in np.flatnonzero(present):
+        best = int(np.argmin(left_over[:, k]))
+        late = float(steps[best]) * period
+        if abs(late) > DELAYS[1] and left_over[best, k] < LATER * now[k]:
+            raise ValueError(
+                f"{path}: the torques fit accelerations and turns best {abs(late):.2g} s "
+                f"{'later' if late > 0 else 'earlier'} than logged, which leaves "
+                f"{left_over[best, k] / now[k]:.0%} of the residuals; must be within "
+                f"{DELAYS[1]:g} s. Do they come from another device? Shift their columns by "
+                f"{-late:.2g} s"
+            )
 
 
 def check_frozen(torque: Floats, side: str, period: float, path: Path) -> None:

@@ -87,9 +87,6 @@ def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: P
             "Are left and right swapped, or are heading and yaw_rate positive to the right?"
         )
     _check_signs([right, left], [x, y, yaw, gyro], marks, time, vehicle, path)
-    if "v_y" in values and np.isfinite(values["v_y"]).any():
-        known = np.isfinite(values["v_y"])
-        _check_drift([x, y, yaw], np.interp(marks, time[known], values["v_y"][known]), path)
     if turning.sum() >= 4:
         _check_twist(float(np.sum(gyro[turning] ** 2) / np.sum((belt_turn * gyro)[turning])), path)
     straight = np.abs(turn) < 0.3 * way / vehicle.track_gauge
@@ -107,6 +104,9 @@ def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: P
     elif np.median(np.abs(driven)) > 10.0 * max(MOVING, float(np.median(way))):
         ratio = float(np.median(np.abs(driven)) / max(np.median(way), 1e-6))
         _check_way(ratio, ratio, path)
+    if "v_y" in values and np.isfinite(values["v_y"]).any():
+        known = np.isfinite(values["v_y"])
+        _check_drift([x, y, yaw], np.interp(marks, time[known], values["v_y"][known]), path)
 
 
 def _check_signs(

@@ -164,7 +164,7 @@ def _check_delay(
     for k in np.flatnonzero(present):
         best = int(np.argmin(left_over[:, k]))
         late = float(steps[best]) * period
-        if abs(late) > DELAYS[1] and left_over[best, k] < LATER * now[k]:
+        if abs(late) > DELAYS[1] and left_over[best, k] < LATER * now[k] and now[k] > LEFT:
             raise ValueError(
                 f"{path}: the torques fit accelerations and turns best {abs(late):.2g} s "
                 f"{'later' if late > 0 else 'earlier'} than logged, which leaves "

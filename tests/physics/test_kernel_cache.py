@@ -63,9 +63,16 @@ def project(tmp_path: Path) -> Path:
     return folder
 
 
-def start(project: Path, cache: Path, before: str = "") -> tuple[float, int, int, str]:
-    """Result, kernels compiled, warnings and their text, of the project in a new process."""
-    code = f"{before}\nimport runpy; runpy.run_path('kernel.py', run_name='__main__')"
+def start(
+    project: Path,
+    cache: Path,
+    before: str = "",
+    main: str = "runpy.run_path('kernel.py', {}, '__main__')",
+) -> tuple[float, int, int, str]:
+    """Result, kernels compiled, warnings and their text, as a new process of the project prints
+    them last; before, main: its lines.
+    """
+    code = f"{before}\nimport runpy; {main}"
     done = subprocess.run(
         [sys.executable, "-c", f"import sys; sys.path.insert(0, '')\n{code}"],
         cwd=project,
@@ -74,7 +81,7 @@ def start(project: Path, cache: Path, before: str = "") -> tuple[float, int, int
         text=True,
         check=True,
     )
-    result, compiled, count, *text = done.stdout.split(maxsplit=3)
+    result, compiled, count, *text = done.stdout.splitlines()[-1].split(maxsplit=3)
     return float(result), int(compiled), int(count), "".join(text)
 
 
@@ -110,6 +117,83 @@ def test_source_edited_after_it_was_imported_is_not_what_is_kept(
     )
     assert start(project, tmp_path, edit)[0] == 12.0
     assert start(project, tmp_path)[:2] == (24.0, 1)
+
+
+DOUBLED = "replace('* sinkage', '* sinkage * 2.0')"
+CHANGES = {  # in a running process, and the result
+    "a module is edited and reloaded": (
+        "law = Path('soil_law.py'); text = law.read_text(); "
+        f"law.write_text(text.{DOUBLED}); importlib.reload(soil_law); law.write_text(text)",
+        24.0,
+    ),
+    "a constant is replaced": ("soil_law.STIFFNESS = 7.0", 28.0),
+    "a constant comes from elsewhere": (
+        "import soil_constants; soil_constants.STIFFNESS = 9.0; importlib.reload(soil_law)",
+        36.0,
+    ),
+    "a formula is replaced": (
+        "from tracked_env.physics.jit import formula; "
+        "soil_law.force = formula(lambda sinkage: 5.0 * sinkage)",
+        20.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("order", ["before", "after"])
+def test_what_runs_is_what_the_process_holds_and_the_next_process_does_not_meet_it(
+    project: Path, tmp_path: Path, change: str, order: str
+) -> None:
+    """The kernel is imported before the change and again after it, or after it only."""
+    lines, expected = CHANGES[change]
+    first = "import importlib, soil_law; from pathlib import Path\n"
+    again = "import kernel; importlib.reload(kernel)"
+    before = f"{first}import kernel\n{lines}"
+    if order == "before":  # numba goes on with the constants that a function was compiled with
+        compiled = 12.0 if change == "a constant is replaced" else expected
+        assert start(project, tmp_path, before, again)[0] == compiled
+    assert start(project, tmp_path, first + lines, again)[0] == expected
+    assert start(project, tmp_path, main="import kernel")[0] == 12.0
+
+
+def test_folders_relative_to_the_current_one_are_not_taken_for_the_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """XDG_CACHE_HOME is empty, or a user has no home: the name of the folder is then relative."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(kernel_cache.config, "CACHE_DIR", "")
+    for value in ("", "~/none"):
+        monkeypatch.setenv("XDG_CACHE_HOME", value)
+        assert [path.name for path in kernel_cache._folders()] == ["__pycache__"]
+    monkeypatch.setattr(kernel_cache.config, "CACHE_DIR", "own")
+    assert [*kernel_cache._folders()] == [tmp_path / "own" / "tracked_env"]
+
+
+def test_the_oldest_files_beyond_the_largest_size_are_deleted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_cache, "LARGEST", 250)
+    for age in range(4):
+        path = tmp_path / f"run-{age}.kernel"
+        path.write_bytes(bytes(100))
+        os.utime(path, (path.stat().st_mtime - age,) * 2)
+    kernel_cache._sweep(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run-0.kernel", "run-1.kernel"]
+
+
+@pytest.mark.parametrize(
+    ("text", "modules"),
+    [
+        ("import a.b as c, d", {"a.b", "a", "d"}),
+        ("from a import b, \\\n    c", {"a.b", "a.c", "a"}),
+        ("from a import (  # one\n    b,\n    c as d,\n)", {"a.b", "a.c", "a"}),
+        ("import a; from b import c; import d", {"a", "b.c", "b", "d"}),
+        ("    from . import b", {"home.b", "home"}),
+        ("from ..a import *", {"a.*", "a"}),
+    ],
+)
+def test_all_forms_of_an_import_are_seen(text: str, modules: set[str]) -> None:
+    assert set(kernel_cache._imports(text, "home.kernel", False)) == modules
 
 
 def test_nothing_is_kept_where_nothing_can_be_written_and_one_warning_says_so(

@@ -16,6 +16,7 @@ from tracked_env.benchmark.sets import (
     version_of,
 )
 from tracked_env.observation import make_layout
+from tracked_env.physics.kernel_cache import imported_source
 from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice
@@ -57,9 +58,10 @@ WITHOUT_INFLUENCE = {
     "benchmark/tuning_records.py": "tables of what was chosen from",
     "benchmark/video.py": "pictures of an episode",
 }
-# Of the simulation that this process runs: taken when it is imported, so that an edit while the
-# process runs is not written over results of what it runs.
-SOURCE = source_fingerprint("tracked_env", WITHOUT_INFLUENCE)
+# Of the simulation that this process runs: files of kernels as they were when those were imported,
+# which may be long ago, the others as they are now. An edit while the process runs is not written
+# over results of what it runs.
+SOURCE = source_fingerprint("tracked_env", WITHOUT_INFLUENCE, imported_source)
 
 
 @dataclass(frozen=True)

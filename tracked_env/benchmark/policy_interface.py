@@ -114,35 +114,40 @@ def blamed(error: BaseException, policy: str, where: str) -> PolicyError:
     return PolicyError(f"policy {policy!r}, {where}: {said}{place}")
 
 
-def folder_digest(folder: Path, without: Collection[str] = ()) -> str:
+def folder_digest(
+    folder: Path, without: Collection[str] = (), read: Callable[[Path], bytes] = Path.read_bytes
+) -> str:
     """Digest of every Python file below a folder: path relative to it, length and content.
 
-    without: relative paths that are left out, of files and, with a slash at the end, of folders.
+    without: relative paths that are left out, of files and, with a slash at the end, of folders;
+    read: gives the content of a file.
     """
     digest = hashlib.sha256()
     files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
     for name in sorted(files):
         if name in without or any(of.endswith("/") and name.startswith(of) for of in without):
             continue
-        content = files[name].read_bytes()
+        content = read(files[name])
         digest.update(f"{name}\0{len(content)}\0".encode())
         digest.update(content)
     return digest.hexdigest()[:12]
 
 
-def source_fingerprint(module: str, without: Collection[str] = ()) -> str:
+def source_fingerprint(
+    module: str, without: Collection[str] = (), read: Callable[[Path], bytes] = Path.read_bytes
+) -> str:
     """Digest of the Python source of a module, and of its whole package if it is in one.
 
-    without: as of `folder_digest`, what has no influence on results. Raises ModuleNotFoundError.
+    without, read: as of `folder_digest`. Raises ModuleNotFoundError.
     """
     spec = importlib.util.find_spec(module.partition(".")[0])
     if spec is None:
         raise ModuleNotFoundError(f"no module named {module!r}")
     if spec.submodule_search_locations:
-        digests = [folder_digest(Path(at), without) for at in spec.submodule_search_locations]
+        digests = [folder_digest(Path(at), without, read) for at in spec.submodule_search_locations]
         return digests[0] if len(digests) == 1 else _digest("".join(digests).encode())
     source = Path(spec.origin) if spec.origin else None
-    return _digest(source.read_bytes() if source and source.is_file() else b"")
+    return _digest(read(source) if source and source.is_file() else b"")
 
 
 def _digest(data: bytes) -> str:

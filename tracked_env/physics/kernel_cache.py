@@ -6,7 +6,10 @@ name of a file holds a digest of
 
     the source of the kernel's module and of all it imports, directly or not, as far as it
     belongs to this package, to the same package or to a project outside the library folders;
-    the types of the arguments, the processor, and the versions of Python, numba and LLVM.
+    the code and the constants of the functions it calls, as they are in this process, where they
+    may have been reloaded or replaced;
+    the types of the arguments, the processor, the versions of Python, numba and LLVM, and the
+    settings of numba that change machine code.
 
 So code of another source is never found, whatever was edited, updated or went back to a former
 state, and several versions live side by side. A file is written whole or not at all (a new one
@@ -15,7 +18,8 @@ is damaged. Source that was edited after it was imported is not what runs: nothi
 
 The folder: NUMBA_CACHE_DIR if it is set, or else that of the user's caches, or else `__pycache__`
 beside this file. Where none can be written, kernels are compiled in each process, and a warning
-says so once. Files that nobody has loaded for KEPT seconds are deleted.
+says so once. Files that nobody has loaded for KEPT seconds are deleted, and the oldest of more than
+LARGEST bytes.
 """
 
 import hashlib
@@ -26,14 +30,18 @@ import sys
 import sysconfig
 import tempfile
 import time
+import uuid
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from types import FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
+from weakref import WeakKeyDictionary
 
+import numpy as np
 from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.serialize import dumps
@@ -41,15 +49,28 @@ from numba.misc.appdirs import AppDirs
 
 KEPT = 30 * 86400.0  # [s] since a file was last loaded
 TOUCHED = 86400.0  # [s] a file that was loaded longer ago is marked as loaded again
+LARGEST = 2e9  # [bytes] of all files together
 SUFFIX = ".kernel"
 _IMPORT = re.compile(
-    r"^[ \t]*(?:from[ \t]+([.\w]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)|import[ \t]+([^\n]+))", re.M
+    r"(?:^|;)[ \t]*(?:from[ \t]+([.\w]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n;]*)"
+    r"|import[ \t]+([^\n;#]+))",
+    re.M,
 )
 _LIBRARIES = tuple(
     {os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")}
 )
+_INSTALLED = re.compile(r"[/\\](?:site|dist)-packages[/\\]")
 _OWN = __name__.partition(".")[0]
-_TOOLS = "-".join((sys.version, *(f"{name} {version(name)}" for name in ("numba", "llvmlite"))))
+_SETTINGS = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
+_TOOLS = "-".join(
+    (
+        sys.version,
+        *(f"{name} {version(name)}" for name in ("numba", "llvmlite")),
+        *(f"{name} {getattr(config, name, None)}" for name in _SETTINGS),
+    )
+)
+_COMPILERS = ("numpy", "numba", "scipy", "math", "builtins")
+_CONSTANTS = (bool, int, float, complex, str, bytes, np.generic)
 
 
 class _Source:
@@ -73,6 +94,11 @@ class _Source:
 _source = cache(_Source)
 
 
+def imported_source(path: Path) -> bytes:
+    """Content of a Python file when the first kernel that may use it was defined, or else now."""
+    return _source(str(path)).text
+
+
 def _file_of(module: str) -> str | None:
     """Path of the source of a module by its name; None where it is no file.
 
@@ -84,7 +110,7 @@ def _file_of(module: str) -> str | None:
         return None
     if not rest:
         path = getattr(package, "__file__", None)
-        return path if path and path.endswith(".py") else None
+        return path if path and path.endswith(".py") and os.path.isfile(path) else None
     for folder in getattr(package, "__path__", ()):
         base = os.path.join(folder, *rest)
         for path in (f"{base}.py", os.path.join(base, "__init__.py")):
@@ -95,9 +121,10 @@ def _file_of(module: str) -> str | None:
 
 def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
     """Names of modules that `text` imports; of `from a import b` both `a.b` and `a`."""
-    for origin, names, plain in _IMPORT.findall(text):
+    for origin, names, plain in _IMPORT.findall(text.replace("\\\n", " ")):
         if plain:
-            yield from (name.split()[0] for name in plain.split(",") if name.split())
+            for name in (part.split()[0] for part in plain.split(",") if part.split()):
+                yield from (name, name.partition(".")[0])
             continue
         level = len(origin) - len(origin.lstrip("."))
         if level:  # relative
@@ -127,11 +154,12 @@ def _direct(module: str, home: str) -> tuple[str, ...]:
 @cache
 def _may_hold_kernels(module: str, home: str) -> bool:
     path = _file_of(module)
-    if path is None or module.partition(".")[0] in ("numpy", "numba", "scipy"):
+    if path is None or module.partition(".")[0] in _COMPILERS:
         return False
     if module.partition(".")[0] in (_OWN, home):
         return True
-    if not os.path.realpath(path).startswith(_LIBRARIES):
+    place = os.path.realpath(path)
+    if not (place.startswith(_LIBRARIES) or _INSTALLED.search(place)):
         return True
     return _OWN.encode() in _source(path).text  # installed, and made for this package
 
@@ -163,12 +191,78 @@ def _key_of(module: str) -> tuple[bytes, dict[str, _Source]]:
     return digest_of(sources), sources
 
 
+@cache
+def _words(code: CodeType) -> tuple[bytes, frozenset[str]]:
+    """What a code object does, apart from the values of the names it looks up, and these names."""
+    names, content = {*code.co_names, *code.co_freevars}, code.co_code
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            inside, further = _words(each)
+            content, names = content + inside, names | further
+        elif not isinstance(each, frozenset):  # printed in another order by each process
+            content += repr(each).encode()
+    return content + repr((code.co_names, code.co_varnames)).encode(), frozenset(names)
+
+
+class _ReplacedError(Exception):
+    """A function has other constants, or calls others, than when it was compiled first."""
+
+
+_FIRST: WeakKeyDictionary[FunctionType, Any] = WeakKeyDictionary()
+
+
+def _running(function: Any, seen: set[int]) -> Iterator[bytes]:
+    """Code and constants that a function and all it calls have in this process.
+
+    A name may stand for something else than in the source: reloaded, replaced, or computed when
+    its module was imported. Numba compiles a function once and goes on with the constants of then:
+    raises _ReplacedError where they are others now.
+    """
+    function = getattr(function, "py_func", function)
+    if not isinstance(function, FunctionType) or id(function) in seen:
+        return
+    seen.add(id(function))
+    if function.__module__.partition(".")[0] in _COMPILERS:
+        return
+    content, names = _words(function.__code__)
+    scope = function.__globals__
+    values = {name: scope[name] for name in sorted(names & scope.keys())}
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        values[name] = cell.cell_contents
+    for value in [*values.values()]:
+        if isinstance(value, ModuleType) and value.__name__ not in _COMPILERS:
+            inside = vars(value)
+            values |= {f"{value.__name__}.{n}": inside[n] for n in sorted(names & inside.keys())}
+    parts, others = [content, repr([*values]).encode()], []
+    waiting = [function.__defaults__ or (), *values.values()]
+    for value in waiting:
+        if isinstance(value, tuple):
+            parts.append(b"%d" % len(value))
+            waiting.extend(value)
+        elif isinstance(value, np.ndarray):
+            parts.append(f"{value.dtype} {value.shape}".encode() + value.tobytes())
+        elif isinstance(value, _CONSTANTS):
+            parts.append(f"{type(value).__name__} {value!r}".encode())
+        else:
+            others.append(value)
+    own = b"\0".join(parts)
+    state = own, [id(each) for each in others]
+    if _FIRST.setdefault(function, state) != state:
+        raise _ReplacedError
+    yield own
+    for each in others:
+        yield from _running(each, seen)
+
+
 def _folders() -> Iterator[Path]:
     chosen = getattr(config, "CACHE_DIR", "")
     if chosen:
-        yield Path(chosen) / _OWN
+        yield Path(chosen).absolute() / _OWN
         return
-    yield Path(AppDirs(appname=_OWN, appauthor=False).user_cache_dir)
+    # relative where neither the environment nor the system names a home
+    user = Path(AppDirs(appname=_OWN, appauthor=False).user_cache_dir)
+    if user.is_absolute():
+        yield user
     yield Path(__file__).parent / "__pycache__"
 
 
@@ -194,15 +288,20 @@ def folder() -> Path | None:
 
 
 def _sweep(path: Path) -> None:
-    """Delete what was not loaded for KEPT seconds, and what an interrupted write has left."""
-    now = time.time()
+    """Delete what was not loaded for KEPT seconds, the oldest beyond LARGEST bytes, and what an
+    interrupted write has left.
+    """
+    files = []
     for file in path.glob(f"*{SUFFIX}*"):
-        try:
-            limit = KEPT if file.suffix == SUFFIX else TOUCHED
-            if now - file.stat().st_mtime > limit:
+        with suppress(OSError):  # another process was faster
+            status = file.stat()
+            files.append((time.time() - status.st_mtime, status.st_size, file))
+    total = 0
+    for age, size, file in sorted(files):
+        total += size
+        if age > (KEPT if file.suffix == SUFFIX else TOUCHED) or total > LARGEST:
+            with suppress(OSError):  # likewise, or the file is not ours
                 file.unlink()
-        except OSError:
-            continue  # another process was faster, or the file is not ours
 
 
 @cache  # each reason once
@@ -241,8 +340,9 @@ class KernelCache(FunctionCache):
                 return None
             target_context.refresh()
             payload = pickle.loads(content[32:])
-            if time.time() - path.stat().st_mtime > TOUCHED:
-                os.utime(path)
+            with suppress(OSError):  # a file of another user can be read, not marked
+                if time.time() - path.stat().st_mtime > TOUCHED:
+                    os.utime(path)
             return CompileResultCacheImpl.rebuild(self, target_context, payload)  # type: ignore[arg-type]
         except Exception:  # not there, damaged, or of a module that is gone: compiled anew
             return None
@@ -255,12 +355,14 @@ class KernelCache(FunctionCache):
         if path is None or not all(source.is_current() for source in self._sources.values()):
             return
         content = dumps(CompileResultCacheImpl.reduce(self, data))  # type: ignore[arg-type]
-        part = path.with_name(f"{path.name}.{os.getpid()}")
+        part = path.with_name(f"{path.name}.{uuid.uuid4().hex}")  # containers share numbers, too
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)  # deleted meanwhile
             part.write_bytes(hashlib.sha256(content).digest() + content)
             os.replace(part, path)
         except OSError as error:
-            part.unlink(missing_ok=True)
+            with suppress(OSError):
+                part.unlink()
             _warn(str(error))
 
     def _path(self, sig: Any, codegen: Any) -> Path | None:
@@ -270,6 +372,12 @@ class KernelCache(FunctionCache):
         _, *others = self._index_key(sig, codegen)
         code = self._py_func.__code__
         place = (self._py_func.__module__, self._py_func.__qualname__, code.co_firstlineno)
-        key = hashlib.sha256(self._digest + repr((place, types, others)).encode()).hexdigest()[:32]
+        digest = hashlib.sha256(self._digest + repr((place, types, others)).encode())
+        try:
+            for part in _running(self._py_func, set()):
+                digest.update(part)
+        except _ReplacedError:
+            return None
         base = folder()
-        return None if base is None else base / f"{code.co_name}-{key}{SUFFIX}"
+        name = f"{code.co_name}-{digest.hexdigest()[:32]}{SUFFIX}"
+        return None if base is None else base / name

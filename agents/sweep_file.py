@@ -14,7 +14,6 @@
 TOML, or JSON with the same names. All but `output` and `agents` has a default.
 """
 
-import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
@@ -24,7 +23,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from agents.training.options import Options
 from tracked_env import SPEED_ID, TERRAIN_ID
-from tracked_env.validation import checked_choice, checked_keys
+from tracked_env.validation import checked_choice, checked_keys, parsed_json
 
 KEYS = (
     "output", "agents", "augmentations", "uncertainty", "seeds", "sets", "episodes", "compare",
@@ -72,8 +71,8 @@ def read_sweep(path: Path, kind: type[Options]) -> Sweep:
     """A sweep from a file; kind: the options of train.py. Raises ValueError."""
     try:
         text = path.read_text(encoding="utf-8")
-        given = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
-    except (OSError, ValueError) as error:
+        given = parsed_json(text) if path.suffix == ".json" else tomllib.loads(text)
+    except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"sweep file {path}: {error}") from error
     try:
         return _sweep(given, kind)

@@ -129,3 +129,35 @@ def test_an_action_of_another_shape_is_refused_before_anything_moves(wrong):
     with pytest.raises(ValueError, match=r"action has shape .* must be \(2,\)"):
         env.step(wrong)
     assert np.array_equal(before, env.simulation.batch.floats)
+
+
+NO_NUMBERS = [
+    np.array([0.1 + 1.0j, 0.0]), ["0.1", "0.2"], np.array(["0.1", "0.2"]), [None, None],
+    np.array([0.1, 0.2], dtype=object), np.array([1, 2], dtype="M8[s]"), [b"1", b"2"],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", NO_NUMBERS, ids=repr)
+def test_an_action_of_another_type_is_refused_before_anything_moves(wrong):
+    """NumPy would read text as numbers, and drop the imaginary part."""
+    sb3 = pytest.importorskip("tracked_env.sb3")
+    wrapped = sb3.TrackedVehicleVecEnv(TrackedVehicleVectorEnv(2, autoreset_mode="SameStep"))
+    for env, action in (
+        (TrackedVehicleEnv(), wrong),
+        (TrackedVehicleVectorEnv(2), [wrong, wrong]),
+        (wrapped, np.array([wrong, wrong])),
+    ):
+        env.reset()
+        simulation = (env.env if env is wrapped else env).simulation
+        before = simulation.batch.floats.copy()
+        with pytest.raises(ValueError, match="must be real numbers"):
+            env.step(action)
+        assert np.array_equal(before, simulation.batch.floats)
+
+
+@pytest.mark.parametrize("wrong", [[[0.1], [0.1, 0.2]], [[0.1, 0.2], None]])
+def test_rows_of_different_lengths_are_no_action(wrong):
+    for env in (TrackedVehicleEnv(), TrackedVehicleVectorEnv(2)):
+        env.reset(seed=0)
+        with pytest.raises(ValueError, match="action"):
+            env.step(wrong)

@@ -11,23 +11,12 @@ from tracked_env import observation as obs
 from tracked_env.engine.columns import RowReport
 from tracked_env.engine.env_config import EnvConfig, environment_arguments
 from tracked_env.engine.readings import ending_flags
-from tracked_env.engine.simulation import Simulation
+from tracked_env.engine.simulation import Simulation, checked_actions
 from tracked_env.validation import checked_choice, checked_flag
 
 RENDER_MODES = ("human", "rgb_array")
 ObsType = NDArray[np.float32]
 _ACTION_SHAPE = (2,)
-
-
-def _checked_action(action: Any) -> NDArray[Any]:
-    """The action as an array. Raises ValueError for another shape than (2,)."""
-    action = np.asarray(action)
-    if action.shape != _ACTION_SHAPE:
-        raise ValueError(
-            f"action has shape {action.shape}; must be {_ACTION_SHAPE}: sprocket torque (or "
-            "speed) left, right over its limit, in [-1, 1]"
-        )
-    return action
 
 
 class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
@@ -51,8 +40,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     | 1 | right sprocket torque over `torque_limit` | -1 | 1 | - |
 
     With `drive="speed"` it is the sprocket speed over `sprocket_speed_limit`. Values outside
-    are clipped; a non-finite value or a wrong shape is a ValueError. Equal actions drive
-    straight on; more on the right turns left.
+    are clipped; a non-finite value, a wrong shape or a wrong type is a ValueError. Equal
+    actions drive straight on; more on the right turns left.
 
     ## Observation Space
     `Box(float32)`: sensor readings and the reference, each over its scale. No true state. The
@@ -180,11 +169,16 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     def step(self, action: ObsType) -> tuple[ObsType, float, bool, bool, dict[str, Any]]:
         """Hold the two demands, sprocket torques or speeds, for one control period.
 
-        Raises ResetNeeded before the first reset, ValueError for an action that is not finite.
+        Raises ResetNeeded before the first reset, ValueError for an action that is not (2,)
+        finite real numbers.
         """
         simulation = self.simulation
-        if type(action) is not np.ndarray or action.shape != _ACTION_SHAPE:
-            action = _checked_action(action)
+        if (
+            type(action) is not np.ndarray
+            or action.shape != _ACTION_SHAPE
+            or action.dtype.kind != "f"
+        ):
+            action = checked_actions(action, _ACTION_SHAPE)
         simulation.actions[0] = action
         simulation.advance()
         if self.render_mode == "human":

@@ -7,16 +7,21 @@ A message says quantity, value, allowed range and the likely cause:
 import difflib
 import json
 import math
+import zipfile
 from collections.abc import Iterable, Mapping
 from numbers import Integral, Real
-from typing import Any
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tracked_env.physics.parameters import RANGES, ParametersRead, Range
 
 CONTROL_PERIOD = Range(1e-4, 1.0, "s", "Did you pass a rate or milliseconds?")
 VEHICLES = Range(1, 10**7, "-", "It is the number of vehicles.")
+LARGEST = 2**28  # [bytes] that an archive may unpack to
+DEEPEST = 64  # [-] levels of JSON
 SIGMA = Range(0.0, 1e4, "its SI unit", "Did you pass a variance or degrees?")
 
 
@@ -119,11 +124,55 @@ def checked_effect(what: str, name: str, value: object, reads: ParametersRead) -
         )
 
 
+def parsed_json(text: str) -> Any:
+    """The value of JSON. Raises ValueError for other text, and where it is nested too deeply."""
+    wrong = ValueError(f"JSON of more than {DEEPEST} levels; must be nested less deeply")
+    try:
+        value = json.loads(text)
+    except RecursionError as error:
+        raise wrong from error
+    level = [value]
+    for _ in range(DEEPEST + 1):
+        level = [
+            part
+            for each in level
+            if isinstance(each, (dict, list))
+            for part in (each.values() if isinstance(each, dict) else each)
+        ]
+        if not level:
+            return value
+    raise wrong
+
+
 def name_or_json(text: str | None, what: str) -> str | Mapping[str, Any] | None:
     """`text` itself, or the JSON object that it holds; what: the option. Raises ValueError."""
     if text is None or not text.lstrip().startswith("{"):
         return text
     try:
-        return dict(json.loads(text))
+        return dict(parsed_json(text))
     except ValueError as error:
         raise ValueError(f"--{what} {text}: not a JSON object ({error})") from error
+
+
+def plain_arrays(file: str | Path | IO[bytes], largest: int = LARGEST) -> dict[str, NDArray[Any]]:
+    """The arrays of an npz file, which runs no code. largest: [bytes] that it may unpack to.
+
+    Raises ValueError for any other content, for pickled objects, and before it unpacks too much.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            check_unpacked(archive, largest)
+        if not isinstance(file, (str, Path)):
+            file.seek(0)
+        with np.load(file, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    except Exception as error:  # a damaged file raises what happens to go wrong
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ValueError(f"not an npz file of plain arrays, or damaged ({reason})") from error
+
+
+def check_unpacked(archive: zipfile.ZipFile, largest: int = LARGEST) -> None:
+    """Raise ValueError if the files of an archive have more than `largest` bytes together."""
+    size = sum(entry.file_size for entry in archive.infolist())
+    if size > largest:
+        raise ValueError(f"it unpacks to {size} bytes; must be at most {largest} bytes")

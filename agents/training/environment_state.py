@@ -21,12 +21,17 @@ _MONITOR = ("episode_returns", "episode_lengths", "episode_count")
 
 
 def layers(env: VecEnv | None) -> list[Any]:
-    """The environment's wrappers from the outside in, the vector or joined environment last."""
+    """The environment's wrappers from the outside in, the vector or joined environment last.
+
+    Raises RuntimeError where the wrappers do not lead to one.
+    """
     found: list[Any] = []
     layer: Any = env
     while layer is not None:
         found.append(layer)
         layer = getattr(layer, "venv", None) or getattr(layer, "env", None)
+    if found and not any(isinstance(one, (TrackedVehicleVecEnv, JoinedVecEnv)) for one in found):
+        raise RuntimeError(f"no vehicles below {type(found[-1]).__name__}, the last wrapper found")
     return found
 
 

@@ -12,8 +12,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import stable_baselines3
 import torch
+from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
 
 from agents.training import checkpoint_fit
@@ -21,9 +24,9 @@ from agents.training.environment_state import capture_environment, resume_enviro
 
 _MODEL = (  # attributes of a model that change while it learns
     "num_timesteps", "_episode_num", "_n_updates", "_last_obs", "_last_episode_starts",
-    "_last_original_obs", "_last_lstm_states", "_current_progress_remaining", "ep_info_buffer",
-    "ep_success_buffer",
+    "_last_original_obs", "_current_progress_remaining", "ep_info_buffer", "ep_success_buffer",
 )  # fmt: skip
+_RECURRENT = ("_last_lstm_states",)  # of RecurrentPPO, beside them
 _SAMPLES = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _ENDED = {"r": 0.0, "l": 0, "t": 0.0}  # what VecMonitor says of an episode
 
@@ -46,18 +49,18 @@ def put_random_back(states: Mapping[str, Any]) -> None:
 
 def _samples(model: BaseAlgorithm) -> dict[str, Any] | None:
     """The rows of a replay buffer that have been written, None where there is no buffer."""
-    buffer: Any = getattr(model, "replay_buffer", None)
-    if buffer is None:
+    if not isinstance(model, OffPolicyAlgorithm):
         return None
+    buffer: Any = model.replay_buffer
     filled = buffer.size()
     arrays = {name: getattr(buffer, name)[:filled] for name in _SAMPLES}
     return {"pos": buffer.pos, "full": buffer.full, "arrays": arrays}
 
 
 def _put_samples_back(model: BaseAlgorithm, samples: Any) -> None:
-    buffer: Any = getattr(model, "replay_buffer", None)
-    if buffer is None:
+    if not isinstance(model, OffPolicyAlgorithm):
         return
+    buffer: Any = model.replay_buffer
     position, full = int(samples["pos"]), bool(samples["full"])
     if not 0 <= position < buffer.buffer_size:
         raise ValueError(f"pos = {position}; must be in [0, {buffer.buffer_size})")
@@ -69,13 +72,26 @@ def _put_samples_back(model: BaseAlgorithm, samples: Any) -> None:
     buffer.pos, buffer.full = position, full
 
 
+def _attributes(model: BaseAlgorithm) -> dict[str, Any]:
+    """Raises RuntimeError for one that the installed Stable-Baselines3 does not have."""
+    names = (*_MODEL, *(_RECURRENT if isinstance(model, RecurrentPPO) else ()))
+    missing = [name for name in names if not hasattr(model, name)]
+    if missing:
+        raise RuntimeError(
+            f"{type(model).__name__} of stable-baselines3 {stable_baselines3.__version__} has no "
+            f"attribute {missing[0]!r}, without which a training cannot go on from a checkpoint. "
+            "Install the version that constraints.txt names"
+        )
+    return {name: getattr(model, name) for name in names}
+
+
 def capture(model: BaseAlgorithm) -> dict[str, Any]:
-    """Everything that the next rollout of a model depends on."""
+    """Everything that the next rollout of a model depends on. Raises as `_attributes`."""
     _, variables = model._get_torch_save_params()
     return {
         "parameters": model.get_parameters(),
         "variables": {name: recursive_getattr(model, name) for name in variables},
-        "attributes": {name: getattr(model, name) for name in _MODEL if hasattr(model, name)},
+        "attributes": _attributes(model),
         "samples": _samples(model),
         "environment": capture_environment(model.get_env()),
         "random": {

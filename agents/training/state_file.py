@@ -30,6 +30,7 @@ from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.state import VehicleState
 from tracked_env.references import ReferenceProfile
 from tracked_env.sensor_draws import SensorDraw
+from tracked_env.validation import check_unpacked
 
 # What the state of a training consists of. An augmentation with a named tuple of
 # its own adds it here.
@@ -173,6 +174,7 @@ def read_state(path: Path) -> dict[str, Any]:
     """A state that `write_state` wrote. Raises ValueError for anything else."""
     try:
         with zipfile.ZipFile(path) as archive:
+            check_unpacked(archive, path.stat().st_size)  # nothing in it is compressed
             if archive.testzip() is not None:
                 raise ValueError("its checksum is wrong")
             content = json.loads(archive.read(STATE))

@@ -8,26 +8,24 @@ one line.
 """
 
 import io
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from baselines.learned.forward_pass import Arrays
 from baselines.learned.recipe import check_recipe, current
+from tracked_env.validation import check_unpacked, parsed_json, plain_arrays
 
 RECIPE, WEIGHTS, INFERENCE = "recipe.json", "weights.npz", "student.npz"
-LARGEST = 2**28  # [bytes] of one file in an archive, unpacked
 
 
 def read_entry(path: Path, name: str) -> bytes:
     """One file of an archive. Raises ValueError."""
     try:
         with zipfile.ZipFile(path) as archive:
+            check_unpacked(archive)
             return archive.read(name)
-    except (zipfile.BadZipFile, OSError, KeyError, EOFError, NotImplementedError) as error:
+    except Exception as error:  # a damaged file raises what happens to go wrong
         raise ValueError(f"{name} in it is missing or damaged ({error})") from error
 
 
@@ -35,14 +33,12 @@ def _opened(path: Path) -> tuple[Any, list[str]]:
     """The content of recipe.json, None where there is none, and the names of all files."""
     try:
         with zipfile.ZipFile(path) as archive:
-            large = [entry.filename for entry in archive.infolist() if entry.file_size > LARGEST]
-            if large:
-                raise ValueError(f"{large[0]} in it has more than {LARGEST} bytes")
+            check_unpacked(archive)
             damaged = archive.testzip()
             if damaged is not None:
                 raise ValueError(f"{damaged} in it is damaged")
             names = archive.namelist()
-            recipe = json.loads(archive.read(RECIPE)) if RECIPE in names else None
+            recipe = parsed_json(archive.read(RECIPE).decode("utf-8")) if RECIPE in names else None
             return current(recipe), names
     except Exception as error:  # damaged archives and texts raise what happens to go wrong
         raise ValueError(
@@ -75,12 +71,9 @@ def read_recipe(path: Path) -> dict[str, Any] | None:
 def from_npz(content: bytes, name: str) -> Arrays:
     """The arrays of an npz file of that name. Raises ValueError for others, pickled ones too."""
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-            if not hasattr(stored, "files"):
-                raise ValueError("it is a single array")
-            return {entry: stored[entry] for entry in stored.files}
-    except Exception as error:  # a damaged file raises what happens to go wrong
-        raise ValueError(f"{name} is no npz file of plain arrays ({str(error)[:200]})") from error
+        return plain_arrays(io.BytesIO(content))
+    except ValueError as error:
+        raise ValueError(f"{name} is {error}") from error
 
 
 def untrusted(path: Path, why: str) -> str:

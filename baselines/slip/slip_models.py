@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.lyapunov.pseudo_kinematic import NoSlip, SlipModel
 from baselines.slip.slip_tables import CHANNELS, Grid, descend, exponentials, layers, look_up
+from tracked_env.validation import plain_arrays
 
 Array = NDArray[np.float64]
 
@@ -213,7 +214,8 @@ class ExponentialSlipModel:
 
 def load(path: str | Path) -> TableSlipModel | TreeSlipModel | ExponentialSlipModel:
     """A model from the .npz that its `save` wrote. Raises ValueError for any other file."""
-    with np.load(path) as file:
+    try:
+        file = plain_arrays(path)
         kind = str(file["kind"]) if "kind" in file else "missing"
         if kind == "table":
             spacing, *counts = file["grid"]
@@ -224,7 +226,9 @@ def load(path: str | Path) -> TableSlipModel | TreeSlipModel | ExponentialSlipMo
             return TreeSlipModel(trees, float(file["sprocket_radius"]))
         if kind == "exponential":
             return ExponentialSlipModel(file["constants"], float(file["track_gauge"]))
-    raise ValueError(f"{path}: kind of slip model is {kind}; must be table, tree or exponential")
+        raise ValueError(f"kind of slip model is {kind}; must be table, tree or exponential")
+    except (ValueError, KeyError, TypeError, IndexError) as error:  # a part is missing or differs
+        raise ValueError(f"slip model {path}: {error}") from error
 
 
 __all__ = [

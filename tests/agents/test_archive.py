@@ -5,6 +5,7 @@ import copy
 import io
 import json
 import pickle
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -278,8 +279,22 @@ def test_what_would_fill_the_memory_is_refused(student, tmp_path):
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(RECIPE, files[RECIPE])
         archive.writestr(WEIGHTS, bytes(2**28 + 1))
-    with pytest.raises(ValueError, match="more than 268435456 bytes"):
+    with pytest.raises(ValueError, match="at most 268435456 bytes"):
         agent_entry(tmp_path / "bomb.zip")
+
+
+@pytest.mark.parametrize("name", [WEIGHTS, INFERENCE])
+def test_an_archive_in_the_archive_is_not_unpacked_beyond_the_limit(name, student, tmp_path):
+    """300 MB of zeros are 300 kB in weights.npz, and a kilobyte in the archive around it."""
+    inner = io.BytesIO()
+    np.savez_compressed(inner, big=np.zeros(300 * 2**20, np.uint8))
+    path = packed(tmp_path / "nested.zip", {**entries(student), name: inner.getvalue()})
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=f"{name} is .*at most 268435456 bytes"):
+        agent_entry(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 100e6
 
 
 def test_loading_draws_nothing_from_the_random_stream(teacher):

@@ -81,6 +81,24 @@ def test_any_policy_can_be_renamed() -> None:
     assert names([f"mine={spec}", "base=nominal", spec]) == ["mine", "base", spec]
 
 
+@pytest.mark.parametrize("before", ["", "mine="])
+def test_a_path_may_hold_the_sign_that_ends_a_name(
+    before: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    made(tmp_path, "runs/lr=3e-4/agent.zip", "lr=1e-3/agent.zip", "a=b.zip")
+    for path, own in (
+        ("runs/lr=3e-4/agent.zip", "lr=3e-4"),
+        ("lr=1e-3/agent.zip", "lr=1e-3"),
+        ("a=b.zip", "a=b"),
+        ("runs/lr=*/agent.zip", "lr=3e-4"),
+        (str(tmp_path / "runs/lr=3e-4/agent.zip"), "lr=3e-4"),
+    ):
+        (policy,) = load_policies([f"{before}{path}"], REGISTRY, opener=opened)
+        assert Path(policy.fingerprint).exists()
+        assert policy.name.rpartition("@")[0] == ("mine" if before else own)
+
+
 @pytest.mark.parametrize(
     ("specs", "message"),
     [

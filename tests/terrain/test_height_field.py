@@ -1,5 +1,6 @@
 """Terrains: what each kind is, slopes that are derivatives, maps from files, what is refused."""
 
+import importlib.util
 import json
 import math
 import sys
@@ -178,19 +179,24 @@ def test_a_grey_image_of_16_bits_is_a_map_with_its_upper_edge_at_the_largest_y(t
     assert make_height_field(given).relief.heights == pytest.approx(heights, abs=1e-12)
 
 
-def test_a_geotiff_brings_its_cell_and_its_origin(tmp_path):
+def write_geotiff(path, heights, x, y):
+    """Heights with cells of 0.5 m; (x, y) [m]: the upper left corner of the first cell."""
     rasterio = pytest.importorskip("rasterio")
-    heights = written(tmp_path)
-    transform = rasterio.transform.from_origin(10.0, 60.0, 0.5, 0.5)
     rows, columns = heights.shape
     with rasterio.open(
-        tmp_path / "map.tif", "w", driver="GTiff", height=rows, width=columns, count=1,
-        dtype="float64", transform=transform,
+        path, "w", driver="GTiff", height=rows, width=columns, count=1, dtype="float64",
+        transform=rasterio.transform.from_origin(x, y, 0.5, 0.5),
     ) as target:  # fmt: skip
         target.write(heights[::-1], 1)
+
+
+def test_a_geotiff_brings_its_cell_and_its_origin(tmp_path):
+    heights = written(tmp_path)
+    write_geotiff(tmp_path / "map.tif", heights, -1.0, 3.0)
     field = make_height_field({"kind": "map", "file": str(tmp_path / "map.tif")})
     assert field.relief.heights == pytest.approx(heights)
-    assert field.relief.frame[:3] == pytest.approx([10.25, 60.0 - (rows - 0.5) * 0.5, 2.0])
+    first = 3.0 - (len(heights) - 0.5) * 0.5
+    assert field.relief.frame[:3] == pytest.approx([-0.75, first, 2.0])
 
 
 MAP = {"kind": "map", "cell": 0.5}
@@ -237,6 +243,71 @@ def test_a_file_that_holds_something_else_is_refused(tmp_path):
     (tmp_path / "map.npy").write_bytes(b"")
     with pytest.raises(ValueError, match="cannot be read"):
         make_height_field({**MAP, "file": str(tmp_path / "map.npy")})
+
+
+DAMAGED = {
+    "cut.npz": lambda whole: whole[:-40],
+    "no.npz": lambda whole: b"no archive at all",
+    "flipped.npz": lambda whole: whole[:80] + bytes(255 - b for b in whole[80:120]) + whole[120:],
+    "header.npy": lambda whole: b"\x93NUMPY\x01\x00\x12\x00{'descr': ((( '<f8\n",
+    "no.npy": lambda whole: b"no array",
+    "no.png": lambda whole: b"\x89PNG\r\n\x1a\n" + bytes(20),
+    "no.tif": lambda whole: b"II*\x00" + bytes(20),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_file_is_refused_in_one_line(name, tmp_path):
+    pytest.importorskip({"png": "PIL", "tif": "rasterio"}.get(name[-3:], "numpy"))
+    np.savez(tmp_path / "whole.npz", height=SMOOTH, x0=0.0, spacing=0.5)
+    (tmp_path / name).write_bytes(DAMAGED[name]((tmp_path / "whole.npz").read_bytes()))
+    with pytest.raises(ValueError, match=rf"{name}'; cannot be read") as error:
+        make_height_field({**MAP, "file": str(tmp_path / name)})
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "says"),
+    [
+        ({"height": SMOOTH, "x0": [0.0, 1.0]}, "cannot be read"),
+        ({"height": SMOOTH, "spacing": "half"}, "cannot be read"),
+        ({"height": SMOOTH + 1.0j}, "are not numbers"),
+        ({"height": SMOOTH.astype(str)}, "are not numbers"),
+        ({"height": np.array([[None, 1.0]] * 2)}, "cannot be read"),
+        ({"height": np.zeros((30_000, 30_000), np.uint8)}, "unpacks to"),
+    ],
+)
+def test_a_file_of_other_arrays_is_refused_in_one_line(arrays, says, tmp_path):
+    np.savez_compressed(tmp_path / "map.npz", **arrays)
+    with pytest.raises(ValueError, match=says) as error:
+        make_height_field({**MAP, "file": str(tmp_path / "map.npz")})
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("mode", ["P", "RGB", "LA"])
+def test_colours_of_a_picture_are_no_heights(mode, tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    grey = image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8))
+    grey.convert(mode).save(tmp_path / "map.png")
+    with pytest.raises(ValueError, match=f"of mode {mode}; must be a grey image"):
+        make_height_field({**MAP, "file": str(tmp_path / "map.png")})
+
+
+def test_a_map_in_coordinates_of_a_survey_is_centred_and_a_warning_names_them(tmp_path):
+    """The vehicle starts at (0, 0): it would leave the map in its first step."""
+    np.savez(tmp_path / "map.npz", height=SMOOTH, x0=500_000.0, y0=5_800_000.0, spacing=0.5)
+    files = ["map.npz"]
+    if importlib.util.find_spec("rasterio"):
+        write_geotiff(tmp_path / "map.tif", SMOOTH, 500_000.0, 5_800_000.0)
+        files.append("map.tif")
+    for name in files:
+        given = {"kind": "map", "file": str(tmp_path / name)}
+        with pytest.warns(UserWarning, match=r"500000.*without \(0, 0\).*middle is put"):
+            field = make_height_field(given)
+        half = [-0.25 * (count - 1) for count in SMOOTH.shape[::-1]]
+        assert field.relief.frame[:2] == pytest.approx(half)
+        own = make_height_field({**given, "origin": [500_000.0, 0.0]})
+        assert own.relief.frame[:2] == pytest.approx([500_000.0, 0.0])
 
 
 @pytest.mark.parametrize("name, module", [("map.png", "PIL"), ("map.tif", "rasterio")])

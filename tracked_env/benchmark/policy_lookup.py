@@ -15,6 +15,7 @@ counted.
 
 import glob
 import hashlib
+import os
 import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -88,12 +89,26 @@ def _label(path: Path) -> str | None:
     return str(int(match[1])) if match else None
 
 
+def named(spec: str) -> tuple[str, str]:
+    """(own name, "" for none; policy) of an item of the command line, NAME=POLICY.
+
+    The path of an archive may hold "=" itself: what exists is a path as a whole, and a name before
+    a path has no "/".
+    """
+    if not spec.endswith(ARCHIVE):
+        name, _, source = spec.rpartition("=")
+        return name, source
+    name, equals, source = spec.partition("=")
+    is_path = "/" in name or os.sep in name or Path(spec).exists() or bool(glob.glob(spec))
+    return (name, source) if equals and not is_path else ("", spec)
+
+
 def archives(spec: str, shipped: Mapping[str, Sequence[Path]]) -> list[tuple[str, Path]]:
     """Name of the agent and file of every archive that an item of the command line names.
 
     Raises ValueError for an agent of `shipped` without archives.
     """
-    given, _, source = spec.rpartition("=")
+    given, source = named(spec)
     if source in shipped:
         if not shipped[source]:
             raise ValueError(
@@ -143,7 +158,7 @@ def load_policies(
     entries: list[PolicyEntry] = []
     trained: dict[str, list[Path]] = {}
     for spec in dict.fromkeys(specs):
-        given, _, source = spec.rpartition("=")
+        given, source = named(spec)
         found = [] if source in registry or opener is None else archives(spec, shipped)
         if not found:
             entry = load_policy(source, {**dict.fromkeys(shipped, _nothing), **registry})

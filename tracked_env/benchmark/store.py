@@ -36,6 +36,7 @@ from tracked_env.benchmark.records import (
     checked_chunk,
     checked_header,
 )
+from tracked_env.validation import plain_arrays
 
 FORMAT = 4  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"
@@ -246,9 +247,8 @@ class Store:
             for path in (traces / f"{name}.npz", *later):
                 try:
                     if path.exists():
-                        with np.load(io.BytesIO(path.read_bytes())) as data:
-                            parts.append(checked_trace(dict(data)))
-                            whole = joined(parts)
+                        parts.append(checked_trace(plain_arrays(path)))
+                        whole = joined(parts)
                 except Exception as error:  # zipfile and numpy raise many kinds for a damaged file
                     self.notices.append(
                         f"{path} is damaged and left out of the figures ({type(error).__name__}: "

@@ -6,8 +6,9 @@ Needs the extra `render`, the page the extra `viewer` too.
 
 import os
 import tempfile
+import zlib
 from collections.abc import Iterator, Sequence
-from itertools import islice, zip_longest
+from itertools import chain, islice, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -133,9 +134,21 @@ def record_episode(
 def _write(path: Path, film: Iterator[Picture], rate: float) -> None:
     """Write pictures, `rate` a second, in the format of the suffix."""
     if path.suffix == ".mp4":
-        from moviepy import ImageSequenceClip
+        from imageio_ffmpeg import write_frames
 
-        ImageSequenceClip(list(film), fps=rate).write_videofile(str(path), logger=None)
+        first = next(film)
+        height, width = first.shape[:2]
+        # quality as the encoder's default; the size need not be a multiple of 16
+        encoder = write_frames(
+            str(path), (width, height), fps=rate, quality=None, macro_block_size=2,
+            ffmpeg_log_level="error", output_params=["-crf", "23"],
+        )  # fmt: skip
+        encoder.send(None)
+        try:
+            for picture in chain([first], film):
+                encoder.send(np.ascontiguousarray(picture))
+        finally:
+            encoder.close()
         return
     from PIL import Image
 
@@ -143,9 +156,40 @@ def _write(path: Path, film: Iterator[Picture], rate: float) -> None:
         *_, last = film
         Image.fromarray(last).save(path)
         return
-    first, *others = [Image.fromarray(picture).quantize(128) for picture in film]
+    packed, colours = [], np.zeros(2**24, dtype=bool)
+    for picture in film:
+        packed.append(zlib.compress(picture.tobytes(), 1))
+        colours[picture @ np.array([2**16, 2**8, 1])] = True
+    shape, palette = picture.shape, _palette(np.flatnonzero(colours))
+
+    def frames() -> Iterator[Any]:
+        for each in packed:
+            pixels = np.frombuffer(zlib.decompress(each), np.uint8).reshape(shape)
+            yield Image.fromarray(pixels).quantize(palette=palette, dither=Image.Dither.NONE)
+
+    shown = frames()
+    start = next(shown)
     duration = round(1000.0 / rate)  # [ms]
-    first.save(path, save_all=True, append_images=others, duration=duration, loop=0)
+    start.save(path, save_all=True, append_images=shown, duration=duration, loop=0)
+
+
+def _palette(colours: NDArray[np.int64]) -> Any:
+    """An image with 256 colours for a whole film, so that nothing changes its colour between two
+    pictures. colours: all that occur, as 0xRRGGBB.
+
+    Those of quantities are among them, whatever share of the pictures they have.
+    """
+    from PIL import Image
+
+    from tracked_env.rendering.canvas import QUANTITY_COLOURS
+
+    rows = np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=-1).astype(np.uint8)
+    count = 256 - len(QUANTITY_COLOURS)
+    common = Image.fromarray(rows[None]).quantize(count, method=Image.Quantize.MEDIANCUT)
+    entries = [*np.ravel(QUANTITY_COLOURS).tolist(), *(common.getpalette() or [])]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(entries[: 3 * 256])
+    return palette
 
 
 def _driven(

@@ -21,7 +21,7 @@ from tracked_env.cli.waiting import explained
 from tracked_env.engine.env_config import make_vehicle
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.sensors import Sensors, make_sensors
-from tracked_env.validation import checked_number
+from tracked_env.validation import checked_number, parsed_json
 
 DESCRIPTION = (
     "Run the identification of the adaptive policy over a log and write a report, a set of "
@@ -58,8 +58,8 @@ def json_or_name(text: str, what: str) -> Any:
     if not text.lstrip().startswith("{"):
         return text
     try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
+        return parsed_json(text)
+    except ValueError as error:
         raise ValueError(f"{what}: no JSON object: {error}") from error
 
 

@@ -48,6 +48,25 @@ _RUNNING = (  # attributes that change while episodes run
 )  # fmt: skip
 
 
+def checked_actions(actions: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Actions as an array of real numbers. Raises ValueError for another shape or type."""
+    try:
+        actions = np.asarray(actions)
+    except ValueError as error:
+        raise ValueError(f"action = {actions!r:.100}; must be an array {shape}: {error}") from error
+    if actions.shape != shape:
+        raise ValueError(
+            f"action has shape {actions.shape}; must be {shape}: sprocket torque (or speed) left, "
+            "right over its limit, in [-1, 1]"
+        )
+    if actions.dtype.kind not in "fiub":
+        raise ValueError(
+            f"action = {actions.tolist()!r:.100} of type {actions.dtype}; must be real numbers in "
+            "[-1, 1]. Did you pass text, None or complex numbers?"
+        )
+    return actions
+
+
 class Simulation(Readings):
     """N vehicles. All arrays have one row per vehicle; all values are SI, angles in rad."""
 
@@ -169,17 +188,11 @@ class Simulation(Readings):
         A vehicle whose episode has ended is stepped on unless it is left out.
 
         actions: (N, 2) float32, left and right sprocket torque over the torque limit, or speed
-        over the speed limit, clipped to [-1, 1]. Raises ValueError for a wrong shape or a
-        non-finite value, and ResetNeeded for a vehicle that was never reset, before moving.
+        over the speed limit, clipped to [-1, 1]. Raises ValueError for a wrong shape or type
+        or a non-finite value, and ResetNeeded for a vehicle that was never reset, before moving.
         Returns all observations (N, D) in the layout of the config.
         """
-        actions = np.asarray(actions)
-        if actions.shape != self._action_shape:
-            raise ValueError(
-                f"action has shape {actions.shape}; must be {self._action_shape}: sprocket torque "
-                "(or speed) left, right over its limit, in [-1, 1]"
-            )
-        self.actions[:] = actions
+        self.actions[:] = checked_actions(actions, self._action_shape)
         return self.advance(chosen)
 
     def advance(self, chosen: NDArray[np.int64] | None = None) -> NDArray[np.float32]:

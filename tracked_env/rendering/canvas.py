@@ -26,6 +26,7 @@ PALE_BLUE: Colour = (116, 166, 199)  # the part of it that is past
 GREEN: Colour = (0, 140, 102)  # tractive effort
 VERMILLION: Colour = (213, 94, 0)  # motion resistance; what has changed
 PURPLE: Colour = (170, 64, 126)  # lateral force
+QUANTITY_COLOURS = (INK, MUTED, BLUE, PALE_BLUE, GREEN, VERMILLION, PURPLE)
 
 _MASKS = (0xFF0000, 0x00FF00, 0x0000FF)
 _TEXT_CACHE = 2048  # [-] rendered strings kept

@@ -6,7 +6,8 @@ with
     heights        numbers [m], or a NumPy array; rows along y, columns along x, both growing
     file           an array in .npy; in .npz `height` with `x0`, `y0` (default: x0) and `spacing`;
                    an image in .png, its upper edge at the largest y, one count = 1 m times `scale`;
-                   a GeoTIFF, first band, with cell and origin of its own
+                   a GeoTIFF, first band, with cell and origin of its own; one in coordinates of
+                   a survey, without (0, 0), where references start, is centred, with a warning
     cell           [m] distance between heights; of the file where that says it
     origin         [m, m] x, y of heights[0][0]; default: of the file, else the middle of the map
                    is at (0, 0)
@@ -16,6 +17,7 @@ with
 """
 
 import math
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.physics.parameters import Range
-from tracked_env.validation import checked_choice, checked_number
+from tracked_env.validation import checked_choice, checked_number, plain_arrays
 
 Floats = NDArray[np.float64]
 MAP_KEYS = ("heights", "file", "cell", "origin", "scale", "interpolation")
@@ -36,9 +38,13 @@ _SCALE = Range(-1e6, 1e6, "-", "It is the height of one count.")
 _READERS = {".png": "pillow", ".tif": "rasterio", ".tiff": "rasterio"}
 
 
-def _lacks(path: Path, error: ImportError) -> ValueError:
+class _MapError(ValueError):
+    """What a file lacks, in words of its own."""
+
+
+def _lacks(path: Path, error: ImportError) -> _MapError:
     needed = _READERS[path.suffix.lower()]
-    return ValueError(
+    return _MapError(
         f"terrain file = {str(path)!r}; needs {needed} ({error}). Did you run "
         "`pip install tracked-env[terrain]`?"
     )
@@ -50,12 +56,13 @@ def _read_png(path: Path) -> tuple[Any, dict[str, Any]]:
     except ImportError as error:
         raise _lacks(path, error) from error
     with Image.open(path) as image:
+        if len(image.getbands()) > 1 or image.mode == "P":
+            raise _MapError(
+                f"terrain file = {str(path)!r} of mode {image.mode}; must be a grey image, whose "
+                "counts are heights. Did you save it in colour, or with a palette?"
+            )
+        _check_size(path, image.width * image.height)
         counts = np.asarray(image)
-    if counts.ndim != 2:
-        raise ValueError(
-            f"terrain file = {str(path)!r} of shape {counts.shape}; must be a grey image. "
-            "Did you save it in colour?"
-        )
     return counts[::-1], {}
 
 
@@ -65,10 +72,11 @@ def _read_geotiff(path: Path) -> tuple[Any, dict[str, Any]]:
     except ImportError as error:
         raise _lacks(path, error) from error
     with rasterio.open(path) as source:
+        _check_size(path, source.width * source.height)
         heights = source.read(1, masked=True).astype(np.float64).filled(np.nan)
         t = source.transform
     if t.b or t.d or not math.isclose(t.a, -t.e, rel_tol=1e-6):
-        raise ValueError(
+        raise _MapError(
             f"terrain file = {str(path)!r} with cells of {t.a:g} x {-t.e:g}; must be square and "
             "along x and y. Is it in degrees? Reproject it to metres."
         )
@@ -78,12 +86,11 @@ def _read_geotiff(path: Path) -> tuple[Any, dict[str, Any]]:
 
 
 def _read_npz(path: Path) -> tuple[Any, dict[str, Any]]:
-    with np.load(path) as data:
-        if "height" not in data:
-            raise ValueError(
-                f"terrain file = {str(path)!r} with {sorted(data)}; must hold an array 'height'"
-            )
-        found = {name: data[name] for name in ("height", "x0", "y0", "spacing") if name in data}
+    found = plain_arrays(path, 8 * LARGEST + 2**20)
+    if "height" not in found:
+        raise _MapError(
+            f"terrain file = {str(path)!r} with {sorted(found)}; must hold an array 'height'"
+        )
     known: dict[str, Any] = {}
     if "spacing" in found:
         known["cell"] = float(found["spacing"])
@@ -105,14 +112,28 @@ def _read(given: object) -> tuple[Any, dict[str, Any]]:
         raise ValueError(f"terrain file = {str(path)!r}; no such file. Is the path relative?")
     try:
         return readers[path.suffix.lower()](path)
-    except (OSError, EOFError) as error:
-        raise ValueError(f"terrain file = {str(path)!r}; cannot be read: {error}") from error
+    except _MapError:
+        raise
+    except Exception as error:  # a damaged file raises what happens to go wrong
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ValueError(f"terrain file = {str(path)!r}; cannot be read: {reason}") from error
+
+
+def _check_size(path: Path, size: int) -> None:
+    """Raise _MapError for a picture of more heights than a map may have, before it is unpacked."""
+    if size > LARGEST:
+        raise _MapError(
+            f"terrain file = {str(path)!r} of {size:.1e} heights; must be at most {LARGEST:.0e}"
+        )
 
 
 def _checked_heights(given: object, scale: float) -> Floats:
     """Heights (rows, columns) [m]. Raises ValueError."""
     try:
-        heights = np.asarray(given, dtype=np.float64)
+        heights = np.asarray(given)
+        if heights.dtype.kind not in "biuf":
+            raise TypeError(f"they are of type {heights.dtype}")
+        heights = heights.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(
             f"heights of a map are not numbers in rows of equal length: {error}"
@@ -134,6 +155,31 @@ def _checked_heights(given: object, scale: float) -> Floats:
             "Are there holes in the survey? Fill them first."
         )
     return np.ascontiguousarray(scale * heights)
+
+
+def _origin_in_file(
+    given: Mapping[str, Any], known: Mapping[str, Any], middle: list[float]
+) -> list[float]:
+    """[x, y] [m] of the first height where the map itself says nothing: of its file, or `middle`.
+
+    Coordinates of a survey are those of a GeoTIFF that does not reach (0, 0), and of another file
+    that is farther away than it is long. A warning names them.
+    """
+    origin: list[float] = known.get("origin", middle)
+    lengths = [-2.0 * half for half in middle]
+    distance = max(
+        max(first, -first - length) for first, length in zip(origin, lengths, strict=True)
+    )
+    is_geotiff = Path(str(given.get("file", ""))).suffix.lower() in (".tif", ".tiff")
+    if not distance > (0.0 if is_geotiff else max(lengths)):
+        return origin
+    warnings.warn(
+        f"terrain file = {str(given['file'])!r} reaches from {origin} on over {lengths} m, without "
+        "(0, 0), where references start: its middle is put at (0, 0). Give 'origin': [x, y] to "
+        "place it yourself",
+        stacklevel=2,
+    )
+    return middle
 
 
 def load_map(given: Mapping[str, Any]) -> tuple[Floats, Floats]:
@@ -159,7 +205,7 @@ def load_map(given: Mapping[str, Any]) -> tuple[Floats, Floats]:
     )
     rows, columns = heights.shape
     middle = [-0.5 * cell * (columns - 1), -0.5 * cell * (rows - 1)]
-    origin = given.get("origin", known.get("origin", middle))
+    origin = given["origin"] if "origin" in given else _origin_in_file(given, known, middle)
     if not isinstance(origin, (list, tuple, np.ndarray)) or len(origin) != 2:
         raise ValueError(f"origin of a map = {origin!r}; must be [x, y] in m of heights[0][0]")
     x, y = (checked_number("origin of a map", value, _PLACE) for value in origin)

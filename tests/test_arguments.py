@@ -10,6 +10,7 @@ from tracked_env.env import TrackedVehicleEnv
 from tracked_env.references import make_reference
 from tracked_env.sb3 import make_vec_env
 from tracked_env.sensors import Sensors
+from tracked_env.validation import name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 NO_NUMBERS = [float("nan"), float("inf"), -float("inf"), True, "1", None, [1.0], 10**400, 1j]
@@ -232,3 +233,14 @@ def test_a_snapshot_of_vehicles_without_an_episode_leaves_them_without():
     env.simulation.resume(kept)
     with pytest.raises(ResetNeeded, match="2 of 2"):
         env.step(np.zeros((2, 2), np.float32))
+
+
+@pytest.mark.parametrize("depth", [80, 2000, 200_000])
+@pytest.mark.parametrize("opened", ['{"a":', "["])
+def test_json_that_is_nested_too_deeply_is_one_line(depth: int, opened: str) -> None:
+    closed = "}" if opened == '{"a":' else "]"
+    text = f'{{"kind": {opened * depth}1{closed * depth}}}'
+    with pytest.raises(ValueError, match=r"--reference .*not a JSON object.*64 levels") as error:
+        name_or_json(text, "reference")
+    assert len(str(error.value)) < 300
+    assert name_or_json('{"a": [[1]]}', "reference") == {"a": [[1]]}

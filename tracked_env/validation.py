@@ -151,7 +151,7 @@ def name_or_json(text: str | None, what: str) -> str | Mapping[str, Any] | None:
     try:
         return dict(parsed_json(text))
     except ValueError as error:
-        raise ValueError(f"--{what} {text}: not a JSON object ({error})") from error
+        raise ValueError(f"--{what} {text:.100}: not a JSON object ({error})") from error
 
 
 def plain_arrays(file: str | Path | IO[bytes], largest: int = LARGEST) -> dict[str, NDArray[Any]]:

@@ -285,7 +285,7 @@ def test_what_would_fill_the_memory_is_refused(student, tmp_path):
 
 @pytest.mark.parametrize("name", [WEIGHTS, INFERENCE])
 def test_an_archive_in_the_archive_is_not_unpacked_beyond_the_limit(name, student, tmp_path):
-    """300 MB of zeros are 300 kB in weights.npz, and a kilobyte in the archive around it."""
+    """300 MB of zeros are 300 kB in the inner one."""
     inner = io.BytesIO()
     np.savez_compressed(inner, big=np.zeros(300 * 2**20, np.uint8))
     path = packed(tmp_path / "nested.zip", {**entries(student), name: inner.getvalue()})

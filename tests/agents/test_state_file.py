@@ -4,6 +4,7 @@ import io
 import json
 import pickle
 import random
+import zipfile
 from collections import deque
 from dataclasses import replace
 
@@ -11,10 +12,13 @@ import numpy as np
 import pytest
 import torch
 from numpy.lib import format as npy
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecMonitor
 
 import train
 from agents.algorithms import make_model
 from agents.training import checkpoints
+from agents.training.environment_state import capture_environment, layers
 from agents.training.environments import make_environment
 from agents.training.run import resolve
 from agents.training.sb3_state import capture
@@ -26,6 +30,8 @@ from tests.agents.test_checkpoints import killed_after
 from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env.engine import columns
 from tracked_env.physics.state import VehicleState
+from tracked_env.sb3 import TrackedVehicleVecEnv
+from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 
 def same(one, other):
@@ -222,3 +228,40 @@ def test_arrays_of_another_shape_are_refused_before_anything_is_put_back(
         write_state(tmp_path / checkpoints.FILE, state)
         assert train.main(replace(config, output=tmp_path, resume=True)) == 2
         assert f"Batch.{name} = " in capsys.readouterr().err
+
+
+def test_a_checkpoint_that_unpacks_to_more_than_its_file_is_refused(tmp_path):
+    """A training writes nothing compressed, and nothing twice."""
+    write_state(tmp_path / "state.zip", {"array": np.zeros(1000)})
+    with zipfile.ZipFile(tmp_path / "state.zip") as whole:
+        files = {name: whole.read(name) for name in whole.namelist()}
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+        archive.writestr("big.npy", bytes(10**7))
+    assert (tmp_path / "bomb.zip").stat().st_size < 20_000
+    with pytest.raises(ValueError, match="it unpacks to"):
+        read_state(tmp_path / "bomb.zip")
+
+
+def vehicles():
+    return TrackedVehicleVecEnv(TrackedVehicleVectorEnv(2, autoreset_mode="SameStep"))
+
+
+@pytest.mark.parametrize("name", ["_last_obs", "_n_updates", "ep_success_buffer"])
+def test_an_attribute_that_another_version_of_the_library_lacks_ends_the_checkpoint(name):
+    """It was left out, and the training went on from the checkpoint as another one."""
+    model = PPO("MlpPolicy", vehicles(), n_steps=8, batch_size=8)
+    model.learn(8)
+    assert name in capture(model)["attributes"]
+    delattr(model, name)
+    with pytest.raises(RuntimeError, match=f"has no attribute '{name}'.*constraints.txt"):
+        capture(model)
+
+
+def test_an_environment_whose_wrappers_lead_nowhere_ends_the_checkpoint(monkeypatch):
+    env = VecMonitor(vehicles())
+    assert len(capture_environment(env)) == len(layers(env)) > 1
+    monkeypatch.setattr(env, "venv", None)
+    with pytest.raises(RuntimeError, match="no vehicles below VecMonitor"):
+        capture_environment(env)

@@ -1,12 +1,16 @@
 """The command `tracked-env render`: pictures, films and pages of one episode."""
 
 import sys
+import weakref
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tracked_env.benchmark import video
 from tracked_env.cli.main import main
+from tracked_env.rendering.canvas import QUANTITY_COLOURS
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
@@ -30,6 +34,54 @@ def test_render_writes_the_episode_in_the_format_of_the_file(suffix: str) -> Non
         frames = getattr(picture, "n_frames", 1)
         assert frames == (11 if suffix == ".gif" else 1)
         assert picture.convert("L").getextrema() != (0, 0)
+
+
+def test_a_film_is_encoded_while_it_is_drawn(tmp_path: Path) -> None:
+    """All pictures of 30 s together are 2.8 GB. Its size need not be a multiple of 16."""
+    moviepy = pytest.importorskip("moviepy")
+    alive: list[object] = []
+
+    def film() -> Iterator[np.ndarray]:
+        for k in range(60):
+            picture = np.full((90, 122, 3), 4 * k, np.uint8)
+            alive.append(weakref.ref(picture))
+            assert sum(each() is not None for each in alive) <= 4  # type: ignore[operator]
+            yield picture
+
+    video._write(tmp_path / "one.mp4", film(), 20.0)
+    with moviepy.VideoFileClip(str(tmp_path / "one.mp4")) as clip:
+        frames = list(clip.iter_frames())
+        assert clip.fps == 20 and clip.size == [122, 90] and len(frames) == 60
+    assert [np.mean(frame) for frame in frames] == pytest.approx(4.0 * np.arange(60), abs=4.0)
+
+
+def test_colours_of_a_film_are_those_of_the_quantities_in_every_picture(tmp_path: Path) -> None:
+    """Thin lines over ground of many colours, which change from picture to picture."""
+    image = pytest.importorskip("PIL.Image")
+    rng = np.random.default_rng(0)
+    lines = np.array(QUANTITY_COLOURS)
+
+    def film() -> Iterator[np.ndarray]:
+        still = rng.integers(0, 256, (8, 120, 3))
+        for k in range(10):
+            picture = np.zeros((100, 120, 3), np.uint8)
+            picture[..., 0] = np.linspace(20 * k, 60 + 18 * k, 120)
+            picture[..., 1] = np.linspace(40, 250, 100)[:, None]
+            picture[..., 2] = rng.integers(60, 90, (100, 120))
+            picture[:8] = still
+            picture[10 + 5 * k : 10 + 5 * k + len(lines), 5] = lines
+            yield picture
+
+    video._write(tmp_path / "one.gif", film(), 10.0)
+    with image.open(tmp_path / "one.gif") as shown:
+        frames = []
+        for k in range(shown.n_frames):  # type: ignore[attr-defined]
+            shown.seek(k)
+            frames.append(np.asarray(shown.convert("RGB")).astype(int))
+    assert len(frames) == 10
+    for k, frame in enumerate(frames):
+        assert np.array_equal(frame[10 + 5 * k : 10 + 5 * k + len(lines), 5], lines)
+        assert np.array_equal(frame[:8], frames[0][:8])  # nothing that stays flickers
 
 
 def test_a_picture_shows_the_time_that_is_asked_for_and_else_the_end(

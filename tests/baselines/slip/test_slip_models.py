@@ -195,3 +195,9 @@ def test_bad_tables_and_speeds_are_refused_with_quantity_and_cause(tmp_path):
     np.savez(tmp_path / "other.npz", kind="other")
     with pytest.raises(ValueError, match="kind of slip model is other"):
         slip_models.load(tmp_path / "other.npz")
+    (tmp_path / "no.npz").write_bytes(b"no archive")
+    np.savez(tmp_path / "part.npz", kind="table", table=np.zeros((3, 3, 3)))
+    np.savez_compressed(tmp_path / "large.npz", table=np.zeros(2**28 + 1, np.uint8))
+    for name, says in (("no", "not an npz"), ("part", "grid"), ("large", "it unpacks to")):
+        with pytest.raises(ValueError, match=f"{name}.npz: .*{says}"):
+            slip_models.load(tmp_path / f"{name}.npz")

@@ -72,7 +72,7 @@ def _of_effort(memory, i, at, values, side, k):
 
 
 @formula
-def _speed_row(memory, i, at, values, v, p, left, right, k):
+def _speed_row(memory, i, at, values, v, x, p, left, right, k):
     """(v [m/s] by the effort of both tracks, its variance for one sample)."""
     if memory[i, at + EFFORT_MAXIMUM] <= 0.0:
         return v, UNSEEN
@@ -84,7 +84,7 @@ def _speed_row(memory, i, at, values, v, p, left, right, k):
     spread = f * f * (memory[i, at + P_FF] + changed)
     spread += twist * twist * (memory[i, at + P_KK] + changed)
     spread = max(spread + 2.0 * f * twist * memory[i, at + P_FK], 0.0)
-    known = speed_variance(p, left, right)
+    known = speed_variance(x, p, left, right, k)
     floor = SPEED_FLOOR * SPEED_FLOOR
     error = by_effort - v
     certain = memory[i, at + P_FF] == 0.0
@@ -112,7 +112,7 @@ def _side_row(memory, i, at, values, v, w, press, k):
 
 
 @formula
-def measure(memory, i, at, values, fresh, expected, p, left, right, press, k, z, noise):
+def measure(memory, i, at, values, fresh, expected, x, p, left, right, press, k, z, noise):
     """z (ROWS,) and its R (ROWS, ROWS) of a step without a pose; expected: z by the model."""
     noise[:, :] = 0.0
     for row in range(6):
@@ -121,7 +121,7 @@ def measure(memory, i, at, values, fresh, expected, p, left, right, press, k, z,
     gyro = values[i, _YAW_RATE]
     if fresh[i, INERTIAL] and abs(gyro - expected[5]) < WILD_TURN:
         z[5], noise[5, 5] = gyro - memory[i, at + TURN_BIAS], k.gyro_variance
-    z[3], noise[3, 3] = _speed_row(memory, i, at, values, expected[3], p, left, right, k)
+    z[3], noise[3, 3] = _speed_row(memory, i, at, values, expected[3], x, p, left, right, k)
     side, variance = _side_row(memory, i, at, values, expected[3], z[5], press, k)
     if variance < UNSEEN and abs(expected[3]) > STANDING_VEHICLE:
         z[4], noise[4, 4] = side, variance

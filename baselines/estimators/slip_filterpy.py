@@ -116,7 +116,7 @@ def look(memory, i, slots, yaw, values, fresh, age, constants, link, x, p, z, no
         link[_WAY + column] = way[column]
         link[_GYRO + column] = gyro[column]
     if memory[i, step.STARTED] == 0.0:
-        step.start(memory, i, x, p, z, noise, way)
+        step.start(memory, i, values, x, p, z, noise, way, k)
         link[_USED] = 0.0
         return False
     return True

@@ -23,6 +23,7 @@ from baselines.estimators.slip_kinematics import (
     SLIP_LEFT,
     SLIP_RIGHT,
     STANDING_VEHICLE,
+    STATES,
     YAW,
     X,
     Y,
@@ -69,8 +70,22 @@ def _speeds(x, left, right, k):
 
 
 @formula
-def speed_variance(p, left, right):
+def begin(memory, i, at, k):
+    """An outage begins with this step."""
+    memory[i, at + SILENT] = max(memory[i, at + SILENT], k.silence)
+
+
+@formula
+def steepness(belt, slip, k):
+    """-dV/di [m/s] of a track at this slip: |V_t| when driven, |V_t| / (1 - |i|)^2 when braked."""
+    gain = soil.track_speed_from_belt(1.0, slip if belt >= 0.0 else -slip)
+    return max(abs(belt), k.standing_belt) * max(gain * gain, 1.0)
+
+
+@formula
+def speed_variance(x, p, left, right, k):
     """Variance [m^2/s^2] of the speed by slips of covariance p and belts [m/s]."""
+    left, right = steepness(left, x[SLIP_LEFT], k), steepness(right, x[SLIP_RIGHT], k)
     both = 2.0 * left * right * p[SLIP_LEFT, SLIP_RIGHT]
     return 0.25 * abs(
         left * left * p[SLIP_LEFT, SLIP_LEFT] + right * right * p[SLIP_RIGHT, SLIP_RIGHT] + both
@@ -78,10 +93,23 @@ def speed_variance(p, left, right):
 
 
 @formula
-def _restart(memory, i, at, speed, k):
-    """The inertial speed begins anew with `speed` [m/s]; the bias stays."""
+def _restart(memory, i, at, speed, variance):
+    """The inertial speed begins anew with `speed` [m/s] of this variance; the bias stays."""
     memory[i, at + SPEED] = speed
-    memory[i, at + P_SS], memory[i, at + P_SB] = 1.0, 0.0
+    memory[i, at + P_SS], memory[i, at + P_SB] = variance, 0.0
+
+
+@formula
+def _adopt(memory, i, value, number, variance):
+    """(sum, bias) in columns `value` ff. when the sum is `number`, of at most this variance; what
+    the bias is for each sum stays."""
+    first = value + 2
+    share = memory[i, first + 1] / memory[i, first]
+    variance = min(variance, memory[i, first])
+    memory[i, value + 1] += share * (number - memory[i, value])
+    memory[i, value] = number
+    memory[i, first + 2] += share * share * (variance - memory[i, first])
+    memory[i, first], memory[i, first + 1] = variance, share * variance
 
 
 @formula
@@ -114,28 +142,91 @@ def _slip(belt, speed, held, k):
 
 
 @formula
-def _belt(speed, slip):
+def belt_of(speed, slip):
     """Belt speed [m/s] that with this slip gives the speed over the ground."""
     gain = soil.track_speed_from_belt(1.0, slip if speed >= 0.0 else -slip)
     return speed / gain
 
 
 @formula
-def carry(memory, i, at, x, last_left, last_right, left, right, values, incline, carried, turn, k):
+def _take_track(x, p, state, last, belt, speed, k):
+    """Slip `state`, with the belt at `last` [m/s], becomes what makes this speed of this belt; the
+    covariance is that of the same speeds. Returns the belt, or one that with its slip makes it."""
+    before = steepness(last, x[state], k)
+    x[state] = _slip(belt, speed, x[state], k)
+    belt = belt_of(speed, x[state])
+    factor = before / steepness(belt, x[state], k)
+    p[state, :] *= factor
+    p[:, state] *= factor
+    return belt
+
+
+@formula
+def take_speeds(x, p, left, right, v, w, variance, turn_variance, k):
+    """Slips by v [m/s], w [rad/s] with these variances in place of those of (x, p); belts [m/s].
+
+    What the other states are for each slip stays: with A = P_12 P_22^-1, m the slips,
+    x_1 += A (m' - m), P_12 = A P_22', P_11 += A (P_22' - P_22) A^T. Returns belts, as `_take_track`.
+    """
+    half = 0.5 * w / k.inverse_gauge
+    before_left = soil.track_speed_from_belt(left, x[SLIP_LEFT])
+    before_right = soil.track_speed_from_belt(right, x[SLIP_RIGHT])
+    left = _take_track(x, p, SLIP_LEFT, left, left, v - half, k)
+    right = _take_track(x, p, SLIP_RIGHT, right, right, v + half, k)
+    g_left, g_right = steepness(left, x[SLIP_LEFT], k), steepness(right, x[SLIP_RIGHT], k)
+    more_left, more_right = (before_left - v + half) / g_left, (before_right - v - half) / g_right
+    a, b, c = p[SLIP_LEFT, SLIP_LEFT], p[SLIP_LEFT, SLIP_RIGHT], p[SLIP_RIGHT, SLIP_RIGHT]
+    across = turn_variance * 0.25 / (k.inverse_gauge * k.inverse_gauge)
+    aa = (variance + across) / (g_left * g_left)
+    bb = (variance - across) / (g_left * g_right)
+    cc = (variance + across) / (g_right * g_right)
+    inverse = 1.0 / max(a * c - b * b, 1e-9 * a * c)
+    for r in range(STATES):
+        if r != SLIP_LEFT and r != SLIP_RIGHT:
+            d, e = p[r, SLIP_LEFT], p[r, SLIP_RIGHT]
+            p[r, SLIP_LEFT] = (c * d - b * e) * inverse  # A
+            p[r, SLIP_RIGHT] = (a * e - b * d) * inverse
+            x[r] += p[r, SLIP_LEFT] * more_left + p[r, SLIP_RIGHT] * more_right
+    for r in range(STATES):
+        for s in range(STATES):
+            if not (r == SLIP_LEFT or r == SLIP_RIGHT or s == SLIP_LEFT or s == SLIP_RIGHT):
+                d, e = p[s, SLIP_LEFT], p[s, SLIP_RIGHT]
+                p[r, s] += p[r, SLIP_LEFT] * ((aa - a) * d + (bb - b) * e)
+                p[r, s] += p[r, SLIP_RIGHT] * ((bb - b) * d + (cc - c) * e)
+    for r in range(STATES):
+        if r != SLIP_LEFT and r != SLIP_RIGHT:
+            d, e = p[r, SLIP_LEFT], p[r, SLIP_RIGHT]
+            p[r, SLIP_LEFT] = p[SLIP_LEFT, r] = d * aa + e * bb
+            p[r, SLIP_RIGHT] = p[SLIP_RIGHT, r] = d * bb + e * cc
+    p[SLIP_LEFT, SLIP_LEFT], p[SLIP_RIGHT, SLIP_RIGHT] = aa, cc
+    p[SLIP_LEFT, SLIP_RIGHT] = p[SLIP_RIGHT, SLIP_LEFT] = bb
+    return left, right
+
+
+@formula
+def start(memory, i, at, x, p, values, left, right, k):
+    """Inertial speed and heading begin with those of (x, p) and the belts [m/s]."""
+    v, w = _speeds(x, left, right, k)
+    _restart(memory, i, at, v, speed_variance(x, p, left, right, k))
+    memory[i, at + TURNED], memory[i, at + P_TT], memory[i, at + P_TG] = x[YAW], p[YAW, YAW], 0.0
+    memory[i, at + P_BB], memory[i, at + P_GG] = k.bias_variance, k.turn_bias_variance
+    a = values[i, _A_X]
+    memory[i, at + TURNS] = w
+    memory[i, at + FELT] = a if abs(a) < LARGEST_ACCELERATION else 0.0
+
+
+@formula
+def carry(
+    memory, i, at, x, p, last_left, last_right, left, right, values, incline, carried, turn, k
+):  # fmt: skip
     """Inertial speed and heading of one step; without a pose, the slips that they make.
 
-    Belts [m/s] before and now; incline, with turn, carried of `attitude.heading_rate`. Returns
-    (the variance per step [-] of what both slips share, or -1 where they are random walks; belts).
+    Belts [m/s] before and now; incline, with turn, carried of `attitude.heading_rate`. Returns (the
+    variance per step [-] of what both slips share, or -1 where they are random walks; the belts
+    before and now that with the present slips make the speeds of before and now).
     """
     v, w = _speeds(x, last_left, last_right, k)
     v, w = min(max(v, -LARGEST_SPEED), LARGEST_SPEED), min(max(w, -WILD_TURN), WILD_TURN)
-    if memory[i, at + P_BB] == 0.0:
-        _restart(memory, i, at, v, k)
-        memory[i, at + TURNED], memory[i, at + P_TT] = x[YAW], 1.0
-        memory[i, at + P_BB], memory[i, at + P_GG] = k.bias_variance, k.turn_bias_variance
-        a = values[i, _A_X]
-        memory[i, at + TURNS] = w
-        memory[i, at + FELT] = a if abs(a) < LARGEST_ACCELERATION else 0.0
     if not silent(memory, i, at, k):
         v = min(max(memory[i, at + SPEED], -LARGEST_SPEED), LARGEST_SPEED)
     memory[i, at + SILENT] += 1.0
@@ -150,28 +241,35 @@ def carry(memory, i, at, x, last_left, last_right, left, right, values, incline,
     c, s = rotation(x[SIDE_SLIP])
     a = values[i, _A_X] + soil.GRAVITY * incline.down_x + w * v * s / c - memory[i, at + BIAS]
     felt = abs(a) < LARGEST_ACCELERATION
+    before, variance = v, memory[i, at + P_SS]
     if felt:
-        v += 0.5 * k.period * (memory[i, at + FELT] + a)
+        gain = 0.5 * k.period * (memory[i, at + FELT] + a)
+        v += gain
         memory[i, at + FELT] = a
         drift(memory, i, at + P_SS, k.acceleration_variance, k.period)
-        memory[i, at + SPEED] = v
+        memory[i, at + SPEED] += gain
     else:
-        _restart(memory, i, at, v, k)
+        _restart(memory, i, at, v, 1.0)
     if not silent(memory, i, at, k):
-        return -1.0, left, right
+        return -1.0, last_left, last_right, left, right
     if memory[i, at + SILENT] < k.silence + 1.5:  # since the last pose the gyro has turned
+        last_left, last_right = take_speeds(
+            x, p, last_left, last_right, before, w, variance, k.gyro_variance, k
+        )  # fmt: skip
         x[YAW] = begun  # this step's turn is still to be predicted
     half = 0.5 * w / k.inverse_gauge
-    x[SLIP_LEFT] = _slip(left, v - half, x[SLIP_LEFT], k)
-    x[SLIP_RIGHT] = _slip(right, v + half, x[SLIP_RIGHT], k)
-    left = _belt(v - half, x[SLIP_LEFT])
-    right = _belt(v + half, x[SLIP_RIGHT])
+    before_left = soil.track_speed_from_belt(last_left, x[SLIP_LEFT])
+    before_right = soil.track_speed_from_belt(last_right, x[SLIP_RIGHT])
+    left = _take_track(x, p, SLIP_LEFT, last_left, left, v - half, k)
+    right = _take_track(x, p, SLIP_RIGHT, last_right, right, v + half, k)
+    last_left = belt_of(before_left, x[SLIP_LEFT])
+    last_right = belt_of(before_right, x[SLIP_RIGHT])
     if not felt:
-        return 0.5 * k.slip_drift, left, right
+        return 0.5 * k.slip_drift, last_left, last_right, left, right
     mean = max(0.5 * (abs(left) + abs(right)), STANDING_VEHICLE)
     time = memory[i, at + SILENT] * k.period
     noise = k.period * k.acceleration_variance + 3.0 * memory[i, at + P_BB] * time
-    return k.period * noise / (mean * mean), left, right
+    return k.period * noise / (mean * mean), last_left, last_right, left, right
 
 
 @formula
@@ -202,20 +300,17 @@ def settle(memory, i, at, x, p, left, right, used, k):
     for column in range(GAP_X, GAP_SPEED + 1):
         memory[i, at + column] *= k.fading
     if not used:
-        if silent(memory, i, at, k):
-            memory[i, at + SPEED] = v
         return
+    variance = speed_variance(x, p, left, right, k)
     if silent(memory, i, at, k):
         add_shown(memory, i, at, x, left, right, -k.fading, k)
-        _restart(memory, i, at, v, k)
-        memory[i, at + TURNED] = x[YAW]
-        memory[i, at + P_TT], memory[i, at + P_TG] = 1.0, 0.0
-    memory[i, at + SILENT] = 0.0
-    if k.velocity_variance >= UNMEASURED * UNMEASURED:
-        variance = speed_variance(p, left, right) * FILTERED / k.period
+        _adopt(memory, i, at + SPEED, v, variance)
+    elif k.velocity_variance >= UNMEASURED * UNMEASURED:
+        variance *= FILTERED / k.period
         compare(memory, i, at + SPEED, v - memory[i, at + SPEED], variance)
     elif abs(memory[i, at + SEEN_SPEED]) < LARGEST_SPEED:
         compare(memory, i, at + SPEED, memory[i, at + SEEN_SPEED], k.velocity_variance)
+    memory[i, at + SILENT] = 0.0
     compare(memory, i, at + TURNED, memory[i, at + SEEN_TURN], k.yaw_variance)
 
 

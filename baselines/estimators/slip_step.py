@@ -88,17 +88,28 @@ def store(memory, i, x, p):
 
 
 @formula
+def _jumps(last, belt, steps, k):
+    """Whether a belt went from `last` to `belt` [m/s] faster than its track can in these steps."""
+    follows = TRACK_ACCELERATION * k.period * steps
+    return abs(belt - last) > follows + BELT_SIGMAS * math.sqrt(k.belt_variance)
+
+
+@formula
 def _slip_of_jump(x, p, state, last, belt, steps, k):
     """Slip `state` after the belt went from `last` to `belt` [m/s] within `steps` steps.
 
-    The track over the ground follows by TRACK_ACCELERATION at most.
+    The track over the ground follows by TRACK_ACCELERATION at most. Returns the belt that with the
+    new slip makes the speed of before.
     """
     follows = TRACK_ACCELERATION * k.period * steps
-    if abs(belt - last) > follows + BELT_SIGMAS * math.sqrt(k.belt_variance):
-        speed = track_speed_from_belt(last, x[state]) + signed(follows, belt - last)
+    if _jumps(last, belt, steps, k):
+        before = track_speed_from_belt(last, x[state])
+        speed = before + signed(follows, belt - last)
         jumped = min(max(slip_ratio(belt, speed), -SLIP_LIMIT), SLIP_LIMIT)
         p[state, state] += min((jumped - x[state]) ** 2, PRIOR_SLIP * PRIOR_SLIP)
         x[state] = jumped
+        last = slip_outage.belt_of(before, jumped)
+    return last
 
 
 @formula
@@ -115,15 +126,19 @@ def take_drive(memory, i, values, fresh, attitude, x, p, k):
     memory[i, HELD_L] += 1.0
     memory[i, HELD_R] += 1.0
     seen_left, seen_right = abs(left) < FASTEST_BELT, abs(right) < FASTEST_BELT
-    blind = is_blind(memory, i, k)
+    jumps = seen_left and _jumps(last_left, left, memory[i, HELD_L], k)
+    jumps = jumps or (seen_right and _jumps(last_right, right, memory[i, HELD_R], k))
+    if jumps and not fresh[i, POSE] and memory[i, STARTED] > 0.0:
+        slip_outage.begin(memory, i, OUTAGE, k)
+    blind = memory[i, OUTAGE] >= k.silence
     if seen_left:
         if not blind:
-            _slip_of_jump(x, p, SLIP_LEFT, last_left, left, memory[i, HELD_L], k)
+            last_left = _slip_of_jump(x, p, SLIP_LEFT, last_left, left, memory[i, HELD_L], k)
         memory[i, BELT_L] = left
         memory[i, HELD_L] = 0.0 if fresh[i, DRIVE] else memory[i, HELD_L]
     if seen_right:
         if not blind:
-            _slip_of_jump(x, p, SLIP_RIGHT, last_right, right, memory[i, HELD_R], k)
+            last_right = _slip_of_jump(x, p, SLIP_RIGHT, last_right, right, memory[i, HELD_R], k)
         memory[i, BELT_R] = right
         memory[i, HELD_R] = 0.0 if fresh[i, DRIVE] else memory[i, HELD_R]
     if not (seen_left and seen_right):
@@ -131,8 +146,8 @@ def take_drive(memory, i, values, fresh, attitude, x, p, k):
     incline, common = incline_of(attitude[i, 1], attitude[i, 0]), -1.0
     if memory[i, STARTED] > 0.0:
         turn, carried = heading_rate(incline, attitude[i, 2])
-        common, left, right = slip_outage.carry(
-            memory, i, OUTAGE, x, last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
+        common, last_left, last_right, left, right = slip_outage.carry(
+            memory, i, OUTAGE, x, p, last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
             values, incline, carried, turn, k,
         )  # fmt: skip
         if common >= 0.0:
@@ -219,7 +234,7 @@ def take_motion(memory, i, values, fresh, x, p, u, k, z, noise):
     now = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, left, right, left, right)
     expected = slip_kinematics.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, now, now, k)
     outage_measurement.measure(
-        memory, i, OUTAGE, values, fresh, expected, p, left, right, u.press, k, z, noise
+        memory, i, OUTAGE, values, fresh, expected, x, p, left, right, u.press, k, z, noise
     )
     return now, now
 
@@ -232,8 +247,8 @@ def has_pose(values, fresh, i):
 
 
 @formula
-def start(memory, i, x, p, z, noise, way):
-    """Pose from the first sample, as uncertain as the sensor is and as far as it is old."""
+def start(memory, i, values, x, p, z, noise, way, k):
+    """Pose and slips from the first sample, as uncertain as the sensor is and as far as it is old."""
     driven = max(abs(way.d_left), abs(way.d_right))
     for a in range(3):
         x[a] = z[a]
@@ -241,15 +256,23 @@ def start(memory, i, x, p, z, noise, way):
         p[:, a] = 0.0
         p[a, a] = noise[a, a] + (driven * driven if a < YAW else 0.0)
     memory[i, STARTED] = 1.0
+    left, right = way.belt_left, way.belt_right
+    if max(noise[3, 3], noise[5, 5]) < slip_covariance.IGNORED and k.rows > 3.0:
+        left, right = slip_outage.take_speeds(
+            x, p, left, right, z[3], z[5], noise[3, 3], noise[5, 5], k
+        )  # fmt: skip
+    slip_outage.start(memory, i, OUTAGE, x, p, values, left, right, k)
 
 
 @formula
 def innovation_verdict(memory, i, nis, k):
     """0 = use the sample, 1 = outlier, 2 = one too many outliers: follow it.
 
-    The first pose after an outage is believed.
+    The first pose after an outage is followed.
     """
-    if nis <= k.gate or slip_outage.silent(memory, i, OUTAGE, k):
+    if slip_outage.silent(memory, i, OUTAGE, k):
+        return 2 if nis > k.gate else 0
+    if nis <= k.gate:
         memory[i, OUTLIERS] = 0.0
         return 0
     memory[i, OUTLIERS] += 1.0

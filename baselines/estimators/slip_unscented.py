@@ -169,7 +169,7 @@ def update_all(
         elif new and usable:
             way, gyro = step.take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise)
             if not started:
-                step.start(memory, i, x, p, z, noise, way)
+                step.start(memory, i, values, x, p, z, noise, way, k)
             else:
                 pose_nis, nis = compare(
                     x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e

@@ -134,7 +134,8 @@ class SlipObserver(AnsweringEstimator):
         Quantity("slip_left", "-"), Quantity("slip_right", "-"), Quantity("side_slip", "rad"),
     )  # fmt: skip
     needs: tuple[str, ...] = (
-        "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right"
+        "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right",
+        "acceleration_x", "acceleration_y", "torque_left", "torque_right",
     )  # fmt: skip
     paired = False
 

@@ -38,6 +38,7 @@ WILD_TURN = 3.0  # [rad/s] a gyro that differs more from the belts is not used
 LARGEST_ACCELERATION = 100.0  # [m/s^2] anything beyond is a fault of the sensor, as NaN is
 LARGEST_SPEED = 100.0  # [m/s] likewise
 UNMEASURED = 1e3  # [m/s] velocity noise on a data sheet where nothing is measured
+HANDOVER = 0.02  # [m/s] added to the sigma of v at the begin: with less, effort is hardly heard
 FILTERED = 1.0  # [s] over which the error of the filter's speed is one and the same
 
 # What is remembered of one vehicle, from column `at` of its memory on.
@@ -149,13 +150,13 @@ def belt_of(speed, slip):
 
 
 @formula
-def _take_track(x, p, state, last, belt, speed, k):
+def _take_track(x, p, state, last, belt, speed, same, k):
     """Slip `state`, with the belt at `last` [m/s], becomes what makes this speed of this belt; the
-    covariance is that of the same speeds. Returns the belt, or one that with its slip makes it."""
+    covariance is that of the `same` speeds, or slips. Returns the belt, or one that makes it."""
     before = steepness(last, x[state], k)
     x[state] = _slip(belt, speed, x[state], k)
     belt = belt_of(speed, x[state])
-    factor = before / steepness(belt, x[state], k)
+    factor = before / steepness(belt, x[state], k) if same else 1.0
     p[state, :] *= factor
     p[:, state] *= factor
     return belt
@@ -171,8 +172,8 @@ def take_speeds(x, p, left, right, v, w, variance, turn_variance, k):
     half = 0.5 * w / k.inverse_gauge
     before_left = soil.track_speed_from_belt(left, x[SLIP_LEFT])
     before_right = soil.track_speed_from_belt(right, x[SLIP_RIGHT])
-    left = _take_track(x, p, SLIP_LEFT, left, left, v - half, k)
-    right = _take_track(x, p, SLIP_RIGHT, right, right, v + half, k)
+    left = _take_track(x, p, SLIP_LEFT, left, left, v - half, True, k)
+    right = _take_track(x, p, SLIP_RIGHT, right, right, v + half, True, k)
     g_left, g_right = steepness(left, x[SLIP_LEFT], k), steepness(right, x[SLIP_RIGHT], k)
     more_left, more_right = (before_left - v + half) / g_left, (before_right - v - half) / g_right
     a, b, c = p[SLIP_LEFT, SLIP_LEFT], p[SLIP_LEFT, SLIP_RIGHT], p[SLIP_RIGHT, SLIP_RIGHT]
@@ -227,7 +228,8 @@ def carry(
     """
     v, w = _speeds(x, last_left, last_right, k)
     v, w = min(max(v, -LARGEST_SPEED), LARGEST_SPEED), min(max(w, -WILD_TURN), WILD_TURN)
-    if not silent(memory, i, at, k):
+    better = memory[i, at + P_SS] < speed_variance(x, p, last_left, last_right, k)
+    if better and not silent(memory, i, at, k):
         v = min(max(memory[i, at + SPEED], -LARGEST_SPEED), LARGEST_SPEED)
     memory[i, at + SILENT] += 1.0
     gyro = values[i, _YAW_RATE]
@@ -253,15 +255,16 @@ def carry(
     if not silent(memory, i, at, k):
         return -1.0, last_left, last_right, left, right
     if memory[i, at + SILENT] < k.silence + 1.5:  # since the last pose the gyro has turned
-        last_left, last_right = take_speeds(
-            x, p, last_left, last_right, before, w, variance, k.gyro_variance, k
-        )  # fmt: skip
+        if better and felt:
+            last_left, last_right = take_speeds(
+                x, p, last_left, last_right, before, w, variance + HANDOVER**2, k.gyro_variance, k
+            )  # fmt: skip
         x[YAW] = begun  # this step's turn is still to be predicted
     half = 0.5 * w / k.inverse_gauge
     before_left = soil.track_speed_from_belt(last_left, x[SLIP_LEFT])
     before_right = soil.track_speed_from_belt(last_right, x[SLIP_RIGHT])
-    left = _take_track(x, p, SLIP_LEFT, last_left, left, v - half, k)
-    right = _take_track(x, p, SLIP_RIGHT, last_right, right, v + half, k)
+    left = _take_track(x, p, SLIP_LEFT, last_left, left, v - half, felt, k)
+    right = _take_track(x, p, SLIP_RIGHT, last_right, right, v + half, felt, k)
     last_left = belt_of(before_left, x[SLIP_LEFT])
     last_right = belt_of(before_right, x[SLIP_RIGHT])
     if not felt:

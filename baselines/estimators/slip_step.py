@@ -262,6 +262,11 @@ def start(memory, i, values, x, p, z, noise, way, k):
             x, p, left, right, z[3], z[5], noise[3, 3], noise[5, 5], k
         )  # fmt: skip
     slip_outage.start(memory, i, OUTAGE, x, p, values, left, right, k)
+    # The drives change the slips at once; the speed they do not.
+    for a in (SLIP_LEFT, SLIP_RIGHT):
+        p[a, :] = 0.0
+        p[:, a] = 0.0
+        p[a, a] = PRIOR_SLIP * PRIOR_SLIP
 
 
 @formula

@@ -3,7 +3,8 @@
 While poses come, two Kalman filters of two states run beside the slip filter and learn the biases
 of accelerometer and gyro from the samples of speed and heading:
     v+ = v + dt (f_x + g_x + w v_y - b),    psi+ = psi + dt (w - b_w)
-After `silence` steps without a pose (more than a late or rare one), slips are no random walks:
+After `silence` steps without a pose (more than a late or rare one), or when a belt jumps between
+poses, slips are no random walks: they take mean and covariance of that speed, see `take_speeds`.
     tracks    V_L, V_R = v -+ w B / 2 by that v and the gyro's w; i_L, i_R follow with the belts.
               A belt that stands or turns against its track says nothing of the way: in the place
               of the belts are then those that with slips of at most SLIP_SHOWN give V_L, V_R.
@@ -11,8 +12,9 @@ After `silence` steps without a pose (more than a late or rare one), slips are n
               var v per step = dt^2 sigma_a^2 + 3 sigma_b^2 t dt (of a constant error, at least its
               effect on the way: t^4 / 4 <= 1.5 t^4 / 6)
     measured  v, v_y and w, by what outage_measurement makes of effort, friction and gyro
-The first pose afterwards is believed. The filter jumps to it, and what is shown to a controller
-follows: the difference fades with BLENDING.
+The first pose afterwards is an update like others; beyond the gate, after `inflate`. The inertial
+speed takes the filter's then, once, and its bias what follows from it (`_adopt`). What is shown to
+a controller follows: the difference fades with BLENDING.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 2 and 7.2.
 """
@@ -23,7 +25,6 @@ from baselines.estimators.slip_kinematics import (
     SLIP_LEFT,
     SLIP_RIGHT,
     STANDING_VEHICLE,
-    STATES,
     YAW,
     X,
     Y,
@@ -38,7 +39,7 @@ WILD_TURN = 3.0  # [rad/s] a gyro that differs more from the belts is not used
 LARGEST_ACCELERATION = 100.0  # [m/s^2] anything beyond is a fault of the sensor, as NaN is
 LARGEST_SPEED = 100.0  # [m/s] likewise
 UNMEASURED = 1e3  # [m/s] velocity noise on a data sheet where nothing is measured
-HANDOVER = 0.02  # [m/s] added to the sigma of v at the begin: with less, effort is hardly heard
+HANDOVER = 0.02  # [m/s] sigma added where slips take the inertial speed, else effort is not heard
 FILTERED = 1.0  # [s] over which the error of the filter's speed is one and the same
 
 # What is remembered of one vehicle, from column `at` of its memory on.
@@ -53,6 +54,7 @@ FILTERED = 1.0  # [s] over which the error of the filter's speed is one and the 
 ) = range(25)  # fmt: skip
 COLUMNS = 25
 
+_OTHERS = (X, Y, YAW, SIDE_SLIP)  # states beside the slips
 _A_X, _YAW_RATE = COLUMN["acceleration_x"], COLUMN["yaw_rate"]
 
 
@@ -167,7 +169,7 @@ def take_speeds(x, p, left, right, v, w, variance, turn_variance, k):
     """Slips by v [m/s], w [rad/s] with these variances in place of those of (x, p); belts [m/s].
 
     What the other states are for each slip stays: with A = P_12 P_22^-1, m the slips,
-    x_1 += A (m' - m), P_12 = A P_22', P_11 += A (P_22' - P_22) A^T. Returns belts, as `_take_track`.
+    x_1 += A (m' - m), P_12 = A P_22', P_11 += A (P_22' - P_22) A^T. Returns belts, see _take_track.
     """
     half = 0.5 * w / k.inverse_gauge
     before_left = soil.track_speed_from_belt(left, x[SLIP_LEFT])
@@ -182,23 +184,19 @@ def take_speeds(x, p, left, right, v, w, variance, turn_variance, k):
     bb = (variance - across) / (g_left * g_right)
     cc = (variance + across) / (g_right * g_right)
     inverse = 1.0 / max(a * c - b * b, 1e-9 * a * c)
-    for r in range(STATES):
-        if r != SLIP_LEFT and r != SLIP_RIGHT:
-            d, e = p[r, SLIP_LEFT], p[r, SLIP_RIGHT]
-            p[r, SLIP_LEFT] = (c * d - b * e) * inverse  # A
-            p[r, SLIP_RIGHT] = (a * e - b * d) * inverse
-            x[r] += p[r, SLIP_LEFT] * more_left + p[r, SLIP_RIGHT] * more_right
-    for r in range(STATES):
-        for s in range(STATES):
-            if not (r == SLIP_LEFT or r == SLIP_RIGHT or s == SLIP_LEFT or s == SLIP_RIGHT):
-                d, e = p[s, SLIP_LEFT], p[s, SLIP_RIGHT]
-                p[r, s] += p[r, SLIP_LEFT] * ((aa - a) * d + (bb - b) * e)
-                p[r, s] += p[r, SLIP_RIGHT] * ((bb - b) * d + (cc - c) * e)
-    for r in range(STATES):
-        if r != SLIP_LEFT and r != SLIP_RIGHT:
-            d, e = p[r, SLIP_LEFT], p[r, SLIP_RIGHT]
-            p[r, SLIP_LEFT] = p[SLIP_LEFT, r] = d * aa + e * bb
-            p[r, SLIP_RIGHT] = p[SLIP_RIGHT, r] = d * bb + e * cc
+    for r in _OTHERS:
+        d, e = p[r, SLIP_LEFT], p[r, SLIP_RIGHT]
+        p[r, SLIP_LEFT], p[r, SLIP_RIGHT] = (c * d - b * e) * inverse, (a * e - b * d) * inverse
+        x[r] += p[r, SLIP_LEFT] * more_left + p[r, SLIP_RIGHT] * more_right
+    for r in _OTHERS:
+        for s in _OTHERS:
+            d, e = p[s, SLIP_LEFT], p[s, SLIP_RIGHT]
+            p[r, s] += p[r, SLIP_LEFT] * ((aa - a) * d + (bb - b) * e)
+            p[r, s] += p[r, SLIP_RIGHT] * ((bb - b) * d + (cc - c) * e)
+    for r in _OTHERS:
+        d, e = p[r, SLIP_LEFT], p[r, SLIP_RIGHT]
+        p[r, SLIP_LEFT] = p[SLIP_LEFT, r] = d * aa + e * bb
+        p[r, SLIP_RIGHT] = p[SLIP_RIGHT, r] = d * bb + e * cc
     p[SLIP_LEFT, SLIP_LEFT], p[SLIP_RIGHT, SLIP_RIGHT] = aa, cc
     p[SLIP_LEFT, SLIP_RIGHT] = p[SLIP_RIGHT, SLIP_LEFT] = bb
     return left, right

@@ -248,7 +248,8 @@ def has_pose(values, fresh, i):
 
 @formula
 def start(memory, i, values, x, p, z, noise, way, k):
-    """Pose and slips from the first sample, as uncertain as the sensor is and as far as it is old."""
+    """Pose and speed from the first sample, as uncertain as the sensor is and as far as it is old;
+    what the slips are in the next step it does not say."""
     driven = max(abs(way.d_left), abs(way.d_right))
     for a in range(3):
         x[a] = z[a]

@@ -284,3 +284,57 @@ def test_a_batch_is_its_vehicles_alone_bit_for_bit_through_an_outage():
             own = each.update(type(m)(*(array[i : i + 1] for array in m)))
             assert np.array_equal(own.value[0], whole.value[i])
             assert np.array_equal(own.covariance[0], whole.covariance[i])
+
+
+def _jumping(pose_at=(0,), steps=60):
+    """A vehicle at 1.5 m/s whose belts spin at 6 m/s from step 1 on; poses at these steps."""
+    belts = np.full((steps, 1, 2), 6.0)
+    belts[0] = 1.5
+    run = felt(slipping(belts, np.where(belts > 2.0, 0.75, 0.0), 0.0))
+    for k, m in enumerate(run.measurements):
+        m.values[:, COLUMN["acceleration_x"] : COLUMN["yaw_rate"]] = 0.0
+        m.fresh[:, 0] = k in pose_at
+        m.age[:, 0] = (k - max(at for at in pose_at if at <= k)) * PERIOD
+    return run
+
+
+def test_a_belt_that_jumps_does_not_take_the_inertial_speed_along():
+    """The slip is that of the new belt; with the belt of before it would make 0.4 m/s."""
+    observer, speed = SlipObserver(PARAMETERS, PERIOD, RTK), slip_step.OUTAGE + slip_outage.SPEED
+    for k, m in enumerate(_jumping().measurements):
+        observer.update(m)
+        assert observer.motion().v_x[0] == pytest.approx(1.5, abs=0.15)
+        assert k == 0 or observer.memory[0, speed] == pytest.approx(1.5, abs=0.15)
+
+
+def test_the_first_pose_after_an_outage_counts_once():
+    """Inertial speed, wrong by 0.3 m/s in an outage, and heading are then those of the pose."""
+    run = felt(slipping(np.full((END + 1, 1, 2), 2.0), 0.1, 0.0), bias=0.0)
+    for m in blind(run.measurements)[BEGIN:END]:
+        m.values[:, COLUMN["acceleration_x"]] += 0.05
+        m.values[:, COLUMN["yaw_rate"]] += 0.01
+    observer, at = SlipObserver(PARAMETERS, PERIOD, RTK), slip_step.OUTAGE
+    for m in run.measurements:
+        observer.update(m)
+    assert observer.memory[0, at + slip_outage.SPEED] == pytest.approx(1.8, abs=0.1)
+    assert observer.memory[0, at + slip_outage.TURNED] == pytest.approx(0.0, abs=0.02)
+
+
+def test_slips_with_one_pose_a_second_are_within_their_claim():
+    rng, count, steps = np.random.default_rng(5), 32, 900
+    belts = weaving(steps, count)
+    time = PERIOD * np.arange(steps)[:, None, None]
+    slips = 0.15 + 0.1 * np.sin(1.5 * time + np.arange(count)[:, None])
+    run = felt(slipping(belts, np.broadcast_to(slips, belts.shape), 0.0), rng)
+    observer, inside, squared = SlipObserver(PARAMETERS, PERIOD, RTK, count), [], []
+    for k, m in enumerate(run.measurements):
+        m.fresh[:, 0] = k % 50 == 0
+        m.age[:, 0] = k % 50 * PERIOD
+        answer = observer.update(m)
+        if k % 50 >= 13 and k > 200:  # in between slips are taken to walk
+            error = answer.value[:, 3:5] - run.state[k, :, 3:5]
+            variance = np.diagonal(answer.covariance, axis1=1, axis2=2)[:, 3:5]
+            squared.append(error**2 / variance)
+            inside.append(np.abs(error) <= 3.0 * np.sqrt(variance))
+    assert np.mean(inside) >= 0.97
+    assert np.mean(squared) < 3.0

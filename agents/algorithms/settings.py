@@ -50,3 +50,13 @@ def check_buffer(settings: Any, vehicles: int) -> None:
             f"buffer_size = {settings.buffer_size}; must be at least {least}: n_steps = "
             f"{settings.n_steps} of {vehicles} vehicles"
         )
+
+
+def check_budget(settings: Any, steps: int) -> None:
+    """Raises ValueError for a training of `steps` that ends before its first gradient."""
+    begin = getattr(settings, "learning_starts", -1)
+    if steps <= begin:
+        raise ValueError(
+            f"steps = {steps}; must be above learning_starts = {begin}: until then actions are "
+            "random and nothing is learned. Train longer, or lower learning_starts"
+        )

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 
 from agents.algorithms.algorithm import ALGORITHMS, Algorithm, Make
@@ -29,6 +28,21 @@ from agents.gaussian_policy import Tanh
 if TYPE_CHECKING:
     from agents.training.learner import Learner
     from agents.training.run import Run
+
+
+class FallingRate:
+    """Learning rate of an update: `start` times the share of the training that was still to come
+    when its samples began to be collected, so that no update has the rate 0.
+
+    Stable-Baselines3 asks with the share behind the samples, 0 in the last update. A learner writes
+    the other one to `remaining` at the beginning of each rollout; before the first it is 1.
+    """
+
+    def __init__(self, start: float) -> None:
+        self.start, self.remaining = start, 1.0
+
+    def __call__(self, progress_remaining: float) -> float:
+        return self.start * self.remaining
 
 
 @dataclass(frozen=True)
@@ -45,7 +59,7 @@ class OnPolicySettings:
     """Passes over the samples of an update; half as many need twice the steps."""
 
     learning_rate: float = 7e-4
-    """At the start; it falls linearly to 0 over the training."""
+    """At the start; it falls linearly towards 0 over the training."""
 
     gamma: float = 0.985
     """Discount per control step: a horizon of 1.3 s at 50 Hz."""
@@ -94,7 +108,7 @@ class OffPolicySettings:
     TD3 fail; with 8 it learns slowly."""
 
     learning_rate: float = 1e-3
-    """At the start, high because batches are large; it falls linearly to 0."""
+    """At the start, high because batches are large; it falls linearly towards 0."""
 
     gamma: float = 0.98
     """Discount per control step: a horizon of one second at 50 Hz."""
@@ -143,7 +157,7 @@ def maker(
         rate = given.pop("learning_rate")
         given.update({name: value(settings) for name, value in derived.items()})
         return model(
-            policy, env, learning_rate=LinearSchedule(rate, 0.0, 1.0), policy_kwargs=network,
+            policy, env, learning_rate=FallingRate(rate), policy_kwargs=network,
             seed=seed, device="cpu", tensorboard_log=log, **given,
         )  # fmt: skip
 

@@ -34,7 +34,7 @@ class StudentSettings:
     """Samples kept, the latest 62 s of 64 vehicles; 100 MB."""
 
     learning_rate: float = 1e-3
-    """At the start; it falls linearly to 0 over the training."""
+    """At the start; it falls linearly towards 0 over the training."""
 
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers."""

@@ -8,6 +8,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.algorithms import make_model
+from agents.algorithms.settings import check_budget
+from agents.algorithms.stable_baselines import FallingRate
 from agents.training import sb3_state
 from agents.training.environments import make_environment
 from agents.training.learner import Diverged, Trained, check_finite
@@ -35,6 +37,7 @@ class Sb3Learner:
     recipe: Mapping[str, Any] = {}
 
     def __init__(self, run: Run) -> None:
+        check_budget(run.settings, run.schedule.total)
         self.augmentation, self.groups = run.augmentation, run.groups
         env = make_environment(run)
         log = str(run.folder) if run.tensorboard else None
@@ -121,6 +124,9 @@ class RolloutCallback(BaseCallback):
     def _on_rollout_start(self) -> None:
         """Between an update and the next rollout the state of a training is smallest."""
         self.learner.check()
+        rate = self.model.learning_rate
+        if isinstance(rate, FallingRate):
+            rate.remaining = 1.0 - self.learner.steps / self.progress.schedule.total
         before = self.progress.evaluated
         self.progress.between(self.learner.mean_return)
         if self.progress.evaluated > before and self.progress.held_out:

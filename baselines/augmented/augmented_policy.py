@@ -35,7 +35,7 @@ _TORQUES = [COLUMN["torque_left"], COLUMN["torque_right"]]
 class AugmentedState(NamedTuple):
     """State of the policy between two calls."""
 
-    controller: NDArray[np.float64]  # (N, 3) state of the law
+    controller: NDArray[np.float64]  # (N, STATE) of the law
     memories: tuple[NDArray[np.float64], ...]  # of the filter
     adaptation: NDArray[np.float64]  # (N, columns)
 

@@ -55,7 +55,7 @@ _GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"
 class AdaptiveState(NamedTuple):
     """State of the policy between two calls."""
 
-    controller: NDArray[np.float64]  # state of the controller, (N, 3) of the linearizing one
+    controller: NDArray[np.float64]  # state of the controller, (N, STATE) of the linearizing one
     memories: Memories  # of the estimators
     given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
 

@@ -43,6 +43,12 @@ MINIMUM_SPEED = 0.1  # [m/s] below it 1 / v_1 fades to 0; three sigma of a 0.03 
 PROBE_SPEED = 1e-3  # [m/s] lateral speed at which the slope of the friction is taken
 HELD_YAW_RATE = 1e-5  # [rad/s] below both, the soil is left to hold the heading: the demand is
 HELD_YAW_ACCELERATION = 2e-5  # [rad/s^2] rounding (1 um off the path), and its sign means nothing
+TRACTION = 0.995  # [-] share of F_limit to be used: at all of it a belt slips by i = 1
+TURN_BEHIND = 0.3  # [rad] heading error from which on steering may come before speed
+LEAST_TURNING_SPEED = 0.8  # [m/s] slower, the sum of the efforts always comes first
+RESERVE_SPEED = 1.0  # [m/s] that steering may take off the speed where traction is short of both
+RESERVE_YAW_RATE = 1.0  # [rad/s] at least, of the turn that is to be carried: all of its friction
+RESERVED_YAW_ACCELERATION = 2.0  # [rad/s^2] that the reserve gives
 MAXIMUM_SIDE_SLIP = 0.5  # [-] |sin(delta)| is bounded here: 30 deg, the vehicle drifts
 
 
@@ -287,14 +293,52 @@ def track_efforts(motion, u_1, u_2, p, k, constrained, pull=0.0):
 
 
 @formula
-def within_limits(left, right, limit_left, limit_right):
+def turns_first(turning, speed, heading_error, demand, gains):
+    """1.0 while steering comes before the sum of the efforts, else 0.0; `turning`: what it was.
+
+    It does from the speed on that the law demands, until RESERVE_SPEED of it is lost: a turn that
+    the soil does not carry at constant speed is driven by turns, accelerate and brake in the turn.
+    """
+    if abs(heading_error) < TURN_BEHIND:
+        return 0.0
+    error_x, _error_y = bounded_error(demand, gains.bound)
+    wanted = demand.velocity_x + gains.k_p / gains.k_v * error_x
+    excess = abs(speed) - max(signed(wanted, wanted * speed), LEAST_TURNING_SPEED)
+    if excess >= 0.0:
+        return 1.0
+    return turning if excess > -RESERVE_SPEED else 0.0
+
+
+@formula
+def turning_reserve(motion, u_2, p, k, constrained, limit):
+    """Half the difference of the efforts [N] that turns the vehicle towards the demand u_2 by
+    RESERVED_YAW_ACCELERATION, against the friction of a turn.
+
+    0 where a track carries a steady turn at constant speed within its `limit` [N].
+    """
+    rate = signed(max(abs(motion.yaw_rate), RESERVE_YAW_RATE), u_2)
+    turning = vehicle.Motion(motion.v_x, motion.v_y, rate)
+    steady = abs(turning_moment(turning, 0.0, p, k, constrained))
+    if 0.5 * steady / k.half_gauge + k.resistance <= limit:
+        return 0.0
+    return 0.5 * (steady + p.inertia * RESERVED_YAW_ACCELERATION) / k.half_gauge
+
+
+@formula
+def within_limits(left, right, limit_left, limit_right, reserve=0.0):
     """Efforts (left, right) within +-limits [N]: the sum is kept first, then the difference.
 
-    In this order a large steering demand cannot take the speed away on which steering rests.
+    In this order a large steering demand cannot take the speed away on which steering rests. Of
+    the difference, half of which is demanded, as much as `reserve` [N] comes before the sum.
     """
     both = 0.5 * (limit_left + limit_right)
     mean = min(max(0.5 * (left + right), -both), both)
+    turn = 0.5 * (right - left)
+    kept = min(abs(turn), reserve, both)
+    if kept > 0.0:
+        slower, faster = (limit_left, limit_right) if turn > 0.0 else (limit_right, limit_left)
+        mean = min(max(mean, kept - slower), faster - kept)
     low = max(mean - limit_left, -limit_right - mean)
     high = min(mean + limit_left, limit_right - mean)
-    turn = min(max(0.5 * (right - left), low), high)
+    turn = min(max(turn, low), high)
     return mean - turn, mean + turn

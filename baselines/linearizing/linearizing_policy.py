@@ -40,7 +40,7 @@ from tracked_env.physics.parameters import (
 from tracked_env.validation import CONTROL_PERIOD, checked_number, unknown
 
 LATERAL_MODELS = ("sliding", "constrained")
-STATE = 3  # xi [m/s^2] and j [m s] along body x and y, of one vehicle
+STATE = 4  # xi [m/s^2], j [m s] along body x and y, whether steering comes first (law.turns_first)
 ROUNDING = 1e-9  # [-] of the limit of an effort: a shortage below it is none
 
 # Fields of the observation that the law reads.
@@ -91,7 +91,7 @@ def _shortage(demanded, given, limit):
 
 
 @formula
-def control(observation, i, p, lacking, xi, integral, gains, period, constrained, sloped):
+def control(observation, i, p, lacking, xi, integral, turning, gains, period, constrained, sloped):
     """(action left, action right [-], next xi [m/s^2], next Integral) of vehicle i with p.
 
     lacking: (forward [m/s^2], turning [rad/s^2]) that the model lacks, cancelled by the efforts.
@@ -115,10 +115,9 @@ def control(observation, i, p, lacking, xi, integral, gains, period, constrained
         pull = soil.GRAVITY * incline.down_y
         lateral = law.steady_lateral_velocity(ref.speed, ref.yaw_rate, k, pull)
     sigma = lateral + d * ref.yaw_rate
+    heading_error -= signed(math.pi, heading_error) if faces_back else 0.0
     demand = law.demanded_motion(
-        _si(observation, i, _ERROR_X),
-        _si(observation, i, _ERROR_Y),
-        heading_error - (signed(math.pi, heading_error) if faces_back else 0.0),
+        _si(observation, i, _ERROR_X), _si(observation, i, _ERROR_Y), heading_error,
         ref, lateral, d, constrained,
     )  # fmt: skip
     demand = law.lifted(demand, incline)
@@ -132,9 +131,12 @@ def control(observation, i, p, lacking, xi, integral, gains, period, constrained
     limit = p.torque_limit * k.inverse_radius
     limit_left, limit_right = p.actuator_gain_left * limit, p.actuator_gain_right * limit
     if not sloped:
-        carried = vehicle.drive_limits(p).effort_limit
+        carried = law.TRACTION * vehicle.drive_limits(p).effort_limit
         limit_left, limit_right = min(limit_left, carried), min(limit_right, carried)
-    given_left, given_right = law.within_limits(left, right, limit_left, limit_right)
+    turning = law.turns_first(turning, v_x, heading_error, demand, gains)
+    weaker = min(limit_left, limit_right)
+    reserve = turning * law.turning_reserve(motion, u_2 - lacking[1], p, k, constrained, weaker)
+    given_left, given_right = law.within_limits(left, right, limit_left, limit_right, reserve)
     # Anti-windup: xi is the acceleration that the limited efforts give.
     xi += ((given_left - left) + (given_right - right)) * k.inverse_mass
     error_x, error_y = law.bounded_error(demand, gains.bound)
@@ -143,7 +145,7 @@ def control(observation, i, p, lacking, xi, integral, gains, period, constrained
     integral = law.integrated(integral, error_x, error_y, short, turning_short * v_x, period)
     unit = p.sprocket_radius / p.torque_limit
     left, right = given_left * unit, given_right * unit
-    return left / p.actuator_gain_left, right / p.actuator_gain_right, xi, integral
+    return left / p.actuator_gain_left, right / p.actuator_gain_right, xi, integral, turning
 
 
 @loop
@@ -151,7 +153,7 @@ def control_all(
     observation, parameters, lacking, state, gains, period, constrained, sloped, action
 ):  # fmt: skip
     """Control of all vehicles: observation (N, D), parameters (rows, N or 1), lacking (N or 1, 2),
-    state (N, 3) xi, j in and out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the
+    state (N, STATE) in and out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the
     first row that is not finite, or -1."""
     shared, alike = parameters.shape[1] == 1, lacking.shape[0] == 1
     for i in range(observation.shape[0]):
@@ -162,9 +164,9 @@ def control_all(
             return i
         p = _parameters_of(parameters, 0 if shared else i)
         integral, n = law.Integral(state[i, 1], state[i, 2]), 0 if alike else i
-        left, right, state[i, 0], integral = control(
-            observation, i, p, (lacking[n, 0], lacking[n, 1]), state[i, 0], integral, gains, period,
-            constrained, sloped,
+        left, right, state[i, 0], integral, state[i, 3] = control(
+            observation, i, p, (lacking[n, 0], lacking[n, 1]), state[i, 0], integral, state[i, 3],
+            gains, period, constrained, sloped,
         )  # fmt: skip
         state[i, 1], state[i, 2] = integral.x, integral.y
         action[i, 0] = min(max(left, -1.0), 1.0)
@@ -267,8 +269,8 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         state: NDArray[np.float64] | None,
         start: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Sprocket torques over their limit and the state, (N, 3): xi [m/s^2] and the integral j
-        [m s] of the position error along body x and y; 0 where one starts.
+        """Sprocket torques over their limit and the state, (N, STATE): xi [m/s^2], the integral j
+        [m s] of the position error along body x and y, what comes first; 0 where one starts.
 
         Raises ValueError for a state or parameters of another number of vehicles, or an
         observation that is not finite.

@@ -83,7 +83,7 @@ class Quantity(NamedTuple):
         value, deviation = self.read(estimate)
         scale = self.scale(nominal)
         if self.logarithmic:
-            return np.log(value / scale), deviation / value
+            return np.log(value / scale), np.log1p(deviation / value)
         return value / scale, deviation / scale
 
 

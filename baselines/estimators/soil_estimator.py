@@ -18,6 +18,7 @@ from baselines.estimators import soil_regression as sr
 from baselines.estimators.estimate import AnsweringEstimator, Estimate, Estimator, Quantity, Setting
 from baselines.estimators.sensor_samples import DataSheet, Measurement
 from baselines.estimators.slip_observer import Answer, SlipObserver
+from baselines.estimators.soil_claim import SOJOURN
 from baselines.estimators.soil_window import DETERMINED, Sensing, update_all
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics import vehicle
@@ -92,12 +93,18 @@ class SoilEstimator(AnsweringEstimator):
         p, sheet = parameters, data_sheet
         radius, half = float(p.sprocket_radius), 0.5 * float(p.track_gauge)
         effort = math.hypot(sheet.torque_noise / radius, EFFORT_FLOOR)
+        maximum = soil.maximum_tractive_effort(
+            p.cohesion, p.friction_angle, p.track_width, p.contact_length, p.mass
+        )
+        maximum = min(max(maximum, EFFORT_RANGE[0]), EFFORT_RANGE[1])
+        self._nominal = math.log(maximum), math.log(p.shear_deformation_modulus)
         low_k, high_k = RANGES["shear_deformation_modulus"][:2]
         self._model = sr.Model(
             float(p.contact_length), effort * effort,
             1.0 / PRIOR_SIGMA[0] ** 2, 1.0 / PRIOR_SIGMA[1] ** 2,
             math.log(EFFORT_RANGE[0]), math.log(EFFORT_RANGE[1]),
             math.log(low_k), math.log(high_k), residual == "total", int(iterations),
+            *self._nominal, control_period / SOJOURN,
         )  # fmt: skip
         turn = half * half * (sheet.gyro_noise**2 + sheet.gyro_bias**2)
         self._sensing = Sensing(
@@ -105,17 +112,13 @@ class SoilEstimator(AnsweringEstimator):
             2.0 * sheet.velocity_noise**2 + turn, SLIP_FLOOR**2, CLEAR_EFFORT * effort,
             float(correlation_steps), int(window),
         )  # fmt: skip
-        maximum = soil.maximum_tractive_effort(
-            p.cohesion, p.friction_angle, p.track_width, p.contact_length, p.mass
-        )
-        maximum = min(max(maximum, EFFORT_RANGE[0]), EFFORT_RANGE[1])
-        self._nominal = np.log([maximum, p.shear_deformation_modulus])
         self._given: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._nothing = np.zeros((count, 2))
         # (N,) whether the data determined the effort limit after the last sample
         self.limit_known = np.zeros(count, dtype=bool)
         samples = 2 * int(window)
         self.memory = np.zeros((count, sr.HEADER + sr.BLOCKS * samples))
+        self.fitted = np.empty((count, 2, 2))  # covariance of [ln F_max, ln K] by the fit alone
         self._scratch = np.zeros((2 * sr.ROWS + 1, samples))
         self.reset()
 
@@ -177,7 +180,7 @@ class SoilEstimator(AnsweringEstimator):
         update_all(
             self.memory, measurement.values, measurement.fresh, self._given is not None, slips,
             variances, self._sensing, self._model, self._scratch, value, covariance, summary,
-            status, self.limit_known,
+            status, self.limit_known, self.fitted,
         )  # fmt: skip
         self._given = None
         return value, covariance, summary, status

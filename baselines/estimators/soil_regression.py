@@ -45,9 +45,10 @@ SHRINK = 0.2  # [-] a step leaves at least this share of a fitted slip
 (
     LOG_F, LOG_K, ANCHOR_F, ANCHOR_K, J_FF, J_FK, J_KK, FILLED, NEXT, OUTLIERS, SKIPPED,
     CHANGES, WAITING, ITERATIONS, CONVERGED, MISFITS,
-) = range(16)  # fmt: skip
-HEADER = 16
-BLOCKS = 4  # of 2 * window columns each: slip, effort, variance of the slip, fitted slip
+    C_FF, C_FK, C_KK, CLOCK, TAKEN,  # of soil_claim: information; steps so far, at the last sample
+) = range(21)  # fmt: skip
+HEADER = 21
+BLOCKS = 5  # of 2 * window columns each: slip, effort, variance of the slip, fitted slip, step
 ROWS = 6  # of the scratch: F, i F', e, 1 / R, next i*, d i*/dF
 
 
@@ -64,6 +65,9 @@ class Model(NamedTuple):
     high_k: float
     total: bool  # which residual
     largest_iterations: int
+    nominal_f: float  # ln of the first guess
+    nominal_k: float
+    change_odds: float  # [-] per control step, of another soil
 
 
 class Normal(NamedTuple):

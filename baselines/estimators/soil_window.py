@@ -19,6 +19,7 @@ two equal samples weigh as much as the one that they are.
 import math
 from typing import NamedTuple
 
+from baselines.estimators import soil_claim
 from baselines.estimators import soil_regression as sr
 from baselines.estimators.sensor_samples import COLUMN, DRIVE, POSE
 from tracked_env.physics import terramechanics as soil
@@ -129,6 +130,7 @@ def _insert(memory, i, slot, sample, star, samples):
     memory[i, base + samples] = sample.effort if used else 0.0
     memory[i, base + 2 * samples] = sample.variance if used else 0.0
     memory[i, base + 3 * samples] = star if used else 0.0
+    memory[i, base + 4 * samples] = memory[i, sr.CLOCK]
 
 
 @formula
@@ -154,7 +156,10 @@ def _move_anchor(memory, i, model):
 def _empty(memory, i):
     """A new soil: forget the window of vehicle i; the estimate stays as the first guess."""
     memory[i, sr.CHANGES] += 1.0
-    for column in (sr.OUTLIERS, sr.MISFITS, sr.FILLED, sr.NEXT, sr.J_FF, sr.J_FK, sr.J_KK):
+    for column in (
+        sr.OUTLIERS, sr.MISFITS, sr.FILLED, sr.NEXT, sr.J_FF, sr.J_FK, sr.J_KK, sr.C_FF, sr.C_FK,
+        sr.C_KK,
+    ):  # fmt: skip
         memory[i, column] = 0.0
     memory[i, sr.CONVERGED] = 0.0
 
@@ -208,6 +213,7 @@ def _fit(memory, i, scratch, samples, model):
         memory[i, sr.J_FF] = share * normal.ff
         memory[i, sr.J_FK] = share * normal.fk
         memory[i, sr.J_KK] = share * normal.kk
+        soil_claim.weigh(memory, i, window, n, share, model)
         _move_anchor(memory, i, model)
 
 
@@ -246,6 +252,7 @@ def _step(memory, i, left, right, scratch, sensing, model):
             _empty(memory, i)
             refused = False
         if not refused:
+            memory[i, sr.TAKEN] = memory[i, sr.CLOCK]
             samples = 2 * sensing.window
             slot = 2 * int(memory[i, sr.NEXT])
             _insert(memory, i, slot, left, star_left, samples)
@@ -265,12 +272,15 @@ def _step(memory, i, left, right, scratch, sensing, model):
 def update_all(
     memory, values, fresh, given, slips, variances, sensing, model, scratch,
     value, covariance, summary, status, known,
+    fitted,
 ):  # fmt: skip
-    """One sample of every vehicle; the last five arrays are written: summary (N, 4) excitation,
-    condition, NIS, skipped; known (N,) whether the data determine the effort limit."""
+    """One sample of every vehicle; the last six arrays are written: summary (N, 4) excitation,
+    condition, NIS, skipped; known (N,) whether the data determine the effort limit; fitted (N, 2, 2)
+    covariance of the logarithms by the fit alone."""
     for i in range(memory.shape[0]):
         refused, innovation = False, math.nan
         memory[i, sr.ITERATIONS] = 0.0
+        memory[i, sr.CLOCK] += 1.0
         if fresh[i, DRIVE] and (given or fresh[i, POSE]):
             left = _sample(values, i, 0, given, slips, variances, sensing)
             right = _sample(values, i, 1, given, slips, variances, sensing)
@@ -279,14 +289,9 @@ def update_all(
                 refused = True
             else:
                 refused, innovation = _step(memory, i, left, right, scratch, sensing, model)
-        maximum, modulus = math.exp(memory[i, sr.LOG_F]), math.exp(memory[i, sr.LOG_K])
-        ff, fk, kk = _covariance(memory, i, model)
-        value[i, 0] = maximum
-        value[i, 1] = modulus
-        covariance[i, 0, 0] = ff * maximum * maximum
-        covariance[i, 0, 1] = fk * maximum * modulus
-        covariance[i, 1, 0] = fk * maximum * modulus
-        covariance[i, 1, 1] = kk * modulus * modulus
+        soil_claim.write(memory, i, model, value, covariance)
+        fitted[i, 0, 0], fitted[i, 0, 1], fitted[i, 1, 1] = _covariance(memory, i, model)
+        fitted[i, 1, 0] = fitted[i, 0, 1]
         smallest, largest = _excitation(memory, i, model)
         summary[i, 0] = smallest
         summary[i, 1] = largest / smallest if smallest > 0.0 else math.inf

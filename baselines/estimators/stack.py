@@ -250,8 +250,8 @@ class IdentificationStack:
                 estimates.add(name, part.compute(measurement), part.estimate)
             else:
                 estimates.add_made(name, part.update(measurement))
-        soil, covariance, _summary, _status = estimates.answers["soil"]
-        self.slip.take_ground(soil, covariance, estimates.answers["turning"][:, 1].copy())
+        soil = estimates.answers["soil"][0]
+        self.slip.take_ground(soil, self.soil.fitted, estimates.answers["turning"][:, 1].copy())
         return Identification(reading, motion, estimates, self.quantities, self.soil.limit_known)
 
     def compile_kernels(self) -> None:

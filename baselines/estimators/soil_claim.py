@@ -35,38 +35,52 @@ def another_soil(memory, i, model):
 
 
 @formula
+def _age(p, steps, m, model):
+    """P (FF, FK, KK) some control steps later."""
+    q = -math.expm1(-model.change_odds * steps)
+    return p[0] + q * (m[0] - p[0]), p[1] + q * (m[1] - p[1]), p[2] + q * (m[2] - p[2])
+
+
+@formula
+def _learn(p, by_f, by_k, weight):
+    """P after a sample with Jacobian (by_f, by_k) and variance 1 / weight."""
+    gain_f, gain_k = p[0] * by_f + p[1] * by_k, p[1] * by_f + p[2] * by_k
+    share = weight / (1.0 + weight * (by_f * gain_f + by_k * gain_k))
+    return p[0] - share * gain_f * gain_f, p[1] - share * gain_f * gain_k, p[2] - share * gain_k * gain_k
+
+
+@formula
 def weigh(memory, i, window, n, share, model):
-    """Write J of the fitted window (BLOCKS, samples) of vehicle i, times `share`, into memory."""
-    m_ff, m_fk, m_kk = another_soil(memory, i, model)
+    """Write P of the fitted window (BLOCKS, samples) of vehicle i into memory; share: of weights."""
+    m = another_soil(memory, i, model)
     maximum = math.exp(memory[i, sr.LOG_F])
     shear_length = model.contact_length * math.exp(-memory[i, sr.LOG_K])
-    ff, fk, kk = 0.0, 0.0, 0.0
-    for k in range(n):
+    p, clock = m, 0.0
+    oldest = 2 * int(memory[i, sr.NEXT]) % n
+    for step in range(n):
+        k = (oldest + step) % n
         if window[1, k] > 0.0:
-            by_f, twist, _error, weight, _star, _gain = sr.residual(
+            p = _age(p, window[4, k] - clock, m, model)
+            clock = window[4, k]
+            force, twist, _error, weight, _star, _gain = sr.residual(
                 window[0, k], window[1, k], window[2, k], window[3, k], maximum, shear_length, model
             )
-            spread = by_f * by_f * m_ff - 2.0 * by_f * twist * m_fk + twist * twist * m_kk
-            age = (memory[i, sr.CLOCK] - window[4, k]) * model.change_odds
-            weight = share * weight / (1.0 + share * weight * age * spread)
-            ff += weight * by_f * by_f
-            fk -= weight * by_f * twist
-            kk += weight * twist * twist
-    memory[i, sr.C_FF], memory[i, sr.C_FK], memory[i, sr.C_KK] = ff, fk, kk
+            p = _learn(p, force, -twist, share * weight)
+    p = _age(p, memory[i, sr.TAKEN] - clock, m, model)
+    memory[i, sr.P_FF], memory[i, sr.P_FK], memory[i, sr.P_KK] = p
+
+
+@formula
+def forget(memory, i, model):
+    """Another soil: nothing is known but the law of soils."""
+    memory[i, sr.P_FF], memory[i, sr.P_FK], memory[i, sr.P_KK] = another_soil(memory, i, model)
 
 
 @formula
 def logarithmic(memory, i, model):
-    """(P_FF, P_FK, P_KK) of the claim."""
-    m_ff, m_fk, m_kk = another_soil(memory, i, model)
-    inverse = 1.0 / (m_ff * m_kk - m_fk * m_fk)
-    a = memory[i, sr.C_FF] + m_kk * inverse
-    b = memory[i, sr.C_FK] - m_fk * inverse
-    c = memory[i, sr.C_KK] + m_ff * inverse
-    inverse = 1.0 / (a * c - b * b)
-    q = -math.expm1(-model.change_odds * (memory[i, sr.CLOCK] - memory[i, sr.TAKEN]))
-    r = (1.0 - q) * inverse
-    return r * c + q * m_ff, q * m_fk - r * b, r * a + q * m_kk
+    """(P_FF, P_FK, P_KK) of now."""
+    p = memory[i, sr.P_FF], memory[i, sr.P_FK], memory[i, sr.P_KK]
+    return _age(p, memory[i, sr.CLOCK] - memory[i, sr.TAKEN], another_soil(memory, i, model), model)
 
 
 @formula

@@ -144,6 +144,8 @@ class SoilEstimator(AnsweringEstimator):
             for column, number in zip(columns, self._nominal, strict=True):
                 self.memory[where, column] = number
         self.memory[where, sr.CONVERGED] = 1.0
+        self.memory[where, sr.P_FF] = PRIOR_SIGMA[0] ** 2
+        self.memory[where, sr.P_KK] = PRIOR_SIGMA[1] ** 2
 
     def provide_slip(self, slip: ArrayLike, variance: ArrayLike, correlation: float = 0.0) -> None:
         """Slip ratios (N, 2) and their variances for the next update, such as a filter's.

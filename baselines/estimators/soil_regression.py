@@ -45,7 +45,7 @@ SHRINK = 0.2  # [-] a step leaves at least this share of a fitted slip
 (
     LOG_F, LOG_K, ANCHOR_F, ANCHOR_K, J_FF, J_FK, J_KK, FILLED, NEXT, OUTLIERS, SKIPPED,
     CHANGES, WAITING, ITERATIONS, CONVERGED, MISFITS,
-    C_FF, C_FK, C_KK, CLOCK, TAKEN,  # of soil_claim: information; steps so far, at the last sample
+    P_FF, P_FK, P_KK, CLOCK, TAKEN,  # of soil_claim: covariance; steps so far, at the last sample
 ) = range(21)  # fmt: skip
 HEADER = 21
 BLOCKS = 5  # of 2 * window columns each: slip, effort, variance of the slip, fitted slip, step

@@ -33,6 +33,7 @@ START_SHARE = 1.1  # [-] F_max over the largest effort seen, first guess on a ne
 RECOVERY = 0.1  # [steps] by which a sample that fits lowers the count of outliers
 DETERMINED = 25.0  # [-] data over prior information: F_max to 0.2 of itself, see PRIOR
 SIGNIFICANT = 9.0  # [-] squared distance to the fit, in its variances, that moves the anchor
+NO_SOIL = 9.0  # [-] squared distance of ln K to the nominal one, in the prior's variances, of no soil
 MISFIT = 4.0  # [-] cost per sample of a window that mixes two soils; 1 is expected
 SURPRISE = 9.0  # [-] normalised innovation squared that makes a holding vehicle fit at once
 HOLD_STRIDE = 5  # [steps] between the fits of a vehicle that holds, with a full window
@@ -153,14 +154,12 @@ def _move_anchor(memory, i, model):
 
 
 @formula
-def _empty(memory, i):
+def _empty(memory, i, model):
     """A new soil: forget the window of vehicle i; the estimate stays as the first guess."""
     memory[i, sr.CHANGES] += 1.0
-    for column in (
-        sr.OUTLIERS, sr.MISFITS, sr.FILLED, sr.NEXT, sr.J_FF, sr.J_FK, sr.J_KK, sr.C_FF, sr.C_FK,
-        sr.C_KK,
-    ):  # fmt: skip
+    for column in (sr.OUTLIERS, sr.MISFITS, sr.FILLED, sr.NEXT, sr.J_FF, sr.J_FK, sr.J_KK):
         memory[i, column] = 0.0
+    soil_claim.forget(memory, i, model)
     memory[i, sr.CONVERGED] = 0.0
 
 
@@ -201,10 +200,12 @@ def _fit(memory, i, scratch, samples, model):
     memory[i, sr.ITERATIONS] = iterations
     memory[i, sr.CONVERGED] = 1.0 if converged else 0.0
     memory[i, sr.WAITING] = 0.0
+    gap = log_k - model.nominal_k
     misfit = normal.cost > MISFIT * max(normal.samples, 1.0)
+    misfit = misfit or gap * gap * model.information_k > NO_SOIL
     memory[i, sr.MISFITS] = memory[i, sr.MISFITS] + 1.0 if misfit else 0.0
     if memory[i, sr.MISFITS] >= PATIENCE and normal.samples > 2 * PATIENCE:
-        _empty(memory, i)
+        _empty(memory, i, model)
     elif converged:
         # A fit worse than the noise explains knows less (Birge ratio).
         share = 1.0 / max(normal.cost / max(normal.samples, 1.0), 1.0)
@@ -249,7 +250,7 @@ def _step(memory, i, left, right, scratch, sensing, model):
         outliers = memory[i, sr.OUTLIERS]
         memory[i, sr.OUTLIERS] = outliers + 1.0 if refused else max(outliers - RECOVERY, 0.0)
         if memory[i, sr.OUTLIERS] >= PATIENCE:
-            _empty(memory, i)
+            _empty(memory, i, model)
             refused = False
         if not refused:
             memory[i, sr.TAKEN] = memory[i, sr.CLOCK]
@@ -275,8 +276,8 @@ def update_all(
     fitted,
 ):  # fmt: skip
     """One sample of every vehicle; the last six arrays are written: summary (N, 4) excitation,
-    condition, NIS, skipped; known (N,) whether the data determine the effort limit; fitted (N, 2, 2)
-    covariance of the logarithms by the fit alone."""
+    condition, NIS, skipped; known (N,) whether the data determine the effort limit; fitted
+    (N, 2, 2) covariance of the logarithms by the fit alone."""
     for i in range(memory.shape[0]):
         refused, innovation = False, math.nan
         memory[i, sr.ITERATIONS] = 0.0

@@ -19,7 +19,7 @@ import math
 from baselines.estimators import soil_regression as sr
 from tracked_env.physics.jit import formula
 
-SOJOURN = 10.0  # [s] mean time on one soil, as of the calm model of interacting_models
+SOJOURN = 5.0  # [s] mean time on one soil, as of the calm model of interacting_models
 
 
 @formula

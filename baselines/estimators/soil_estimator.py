@@ -31,6 +31,7 @@ SLIP_FLOOR = 2e-4  # [-] sigma of the model, likewise
 CLEAR_EFFORT = 5.0  # [-] standard deviations that an effort must be above zero
 # The UKF's slip errors hang together over some samples: variance counts that much more.
 SLIP_CORRELATION = 10.0  # [control steps]
+WINDOW = 40  # [control steps] in the stack: less than a second, so that a second after a change it is new
 PRIOR_SIGMA = (1.0, 0.7)  # [-] of ln F_max (weak soil to clay: a factor e), ln K (1 to 6 cm)
 _WINDOW = Range(2, 10000, "control steps", "Did you pass seconds?")
 _ITERATIONS = Range(1, 1000, "-", "S allows 20.")
@@ -127,7 +128,7 @@ class SoilEstimator(AnsweringEstimator):
         """As a part of the identification stack."""
         return cls(
             setting.parameters, setting.control_period, setting.data_sheet, setting.count,
-            correlation_steps=SLIP_CORRELATION,
+            window=WINDOW, correlation_steps=SLIP_CORRELATION,
         )  # fmt: skip
 
     def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:

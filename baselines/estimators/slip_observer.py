@@ -90,7 +90,9 @@ def take_ground_all(memory, k, soil, covariance, friction):
         maximum, modulus = soil[i, 0], soil[i, 1]
         slip_outage.take_ground(
             memory, i, step.OUTAGE, maximum, modulus,
-            covariance[i, 0, 0], covariance[i, 0, 1], covariance[i, 1, 1],
+            covariance[i, 0, 0] / (maximum * maximum),
+            covariance[i, 0, 1] / (maximum * modulus),
+            covariance[i, 1, 1] / (modulus * modulus),
             friction[i], k,
         )  # fmt: skip
 

@@ -1,17 +1,15 @@
-"""What the soil estimator claims to know: the covariance of [ln F_max, ln K], and of F_max, K.
+"""What the soil estimator claims to know: the covariance of F_max and K, on a soil that may change.
 
-The fit of soil_regression weighs all samples of the window alike and holds what they do not
-show. As a claim that is too sure: the soil may have changed since a sample was taken. With Lambda
-the prior's information, e = ln(nominal) - ln(estimate) and h = 1 / SOJOURN the odds per second
-of another soil,
-    M     = Lambda^-1 + e e^T                another soil: its second moment about the estimate
-    J     = sum of J_k^T J_k / (R_k + h t_k J_k M J_k^T)     t_k [s]: since sample k was taken
-    P     = (1 - q) (J + M^-1)^-1 + q M,     q = 1 - exp(-h t),  t since the last sample
-So one sample of high slip tells F_max to a few per cent only while it is new, many samples that say
-little each are nearly as good as before, and without samples P grows to M.
-    sigma_F = F_max (exp(sqrt(P_FF)) - 1), likewise K: one sigma above the estimate is one sigma of
-              the logarithm. F_max (1 + sqrt(P_FF)) would be below it: what may be ten times as
-              strong is not within three sigma of itself
+The fit of soil_regression weighs all samples of its window alike. Its covariance is that of a soil
+which never changes; of alternating soils it was too sure by a factor of hundreds. Here with
+x = [ln F_max, ln K], Lambda the prior's information, e = x(nominal) - x(estimate):
+    M   = Lambda^-1 + e e^T          another soil, drawn from the prior: its second moment about x
+    P   = M                          before the first sample, and on a new soil
+    P+  = P + q (M - P),  q = 1 - exp(-t / SOJOURN)     after t [s]: with odds q it is another one
+    P+  = P - P j^T j P / (R + j P j^T)                 sample: Jacobian j, variance R of the fit
+sample by sample, in their order. Without samples P grows to M. A soil ten times as strong is not
+within three standard deviations F_max sqrt(P_FF) of a weak one, hence
+    sigma_F = F_max (exp(sqrt(P_FF)) - 1), likewise K: one sigma above is one of the logarithm.
 """
 
 import math
@@ -19,7 +17,7 @@ import math
 from baselines.estimators import soil_regression as sr
 from tracked_env.physics.jit import formula
 
-SOJOURN = 5.0  # [s] mean time on one soil, as of the calm model of interacting_models
+SOJOURN = 5.0  # [s] mean time on one soil: twice that of the fastest evaluation sets
 
 
 @formula
@@ -46,12 +44,16 @@ def _learn(p, by_f, by_k, weight):
     """P after a sample with Jacobian (by_f, by_k) and variance 1 / weight."""
     gain_f, gain_k = p[0] * by_f + p[1] * by_k, p[1] * by_f + p[2] * by_k
     share = weight / (1.0 + weight * (by_f * gain_f + by_k * gain_k))
-    return p[0] - share * gain_f * gain_f, p[1] - share * gain_f * gain_k, p[2] - share * gain_k * gain_k
+    return (
+        p[0] - share * gain_f * gain_f,
+        p[1] - share * gain_f * gain_k,
+        p[2] - share * gain_k * gain_k,
+    )
 
 
 @formula
 def weigh(memory, i, window, n, share, model):
-    """Write P of the fitted window (BLOCKS, samples) of vehicle i into memory; share: of weights."""
+    """P of the fitted window (BLOCKS, samples) of vehicle i into memory; share: of weights."""
     m = another_soil(memory, i, model)
     maximum = math.exp(memory[i, sr.LOG_F])
     shear_length = model.contact_length * math.exp(-memory[i, sr.LOG_K])

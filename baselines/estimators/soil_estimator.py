@@ -31,7 +31,8 @@ SLIP_FLOOR = 2e-4  # [-] sigma of the model, likewise
 CLEAR_EFFORT = 5.0  # [-] standard deviations that an effort must be above zero
 # The UKF's slip errors hang together over some samples: variance counts that much more.
 SLIP_CORRELATION = 10.0  # [control steps]
-WINDOW = 40  # [control steps] in the stack: less than a second, so that a second after a change it is new
+# In the stack. A second after a change of the soil, and of the slips behind it, all is new.
+WINDOW = 40  # [control steps]
 PRIOR_SIGMA = (1.0, 0.7)  # [-] of ln F_max (weak soil to clay: a factor e), ln K (1 to 6 cm)
 _WINDOW = Range(2, 10000, "control steps", "Did you pass seconds?")
 _ITERATIONS = Range(1, 1000, "-", "S allows 20.")
@@ -119,7 +120,7 @@ class SoilEstimator(AnsweringEstimator):
         self.limit_known = np.zeros(count, dtype=bool)
         samples = 2 * int(window)
         self.memory = np.zeros((count, sr.HEADER + sr.BLOCKS * samples))
-        self.fitted = np.empty((count, 2, 2))  # covariance of [ln F_max, ln K] by the fit alone
+        self.fitted = np.empty((count, 2, 2))  # covariance on a soil that never changes
         self._scratch = np.zeros((2 * sr.ROWS + 1, samples))
         self.reset()
 

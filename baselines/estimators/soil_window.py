@@ -5,7 +5,9 @@ and step:
     samples    only fresh drive data, |F| above its noise, belt or ground faster than SLOWEST,
                effort and slip not contradicting each other beyond noise
     outliers   innovation^2 > OUTLIER_GATE S is refused; PATIENCE of them in short succession,
-               or windows that no soil explains, are a new soil: the window is emptied
+               or windows that no soil explains, are a new soil: the window is emptied.
+               Old samples of high slip and new ones of little make K a tenth of any
+               soil's, without a misfit: that K tells a mixture too (NO_SOIL)
     fit        by soil_regression, from the last converged values; not converged -> kept
     anchor     the prior mean moves on to the fit in those directions (eigenvectors of the data's
                information in units of the prior's) that the data know DETERMINED times better
@@ -33,7 +35,7 @@ START_SHARE = 1.1  # [-] F_max over the largest effort seen, first guess on a ne
 RECOVERY = 0.1  # [steps] by which a sample that fits lowers the count of outliers
 DETERMINED = 25.0  # [-] data over prior information: F_max to 0.2 of itself, see PRIOR
 SIGNIFICANT = 9.0  # [-] squared distance to the fit, in its variances, that moves the anchor
-NO_SOIL = 9.0  # [-] squared distance of ln K to the nominal one, in the prior's variances, of no soil
+NO_SOIL = 9.0  # [-] squared distance to the nominal ln K, in the prior's variances, of no soil
 MISFIT = 4.0  # [-] cost per sample of a window that mixes two soils; 1 is expected
 SURPRISE = 9.0  # [-] normalised innovation squared that makes a holding vehicle fit at once
 HOLD_STRIDE = 5  # [steps] between the fits of a vehicle that holds, with a full window
@@ -272,12 +274,11 @@ def _step(memory, i, left, right, scratch, sensing, model):
 @loop
 def update_all(
     memory, values, fresh, given, slips, variances, sensing, model, scratch,
-    value, covariance, summary, status, known,
-    fitted,
+    value, covariance, summary, status, known, fitted,
 ):  # fmt: skip
     """One sample of every vehicle; the last six arrays are written: summary (N, 4) excitation,
     condition, NIS, skipped; known (N,) whether the data determine the effort limit; fitted
-    (N, 2, 2) covariance of the logarithms by the fit alone."""
+    (N, 2, 2) covariance by the fit alone, as if the soil never changed."""
     for i in range(memory.shape[0]):
         refused, innovation = False, math.nan
         memory[i, sr.ITERATIONS] = 0.0
@@ -291,8 +292,10 @@ def update_all(
             else:
                 refused, innovation = _step(memory, i, left, right, scratch, sensing, model)
         soil_claim.write(memory, i, model, value, covariance)
-        fitted[i, 0, 0], fitted[i, 0, 1], fitted[i, 1, 1] = _covariance(memory, i, model)
-        fitted[i, 1, 0] = fitted[i, 0, 1]
+        ff, fk, kk = _covariance(memory, i, model)
+        fitted[i, 0, 0] = ff * value[i, 0] * value[i, 0]
+        fitted[i, 0, 1] = fitted[i, 1, 0] = fk * value[i, 0] * value[i, 1]
+        fitted[i, 1, 1] = kk * value[i, 1] * value[i, 1]
         smallest, largest = _excitation(memory, i, model)
         summary[i, 0] = smallest
         summary[i, 1] = largest / smallest if smallest > 0.0 else math.inf

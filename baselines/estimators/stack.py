@@ -251,6 +251,7 @@ class IdentificationStack:
             else:
                 estimates.add_made(name, part.update(measurement))
         soil = estimates.answers["soil"][0]
+        # In an outage the filter itself allows for a soil that changes.
         self.slip.take_ground(soil, self.soil.fitted, estimates.answers["turning"][:, 1].copy())
         return Identification(reading, motion, estimates, self.quantities, self.soil.limit_known)
 

@@ -51,7 +51,7 @@ def written_out(known):
     deviations = [
         sigma["a"][:, 0] * mass**2 / p.mass, sigma["a"][:, 1], sigma["t"][:, 0] / p.inertia,
         sigma["t"][:, 1], sigma["s"][:, 3], sigma["s"][:, 4], sigma["s"][:, 5],
-        sigma["g"][:, 0] / g.value[:, 0], sigma["g"][:, 1] / g.value[:, 1],
+        *np.log1p(sigma["g"] / g.value).T,
     ]  # fmt: skip
     excitations = [e.excitation / (1.0 + e.excitation) for e in (a, t, s, g)]
     return np.stack([*values, *deviations, *excitations], axis=-1).astype(np.float32)

@@ -1,0 +1,122 @@
+"""What the soil estimator claims, against soils that do what claims must allow for: they change.
+
+The traction is that of soil_drives, Janosi-Hanamoto in its printed form.
+"""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from baselines.estimators.soil_claim import SOJOURN
+from baselines.estimators.soil_estimator import WINDOW, nominal_effort_maximum
+from tests.baselines.estimators.soil_drives import (
+    CLAY,
+    FIRM,
+    IDEAL,
+    LOAM,
+    PERIOD,
+    RADIUS,
+    RTK,
+    WEAK,
+    drive,
+    effort,
+    last,
+    make,
+    sample,
+)
+
+STEEP = (4.4e3, 0.006)  # clayey soil
+
+
+def score(estimate, soil):
+    """(error over the claimed deviation, squared) of F_max and K, (N, 2)."""
+    sigma = np.sqrt(np.diagonal(estimate.covariance, axis1=1, axis2=2))
+    return np.square((estimate.value - soil) / sigma)
+
+
+def pull(estimator, soil, force, rng):
+    """One sample in which both tracks pull with `force` [N]: little slip on firm soil, noisy."""
+    u = np.geomspace(1e-6, 1.0, 4000)
+    slip = np.interp(force, effort(u, *soil), u)
+    count = len(estimator.memory)
+    true = np.full((count, 2), slip)
+    estimator.provide_slip(
+        true + 0.005 * rng.standard_normal((count, 2)), np.full((count, 2), 2.5e-5)
+    )
+    return estimator.update(sample(true, 1.5, *soil, rng))
+
+
+@pytest.mark.parametrize("before", [STEEP, WEAK])
+@pytest.mark.parametrize("after", [FIRM, LOAM])
+def test_a_second_after_weak_soil_has_become_firm_the_claim_covers_the_error(before, after):
+    estimator, rng = make(32, window=WINDOW, correlation_steps=10.0), np.random.default_rng(3)
+    last(drive(estimator, before, (0.05, 0.7), 100))
+    squared = []
+    for step in range(100):
+        estimate = pull(estimator, after, 0.85 * before[0], rng)
+        if step >= 50:
+            squared.append(score(estimate, after))
+    assert np.mean(np.array(squared) <= 9.0, axis=(0, 1)).min() >= 0.97
+    assert np.mean(squared, axis=(0, 1)).max() <= 3.0
+
+
+def test_without_samples_the_estimate_holds_and_the_claim_grows_to_that_of_any_soil():
+    estimator, rng = make(4, sheet=IDEAL), np.random.default_rng(0)
+    before = last(drive(estimator, WEAK, (0.02, 0.6), 100, sheet=IDEAL))
+    odds = before.deviation("effort_maximum") / before.value[:, 0]
+    variances = [np.log1p(odds) ** 2]
+    blind = sample(np.full((4, 2), 0.1), 1.5, *WEAK, rng, IDEAL)
+    for _ in range(int(20 * SOJOURN / PERIOD)):
+        estimator.provide_slip(np.zeros((4, 2)), np.full((4, 2), np.inf))
+        after = estimator.update(blind)
+        variances.append(np.log1p(after.deviation("effort_maximum") / after.value[:, 0]) ** 2)
+    assert np.array_equal(after.value, before.value)
+    another = 1.0 + np.log(WEAK[0] / nominal_effort_maximum(CLAY)) ** 2
+    time = PERIOD * np.arange(len(variances))[:, None]
+    expected = another + (variances[0] - another) * np.exp(-time / SOJOURN)
+    assert np.array(variances) == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_step_of_the_soil_seen_by_exact_slips_is_covered_within_the_window():
+    estimator = make(8, sheet=IDEAL, window=WINDOW)
+    last(drive(estimator, LOAM, (0.05, 0.7), 80, sheet=IDEAL))
+    estimates = list(drive(estimator, WEAK, (0.05, 0.7), WINDOW + 10, seed=5, sheet=IDEAL))
+    assert all((score(e, WEAK) <= 9.0).all() for e in estimates[WINDOW + 4 :])
+    assert estimates[-1].value == pytest.approx(np.tile(WEAK, (8, 1)), rel=1e-3)
+
+
+def test_soils_that_change_at_random_are_covered_as_a_chi_square_says():
+    """Each vehicle changes its soil with the odds of the claim; the new one is drawn by the prior,
+    as far as the vehicle still moves on it. A claim that allows for changes may be careful."""
+    count, rng = 40, np.random.default_rng(11)
+    estimator = make(count, window=WINDOW)
+    nominal = np.log([nominal_effort_maximum(CLAY), CLAY.shear_deformation_modulus])
+
+    def draw():
+        log = nominal + np.clip(rng.standard_normal((count, 2)), -2.0, 1.0) * (1.0, 0.7)
+        return np.exp(log)
+
+    soil, squared, since = draw(), [], np.zeros(count)
+    slip = np.full((count, 2), 0.05)
+    for step in range(900):
+        changes = rng.random(count) < PERIOD / SOJOURN
+        soil = np.where(changes[:, None], draw(), soil)
+        since = np.where(changes, 0.0, since + PERIOD)
+        slip = np.clip(slip * np.exp(0.2 * rng.standard_normal((count, 2))), 0.01, 0.6)
+        truth = soil[:, 0, None], soil[:, 1, None]
+        measurement = sample(slip, 1.5, FIRM[0], FIRM[1], rng)
+        measurement.values[:, 11:13] = RADIUS * effort(slip, *truth) + RTK.torque_noise * (
+            rng.standard_normal((count, 2))
+        )
+        estimate = estimator.update(measurement)
+        if step % 50 == 0 and step > 100:
+            squared.append(np.where(since[:, None] > 1.0, score(estimate, soil), np.nan))
+    values = np.array(squared).reshape(-1, 2)
+    values = values[~np.isnan(values[:, 0])]
+    upper = chi2.ppf(0.999, len(values)) / len(values)
+    assert (values.mean(axis=0) <= upper).all()
+    assert (np.mean(values <= 9.0, axis=0) >= 0.97).all()
+    assert (values.mean(axis=0) > 1e-3).all()  # it is no empty claim
+    assert math.isfinite(upper)

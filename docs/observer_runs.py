@@ -1,6 +1,14 @@
-"""Runs of the adaptive policy with what its observer believes, for the observer's figures."""
+"""Runs of the adaptive policy with what its observer believes, and how good its claims are.
 
-from collections.abc import Mapping
+    python -m docs.observer_runs [--first SEED] [--episodes N]     the table of observer_trust.md
+
+Every quantity on every set of torque-v3 and torque-unlike-v1. Truth: the value in force when the
+sample was taken; of the side slip atan(v_y / v_x) where |v_x| > MOVING, of F_max the closed form
+A c + W / 2 tan phi, on every plant.
+"""
+
+import argparse
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,25 +17,40 @@ from numpy.typing import NDArray
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import adaptive
 from tracked_env.benchmark import BenchmarkConfig
+from tracked_env.benchmark.changes import CHANGING, abrupt_changes
+from tracked_env.benchmark.identification_metrics import APART
+from tracked_env.benchmark.sets import VERSIONS
 from tracked_env.engine.columns import columns
 from tracked_env.physics.state import STATE_NAMES
 
 Floats = NDArray[np.float64]
 SEED = 72_000  # episodes on which nothing was chosen
 PARAMETERS = ("mass", "inertia", "longitudinal_resistance", "lateral_resistance")
+QUANTITIES = {
+    "mass": "mass", "inertia": "inertia", "longitudinal_resistance": "mu_l",
+    "lateral_resistance": "mu_t", "slip_left": "i_L", "slip_right": "i_R", "side_slip": "alpha",
+    "effort_maximum": "F_max", "shear_deformation_modulus": "K", "actuator_gain_left": "g_L",
+    "actuator_gain_right": "g_R", "drive_time_constant": "T",
+}  # fmt: skip
+ABSOLUTE = ("slip_left", "slip_right", "side_slip")  # errors are not relative to the true value
+MOVING = 0.05  # [m/s] below it there is no side slip
+VERSIONS_SHOWN = ("torque-v3", "torque-unlike-v1")
 
 
 class Run(NamedTuple):
-    """Beliefs and truth of N vehicles over T control steps; parameters as in PARAMETERS."""
+    """Beliefs and truth of N vehicles over T control steps; columns as in `names`."""
 
     period: float  # [s]
-    value: Floats  # (T, N, 4) SI
-    deviation: Floats  # (T, N, 4)
-    truth: Floats  # (T, N, 4)
+    value: Floats  # (T, N, P) SI
+    deviation: Floats  # (T, N, P)
+    truth: Floats  # (T, N, P)
     state: Floats  # (T, N, STATE_ROWS) true, columns as STATE_NAMES
     status: NDArray[np.int64]  # (T, N, 2) of the regressions: longitudinal, turning
     excitation: Floats  # (T, N, 2)
+    changing: Floats  # (T, N, C) parameters whose abrupt changes count
+    driven: NDArray[np.bool_]  # (T, N) whether the episode goes on
     policy: AdaptivePolicy
+    names: tuple[str, ...]
 
     @property
     def time(self) -> Floats:
@@ -36,12 +59,12 @@ class Run(NamedTuple):
 
     def error(self, name: str) -> Floats:
         """(T, N) relative error of one parameter."""
-        j = PARAMETERS.index(name)
+        j = self.names.index(name)
         return self.value[..., j] / self.truth[..., j] - 1.0
 
     def claimed(self, name: str) -> Floats:
         """(T, N) claimed deviation of one parameter over its true value."""
-        j = PARAMETERS.index(name)
+        j = self.names.index(name)
         return self.deviation[..., j] / self.truth[..., j]
 
     def motion(self, name: str) -> Floats:
@@ -49,13 +72,25 @@ class Run(NamedTuple):
         return self.state[..., STATE_NAMES.index(name)]
 
 
-def driven(name: str, count: int, reset: Mapping[str, Any] | None = None, **changed: Any) -> Run:
-    """Drive `count` episodes of an evaluation set; changed: of `BenchmarkConfig`."""
+def driven(
+    name: str,
+    count: int,
+    reset: Mapping[str, Any] | None = None,
+    names: Sequence[str] = PARAMETERS,
+    first: int = SEED,
+    **changed: Any,
+) -> Run:
+    """Drive `count` episodes of an evaluation set; changed: of `BenchmarkConfig`.
+
+    names: estimates taken down. first: seed of the first episode.
+    """
     config = BenchmarkConfig(sets=(name,), episodes=count, **changed)
     env, policy = config.environment(name, count, truth=False), adaptive(config.context(name))
     assert isinstance(policy, AdaptivePolicy)
-    batch, truths, states = env.simulation.batch, columns(PARAMETERS), columns(STATE_NAMES)
-    seeds = [SEED + i for i in range(count)]
+    batch, states = env.simulation.batch, columns(STATE_NAMES)
+    truths = columns(["v_x" if name == "side_slip" else name for name in names])
+    changing, over = columns(CHANGING), np.zeros(count, dtype=bool)
+    seeds = [first + i for i in range(count)]
     observation, _ = env.reset(seed=seeds, options=None if reset is None else dict(reset))
     state: Any = None
     rows: list[tuple[Floats, ...]] = []
@@ -64,13 +99,69 @@ def driven(name: str, count: int, reset: Mapping[str, Any] | None = None, **chan
         known = policy.known
         told, status, excitation = known.estimates(), known.status(), known.excitation()
         rows.append((
-            np.stack([told[p][0] for p in PARAMETERS], axis=1),
-            np.stack([told[p][1] for p in PARAMETERS], axis=1),
+            np.stack([told[p][0] for p in names], axis=1),
+            np.stack([told[p][1] for p in names], axis=1),
             batch.floats[:, truths].copy(),
             batch.floats[:, states].copy(),
             np.stack([status[part] for part in ("longitudinal", "turning")], axis=1),
             np.stack([excitation[part] for part in ("longitudinal", "turning")], axis=1),
+            batch.floats[:, changing].copy(),
+            ~over,
         ))  # fmt: skip
-        observation, *_ = env.step(action)
+        observation, _reward, terminated, truncated, _info = env.step(action)
+        over = over | terminated | truncated
     parts = [np.array(part) for part in zip(*rows, strict=True)]
-    return Run(env.simulation.solver.control_period, *parts, policy)  # type: ignore[arg-type]
+    run = Run(env.simulation.solver.control_period, *parts, policy, tuple(names))  # type: ignore[arg-type]
+    if "side_slip" in names:
+        v_x, v_y = run.motion("v_x"), run.motion("v_y")
+        moves = np.abs(v_x) > MOVING
+        truth = np.where(moves, np.arctan(v_y / np.where(moves, v_x, 1.0)), np.nan)
+        run.truth[..., names.index("side_slip")] = truth
+    return run
+
+
+def apart(run: Run) -> NDArray[np.bool_]:
+    """(T, N) whether the episode goes on, and no abrupt change was within the last second."""
+    counts = run.driven.copy()
+    for i in range(counts.shape[1]):
+        steps = int(run.driven[:, i].sum())
+        for change in abrupt_changes(run.changing[:steps, i], run.period):
+            counts[change.first : change.last + round(APART / run.period), i] = False
+    return counts
+
+
+def cells(run: Run) -> list[str]:
+    """A cell of the table for each quantity: NEES, share within three sigma [%], without the
+    second after a change; median claimed sigma, median error at the end [%]."""
+    counts, row = apart(run), []
+    last = run.driven.sum(axis=0) - 1
+    for j, name in enumerate(run.names):
+        value, sigma, truth = run.value[..., j], run.deviation[..., j], run.truth[..., j]
+        known = counts & np.isfinite(truth) & (sigma > 0.0)
+        scale = np.ones_like(truth) if name in ABSOLUTE else np.abs(truth)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            score, error = np.square((value - truth) / sigma), np.abs(value - truth) / scale
+        end = error[last, np.arange(len(last))]
+        row.append(
+            f"{score[known].mean():.2g}, {100.0 * np.mean(score[known] <= 9.0):.1f}; "
+            f"{100.0 * np.median((sigma / scale)[known]):.2g}, {100.0 * np.nanmedian(end):.2g}"
+        )
+    return row
+
+
+def main() -> None:
+    """Print the table of every quantity on every set."""
+    parser = argparse.ArgumentParser(description="How good the claims of the observer are.")
+    parser.add_argument("--first", type=int, default=SEED, help="seed of the first episode")
+    parser.add_argument("--episodes", type=int, default=32, help="per set")
+    options = parser.parse_args()
+    print("| set |", " | ".join(QUANTITIES.values()), "|", sep=" ")
+    print("|--|" + "--|" * len(QUANTITIES))
+    sets = dict.fromkeys(n for version in VERSIONS_SHOWN for n in VERSIONS[version].sets)
+    for name in sets:
+        run = driven(name, options.episodes, names=tuple(QUANTITIES), first=options.first)
+        print(f"| `{name}` |", " | ".join(cells(run)), "|", flush=True)
+
+
+if __name__ == "__main__":
+    main()

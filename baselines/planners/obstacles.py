@@ -22,10 +22,9 @@ from tracked_env.validation import checked_number
 
 Array = NDArray[np.float64]
 
-SPACING = 0.05  # [m] of the field, where it is not too large for that
+SPACING = 0.05  # [m] of the field
 DISCS = 3
 MOST_NODES = 4_000_000
-COARSEST = 0.5  # [m] spacing of a field
 _RADIUS = Range(1e-3, 1e5, "m", "Did you pass millimetres?")
 _CELL = Range(1e-3, 10.0, "m", "It is the size of a cell of the grid.")
 
@@ -37,28 +36,16 @@ class Footprint(NamedTuple):
     radius: float  # [m] with half a cell's diagonal and a margin added
 
     @classmethod
-    def of(
-        cls, vehicle: PlantParameters, margin: float = 0.05, spacing: float = SPACING,
-        size: tuple[float, float] | None = None,
-    ) -> "Footprint":  # fmt: skip
-        """Discs over a rectangle, and a margin [m] around; spacing [m]: of the field.
-
-        size: length and width [m]; contact length by gauge plus track width where it is None.
-        """
-        width = vehicle.track_gauge + vehicle.track_width
-        length, width = (vehicle.contact_length, width) if size is None else size
-        half, across = 0.5 * length / DISCS, 0.5 * width
+    def of(cls, vehicle: PlantParameters, margin: float = 0.05) -> "Footprint":
+        """Discs over contact length by gauge plus track width, and a margin [m] around."""
+        half = 0.5 * vehicle.contact_length / DISCS
+        across = 0.5 * (vehicle.track_gauge + vehicle.track_width)
         offset = np.array([(2.0 * disc + 1.0 - DISCS) * half for disc in range(DISCS)])
-        return cls(offset, math.hypot(half, across) + margin + spacing * math.sqrt(0.5))
-
-    @property
-    def reach(self) -> float:
-        """Largest distance [m] from the centre of the vehicle to what must be free."""
-        return float(np.abs(self.offset).max()) + self.radius
+        return cls(offset, math.hypot(half, across) + margin + SPACING * math.sqrt(0.5))
 
 
 class Clearance(NamedTuple):
-    """Signed distance to the nearest obstacle on a grid of nodes; beyond it nothing is known."""
+    """Signed distance to the nearest obstacle on a grid of nodes; beyond it, none."""
 
     distance: Array  # [m] (NY, NX), negative inside an obstacle
     x: float  # [m] of the first column
@@ -66,7 +53,7 @@ class Clearance(NamedTuple):
     spacing: float  # [m]
 
     def at(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Clearance [m] at points, -inf outside the grid: what is not covered is not free."""
+        """Clearance [m] at points, inf outside the grid."""
         xs, ys = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
         out = np.empty(xs.size)
         _clearances(self, xs.ravel(), ys.ravel(), out)
@@ -102,11 +89,6 @@ class Obstacles(NamedTuple):
                 raise ValueError(f"polygon of shape {polygon.shape}; must be (K, 2), K >= 3: x, y")
             if not np.isfinite(polygon).all():
                 raise ValueError(f"polygon {polygon.tolist()}; all corners must be finite")
-            if (crossing := _crossing(polygon)) is not None:
-                raise ValueError(
-                    f"polygon {polygon.tolist()}: edges {crossing[0]} and {crossing[1]} cross; its "
-                    "corners must go once around it. Are they in order?"
-                )
         cells = np.zeros((0, 0), dtype=bool) if occupied is None else np.asarray(occupied)
         if cells.ndim != 2 or cells.dtype != bool:
             raise ValueError(
@@ -114,26 +96,16 @@ class Obstacles(NamedTuple):
                 "Did you pass probabilities? Compare them with a threshold."
             )
         size = checked_number("cell", cell, _CELL)
-        if np.shape(origin) != (2,):
-            raise ValueError(f"origin = {origin!r}; must be two numbers x, y [m]")
-        place = [checked_number(f"origin {n}", v, PLACE) for n, v in zip("xy", origin, strict=True)]
-        return cls(made, corners, cells, size, (place[0], place[1]))
+        return cls(made, corners, cells, size, (float(origin[0]), float(origin[1])))
 
-    def clearance(self, low: ArrayLike, high: ArrayLike, spacing: float | None = None) -> Clearance:
-        """The field over a rectangle from `low` to `high`, (x, y) [m]. Raises ValueError.
-
-        spacing [m]: None for SPACING, or what a large rectangle allows.
-        """
+    def clearance(self, low: ArrayLike, high: ArrayLike, spacing: float = SPACING) -> Clearance:
+        """The field over a rectangle from `low` to `high`, (x, y) [m]. Raises ValueError."""
         (x, y), (x_end, y_end) = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
-        if spacing is None:
-            fitting = math.sqrt((x_end - x) * (y_end - y) / MOST_NODES)
-            spacing = max(SPACING, 1.01 * fitting)
-        nx, ny = (max(math.ceil((e - b) / spacing), 1) + 1 for b, e in ((x, x_end), (y, y_end)))
-        if nx * ny > MOST_NODES or spacing > COARSEST:
+        nx, ny = (math.ceil((e - b) / spacing) + 1 for b, e in ((x, x_end), (y, y_end)))
+        if nx * ny > MOST_NODES:
             raise ValueError(
-                f"obstacles over {x_end - x:.4g} x {y_end - y:.4g} m; must be at most "
-                f"{MOST_NODES} nodes of {min(spacing, COARSEST):.3g} m. Is the goal far away? Plan "
-                "in parts, through way points."
+                f"{nx} x {ny} nodes of {spacing} m; must be at most {MOST_NODES}. Is the goal far "
+                "away? Plan in parts, or with a larger spacing."
             )
         xs, ys = x + spacing * np.arange(nx), y + spacing * np.arange(ny)
         field = np.full((ny, nx), np.inf)
@@ -164,27 +136,13 @@ class Obstacles(NamedTuple):
         return np.where(beyond > 0.0, np.maximum(beyond, near - beyond), near)
 
 
-def _crossing(polygon: Array) -> tuple[int, int] | None:
-    """Two edges of a polygon (K, 2) that cross, by their numbers; None where none do."""
-    ends, following = polygon, np.roll(polygon, -1, axis=0)
-
-    def side(of: Array, a: Array, b: Array) -> Array:
-        """Twice the signed area of triangles (a, b, of), (K, K)."""
-        to, along = of[None, :] - a[:, None], (b - a)[:, None]
-        return np.asarray(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])
-
-    apart = side(ends, ends, following) * side(following, ends, following) < 0.0
-    crossing = np.argwhere(np.triu(apart & apart.T))
-    return (int(crossing[0, 0]), int(crossing[0, 1])) if len(crossing) else None
-
-
 @formula
 def clearance_at(field, x, y):
-    """Clearance [m] at (x, y) [m], bilinear; -inf outside the grid."""
+    """Clearance [m] at (x, y) [m], bilinear; inf outside the grid."""
     rows, columns = field.distance.shape
     u, v = (x - field.x) / field.spacing, (y - field.y) / field.spacing
     if not (0.0 <= u <= columns - 1 and 0.0 <= v <= rows - 1):
-        return -math.inf
+        return math.inf
     i, j = min(int(u), columns - 2), min(int(v), rows - 2)
     u, v = u - i, v - j
     below = field.distance[j, i] * (1.0 - u) + field.distance[j, i + 1] * u

@@ -141,33 +141,6 @@ class Planner(NamedTuple):
         """Whether the optimal planner can end at rest: speed and its rate of change have limits."""
         return not self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
 
-    @property
-    def chooses_speed(self) -> bool:
-        """Whether it can slow down in a tight arc."""
-        return self.method == "optimal" and not self.limits.fixed
-
-    @property
-    def changes_gear(self) -> bool:
-        """Whether a plan may go on in reverse: at constant speed the belts would jump."""
-        return (self.reverse and not self._jumps) or self.method == "reeds-shepp"
-
-    @property
-    def _jumps(self) -> bool:
-        """Whether belts would have to jump to change the gear, and may not."""
-        return self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
-
-    def sampled(self, period: float) -> "Planner":
-        """The same planner with another time between samples [s]."""
-        return self._replace(period=period)
-
-    def in_gear(self, start: Start, goal: Array, last: bool, gear: float) -> Trajectory:
-        """One trajectory to a goal (3,), forwards (gear 1) or in reverse (-1) where it can."""
-        if self.method != "optimal" or self.ground is not None:
-            return self(start, goal, last)
-        if gear < 0.0:
-            return gears.in_reverse(self._forwards, start, goal, last)
-        return self._forwards(start, goal, last)
-
     def __call__(self, start: Start, goal: Array, last: bool = True) -> Trajectory:
         """One trajectory to a goal (3,); last: to rest there, if the limits say how to brake."""
         if self.method == "optimal" and self.ground is not None:
@@ -189,7 +162,8 @@ class Planner(NamedTuple):
         if not self.reverse:
             return self._forwards(start, goal, last, turning)
         radius = max(arc_radius(self.limits, self.vehicle), RADIUS * self.vehicle.track_gauge)
-        return gears.cheapest(self._forwards, start, goal, None if self._jumps else radius, last)
+        jumps = self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
+        return gears.cheapest(self._forwards, start, goal, None if jumps else radius, last)
 
     def _forwards(
         self, start: Start, goal: Array, last: bool, turning: float | None = None
@@ -212,7 +186,6 @@ def plan(
     *,
     via: ArrayLike = (),
     obstacles: Obstacles | None = None,
-    search: chain.RouteSearch = chain.DEFAULT_SEARCH,
     period: float = 0.02,
     intervals: int = 40,
     threads: int = 1,
@@ -224,8 +197,7 @@ def plan(
     start: pose, or `Start` for a moving vehicle. limits: those of the vehicle on its soil by
     default. slip_model: of `baselines.slip`; None plans as if the tracks did not slip. vehicle:
     parameters, or a key of VEHICLES. via: way points (K, 3) to be passed before the goal. period:
-    time between samples [s]. search: margin, footprint, room and time limit of a way around
-    obstacles. intervals: N of the optimal planner. threads: for N goals by the
+    time between samples [s]. intervals: N of the optimal planner. threads: for N goals by the
     optimal planner forwards, without obstacles and way points. reverse: whether the optimal planner
     may drive backwards, where that costs less; its limits hold in both gears.
     ground: slopes of a plane, or heights with slopes as functions of x and y, on which the optimal
@@ -238,13 +210,7 @@ def plan(
     goals = checked_poses("goal", goal)
     if obstacles is not None or np.size(via):
         before = checked_poses("via", via) if np.size(via) else np.zeros((0, 3))
-        if not isinstance(obstacles, Obstacles | None):
-            raise TypeError(
-                f"obstacles are {type(obstacles).__name__}; must be made by Obstacles.of("
-                "circles=..., polygons=..., occupied=...)"
-            )
-        legs = (np.vstack([before, row]) for row in goals)
-        made = [chain.through(planner, begin, of, obstacles, search.checked()) for of in legs]
+        made = [chain.through(planner, begin, np.vstack([before, row]), obstacles) for row in goals]
     elif method == "optimal" and threads > 1 and not reverse and ground is None:
         several = optimal(
             begin, goals, planner.limits, planner.vehicle, slip_model, intervals=intervals,

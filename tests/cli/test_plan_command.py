@@ -150,10 +150,7 @@ def test_a_goal_that_no_plan_reaches_ends_with_status_1(capsys: pytest.CaptureFi
     assert main([*QUICK, *walls]) == 1
     said = capsys.readouterr()
     assert printed(said.out)["converged"] == "no"
-    assert said.err.startswith(
-        "tracked-env plan: no way around the obstacles was found: searched x"
-    )
-    assert "forwards only" in said.err and said.err.count("\n") == 1
+    assert said.err == "tracked-env plan: no way around the obstacles was found\n"
 
 
 def test_without_matplotlib_the_table_is_printed_and_the_extra_named(

@@ -1,63 +1,30 @@
-"""Obstacles in the plane as a field of clearance: signed distance to the nearest [m].
+"""Obstacles in the plane: circles, polygons and the occupied cells of a map, checked.
 
-Circles and polygons give their exact distance at the nodes of a grid, an occupancy grid the
-distance between the middles of cells; between nodes it is bilinear. A signed distance changes by
-at most the way moved, so the field is wrong by at most 0.71 spacings, which `Footprint` adds.
-
-The vehicle is DISCS discs that cover its rectangle, contact length by gauge plus track width.
+All become one shape, the capsule: what is within `radius` of a segment. A circle is a capsule
+without length; edges of polygons, and of areas of occupied cells, are capsules without radius.
+Who touches no edge and does not begin inside stays outside, so that edges are enough for a motion
+that begins in the open. They are exact, whatever is thin, and whatever the cells measure.
 """
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from baselines.planners.trajectory import PLACE
-from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters, Range
+from baselines.planners.trajectory import ANGLE, PLACE
+from tracked_env.physics.jit import loop
+from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
 
 Array = NDArray[np.float64]
 
-SPACING = 0.05  # [m] of the field
-DISCS = 3
-MOST_NODES = 4_000_000
+MOST_CELLS = 100_000_000  # of a map: 100 MB as bool
+MOST_EDGES = 4_000_000  # of all obstacles together: 160 MB
 _RADIUS = Range(1e-3, 1e5, "m", "Did you pass millimetres?")
 _CELL = Range(1e-3, 10.0, "m", "It is the size of a cell of the grid.")
-
-
-class Footprint(NamedTuple):
-    """Discs that cover a vehicle, along its axis."""
-
-    offset: Array  # [m] (DISCS,) of their middles, forwards
-    radius: float  # [m] with half a cell's diagonal and a margin added
-
-    @classmethod
-    def of(cls, vehicle: PlantParameters, margin: float = 0.05) -> "Footprint":
-        """Discs over contact length by gauge plus track width, and a margin [m] around."""
-        half = 0.5 * vehicle.contact_length / DISCS
-        across = 0.5 * (vehicle.track_gauge + vehicle.track_width)
-        offset = np.array([(2.0 * disc + 1.0 - DISCS) * half for disc in range(DISCS)])
-        return cls(offset, math.hypot(half, across) + margin + SPACING * math.sqrt(0.5))
-
-
-class Clearance(NamedTuple):
-    """Signed distance to the nearest obstacle on a grid of nodes; beyond it, none."""
-
-    distance: Array  # [m] (NY, NX), negative inside an obstacle
-    x: float  # [m] of the first column
-    y: float  # [m] of the first row
-    spacing: float  # [m]
-
-    def at(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Clearance [m] at points, inf outside the grid."""
-        xs, ys = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        out = np.empty(xs.size)
-        _clearances(self, xs.ravel(), ys.ravel(), out)
-        return out.reshape(xs.shape)
+FLAT = 1e-12  # [-] area over the square of the extent below which a polygon has none
 
 
 class Obstacles(NamedTuple):
@@ -65,138 +32,175 @@ class Obstacles(NamedTuple):
 
     circles: Array  # (C, 3) x, y, radius [m]
     polygons: tuple[Array, ...]  # each (K, 2) corners x, y [m] in order
-    occupied: NDArray[np.bool_]  # (NY, NX) cells, row j at y
+    occupied: NDArray[np.bool_]  # (NY, NX) cells, row j along y of the map
     cell: float  # [m] size of a cell
-    origin: tuple[float, float]  # [m] middle of occupied[0, 0]
+    origin: tuple[float, float, float]  # x, y [m] of the middle of occupied[0, 0], yaw [rad]
 
     @classmethod
     def of(
         cls, circles: ArrayLike = (), polygons: Sequence[ArrayLike] = (),
-        occupied: ArrayLike | None = None, cell: float = 0.1, origin: Sequence[float] = (0.0, 0.0),
+        occupied: ArrayLike | None = None, cell: float = 0.1,
+        origin: Sequence[float] = (0.0, 0.0),
     ) -> "Obstacles":  # fmt: skip
-        """Circles (C, 3) x, y, radius [m]; polygons (K, 2) each; occupied: a grid of cells, row j
-        at y = origin[1] + j cell. Raises ValueError.
+        """Circles (C, 3) x, y, radius [m]; polygons (K, 2) each; a map of occupied cells (NY, NX).
+
+        Row j, column i of the map is centred at origin[:2] + (i cell, j cell), turned by
+        origin[2] [rad] about the origin if it is there. Beyond the map nothing is occupied: close
+        it with occupied cells where the vehicle must stay on it. Raises ValueError.
         """
-        rings = np.asarray(circles, dtype=np.float64).reshape(-1, 3) if np.size(circles) else None
-        made = np.zeros((0, 3)) if rings is None else rings
-        for x, y, radius in made:
-            checked_number("circle x", float(x), PLACE)
-            checked_number("circle y", float(y), PLACE)
-            checked_number("circle radius", float(radius), _RADIUS)
-        corners = tuple(np.asarray(polygon, dtype=np.float64) for polygon in polygons)
-        for polygon in corners:
-            if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3:
-                raise ValueError(f"polygon of shape {polygon.shape}; must be (K, 2), K >= 3: x, y")
-            if not np.isfinite(polygon).all():
-                raise ValueError(f"polygon {polygon.tolist()}; all corners must be finite")
         cells = np.zeros((0, 0), dtype=bool) if occupied is None else np.asarray(occupied)
         if cells.ndim != 2 or cells.dtype != bool:
             raise ValueError(
                 f"occupied has shape {cells.shape} of {cells.dtype}; must be (NY, NX) of bool. "
                 "Did you pass probabilities? Compare them with a threshold."
             )
-        size = checked_number("cell", cell, _CELL)
-        return cls(made, corners, cells, size, (float(origin[0]), float(origin[1])))
-
-    def clearance(self, low: ArrayLike, high: ArrayLike, spacing: float = SPACING) -> Clearance:
-        """The field over a rectangle from `low` to `high`, (x, y) [m]. Raises ValueError."""
-        (x, y), (x_end, y_end) = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
-        nx, ny = (math.ceil((e - b) / spacing) + 1 for b, e in ((x, x_end), (y, y_end)))
-        if nx * ny > MOST_NODES:
+        if cells.size > MOST_CELLS:
             raise ValueError(
-                f"{nx} x {ny} nodes of {spacing} m; must be at most {MOST_NODES}. Is the goal far "
-                "away? Plan in parts, or with a larger spacing."
+                f"occupied has {cells.size} cells; must be at most {MOST_CELLS}. Cut the map to "
+                "the area of the plan, or make its cells larger."
             )
-        xs, ys = x + spacing * np.arange(nx), y + spacing * np.arange(ny)
-        field = np.full((ny, nx), np.inf)
-        for ring_x, ring_y, radius in self.circles:
-            away = np.hypot(xs - ring_x, (ys - ring_y)[:, None]) - radius
-            np.minimum(field, away, out=field)
-        for polygon in self.polygons:
-            away = np.empty_like(field)
-            _polygon_distance(polygon, xs, ys, away)
-            np.minimum(field, away, out=field)
-        if self.occupied.size:
-            np.minimum(field, self._of_cells(xs, ys), out=field)
-        return Clearance(np.minimum(field, 1e6), float(x), float(y), spacing)
+        size = checked_number("cell", cell, _CELL)
+        return cls(
+            _checked_circles(circles), tuple(_checked_polygon(p) for p in polygons), cells, size,
+            _checked_origin(origin),
+        )  # fmt: skip
 
-    def _of_cells(self, xs: Array, ys: Array) -> Array:
-        """Distance to the edge of the nearest occupied cell, inf outside the grid of cells."""
-        outside = distance_transform_edt(~self.occupied) * self.cell - 0.5 * self.cell
-        inside = distance_transform_edt(self.occupied) * self.cell - 0.5 * self.cell
-        known = np.where(self.occupied, -inside, outside)
-        if not self.occupied.any():
-            known = np.full(self.occupied.shape, 1e6)
-        columns, rows = (xs - self.origin[0]) / self.cell, (ys - self.origin[1]) / self.cell
+    def capsules(self) -> Array:
+        """All obstacles as (S, 5) x, y of both ends and radius [m]. Raises ValueError."""
+        rings = self.circles[:, [0, 1, 0, 1, 2]]
+        edges = [np.hstack([p, np.roll(p, -1, axis=0)]) for p in self.polygons]
+        edges.append(self._edges_of_cells())
+        lines = np.vstack(edges)
+        if len(lines) + len(rings) > MOST_EDGES:
+            raise ValueError(
+                f"the obstacles have {len(lines)} edges; must be at most {MOST_EDGES}. Is the map "
+                "noise? Filter it, or make its cells larger."
+            )
+        return np.vstack([rings, np.hstack([lines, np.zeros((len(lines), 1))])])
+
+    def contain(self, x: float, y: float) -> bool:
+        """Whether a point [m] is inside an obstacle."""
+        away = np.hypot(self.circles[:, 0] - x, self.circles[:, 1] - y)
+        if np.any(away <= self.circles[:, 2]) or any(_inside(p, x, y) for p in self.polygons):
+            return True
+        cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
+        x, y = x - self.origin[0], y - self.origin[1]
+        column = math.floor((cos * x + sin * y) / self.cell + 0.5)
+        row = math.floor((cos * y - sin * x) / self.cell + 0.5)
         ny, nx = self.occupied.shape
-        # Beyond the grid a lower bound: nothing is occupied there.
-        inner = np.meshgrid(np.clip(rows, 0, ny - 1), np.clip(columns, 0, nx - 1), indexing="ij")
-        near = map_coordinates(known, inner, order=1)
-        beyond = np.hypot(rows[:, None] - inner[0], columns - inner[1]) * self.cell
-        return np.where(beyond > 0.0, np.maximum(beyond, near - beyond), near)
+        return 0 <= row < ny and 0 <= column < nx and bool(self.occupied[row, column])
+
+    def _edges_of_cells(self) -> Array:
+        """Outlines of the occupied areas (S, 4), runs of edges as one, in the world."""
+        if not self.occupied.any():
+            return np.zeros((0, 4))
+        across, upwards = _runs(self.occupied), _runs(self.occupied.T)[:, [1, 0, 3, 2]]
+        x, y = (np.vstack([across, upwards]) - 0.5).reshape(-1, 2).T * self.cell
+        cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
+        world = self.origin[0] + cos * x - sin * y, self.origin[1] + sin * x + cos * y
+        return np.stack(world, axis=1).reshape(-1, 4)
 
 
-@formula
-def clearance_at(field, x, y):
-    """Clearance [m] at (x, y) [m], bilinear; inf outside the grid."""
-    rows, columns = field.distance.shape
-    u, v = (x - field.x) / field.spacing, (y - field.y) / field.spacing
-    if not (0.0 <= u <= columns - 1 and 0.0 <= v <= rows - 1):
-        return math.inf
-    i, j = min(int(u), columns - 2), min(int(v), rows - 2)
-    u, v = u - i, v - j
-    below = field.distance[j, i] * (1.0 - u) + field.distance[j, i + 1] * u
-    above = field.distance[j + 1, i] * (1.0 - u) + field.distance[j + 1, i + 1] * u
-    return below * (1.0 - v) + above * v
+def checked_obstacles(value: Any) -> Obstacles | None:
+    """`value` if it is None or Obstacles. Raises ValueError."""
+    if value is None or isinstance(value, Obstacles):
+        return value
+    raise ValueError(
+        f"obstacles = a {type(value).__name__}; must be Obstacles. Did you mean "
+        "Obstacles.of(circles=..., polygons=...)?"
+    )
 
 
-@formula
-def vehicle_clearance(field, footprint, x, y, yaw):
-    """Least distance [m] between the discs of a vehicle at a pose and the obstacles."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    least = math.inf
-    for disc in range(DISCS):
-        ahead = footprint.offset[disc]
-        least = min(least, clearance_at(field, x + ahead * cos, y + ahead * sin))
-    return least - footprint.radius
+def _checked_circles(circles: ArrayLike) -> Array:
+    try:
+        rings = np.asarray(circles, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"circles = {circles!r}; must be numbers x, y, radius [m]") from error
+    rings = rings.reshape(1, 3) if rings.shape == (3,) else rings
+    if rings.size == 0:
+        return np.zeros((0, 3))
+    if rings.ndim != 2 or rings.shape[1] != 3:
+        raise ValueError(f"circles have shape {rings.shape}; must be (C, 3): x, y, radius [m]")
+    for x, y, radius in rings:
+        checked_number("circle x", float(x), PLACE)
+        checked_number("circle y", float(y), PLACE)
+        checked_number("circle radius", float(radius), _RADIUS)
+    return rings
+
+
+def _checked_polygon(corners: ArrayLike) -> Array:
+    """Corners (K, 2) without those that repeat the one before. Raises ValueError."""
+    try:
+        polygon = np.asarray(corners, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"polygon {corners!r}; must be corners x, y [m] (K, 2)") from error
+    if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3:
+        raise ValueError(f"polygon of shape {polygon.shape}; must be (K, 2), K >= 3: x, y")
+    if not np.isfinite(polygon).all():
+        raise ValueError(f"polygon {polygon.tolist()}; all corners must be finite")
+    checked_number("polygon corner", float(polygon.flat[np.abs(polygon).argmax()]), PLACE)
+    ring = np.ascontiguousarray(polygon[np.any(polygon != np.roll(polygon, 1, axis=0), axis=1)])
+    if len(ring) < 3 or _area(ring) <= FLAT * float(np.ptp(ring, axis=0).max()) ** 2:
+        raise ValueError(
+            f"polygon {polygon.tolist()[:4]} has no area; its corners must not be on one line. Is "
+            "it a thin wall? Give it a thickness."
+        )
+    first, second = _crossing(ring)
+    if first >= 0:
+        raise ValueError(
+            f"polygon crosses itself: the edges from corner {first} {ring[first].tolist()} and "
+            f"from corner {second} {ring[second].tolist()}; must not. Are its corners in order?"
+        )
+    return ring
+
+
+def _checked_origin(origin: Sequence[float]) -> tuple[float, float, float]:
+    if np.ndim(origin) != 1 or len(origin) not in (2, 3):
+        raise ValueError(f"origin = {origin!r}; must be x, y [m], or x, y, yaw [rad]")
+    x, y, yaw = (*origin, 0.0)[:3]
+    return (
+        checked_number("origin x", x, PLACE), checked_number("origin y", y, PLACE),
+        checked_number("origin yaw", yaw, ANGLE),
+    )  # fmt: skip
+
+
+def _area(ring: Array) -> float:
+    """Sum of the areas [m^2] that successive triangles around the first corner sweep, unsigned."""
+    x, y = (ring - ring[0]).T
+    return float(0.5 * np.abs(x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
 
 
 @loop
-def _clearances(field, xs, ys, out):
-    """Clearance at points (M,)."""
-    for i in range(len(xs)):
-        out[i] = clearance_at(field, xs[i], ys[i])
+def _side(a, b, c):
+    """Twice the signed area of a, b, c (2,): above 0 where they turn left."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 @loop
-def _vehicle_clearances(field, footprint, poses, out):
-    """Clearance of a vehicle at poses (M, 3)."""
-    for i in range(len(poses)):
-        out[i] = vehicle_clearance(field, footprint, poses[i, 0], poses[i, 1], poses[i, 2])
+def _crossing(ring):
+    """Two edges of a ring (K, 2) that cross, by their first corners; (-1, -1): none."""
+    count = len(ring)
+    for i in range(count):
+        a, b = ring[i], ring[(i + 1) % count]
+        for j in range(i + 2, count):
+            c, d = ring[j], ring[(j + 1) % count]
+            if _side(a, b, c) * _side(a, b, d) < 0.0 and _side(c, d, a) * _side(c, d, b) < 0.0:
+                return i, j
+    return -1, -1
 
 
-def clearances(field: Clearance, footprint: Footprint, poses: ArrayLike) -> Array:
-    """Distance [m] (M,) between a vehicle at poses (M, 3) and the obstacles, margin taken off."""
-    given = np.ascontiguousarray(np.atleast_2d(np.asarray(poses, dtype=np.float64)))
-    out = np.empty(len(given))
-    _vehicle_clearances(field, footprint, given, out)
-    return out
+def _inside(polygon: Array, x: float, y: float) -> bool:
+    """Whether a point is inside a polygon (K, 2): edges that a ray to the right crosses."""
+    (a_x, a_y), (b_x, b_y) = polygon.T, np.roll(polygon, -1, axis=0).T
+    cut = (a_y > y) != (b_y > y)
+    at = a_x[cut] + (y - a_y[cut]) / (b_y[cut] - a_y[cut]) * (b_x[cut] - a_x[cut])
+    return bool(np.count_nonzero(at > x) % 2)
 
 
-@loop
-def _polygon_distance(polygon, xs, ys, out):
-    """Signed distance [m] of grid points from a polygon, negative inside."""
-    count = len(polygon)
-    for j in range(len(ys)):
-        for i in range(len(xs)):
-            nearest, inside = math.inf, False
-            for k in range(count):
-                ax, ay = polygon[k, 0], polygon[k, 1]
-                bx, by = polygon[(k + 1) % count, 0], polygon[(k + 1) % count, 1]
-                ex, ey, px, py = bx - ax, by - ay, xs[i] - ax, ys[j] - ay
-                square = ex * ex + ey * ey
-                part = min(max((px * ex + py * ey) / square, 0.0), 1.0) if square > 0.0 else 0.0
-                nearest = min(nearest, math.hypot(px - part * ex, py - part * ey))
-                if (ay > ys[j]) != (by > ys[j]) and px < ex * py / ey:
-                    inside = not inside
-            out[j, i] = -nearest if inside else nearest
+def _runs(occupied: NDArray[np.bool_]) -> Array:
+    """Edges along rows, between cells of which one is occupied: (S, 4) in cells, from corners."""
+    rows = np.pad(occupied, ((1, 1), (0, 0)))
+    edge = np.pad(rows[1:] != rows[:-1], ((0, 0), (1, 1))).astype(np.int8)
+    change = np.diff(edge, axis=1)
+    (row, begin), end = np.nonzero(change == 1), np.nonzero(change == -1)[1]
+    return np.stack([begin, row, end, row], axis=1).astype(np.float64)

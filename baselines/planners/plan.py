@@ -24,9 +24,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.lyapunov.pseudo_kinematic import SlipModel
 from baselines.planners import chain, gears, plan_on_slopes, speed_profile
+from baselines.planners.clearance import MARGIN, Footprint, checked_footprint, checked_margin
 from baselines.planners.clothoid import CLOSEST, clothoid
 from baselines.planners.dubins import dubins
-from baselines.planners.obstacles import Obstacles
+from baselines.planners.obstacles import Obstacles, checked_obstacles
 from baselines.planners.optimal import RADIUS, optimal
 from baselines.planners.path import Path
 from baselines.planners.reeds_shepp import reeds_shepp
@@ -46,6 +47,8 @@ Array = NDArray[np.float64]
 
 LONGEST = 3.0  # [-] times the Dubins path: a longer clothoid is not driven
 _PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
+_ROOM = Range(0.0, 1e6, "m", "It is around start and goal.")
+_TIME_LIMIT = Range(0.0, 1e5, "s", "Did you pass milliseconds?")
 
 
 def arc_radius(limits: Limits, vehicle: PlantParameters) -> float:
@@ -114,11 +117,16 @@ def timed_path(
             message, used = f"{why}: Dubins path instead", "dubins"
     if path is None:
         path = (_reeds_shepp if used == "reeds-shepp" else _dubins)(start, goal, limits, vehicle)
+    return TimedPath(path, _profile(path, start, limits, vehicle), used, message)
+
+
+def _profile(
+    path: Path, start: Start, limits: Limits, vehicle: PlantParameters
+) -> speed_profile.SpeedProfile:
+    """The speed along a path."""
     if limits.fixed:
-        profile = speed_profile.constant(path, limits.v_max, limits, vehicle)
-    else:
-        profile = speed_profile.fastest(path, limits, vehicle, max(start.speed, 0.0))
-    return TimedPath(path, profile, used, message)
+        return speed_profile.constant(path, limits.v_max, limits, vehicle)
+    return speed_profile.fastest(path, limits, vehicle, max(start.speed, 0.0))
 
 
 METHODS = ("optimal", "dubins", "reeds-shepp", "clothoid")
@@ -141,18 +149,46 @@ class Planner(NamedTuple):
         """Whether the optimal planner can end at rest: speed and its rate of change have limits."""
         return not self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
 
-    def __call__(self, start: Start, goal: Array, last: bool = True) -> Trajectory:
-        """One trajectory to a goal (3,); last: to rest there, if the limits say how to brake."""
-        if self.method == "optimal" and self.ground is not None:
-            return plan_on_slopes.on_ground(
-                self._level, start, goal, last, self.ground, self.slip_model, self.vehicle
-            )
+    @property
+    def gears(self) -> int:
+        """In which a route may be driven: 1: forwards, 2: both, 0: both, but without a change."""
+        if self.method == "reeds-shepp":
+            return 2
+        jumps = self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
+        return (0 if jumps else 2) if self.reverse else 1
+
+    @property
+    def turns_on_the_spot(self) -> bool:
+        """Whether a leg may."""
+        slow = self.limits.v_min == 0.0 and math.isinf(self.limits.curvature)
+        return self.method == "optimal" and slow
+
+    def __call__(self, start: Start, goal: Array, last: bool = True, gear: int = 0) -> Trajectory:
+        """One trajectory to a goal (3,); last: to rest there, if the limits say how to brake.
+
+        gear: of the optimal planner, 1 forwards, -1 in reverse, 0 the cheapest that is allowed.
+        """
         if self.method == "optimal":
-            return self._level(start, goal, last)
+            level = {0: self._level, 1: self._forwards, -1: self._backwards}[gear]
+            if self.ground is None:
+                return level(start, goal, last)
+            return plan_on_slopes.on_ground(
+                level, start, goal, last, self.ground, self.slip_model, self.vehicle
+            )
         made = timed_path(start, goal, self.limits, self.vehicle, self.method)
         return driven(
             made.path, made.speed, goal, self.limits, self.vehicle, made.method, self.slip_model,
             made.message, self.period,
+        )  # fmt: skip
+
+    def follow(self, start: Start, path: Path, goal: Array) -> Trajectory:
+        """The trajectory along a path to a goal (3,)."""
+        profile = _profile(path, start, self.limits, self.vehicle)
+        method = self.method if self.method != "clothoid" else "dubins"
+        message = "" if method == self.method else "no free clothoids: arcs and lines instead"
+        return driven(
+            path, profile, goal, self.limits, self.vehicle, method, self.slip_model, message,
+            self.period,
         )  # fmt: skip
 
     def _level(
@@ -164,6 +200,13 @@ class Planner(NamedTuple):
         radius = max(arc_radius(self.limits, self.vehicle), RADIUS * self.vehicle.track_gauge)
         jumps = self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
         return gears.cheapest(self._forwards, start, goal, None if jumps else radius, last)
+
+    def _backwards(
+        self, start: Start, goal: Array, last: bool, turning: float | None = None
+    ) -> Trajectory:
+        return gears.in_reverse(
+            lambda *leg: self._forwards(*leg, turning=turning), start, goal, last
+        )
 
     def _forwards(
         self, start: Start, goal: Array, last: bool, turning: float | None = None
@@ -191,6 +234,10 @@ def plan(
     threads: int = 1,
     reverse: bool = False,
     ground: plan_on_slopes.Ground | None = None,
+    footprint: Footprint | Sequence[float] | None = None,
+    margin: float = MARGIN,
+    room: float | None = None,
+    time_limit: float = 5.0,
 ) -> Trajectory | list[Trajectory]:
     """Plan from a start to a goal (3,), or to N goals (N, 3): x, y [m], yaw [rad].
 
@@ -202,15 +249,23 @@ def plan(
     may drive backwards, where that costs less; its limits hold in both gears.
     ground: slopes of a plane, or heights with slopes as functions of x and y, on which the optimal
     planner drives with a slip model that knows slopes.
+    Around obstacles - footprint: front, back, left, right [m] of the centre, by default the tracks;
+    margin [m] around it; room [m] around start and goal in which a route is searched, by default as
+    much as there are obstacles; time_limit [s] of that search.
     Returns a Trajectory, or a list of N for N goals. Look at `converged` and `message` before it is
     driven. Raises ValueError for what is not finite, out of range, unknown or contradictory.
     """
     begin = checked_start(start)
     planner = _prepared(limits, slip_model, method, vehicle, period, intervals, reverse, ground)
     goals = checked_poses("goal", goal)
-    if obstacles is not None or np.size(via):
+    body = checked_footprint(footprint, planner.vehicle), checked_margin(margin)
+    if room is not None:
+        checked_number("room", room, _ROOM)
+    checked_number("time_limit", time_limit, _TIME_LIMIT)
+    if checked_obstacles(obstacles) is not None or np.size(via):
+        space = None if obstacles is None else chain.Space(obstacles, *body, room, time_limit)
         before = checked_poses("via", via) if np.size(via) else np.zeros((0, 3))
-        made = [chain.through(planner, begin, np.vstack([before, row]), obstacles) for row in goals]
+        made = [chain.through(planner, begin, np.vstack([before, row]), space) for row in goals]
     elif method == "optimal" and threads > 1 and not reverse and ground is None:
         several = optimal(
             begin, goals, planner.limits, planner.vehicle, slip_model, intervals=intervals,

@@ -1,75 +1,130 @@
-"""A route around obstacles: hybrid A* over arcs and lines, with a Dubins path at its end.
+"""A route around obstacles: hybrid A* over arcs, lines and turns on the spot, in the gears allowed.
 
-States are cells of (x, y, yaw); from each, arcs of STEP length to the left, to the right and
-straight on are driven exactly, so that every state keeps the pose in which it was reached. The
-order of expansion is the way so far plus a lower bound: the larger of the distance around the
-obstacles on the grid (Dijkstra, disc of the vehicle's half width) and the straight line. Now and
-then, and near the goal always, the Dubins path to the goal ends the search if it is free.
+States are cells of (x, y, yaw) and gear; from each, arcs of one length to the left, to the right
+and straight on are driven exactly, so that every state keeps the pose in which it was reached. The
+order of expansion is the cost so far plus a lower bound: the largest of the way around the
+obstacles for the centre (Dijkstra), the straight line, and the Dubins or Reeds-Shepp path. Now and
+then, and near the goal always, paths straight to the goal are tried: the words of Dubins, that of
+Reeds and Shepp, and turn, line, turn. Ways near obstacles, in reverse, and changes of gear cost more.
+The route is then shortened by the same paths between poses of it.
 
-The route is feasible for the turning radius, and near the shortest: cells are coarse. Every pose
-along it has been checked against the clearance, every CHECKED metres.
+The route is feasible for the turning radius and free all along (`clearance`), and near the
+shortest: cells are coarse. A larger area is searched while the border has been met and time is left.
 
 References: [1] Dolgov, Thrun, Montemerlo and Diebel, Path planning for autonomous vehicles in
 unknown semi-structured environments, International Journal of Robotics Research 29 (2010).
 """
 
 import math
+import time
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from baselines.planners.clearance import Footprint, Scene, clearance_along, moved, place_clearance
 from baselines.planners.dubins import SIGNS, SNAP, segments_of_words
-from baselines.planners.obstacles import Clearance, Footprint, clearances, vehicle_clearance
-from baselines.planners.path import Path, places
+from baselines.planners.path import Path
+from baselines.planners.reeds_shepp import PARTS, SIDES, _shortest
 from tracked_env.physics.jit import copy_entries, formula, loop
 
 Array = NDArray[np.float64]
 
-CELL = 0.1  # [m] of a state
+FINENESS = 7.0  # [-] cells of a state over the vehicle's smaller side
 YAWS = 48  # cells of the yaw
-CHECKED = 0.03  # [m] between poses that are checked
 ARCS = 5  # curvatures of a step: -1, -1/2, 0, 1/2, 1 over the radius
-EVERY = 16  # states between two tries of a Dubins path
+EVERY = 16  # states between two tries of paths straight to the goal
+NEAR_GOAL = 4.0  # [-] of the radius and the vehicle's: tried always
 TURNING_COST = 1.05  # [-] of way on an arc: straight on where it does not matter
+REVERSE_COST = 1.3  # [-] of way in reverse
+CHANGE_COST = 0.5  # [-] of the vehicle's radius: of a change of gear
+TIGHT_COST, AIRY = 1.0, 0.3  # [-] of way without clearance; of the vehicle's radius: enough of it
+GREED = 1.5  # [-] of the lower bound: a route may cost so much more than the least
+CHUNK = 500  # states between two looks at the clock
+MOST_STATES = 1_000_000  # 90 MB
+MOST_CELLS = 250_000  # of the way around the obstacles
 TURN = 2.0 * math.pi
+FORWARD, REVERSE, SPOT = 1, 2, 0  # kinds of motion, and of the state that they lead to
 
 
-class Grid(NamedTuple):
-    """Cells over a rectangle."""
+class Motions(NamedTuple):
+    """What the vehicle may do on a route."""
 
-    x: float  # [m] of its corner
-    y: float  # [m]
-    columns: int
-    rows: int
-    cell: float  # [m]
+    radius: float  # [m] least turning radius of arcs
+    gears: int  # 1: forwards, -1: in reverse, 2: both
+    spot: bool  # whether it may turn on the spot
+    half_gauge: float  # [m] way of the tracks per turn on the spot
+
+    @property
+    def words(self) -> str:
+        """As a message says it."""
+        gears = {1: "forwards only", -1: "in reverse only", 2: "forwards and in reverse"}
+        spot = "with turns on the spot" if self.spot else "without turns on the spot"
+        return f"{gears[self.gears]}, {spot}, arcs of {self.radius:.3g} m or wider"
 
 
 class Route(NamedTuple):
-    """A path around obstacles, or none."""
+    """Arcs, lines and turns on the spot around obstacles, or none."""
 
-    path: Path | None  # None: no free path was found
+    start: Array  # (3,)
+    pieces: Array  # (P, 2) way [m], negative in reverse, and turn [rad]; without way: on the spot
     expanded: int  # states
-    least_clearance: float  # [m] along the path, margin taken off
+    report: str  # what was searched, where there is none
+
+    @property
+    def length(self) -> Array:
+        """Of every piece (P,): way [m], or turn [rad] on the spot."""
+        return np.where(self.pieces[:, 0] == 0.0, np.abs(self.pieces[:, 1]), np.abs(self.pieces[:, 0]))
+
+    def path(self) -> Path:
+        """The route as a path. It must not turn on the spot."""
+        way, turn = self.pieces.T
+        return Path.of(self.start, way, turn / way)
 
 
-@formula
-def _moved(x, y, yaw, way, curvature):
-    """The pose after a way [m] at a curvature [1/m]."""
-    half = 0.5 * curvature * way
-    chord = way if half == 0.0 else way * math.sin(half) / half
-    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + 2.0 * half
+class Area(NamedTuple):
+    """The rectangle that is searched, in cells."""
+
+    x: float  # [m] of its corner
+    y: float  # [m]
+    width: float  # [m]
+    height: float  # [m]
+    cell: float  # [m] of a state
+    coarse: float  # [m] of the way around the obstacles
+    columns: int  # of coarse cells
+    rows: int
 
 
-@loop
-def _free(field, footprint, x, y, yaw, way, curvature):
-    """Whether the vehicle touches nothing along an arc."""
-    parts = max(1, math.ceil(way / CHECKED))
-    for part in range(1, parts + 1):
-        at = _moved(x, y, yaw, way * part / parts, curvature)
-        if vehicle_clearance(field, footprint, at[0], at[1], at[2]) <= 0.0:
-            return False
-    return True
+class Nodes(NamedTuple):
+    """States, the hash table of their cells, and the heap of those that are open."""
+
+    pose: Array  # (N, 3)
+    cost: Array  # (N,)
+    piece: Array  # (N, 2) that leads there
+    parent: NDArray[np.int64]  # (N,)
+    cell: NDArray[np.int64]  # (N,)
+    kind: NDArray[np.int64]  # (N,) of motion
+    closed: NDArray[np.bool_]  # (N,)
+    table: NDArray[np.int32]  # (T,) state + 1, 0: empty
+    heap: NDArray[np.int64]
+    keys: Array
+    progress: NDArray[np.int64]  # (4,) size of the heap, states, expanded, border met
+    best: Array  # (2,) cost of the best route, its last state
+    shot: Array  # (PARTS, 2) pieces from there to the goal
+    trial: Array  # (PARTS, 2)
+    words: Array  # (6, 3)
+    sides: Array  # (3, PARTS)
+
+    @classmethod
+    def empty(cls, most: int) -> "Nodes":
+        """Room for `most` states."""
+        return cls(
+            np.empty((most, 3)), np.empty(most), np.empty((most, 2)), np.empty(most, np.int64),
+            np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(most, np.bool_),
+            np.zeros(1 << (2 * most - 1).bit_length(), np.int32), np.empty(4 * most, np.int64),
+            np.empty(4 * most), np.zeros(4, np.int64), np.array([np.inf, -1.0]),
+            np.zeros((PARTS, 2)), np.zeros((PARTS, 2)), np.empty((6, 3)), np.zeros((3, PARTS)),
+        )  # fmt: skip
 
 
 @loop
@@ -105,163 +160,407 @@ def _pop(heap, keys, size):
 
 
 @loop
-def _distances(field, least, grid, goal_x, goal_y, away):
-    """Way [m] to the goal around the obstacles from every cell, 8 neighbours (Dijkstra)."""
-    count = grid.columns * grid.rows
-    heap, keys = np.empty(8 * count, np.int64), np.empty(8 * count)
+def _blocked(scene, area, inner, blocked):
+    """Coarse cells no place of which the centre can be at: (rows * columns,) into blocked."""
+    least = inner - math.sqrt(0.5) * area.coarse
+    for row in range(area.rows):
+        for column in range(area.columns):
+            x, y = area.x + (column + 0.5) * area.coarse, area.y + (row + 0.5) * area.coarse
+            blocked[row * area.columns + column] = place_clearance(scene, x, y) < least
+
+
+@formula
+def _coarse(area, x, y):
+    """Number of the coarse cell of a place."""
+    column = min(max(int((x - area.x) / area.coarse), 0), area.columns - 1)
+    row = min(max(int((y - area.y) / area.coarse), 0), area.rows - 1)
+    return row * area.columns + column
+
+
+@loop
+def _distances(area, blocked, goal_x, goal_y, away):
+    """Way [m] to the goal from every coarse cell, 8 neighbours; whether it meets the border."""
+    count, border = area.columns * area.rows, False
+    heap, keys = np.empty(8 * count + 8, np.int64), np.empty(8 * count + 8)
     away[:] = math.inf
-    column = min(max(int((goal_x - grid.x) / grid.cell), 0), grid.columns - 1)
-    row = min(max(int((goal_y - grid.y) / grid.cell), 0), grid.rows - 1)
-    away[row * grid.columns + column] = 0.0
-    size = _push(heap, keys, 0, 0.0, row * grid.columns + column)
+    first = _coarse(area, goal_x, goal_y)
+    away[first] = 0.0
+    size = _push(heap, keys, 0, 0.0, first)
     while size > 0:
         key, here = keys[0], _pop(heap, keys, size)
         size -= 1
         if key > away[here]:
             continue
-        row, column = here // grid.columns, here % grid.columns
+        row, column = here // area.columns, here % area.columns
         for down in range(-1, 2):
             for aside in range(-1, 2):
                 r, c = row + down, column + aside
-                if not (0 <= r < grid.rows and 0 <= c < grid.columns):
+                if not (0 <= r < area.rows and 0 <= c < area.columns):
+                    border = True
                     continue
-                u = int((grid.x + (c + 0.5) * grid.cell - field.x) / field.spacing + 0.5)
-                v = int((grid.y + (r + 0.5) * grid.cell - field.y) / field.spacing + 0.5)
-                v, u = min(v, field.distance.shape[0] - 1), min(u, field.distance.shape[1] - 1)
-                if field.distance[v, u] < least:
+                there = r * area.columns + c
+                way = key + area.coarse * math.sqrt(down * down + aside * aside)
+                if blocked[there] or way >= away[there] - 1e-12:
                     continue
-                way = key + grid.cell * math.sqrt(down * down + aside * aside)
-                if way < away[r * grid.columns + c] - 1e-12:
-                    away[r * grid.columns + c] = way
-                    size = _push(heap, keys, size, way, r * grid.columns + c)
-
-
-@loop
-def _shot(field, footprint, x, y, yaw, goal, radius, words, out):
-    """The shortest free Dubins path to the goal: its word into out[0], segments into out[1:4]."""
-    away_x, away_y = goal[0] - x, goal[1] - y
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    segments_of_words(
-        (cos * away_x + sin * away_y) / radius, (cos * away_y - sin * away_x) / radius,
-        goal[2] - yaw, SNAP, words,
-    )  # fmt: skip
-    best = math.inf
-    for word in range(6):
-        total = words[word, 0] + words[word, 1] + words[word, 2]
-        if not total < best:
-            continue
-        at_x, at_y, at_yaw, free = x, y, yaw, True
-        for part in range(3):
-            way, bend = words[word, part] * radius, SIGNS[word, part] / radius
-            free = free and _free(field, footprint, at_x, at_y, at_yaw, way, bend)
-            at_x, at_y, at_yaw = _moved(at_x, at_y, at_yaw, way, bend)
-        if free:
-            best = total
-            out[0] = word
-            for part in range(3):
-                out[1 + part] = words[word, part] * radius
-    return best * radius
-
-
-@loop
-def _search(
-    field, footprint, grid, start, goal, radius, step, away, poses, cost, parent, bend, shot
-):
-    """States by number of cell; returns (last state, number expanded), last -1: none found."""
-    count = len(cost)
-    heap, keys = np.empty(4 * count + 64, np.int64), np.empty(4 * count + 64)
-    closed = np.zeros(count, np.bool_)
-    words, trial = np.empty((6, 3)), np.empty(4)
-    cost[:] = math.inf
-    first = _cell(grid, start[0], start[1], start[2])
-    cost[first], parent[first] = 0.0, -1
-    copy_entries(start, poses[first])
-    size = _push(heap, keys, 0, 0.0, first)
-    expanded, best, last = 0, math.inf, -1
-    while size > 0 and keys[0] < best:
-        here = _pop(heap, keys, size)
-        size -= 1
-        if closed[here]:
-            continue
-        closed[here] = True
-        x, y, yaw = poses[here, 0], poses[here, 1], poses[here, 2]
-        ahead = away[here // YAWS]
-        if expanded % EVERY == 0 or ahead < 4.0 * radius:
-            found = _shot(field, footprint, x, y, yaw, goal, radius, words, trial)
-            if cost[here] + found < best:
-                best, last = cost[here] + found, here
-                copy_entries(trial, shot)
-        expanded += 1
-        for arc in range(ARCS):
-            curvature = (2.0 * arc / (ARCS - 1) - 1.0) / radius
-            to_x, to_y, to_yaw = _moved(x, y, yaw, step, curvature)
-            cell = _cell(grid, to_x, to_y, to_yaw)
-            if cell < 0 or closed[cell] or not away[cell // YAWS] < math.inf:
-                continue
-            way = cost[here] + step * (TURNING_COST if curvature != 0.0 else 1.0)
-            if way >= cost[cell] - 1e-9 or size >= len(heap) - 1:
-                continue
-            if not _free(field, footprint, x, y, yaw, step, curvature):
-                continue
-            cost[cell], parent[cell], bend[cell] = way, here, curvature
-            poses[cell, 0], poses[cell, 1], poses[cell, 2] = to_x, to_y, to_yaw
-            line = math.hypot(goal[0] - to_x, goal[1] - to_y)
-            size = _push(heap, keys, size, way + max(line, away[cell // YAWS] * 0.92), cell)
-    return last, expanded
+                away[there] = way
+                size = _push(heap, keys, size, way, there)
+    return border
 
 
 @formula
-def _cell(grid, x, y, yaw):
-    """Number of the state's cell, -1 outside."""
-    column, row = math.floor((x - grid.x) / grid.cell), math.floor((y - grid.y) / grid.cell)
-    if not (0 <= column < grid.columns and 0 <= row < grid.rows):
-        return -1
-    turned = yaw - TURN * math.floor(yaw / TURN)
-    return (row * grid.columns + column) * YAWS + int(turned / TURN * YAWS) % YAWS
+def _kind(way):
+    """Kind of the motion of a piece."""
+    return FORWARD if way > 0.0 else (REVERSE if way < 0.0 else SPOT)
 
 
-def find_route(
-    start: ArrayLike, goal: ArrayLike, radius: float, field: Clearance, footprint: Footprint
-) -> Route:
-    """A free path of arcs and lines from one pose to another, x, y [m], yaw [rad].
+@formula
+def _piece_cost(motions, radius, way, turn, before):
+    """Cost [m] of a piece after a motion of kind `before`, -1: at the start."""
+    cost = motions.half_gauge * abs(turn) * TURNING_COST
+    if way != 0.0:
+        cost = abs(way) * (TURNING_COST if turn != 0.0 else 1.0)
+        cost *= REVERSE_COST if way < 0.0 and motions.gears == 2 else 1.0
+    return cost + (CHANGE_COST * radius if before >= 0 and _kind(way) != before else 0.0)
 
-    radius: least turning radius [m]. The search stays within the field.
+
+@formula
+def _tightness(scene, clear):
+    """Factor of the cost of a motion with its least clearance [m]."""
+    return 1.0 + TIGHT_COST * max(0.0, 1.0 - clear / (AIRY * scene.radius))
+
+
+@loop
+def _accept(scene, motions, pose, pieces, before, best, out):
+    """The cost of pieces (PARTS, 2) from a pose if they are free and cost less than `best`.
+
+    Then they are copied to `out`; `best` otherwise.
     """
-    begin, end = np.asarray(start, dtype=np.float64), np.asarray(goal, dtype=np.float64)
-    rows, columns = (int((n - 1) * field.spacing / CELL) for n in field.distance.shape)
-    grid = Grid(field.x, field.y, columns, rows, CELL)
-    away = np.empty(columns * rows)
-    # The middle disc cannot come nearer: a lower bound, whatever the yaw.
-    _distances(field, footprint.radius - field.spacing, grid, end[0], end[1], away)
-    count = columns * rows * YAWS
-    poses, cost = np.empty((count, 3)), np.empty(count)
-    parent, bend, shot = np.empty(count, np.int64), np.empty(count), np.empty(4)
-    step = max(1.5 * CELL, radius * TURN / YAWS * 1.5)
-    last, expanded = _search(
-        field, footprint, grid, begin, end, float(radius), step, away, poses, cost, parent, bend,
-        shot,
+    cost, kind = 0.0, before
+    for part in range(PARTS):
+        way, turn = pieces[part]
+        if way != 0.0 or turn != 0.0:
+            cost += _piece_cost(motions, scene.radius, way, turn, kind)
+            kind = _kind(way)
+    if not cost < best:
+        return best
+    x, y, yaw = pose[0], pose[1], pose[2]
+    cost, kind = 0.0, before
+    for part in range(PARTS):
+        way, turn = pieces[part]
+        if way == 0.0 and turn == 0.0:
+            continue
+        clear = clearance_along(scene, x, y, yaw, way, turn)
+        cost += _piece_cost(motions, scene.radius, way, turn, kind) * _tightness(scene, clear)
+        if clear < 0.0 or cost >= best:
+            return best
+        kind = _kind(way)
+        x, y, yaw = moved(x, y, yaw, way, turn)
+    for part in range(PARTS):
+        out[part, 0], out[part, 1] = pieces[part, 0], pieces[part, 1]
+    return cost
+
+
+@loop
+def _connect(scene, motions, pose, goal, before, best, nodes, out):
+    """The cheapest free path straight to a goal (3,) below the cost `best`: its cost, or `best`."""
+    radius, trial = motions.radius, nodes.trial
+    away_x, away_y, turned = goal[0] - pose[0], goal[1] - pose[1], goal[2] - pose[2]
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    x, y = (cos * away_x + sin * away_y) / radius, (cos * away_y - sin * away_x) / radius
+    turned -= TURN * round(turned / TURN)
+    segments_of_words(x, y, turned, SNAP, nodes.words)
+    for word in range(6):
+        trial[:] = 0.0
+        for part in range(3):
+            angle = nodes.words[word, part]
+            trial[part, 0], trial[part, 1] = angle * radius, angle * SIGNS[word, part]
+        if not math.isnan(trial[0, 0] + trial[1, 0] + trial[2, 0]):
+            best = _accept(scene, motions, pose, trial, before, best, out)
+    if motions.gears == 2:
+        nodes.sides[:] = 0.0
+        _shortest(x, y, turned, SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2])
+        for part in range(PARTS):
+            trial[part, 0] = nodes.sides[1, part] * radius
+            trial[part, 1] = nodes.sides[1, part] * nodes.sides[2, part]
+        best = _accept(scene, motions, pose, trial, before, best, out)
+    if motions.spot:
+        line, ahead = math.hypot(away_x, away_y), math.atan2(y, x)
+        for gear in range(1, 3 if motions.gears == 2 else 2):
+            first = ahead if gear == FORWARD else ahead - math.copysign(math.pi, ahead)
+            first = 0.0 if line < 1e-9 else first
+            last = turned - first
+            trial[:] = 0.0
+            trial[0, 1], trial[2, 1] = first, last - TURN * round(last / TURN)
+            trial[1, 0] = line if gear == FORWARD else -line
+            best = _accept(scene, motions, pose, trial, before, best, out)
+    return best
+
+
+@loop
+def _bound(motions, pose, goal, nodes):
+    """Length [m] of the shortest path without obstacles, 0 where turns on the spot are allowed."""
+    if motions.spot:
+        return 0.0
+    radius = motions.radius
+    away_x, away_y = goal[0] - pose[0], goal[1] - pose[1]
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    x, y = (cos * away_x + sin * away_y) / radius, (cos * away_y - sin * away_x) / radius
+    turned = goal[2] - pose[2]
+    turned -= TURN * round(turned / TURN)
+    if motions.gears == 2:
+        nodes.sides[:] = 0.0
+        best = _shortest(x, y, turned, SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2])
+        return best * radius
+    segments_of_words(x, y, turned, SNAP, nodes.words)
+    best = math.inf
+    for word in range(6):
+        total = nodes.words[word, 0] + nodes.words[word, 1] + nodes.words[word, 2]
+        best = min(best, total if total >= 0.0 else math.inf)
+    return best * radius
+
+
+@formula
+def _cell(area, x, y, yaw, kind):
+    """Number of the state's cell, -1 outside the area."""
+    column, row = math.floor((x - area.x) / area.cell), math.floor((y - area.y) / area.cell)
+    if not (0.0 <= x - area.x <= area.width and 0.0 <= y - area.y <= area.height):
+        return -1
+    part = int((yaw / TURN - math.floor(yaw / TURN)) * YAWS) % YAWS
+    columns = int(area.width / area.cell) + 1
+    return ((row * columns + column) * YAWS + part) * 3 + kind
+
+
+@formula
+def _slot(nodes, cell):
+    """Place of a cell in the hash table, or the empty one where it belongs."""
+    mask = len(nodes.table) - 1
+    at = (cell * 0x9E3779B1 >> 7) & mask
+    while nodes.table[at] != 0 and nodes.cell[nodes.table[at] - 1] != cell:
+        at = (at + 1) & mask
+    return at
+
+
+@loop
+def _reach(scene, area, motions, goal, away, here, way, turn, nodes):
+    """The state after a piece from the state `here`, if it is new or cheaper than before."""
+    to = np.empty(3)
+    x, y, yaw = nodes.pose[here]
+    to[0], to[1], to[2] = moved(x, y, yaw, way, turn)
+    kind = _kind(way)
+    cell = _cell(area, to[0], to[1], to[2], kind)
+    if cell < 0:
+        nodes.progress[3] = 1
+        return
+    ahead = away[_coarse(area, to[0], to[1])]
+    if not ahead < math.inf:
+        return
+    cost = nodes.cost[here]
+    cost += _piece_cost(motions, scene.radius, way, turn, nodes.kind[here])
+    at = _slot(nodes, cell)
+    node = nodes.table[at] - 1
+    if node >= 0 and (nodes.closed[node] or cost >= nodes.cost[node] - 1e-9):
+        return
+    clear = clearance_along(scene, x, y, yaw, way, turn)
+    if clear < 0.0:
+        return
+    cost = nodes.cost[here] + _tightness(scene, clear) * _piece_cost(
+        motions, scene.radius, way, turn, nodes.kind[here]
+    )
+    if node >= 0 and cost >= nodes.cost[node] - 1e-9:
+        return
+    if nodes.progress[0] >= len(nodes.heap) or (
+        node < 0 and nodes.progress[1] >= len(nodes.cost)
+    ):
+        return
+    if node < 0:
+        node = nodes.progress[1]
+        nodes.progress[1] += 1
+        nodes.table[at] = node + 1
+    copy_entries(to, nodes.pose[node])
+    nodes.cost[node], nodes.parent[node], nodes.cell[node] = cost, here, cell
+    nodes.kind[node] = kind
+    nodes.piece[node, 0], nodes.piece[node, 1] = way, turn
+    line = math.hypot(goal[0] - to[0], goal[1] - to[1])
+    bound = max(line, 0.92 * ahead - 2.0 * area.coarse, _bound(motions, to, goal, nodes))
+    nodes.progress[0] = _push(nodes.heap, nodes.keys, nodes.progress[0], cost + GREED * bound, node)
+
+
+@loop
+def _search(scene, area, motions, goal, away, step, nodes, most):
+    """Expand `most` states; whether the search is over: the best route is known, or there is none.
+    """
+    p = nodes.progress
+    for _ in range(most):
+        if p[0] == 0 or nodes.keys[0] >= nodes.best[0]:
+            return True
+        here = _pop(nodes.heap, nodes.keys, p[0])
+        p[0] -= 1
+        if nodes.closed[here]:
+            continue
+        nodes.closed[here] = True
+        ahead = away[_coarse(area, nodes.pose[here, 0], nodes.pose[here, 1])]
+        if p[2] % EVERY == 0 or ahead < NEAR_GOAL * max(motions.radius, scene.radius):
+            before = nodes.kind[here] if nodes.parent[here] >= 0 else -1
+            most_cost = nodes.best[0] - nodes.cost[here]
+            cost = _connect(
+                scene, motions, nodes.pose[here], goal, before, most_cost, nodes, nodes.shot
+            )
+            if cost < most_cost:
+                nodes.best[0], nodes.best[1] = nodes.cost[here] + cost, here
+        p[2] += 1
+        for arc in range(ARCS):
+            turn = step / motions.radius * (2.0 * arc / (ARCS - 1) - 1.0)
+            _reach(scene, area, motions, goal, away, here, step, turn, nodes)
+            if motions.gears == 2:
+                _reach(scene, area, motions, goal, away, here, -step, turn, nodes)
+        if motions.spot:
+            for side in range(2):
+                turn = (2.0 * side - 1.0) * 2.0 * TURN / YAWS
+                _reach(scene, area, motions, goal, away, here, 0.0, turn, nodes)
+    return False
+
+
+class Search(NamedTuple):
+    """One search: the place where it happens, and what it may take."""
+
+    capsules: Array  # (S, 5) of all obstacles
+    footprint: Footprint
+    margin: float  # [m]
+    motions: Motions
+    room: float | None  # [m] around start and goal; None: larger and larger
+    time_limit: float  # [s]
+
+
+def find_route(start: Array, goal: Array, search: Search) -> Route:
+    """A free route from one pose (3,) to another, x, y [m], yaw [rad]."""
+    if search.motions.gears == -1:
+        turn = np.array([0.0, 0.0, math.pi])
+        twin = search._replace(
+            footprint=search.footprint.turned, motions=search.motions._replace(gears=1)
+        )
+        route = find_route(start + turn, goal + turn, twin)
+        back = np.array([-1.0, 1.0])
+        report = route.report.replace("forwards only", "in reverse only")
+        return route._replace(start=start, pieces=route.pieces * back, report=report)
+    low, high = np.minimum(start[:2], goal[:2]), np.maximum(start[:2], goal[:2])
+    radius, motions = search.footprint.radius, search.motions
+    ends = search.capsules[:, :4].reshape(-1, 2, 2)
+    reach = search.capsules[:, 4:] + 2.0 * (radius + motions.radius) + search.margin
+    # beyond it no obstacle is in the way
+    outer = np.minimum(low, np.min(ends.min(axis=1) - reach, axis=0, initial=np.inf))
+    outer = outer, np.maximum(high, np.max(ends.max(axis=1) + reach, axis=0, initial=-np.inf))
+    room = search.room
+    if room is None:
+        room = max(3.0, 4.0 * radius, 4.0 * motions.radius)
+    nodes, clock, spent, expanded = Nodes.empty(MOST_STATES), None, 0.0, 0
+    while True:
+        box = low - room, high + room
+        whole = bool(np.all(box[0] <= outer[0]) and np.all(box[1] >= outer[1]))
+        scene, area, away, closed = _prepared(search, goal, box)
+        step = max(1.5 * area.cell, 1.5 * motions.radius * TURN / YAWS)
+        _begin(nodes, area, start)
+        arguments = scene, area, motions, goal, away, step, nodes
+        _search(*arguments, 0)
+        _connect(scene, motions, start, goal, -1, -1.0, nodes, nodes.shot)
+        clock = time.perf_counter() if clock is None else clock  # all is compiled
+        left = search.time_limit - (time.perf_counter() - clock)
+        until = time.perf_counter() + (left if whole or search.room is not None else 0.5 * left)
+        apart = not away[_coarse(area, start[0], start[1])] < math.inf
+        over = apart
+        while not over and time.perf_counter() < until:
+            over = bool(_search(*arguments, CHUNK))
+        full = nodes.progress[1] >= MOST_STATES
+        expanded += int(nodes.progress[2])
+        spent = time.perf_counter() - clock
+        if nodes.best[0] < math.inf:
+            return Route(start, _shortened(scene, motions, start, _pieces(nodes), nodes), expanded, "")
+        inside = closed if apart else over and not nodes.progress[3]
+        if search.room is not None or whole or inside or full or spent >= search.time_limit:
+            break
+        room *= 2.0
+    if inside or (over and not full):
+        why = "all that can be reached was tried"
+        why = "start and goal are in areas that the vehicle cannot go between" if apart else why
+    else:
+        why = f"it held {MOST_STATES} states" if full else f"the limit is {search.time_limit:g} s"
+    report = (
+        f"searched x {box[0][0]:.4g} to {box[1][0]:.4g} m, y {box[0][1]:.4g} to {box[1][1]:.4g} m "
+        f"in cells of {area.cell:.2g} m and {360.0 / YAWS:g} deg, {motions.words}, margin "
+        f"{search.margin:g} m, {expanded} states in {spent:.2g} s: {why}"
+    )
+    return Route(start, np.zeros((0, 2)), expanded, report)
+
+
+def _prepared(search: Search, goal: Array, box: tuple[Array, Array]) -> tuple[Scene, Area, Array, bool]:
+    """Obstacles, cells, way to the goal around them, and whether the goal is closed in."""
+    scene = Scene.of(search.capsules, search.footprint, search.margin, *box)
+    f = search.footprint
+    cell = min(f.front + f.back, f.left + f.right) / FINENESS
+    width, height = (float(side) for side in box[1] - box[0])
+    coarse = max(cell, math.sqrt(width * height / MOST_CELLS))
+    area = Area(
+        float(box[0][0]), float(box[0][1]), width, height, cell, coarse,
+        math.ceil(width / coarse), math.ceil(height / coarse),
     )  # fmt: skip
-    if last < 0:
-        return Route(None, expanded, -math.inf)
-    bends = []
-    while parent[last] >= 0:
-        bends.append(bend[last])
-        last = parent[last]
-    word = int(shot[0])
-    lengths = [*np.full(len(bends), step), *shot[1:]]
-    curvatures = [*bends[::-1], *(SIGNS[word] / radius)]
-    path = _merged(begin, lengths, curvatures)
-    at = places(path, np.linspace(0.0, path.whole_length, 1 + int(path.whole_length / CHECKED)))
-    poses = np.stack([at.x, at.y, at.yaw], axis=1)
-    return Route(path, expanded, float(clearances(field, footprint, poses).min()))
+    blocked = np.empty(area.columns * area.rows, dtype=np.bool_)
+    _blocked(scene, area, min(f) + search.margin, blocked)
+    away = np.empty(len(blocked))
+    return scene, area, away, not _distances(area, blocked, goal[0], goal[1], away)
 
 
-def _merged(start: Array, lengths: list[float], curvatures: list[float]) -> Path:
-    """A path in which neighbours of one curvature are one piece."""
-    pieces: list[list[float]] = []
-    for length, curvature in zip(lengths, curvatures, strict=True):
-        if pieces and pieces[-1][1] == curvature:
-            pieces[-1][0] += length
-        elif length > 0.0:
-            pieces.append([length, curvature])
-    return Path.of(start, [piece[0] for piece in pieces], [piece[1] for piece in pieces])
+def _begin(nodes: Nodes, area: Area, start: Array) -> None:
+    """The start as the only open state."""
+    nodes.table[:], nodes.closed[:] = 0, False
+    nodes.progress[:], nodes.best[:] = (1, 1, 0, 0), (np.inf, -1.0)
+    nodes.pose[0], nodes.cost[0], nodes.parent[0], nodes.kind[0] = start, 0.0, -1, -1
+    nodes.cell[0] = -1
+    nodes.heap[0], nodes.keys[0] = 0, 0.0
+
+
+def _pieces(nodes: Nodes) -> Array:
+    """Pieces (P, 2) of the best route."""
+    at, pieces = int(nodes.best[1]), []
+    while nodes.parent[at] >= 0:
+        pieces.append(nodes.piece[at].copy())
+        at = int(nodes.parent[at])
+    return _merged(np.array([*pieces[::-1], *nodes.shot]))
+
+
+def _merged(pieces: Array) -> Array:
+    """Pieces (P, 2) of which neighbours of one kind and curvature are one."""
+    out: list[Array] = []
+    for way, turn in pieces:
+        if way == 0.0 and turn == 0.0:
+            continue
+        if out and (out[-1][0] == 0.0) == (way == 0.0) and out[-1][0] * way >= 0.0:
+            if abs(out[-1][1] * way - turn * out[-1][0]) < 1e-12 * (1.0 + way * way):
+                out[-1] = out[-1] + (way, turn)
+                continue
+        out.append(np.array([way, turn]))
+    return np.array(out).reshape(-1, 2)
+
+
+def _shortened(scene: Scene, motions: Motions, start: Array, pieces: Array, nodes: Nodes) -> Array:
+    """The route with paths straight on in place of its pieces, as far along as they are cheaper."""
+    parts, begin, at = [], start, 0
+    out, before = np.zeros((PARTS, 2)), -1
+    while at < len(pieces):
+        to, poses = len(pieces), [begin]
+        for way, turn in pieces[at:]:
+            poses.append(np.array(moved(*poses[-1], way, turn)))
+        while to > at + 1:
+            cost, kind = 0.0, before
+            for pose, (way, turn) in zip(poses, pieces[at:to], strict=False):
+                clear = clearance_along(scene, *pose, way, turn)
+                cost += _piece_cost(motions, scene.radius, way, turn, kind) * _tightness(scene, clear)
+                kind = _kind(way)
+            if _connect(scene, motions, begin, poses[to - at], before, cost, nodes, out) < cost:
+                parts.extend(piece.copy() for piece in out)
+                break
+            to = at + (to - at) // 2
+        else:
+            to = at + 1
+            parts.append(pieces[at])
+        begin, at = poses[to - at], to
+        before = _kind([p for p in parts if p.any()][-1][0])
+    return _merged(np.array(parts))

@@ -71,6 +71,10 @@ class Planner(Protocol):
     def __call__(self, start: Start, goal: Array, last: bool = True, gear: int = 0) -> Trajectory:
         """One trajectory to a goal (3,); last: to rest there; gear: 1, -1, or 0 for any."""
 
+    @property
+    def follows(self) -> bool:
+        """Whether it can drive arcs and lines, where belts jump."""
+
     def follow(self, start: Start, path: Path, goal: Array) -> Trajectory:
         """The trajectory along a path."""
 
@@ -213,11 +217,11 @@ def around(
     route = routes[-1]
     if not len(route.pieces):
         why = f"no way around the obstacles was found: {'; '.join(r.report for r in routes)}"
-        return _failed(direct, why + _advice(planner))
+        return _failed(direct, why + ("" if "cannot go between" in why else _advice(planner)))
     made, free = direct, False
     if planner.method in ("optimal", "clothoid"):
         made, free = _along(planner, start, goal, last, route, space)
-    if not free and planner.method != "optimal":
+    if not free and not route.turns_on_the_spot and planner.follows:
         made, free = _checked(planner, space, lambda p: p.follow(start, route.path(), goal))
     return made if free else _failed(made, "no free plan along a free route was found")
 

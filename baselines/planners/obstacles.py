@@ -94,7 +94,8 @@ class Obstacles(NamedTuple):
         """Outlines of the occupied areas (S, 4), runs of edges as one, in the world."""
         if not self.occupied.any():
             return np.zeros((0, 4))
-        across, upwards = _runs(self.occupied), _runs(self.occupied.T)[:, [1, 0, 3, 2]]
+        columns = np.ascontiguousarray(self.occupied.T)
+        across, upwards = _runs(self.occupied), _runs(columns)[:, [1, 0, 3, 2]]
         x, y = (np.vstack([across, upwards]) - 0.5).reshape(-1, 2).T * self.cell
         cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
         world = self.origin[0] + cos * x - sin * y, self.origin[1] + sin * x + cos * y
@@ -199,8 +200,11 @@ def _inside(polygon: Array, x: float, y: float) -> bool:
 
 def _runs(occupied: NDArray[np.bool_]) -> Array:
     """Edges along rows, between cells of which one is occupied: (S, 4) in cells, from corners."""
-    rows = np.pad(occupied, ((1, 1), (0, 0)))
-    edge = np.pad(rows[1:] != rows[:-1], ((0, 0), (1, 1))).astype(np.int8)
-    change = np.diff(edge, axis=1)
-    (row, begin), end = np.nonzero(change == 1), np.nonzero(change == -1)[1]
-    return np.stack([begin, row, end, row], axis=1).astype(np.float64)
+    edge = np.zeros((len(occupied) + 1, occupied.shape[1]), dtype=bool)
+    edge[0], edge[-1] = occupied[0], occupied[-1]
+    np.not_equal(occupied[1:], occupied[:-1], out=edge[1:-1])
+    row, column = np.nonzero(edge)
+    breaks = np.flatnonzero((np.diff(row) != 0) | (np.diff(column) != 1))
+    first, last = np.append(0, breaks + 1), np.append(breaks, len(row) - 1)
+    ends = [column[first], row[first], column[last] + 1, row[last]]
+    return np.stack(ends, axis=1).astype(np.float64)

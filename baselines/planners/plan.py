@@ -181,11 +181,19 @@ class Planner(NamedTuple):
             made.message, self.period,
         )  # fmt: skip
 
+    @property
+    def follows(self) -> bool:
+        """Whether it can drive arcs and lines, where belts jump."""
+        free = math.isinf(self.limits.sprocket_acceleration) and self.ground is None
+        return self.method != "optimal" or free
+
     def follow(self, start: Start, path: Path, goal: Array) -> Trajectory:
         """The trajectory along a path to a goal (3,)."""
         profile = _profile(path, start, self.limits, self.vehicle)
-        method = self.method if self.method != "clothoid" else "dubins"
-        message = "" if method == self.method else "no free clothoids: arcs and lines instead"
+        both = bool(np.any(path.length < 0.0))
+        method = "reeds-shepp" if both or self.method == "reeds-shepp" else "dubins"
+        message = f"no free plan by '{self.method}': arcs and lines instead"
+        message = "" if self.method in ("dubins", "reeds-shepp") else message
         return driven(
             path, profile, goal, self.limits, self.vehicle, method, self.slip_model, message,
             self.period,

@@ -22,7 +22,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners.clearance import Footprint, Scene, clearance_along, moved, place_clearance
+from baselines.planners.clearance import (
+    Footprint,
+    Scene,
+    clearance_along,
+    clearances,
+    moved,
+    place_clearance,
+)
 from baselines.planners.dubins import SIGNS, SNAP, segments_of_words
 from baselines.planners.path import Path
 from baselines.planners.reeds_shepp import PARTS, SIDES, _shortest
@@ -31,16 +38,18 @@ from tracked_env.physics.jit import copy_entries, formula, loop
 Array = NDArray[np.float64]
 
 FINENESS = 7.0  # [-] cells of a state over the vehicle's smaller side
-YAWS = 48  # cells of the yaw
+YAWS = 48  # cells of the yaw, usually
 ARCS = 5  # curvatures of a step: -1, -1/2, 0, 1/2, 1 over the radius
-EVERY = 16  # states between two tries of paths straight to the goal
-NEAR_GOAL = 4.0  # [-] of the radius and the vehicle's: tried always
+EVERY, EVERY_NEAR = 16, 4  # states between two tries of paths straight to the goal
+NEAR_GOAL = 4.0  # [-] of the radius and the vehicle's
+LARGEST_TURN = 1.0  # [rad] of a step
+COARSEST, FINEST, LONG = 8.0, 0.25, 150.0  # [-] of the usual cells; cells of the area at first
 TURNING_COST = 1.05  # [-] of way on an arc: straight on where it does not matter
 REVERSE_COST = 1.3  # [-] of way in reverse
 CHANGE_COST = 0.5  # [-] of the vehicle's radius: of a change of gear
 TIGHT_COST, AIRY = 1.0, 0.3  # [-] of way without clearance; of the vehicle's radius: enough of it
 GREED = 1.5  # [-] of the lower bound: a route may cost so much more than the least
-CHUNK = 500  # states between two looks at the clock
+CHUNK = 100  # states between two looks at the clock
 MOST_STATES = 1_000_000  # 90 MB
 MOST_CELLS = 250_000  # of the way around the obstacles
 TURN = 2.0 * math.pi
@@ -54,6 +63,7 @@ class Motions(NamedTuple):
     gears: int  # 1: forwards, -1: in reverse, 2: both
     spot: bool  # whether it may turn on the spot
     half_gauge: float  # [m] way of the tracks per turn on the spot
+    dear: float = -1.0  # sign of the way that costs more where both gears are allowed
 
     @property
     def words(self) -> str:
@@ -72,9 +82,9 @@ class Route(NamedTuple):
     report: str  # what was searched, where there is none
 
     @property
-    def length(self) -> Array:
-        """Of every piece (P,): way [m], or turn [rad] on the spot."""
-        return np.where(self.pieces[:, 0] == 0.0, np.abs(self.pieces[:, 1]), np.abs(self.pieces[:, 0]))
+    def turns_on_the_spot(self) -> bool:
+        """Whether a piece has no way."""
+        return bool(np.any(self.pieces[:, 0] == 0.0))
 
     def path(self) -> Path:
         """The route as a path. It must not turn on the spot."""
@@ -93,6 +103,7 @@ class Area(NamedTuple):
     coarse: float  # [m] of the way around the obstacles
     columns: int  # of coarse cells
     rows: int
+    yaws: int  # cells of the yaw
 
 
 class Nodes(NamedTuple):
@@ -219,7 +230,7 @@ def _piece_cost(motions, radius, way, turn, before):
     cost = motions.half_gauge * abs(turn) * TURNING_COST
     if way != 0.0:
         cost = abs(way) * (TURNING_COST if turn != 0.0 else 1.0)
-        cost *= REVERSE_COST if way < 0.0 and motions.gears == 2 else 1.0
+        cost *= REVERSE_COST if way * motions.dear > 0.0 and motions.gears == 2 else 1.0
     return cost + (CHANGE_COST * radius if before >= 0 and _kind(way) != before else 0.0)
 
 
@@ -325,9 +336,9 @@ def _cell(area, x, y, yaw, kind):
     column, row = math.floor((x - area.x) / area.cell), math.floor((y - area.y) / area.cell)
     if not (0.0 <= x - area.x <= area.width and 0.0 <= y - area.y <= area.height):
         return -1
-    part = int((yaw / TURN - math.floor(yaw / TURN)) * YAWS) % YAWS
+    part = int((yaw / TURN - math.floor(yaw / TURN)) * area.yaws) % area.yaws
     columns = int(area.width / area.cell) + 1
-    return ((row * columns + column) * YAWS + part) * 3 + kind
+    return ((row * columns + column) * area.yaws + part) * 3 + kind
 
 
 @formula
@@ -399,7 +410,8 @@ def _search(scene, area, motions, goal, away, step, nodes, most):
             continue
         nodes.closed[here] = True
         ahead = away[_coarse(area, nodes.pose[here, 0], nodes.pose[here, 1])]
-        if p[2] % EVERY == 0 or ahead < NEAR_GOAL * max(motions.radius, scene.radius):
+        near = ahead < NEAR_GOAL * max(motions.radius, scene.radius)
+        if p[2] % (EVERY_NEAR if near else EVERY) == 0:
             before = nodes.kind[here] if nodes.parent[here] >= 0 else -1
             most_cost = nodes.best[0] - nodes.cost[here]
             cost = _connect(
@@ -409,13 +421,13 @@ def _search(scene, area, motions, goal, away, step, nodes, most):
                 nodes.best[0], nodes.best[1] = nodes.cost[here] + cost, here
         p[2] += 1
         for arc in range(ARCS):
-            turn = step / motions.radius * (2.0 * arc / (ARCS - 1) - 1.0)
+            turn = min(step / motions.radius, LARGEST_TURN) * (2.0 * arc / (ARCS - 1) - 1.0)
             _reach(scene, area, motions, goal, away, here, step, turn, nodes)
             if motions.gears == 2:
                 _reach(scene, area, motions, goal, away, here, -step, turn, nodes)
         if motions.spot:
             for side in range(2):
-                turn = (2.0 * side - 1.0) * 2.0 * TURN / YAWS
+                turn = (2.0 * side - 1.0) * 2.0 * TURN / area.yaws
                 _reach(scene, area, motions, goal, away, here, 0.0, turn, nodes)
     return False
 
@@ -432,16 +444,48 @@ class Search(NamedTuple):
 
 
 def find_route(start: Array, goal: Array, search: Search) -> Route:
-    """A free route from one pose (3,) to another, x, y [m], yaw [rad]."""
-    if search.motions.gears == -1:
+    """A free route from one pose (3,) to another, x, y [m], yaw [rad].
+
+    The search begins at the end that is nearer to obstacles, and after half the time at the other.
+    """
+    ends = np.array([start, goal])
+    scene = Scene.of(
+        search.capsules, search.footprint, search.margin, ends[:, :2].min(axis=0),
+        ends[:, :2].max(axis=0),
+    )  # fmt: skip
+    clear = clearances(scene, ends)
+    backwards = bool(clear[1] < clear[0])
+    half = search._replace(time_limit=0.5 * search.time_limit)
+    route, over = _one_way(start, goal, half, backwards)
+    if not len(route.pieces) and not over:
+        again, _ = _one_way(start, goal, half, not backwards)
+        route = again if len(again.pieces) else again._replace(report=f"{route.report}; {again.report}")
+    return route
+
+
+def _one_way(start: Array, goal: Array, search: Search, backwards: bool) -> tuple[Route, bool]:
+    """A search from the start, or backwards from the goal; whether there is no more to search."""
+    gears = search.motions.gears
+    begin, end = (goal, start) if backwards else (start, goal)
+    reverse = gears != 2 and (gears == 1) == backwards
+    dear = 1.0 if backwards else -1.0
+    search = search._replace(motions=search.motions._replace(gears=abs(gears), dear=dear))
+    if reverse:
         turn = np.array([0.0, 0.0, math.pi])
-        twin = search._replace(
-            footprint=search.footprint.turned, motions=search.motions._replace(gears=1)
-        )
-        route = find_route(start + turn, goal + turn, twin)
-        back = np.array([-1.0, 1.0])
-        report = route.report.replace("forwards only", "in reverse only")
-        return route._replace(start=start, pieces=route.pieces * back, report=report)
+        begin, end = begin + turn, end + turn
+        search = search._replace(footprint=search.footprint.turned)
+    pieces, expanded, report, over = _searched(begin, end, search, search.motions._replace(gears=gears))
+    if reverse:
+        pieces = pieces * np.array([-1.0, 1.0])
+    if backwards:
+        pieces = -pieces[::-1]
+    return Route(start, pieces, expanded, report), over
+
+
+def _searched(
+    start: Array, goal: Array, search: Search, motions_asked: Motions
+) -> tuple[Array, int, str, bool]:
+    """Pieces (P, 2) from start to goal, number of states, report, and whether that was all."""
     low, high = np.minimum(start[:2], goal[:2]), np.maximum(start[:2], goal[:2])
     radius, motions = search.footprint.radius, search.motions
     ends = search.capsules[:, :4].reshape(-1, 2, 2)
@@ -452,63 +496,76 @@ def find_route(start: Array, goal: Array, search: Search) -> Route:
     room = search.room
     if room is None:
         room = max(3.0, 4.0 * radius, 4.0 * motions.radius)
-    nodes, clock, spent, expanded = Nodes.empty(MOST_STATES), None, 0.0, 0
+    nodes, expanded, scale = Nodes.empty(MOST_STATES), 0, math.nan
+    begun: float | None = None
     while True:
         box = low - room, high + room
-        whole = bool(np.all(box[0] <= outer[0]) and np.all(box[1] >= outer[1]))
-        scene, area, away, closed = _prepared(search, goal, box)
-        step = max(1.5 * area.cell, 1.5 * motions.radius * TURN / YAWS)
-        _begin(nodes, area, start)
+        whole = search.room is not None
+        whole |= bool(np.all(box[0] <= outer[0]) and np.all(box[1] >= outer[1]))
+        finest = min(sum(search.footprint[:2]), sum(search.footprint[2:])) / FINENESS
+        if math.isnan(scale):
+            scale = float(np.max(box[1] - box[0])) / (LONG * finest)
+            scale = min(max(scale, 1.0), COARSEST)
+        yaws = round(YAWS / min(scale, 1.0))
+        scene, area, away, closed = _prepared(search, goal, box, scale * finest, yaws)
+        step = max(1.5 * area.cell, 1.5 * motions.radius * TURN / yaws)
+        _begin(nodes, start)
         arguments = scene, area, motions, goal, away, step, nodes
         _search(*arguments, 0)
         _connect(scene, motions, start, goal, -1, -1.0, nodes, nodes.shot)
-        clock = time.perf_counter() if clock is None else clock  # all is compiled
-        left = search.time_limit - (time.perf_counter() - clock)
-        until = time.perf_counter() + (left if whole or search.room is not None else 0.5 * left)
-        apart = not away[_coarse(area, start[0], start[1])] < math.inf
-        over = apart
+        begun = time.perf_counter() if begun is None else begun  # all is compiled
+        left = max(search.time_limit - (time.perf_counter() - begun), 0.0)
+        until = time.perf_counter() + (left if whole and scale <= 1.0 else 0.5 * left)
+        apart = over = not away[_coarse(area, start[0], start[1])] < math.inf
         while not over and time.perf_counter() < until:
             over = bool(_search(*arguments, CHUNK))
-        full = nodes.progress[1] >= MOST_STATES
+        full = bool(nodes.progress[1] >= MOST_STATES)
         expanded += int(nodes.progress[2])
-        spent = time.perf_counter() - clock
+        spent = time.perf_counter() - begun
         if nodes.best[0] < math.inf:
-            return Route(start, _shortened(scene, motions, start, _pieces(nodes), nodes), expanded, "")
-        inside = closed if apart else over and not nodes.progress[3]
-        if search.room is not None or whole or inside or full or spent >= search.time_limit:
+            pieces = _shortened(scene, motions, start, _pieces(nodes), nodes)
+            return pieces, expanded, "", True
+        met = bool(nodes.progress[3])  # the border
+        never = apart and (closed or whole)
+        if never or full or spent >= search.time_limit or (scale <= FINEST and (whole or not met)):
             break
-        room *= 2.0
-    if inside or (over and not full):
-        why = "all that can be reached was tried"
-        why = "start and goal are in areas that the vehicle cannot go between" if apart else why
-    else:
-        why = f"it held {MOST_STATES} states" if full else f"the limit is {search.time_limit:g} s"
+        if not apart and (scale > 1.0 or whole or not met):
+            scale = max(0.5 * scale, FINEST) if scale <= 1.0 else max(0.5 * scale, 1.0)
+        else:
+            room *= 2.0
+    why = f"the time limit of {search.time_limit:.3g} s for this direction was reached"
+    if apart:
+        why = "start and goal are in areas that the vehicle cannot go between"
+    elif over and not full:
+        why = "all states that can be reached were tried"
+    elif full:
+        why = f"the memory for {MOST_STATES} states was used"
     report = (
         f"searched x {box[0][0]:.4g} to {box[1][0]:.4g} m, y {box[0][1]:.4g} to {box[1][1]:.4g} m "
-        f"in cells of {area.cell:.2g} m and {360.0 / YAWS:g} deg, {motions.words}, margin "
+        f"in cells of {area.cell:.2g} m and {360.0 / area.yaws:.3g} deg, {motions_asked.words}, margin "
         f"{search.margin:g} m, {expanded} states in {spent:.2g} s: {why}"
     )
-    return Route(start, np.zeros((0, 2)), expanded, report)
+    return np.zeros((0, 2)), expanded, report, never
 
 
-def _prepared(search: Search, goal: Array, box: tuple[Array, Array]) -> tuple[Scene, Area, Array, bool]:
+def _prepared(
+    search: Search, goal: Array, box: tuple[Array, Array], cell: float, yaws: int
+) -> tuple[Scene, Area, Array, bool]:
     """Obstacles, cells, way to the goal around them, and whether the goal is closed in."""
     scene = Scene.of(search.capsules, search.footprint, search.margin, *box)
-    f = search.footprint
-    cell = min(f.front + f.back, f.left + f.right) / FINENESS
     width, height = (float(side) for side in box[1] - box[0])
-    coarse = max(cell, math.sqrt(width * height / MOST_CELLS))
+    coarse = max(min(search.footprint) / FINENESS, math.sqrt(width * height / MOST_CELLS))
     area = Area(
         float(box[0][0]), float(box[0][1]), width, height, cell, coarse,
-        math.ceil(width / coarse), math.ceil(height / coarse),
+        math.ceil(width / coarse), math.ceil(height / coarse), yaws,
     )  # fmt: skip
     blocked = np.empty(area.columns * area.rows, dtype=np.bool_)
-    _blocked(scene, area, min(f) + search.margin, blocked)
+    _blocked(scene, area, min(search.footprint) + search.margin, blocked)
     away = np.empty(len(blocked))
     return scene, area, away, not _distances(area, blocked, goal[0], goal[1], away)
 
 
-def _begin(nodes: Nodes, area: Area, start: Array) -> None:
+def _begin(nodes: Nodes, start: Array) -> None:
     """The start as the only open state."""
     nodes.table[:], nodes.closed[:] = 0, False
     nodes.progress[:], nodes.best[:] = (1, 1, 0, 0), (np.inf, -1.0)

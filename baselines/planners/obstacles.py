@@ -21,7 +21,7 @@ from tracked_env.validation import checked_number
 Array = NDArray[np.float64]
 
 MOST_CELLS = 100_000_000  # of a map: 100 MB as bool
-MOST_EDGES = 4_000_000  # of all obstacles together: 160 MB
+MOST_EDGES = 2_000_000  # of all obstacles together: some 200 MB
 _RADIUS = Range(1e-3, 1e5, "m", "Did you pass millimetres?")
 _CELL = Range(1e-3, 10.0, "m", "It is the size of a cell of the grid.")
 FLAT = 1e-12  # [-] area over the square of the extent below which a polygon has none
@@ -71,11 +71,7 @@ class Obstacles(NamedTuple):
         edges = [np.hstack([p, np.roll(p, -1, axis=0)]) for p in self.polygons]
         edges.append(self._edges_of_cells())
         lines = np.vstack(edges)
-        if len(lines) + len(rings) > MOST_EDGES:
-            raise ValueError(
-                f"the obstacles have {len(lines)} edges; must be at most {MOST_EDGES}. Is the map "
-                "noise? Filter it, or make its cells larger."
-            )
+        _check_edges(len(lines) + len(rings))
         return np.vstack([rings, np.hstack([lines, np.zeros((len(lines), 1))])])
 
     def contain(self, x: float, y: float) -> bool:
@@ -100,6 +96,14 @@ class Obstacles(NamedTuple):
         cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
         world = self.origin[0] + cos * x - sin * y, self.origin[1] + sin * x + cos * y
         return np.stack(world, axis=1).reshape(-1, 4)
+
+
+def _check_edges(count: int) -> None:
+    if count > MOST_EDGES:
+        raise ValueError(
+            f"the obstacles have {count} edges; must be at most {MOST_EDGES}. Is the map noise? "
+            "Filter it, or make its cells larger."
+        )
 
 
 def checked_obstacles(value: Any) -> Obstacles | None:
@@ -203,6 +207,7 @@ def _runs(occupied: NDArray[np.bool_]) -> Array:
     edge = np.zeros((len(occupied) + 1, occupied.shape[1]), dtype=bool)
     edge[0], edge[-1] = occupied[0], occupied[-1]
     np.not_equal(occupied[1:], occupied[:-1], out=edge[1:-1])
+    _check_edges(np.count_nonzero(edge[:, 0]) + np.count_nonzero(edge[:, 1:] > edge[:, :-1]))
     row, column = np.nonzero(edge)
     breaks = np.flatnonzero((np.diff(row) != 0) | (np.diff(column) != 1))
     first, last = np.append(0, breaks + 1), np.append(breaks, len(row) - 1)

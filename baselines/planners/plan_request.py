@@ -41,13 +41,15 @@ def planned(
     circles: Sequence[Sequence[float]] = (),
     reverse: bool = False,
     slope: Sequence[float] | None = None,
+    around: Mapping[str, float] | None = None,
 ) -> Planned:
     """Plan from a start to a goal, x, y [m], yaw [rad].
 
     vehicle: a key of VEHICLES. friction: mu [-] of the soil, that of the vehicle by default. slips:
     whether the plan knows the slip, identified on the distributed plant. limits: fields of
     `Limits`. via: way points. circles: obstacles, x, y, radius [m]. reverse: whether it may be
-    driven backwards. slope: of the ground in x and y [-]; None: level. Raises ValueError.
+    driven backwards. slope: of the ground in x and y [-]; None: level. around: margin, room, time
+    limit of `plan` around obstacles. Raises ValueError.
     """
     body = VEHICLES[checked_choice("vehicle", vehicle, VEHICLES)]
     if friction is not None:
@@ -59,7 +61,7 @@ def planned(
     made = plan(
         tuple(start), goal, allowed, identified(body) if slips else None, method, body,
         via=via, obstacles=Obstacles.of(circles=circles) if len(circles) else None,
-        reverse=reverse, ground=slope,
+        reverse=reverse, ground=slope, **dict(around or {}),
     )  # fmt: skip
     assert isinstance(made, Trajectory)
     return Planned(made, made.slip(body), allowed, body)

@@ -379,9 +379,7 @@ def _reach(scene, area, motions, goal, away, here, way, turn, nodes):
     )
     if node >= 0 and cost >= nodes.cost[node] - 1e-9:
         return
-    if nodes.progress[0] >= len(nodes.heap) or (
-        node < 0 and nodes.progress[1] >= len(nodes.cost)
-    ):
+    if nodes.progress[0] >= len(nodes.heap) or (node < 0 and nodes.progress[1] >= len(nodes.cost)):
         return
     if node < 0:
         node = nodes.progress[1]
@@ -398,8 +396,7 @@ def _reach(scene, area, motions, goal, away, here, way, turn, nodes):
 
 @loop
 def _search(scene, area, motions, goal, away, step, nodes, most):
-    """Expand `most` states; whether the search is over: the best route is known, or there is none.
-    """
+    """Expand `most` states; whether the search is over: the best route is known, or there is none."""
     p = nodes.progress
     for _ in range(most):
         if p[0] == 0 or nodes.keys[0] >= nodes.best[0]:
@@ -459,7 +456,9 @@ def find_route(start: Array, goal: Array, search: Search) -> Route:
     route, over = _one_way(start, goal, half, backwards)
     if not len(route.pieces) and not over:
         again, _ = _one_way(start, goal, half, not backwards)
-        route = again if len(again.pieces) else again._replace(report=f"{route.report}; {again.report}")
+        route = (
+            again if len(again.pieces) else again._replace(report=f"{route.report}; {again.report}")
+        )
     return route
 
 
@@ -474,7 +473,9 @@ def _one_way(start: Array, goal: Array, search: Search, backwards: bool) -> tupl
         turn = np.array([0.0, 0.0, math.pi])
         begin, end = begin + turn, end + turn
         search = search._replace(footprint=search.footprint.turned)
-    pieces, expanded, report, over = _searched(begin, end, search, search.motions._replace(gears=gears))
+    pieces, expanded, report, over = _searched(
+        begin, end, search, search.motions._replace(gears=gears)
+    )
     if reverse:
         pieces = pieces * np.array([-1.0, 1.0])
     if backwards:
@@ -609,7 +610,9 @@ def _shortened(scene: Scene, motions: Motions, start: Array, pieces: Array, node
             cost, kind = 0.0, before
             for pose, (way, turn) in zip(poses, pieces[at:to], strict=False):
                 clear = clearance_along(scene, *pose, way, turn)
-                cost += _piece_cost(motions, scene.radius, way, turn, kind) * _tightness(scene, clear)
+                cost += _piece_cost(motions, scene.radius, way, turn, kind) * _tightness(
+                    scene, clear
+                )
                 kind = _kind(way)
             if _connect(scene, motions, begin, poses[to - at], before, cost, nodes, out) < cost:
                 parts.extend(piece.copy() for piece in out)

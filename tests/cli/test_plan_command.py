@@ -126,6 +126,9 @@ def test_the_outline_of_a_vehicle_turns_with_its_yaw() -> None:
         (["--friction", "-0.1"], 2, "mu = -0.1"),
         (["--obstacle-circle", "2", "2.5", "0.3"], 2, "the vehicle at its goal is"),
         (["--reverse"], 2, "must be False with method = 'dubins'"),
+        (["--margin", "-1"], 2, "margin = -1.0 m; must be"),
+        (["--room", "nan"], 2, "room = nan m; must be"),
+        (["--time-limit", "-1"], 2, "time_limit = -1.0 s; must be"),
         (["--slope", "0.1", "0"], 2, "slope without slip"),
         (["--goal", "2", "2", "90"], 2, "--goal yaw = 90.0 rad; must be a number in"),
         (["--via", "1", "1", "45"], 2, "Did you pass degrees?"),
@@ -150,7 +153,8 @@ def test_a_goal_that_no_plan_reaches_ends_with_status_1(capsys: pytest.CaptureFi
     assert main([*QUICK, *walls]) == 1
     said = capsys.readouterr()
     assert printed(said.out)["converged"] == "no"
-    assert said.err == "tracked-env plan: no way around the obstacles was found\n"
+    assert said.err.startswith("tracked-env plan: no way around the obstacles was found: searched")
+    assert "forwards only" in said.err and said.err.count("\n") == 1
 
 
 def test_without_matplotlib_the_table_is_printed_and_the_extra_named(

@@ -6,7 +6,7 @@ The planner is that of the installed package which registers `plan` in `tracked_
 import argparse
 import csv
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,12 @@ LIMITS = {
     "v_max": "largest speed [m/s]",
     "reserve": "share of the sprocket speed that is left to the controller",
     "sprocket_acceleration": "of either sprocket [rad/s^2]; without it a plan does not brake",
+}
+# Options of a plan around obstacles, the defaults of the planner where they are not there.
+AROUND = {
+    "margin": "around the vehicle [m]",
+    "room": "around start and goal in which a way around obstacles is searched [m]",
+    "time_limit": "of that search [s]",
 }
 MOVING = 0.25  # [-] of v_max: slower, a turn on the spot has any curvature
 YAW = Range(-2.0 * np.pi, 2.0 * np.pi, "rad", "Did you pass degrees?")
@@ -51,6 +57,8 @@ def _parser(program: str) -> argparse.ArgumentParser:
                         **POSE)  # fmt: skip
     parser.add_argument("--obstacle-circle", action="append", default=[], nargs=3, type=float,
                         metavar=("X", "Y", "R"), help="obstacle; may be repeated")  # fmt: skip
+    for name, text in AROUND.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, help=text)
     parser.add_argument("--method", default="optimal",
                         help="optimal (default), dubins, reeds-shepp or clothoid")  # fmt: skip
     parser.add_argument("--vehicle", default="focchi", help="(default: focchi)")
@@ -76,14 +84,14 @@ def main(arguments: Sequence[str], program: str) -> int:
     for name, poses in (("--start", [given.start]), ("--via", given.via), ("--goal", [given.goal])):
         for pose in poses:
             checked_number(f"{name} yaw", pose[2], YAW)
-    limits = {name: value for name in LIMITS if (value := getattr(given, name)) is not None}
+    limits = _present(given, LIMITS)
     for name in limits.keys() & RANGES.keys():
         checked_number(f"--{name.replace('_', '-')}", limits[name], RANGES[name])
     with explained():
         found = command_function("plan")(
             given.goal, given.start, given.method, given.vehicle, given.friction,
             not given.no_slip, limits, given.via, given.obstacle_circle,
-            given.reverse, given.slope,
+            given.reverse, given.slope, _present(given, AROUND),
         )  # fmt: skip
     print("\n".join(table(found)))
     _write(given, found)
@@ -91,6 +99,11 @@ def main(arguments: Sequence[str], program: str) -> int:
         print(f"{program}: {found.trajectory.message}", file=sys.stderr)
         return 1
     return 0
+
+
+def _present(given: argparse.Namespace, names: Iterable[str]) -> dict[str, float]:
+    """Options that are there, by name."""
+    return {name: value for name in names if (value := getattr(given, name)) is not None}
 
 
 def table(found: Any) -> list[str]:

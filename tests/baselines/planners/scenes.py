@@ -83,7 +83,9 @@ class Scene(NamedTuple):
 
 def bar(x, y, yaw, length, thickness):
     """A rectangle (4, 2) around (x, y)."""
-    return corners_of(np.array([[x, y, yaw]]), np.array([length, length, thickness, thickness]) / 2)[0]
+    return corners_of(
+        np.array([[x, y, yaw]]), np.array([length, length, thickness, thickness]) / 2
+    )[0]
 
 
 def cells_of(occupied, cell, origin):

@@ -1,17 +1,28 @@
-"""Clearance of obstacles in closed form, routes and plans around them."""
+"""Obstacles: exact distances, swept motions, bad input; routes and plans around them."""
 
 import math
+import time
 
 import numpy as np
 import pytest
 
 from baselines.planners.chain import end_of
-from baselines.planners.obstacles import Footprint, Obstacles, clearances
+from baselines.planners.clearance import (
+    Footprint,
+    Scene,
+    clearance_along,
+    clearances,
+    moved,
+    place_clearance,
+    vehicle_clearance,
+)
+from baselines.planners.obstacles import Obstacles
 from baselines.planners.path import places
 from baselines.planners.plan import plan
-from baselines.planners.route import find_route
+from baselines.planners.route import Motions, Search, find_route
 from baselines.planners.trajectory import Limits
 from tests.baselines.planners.pairs import missed
+from tests.baselines.planners.scenes import bar, cells_of, least_distance, poses_of
 from tracked_env.physics.parameters import VEHICLES
 
 FOCCHI = VEHICLES["focchi"]
@@ -25,56 +36,91 @@ BOX = [
 ]  # fmt: skip
 
 
-def free(made, obstacles):
-    """Least distance [m] between the vehicle's rectangle, without margin, and the obstacles."""
-    field = obstacles.clearance((-4, -6), (8, 6), 0.02)
-    along, across = np.meshgrid(np.linspace(-0.5, 0.5, 15), np.linspace(-0.5, 0.5, 15))
-    ahead = along.ravel() * FOCCHI.contact_length
-    aside = across.ravel() * (FOCCHI.track_gauge + FOCCHI.track_width)
-    cos, sin = np.cos(made.yaw)[:, None], np.sin(made.yaw)[:, None]
-    x, y = made.x[:, None] + cos * ahead - sin * aside, made.y[:, None] + sin * ahead + cos * aside
-    return field.at(x, y).min()
+def around(obstacles, footprint=FOOTPRINT, margin=0.05, low=(-4, -4), high=(8, 6)):
+    """Obstacles for a vehicle."""
+    return Scene.of(obstacles.capsules(), footprint, margin, np.array(low), np.array(high))
 
 
-def test_clearance_of_circles_and_polygons_is_their_distance():
+def searched(obstacles, goal, radius=0.4, gears=1, spot=False, room=None):
+    """A route from the origin."""
+    motions = Motions(radius, gears, spot, 0.3)
+    search = Search(obstacles.capsules(), FOOTPRINT, 0.05, motions, room, 5.0)
+    return find_route(np.zeros(3), np.array(goal, dtype=float), search)
+
+
+def test_places_are_as_far_from_circles_and_edges_as_they_are():
     square = [(0, 0), (1, 0), (1, 1), (0, 1)]
-    field = Obstacles.of(circles=[(4.0, 0.5, 0.3)], polygons=[square]).clearance((-2, -2), (6, 3))
-    points = [(-1.0, 0.5), (0.5, 0.5), (0.9, 0.5), (1.5, 1.5), (3.0, 0.5), (4.0, 0.5), (100.0, 0)]
-    expected = [1.0, -0.5, -0.1, math.hypot(0.5, 0.5), 0.7, -0.3, math.inf]
-    np.testing.assert_allclose(field.at(*np.transpose(points)), expected, atol=5e-3)
+    obstacles = Obstacles.of(circles=[(4.0, 0.5, 0.3)], polygons=[square])
+    points = [(-1.0, 0.5), (0.9, 0.5), (1.5, 1.5), (3.0, 0.5), (4.0, 0.5)]
+    distance = [place_clearance(around(obstacles), *point) for point in points]
+    cap = 2.0 * FOOTPRINT.radius + 0.05
+    assert distance == pytest.approx([1.0, 0.1, math.hypot(0.5, 0.5), 0.7, -0.3])
+    assert place_clearance(around(obstacles), -3.0, 0.5) == cap
+    inside = [obstacles.contain(*point) for point in points]
+    assert inside == [False, True, False, False, True]
 
 
-def test_cells_of_a_grid_are_as_far_as_their_edges():
-    occupied = np.zeros((40, 60), dtype=bool)
-    occupied[10:20, 30:40] = True  # x 2.95 to 3.95, y 0.95 to 1.95
-    obstacles = Obstacles.of(occupied=occupied, cell=0.1)
-    square = [(2.95, 0.95), (3.95, 0.95), (3.95, 1.95), (2.95, 1.95)]
-    low, high = (-1.0, -1.0), (7.0, 5.0)
-    exact = Obstacles.of(polygons=[square]).clearance(low, high).distance
-    found = obstacles.clearance(low, high).distance
-    inside_grid = (slice(22, 98), slice(22, 138))
-    assert np.abs(found - exact)[inside_grid].max() < 0.08  # less than a cell
-    assert np.all(found[:, :20] > 1.0)  # beyond the grid nothing is known to be occupied
+@pytest.mark.parametrize("low", [(-4, -4), (20, 20)], ids=["in buckets", "outside of them"])
+def test_the_clearance_of_a_vehicle_is_that_of_separating_axes(low):
+    rng = np.random.default_rng(1)
+    box = Footprint(0.6, 0.2, 0.3, 0.4)  # not symmetric
+    circles = np.column_stack([rng.uniform(-2, 4, (6, 2)), rng.uniform(0.01, 0.4, 6)])
+    bars = [bar(*rng.uniform(-2, 4, 3), *rng.uniform(0.001, 2, 2)) for _ in range(6)]
+    occupied = rng.random((20, 20)) < 0.05
+    squares = cells_of(occupied, 0.2, (-1.0, 0.5, 0.7))
+    obstacles = Obstacles.of(circles, bars, occupied, 0.2, (-1.0, 0.5, 0.7))
+    scene = around(obstacles, box, 0.1, low, np.add(low, 10))
+    looked_at = 0
+    for pose in rng.uniform((-3, -3, -4), (5, 5, 4), (400, 3)):
+        exact = least_distance(pose[None], box, circles, [*bars, *squares])
+        if exact > 0.0:
+            expected = min(exact - 0.1, box.radius)
+            assert vehicle_clearance(scene, *pose) == pytest.approx(expected, abs=1e-9)
+            looked_at += 1
+        else:
+            assert vehicle_clearance(scene, *pose) <= -0.1 or obstacles.contain(*pose[:2])
+    assert looked_at > 80
 
 
-def test_the_discs_cover_the_vehicle():
-    along = np.linspace(-0.5, 0.5, 41) * FOCCHI.contact_length
-    across = 0.5 * (FOCCHI.track_gauge + FOCCHI.track_width)
-    away = np.hypot(along[:, None] - FOOTPRINT.offset, across).min(axis=1)
-    assert np.all(away < FOOTPRINT.radius - 0.05)  # with the margin
+def test_nothing_is_thin_enough_to_be_driven_through():
+    rng = np.random.default_rng(2)
+    blocked = 0
+    for _ in range(300):
+        wall = bar(*rng.uniform(-2, 2, 2), rng.uniform(0, 3), rng.uniform(0.001, 1.0), 1e-6)
+        scene, pose = around(Obstacles.of(polygons=[wall])), rng.uniform(-2, 2, 3)
+        way, turn = rng.choice([-1, 0, 1]) * rng.uniform(0, 4), rng.uniform(-3, 3)
+        free = clearance_along(scene, *pose, way, turn) >= 0.0
+        shares = np.linspace(0.0, 1.0, 4000)
+        poses = np.array([moved(*pose, way * share, turn * share) for share in shares[::8]])
+        exact = least_distance(poses, FOOTPRINT, convex=[wall])
+        assert not free or exact > 0.05
+        assert free or exact < 0.05 + 0.012  # as far as poses of the oracle are apart
+        blocked += not free
+    assert 30 < blocked < 270
 
 
 def test_a_route_goes_around_a_wall_and_ends_at_the_goal():
-    field = Obstacles.of(polygons=[WALL]).clearance((-3, -3), (6, 4))
-    route = find_route((0, 0, 0), BEHIND, 0.4, field, FOOTPRINT)
-    assert route.path is not None
-    at = places(route.path, np.linspace(0.0, route.path.whole_length, 2000))
-    assert missed(np.array([at.x[-1], at.y[-1], at.yaw[-1]]), BEHIND) < 1e-9
-    assert clearances(field, FOOTPRINT, np.stack([at.x, at.y, at.yaw], axis=1)).min() > -0.01
-    assert route.path.largest_curvature <= 1.0 / 0.4 + 1e-12
+    obstacles = Obstacles.of(polygons=[WALL])
+    route = searched(obstacles, BEHIND)
+    path = route.path()
+    at = places(path, np.linspace(0.0, path.whole_length, 2000))
+    poses = np.stack([at.x, at.y, at.yaw], axis=1)
+    assert missed(poses[-1], BEHIND) < 1e-9
+    assert clearances(around(obstacles), poses).min() > 0.0
+    assert path.largest_curvature <= 1.0 / 0.4 + 1e-9
     # over a corner of the wall: the way of a thread around a disc of the vehicle's half width
     shortest = min(math.hypot(1.6, edge) + math.hypot(1.9, edge) for edge in (1.5, 2.0))
-    assert shortest < route.path.whole_length < 1.7 * shortest
+    assert shortest < path.whole_length < 1.7 * shortest
+
+
+@pytest.mark.parametrize(("gears", "sign"), [(1, 1.0), (-1, -1.0)])
+def test_a_route_in_one_gear_keeps_it(gears, sign):
+    route = searched(Obstacles.of(polygons=[WALL]), BEHIND, gears=gears)
+    assert np.all(np.sign(route.pieces[:, 0]) == sign)
+    pose = (0.0, 0.0, 0.0)
+    for piece in route.pieces:
+        pose = moved(*pose, *piece)
+    assert missed(np.array(pose), BEHIND) < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -91,8 +137,10 @@ def test_a_goal_behind_a_wall_is_reached_around_it(method, limits):
     made = plan((0, 0, 0), BEHIND, limits, method=method, obstacles=obstacles)
     assert made.converged
     assert missed(np.array([made.x[-1], made.y[-1], made.yaw[-1]]), BEHIND) < 1e-6
-    assert free(made, obstacles) > 0.0
-    assert free(plan((0, 0, 0), BEHIND, limits, method=method), obstacles) < 0.0  # straight on
+    shapes = {"circles": [(2.8, 1.5, 0.4)], "convex": [WALL]}
+    assert least_distance(poses_of(made), FOOTPRINT, **shapes) > 0.05
+    straight_on = plan((0, 0, 0), BEHIND, limits, method=method)
+    assert least_distance(poses_of(straight_on), FOOTPRINT, **shapes) == 0.0
     assert np.all(np.diff(made.time) > 0.0)
     assert np.abs(np.diff(made.yaw)).max() < 0.2
 
@@ -106,7 +154,23 @@ def test_a_free_goal_is_reached_by_the_plan_without_obstacles():
 def test_a_goal_in_a_closed_box_is_not_reached_and_says_so():
     made = plan((0, 0, 0), BEHIND, FIXED, obstacles=Obstacles.of(polygons=BOX))
     assert not made.converged
-    assert "no way around" in made.message
+    for said in ("no way around", "searched x -6 to 9.5 m", "forwards only", "margin 0.05 m",
+                 "areas that the vehicle cannot go between"):  # fmt: skip
+        assert said in made.message
+
+
+def test_a_hopeless_search_ends_within_its_time_and_says_what_was_searched():
+    """The goal is in a corridor in which the vehicle cannot turn round."""
+    sides = [bar(3, y, 0, 6, 0.05) for y in (-0.45, 0.45)]
+    task = {"obstacles": Obstacles.of(polygons=[*sides, bar(6, 0, np.pi / 2, 1.2, 0.05)])}
+    task |= {"reverse": True, "room": 2.0}
+    plan((0, 0, 0), (3, 0, np.pi), Limits.of(FOCCHI), time_limit=0.01, **task)  # compiles
+    begun = time.perf_counter()
+    made = plan((3, 0, 0), (3, 0, np.pi), Limits.of(FOCCHI), time_limit=0.5, **task)
+    assert time.perf_counter() - begun < 1.5
+    assert not made.converged
+    assert "forwards and in reverse, without turns on the spot" in made.message
+    assert "searched x 1 to 5 m, y -2 to 2 m" in made.message
 
 
 def test_a_chain_passes_its_way_points_and_goes_on_in_motion():
@@ -130,6 +194,19 @@ def test_a_chain_passes_its_way_points_and_goes_on_in_motion():
         ({"polygons": [[(0, 0), (1, math.nan), (2, 2)]]}, "must be finite"),
         ({"occupied": np.ones((3, 3))}, "Did you pass probabilities"),
         ({"occupied": np.ones((3, 3), dtype=bool), "cell": 0.0}, "cell = 0.0"),
+        ({"origin": (math.nan, 0.0)}, "origin x = nan"),
+        ({"origin": (0.0, 0.0, math.inf)}, "origin yaw = inf"),
+        ({"origin": (0.0,)}, "origin = "),
+        ({"origin": 3.0}, "origin = 3.0"),
+        ({"polygons": [[(0, 0), (1, 1), (1, 0), (0, 1)]]}, "polygon crosses itself"),
+        ({"polygons": [[(0, 0), (1, 1), (2, 2)]]}, "has no area"),
+        ({"polygons": [[(0, 0), (1, 0), (1, 0), (0, 0)]]}, "has no area"),
+        ({"polygons": [[(0, 0), (1e9, 0), (1, 1)]]}, "polygon corner = 1000000000.0 m"),
+        ({"polygons": [["a", "b"]]}, "must be corners"),
+        ({"circles": [(0, 0, 1, 2)]}, r"circles have shape \(1, 4\)"),
+        ({"circles": "here"}, "circles = 'here'"),
+        ({"circles": [(0, math.nan, 1)]}, "circle y = nan"),
+        ({"occupied": np.broadcast_to(True, (20_000, 20_000))}, "occupied has 400000000 cells"),
     ],
 )
 def test_bad_obstacles_are_refused_in_one_line(given, message):
@@ -138,11 +215,56 @@ def test_bad_obstacles_are_refused_in_one_line(given, message):
     assert "\n" not in str(error.value)
 
 
-def test_a_start_in_an_obstacle_is_refused():
-    with pytest.raises(ValueError, match="the vehicle at its start"):
-        plan((1.6, 0, 0), BEHIND, FIXED, obstacles=Obstacles.of(polygons=[WALL]))
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"obstacles": [(1.0, 2.0, 0.3)]}, "obstacles = a list; must be Obstacles"),
+        ({"margin": -0.1}, "margin = -0.1 m"),
+        ({"margin": math.nan}, "margin = nan m"),
+        ({"room": -1.0}, "room = -1.0 m"),
+        ({"time_limit": math.inf}, "time_limit = inf s"),
+        ({"footprint": (1.0, 2.0)}, "front, back, left, right"),
+        ({"footprint": (0.0, 0.0, 1.0, 1.0)}, "must have a length and a width"),
+        ({"footprint": (1.0, math.nan, 1.0, 1.0)}, "footprint back = nan m"),
+    ],
+)
+def test_bad_arguments_of_a_plan_around_obstacles_are_refused_in_one_line(given, message):
+    with pytest.raises(ValueError, match=message) as error:
+        plan((0, 0, 0), BEHIND, FIXED, **given)
+    assert "\n" not in str(error.value)
 
 
-def test_a_field_that_is_too_large_is_refused():
-    with pytest.raises(ValueError, match="Plan in parts"):
-        Obstacles.of(circles=[(0, 0, 1)]).clearance((-1000, -1000), (1000, 1000))
+def test_a_ring_may_be_closed_and_may_be_an_l():
+    corners = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+    (ring,) = Obstacles.of(polygons=[[*corners, corners[0]]]).polygons
+    assert sorted(map(tuple, ring)) == sorted(corners)
+
+
+def test_noise_in_a_map_is_refused_before_it_takes_the_memory():
+    noise = np.random.default_rng(0).random((2200, 2200)) < 0.5
+    with pytest.raises(ValueError, match="edges; must be at most"):
+        Obstacles.of(occupied=noise, cell=0.01).capsules()
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "name"),
+    [
+        ((1.6, 0, 0), BEHIND, "start"),
+        ((0, 0, 0), (1.6, 0, 0), "goal"),
+        ((0, 0, 0), (1.10, 0, 0), "goal"),  # 5 cm from the wall
+    ],
+)
+@pytest.mark.parametrize("shape", ["polygon", "cells"])
+def test_a_start_or_goal_in_an_obstacle_or_its_margin_is_refused(start, goal, name, shape):
+    solid = np.ones((350, 20), dtype=bool)
+    obstacles = {
+        "polygon": Obstacles.of(polygons=[WALL]),
+        "cells": Obstacles.of(occupied=solid, cell=0.01, origin=(1.505, -1.995)),
+    }[shape]
+    with pytest.raises(ValueError, match=f"the vehicle at its {name}"):
+        plan(start, goal, FIXED, obstacles=obstacles)
+
+
+def test_a_vehicle_wholly_inside_an_obstacle_is_in_it():
+    with pytest.raises(ValueError, match="at its start .* is in an obstacle"):
+        plan((0, 0, 0), (30, 0, 0), FIXED, obstacles=Obstacles.of(polygons=[bar(0, 0, 0, 9, 9)]))

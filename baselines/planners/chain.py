@@ -27,9 +27,10 @@ from baselines.planners.clearance import (
     moved,
     swept,
 )
+from baselines.planners.hybrid_a_star import Motions
 from baselines.planners.obstacles import Obstacles
 from baselines.planners.path import Path
-from baselines.planners.route import Motions, Route, Search, find_route
+from baselines.planners.route import Route, Search, find_route
 from baselines.planners.trajectory import Limits, Start, Trajectory
 from tracked_env.physics.parameters import PlantParameters
 
@@ -156,7 +157,7 @@ class Space:
         if clear <= -self.margin:
             where = "in an obstacle"
         raise ValueError(
-            f"the vehicle at its {name} {pose.tolist()} is {where}; must be more than "
+            f"the vehicle at its {name} is {where} at {pose.tolist()}; must be more than "
             f"{self.margin + scene.tolerance:.3g} m away, margin included. Is the obstacle in the "
             "vehicle's own frame, or the margin too large?"
         )

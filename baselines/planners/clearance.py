@@ -60,9 +60,8 @@ def checked_footprint(value: Sequence[float] | None, vehicle: PlantParameters) -
         return Footprint.of(vehicle)
     if np.ndim(value) != 1 or len(value) != 4:
         raise ValueError(f"footprint = {value!r}; must be front, back, left, right [m]")
-    made = Footprint(
-        *(checked_number(f"footprint {n}", v, _EXTENT) for n, v in zip(Footprint._fields, value))
-    )
+    sides = zip(Footprint._fields, value, strict=True)
+    made = Footprint(*(checked_number(f"footprint {n}", v, _EXTENT) for n, v in sides))
     if min(made.front + made.back, made.left + made.right) <= 0.0:
         raise ValueError(f"footprint = {tuple(made)}; must have a length and a width above 0 m")
     return made

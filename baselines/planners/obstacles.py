@@ -207,7 +207,8 @@ def _runs(occupied: NDArray[np.bool_]) -> Array:
     edge = np.zeros((len(occupied) + 1, occupied.shape[1]), dtype=bool)
     edge[0], edge[-1] = occupied[0], occupied[-1]
     np.not_equal(occupied[1:], occupied[:-1], out=edge[1:-1])
-    _check_edges(np.count_nonzero(edge[:, 0]) + np.count_nonzero(edge[:, 1:] > edge[:, :-1]))
+    begins = np.count_nonzero(edge[:, 1:] > edge[:, :-1])
+    _check_edges(int(np.count_nonzero(edge[:, 0]) + begins))
     row, column = np.nonzero(edge)
     breaks = np.flatnonzero((np.diff(row) != 0) | (np.diff(column) != 1))
     first, last = np.append(0, breaks + 1), np.append(breaks, len(row) - 1)

@@ -213,7 +213,7 @@ class Planner(NamedTuple):
         self, start: Start, goal: Array, last: bool, turning: float | None = None
     ) -> Trajectory:
         return gears.in_reverse(
-            lambda *leg: self._forwards(*leg, turning=turning), start, goal, last
+            lambda begin, end, rest: self._forwards(begin, end, rest, turning), start, goal, last
         )
 
     def _forwards(

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ def planned(
     circles: Sequence[Sequence[float]] = (),
     reverse: bool = False,
     slope: Sequence[float] | None = None,
-    around: Mapping[str, float] | None = None,
+    around: Mapping[str, Any] | None = None,
 ) -> Planned:
     """Plan from a start to a goal, x, y [m], yaw [rad].
 

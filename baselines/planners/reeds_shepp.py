@@ -178,7 +178,7 @@ def _total(lengths):
 
 
 @loop
-def _shortest(x, y, phi, sides, trial, lengths, turning):
+def shortest(x, y, phi, sides, trial, lengths, turning):
     """The shortest word to one goal: segments [radii] and sides of them; returns its length."""
     best = math.inf
     allowed = ACCEPTED * (1.0 + math.sqrt(x * x + y * y))
@@ -208,7 +208,7 @@ def _paths(start, goal, radius, segments, curvature, length, reversals):
         phi = _wrapped(phi)
         if x * x + y * y < 1e-18 and abs(phi) < 1e-9:
             x, y, phi = 0.0, 0.0, 0.0
-        length[i] = radius[i] * _shortest(x, y, phi, SIDES, trial, segments[i], curvature[i])
+        length[i] = radius[i] * shortest(x, y, phi, SIDES, trial, segments[i], curvature[i])
         gear = 0.0
         for part in range(PARTS):
             segments[i, part] *= radius[i]

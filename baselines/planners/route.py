@@ -1,18 +1,10 @@
-"""A route around obstacles: hybrid A* over arcs, lines and turns on the spot, in the gears allowed.
+"""A route around obstacles: arcs, lines and turns on the spot, in the gears allowed.
 
-States are cells of (x, y, yaw) and gear; from each, arcs of one length to the left, to the right
-and straight on are driven exactly, so that every state keeps the pose in which it was reached. The
-order of expansion is the cost so far plus a lower bound: the largest of the way around the
-obstacles for the centre (Dijkstra), the straight line, and the Dubins or Reeds-Shepp path. Now and
-then, and near the goal always, paths straight to the goal are tried: the words of Dubins, that of
-Reeds and Shepp, and turn, line, turn. Ways near obstacles, in reverse, and changes of gear cost more.
-The route is then shortened by the same paths between poses of it.
-
-The route is feasible for the turning radius and free all along (`clearance`), and near the
-shortest: cells are coarse. A larger area is searched while the border has been met and time is left.
-
-References: [1] Dolgov, Thrun, Montemerlo and Diebel, Path planning for autonomous vehicles in
-unknown semi-structured environments, International Journal of Robotics Research 29 (2010).
+It is searched by hybrid A* (`hybrid_a_star`), from the end that is nearer to obstacles first, with
+coarse cells over long ways first, and with finer ones where all was tried. A larger area is
+searched while the border has been met and time is left. The route is then shortened by paths
+straight between poses of it. It is feasible for the turning radius and free all along
+(`clearance`), and near the shortest: cells are coarse.
 """
 
 import math
@@ -22,55 +14,32 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners.clearance import (
-    Footprint,
-    Scene,
-    clearance_along,
-    clearances,
-    moved,
-    place_clearance,
+from baselines.planners.clearance import Footprint, Scene, clearance_along, clearances, moved
+from baselines.planners.hybrid_a_star import (
+    MOST_STATES,
+    TURN,
+    YAWS,
+    Area,
+    Motions,
+    Nodes,
+    blocked_cells,
+    coarse_cell,
+    connect,
+    distances,
+    expand,
+    kind_of,
+    piece_cost,
+    tightness,
 )
-from baselines.planners.dubins import SIGNS, SNAP, segments_of_words
 from baselines.planners.path import Path
-from baselines.planners.reeds_shepp import PARTS, SIDES, _shortest
-from tracked_env.physics.jit import copy_entries, formula, loop
+from baselines.planners.reeds_shepp import PARTS
 
 Array = NDArray[np.float64]
 
 FINENESS = 7.0  # [-] cells of a state over the vehicle's smaller side
-YAWS = 48  # cells of the yaw, usually
-ARCS = 5  # curvatures of a step: -1, -1/2, 0, 1/2, 1 over the radius
-EVERY, EVERY_NEAR = 16, 4  # states between two tries of paths straight to the goal
-NEAR_GOAL = 4.0  # [-] of the radius and the vehicle's
-LARGEST_TURN = 1.0  # [rad] of a step
 COARSEST, FINEST, LONG = 8.0, 0.25, 150.0  # [-] of the usual cells; cells of the area at first
-TURNING_COST = 1.05  # [-] of way on an arc: straight on where it does not matter
-REVERSE_COST = 1.3  # [-] of way in reverse
-CHANGE_COST = 0.5  # [-] of the vehicle's radius: of a change of gear
-TIGHT_COST, AIRY = 1.0, 0.3  # [-] of way without clearance; of the vehicle's radius: enough of it
-GREED = 1.5  # [-] of the lower bound: a route may cost so much more than the least
 CHUNK = 100  # states between two looks at the clock
-MOST_STATES = 1_000_000  # 90 MB
 MOST_CELLS = 250_000  # of the way around the obstacles
-TURN = 2.0 * math.pi
-FORWARD, REVERSE, SPOT = 1, 2, 0  # kinds of motion, and of the state that they lead to
-
-
-class Motions(NamedTuple):
-    """What the vehicle may do on a route."""
-
-    radius: float  # [m] least turning radius of arcs
-    gears: int  # 1: forwards, -1: in reverse, 2: both
-    spot: bool  # whether it may turn on the spot
-    half_gauge: float  # [m] way of the tracks per turn on the spot
-    dear: float = -1.0  # sign of the way that costs more where both gears are allowed
-
-    @property
-    def words(self) -> str:
-        """As a message says it."""
-        gears = {1: "forwards only", -1: "in reverse only", 2: "forwards and in reverse"}
-        spot = "with turns on the spot" if self.spot else "without turns on the spot"
-        return f"{gears[self.gears]}, {spot}, arcs of {self.radius:.3g} m or wider"
 
 
 class Route(NamedTuple):
@@ -90,343 +59,6 @@ class Route(NamedTuple):
         """The route as a path. It must not turn on the spot."""
         way, turn = self.pieces.T
         return Path.of(self.start, way, turn / way)
-
-
-class Area(NamedTuple):
-    """The rectangle that is searched, in cells."""
-
-    x: float  # [m] of its corner
-    y: float  # [m]
-    width: float  # [m]
-    height: float  # [m]
-    cell: float  # [m] of a state
-    coarse: float  # [m] of the way around the obstacles
-    columns: int  # of coarse cells
-    rows: int
-    yaws: int  # cells of the yaw
-
-
-class Nodes(NamedTuple):
-    """States, the hash table of their cells, and the heap of those that are open."""
-
-    pose: Array  # (N, 3)
-    cost: Array  # (N,)
-    piece: Array  # (N, 2) that leads there
-    parent: NDArray[np.int64]  # (N,)
-    cell: NDArray[np.int64]  # (N,)
-    kind: NDArray[np.int64]  # (N,) of motion
-    closed: NDArray[np.bool_]  # (N,)
-    table: NDArray[np.int32]  # (T,) state + 1, 0: empty
-    heap: NDArray[np.int64]
-    keys: Array
-    progress: NDArray[np.int64]  # (4,) size of the heap, states, expanded, border met
-    best: Array  # (2,) cost of the best route, its last state
-    shot: Array  # (PARTS, 2) pieces from there to the goal
-    trial: Array  # (PARTS, 2)
-    words: Array  # (6, 3)
-    sides: Array  # (3, PARTS)
-
-    @classmethod
-    def empty(cls, most: int) -> "Nodes":
-        """Room for `most` states."""
-        return cls(
-            np.empty((most, 3)), np.empty(most), np.empty((most, 2)), np.empty(most, np.int64),
-            np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(most, np.bool_),
-            np.zeros(1 << (2 * most - 1).bit_length(), np.int32), np.empty(4 * most, np.int64),
-            np.empty(4 * most), np.zeros(4, np.int64), np.array([np.inf, -1.0]),
-            np.zeros((PARTS, 2)), np.zeros((PARTS, 2)), np.empty((6, 3)), np.zeros((3, PARTS)),
-        )  # fmt: skip
-
-
-@loop
-def _push(heap, keys, size, key, value):
-    """Add to a binary heap; returns its size."""
-    at = size
-    while at > 0:
-        parent = (at - 1) // 2
-        if keys[parent] <= key:
-            break
-        keys[at], heap[at] = keys[parent], heap[parent]
-        at = parent
-    keys[at], heap[at] = key, value
-    return size + 1
-
-
-@loop
-def _pop(heap, keys, size):
-    """Take the least from a binary heap: its value; one less is in it."""
-    top, last_key, last = heap[0], keys[size - 1], heap[size - 1]
-    size -= 1
-    at = 0
-    while 2 * at + 1 < size:
-        child = 2 * at + 1
-        if child + 1 < size and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= last_key:
-            break
-        keys[at], heap[at] = keys[child], heap[child]
-        at = child
-    keys[at], heap[at] = last_key, last
-    return top
-
-
-@loop
-def _blocked(scene, area, inner, blocked):
-    """Coarse cells no place of which the centre can be at: (rows * columns,) into blocked."""
-    least = inner - math.sqrt(0.5) * area.coarse
-    for row in range(area.rows):
-        for column in range(area.columns):
-            x, y = area.x + (column + 0.5) * area.coarse, area.y + (row + 0.5) * area.coarse
-            blocked[row * area.columns + column] = place_clearance(scene, x, y) < least
-
-
-@formula
-def _coarse(area, x, y):
-    """Number of the coarse cell of a place."""
-    column = min(max(int((x - area.x) / area.coarse), 0), area.columns - 1)
-    row = min(max(int((y - area.y) / area.coarse), 0), area.rows - 1)
-    return row * area.columns + column
-
-
-@loop
-def _distances(area, blocked, goal_x, goal_y, away):
-    """Way [m] to the goal from every coarse cell, 8 neighbours; whether it meets the border."""
-    count, border = area.columns * area.rows, False
-    heap, keys = np.empty(8 * count + 8, np.int64), np.empty(8 * count + 8)
-    away[:] = math.inf
-    first = _coarse(area, goal_x, goal_y)
-    away[first] = 0.0
-    size = _push(heap, keys, 0, 0.0, first)
-    while size > 0:
-        key, here = keys[0], _pop(heap, keys, size)
-        size -= 1
-        if key > away[here]:
-            continue
-        row, column = here // area.columns, here % area.columns
-        for down in range(-1, 2):
-            for aside in range(-1, 2):
-                r, c = row + down, column + aside
-                if not (0 <= r < area.rows and 0 <= c < area.columns):
-                    border = True
-                    continue
-                there = r * area.columns + c
-                way = key + area.coarse * math.sqrt(down * down + aside * aside)
-                if blocked[there] or way >= away[there] - 1e-12:
-                    continue
-                away[there] = way
-                size = _push(heap, keys, size, way, there)
-    return border
-
-
-@formula
-def _kind(way):
-    """Kind of the motion of a piece."""
-    return FORWARD if way > 0.0 else (REVERSE if way < 0.0 else SPOT)
-
-
-@formula
-def _piece_cost(motions, radius, way, turn, before):
-    """Cost [m] of a piece after a motion of kind `before`, -1: at the start."""
-    cost = motions.half_gauge * abs(turn) * TURNING_COST
-    if way != 0.0:
-        cost = abs(way) * (TURNING_COST if turn != 0.0 else 1.0)
-        cost *= REVERSE_COST if way * motions.dear > 0.0 and motions.gears == 2 else 1.0
-    return cost + (CHANGE_COST * radius if before >= 0 and _kind(way) != before else 0.0)
-
-
-@formula
-def _tightness(scene, clear):
-    """Factor of the cost of a motion with its least clearance [m]."""
-    return 1.0 + TIGHT_COST * max(0.0, 1.0 - clear / (AIRY * scene.radius))
-
-
-@loop
-def _accept(scene, motions, pose, pieces, before, best, out):
-    """The cost of pieces (PARTS, 2) from a pose if they are free and cost less than `best`.
-
-    Then they are copied to `out`; `best` otherwise.
-    """
-    cost, kind = 0.0, before
-    for part in range(PARTS):
-        way, turn = pieces[part]
-        if way != 0.0 or turn != 0.0:
-            cost += _piece_cost(motions, scene.radius, way, turn, kind)
-            kind = _kind(way)
-    if not cost < best:
-        return best
-    x, y, yaw = pose[0], pose[1], pose[2]
-    cost, kind = 0.0, before
-    for part in range(PARTS):
-        way, turn = pieces[part]
-        if way == 0.0 and turn == 0.0:
-            continue
-        clear = clearance_along(scene, x, y, yaw, way, turn)
-        cost += _piece_cost(motions, scene.radius, way, turn, kind) * _tightness(scene, clear)
-        if clear < 0.0 or cost >= best:
-            return best
-        kind = _kind(way)
-        x, y, yaw = moved(x, y, yaw, way, turn)
-    for part in range(PARTS):
-        out[part, 0], out[part, 1] = pieces[part, 0], pieces[part, 1]
-    return cost
-
-
-@loop
-def _connect(scene, motions, pose, goal, before, best, nodes, out):
-    """The cheapest free path straight to a goal (3,) below the cost `best`: its cost, or `best`."""
-    radius, trial = motions.radius, nodes.trial
-    away_x, away_y, turned = goal[0] - pose[0], goal[1] - pose[1], goal[2] - pose[2]
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    x, y = (cos * away_x + sin * away_y) / radius, (cos * away_y - sin * away_x) / radius
-    turned -= TURN * round(turned / TURN)
-    segments_of_words(x, y, turned, SNAP, nodes.words)
-    for word in range(6):
-        trial[:] = 0.0
-        for part in range(3):
-            angle = nodes.words[word, part]
-            trial[part, 0], trial[part, 1] = angle * radius, angle * SIGNS[word, part]
-        if not math.isnan(trial[0, 0] + trial[1, 0] + trial[2, 0]):
-            best = _accept(scene, motions, pose, trial, before, best, out)
-    if motions.gears == 2:
-        nodes.sides[:] = 0.0
-        _shortest(x, y, turned, SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2])
-        for part in range(PARTS):
-            trial[part, 0] = nodes.sides[1, part] * radius
-            trial[part, 1] = nodes.sides[1, part] * nodes.sides[2, part]
-        best = _accept(scene, motions, pose, trial, before, best, out)
-    if motions.spot:
-        line, ahead = math.hypot(away_x, away_y), math.atan2(y, x)
-        for gear in range(1, 3 if motions.gears == 2 else 2):
-            first = ahead if gear == FORWARD else ahead - math.copysign(math.pi, ahead)
-            first = 0.0 if line < 1e-9 else first
-            last = turned - first
-            trial[:] = 0.0
-            trial[0, 1], trial[2, 1] = first, last - TURN * round(last / TURN)
-            trial[1, 0] = line if gear == FORWARD else -line
-            best = _accept(scene, motions, pose, trial, before, best, out)
-    return best
-
-
-@loop
-def _bound(motions, pose, goal, nodes):
-    """Length [m] of the shortest path without obstacles, 0 where turns on the spot are allowed."""
-    if motions.spot:
-        return 0.0
-    radius = motions.radius
-    away_x, away_y = goal[0] - pose[0], goal[1] - pose[1]
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    x, y = (cos * away_x + sin * away_y) / radius, (cos * away_y - sin * away_x) / radius
-    turned = goal[2] - pose[2]
-    turned -= TURN * round(turned / TURN)
-    if motions.gears == 2:
-        nodes.sides[:] = 0.0
-        best = _shortest(x, y, turned, SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2])
-        return best * radius
-    segments_of_words(x, y, turned, SNAP, nodes.words)
-    best = math.inf
-    for word in range(6):
-        total = nodes.words[word, 0] + nodes.words[word, 1] + nodes.words[word, 2]
-        best = min(best, total if total >= 0.0 else math.inf)
-    return best * radius
-
-
-@formula
-def _cell(area, x, y, yaw, kind):
-    """Number of the state's cell, -1 outside the area."""
-    column, row = math.floor((x - area.x) / area.cell), math.floor((y - area.y) / area.cell)
-    if not (0.0 <= x - area.x <= area.width and 0.0 <= y - area.y <= area.height):
-        return -1
-    part = int((yaw / TURN - math.floor(yaw / TURN)) * area.yaws) % area.yaws
-    columns = int(area.width / area.cell) + 1
-    return ((row * columns + column) * area.yaws + part) * 3 + kind
-
-
-@formula
-def _slot(nodes, cell):
-    """Place of a cell in the hash table, or the empty one where it belongs."""
-    mask = len(nodes.table) - 1
-    at = (cell * 0x9E3779B1 >> 7) & mask
-    while nodes.table[at] != 0 and nodes.cell[nodes.table[at] - 1] != cell:
-        at = (at + 1) & mask
-    return at
-
-
-@loop
-def _reach(scene, area, motions, goal, away, here, way, turn, nodes):
-    """The state after a piece from the state `here`, if it is new or cheaper than before."""
-    to = np.empty(3)
-    x, y, yaw = nodes.pose[here]
-    to[0], to[1], to[2] = moved(x, y, yaw, way, turn)
-    kind = _kind(way)
-    cell = _cell(area, to[0], to[1], to[2], kind)
-    if cell < 0:
-        nodes.progress[3] = 1
-        return
-    ahead = away[_coarse(area, to[0], to[1])]
-    if not ahead < math.inf:
-        return
-    cost = nodes.cost[here]
-    cost += _piece_cost(motions, scene.radius, way, turn, nodes.kind[here])
-    at = _slot(nodes, cell)
-    node = nodes.table[at] - 1
-    if node >= 0 and (nodes.closed[node] or cost >= nodes.cost[node] - 1e-9):
-        return
-    clear = clearance_along(scene, x, y, yaw, way, turn)
-    if clear < 0.0:
-        return
-    cost = nodes.cost[here] + _tightness(scene, clear) * _piece_cost(
-        motions, scene.radius, way, turn, nodes.kind[here]
-    )
-    if node >= 0 and cost >= nodes.cost[node] - 1e-9:
-        return
-    if nodes.progress[0] >= len(nodes.heap) or (node < 0 and nodes.progress[1] >= len(nodes.cost)):
-        return
-    if node < 0:
-        node = nodes.progress[1]
-        nodes.progress[1] += 1
-        nodes.table[at] = node + 1
-    copy_entries(to, nodes.pose[node])
-    nodes.cost[node], nodes.parent[node], nodes.cell[node] = cost, here, cell
-    nodes.kind[node] = kind
-    nodes.piece[node, 0], nodes.piece[node, 1] = way, turn
-    line = math.hypot(goal[0] - to[0], goal[1] - to[1])
-    bound = max(line, 0.92 * ahead - 2.0 * area.coarse, _bound(motions, to, goal, nodes))
-    nodes.progress[0] = _push(nodes.heap, nodes.keys, nodes.progress[0], cost + GREED * bound, node)
-
-
-@loop
-def _search(scene, area, motions, goal, away, step, nodes, most):
-    """Expand `most` states; whether the search is over: the best route is known, or there is none."""
-    p = nodes.progress
-    for _ in range(most):
-        if p[0] == 0 or nodes.keys[0] >= nodes.best[0]:
-            return True
-        here = _pop(nodes.heap, nodes.keys, p[0])
-        p[0] -= 1
-        if nodes.closed[here]:
-            continue
-        nodes.closed[here] = True
-        ahead = away[_coarse(area, nodes.pose[here, 0], nodes.pose[here, 1])]
-        near = ahead < NEAR_GOAL * max(motions.radius, scene.radius)
-        if p[2] % (EVERY_NEAR if near else EVERY) == 0:
-            before = nodes.kind[here] if nodes.parent[here] >= 0 else -1
-            most_cost = nodes.best[0] - nodes.cost[here]
-            cost = _connect(
-                scene, motions, nodes.pose[here], goal, before, most_cost, nodes, nodes.shot
-            )
-            if cost < most_cost:
-                nodes.best[0], nodes.best[1] = nodes.cost[here] + cost, here
-        p[2] += 1
-        for arc in range(ARCS):
-            turn = min(step / motions.radius, LARGEST_TURN) * (2.0 * arc / (ARCS - 1) - 1.0)
-            _reach(scene, area, motions, goal, away, here, step, turn, nodes)
-            if motions.gears == 2:
-                _reach(scene, area, motions, goal, away, here, -step, turn, nodes)
-        if motions.spot:
-            for side in range(2):
-                turn = (2.0 * side - 1.0) * 2.0 * TURN / area.yaws
-                _reach(scene, area, motions, goal, away, here, 0.0, turn, nodes)
-    return False
 
 
 class Search(NamedTuple):
@@ -512,14 +144,14 @@ def _searched(
         step = max(1.5 * area.cell, 1.5 * motions.radius * TURN / yaws)
         _begin(nodes, start)
         arguments = scene, area, motions, goal, away, step, nodes
-        _search(*arguments, 0)
-        _connect(scene, motions, start, goal, -1, -1.0, nodes, nodes.shot)
+        expand(*arguments, 0)
+        connect(scene, motions, start, goal, -1, -1.0, nodes, nodes.shot)
         begun = time.perf_counter() if begun is None else begun  # all is compiled
         left = max(search.time_limit - (time.perf_counter() - begun), 0.0)
         until = time.perf_counter() + (left if whole and scale <= 1.0 else 0.5 * left)
-        apart = over = not away[_coarse(area, start[0], start[1])] < math.inf
+        apart = over = not away[coarse_cell(area, start[0], start[1])] < math.inf
         while not over and time.perf_counter() < until:
-            over = bool(_search(*arguments, CHUNK))
+            over = bool(expand(*arguments, CHUNK))
         full = bool(nodes.progress[1] >= MOST_STATES)
         expanded += int(nodes.progress[2])
         spent = time.perf_counter() - begun
@@ -543,8 +175,8 @@ def _searched(
         why = f"the memory for {MOST_STATES} states was used"
     report = (
         f"searched x {box[0][0]:.4g} to {box[1][0]:.4g} m, y {box[0][1]:.4g} to {box[1][1]:.4g} m "
-        f"in cells of {area.cell:.2g} m and {360.0 / area.yaws:.3g} deg, {motions_asked.words}, margin "
-        f"{search.margin:g} m, {expanded} states in {spent:.2g} s: {why}"
+        f"in cells of {area.cell:.2g} m and {360.0 / area.yaws:.3g} deg, {motions_asked.words}, "
+        f"margin {search.margin:g} m, {expanded} states in {spent:.2g} s: {why}"
     )
     return np.zeros((0, 2)), expanded, report, never
 
@@ -561,9 +193,9 @@ def _prepared(
         math.ceil(width / coarse), math.ceil(height / coarse), yaws,
     )  # fmt: skip
     blocked = np.empty(area.columns * area.rows, dtype=np.bool_)
-    _blocked(scene, area, min(search.footprint) + search.margin, blocked)
+    blocked_cells(scene, area, min(search.footprint) + search.margin, blocked)
     away = np.empty(len(blocked))
-    return scene, area, away, not _distances(area, blocked, goal[0], goal[1], away)
+    return scene, area, away, not distances(area, blocked, goal[0], goal[1], away)
 
 
 def _begin(nodes: Nodes, start: Array) -> None:
@@ -590,17 +222,19 @@ def _merged(pieces: Array) -> Array:
     for way, turn in pieces:
         if way == 0.0 and turn == 0.0:
             continue
-        if out and (out[-1][0] == 0.0) == (way == 0.0) and out[-1][0] * way >= 0.0:
-            if abs(out[-1][1] * way - turn * out[-1][0]) < 1e-12 * (1.0 + way * way):
-                out[-1] = out[-1] + (way, turn)
-                continue
-        out.append(np.array([way, turn]))
+        before = out[-1] if out else np.full(2, np.nan)
+        alike = (before[0] == 0.0) == (way == 0.0) and before[0] * way >= 0.0
+        if alike and abs(before[1] * way - turn * before[0]) < 1e-12 * (1.0 + way * way):
+            out[-1] = before + np.array([way, turn])
+        else:
+            out.append(np.array([way, turn]))
     return np.array(out).reshape(-1, 2)
 
 
 def _shortened(scene: Scene, motions: Motions, start: Array, pieces: Array, nodes: Nodes) -> Array:
     """The route with paths straight on in place of its pieces, as far along as they are cheaper."""
-    parts, begin, at = [], start, 0
+    parts: list[Array] = []
+    begin, at = start, 0
     out, before = np.zeros((PARTS, 2)), -1
     while at < len(pieces):
         to, poses = len(pieces), [begin]
@@ -610,11 +244,9 @@ def _shortened(scene: Scene, motions: Motions, start: Array, pieces: Array, node
             cost, kind = 0.0, before
             for pose, (way, turn) in zip(poses, pieces[at:to], strict=False):
                 clear = clearance_along(scene, *pose, way, turn)
-                cost += _piece_cost(motions, scene.radius, way, turn, kind) * _tightness(
-                    scene, clear
-                )
-                kind = _kind(way)
-            if _connect(scene, motions, begin, poses[to - at], before, cost, nodes, out) < cost:
+                cost += piece_cost(motions, scene.radius, way, turn, kind) * tightness(scene, clear)
+                kind = kind_of(way)
+            if connect(scene, motions, begin, poses[to - at], before, cost, nodes, out) < cost:
                 parts.extend(piece.copy() for piece in out)
                 break
             to = at + (to - at) // 2
@@ -622,5 +254,5 @@ def _shortened(scene: Scene, motions: Motions, start: Array, pieces: Array, node
             to = at + 1
             parts.append(pieces[at])
         begin, at = poses[to - at], to
-        before = _kind([p for p in parts if p.any()][-1][0])
+        before = kind_of([p for p in parts if p.any()][-1][0])
     return _merged(np.array(parts))

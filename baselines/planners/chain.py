@@ -264,7 +264,7 @@ def _checked(planner: Planner, space: Space, make: Any) -> tuple[Trajectory, boo
 
 
 def _thinned(made: Trajectory, period: float) -> Trajectory:
-    """A trajectory at multiples of the period [s], at its ends, and where belts that are held step."""
+    """A trajectory at multiples of the period [s], at its ends, and where held belts step."""
     turns = made.time / period
     chosen = np.abs(turns - np.round(turns)) < 1e-6
     chosen[[0, -1]] = True

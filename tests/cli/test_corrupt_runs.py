@@ -49,6 +49,11 @@ def test_no_good_run_is_lost_where_none_is_corrupt(surface, seed):
     assert corrupt(*driven(surface, seed)) == {}
 
 
+def test_no_good_run_is_lost_of_as_few_as_the_fit_takes():
+    for seed in range(60):
+        assert corrupt(*runs(12, 500 + seed)) == {}
+
+
 @pytest.mark.parametrize("count", [3, 12, 26])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("surface", SURFACES)

@@ -1,4 +1,4 @@
-"""`tracked-env identify` on logs of a simulator that is not this package's, right and wrong ones."""
+"""`tracked-env identify` on logs of a simulator that is not this package's, right and wrong."""
 
 import gzip
 import json

@@ -27,6 +27,7 @@ SLOWEST = 0.2  # [m/s] of a track
 LEAST = 200  # samples
 INSIDE = 0.8  # [-] of the half contact, where the centre of rotation is sought
 MODEL_NOISE = 20.0  # [N m]
+TEMPERED = 5.0  # [-] on the misfit, since widths lie apart and no shape is quite that of a soil
 TRUSTED = 0.25  # [-] of the change by the smoothing: its standard deviation, for other shapes
 
 
@@ -93,7 +94,8 @@ def turning_of(log: Log, vehicle: PlantParameters) -> Turning | None:
     variance = 2.0 * torque**2 + MODEL_NOISE**2 + (vehicle.inertia * noise) ** 2
     friction = vehicle.lateral_resistance
     results, laws = [], []
-    for width, shape in [OWN, *((w, s) for s in SHAPES for w in WIDTHS)]:
+    candidates = [OWN, *((float(w), s) for s in SHAPES for w in WIDTHS)]
+    for width, shape in candidates:
         for _ in range(2):  # v_y needs mu_t
             v_y = side_speed(a_y, rate, friction, length, width, shape)
             law = weight * unit_moment(v_y, rate, length, width, shape)
@@ -118,16 +120,17 @@ def turning_of(log: Log, vehicle: PlantParameters) -> Turning | None:
     inertia, resistance, misfit = np.array(results).T
     following = float(np.clip(best[1:] @ best[:-1] / (best @ best), 0.0, 0.95))
     scale = max(misfit.min() / len(best), 1.0) * (1.0 + following) / (1.0 - following)
-    chance = np.exp(-0.5 * (misfit - misfit.min()) / scale)[1:]
+    scale *= TEMPERED
+    chance = np.exp(-0.5 * (misfit - misfit.min()) / scale)
     chance /= chance.sum()
-    mean = float(chance @ resistance[1:])
-    law = sum(p * c * of for p, c, of in zip(chance, resistance[1:], laws[1:], strict=True))
+    mean = float(chance @ resistance)
+    law = sum(p * c * of for p, c, of in zip(chance, resistance, laws, strict=True))
 
     def spread(of: Floats) -> float:
-        middle = float(chance @ of[1:])
-        variance = float(chance @ (of[1:] - middle) ** 2) + (TRUSTED * (middle - of[0])) ** 2
+        middle = float(chance @ of)
+        variance = float(chance @ (of - middle) ** 2) + (TRUSTED * (middle - of[0])) ** 2
         return math.sqrt(variance) / max(abs(middle), 1e-9)
 
     excess = np.nan_to_num(np.asarray(law) - mean * laws[0])
-    width = float(np.tile(WIDTHS, len(SHAPES))[int(np.argmax(chance))])
+    width = float(candidates[int(np.argmax(chance))][0])
     return Turning(excess, spread(inertia), spread(resistance), width)

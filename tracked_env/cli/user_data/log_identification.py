@@ -360,6 +360,9 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
             half = half_width(noise, list(shifts[name]))
         margin = NEAR * (high - low)
         against = "contradicted" if fit.contradicts else ""
+        if against and EQUATION[name] == "turning":  # which needs mu_l where tracks oppose
+            lost = found["longitudinal_resistance"].verdict == "not determined"
+            against = "not determined" if lost else against
         if not against and not low + margin < value < high - margin:
             against = "at its bound"
         found[name] = Found(

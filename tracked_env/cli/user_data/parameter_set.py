@@ -17,6 +17,7 @@ import numpy as np
 
 from tracked_env.cli.user_data.log_identification import (
     CONSTANT,
+    EQUATION,
     LEARNED,
     SOIL,
     Identified,
@@ -65,7 +66,9 @@ def contradictions(identified: Identified) -> list[str]:
         "large as the data sheet allows, and follow each other "
         f"(autocorrelation {fit.following:.2f}). Check signs, sides and units of torques and "
         "accelerations, their delays, and the geometry of --vehicle."
-        for name, fit in identified.misfits.items() if fit.contradicts
+        for name, fit in identified.misfits.items()
+        if any(identified.found[of].against == "contradicted" for of in CONSTANT
+               if EQUATION[of] == name)
     ]  # fmt: skip
     for name in ("mass", "inertia"):
         of = identified.found[name]

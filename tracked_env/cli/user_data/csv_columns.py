@@ -64,7 +64,7 @@ class Table(NamedTuple):
 
 def pairs(text: str, what: str) -> dict[str, str]:
     """{name: value} of "name=value,name=value". Raises ValueError; what: the option."""
-    found = {}
+    found: dict[str, str] = {}
     for part in filter(None, (one.strip() for one in text.split(","))):
         name, equals, value = part.partition("=")
         if not (equals and name.strip() and value.strip()):

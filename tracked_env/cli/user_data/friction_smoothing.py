@@ -93,7 +93,8 @@ def turning_of(log: Log, vehicle: PlantParameters) -> Turning | None:
     noise = math.sqrt(2.0) * sheet.acceleration_noise / sheet.accelerometer_distance
     variance = 2.0 * torque**2 + MODEL_NOISE**2 + (vehicle.inertia * noise) ** 2
     friction = vehicle.lateral_resistance
-    results, laws = [], []
+    results: list[tuple[float, float, float]] = []
+    laws: list[Floats] = []
     candidates = [OWN, *((float(w), s) for s in SHAPES for w in WIDTHS)]
     for width, shape in candidates:
         for _ in range(2):  # v_y needs mu_t

@@ -92,8 +92,8 @@ def check_agreement(values: dict[str, Floats], vehicle: PlantParameters, path: P
     straight = np.abs(turn) < 0.3 * way / vehicle.track_gauge
     moving = (way > MOVING) & (np.abs(driven) > MOVING) & straight
     if moving.sum() >= 4:
-        heading = np.stack([0.5 * (yaw[1:] + yaw[:-1]), np.arctan2(np.diff(y), np.diff(x))])
-        _check_course(*heading[:, moving], driven[moving], path)
+        middle, course = 0.5 * (yaw[1:] + yaw[:-1]), np.arctan2(np.diff(y), np.diff(x))
+        _check_course(middle[moving], course[moving], driven[moving], path)
         gone = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff([x, y])))])
         _check_lag("x, y", "the sprockets", marks, gone, time, np.abs(belts), path)
         ratios = np.abs(driven[moving]) / way[moving]

@@ -340,7 +340,7 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
                              ("lateral_resistance", turning.resistance_spread)):  # fmt: skip
             shifts[name] = np.append(shifts[name], spread * constant[name][0])
     settled = log.time > min(SETTLING, 0.5 * log.time[-1])
-    found = {}
+    found: dict[str, Found] = {}
     misfits = {name: misfit(of) for name, of in residuals.items()}
     bounds = _bounds(stack, constant["mass"][0])
     for name in CONSTANT:

@@ -52,22 +52,18 @@ def _learn(p, by_f, by_k, weight):
 
 
 @formula
-def weigh(memory, i, window, n, share, model):
-    """P of the fitted window (BLOCKS, samples) of vehicle i into memory; share: of weights."""
+def weigh(memory, i, window, scratch, n, share, model):
+    """P of the window (BLOCKS, samples) of vehicle i, fitted with scratch; share: of weights."""
     m = another_soil(memory, i, model)
-    maximum = math.exp(memory[i, sr.LOG_F])
-    shear_length = model.contact_length * math.exp(-memory[i, sr.LOG_K])
     p, clock = m, 0.0
-    oldest = 2 * int(memory[i, sr.NEXT]) % n
-    for step in range(n):
-        k = (oldest + step) % n
+    k = 2 * int(memory[i, sr.NEXT]) % n  # the oldest
+    for _ in range(n):
         if window[1, k] > 0.0:
-            p = _age(p, window[4, k] - clock, m, model)
-            clock = window[4, k]
-            force, twist, _error, weight, _star, _gain = sr.residual(
-                window[0, k], window[1, k], window[2, k], window[3, k], maximum, shear_length, model
-            )
-            p = _learn(p, force, -twist, share * weight)
+            if window[4, k] > clock:
+                p = _age(p, window[4, k] - clock, m, model)
+                clock = window[4, k]
+            p = _learn(p, scratch[0, k], -scratch[1, k], share * scratch[3, k])
+        k = k + 1 if k + 1 < n else 0
     p = _age(p, memory[i, sr.TAKEN] - clock, m, model)
     memory[i, sr.P_FF], memory[i, sr.P_FK], memory[i, sr.P_KK] = p
 

@@ -221,7 +221,8 @@ def fit(window, n, scratch, start, anchor, model):
     window (BLOCKS, samples), its last row the fitted slips, updated; scratch (2 ROWS + 1, samples);
     start, anchor: (ln F_max, ln K). The first FREE_STEPS of `total` are full steps within the
     bounds: far from the solution its cost, linear around slips that are not yet fitted, is too
-    low to compare with. Returns (ln F_max, ln K, Normal, iterations, converged).
+    low to compare with. Returns (ln F_max, ln K, Normal, iterations, converged); the first ROWS of
+    scratch are those of the last accepted step.
     """
     effort, star = window[1], window[3]
     here, there, moved = scratch[:ROWS], scratch[ROWS : 2 * ROWS], scratch[2 * ROWS]
@@ -268,6 +269,7 @@ def fit(window, n, scratch, start, anchor, model):
                     _evaluate(window, star, here, n, log_f, log_k, model)
                     normal = _normal(effort, here, n)
                     cost = normal.cost + _prior_cost(log_f, log_k, anchor_f, anchor_k, model)
+    scratch[:ROWS, :n] = here[:, :n]
     return log_f, log_k, normal, iterations, converged
 
 

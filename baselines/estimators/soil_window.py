@@ -216,7 +216,7 @@ def _fit(memory, i, scratch, samples, model):
         memory[i, sr.J_FF] = share * normal.ff
         memory[i, sr.J_FK] = share * normal.fk
         memory[i, sr.J_KK] = share * normal.kk
-        soil_claim.weigh(memory, i, window, n, share, model)
+        soil_claim.weigh(memory, i, window, scratch, n, share, model)
         _move_anchor(memory, i, model)
 
 

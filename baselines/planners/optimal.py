@@ -6,8 +6,10 @@ order of their durations: left and right turns are different minima, and the who
 are the yaw that its plan ends at. All words are tried as long as none has led to a plan, then those
 with other whole turns and a duration below LONGER of the least plus EXTRA, of which wide words have
 more, as their arcs tell little of the plan; FURTHER iterations each while ALTOGETHER are not spent,
-and not on while their plan costs DEARER than the best. Where no word leads to a plan, all are tried
-again with more patience. The plan of least cost is taken.
+and not on while their plan costs DEARER than the best. Wide arcs hide plans to near goals, which
+are one bend, or have tighter turns. A plan that costs DOUBTED times the duration of a word of arcs
+of TIGHT track gauges, or of one arc, is doubted: these are tried too. Where nothing leads to a plan,
+all words are tried again with more patience. The plan of least cost is taken.
 
 Constant speed (v_min = v_max): the belts' mean is given from the first moment to the last. Other-
 wise, with a limit on sprocket acceleration, the first interval must be reached from the sprocket
@@ -35,7 +37,15 @@ from baselines.planners.interval_limits import Bounds
 from baselines.planners.planning_problem import Task, make_work
 from baselines.planners.riccati import make_stages
 from baselines.planners.slip_surface import SlipSurface
-from baselines.planners.start_words import Setting, arc_of, duration_of, gathering, guess
+from baselines.planners.start_words import (
+    Setting,
+    arc_of,
+    duration_of,
+    gathering,
+    guess,
+    one_arc,
+    tight_arc,
+)
 from baselines.planners.surface_fit import surface_of
 from baselines.planners.trajectory import (
     ANGLE,
@@ -60,6 +70,8 @@ ITERATIONS, PATIENT = 100, 200  # from a word, as long as no plan is found; wher
 FURTHER, ALTOGETHER = 30, 80  # from a word once a plan was found; from all words then
 LONGER, LONGER_FREE = 1.1, 1.4  # [-] of the least duration: words tried further; at free speed
 EXTRA, WIDE = 0.3, 2.0  # [m], [-] of the radius of the words: on top, at the speed of the words
+DOUBTED, TIGHT = 1.3, (0.165, 0.66)  # [-] of the duration of a tight word; of the track gauge
+TIGHTER, TIGHTER_ALTOGETHER = 60, 160  # iterations from a tight word; from all of them
 DEARER = 1.2  # [-] of the least cost found: a plan from a further word is given up above it
 BRIEF = 0.3  # [s] duration of a word below which it is tried at constant speed too
 RADIUS = 0.4  # [-] of the track gauge: turning radius of the words
@@ -98,13 +110,22 @@ def _task(start, goal, turning, step, bounds, setting):
     )  # fmt: skip
 
 
+@formula
+def _keep_better(duration, cost, converged, w, belts, best):
+    """The plan in w.belts into belts and `best` if it is the cheapest yet, or nothing has led to one."""
+    if (converged and cost < best[COST]) or (not converged and best[COST] == math.inf):
+        best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
+        best[COST] = cost if converged else math.inf
+        copy_table(w.belts, belts)
+
+
 @loop
 def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bounds, given, setting,
                  w, a, turnings, belts, best):  # fmt: skip
     """Plans from the words of totals (6,) [s], shortest first; the best into belts and `best`.
 
     on_arc: radius [m], and belts p, q and ground speed [m/s] there. given: the bounds at constant
-    speed, with which brief plans are made that are not found otherwise. Returns how many converged.
+    speed, with which brief plans are made that are not found otherwise.
     """
     radius, arc = on_arc
     line = setting.speed, 0.0, setting.speed
@@ -118,9 +139,7 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
         if found > 0 and (left[word] > enough or best[USED] >= ALTOGETHER):
             break
         left[word] = math.inf
-        turning = 0.0
-        for part in range(3):
-            turning += SIGNS[word, part] * angles[word, part]
+        turning = np.sum(SIGNS[word] * angles[word])
         if _was_found(turnings, found, turning) or abs(turning - setting.turning) > math.pi:
             continue
         total, segments = totals[word], angles[word] * radius
@@ -138,11 +157,58 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
         if converged:
             turnings[found] = turning
             found += 1
-        if (converged and cost < best[COST]) or (not converged and found == 0):
-            best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
-            best[COST] = cost if converged else math.inf
-            copy_table(w.belts, belts)
-    return found
+        _keep_better(duration, cost, converged, w, belts, best)
+
+
+@loop
+def _solve_tight(start, goal, totals, angles, surface, bounds, setting, w, a, belts, best):
+    """Plans from one arc and words of the TIGHT radii, as far as the best plan is doubted.
+
+    totals: durations (13,) [s], of which the last is for that of the arc; angles (12, 3) [rad].
+    """
+    gauge = 2.0 * bounds.half_gauge
+    line, signs = (setting.speed, 0.0, setting.speed), np.array([1.0, 0.0, 0.0])
+    segments = np.zeros(3)
+    bend, totals[12], arc = one_arc(start, goal, bounds, setting)
+    allowed = best[USED] + TIGHTER_ALTOGETHER
+    for _ in range(13):
+        word = np.argmin(totals)
+        if DOUBTED * totals[word] >= best[COST] or best[USED] >= allowed:
+            break
+        total, totals[word] = totals[word], math.inf
+        turning = bend if word == 12 else np.sum(SIGNS[word % 6] * angles[word])
+        if abs(turning - setting.turning) > math.pi:
+            continue
+        if word == 12:
+            segments[0], segments[1], segments[2] = total * arc[0], 0.0, 0.0
+            signs[0], signs[1], signs[2] = 1.0, 0.0, 0.0
+            on_arc = arc
+        else:
+            radius = TIGHT[word // 6] * gauge
+            on_arc = tight_arc(radius, bounds, setting)
+            for part in range(3):
+                segments[part] = radius * angles[word, part]
+                signs[part] = SIGNS[word % 6, part]
+        least = gathering(np.sum(segments), bounds, setting)
+        first = guess(segments, signs, on_arc, line, total, least, w.belts)
+        task = _task(start, goal, turning, first / len(w.belts), bounds, setting)
+        most = min(TIGHTER, int(allowed - best[USED]))
+        limit = DEARER * best[COST]
+        duration, cost, converged, used = solve(task, bounds, surface, first, w, a, most, limit)
+        best[USED] += used
+        _keep_better(duration, cost, converged, w, belts, best)
+
+
+@formula
+def _words_of(starts, goals, row, radius, arc, setting, angles, totals):
+    """Angles (6, 3) [rad] and durations (6,) [s] of the words of a radius [m]; infinite: none."""
+    x, y, phi = relative(starts, goals, row, radius)
+    segments_of_words(x, y, phi, SNAP / max(1.0, radius), angles)
+    for word in range(6):
+        total = angles[word, 0] + angles[word, 1] + angles[word, 2]
+        totals[word] = math.inf  # NaN: no such word
+        if total > 0.0:
+            totals[word] = duration_of(angles[word], SIGNS[word], radius, arc, setting)
 
 
 @loop
@@ -151,25 +217,27 @@ def _solve_rows(starts, goals, surface, bounds, given, setting, first, last, bel
     n = belts.shape[1]
     w, a = make_work(n), make_stages(n)
     angles, totals, turnings = np.empty((6, 3)), np.empty(6), np.empty(6)
+    tight_angles, tight_totals = np.empty((12, 3)), np.empty(13)
     for row in range(first, last):
         away_x, away_y = goals[row, 0] - starts[row, 0], goals[row, 1] - starts[row, 1]
         on_arc = arc_of(math.hypot(away_x, away_y), surface, bounds, setting, w)
-        radius = on_arc[0]
-        x, y, phi = relative(starts, goals, row, radius)
-        segments_of_words(x, y, phi, SNAP / max(1.0, radius), angles)
-        for word in range(6):
-            total = angles[word, 0] + angles[word, 1] + angles[word, 2]
-            totals[word] = math.inf  # NaN: no such word
-            if total > 0.0:
-                totals[word] = duration_of(angles[word], SIGNS[word], radius, on_arc[1], setting)
+        _words_of(starts, goals, row, on_arc[0], on_arc[1], setting, angles, totals)
         best = results[row]
         best[COST], best[CONVERGED], best[USED] = math.inf, 0.0, 0.0
         for iterations in (ITERATIONS, PATIENT):
-            found = _solve_words(
+            _solve_words(
                 starts[row], goals[row], totals, angles, on_arc, iterations, surface, bounds,
                 given, setting, w, a, turnings, belts[row], best,
             )  # fmt: skip
-            if found > 0:
+            for i in range(2):
+                radius, arc = TIGHT[i] * 2.0 * bounds.half_gauge, slice(6 * i, 6 * i + 6)
+                _words_of(starts, goals, row, radius, tight_arc(radius, bounds, setting), setting,
+                          tight_angles[arc], tight_totals[arc])  # fmt: skip
+            _solve_tight(
+                starts[row], goals[row], tight_totals, tight_angles, surface, bounds,
+                setting, w, a, belts[row], best,
+            )  # fmt: skip
+            if best[COST] < math.inf:
                 break
 
 

@@ -73,6 +73,29 @@ def arc_of(distance, surface, bounds, setting, w):
 
 
 @formula
+def tight_arc(radius, bounds, setting):
+    """(p, q, speed) [m/s] on arcs of a radius [m] without slip; q is at most SPARE of what the belts can do."""
+    p = setting.speed
+    return (p, min(p * bounds.half_gauge / radius, SPARE * (bounds.belt - p)), p)
+
+
+@formula
+def one_arc(start, goal, bounds, setting):
+    """One arc towards a goal: its turn [rad], duration [s] and (p, q, speed) [m/s].
+
+    It turns by less than a half turn, if the setting wants no other.
+    """
+    turning = goal[2] - start[2]
+    wanted = 0.0 if math.isnan(setting.turning) else setting.turning
+    turning -= 2.0 * math.pi * round((turning - wanted) / (2.0 * math.pi))
+    away = math.hypot(goal[0] - start[0], goal[1] - start[1])
+    most = SPARE * (bounds.belt - setting.speed)
+    total = max(away / setting.speed, 1e-9, abs(turning) * bounds.half_gauge / most)
+    p = setting.speed if bounds.fixed else max(away / total, bounds.slowest)
+    return turning, total, (p, turning * bounds.half_gauge / total, p)
+
+
+@formula
 def duration_of(angles, signs, radius, arc, setting):
     """Duration [s] of a word of segments [radii]."""
     total = 0.0

@@ -70,8 +70,8 @@ ITERATIONS, PATIENT = 100, 200  # from a word, as long as no plan is found; wher
 FURTHER, ALTOGETHER = 30, 80  # from a word once a plan was found; from all words then
 LONGER, LONGER_FREE = 1.1, 1.4  # [-] of the least duration: words tried further; at free speed
 EXTRA, WIDE = 0.3, 2.0  # [m], [-] of the radius of the words: on top, at the speed of the words
-DOUBTED, TIGHT = 1.3, (0.165, 0.66)  # [-] of the duration of a tight word; of the track gauge
-TIGHTER, TIGHTER_ALTOGETHER = 60, 160  # iterations from a tight word; from all of them
+DOUBTED, TIGHT = 1.35, (0.66, 0.165)  # [-] of the duration of a tight word; of the track gauge
+TIGHTER, TIGHTER_ALTOGETHER = 150, 400  # iterations from a tight word; from all of them
 DEARER = 1.2  # [-] of the least cost found: a plan from a further word is given up above it
 BRIEF = 0.3  # [s] duration of a word below which it is tried at constant speed too
 RADIUS = 0.4  # [-] of the track gauge: turning radius of the words
@@ -171,11 +171,14 @@ def _solve_tight(start, goal, totals, angles, surface, bounds, setting, w, a, be
     segments = np.zeros(3)
     bend, totals[12], arc = one_arc(start, goal, bounds, setting)
     allowed = best[USED] + TIGHTER_ALTOGETHER
+    order = totals.copy()
+    for word in (4, 5):  # three arcs of the first radius: slow starts, from which most are found
+        order[word] = min(totals[word], np.min(totals))
     for _ in range(13):
-        word = np.argmin(totals)
-        if DOUBTED * totals[word] >= best[COST] or best[USED] >= allowed:
+        word = np.argmin(order)
+        if DOUBTED * order[word] >= best[COST] or best[USED] >= allowed:
             break
-        total, totals[word] = totals[word], math.inf
+        total, order[word] = totals[word], math.inf
         turning = bend if word == 12 else np.sum(SIGNS[word % 6] * angles[word])
         if abs(turning - setting.turning) > math.pi:
             continue
@@ -229,7 +232,8 @@ def _solve_rows(starts, goals, surface, bounds, given, setting, first, last, bel
                 starts[row], goals[row], totals, angles, on_arc, iterations, surface, bounds,
                 given, setting, w, a, turnings, belts[row], best,
             )  # fmt: skip
-            for i in range(2):
+            tight_totals[:] = math.inf
+            for i in range(1 if bounds.fixed else 2):  # no tight turns where the speed is fixed
                 radius, arc = TIGHT[i] * 2.0 * bounds.half_gauge, slice(6 * i, 6 * i + 6)
                 _words_of(starts, goals, row, radius, tight_arc(radius, bounds, setting), setting,
                           tight_angles[arc], tight_totals[arc])  # fmt: skip

@@ -7,9 +7,10 @@ are the yaw that its plan ends at. All words are tried as long as none has led t
 with other whole turns and a duration below LONGER of the least plus EXTRA, of which wide words have
 more, as their arcs tell little of the plan; FURTHER iterations each while ALTOGETHER are not spent,
 and not on while their plan costs DEARER than the best. Wide arcs hide plans to near goals, which
-are one bend, or have tighter turns. A plan that costs DOUBTED times the duration of a word of arcs
-of TIGHT track gauges, or of one arc, is doubted: these are tried too. Where nothing leads to a plan,
-all words are tried again with more patience. The plan of least cost is taken.
+are one bend, or have tighter turns. A plan that costs DOUBTED times the duration of one arc, or of
+a word of arcs of TIGHT track gauges, is doubted: these are tried too, words of three arcs first, as
+they are slow and most plans are found from them. Where nothing leads to a plan, all words are tried
+again with more patience. The plan of least cost is taken.
 
 Constant speed (v_min = v_max): the belts' mean is given from the first moment to the last. Other-
 wise, with a limit on sprocket acceleration, the first interval must be reached from the sprocket
@@ -22,7 +23,7 @@ Vehicles (2025), sections 6.3, 7.2.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -54,7 +55,9 @@ from baselines.planners.trajectory import (
     Trajectory,
     checked_limits,
     checked_poses,
-    checked_start,
+    checked_sample_count,
+    checked_starts,
+    failed_plan,
 )
 from tracked_env.physics.jit import copy_table, formula, loop
 from tracked_env.physics.parameters import PlantParameters, Range
@@ -112,7 +115,7 @@ def _task(start, goal, turning, step, bounds, setting):
 
 @formula
 def _keep_better(duration, cost, converged, w, belts, best):
-    """The plan in w.belts into belts and `best` if it is the cheapest yet, or nothing has led to one."""
+    """The plan in w.belts into belts and `best`: the cheapest yet, or nothing has led to one."""
     if (converged and cost < best[COST]) or (not converged and best[COST] == math.inf):
         best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
         best[COST] = cost if converged else math.inf
@@ -246,48 +249,79 @@ def _solve_rows(starts, goals, surface, bounds, given, setting, first, last, bel
 
 
 def optimal(
-    start: Start | Sequence[float], goal: ArrayLike, limits: Limits, vehicle: PlantParameters,
+    start: Start | Sequence[Start] | ArrayLike, goal: ArrayLike,
+    limits: Limits | Mapping[str, float] | None, vehicle: PlantParameters,
     slip_model: SlipModel | None = None, *, intervals: int = 40, smoothing: float = 1.0,
     stop: bool = False, period: float | None = None, threads: int = 1,
     turning: float | None = None,
 ) -> Trajectory | list[Trajectory]:  # fmt: skip
-    """Plans of least time from a start to a goal (3,), or to N goals (N, 3).
+    """Plans of least time from a start to a goal (3,), or of N pairs: (N, 3), or N `Start`s.
+
+    One start goes to all goals, one goal is that of all starts. limits: or a dict of their fields.
 
     slip_model: None plans as if the tracks did not slip. intervals: N. smoothing: w_s of F (51a),
     for any number of intervals. stop: rest one interval after the end. period [s]: samples are
     taken so often and at the ends of the intervals, which None are all. threads: for N goals.
     turning [rad]: change of yaw of the plan to within half a turn, for its whole turns.
-    Returns a Trajectory, or a list of N for N goals; look at `converged` before it is driven.
+    Returns a Trajectory, or a list of N; look at `converged` before one is driven, and at
+    `message`, which is the reason where one of N goals cannot be planned.
     Raises ValueError for what is not finite, out of range or contradictory.
     """
-    begin, goals = checked_start(start), checked_poses("goal", goal)
+    begins, goals, single = checked_starts(start, goal)
     allowed = checked_limits(limits, vehicle)
     count = checked_whole("intervals", intervals, INTERVALS)
     checked_number("smoothing", smoothing, SMOOTHING)
     if period is not None:
         checked_number("period", period, PERIOD)
     wanted = math.nan if turning is None else checked_number("turning", turning, ANGLE)
+    workers = checked_whole("threads", threads, THREADS)
+    if len({begin[3:] for begin in begins}) > 1:  # each motion at the start has bounds of its own
+        return [
+            made for begin, row in zip(begins, goals, strict=True)
+            for made in optimal([begin], row[None], allowed, vehicle, slip_model,
+                intervals=intervals, smoothing=smoothing, stop=stop, period=period, turning=turning)
+        ]  # fmt: skip
+    begin = begins[0] if begins else Start()
+    reasons = [_reason(row) for row in goals]
+    targets = goals.copy()
+    targets[[bool(why) for why in reasons]] = begin[:3]  # what is planned there is not returned
     bounds, setting = _prepared(begin, allowed, vehicle, stop, float(smoothing), wanted)
     given = bounds._replace(fixed=True, stop=False)
     surface = surface_of(slip_model, vehicle, allowed.sprocket_used, allowed.v_max)
-    starts = np.tile(np.array(begin[:3], dtype=np.float64), (len(goals), 1))
+    starts = np.array([each[:3] for each in begins], dtype=np.float64).reshape(-1, 3)
     belts, results = np.zeros((len(goals), count, 2)), np.zeros((len(goals), RESULTS))
 
     def block(first: int, last: int) -> None:
-        _solve_rows(starts, goals, surface, bounds, given, setting, first, last, belts, results)
+        _solve_rows(starts, targets, surface, bounds, given, setting, first, last, belts, results)
 
-    workers = min(checked_whole("threads", threads, THREADS), len(goals))
-    if workers == 1:
+    workers = min(workers, len(goals))
+    if workers <= 1:
         block(0, len(goals))
     else:
         edges = np.linspace(0, len(goals), SHARE * workers + 1).astype(int)
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(block, edges[:-1], edges[1:]))
-    made = [
-        _trajectory(starts[row], goals[row], results[row], belts[row], surface, vehicle, period)
-        for row in range(len(goals))
-    ]
-    return made[0] if np.ndim(goal) == 1 else made
+    made = []
+    for row, why in enumerate(reasons):
+        try:
+            if why:
+                raise ValueError(why)
+            parts = starts[row], goals[row], results[row], belts[row]
+            made.append(_trajectory(*parts, surface, vehicle, period))
+        except ValueError as error:
+            if single:
+                raise
+            made.append(failed_plan(begins[row], goals[row], "optimal", str(error)))
+    return made[0] if single else made
+
+
+def _reason(goal: Array) -> str:
+    """Why a goal (3,) cannot be planned; empty: it can."""
+    try:
+        checked_poses("goal", goal)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def _prepared(
@@ -335,7 +369,8 @@ def _trajectory(
         )  # fmt: skip
     duration = float(result[DURATION])
     times = duration * np.arange(len(belts) + 1) / len(belts)
-    if period is not None:
+    if period is not None and result[CONVERGED]:
+        checked_sample_count(duration, period)
         between = np.arange(1, int(duration / period) + 1) * period
         near = np.abs(np.remainder(between / duration * len(belts) + 0.5, 1.0) - 0.5) > 1e-6
         times = np.sort(np.append(times, between[near & (between < duration)]))

@@ -7,16 +7,16 @@
                   in the gears that cost least (`baselines.planners.gears`)
 With equal v_min and v_max the speed is constant from the first moment on, as in [F]; otherwise a
 path is driven as fast as the limits allow, from the start's speed to rest, and the optimal plan
-ends at rest if the sprocket acceleration has a limit. With obstacles, a plan
-that touches one is replaced by a chain of plans along a route around them (`baselines.planners.
-chain`); so are way points.
+can be at rest one interval after its end if the sprocket acceleration has a limit (`Trajectory`).
+With obstacles, a plan that touches one is replaced by a chain of plans along a route around them
+(`baselines.planners.chain`); so are way points.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), section 6.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ from baselines.planners.clearance import MARGIN, Footprint, checked_footprint, c
 from baselines.planners.clothoid import CLOSEST, clothoid
 from baselines.planners.dubins import dubins
 from baselines.planners.obstacles import Obstacles, checked_obstacles
-from baselines.planners.optimal import RADIUS, optimal
+from baselines.planners.optimal import INTERVALS, RADIUS, THREADS, optimal
 from baselines.planners.path import Path
 from baselines.planners.reeds_shepp import reeds_shepp
 from baselines.planners.timed_path import driven
@@ -38,10 +38,11 @@ from baselines.planners.trajectory import (
     Trajectory,
     checked_limits,
     checked_poses,
-    checked_start,
+    checked_starts,
+    failed_plan,
 )
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
-from tracked_env.validation import checked_choice, checked_flag, checked_number
+from tracked_env.validation import checked_choice, checked_flag, checked_number, checked_whole
 
 Array = NDArray[np.float64]
 
@@ -228,9 +229,9 @@ class Planner(NamedTuple):
 
 
 def plan(
-    start: Start | Sequence[float],
+    start: Start | Sequence[Start] | ArrayLike,
     goal: ArrayLike,
-    limits: Limits | None = None,
+    limits: Limits | Mapping[str, float] | None = None,
     slip_model: SlipModel | None = None,
     method: str = "optimal",
     vehicle: str | PlantParameters = "focchi",
@@ -247,46 +248,61 @@ def plan(
     room: float | None = None,
     time_limit: float = 5.0,
 ) -> Trajectory | list[Trajectory]:
-    """Plan from a start to a goal (3,), or to N goals (N, 3): x, y [m], yaw [rad].
+    """Plan from a start to a goal (3,), or for N pairs (N, 3): x, y [m], yaw [rad].
 
-    start: pose, or `Start` for a moving vehicle. limits: those of the vehicle on its soil by
-    default. slip_model: of `baselines.slip`; None plans as if the tracks did not slip. vehicle:
-    parameters, or a key of VEHICLES. via: way points (K, 3) to be passed before the goal. period:
-    time between samples [s]. intervals: N of the optimal planner. threads: for N goals by the
-    optimal planner forwards, without obstacles and way points. reverse: whether the optimal planner
-    may drive backwards, where that costs less; its limits hold in both gears.
+    start: pose, or `Start` for a moving vehicle; N of them, or one for all goals, as one goal may
+    be that of all starts. limits: those of the vehicle on its soil by default, or a dict of some.
+    slip_model: of `baselines.slip`; None plans as if the tracks did not slip. vehicle: parameters,
+    or a key of VEHICLES. via: way points (K, 3) to be passed before the goal. period: time between
+    samples [s]. intervals: N of the optimal planner. threads: for N goals by the optimal planner
+    forwards, without obstacles and way points. reverse: whether the optimal planner may drive
+    backwards, where that costs less; its limits hold in both gears.
     ground: slopes of a plane, or heights with slopes as functions of x and y, on which the optimal
     planner drives with a slip model that knows slopes.
     Around obstacles - footprint: front, back, left, right [m] of the centre, by default the tracks;
     margin [m] around it; room [m] around start and goal in which a route is searched, by default as
     much as there are obstacles; time_limit [s] of that search.
-    Returns a Trajectory, or a list of N for N goals. Look at `converged` and `message` before it is
-    driven. Raises ValueError for what is not finite, out of range, unknown or contradictory.
+    Returns a Trajectory, or a list of N. Look at `converged` and `message` before one is driven:
+    one of N goals that cannot be planned has the reason there. Raises ValueError for what is not
+    finite, out of range, unknown or contradictory.
     """
-    begin = checked_start(start)
     planner = _prepared(limits, slip_model, method, vehicle, period, intervals, reverse, ground)
-    goals = checked_poses("goal", goal)
     body = checked_footprint(footprint, planner.vehicle), checked_margin(margin)
     if room is not None:
         checked_number("room", room, _ROOM)
     checked_number("time_limit", time_limit, _TIME_LIMIT)
-    if checked_obstacles(obstacles) is not None or np.size(via):
-        space = None if obstacles is None else chain.Space(obstacles, *body, room, time_limit)
-        before = checked_poses("via", via) if np.size(via) else np.zeros((0, 3))
-        made = [chain.through(planner, begin, np.vstack([before, row]), space) for row in goals]
-    elif method == "optimal" and threads > 1 and not reverse and ground is None:
+    space = None
+    if checked_obstacles(obstacles) is not None:
+        assert obstacles is not None
+        space = chain.Space(obstacles, *body, room, time_limit)
+    begins, goals, single = checked_starts(start, goal)
+    workers = checked_whole("threads", threads, THREADS)
+    before = checked_poses("via", via) if np.size(via) else np.zeros((0, 3))
+    passing = space is not None or len(before) > 0
+    if method == "optimal" and workers > 1 and not (reverse or passing or ground is not None):
         several = optimal(
-            begin, goals, planner.limits, planner.vehicle, slip_model, intervals=intervals,
-            period=period, threads=threads, stop=planner.brakes,
+            begins, goals, planner.limits, planner.vehicle, slip_model, intervals=intervals,
+            period=period, threads=workers, stop=planner.brakes,
         )  # fmt: skip
         made = several if isinstance(several, list) else [several]
-    else:
-        made = [planner(begin, row) for row in goals]
-    return made[0] if np.ndim(goal) == 1 else made
+        return made[0] if single else made
+    made = []
+    for begin, row in zip(begins, goals, strict=True):
+        try:
+            checked_poses("goal", row)
+            if passing:
+                made.append(chain.through(planner, begin, np.vstack([before, row]), space))
+            else:
+                made.append(planner(begin, row))
+        except ValueError as error:
+            if single:
+                raise
+            made.append(failed_plan(begin, row, method, str(error)))
+    return made[0] if single else made
 
 
 def _prepared(
-    limits: Limits | None, slip_model: SlipModel | None, method: str,
+    limits: Limits | Mapping[str, float] | None, slip_model: SlipModel | None, method: str,
     vehicle: str | PlantParameters, period: float, intervals: int, reverse: bool,
     ground: plan_on_slopes.Ground | None,
 ) -> Planner:  # fmt: skip
@@ -301,5 +317,6 @@ def _prepared(
         raise ValueError(f"ground with method = '{method}'; must be 'optimal', which knows slopes")
     if isinstance(vehicle, str):
         vehicle = VEHICLES[checked_choice("vehicle", vehicle, VEHICLES)]
-    allowed = checked_limits(Limits.of(vehicle) if limits is None else limits, vehicle)
+    checked_whole("intervals", intervals, INTERVALS)
+    allowed = checked_limits(limits, vehicle)
     return Planner(allowed, vehicle, slip_model, method, period, intervals, reverse, ground)

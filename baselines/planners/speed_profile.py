@@ -31,6 +31,7 @@ from tracked_env.physics.parameters import PlantParameters
 Array = NDArray[np.float64]
 
 SPACING = 0.01  # [m] of the grid along the path
+MOST = 1_000_000  # intervals from one stop to the next: of more the grid is coarser
 LEAST = 32  # intervals from one stop to the next at least
 HALVINGS = 50  # of the interval that holds the largest reachable x
 
@@ -127,7 +128,7 @@ def fastest(
     half_gauge = 0.5 * vehicle.track_gauge
     belt = vehicle.sprocket_radius * limits.sprocket_acceleration
     for number, (begin, end) in enumerate(itertools.pairwise(places_of_stops)):
-        intervals = max(LEAST, math.ceil((end - begin) / SPACING))
+        intervals = min(max(LEAST, math.ceil((end - begin) / SPACING)), MOST)
         grid = np.linspace(begin, end, intervals + 1)
         grid[1:-1] += 1e-12  # belongs to the piece that begins there
         at = places(path, grid)

@@ -74,9 +74,9 @@ def arc_of(distance, surface, bounds, setting, w):
 
 @formula
 def tight_arc(radius, bounds, setting):
-    """(p, q, speed) [m/s] on arcs of a radius [m] without slip; q is at most SPARE of what the belts can do."""
+    """(p, q, speed) [m/s] on arcs of a radius [m] without slip, or as tight as SPARE allows."""
     p = setting.speed
-    return (p, min(p * bounds.half_gauge / radius, SPARE * (bounds.belt - p)), p)
+    return p, min(p * bounds.half_gauge / radius, SPARE * (bounds.belt - p)), p
 
 
 @formula

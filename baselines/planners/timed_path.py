@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from baselines.lyapunov.pseudo_kinematic import NoSlip, SlipModel
 from baselines.planners.path import Path, end_errors, places
 from baselines.planners.speed_profile import SpeedProfile
-from baselines.planners.trajectory import Limits, Trajectory
+from baselines.planners.trajectory import Limits, Trajectory, checked_sample_count
 from tracked_env.physics.parameters import PlantParameters
 
 Array = NDArray[np.float64]
@@ -44,6 +44,7 @@ def driven(
 
     It has `converged` unset, with a reason, where the sprockets would exceed the limits.
     """
+    checked_sample_count(float(profile.time[-1]), period)
     times = sample_times(float(profile.time[-1]), period)
     distance, fast, u = _at(profile, times)
     place = places(path, distance)

@@ -14,14 +14,15 @@ Vehicles (2025), sections 3.2 and 6.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.physics.parameters import PlantParameters, Range
-from tracked_env.validation import checked_number
+from tracked_env.validation import checked_keys, checked_number
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,7 @@ ANGLE = Range(-1e4, 1e4, "rad", "Did you pass degrees?")
 SPEED = Range(-1e3, 1e3, "m/s", "Did you pass km/h?")
 YAW_RATE = Range(-1e3, 1e3, "rad/s", "Did you pass degrees a second?")
 SPROCKET = Range(-1e4, 1e4, "rad/s", "Did you pass rpm?")
+MOST_SAMPLES = 1_000_000  # of one trajectory: 104 MB
 
 
 class Start(NamedTuple):
@@ -108,7 +110,15 @@ class Limits(NamedTuple):
 
 
 class Trajectory(NamedTuple):
-    """A planned motion: M samples in time, world frame, and how well it was found."""
+    """A planned motion: M samples in time, world frame, and how well it was found.
+
+    Optimal plans hold their sprocket speeds over N intervals of T / N and step between them,
+    whatever the samples are: a step, that from the speeds of the start included, is at most
+    `sprocket_acceleration` T / N. They end at the speeds of the last interval, from rest to rest at
+    most as large, so that a drive that keeps the limit stands T / N later. At constant speed, and
+    without a limit on the sprocket acceleration, a plan begins and ends at speed. Paths (the other
+    methods) begin at the speed of the start and end at rest, unless the speed is constant.
+    """
 
     time: Array  # [s] (M,) from 0, increasing
     x: Array  # [m] (M,)
@@ -150,6 +160,21 @@ class Trajectory(NamedTuple):
         return left, radius * self.sprocket_right - (forward + across), alpha
 
 
+def failed_plan(start: Start, goal: Array, method: str, why: str) -> Trajectory:
+    """The plan of one goal (3,) of several that cannot be planned: it stands at the start."""
+    still = {name: np.zeros(1) for name in Trajectory._fields[:13]}
+    for name, value in (("x", start.x), ("y", start.y), ("yaw", start.yaw), ("course", start.yaw)):
+        still[name] = np.array([float(value)])
+    missed = math.hypot(goal[0] - start.x, goal[1] - start.y)
+    turned = (
+        math.remainder(goal[2] - start.yaw, 2.0 * math.pi) if np.isfinite(goal[2]) else math.nan
+    )
+    return Trajectory(
+        **still, cost=math.inf, converged=False, iterations=0, end_error=missed,
+        end_yaw_error=abs(turned), method=method, message=why,
+    )  # fmt: skip
+
+
 def checked_start(start: Start | Sequence[float]) -> Start:
     """`start` with finite numbers. Raises ValueError."""
     made = start if isinstance(start, Start) else Start(*checked_poses("start", start)[0])
@@ -160,18 +185,62 @@ def checked_start(start: Start | Sequence[float]) -> Start:
     return made
 
 
-def checked_poses(what: str, given: Any) -> Array:
-    """Poses as (N, 3): x, y [m], yaw [rad]; what: "start" or "goal". Raises ValueError."""
+def checked_starts(start: Any, goal: Any) -> tuple[list[Start], Array, bool]:
+    """N starts, N goals (N, 3) that may lie out of range, and whether both were single.
+
+    start: Start, (3,), (N, 3) or a sequence of Start; goal: (3,) or (N, 3). One start goes to all
+    goals, and one goal is that of all starts. Raises ValueError.
+    """
+    if isinstance(start, Start):
+        starts, single = [checked_start(start)], True
+    elif isinstance(start, (list, tuple)) and any(isinstance(each, Start) for each in start):
+        starts, single = [checked_start(each) for each in start], False
+    else:
+        poses, single = checked_poses("start", start), np.ndim(start) == 1
+        starts = [Start(*(float(v) for v in pose)) for pose in poses]
+    single = single and np.ndim(goal) == 1
+    goals = checked_poses("goal", goal) if single else pose_table("goal", goal)
+    counts = len(starts), len(goals)
+    if len(set(counts) - {1}) > 1:
+        raise ValueError(
+            f"{counts[0]} starts and {counts[1]} goals; must be as many, or one of either"
+        )
+    count = 0 if 0 in counts else max(counts)
+    starts = starts * count if len(starts) == 1 else starts
+    return starts, np.array(np.broadcast_to(goals, (count, 3))), single
+
+
+def pose_table(what: str, given: Any) -> Array:
+    """Poses as (N, 3), finite or not; what: "start" or "goal". Raises ValueError."""
+    wrong = f"{what} = {given!r:.200}; must be numbers x, y [m], yaw [rad]"
     try:
-        made = np.atleast_2d(np.asarray(given, dtype=np.float64))
+        made = np.atleast_2d(np.asarray(given))
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{what} = {given!r}; must be numbers x, y [m], yaw [rad]") from error
+        raise ValueError(wrong) from error
+    if made.dtype.kind not in "fiu":
+        raise ValueError(wrong)
     if made.ndim != 2 or made.shape[1] != 3:
         raise ValueError(f"{what} has shape {np.shape(given)}; must be (3,) or (N, 3): x, y, yaw")
+    return made.astype(np.float64)
+
+
+def checked_poses(what: str, given: Any) -> Array:
+    """Poses as (N, 3): x, y [m], yaw [rad]; what: "start" or "goal". Raises ValueError."""
+    made = pose_table(what, given)
     for name, column, inside in zip(Goal._fields, made.T, (PLACE, PLACE, ANGLE), strict=True):
-        for value in (np.min(column), np.max(column)):
+        for value in (np.min(column), np.max(column)) if len(column) else ():
             checked_number(f"{what} {name}", float(value), inside)
     return made
+
+
+def checked_sample_count(duration: float, period: float) -> None:
+    """Whether a plan of a duration every period [s] has at most MOST_SAMPLES. Raises ValueError."""
+    if not duration / period <= MOST_SAMPLES:
+        raise ValueError(
+            f"period = {period:g} s; must be at least {duration / MOST_SAMPLES:.3g} s for "
+            f"{duration:.3g} s, as a plan has at most {MOST_SAMPLES} samples. Is the goal in "
+            "millimetres, or the speed or the curvature far too small?"
+        )
 
 
 def checked_pairs(start: Any, goal: Any, further: int = 1) -> tuple[Array, Array]:
@@ -188,8 +257,21 @@ def checked_pairs(start: Any, goal: Any, further: int = 1) -> tuple[Array, Array
     return starts, goals
 
 
-def checked_limits(limits: Limits, vehicle: PlantParameters) -> Limits:
-    """`limits` that leave the vehicle something to do. Raises ValueError."""
+def checked_limits(limits: Limits | Mapping[str, float] | None, vehicle: PlantParameters) -> Limits:
+    """`limits` that leave the vehicle something to do; fields of a mapping replace its own limits.
+
+    Raises ValueError, and TypeError for what is neither.
+    """
+    if limits is None or isinstance(limits, Mapping):
+        limits = Limits.of(vehicle, **checked_keys("limits", limits, Limits._fields))
+    if not isinstance(limits, Limits):
+        raise TypeError(f"limits = {limits!r}; must be Limits, or a dict of their fields")
+    for name, value in limits._asdict().items():
+        if isinstance(value, bool) or not isinstance(value, Real) or value != value:
+            raise ValueError(f"limits {name} = {value!r}; must be a number")
+    for name in ("sprocket_speed", "v_max"):
+        if getattr(limits, name) == math.inf:
+            raise ValueError(f"limits {name} = inf; must be finite")
     positive = ("sprocket_speed", "sprocket_acceleration", "acceleration", "curvature")
     for name in (*positive, "lateral_acceleration", "v_max"):
         value = getattr(limits, name)

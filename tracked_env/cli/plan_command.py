@@ -113,18 +113,25 @@ def table(found: Any) -> list[str]:
     moving = speed > slow
     bend = np.abs(made.yaw_rate[moving]) / speed[moving]
     sprocket = max(np.abs(made.sprocket_left).max(), np.abs(made.sprocket_right).max())
-    lines = [
-        ("method", made.method, ""),
-        ("converged", "yes" if made.converged else "no", ""),
-        ("duration", f"{made.duration:.3f}", "s"),
-        ("length", f"{made.length:.3f}", "m"),
-        ("cost", f"{made.cost:.3f}", "s"),
+    lines = [("method", made.method, ""), ("converged", "yes" if made.converged else "no", "")]
+    if made.converged:
+        steps = [np.abs(np.diff(side)) for side in (made.sprocket_left, made.sprocket_right)]
+        ends = max(abs(made.sprocket_left[-1]), abs(made.sprocket_right[-1]))
+        lines += [
+            ("duration", f"{made.duration:.3f}", "s"),
+            ("length", f"{made.length:.3f}", "m"),
+            ("cost", f"{made.cost:.3f}", "s"),
+            ("largest speed", f"{speed.max():.3f}", "m/s"),
+            ("largest sprocket speed", f"{sprocket:.2f}",
+             f"rad/s of {found.limits.sprocket_used:.3g}"),
+            ("largest sprocket step", f"{np.max(steps, initial=0.0):.2f}", "rad/s at once"),
+            ("sprocket speed at end", f"{ends:.2f}", "rad/s"),
+            ("largest curvature", f"{bend.max(initial=0.0):.2f}", f"1/m above {slow:.2g} m/s"),
+        ]  # fmt: skip
+    lines += [
         ("iterations", f"{made.iterations}", ""),
         ("end error", f"{made.end_error:.2g}", "m"),
         ("end yaw error", f"{made.end_yaw_error:.2g}", "rad"),
-        ("largest speed", f"{speed.max():.3f}", "m/s"),
-        ("largest sprocket speed", f"{sprocket:.2f}", f"rad/s of {found.limits.sprocket_used:.3g}"),
-        ("largest curvature", f"{bend.max(initial=0.0):.2f}", f"1/m above {slow:.2g} m/s"),
     ]
     if made.message:
         lines.append(("message", made.message, ""))

@@ -15,7 +15,7 @@ STAMP      := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install leaderboard evaluate paper tune train test test-slow lint format docs tools package bare benchmark clean
+.PHONY: help install leaderboard evaluate paper tune train test test-slow oracle lint format docs tools package bare benchmark clean
 
 help: ## list the commands
 	@echo "usage: make COMMAND [PYTHON=python3] [VENV=.venv] [PIP_ARGS=...]"
@@ -56,6 +56,10 @@ test: $(STAMP) ## run the tests but for the slow ones (5 minutes, 8 the first ti
 
 test-slow: $(STAMP) ## run the slow tests: trainings, whole programs, clusters, the documentation (4 minutes)
 	$(PYTEST) -m slow $(PYTEST_ARGS)
+
+oracle: $(STAMP) ## compare optimal plans with IPOPT (installs CasADi into build/oracle, 93 MB)
+	$(PIP) install $(PIP_ARGS) --quiet --upgrade --no-deps --target build/oracle 'casadi>=3.6,<4'
+	PYTHONPATH=build/oracle $(BIN)/python -m pytest tests/baselines/planners/test_optimal_oracle.py
 
 lint: $(STAMP) ## ruff (rules and format) and mypy
 	$(BIN)/python -m ruff check .

@@ -59,6 +59,7 @@ def test_the_workflow_runs_tests_lint_documentation_and_package_by_existing_targ
     called = {name: made(text) for name, text in steps.items()}
     assert called == {
         "test": {"install", "test", "test-slow"},
+        "oracle": {"oracle"},
         "lint": {"install", "lint"},
         "docs": {"docs"},
         "package": {"bare"},

@@ -165,27 +165,29 @@ def _solve_words(start, goal, totals, angles, on_arc, iterations, surface, bound
 
 @loop
 def _solve_tight(start, goal, totals, angles, surface, bounds, setting, w, a, belts, best):
-    """Plans from one arc and words of the TIGHT radii, as far as the best plan is doubted.
+    """Plans from one arc, either way round, and words of the TIGHT radii, if the best is doubted.
 
-    totals: durations (13,) [s], of which the last is for that of the arc; angles (12, 3) [rad].
+    totals: durations (14,) [s], of which the last two are for those of arcs; angles (12, 3) [rad].
     """
     gauge = 2.0 * bounds.half_gauge
     line, signs = (setting.speed, 0.0, setting.speed), np.array([1.0, 0.0, 0.0])
     segments = np.zeros(3)
-    bend, totals[12], arc = one_arc(start, goal, bounds, setting)
+    totals[12] = one_arc(start, goal, False, bounds, setting)[1]
+    totals[13] = one_arc(start, goal, True, bounds, setting)[1]
     allowed = best[USED] + TIGHTER_ALTOGETHER
     order = totals.copy()
     for word in (4, 5):  # three arcs of the first radius: slow starts, from which most are found
         order[word] = min(totals[word], np.min(totals))
-    for _ in range(13):
+    for _ in range(14):
         word = np.argmin(order)
         if DOUBTED * order[word] >= best[COST] or best[USED] >= allowed:
             break
         total, order[word] = totals[word], math.inf
-        turning = bend if word == 12 else np.sum(SIGNS[word % 6] * angles[word])
+        bend, _total, arc = one_arc(start, goal, word == 13, bounds, setting)
+        turning = bend if word >= 12 else np.sum(SIGNS[word % 6] * angles[word])
         if abs(turning - setting.turning) > math.pi:
             continue
-        if word == 12:
+        if word >= 12:
             segments[0], segments[1], segments[2] = total * arc[0], 0.0, 0.0
             signs[0], signs[1], signs[2] = 1.0, 0.0, 0.0
             on_arc = arc
@@ -223,7 +225,7 @@ def _solve_rows(starts, goals, surface, bounds, given, setting, first, last, bel
     n = belts.shape[1]
     w, a = make_work(n), make_stages(n)
     angles, totals, turnings = np.empty((6, 3)), np.empty(6), np.empty(6)
-    tight_angles, tight_totals = np.empty((12, 3)), np.empty(13)
+    tight_angles, tight_totals = np.empty((12, 3)), np.empty(14)
     for row in range(first, last):
         away_x, away_y = goals[row, 0] - starts[row, 0], goals[row, 1] - starts[row, 1]
         on_arc = arc_of(math.hypot(away_x, away_y), surface, bounds, setting, w)

@@ -80,17 +80,23 @@ def tight_arc(radius, bounds, setting):
 
 
 @formula
-def one_arc(start, goal, bounds, setting):
+def one_arc(start, goal, other, bounds, setting):
     """One arc towards a goal: its turn [rad], duration [s] and (p, q, speed) [m/s].
 
-    It turns by less than a half turn, if the setting wants no other.
+    It turns by less than a half turn, if the setting wants no other; other: the other way round.
+    Its duration is at least that of a turn to the goal and of one to the yaw there: few goals to
+    the side are on one arc.
     """
     turning = goal[2] - start[2]
     wanted = 0.0 if math.isnan(setting.turning) else setting.turning
     turning -= 2.0 * math.pi * round((turning - wanted) / (2.0 * math.pi))
+    if other:
+        turning -= math.copysign(2.0 * math.pi, turning - wanted)
     away = math.hypot(goal[0] - start[0], goal[1] - start[1])
-    most = SPARE * (bounds.belt - setting.speed)
-    total = max(away / setting.speed, 1e-9, abs(turning) * bounds.half_gauge / most)
+    bearing = math.atan2(goal[1] - start[1], goal[0] - start[0]) - start[2]
+    bearing -= 2.0 * math.pi * round(bearing / (2.0 * math.pi))
+    turned = (abs(bearing) + abs(turning - bearing)) * bounds.half_gauge
+    total = max(away / setting.speed, turned / (SPARE * (bounds.belt - setting.speed)), 1e-9)
     p = setting.speed if bounds.fixed else max(away / total, bounds.slowest)
     return turning, total, (p, turning * bounds.half_gauge / total, p)
 

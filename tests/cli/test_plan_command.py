@@ -35,6 +35,14 @@ def test_plan_prints_the_plan_that_the_planner_makes(capsys: pytest.CaptureFixtu
     assert float(table["end error"].split()[0]) < 1e-6
 
 
+def test_a_plan_that_is_not_found_has_no_duration(capsys: pytest.CaptureFixture[str]) -> None:
+    """No way from rest to a speed of 0.4 m/s: the last iterate of the solver lasts for hours."""
+    goal = ("--goal", "100000", "0", "0")
+    assert main(["plan", *goal, "--v-min", "0.4", "--no-slip", "--no-figure"]) != 0
+    out = capsys.readouterr().out
+    assert "duration" not in out and "cost" not in out
+
+
 def test_plan_says_the_length_of_a_path_and_its_curvature(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

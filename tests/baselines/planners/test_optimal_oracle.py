@@ -13,7 +13,7 @@ from baselines.slip.slip_sweep import identified_slip
 from tests.baselines.planners.pairs import drive
 from tracked_env.physics.parameters import VEHICLES
 
-casadi = pytest.importorskip("casadi", reason="CasADi is no dependency: pip install casadi")
+casadi = pytest.importorskip("casadi", reason="CasADi is no dependency: run `make oracle`")
 
 FOCCHI = VEHICLES["focchi"]
 SLIP = identified_slip(FOCCHI)

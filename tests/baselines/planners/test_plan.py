@@ -58,6 +58,21 @@ def test_the_optimal_plan_can_brake_to_rest_within_one_interval_of_its_end():
     assert max(moving.sprocket_left[-1], moving.sprocket_right[-1]) > 1.0
 
 
+@pytest.mark.parametrize("speed", [0.0, 0.2])
+def test_sprockets_of_an_optimal_plan_step_by_what_the_limit_allows_in_an_interval(speed):
+    """Steps of held speeds, as the documentation of `Trajectory` says, whatever the samples are."""
+    limits = Limits.of(FOCCHI, sprocket_acceleration=20.0, v_min=0.0)
+    made = plan(Start(speed=speed), GOAL, limits, period=0.02)
+    most = 20.0 * made.duration / 40 + 1e-6
+    first = speed / FOCCHI.sprocket_radius
+    for side in (made.sprocket_left, made.sprocket_right):
+        steps = np.abs(np.diff(np.concatenate([[first], side[:-1], [0.0]])))
+        assert np.count_nonzero(steps > 1e-9) <= 41
+        assert steps.max() <= most
+        assert steps.max() > 20.0 * 0.02  # more than the limit allows between two samples
+    assert max(abs(made.sprocket_left[-1]), abs(made.sprocket_right[-1])) <= most
+
+
 def test_a_moving_vehicle_goes_on_at_its_speed():
     made = plan(Start(speed=0.3), GOAL, Limits.of(FOCCHI, v_min=0.0), method="clothoid")
     assert made.speed[0] == pytest.approx(0.3)

@@ -172,8 +172,8 @@ def _solve_tight(start, goal, totals, angles, surface, bounds, setting, w, a, be
     gauge = 2.0 * bounds.half_gauge
     line, signs = (setting.speed, 0.0, setting.speed), np.array([1.0, 0.0, 0.0])
     segments = np.zeros(3)
-    totals[12] = one_arc(start, goal, False, bounds, setting)[1]
-    totals[13] = one_arc(start, goal, True, bounds, setting)[1]
+    totals[12] = one_arc(start, goal, False, bounds, setting)[2]
+    totals[13] = one_arc(start, goal, True, bounds, setting)[2]
     allowed = best[USED] + TIGHTER_ALTOGETHER
     order = totals.copy()
     for word in (4, 5):  # three arcs of the first radius: slow starts, from which most are found
@@ -183,11 +183,12 @@ def _solve_tight(start, goal, totals, angles, surface, bounds, setting, w, a, be
         if DOUBTED * order[word] >= best[COST] or best[USED] >= allowed:
             break
         total, order[word] = totals[word], math.inf
-        bend, _total, arc = one_arc(start, goal, word == 13, bounds, setting)
+        bend, brief, _one_by_one, arc = one_arc(start, goal, word == 13, bounds, setting)
         turning = bend if word >= 12 else np.sum(SIGNS[word % 6] * angles[word])
         if abs(turning - setting.turning) > math.pi:
             continue
         if word >= 12:
+            total = brief
             segments[0], segments[1], segments[2] = total * arc[0], 0.0, 0.0
             signs[0], signs[1], signs[2] = 1.0, 0.0, 0.0
             on_arc = arc

@@ -81,11 +81,11 @@ def tight_arc(radius, bounds, setting):
 
 @formula
 def one_arc(start, goal, other, bounds, setting):
-    """One arc towards a goal: its turn [rad], duration [s] and (p, q, speed) [m/s].
+    """One arc towards a goal: its turn [rad], two durations [s] and (p, q, speed) [m/s].
 
     It turns by less than a half turn, if the setting wants no other; other: the other way round.
-    Its duration is at least that of a turn to the goal and of one to the yaw there: few goals to
-    the side are on one arc.
+    The first duration is that of the start of a plan, at least of the turns to the goal and to the
+    yaw there; the second has turns and way one after the other, as few goals are on one arc.
     """
     turning = goal[2] - start[2]
     wanted = 0.0 if math.isnan(setting.turning) else setting.turning
@@ -96,9 +96,11 @@ def one_arc(start, goal, other, bounds, setting):
     bearing = math.atan2(goal[1] - start[1], goal[0] - start[0]) - start[2]
     bearing -= 2.0 * math.pi * round(bearing / (2.0 * math.pi))
     turned = (abs(bearing) + abs(turning - bearing)) * bounds.half_gauge
-    total = max(away / setting.speed, turned / (SPARE * (bounds.belt - setting.speed)), 1e-9)
+    turned /= SPARE * (bounds.belt - setting.speed)
+    total = max(away / setting.speed, turned, 1e-9)
     p = setting.speed if bounds.fixed else max(away / total, bounds.slowest)
-    return turning, total, (p, turning * bounds.half_gauge / total, p)
+    one_by_one = away / setting.speed + turned
+    return turning, total, one_by_one, (p, turning * bounds.half_gauge / total, p)
 
 
 @formula

@@ -198,8 +198,10 @@ def checked_starts(start: Any, goal: Any) -> tuple[list[Start], Array, bool]:
     else:
         poses, single = checked_poses("start", start), np.ndim(start) == 1
         starts = [Start(*(float(v) for v in pose)) for pose in poses]
+    goals = pose_table("goal", goal)
     single = single and np.ndim(goal) == 1
-    goals = checked_poses("goal", goal) if single else pose_table("goal", goal)
+    if single:
+        checked_poses("goal", goals)
     counts = len(starts), len(goals)
     if len(set(counts) - {1}) > 1:
         raise ValueError(

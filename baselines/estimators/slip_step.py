@@ -121,14 +121,15 @@ def is_blind(memory, i, k):
 @formula
 def take_drive(memory, i, values, fresh, attitude, x, p, k):
     """Inputs of this step; the belt speeds are remembered. attitude (N, 3): ATTITUDE."""
-    last_left, last_right = memory[i, BELT_L], memory[i, BELT_R]
+    begun_left, begun_right = last_left, last_right = memory[i, BELT_L], memory[i, BELT_R]
     left, right = k.radius * values[i, _SPEED_L], k.radius * values[i, _SPEED_R]
     memory[i, HELD_L] += 1.0
     memory[i, HELD_R] += 1.0
     seen_left, seen_right = abs(left) < FASTEST_BELT, abs(right) < FASTEST_BELT
     jumps = seen_left and _jumps(last_left, left, memory[i, HELD_L], k)
     jumps = jumps or (seen_right and _jumps(last_right, right, memory[i, HELD_R], k))
-    if jumps and not fresh[i, POSE] and memory[i, STARTED] > 0.0:
+    learns = memory[i, STARTED] > 0.0 and k.rows >= slip_kinematics.ROWS
+    if jumps and learns and not fresh[i, POSE]:
         slip_outage.begin(memory, i, OUTAGE, k)
     blind = memory[i, OUTAGE] >= k.silence
     if seen_left:
@@ -152,8 +153,9 @@ def take_drive(memory, i, values, fresh, attitude, x, p, k):
         )  # fmt: skip
         if common >= 0.0:
             memory[i, BELT_L], memory[i, BELT_R] = left, right
+            begun_left, begun_right = last_left, last_right
     return slip_kinematics.make_inputs(
-        last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
+        begun_left, begun_right, memory[i, BELT_L], memory[i, BELT_R],
         x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP], incline, attitude[i, 2], common, k,
     )  # fmt: skip
 

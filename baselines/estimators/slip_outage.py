@@ -203,14 +203,13 @@ def take_speeds(x, p, left, right, v, w, variance, turn_variance, k):
 
 
 @formula
-def start(memory, i, at, x, p, values, left, right, k):
-    """Inertial speed and heading begin with those of (x, p) and the belts [m/s]."""
-    v, w = _speeds(x, left, right, k)
-    _restart(memory, i, at, v, speed_variance(x, p, left, right, k))
+def start(memory, i, at, x, p, values, speed, variance, k):
+    """Inertial speed begins with `speed` [m/s] of this variance, heading with that of (x, p)."""
+    _restart(memory, i, at, speed, variance)
     memory[i, at + TURNED], memory[i, at + P_TT], memory[i, at + P_TG] = x[YAW], p[YAW, YAW], 0.0
     memory[i, at + P_BB], memory[i, at + P_GG] = k.bias_variance, k.turn_bias_variance
-    a = values[i, _A_X]
-    memory[i, at + TURNS] = w
+    a, w = values[i, _A_X], values[i, _YAW_RATE]
+    memory[i, at + TURNS] = w if abs(w) < WILD_TURN else 0.0
     memory[i, at + FELT] = a if abs(a) < LARGEST_ACCELERATION else 0.0
 
 

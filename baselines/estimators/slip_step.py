@@ -34,6 +34,7 @@ from baselines.estimators.slip_kinematics import (
     SLIP_LEFT,
     SLIP_LIMIT,
     SLIP_RIGHT,
+    STANDING_VEHICLE,
     STATES,
     YAW,
 )
@@ -250,8 +251,8 @@ def has_pose(values, fresh, i):
 
 @formula
 def start(memory, i, values, x, p, z, noise, way, k):
-    """Pose and speed from the first sample, as uncertain as the sensor is and as far as it is old;
-    what the slips are in the next step it does not say."""
+    """Pose and inertial speed from the first sample, as uncertain as the sensor is and as far as it
+    is old. The slips stay open: the drives change them at once, the speed they do not."""
     driven = max(abs(way.d_left), abs(way.d_right))
     for a in range(3):
         x[a] = z[a]
@@ -259,17 +260,11 @@ def start(memory, i, values, x, p, z, noise, way, k):
         p[:, a] = 0.0
         p[a, a] = noise[a, a] + (driven * driven if a < YAW else 0.0)
     memory[i, STARTED] = 1.0
-    left, right = way.belt_left, way.belt_right
-    if max(noise[3, 3], noise[5, 5]) < slip_covariance.IGNORED and k.rows > 3.0:
-        left, right = slip_outage.take_speeds(
-            x, p, left, right, z[3], z[5], noise[3, 3], noise[5, 5], k
-        )  # fmt: skip
-    slip_outage.start(memory, i, OUTAGE, x, p, values, left, right, k)
-    # The drives change the slips at once; the speed they do not.
-    for a in (SLIP_LEFT, SLIP_RIGHT):
-        p[a, :] = 0.0
-        p[:, a] = 0.0
-        p[a, a] = PRIOR_SLIP * PRIOR_SLIP
+    v, variance = 0.5 * (way.belt_left + way.belt_right), STANDING_VEHICLE * STANDING_VEHICLE
+    variance = max(PRIOR_SLIP * PRIOR_SLIP * v * v, variance)
+    if k.rows >= slip_kinematics.ROWS and noise[3, 3] < variance:
+        v, variance = z[3], noise[3, 3]
+    slip_outage.start(memory, i, OUTAGE, x, p, values, v, variance, k)
 
 
 @formula

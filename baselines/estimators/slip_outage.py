@@ -305,13 +305,15 @@ def settle(memory, i, at, x, p, left, right, used, k):
     if silent(memory, i, at, k):
         add_shown(memory, i, at, x, left, right, -k.fading, k)
         _adopt(memory, i, at + SPEED, v, variance)
-    elif k.velocity_variance >= UNMEASURED * UNMEASURED:
-        variance *= FILTERED / k.period
-        compare(memory, i, at + SPEED, v - memory[i, at + SPEED], variance)
-    elif abs(memory[i, at + SEEN_SPEED]) < LARGEST_SPEED:
-        compare(memory, i, at + SPEED, memory[i, at + SEEN_SPEED], k.velocity_variance)
+        _adopt(memory, i, at + TURNED, x[YAW], p[YAW, YAW])
+    else:
+        if k.velocity_variance >= UNMEASURED * UNMEASURED:
+            variance *= FILTERED / k.period
+            compare(memory, i, at + SPEED, v - memory[i, at + SPEED], variance)
+        elif abs(memory[i, at + SEEN_SPEED]) < LARGEST_SPEED:
+            compare(memory, i, at + SPEED, memory[i, at + SEEN_SPEED], k.velocity_variance)
+        compare(memory, i, at + TURNED, memory[i, at + SEEN_TURN], k.yaw_variance)
     memory[i, at + SILENT] = 0.0
-    compare(memory, i, at + TURNED, memory[i, at + SEEN_TURN], k.yaw_variance)
 
 
 @formula

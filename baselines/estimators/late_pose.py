@@ -6,6 +6,8 @@ weak soil within a second. So all samples of one moment are taken together,
     filter, regressions   at n - L, with belts, torques, gyro and accelerometer of then
     to the present        v_x' = f_x + w v_y - b,   psi' = w - b_w,   x', y' from them (trapezoids)
 with f_x, w what was felt since, b, b_w the biases that slip_outage has learned, and v_y as it was.
+Slips of the present are those of that motion and of the belts of now; what the accelerometer and
+the gyro add to the variance of the speed, L steps long, adds to theirs.
 L is of the data sheet. In the first L steps of an episode nothing new is known of the moment of
 the first pose: the filter waits, and what is shown is that pose and the inertial way since.
 """
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 
 from baselines.estimators import slip_outage
 from baselines.estimators import slip_step as step
+from baselines.estimators.estimate import Estimate
 from baselines.estimators.observation_reader import (
     FIRST,
     GROUP_SIZE,
@@ -34,16 +37,25 @@ from baselines.estimators.sensor_samples import (
     POSE,
     Measurement,
 )
-from baselines.estimators.slip_kinematics import STATES
+from baselines.estimators.slip_kinematics import (
+    PRIOR_SLIP,
+    SIDE_SLIP,
+    SLIP_LEFT,
+    SLIP_LIMIT,
+    SLIP_RIGHT,
+    STANDING_VEHICLE,
+    STATES,
+)
 from baselines.estimators.slip_observer import Answer, SlipObserver
 from tracked_env.physics.attitude import heading_rate, incline_of, on_map
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.terramechanics import GRAVITY
+from tracked_env.physics.terramechanics import GRAVITY, slip_ratio
 
 _FELT = COLUMN["acceleration_x"] - int(FIRST[INERTIAL])
 _GYRO = COLUMN["yaw_rate"] - int(FIRST[INERTIAL])
 _BEND = COLUMN["yaw_acceleration"] - int(FIRST[INERTIAL])
+_SPROCKET = COLUMN["sprocket_speed_left"]
 
 
 class Moment(NamedTuple):
@@ -134,6 +146,52 @@ def carry(motion, memory, period, slots, steps, biases, attitude):
             motion[i, 5] = turning
 
 
+@loop
+def slips_now(motion, values, memory, value, covariance, steps, k):
+    """Pose, slips and side slip of now into value (N, STATES) and covariance, which hold those of
+    `steps` (N,) ago; motion (N, 6) and values (N, CHANNELS) are of now.
+
+    With g = -dV/di, the variance of a speed V of a track is g^2 times that of its slip. The speed
+    of then is as sure as its slips; a bias b and white noise s of the accelerometer add
+    T^2 b^2 + T dt s^2 within T, and the turn of now is the gyro's.
+    """
+    at = step.OUTAGE
+    for i in range(motion.shape[0]):
+        x, p = value[i], covariance[i]
+        left, right = memory[i, step.BELT_L], memory[i, step.BELT_R]
+        time = steps[i] * k.period
+        shared = slip_outage.speed_variance(x, p, left, right, k)
+        shared += time * time * memory[i, at + slip_outage.P_BB]
+        shared += time * k.period * k.acceleration_variance
+        if steps[i] > 0:
+            shared += slip_outage.HANDOVER * slip_outage.HANDOVER
+        turn = 0.25 * (k.gyro_variance + memory[i, at + slip_outage.P_GG])
+        turn /= k.inverse_gauge * k.inverse_gauge
+        rises = (1.0, 1.0)
+        for side in range(2):
+            belt = k.radius * values[i, _SPROCKET + side]
+            speed = motion[i, 3] + (side - 0.5) * motion[i, 5] / k.inverse_gauge
+            state = SLIP_LEFT + side
+            if abs(belt) < step.FASTEST_BELT and abs(belt) > k.standing_belt:
+                x[state] = min(max(slip_ratio(belt, speed), -SLIP_LIMIT), SLIP_LIMIT)
+                rise = slip_outage.steepness(belt, x[state], k)
+                noise = k.belt_variance * (speed / belt) ** 2
+                p[state, :] = 0.0
+                p[:, state] = 0.0
+                p[state, state] = min(
+                    (shared + turn + noise) / (rise * rise), PRIOR_SLIP * PRIOR_SLIP
+                )
+            else:
+                rise = math.inf
+            rises = (rise, rises[1]) if side == 0 else (rises[0], rise)
+        cross = (shared - turn) / (rises[0] * rises[1])
+        p[SLIP_LEFT, SLIP_RIGHT] = p[SLIP_RIGHT, SLIP_LEFT] = cross
+        for a in range(3):
+            x[a] = motion[i, a]
+        if abs(motion[i, 3]) > STANDING_VEHICLE:
+            x[SIDE_SLIP] = math.atan(motion[i, 4] / motion[i, 3])
+
+
 def moment_of(reader: ObservationReader, reading: Reading) -> Moment:
     """The moment of the last pose; that of the observation where poses are not late."""
     latest, count = reading.latest, len(reader.memory)
@@ -179,3 +237,14 @@ def to_present(
         motion, reader.memory, reader.control_period, reader.slots, moment.steps,
         slip.memory[:, columns], attitude,
     )  # fmt: skip
+
+
+def estimate_now(
+    slip: SlipObserver, answer: Answer, motion: NDArray[np.float64], values: NDArray[np.float64],
+    steps: NDArray[np.int64],
+) -> Estimate:  # fmt: skip
+    """The Estimate of now of an answer that is `steps` (N,) old; see `slips_now`."""
+    value, covariance, *rest = answer
+    now = value.copy(), covariance.copy()
+    slips_now(motion, values, slip.memory, *now, steps, slip.constants)
+    return slip.estimate((*now, rest[0], rest[1]))

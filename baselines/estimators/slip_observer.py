@@ -185,6 +185,11 @@ class SlipObserver(AnsweringEstimator):
             part.needs = (*cls.needs, *ATTITUDE)
         return part
 
+    @property
+    def constants(self) -> slip_kinematics.Constants:
+        """Numbers of the model, as the kernels take them."""
+        return self._constants
+
     def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
         """Nothing is needed of other estimators."""
 

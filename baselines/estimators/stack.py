@@ -241,6 +241,10 @@ class IdentificationStack:
         late_pose.to_present(motion, self.reader, self.slip, moment, attitude_of(latest))
         if self.reader.lag > 0:
             links.put_velocity(motion, present.values)
+            now = late_pose.estimate_now(
+                self.slip, answer, motion, reading.latest.values, moment.steps
+            )  # fmt: skip
+            estimates.show("slip", now)
         for name, part in self._after:
             part.take_over(self.parts, estimates)
             measurement = paired if part.paired else latest

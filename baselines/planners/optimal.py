@@ -179,7 +179,7 @@ def _solve_tight(start, goal, totals, angles, surface, bounds, setting, w, a, be
     for word in (4, 5):  # three arcs of the first radius: slow starts, from which most are found
         order[word] = min(totals[word], np.min(totals))
     for _ in range(14):
-        word = np.argmin(order)
+        word = int(np.argmin(order))
         if DOUBTED * order[word] >= best[COST] or best[USED] >= allowed:
             break
         total, order[word] = totals[word], math.inf
@@ -279,11 +279,15 @@ def optimal(
     wanted = math.nan if turning is None else checked_number("turning", turning, ANGLE)
     workers = checked_whole("threads", threads, THREADS)
     if len({begin[3:] for begin in begins}) > 1:  # each motion at the start has bounds of its own
-        return [
-            made for begin, row in zip(begins, goals, strict=True)
-            for made in optimal([begin], row[None], allowed, vehicle, slip_model,
-                intervals=intervals, smoothing=smoothing, stop=stop, period=period, turning=turning)
-        ]  # fmt: skip
+        plans: list[Trajectory] = []
+        for begin, row in zip(begins, goals, strict=True):
+            several = optimal(
+                [begin], row[None], allowed, vehicle, slip_model, intervals=intervals,
+                smoothing=smoothing, stop=stop, period=period, turning=turning,
+            )  # fmt: skip
+            assert isinstance(several, list)
+            plans.extend(several)
+        return plans
     begin = begins[0] if begins else Start()
     reasons = [_reason(row) for row in goals]
     targets = goals.copy()

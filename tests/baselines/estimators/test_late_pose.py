@@ -53,6 +53,22 @@ def test_the_filter_of_a_late_pose_knows_what_that_of_a_pose_in_time_knew():
     assert np.ptp(slips, axis=0).max() > 0.2  # or there was nothing to know
 
 
+def test_slips_of_a_late_pose_are_those_of_now():
+    """The stack with a pose in time is the truth: sensors are ideal. Slips change by 0.2."""
+    sheets = [DataSheet.of(make_sensors(given)) for given in ("ideal", LATE)]
+    stacks = [IdentificationStack(CLAY, PERIOD, sheet, 3) for sheet in sheets]
+    in_time, late = observations("ideal", 150), observations(LATE, 150)
+    errors, old = [], []
+    for n, (one, other) in enumerate(zip(in_time, late, strict=True)):
+        truth = stacks[0].update(one).slip.value[:, 3:5].copy()
+        known = stacks[1].update(other)
+        if n > 2 * LAG:
+            errors.append(known.slip.value[:, 3:5] - truth)
+            old.append(known.parts.answers["slip"][0][:, 3:5] - truth)
+    for share in (0.5, 0.8, 0.9):
+        assert np.quantile(np.abs(errors), share) < 0.25 * np.quantile(np.abs(old), share)
+
+
 def test_until_the_first_late_pose_what_is_shown_is_the_first_pose_and_the_way_since():
     motions = MotionFilter(CLAY, PERIOD, DataSheet.of(make_sensors(LATE)), 3)
     in_time, start = observations("ideal", LAG + 1), np.array([True] * 3)

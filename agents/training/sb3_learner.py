@@ -37,11 +37,11 @@ class Sb3Learner:
     recipe: Mapping[str, Any] = {}
 
     def __init__(self, run: Run) -> None:
-        check_budget(run.settings, run.schedule.total)
         self.augmentation, self.groups = run.augmentation, run.groups
         env = make_environment(run)
         log = str(run.folder) if run.tensorboard else None
         self.model = make_model(run.name, run.settings, env, run.seed, log)
+        check_budget(run.settings, run.schedule.total)
 
     @property
     def steps(self) -> int:

@@ -244,7 +244,6 @@ def estimate_now(
     steps: NDArray[np.int64],
 ) -> Estimate:  # fmt: skip
     """The Estimate of now of an answer that is `steps` (N,) old; see `slips_now`."""
-    value, covariance, *rest = answer
-    now = value.copy(), covariance.copy()
-    slips_now(motion, values, slip.memory, *now, steps, slip.constants)
-    return slip.estimate((*now, rest[0], rest[1]))
+    value, covariance = answer[0].copy(), answer[1].copy()
+    slips_now(motion, values, slip.memory, value, covariance, steps, slip.constants)
+    return slip.estimate((value, covariance, answer[2], answer[3]))

@@ -89,7 +89,7 @@ bare: package ## follow the quickstart in a new environment that has the wheel a
 	  --sets payload --episodes 2 --duration 3 --no-figures
 
 benchmark: $(STAMP) ## measure the speed of the environment beside its peers
-	$(BIN)/python benchmarks/speed.py $(BENCHMARK_ARGS)
+	$(BIN)/python -m benchmarks.speed $(BENCHMARK_ARGS)
 
 clean: ## remove what tools and builds left (keeps results, compiled kernels and the virtual environment)
 	rm -rf build dist docs/_build docs/_generated docs/api .pytest_cache .ruff_cache .mypy_cache .hypothesis .coverage

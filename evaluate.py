@@ -6,7 +6,7 @@ Besides what that command does, it opens archives of Stable-Baselines3 (`--trust
 
 import sys
 
-from agents.ending import stop_at_once
+from agents.folder import stop_at_once
 
 if __name__ == "__main__":
     # Finished chunks are on disk, and what else a kill leaves is removed by the next run.
@@ -14,8 +14,8 @@ if __name__ == "__main__":
 
 from pathlib import Path
 
+from tracked_env.benchmark.policies import open_archive
 from tracked_env.benchmark.policy_interface import PolicyEntry
-from tracked_env.benchmark.registered_policies import open_archive
 from tracked_env.cli.evaluate_command import Extras, run_config
 from tracked_env.cli.evaluate_options import Config, parsed
 
@@ -24,7 +24,7 @@ __all__ = ["Config", "main", "open_archive"]
 
 def reproduce(config: Config) -> int:
     """A paper's experiments; returns the exit status."""
-    from reproduce.command import main as run_paper
+    from reproduce.paper_page import main as run_paper
 
     return run_paper(config.paper, config.output, config.figures)
 
@@ -34,7 +34,7 @@ def open_trusted(path: Path) -> PolicyEntry:
     try:
         import torch
 
-        from agents.loading import agent_entry
+        from agents.archive import agent_entry
     except ImportError as error:
         raise ValueError(
             f"policy {str(path)!r}: {error}. Archives that hold pickled objects need "

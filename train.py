@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 
-from agents.ending import (
+from agents.folder import (
     INTERRUPTED,
     Refused,
     failed,
@@ -44,16 +44,21 @@ try:
     import tyro
     from tqdm import tqdm
 
-    from agents import several_trainings as several
-    from agents.sweep_table import compared
-    from agents.training import checkpoints
-    from agents.training.environments import make_held_out
-    from agents.training.folder import AlreadyFinished, begin, finish, going_on
-    from agents.training.learner import Diverged, Learner
-    from agents.training.options import REGISTRY, Options, in_words, options_of_train
-    from agents.training.progress import Progress
-    from agents.training.run import Run, chosen_settings, resolve
-    from agents.training.unread_options import check_given, check_names
+    from agents import checkpoint as checkpoints
+    from agents import sweep as several
+    from agents.environments import make_held_out
+    from agents.folder import AlreadyFinished, begin, finish, going_on
+    from agents.options import (
+        REGISTRY,
+        Options,
+        check_given,
+        check_names,
+        in_words,
+        options_of_train,
+    )
+    from agents.progress import Diverged, Learner, Progress
+    from agents.run import Run, chosen_settings, resolve
+    from agents.sweep import compared
 except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl,cli]'")
 

@@ -1,27 +1,146 @@
 """Writing the file of a trained agent (`baselines.learned.agent_archive`), and its network in
 PyTorch, for what learns on from it.
+
+The network of a training as plain data: its architecture for JSON, its weights for an npz file.
+
+    {"inputs": 31, "hidden": [64, 64], "activation": "tanh", "lstm_hidden": null}
+The policy of Stable-Baselines3 is built from the architecture, then given the weights: nothing is
+unpickled. Weights are those of the action alone; values, which only learning needs, are left out.
+
+The network of a student while it learns: in PyTorch, beside the network of its teacher.
+
+What an archive of train.py says of its training, and archives of strangers as policies.
+
+Archives of train.py are plain data and need neither PyTorch nor this package
+(`baselines.learned.trained_agent`). Those of `model.save` of Stable-Baselines3, and of train.py of
+the version before, hold pickled objects: opening one runs whatever its author put there, so it
+takes `trust`. One without a recipe, of any of the algorithms on the plain environment, is loaded as
+a blind agent, with a notice.
 """
 
+import io
 import json
+import sys
+import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
+from torch import nn
 
-from agents.networks import build, network_of, to_npz, weights_of
+from agents.algorithms import ALGORITHMS, BypassedLstmPolicy, Tanh
 from baselines.learned.agent_archive import (
+    FORMAT,
+    PICKLED,
     RECIPE,
     WEIGHTS,
     from_npz,
     read_entry,
+    read_recipe,
     untrusted,
 )
-from baselines.learned.recipe import FORMAT, PICKLED
+from baselines.learned.agent_policy import (
+    RECURRENT,
+    TEACHER,
+    AgentPolicy,
+    Arrays,
+    Normalisation,
+    Predictor,
+    TeacherPolicy,
+    check_weights,
+    policy_of,
+)
+from baselines.learned.student import (
+    INFERENCE_FORMAT,
+    MEMORY,
+    OUTPUTS,
+    RecurrentStudent,
+    Student,
+    inference_sizes,
+)
+from baselines.learned.trained_agent import TrainedAgent, agent_of, open_agent
+from baselines.registry import Context
+from tracked_env import observation as layout
+from tracked_env.benchmark import PolicyEntry
+from tracked_env.benchmark.policies import archive_entry
 from tracked_env.benchmark.store import write_atomically
+
+ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": Tanh, "relu": nn.ReLU}
+# Prefixes of parameters that only learning needs: values, their targets, the target of the action.
+_VALUES = (
+    "value_net.", "mlp_extractor.value_net.", "critic.", "critic_target.", "actor_target.",
+    "lstm_critic.",
+)  # fmt: skip
+
+
+def network_of(policy: BasePolicy) -> dict[str, Any]:
+    """The architecture of a policy of train.py."""
+    made: Any = policy
+    names: dict[Any, str] = {nn.Tanh: "tanh", **{kind: n for n, kind in ACTIVATIONS.items()}}
+    return {
+        "inputs": int(policy.observation_space.shape[0]),  # type: ignore[index]
+        "hidden": list(made.net_arch),
+        "activation": names[made.activation_fn],
+        "lstm_hidden": getattr(getattr(made, "lstm_actor", None), "hidden_size", None),
+    }
+
+
+def weights_of(policy: BasePolicy) -> Arrays:
+    """The parameters that its action depends on, by name."""
+    return {
+        name: value.detach().cpu().numpy()
+        for name, value in policy.state_dict().items()
+        if not name.startswith(_VALUES)
+    }
+
+
+def build(algorithm: str, network: Mapping[str, Any], weights: Mapping[str, Any]) -> BasePolicy:
+    """The policy with this architecture and these weights. Raises ValueError where they differ.
+
+    Draws nothing from the random stream of PyTorch.
+    """
+    made: Any = ALGORITHMS[algorithm][0].policy_aliases.get("MlpPolicy")
+    more: dict[str, Any] = {}
+    if algorithm == RECURRENT:
+        made, more = BypassedLstmPolicy, {"lstm_hidden_size": network["lstm_hidden"]}
+    seen = Box(-np.inf, np.inf, (network["inputs"],), np.float32)
+    act = Box(-1.0, 1.0, (2,), np.float32)
+    activation = ACTIVATIONS[network["activation"]]
+    with torch.random.fork_rng(devices=[]):
+        policy: BasePolicy = made(
+            seen, act, lambda _: 0.0, net_arch=list(network["hidden"]), activation_fn=activation,
+            **more,
+        )  # fmt: skip
+    fill(policy, weights, weights_of(policy))
+    policy.set_training_mode(False)
+    return policy
+
+
+def fill(module: nn.Module, weights: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+    """Put weights into a network; expected: arrays as they must be, in name and shape.
+
+    Raises ValueError for others, and for one that is not finite.
+    """
+    check_weights(weights, {name: value.shape for name, value in expected.items()})
+    state = {name: torch.from_numpy(np.array(value)) for name, value in weights.items()}
+    module.load_state_dict(state, strict=False)
+
+
+def to_npz(weights: Mapping[str, NDArray[Any]]) -> bytes:
+    """Arrays as the content of an npz file."""
+    buffer = io.BytesIO()
+    arrays: Any = weights
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
 
 
 def save_agent(
@@ -55,3 +174,205 @@ def load_network(path: Path, recipe: Mapping[str, Any]) -> BasePolicy:
         return build(recipe["algorithm"], recipe["network"], weights)
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
+
+
+Floats = NDArray[np.float32]
+Carried = tuple[torch.Tensor, torch.Tensor]  # hidden and cell values of an LSTM
+
+
+def make_inference(
+    lags: tuple[int, ...], hidden: tuple[int, ...], observed: int = layout.SIZE, sheet: bool = False
+) -> nn.Sequential:
+    """An untrained network from observation and history to the privileged inputs.
+
+    It begins by saying 0, nominal: its last layer is zero. observed: number of fields of the
+    observation. sheet: whether the data sheet stands behind the history.
+    """
+    return _perceptron(inference_sizes(lags, hidden, observed, sheet))
+
+
+def _perceptron(sizes: Sequence[int]) -> nn.Sequential:
+    """ELUs between linear layers, of which the last is zero."""
+    parts: list[nn.Module] = []
+    for size, following in pairwise(sizes[:-1]):
+        parts += [nn.Linear(size, following), nn.ELU()]
+    last = nn.Linear(sizes[-2], sizes[-1])
+    nn.init.zeros_(last.weight)
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(*parts, last)
+
+
+class RecurrentInference(nn.Module):
+    """An LSTM beside its inputs, then a perceptron; it begins by saying 0.
+
+    inputs, hidden, lstm_hidden: sizes. Weights have the names of `recurrent_student`.
+    """
+
+    def __init__(self, inputs: int, hidden: Sequence[int], lstm_hidden: int) -> None:
+        super().__init__()
+        self.lstm = nn.LSTMCell(inputs, lstm_hidden)
+        self.layers = _perceptron((inputs + lstm_hidden, *hidden, OUTPUTS))
+        with torch.no_grad():  # of the forget gate: it remembers from the beginning
+            self.lstm.bias_ih[lstm_hidden : 2 * lstm_hidden] += 2.0
+
+    def forward(
+        self, inputs: torch.Tensor, start: torch.Tensor, carried: Carried
+    ) -> tuple[torch.Tensor, Carried]:
+        """Outputs (T, N, F) of inputs (T, N, D), and what is carried on; start (T, N, 1)."""
+        remembered = []
+        for seen, begins in zip(inputs, start, strict=True):
+            kept = 1.0 - begins
+            carried = self.lstm(seen, (carried[0] * kept, carried[1] * kept))
+            remembered.append(carried[0])
+        return self.layers(torch.cat([torch.stack(remembered), inputs], dim=-1)), carried
+
+    def blank(self, count: int) -> Carried:
+        """What `count` rows carry before anything was seen."""
+        return torch.zeros(count, self.lstm.hidden_size), torch.zeros(count, self.lstm.hidden_size)
+
+
+class RecurrentStudentModel(RecurrentStudent):
+    """A recurrent student whose inference is a network of PyTorch; the others as there."""
+
+    def __init__(
+        self, inference: RecurrentInference, teacher: Predictor,
+        normalisation: Normalisation | None, names: Sequence[str], features: str = "reckoned",
+    ) -> None:  # fmt: skip
+        super().__init__(self._inferred, teacher, normalisation, names, features)
+        self.inference = inference
+
+    def _inferred(self, inputs: Floats, carried: Any, start: Any) -> tuple[Floats, Any]:
+        """One step; carried: arrays (N, H) of hidden and cell values, or None."""
+        known = self.inference.blank(len(inputs))
+        if carried is not None:
+            known = torch.from_numpy(carried[0]), torch.from_numpy(carried[1])
+        begins = torch.from_numpy(np.asarray(start, np.float32)[None, :, None])
+        with torch.no_grad():
+            found, known = self.inference(torch.from_numpy(inputs)[None], begins, known)
+        return found[0].numpy(), (known[0].numpy(), known[1].numpy())
+
+
+class StudentModel(Student):
+    """A student whose inference is a network of PyTorch; the others as Student."""
+
+    def __init__(
+        self,
+        inference: nn.Sequential,
+        teacher: Predictor,
+        normalisation: Normalisation | None,
+        observed: int = layout.SIZE,
+    ) -> None:
+        super().__init__(self._inferred, teacher, normalisation, observed)
+        self.inference = inference
+
+    def _inferred(self, observation: Floats) -> Floats:
+        with torch.no_grad():
+            found: Floats = self.inference(torch.from_numpy(observation)).numpy()
+        return found
+
+
+def weights(inference: nn.Module) -> bytes:
+    """The parameters of an inference network as an npz file."""
+    values = {
+        name + ("_l0" if name.startswith(MEMORY) else ""): value.numpy()
+        for name, value in inference.state_dict().items()
+    }
+    return to_npz({"format": np.array(INFERENCE_FORMAT), **values})
+
+
+PACKAGE = Path(__file__).resolve().parent
+# Order in which an archive without a recipe is tried: who is the pickiest comes first.
+_TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
+
+
+def unpickled(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
+    """The model in an archive of Stable-Baselines3, of the first of `algorithms` that can load it.
+
+    Runs whatever code is in the archive. Raises ValueError where none can.
+    """
+    errors = []
+    for name in algorithms:
+        with warnings.catch_warnings():
+            # SB3 restores the class of the buffer that it has chosen itself, then warns of it.
+            ignored = r"`n_steps=\d+` is ignored because a custom `replay_buffer_class`"
+            warnings.filterwarnings("ignore", ignored, UserWarning)
+            try:
+                return ALGORITHMS[name][0].load(path, device="cpu")
+            except Exception as error:  # SB3 raises what happens to go wrong
+                errors.append(f"{name}: {type(error).__name__}: {str(error)[:200]}")
+    raise ValueError(f"agent {path} cannot be loaded as {'; '.join(errors)}")
+
+
+def load_teacher(path: Path | None, trust: bool = False) -> tuple[Any, dict[str, Any]]:
+    """Network and recipe of a teacher, to learn from; trust: as `open_trusted`.
+
+    Raises ValueError.
+    """
+    if path is None:
+        raise ValueError("a student needs --teacher, an agent.zip of --augmentation teacher")
+    recipe = read_recipe(path)
+    if recipe is None or recipe["augmentation"] != TEACHER:
+        kind = "blind" if recipe is None else recipe["augmentation"]
+        raise ValueError(f"agent {path} has augmentation {kind!r}; a student needs a teacher")
+    agent_entry(path, trust)  # checks what it sees
+    if recipe["format"] == PICKLED:
+        return unpickled(path, (recipe["algorithm"],)).policy, recipe
+    return load_network(path, recipe), recipe
+
+
+def _check_plain(path: Path) -> None:
+    """Say on stderr what an archive without a recipe is taken for.
+
+    Raises ValueError where the statistics of a normalisation lie beside it.
+    """
+    for beside in sorted(path.parent.glob("*.pkl")):
+        if "normal" in beside.name.lower():
+            raise ValueError(
+                f"agent {path} has no recipe, and {beside.name} beside it looks like a "
+                "normalisation (VecNormalize), which would not be applied. Train with train.py "
+                "--normalise, which puts it into the archive, or pass a policy that normalises "
+                "as module:attribute"
+            )
+    print(
+        f"agent {path} has no recipe of train.py: taken as a blind agent, observations not "
+        "normalised",
+        file=sys.stderr,
+    )
+
+
+def open_trusted(path: Path) -> TrainedAgent:
+    """An agent in an archive of train.py, or in one that may hold pickled objects.
+
+    Opening the latter runs any code of its author. Raises ValueError for a missing, damaged or
+    foreign file, and for an agent that sees or does something else than this environment offers.
+    """
+    path = Path(path)
+    recipe = read_recipe(path)
+    if recipe is not None and recipe["format"] != PICKLED:
+        return open_agent(path)
+    algorithms = _TRIED if recipe is None else (recipe["algorithm"],)
+    model = unpickled(path, algorithms).policy
+    shown = getattr(model.observation_space, "shape", None)
+    if recipe is not None:
+        opened = agent_of(path, recipe, model, shown)
+        return opened._replace(sources=(*opened.sources, PACKAGE))
+    if shown != (layout.SIZE,) or getattr(model.action_space, "shape", None) != (2,):
+        raise ValueError(
+            f"agent {path} sees {shown} and acts {model.action_space}; must see ({layout.SIZE},) "
+            "and act (2,). Was it trained on another environment, or inside a wrapper? Then pass "
+            "it as module:function."
+        )
+    _check_plain(path)
+
+    def make(context: Context) -> AgentPolicy | TeacherPolicy:
+        return policy_of(model, "blind", {}, context)
+
+    return TrainedAgent(make, (PACKAGE, PACKAGE.parent / "baselines" / "learned"))
+
+
+def agent_entry(path: Path, trust: bool = False) -> PolicyEntry:
+    """A trained agent as a policy of the benchmark.
+
+    trust: open an archive that holds pickled objects too, as `open_trusted`. Raises ValueError.
+    """
+    return archive_entry(Path(path), open_trusted if trust else open_agent)

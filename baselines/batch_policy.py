@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimators.sensor_samples import ATTITUDE
+from baselines.estimators.measurement import ATTITUDE
 from tracked_env import observation as layout
 
 State = TypeVar("State")

@@ -24,29 +24,45 @@ of the vehicle, and the slip is that on the slope that is felt, but for
 A factory takes a context with `control_period` [s], `lateral` (its model), `sensors` (data sheet:
 the noise of the sensors, which every policy may use), `drive`, `vehicle`, and `observation` (names
 of its fields). `register` adds a controller.
+
+The agents that come with this package: of an environment, name -> archives, one per seed.
+
+The source distribution leaves the archives out; an installation that was built from it has the
+names, and an empty list for each.
 """
 
+import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
-from baselines.augmented import l1_policy, mrac_policy
-from baselines.augmented.l1_policy import L1Policy, L1Settings
-from baselines.augmented.mrac_policy import MracPolicy, MracSettings
-from baselines.estimators.sensor_samples import DataSheet
-from baselines.learned.shipped import shipped_agents
-from baselines.linearizing import known_parameters, linearizing_law
-from baselines.linearizing.adaptive_policy import AdaptivePolicy
-from baselines.linearizing.known_parameters import INTEGRAL_GAINS, IntegralPolicy, OraclePolicy
+from baselines.augmented import l1 as l1_policy
+from baselines.augmented import mrac as mrac_policy
+from baselines.augmented.l1 import L1Policy, L1Settings
+from baselines.augmented.mrac import MracPolicy, MracSettings
+from baselines.estimators.measurement import DataSheet
+from baselines.linearizing import adaptive_policy, linearizing_law
+from baselines.linearizing.adaptive_policy import (
+    INTEGRAL_GAINS,
+    AdaptivePolicy,
+    IntegralPolicy,
+    OraclePolicy,
+)
 from baselines.linearizing.linearizing_law import TUNED_GAINS
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.lyapunov import lyapunov_laws
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.replanning import ReplanningPolicy
-from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
-from baselines.lyapunov.slope_errors import shows_attitude, tuned_gains
-from baselines.predictive.predictive_policy import (
+from baselines.lyapunov.slippage_aware import (
+    SlippageAwarePolicy,
+    UnicyclePolicy,
+    shows_attitude,
+    tuned_gains,
+)
+from baselines.predictive.predictive_control import (
     NominalPredictivePolicy,
     PredictiveOraclePolicy,
     PredictivePolicy,
@@ -57,11 +73,29 @@ from baselines.predictive.sprocket_control import (
     PredictiveOracleSlipPolicy,
     PredictiveSlipPolicy,
 )
-from baselines.predictive.tracking_cost import TUNABLE as PREDICTIVE_TUNABLE
-from baselines.predictive.tracking_cost import PredictiveSettings
-from baselines.slip.slip_sweep import identified_slip
-from baselines.slip.slope_sweep import identified_slope_slip
+from baselines.predictive.stages import TUNABLE as PREDICTIVE_TUNABLE
+from baselines.predictive.stages import PredictiveSettings
+from baselines.slip.slip_sweep import identified_slip, identified_slope_slip
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
+
+PRETRAINED = Path(__file__).resolve().parent / "pretrained"
+SCORES = "scores.json"  # per environment: {"seeds": {name: ...}}, of every shipped agent
+FOLDERS = {"torque": "Torque-v0", "speed": "Speed-v0"}
+
+_SEEDED = re.compile(r"(.+)-seed(\d+)")
+
+
+def shipped_agents(env: str) -> dict[str, list[Path]]:
+    """Archives of PRETRAINED for an environment, its id or a drive, by the name of the agent."""
+    found: dict[str, list[Path]] = {}
+    folder = PRETRAINED / FOLDERS.get(env, env.rpartition("/")[2])
+    for path in sorted(folder.glob("*/agent.zip")):
+        match = _SEEDED.fullmatch(path.parent.name)
+        found.setdefault(match[1] if match else path.parent.name, []).append(path)
+    scores = folder / SCORES
+    if not found and scores.is_file():
+        return {name: [] for name in json.loads(scores.read_text(encoding="utf-8"))["seeds"]}
+    return found
 
 
 class Context(Protocol):
@@ -137,7 +171,7 @@ def _arguments(context: Context) -> dict[str, Any]:
     }
 
 
-@tunable(known_parameters.TUNABLE, INTEGRAL_GAINS)
+@tunable(adaptive_policy.TUNABLE, INTEGRAL_GAINS)
 def integral(context: Context, **settings: float) -> IntegralPolicy:
     """The controller with nominal parameters, the filter and integral action."""
     gains = INTEGRAL_GAINS._replace(**settings)

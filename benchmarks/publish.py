@@ -25,10 +25,10 @@ import numpy as np
 
 from tracked_env.benchmark import SETS
 from tracked_env.benchmark import statistics as stats
+from tracked_env.benchmark.evaluation_sets import NEWEST, VERSIONS
 from tracked_env.benchmark.files import replace_block
 from tracked_env.benchmark.leaderboard import between
 from tracked_env.benchmark.report import rate_unit
-from tracked_env.benchmark.sets import NEWEST, VERSIONS
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import action_rate
 from tracked_env.benchmark.text_tables import escaped

@@ -32,12 +32,11 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
-import speed_against
-import speed_rows
 
+from benchmarks import speed_against, speed_rows
 from tracked_env import TORQUE_ID as TORQUE
+from tracked_env.arrays import bytes_per_vehicle
 from tracked_env.benchmark.files import replace_block
-from tracked_env.engine.columns import bytes_per_vehicle
 
 PASSES = 7
 TRAININGS = 3  # of which the fastest counts
@@ -91,7 +90,7 @@ def training_seconds(steps: int) -> float:
     sys.path.insert(0, str(ROOT))
     try:
         import train
-        from agents.training.options import options_of_train
+        from agents.options import options_of_train
     except SystemExit as reason:  # train.py says what is missing and how to get it
         raise ImportError(str(reason)) from None
     finally:

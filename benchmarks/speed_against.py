@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import speed_rows
+from benchmarks import speed_rows
 
 SCRIPT = Path(__file__).resolve()
 SLOWER = 1.03  # ratio from which on a row is marked; minima of the same code differ by less

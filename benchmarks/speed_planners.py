@@ -18,9 +18,7 @@ def _goals(count: int) -> Any:
 
 def paths(method: str) -> Calls:
     """Paths to 1000 goals, without sampling them in time."""
-    from baselines.planners.clothoid import clothoid
-    from baselines.planners.dubins import dubins
-    from baselines.planners.reeds_shepp import reeds_shepp
+    from baselines.planners.curves import clothoid, dubins, reeds_shepp
 
     start, goals = np.zeros(3), _goals(1000)
     if method == "clothoid":

@@ -39,8 +39,7 @@ def distributed_alone(count: int, euler: bool) -> Calls:
     default, cost two.
     """
     from tracked_env.physics.parameters import VEHICLES
-    from tracked_env.physics.patch_dynamics import hold_speeds
-    from tracked_env.physics.patch_forces import make_patches
+    from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
 
     states, loads, speeds = np.zeros((count, 6)), np.zeros((count, 6)), _speeds(count)
     parameters = np.tile(np.array(VEHICLES["focchi"], dtype=float), (count, 1))
@@ -57,8 +56,8 @@ def terrain_alone(count: int, ground: str, step: float | None) -> Calls:
     None: as many control periods at its default step.
     """
     from tracked_env.physics.parameters import VEHICLES
-    from tracked_env.plants.terrain_options import LONGEST_STEP
-    from tracked_env.plants.terrain_rig import TerrainRig
+    from tracked_env.plants.standalone import TerrainRig
+    from tracked_env.plants.terrain import LONGEST_STEP
 
     rig = TerrainRig(
         VEHICLES["focchi"], {"terrain": GROUNDS[ground]}, count, step=step or LONGEST_STEP

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
-import speed_planners
-import speed_plants
+
+from benchmarks import speed_planners, speed_plants
 
 TORQUE, SPEED = "tracked_env/Torque-v0", "tracked_env/Speed-v0"
 TERRAIN = "tracked_env/Terrain-v0"
@@ -160,7 +160,7 @@ def _drive(driver: Any, count: int, env_id: str, steps: int, **arguments: Any) -
 
 def predictions(drive: str, name: str, count: int) -> Load:
     """`predict` of a registered policy; of a trained agent, of its first seed."""
-    from tracked_env.benchmark import registered_policies as registered
+    from tracked_env.benchmark import policies as registered
     from tracked_env.benchmark.policy_interface import PolicyContext
     from tracked_env.sensors import make_sensors
 
@@ -201,12 +201,8 @@ def identification(count: int, slip: str) -> Load:
 
 def controllers() -> list[tuple[str, str]]:
     """(drive, name) of the registered controllers that are not handed the truth."""
+    from tracked_env.benchmark.policies import ENVIRONMENTS, by_name, registered_policies
     from tracked_env.benchmark.policy_interface import PolicyContext, needs_truth
-    from tracked_env.benchmark.registered_policies import (
-        ENVIRONMENTS,
-        by_name,
-        registered_policies,
-    )
 
     found = []
     for drive, vehicle in (("torque", "strawa"), ("speed", "focchi")):

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import adaptive
 from tracked_env.benchmark import BenchmarkConfig
-from tracked_env.benchmark.beliefs import Beliefs, Recorder
-from tracked_env.benchmark.metrics import Trace
+from tracked_env.benchmark.metrics import Beliefs, Recorder, Trace
 from tracked_env.benchmark.runner import drive
 
 SEED, EPISODES = 71_000, 100

@@ -25,12 +25,12 @@ class Section(NamedTuple):
 SECTIONS = (
     Section("environments", "Environments", "The single and the vector environment, their rewards "
             "and the changes inside an episode.",
-            ("tracked_env", "tracked_env.env", "tracked_env.vector_env", "tracked_env.rewards",
-             "tracked_env.events", "tracked_env.streams", "tracked_env.validation")),
+            ("tracked_env", "tracked_env.env", "tracked_env.vector_env", "tracked_env.step",
+             "tracked_env.events", "tracked_env.engine.noise", "tracked_env.validation")),
     Section("wrappers", "Wrappers and observations", "What an agent sees: groups of fields, "
             "sensors with their errors, and what an observer appends.",
-            ("tracked_env.wrappers", "tracked_env.observation", "tracked_env.observation_fields",
-             "tracked_env.sensors", "tracked_env.sensor_draws")),
+            ("tracked_env.wrappers", "tracked_env.observation", "tracked_env.observation",
+             "tracked_env.sensors", "tracked_env.engine.episode")),
     Section("episodes", "References, uncertainty and ground", "What an episode is made of: the "
             "motion to follow, the laws of what is unknown, and the terrain.",
             ("tracked_env.references", "tracked_env.uncertainty", "tracked_env.terrain")),

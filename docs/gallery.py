@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import BenchmarkConfig, default_sets
-from tracked_env.benchmark.policy_interface import PolicyEntry
-from tracked_env.benchmark.policy_lookup import load_policies
-from tracked_env.benchmark.registered_policies import (
+from tracked_env.benchmark.policies import (
     by_name,
     default_names,
+    load_policies,
     open_archive,
     registered_policies,
 )
+from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.terrain.height_field import KINDS
 
 FOLDER = Path(__file__).resolve().parent / "_static" / "gallery"

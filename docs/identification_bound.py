@@ -21,11 +21,11 @@ import numpy as np
 
 from baselines.estimators import longitudinal, sideslip, turning_equation
 from baselines.estimators.longitudinal import INVERSE_MASS_SIGMA, RESISTANCE_SIGMA
-from baselines.estimators.sensor_samples import make_measurement
+from baselines.estimators.measurement import make_measurement
 from baselines.estimators.turning import FRICTION_SIGMA, INERTIA_SIGMA
 from docs.observer_runs import Floats, Run, driven
-from tracked_env.physics.channels import CHANNELS
-from tracked_env.physics.state import STATE_NAMES
+from tracked_env.physics.parameters import STATE_NAMES
+from tracked_env.sensors import CHANNELS
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from baselines.identify.csv_log import record_logs
+from baselines.identify.identify_log import SOIL, identify
+from baselines.identify.vehicle_log import Drivetrain, read_log
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
-from tracked_env.cli.user_data.log_identification import SOIL, identify
-from tracked_env.cli.user_data.log_recording import record_logs
-from tracked_env.cli.user_data.vehicle_log import Drivetrain, read_log
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
 from tracked_env.vector_env import TrackedVehicleVectorEnv

@@ -29,13 +29,13 @@ from baselines.estimators import turning_equation as equation
 from baselines.estimators.turning import TurningEstimator
 from baselines.registry import oracle
 from docs.observer_runs import Floats
+from tracked_env.arrays import columns
 from tracked_env.benchmark import BenchmarkConfig
-from tracked_env.engine.columns import columns
-from tracked_env.physics import patch_dynamics, patch_forces, vehicle
+from tracked_env.physics import lumped, patches_on_level_ground
 from tracked_env.physics.jit import loop
+from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters, row_parameters
-from tracked_env.physics.patch_dynamics import Belts
-from tracked_env.physics.vehicle import Motion
+from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 mpl.use("Agg")
@@ -46,7 +46,7 @@ SEED, EPISODES = 72_000, 12
 BEGUN = 50  # [control steps] left out at the start
 CLOSE, ACCURACY = 1e-3, 1.0  # [N] Newton's steps end, and are good enough
 LONGEST = 0.2  # [m/s] step of Newton's method
-PATCHES = patch_forces.make_patches()
+PATCHES = patches_on_level_ground.make_patches()
 _USED = ("v_x", "v_y", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right")
 FRICTION, STEADY, LEFT_OVER, YAW_ACCELERATION = range(4)  # columns of `moments`
 
@@ -54,11 +54,11 @@ FRICTION, STEADY, LEFT_OVER, YAW_ACCELERATION = range(4)  # columns of `moments`
 @loop
 def loads(scratch, p, v_x, v_y, yaw_rate, left, right, patches):
     """(F_L, F_R, F_y, yaw moment, R_R - R_L) on vehicle p with belts at these speeds [m/s]."""
-    k, drive = vehicle.coefficients(p, False), vehicle.drive_limits(p)
-    contact = patch_dynamics.contact_of(p, k, drive, patches)
+    k, drive = lumped.coefficients(p, False), lumped.drive_limits(p)
+    contact = patches_on_level_ground.contact_of(p, k, drive, patches)
     motion = Motion(v_x, v_y, yaw_rate)
-    r = patch_forces.resistance(scratch, motion, left, right, contact, patches)
-    found = patch_dynamics.loads_of(r, motion, Belts(left, right), k)
+    r = patches_on_level_ground.resistance(scratch, motion, left, right, contact, patches)
+    found = patches_on_level_ground.loads_of(r, motion, Belts(left, right), k)
     rolling = found.resistance_right - found.resistance_left
     return np.array((
         found.effort_left, found.effort_right, found.lateral_force, found.turning_moment, rolling
@@ -89,7 +89,7 @@ def belts_of(scratch, p, v_x, yaw_rate, wanted, guess, patches):
 def moments(motion, row, patches, out):
     """M_f, M_f0 [N m], miss [N] and dw/dt of each instant; motion (T, 5) as _USED, row (1, P)
     parameters, out (T, 4)."""
-    scratch = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
+    scratch = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
     p = row_parameters(row, 0, 0)
     gauge, radius = p.track_gauge, p.sprocket_radius
     for t in range(motion.shape[0]):

@@ -14,10 +14,10 @@ import math
 import numpy as np
 from scipy.optimize import brentq, root
 
-from tracked_env.physics import patch_forces, terramechanics
+from tracked_env.physics import patches_on_level_ground, terramechanics
+from tracked_env.physics.lumped import Motion, coefficients, drive_limits
 from tracked_env.physics.parameters import plant_parameters
-from tracked_env.physics.patch_dynamics import Belts, contact_of, loads_of, rates_of
-from tracked_env.physics.vehicle import Motion, coefficients, drive_limits
+from tracked_env.physics.patches_on_level_ground import Belts, contact_of, loads_of, rates_of
 from tracked_env.uncertainty import SOILS
 
 G = terramechanics.GRAVITY
@@ -28,7 +28,7 @@ HEIGHT = 0.5  # [m] of the centre of mass; assumed
 BRAKING = 3.0  # [m/s^2]; assumed
 SINKAGE = (1.1, 0.99e3, 1528.43e3)  # n [-], k_c [N/m^(n+1)], k_phi [N/m^(n+2)] of dry sand
 VEHICLE = plant_parameters()
-PATCHES = patch_forces.make_patches()  # the default of the environments
+PATCHES = patches_on_level_ground.make_patches()  # the default of the environments
 RADII = (7.0, 10.0, 20.0, 40.0, 100.0)  # [m] of the turns compared
 TURN_SPEED = 2.0  # [m/s]
 TURN_SOILS = {"heavy_clay": 0.6, "sandy_loam": 0.15, "lete_sand": 0.15}  # and their mu_l [-]
@@ -37,9 +37,9 @@ TURN_SOILS = {"heavy_clay": 0.6, "sandy_loam": 0.15, "lete_sand": 0.15}  # and t
 def patch_loads(p, motion, belts, patches=PATCHES):
     """Loads of the distributed plant at a motion and belt speeds [m/s]."""
     k, drive = coefficients(p, False), drive_limits(p)
-    w = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
+    w = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
     contact = contact_of(p, k, drive, patches)
-    r = patch_forces.resistance(w, motion, belts.left, belts.right, contact, patches)
+    r = patches_on_level_ground.resistance(w, motion, belts.left, belts.right, contact, patches)
     return loads_of(r, motion, belts, k)
 
 

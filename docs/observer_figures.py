@@ -12,9 +12,9 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from baselines.estimators.estimate import Status
+from baselines.estimators.measurement import Status
 from docs.observer_runs import PARAMETERS, Floats, Run, driven
-from tracked_env.benchmark.changes import abrupt_changes
+from tracked_env.benchmark.metrics import abrupt_changes
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import adaptive
+from tracked_env.arrays import columns
 from tracked_env.benchmark import BenchmarkConfig
-from tracked_env.benchmark.changes import CHANGING, abrupt_changes
+from tracked_env.benchmark.evaluation_sets import VERSIONS
 from tracked_env.benchmark.identification_metrics import APART
-from tracked_env.benchmark.sets import VERSIONS
-from tracked_env.engine.columns import columns
-from tracked_env.physics.state import STATE_NAMES
+from tracked_env.benchmark.metrics import CHANGING, abrupt_changes
+from tracked_env.physics.parameters import STATE_NAMES
 
 Floats = NDArray[np.float64]
 SEED = 72_000  # episodes on which nothing was chosen

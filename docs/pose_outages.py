@@ -12,8 +12,8 @@ import matplotlib as mpl
 import numpy as np
 
 from baselines.registry import POLICIES
+from tracked_env import arrays as b
 from tracked_env.benchmark import BenchmarkConfig
-from tracked_env.engine import columns as b
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

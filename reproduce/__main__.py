@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from reproduce.command import PAPERS, main
+from reproduce.paper_page import PAPERS, main
 
 DESCRIPTION = "Run the experiments of a paper and print its claims beside what comes out."
 

@@ -1,20 +1,35 @@
 """The page of a paper: its claims beside what comes out, figures and tables.
 
 It is Markdown, and HTML where markdown-it is installed.
+
+Run the experiments of a paper: progress and claims in the terminal, the page as a file.
+
+What the figures of both papers share: axes, the reference line, files; needs matplotlib.
 """
 
 import math
+import sys
 import textwrap
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
+import matplotlib
+from matplotlib.figure import Figure
+
+from tracked_env.benchmark.figures import DPI, REFERENCE_COLOUR
+from tracked_env.benchmark.figures import STYLE as STYLE_drawing
 from tracked_env.benchmark.text_tables import aligned, markdown_rows
+
+R = TypeVar("R")
+
 
 Rows = list[list[str]]  # of a table, header first
 Figures = dict[str, tuple[Path, str]]  # {name: (file, caption)}
-R = TypeVar("R")  # results of all experiments of one paper
+# results of all experiments of one paper
 
 STYLE = """<meta charset="utf-8"><style>
 body { font: 15px/1.45 sans-serif; max-width: 72em; margin: 2em auto; padding: 0 1em; }
@@ -126,3 +141,65 @@ def _wrapped(rows: Rows, width: int) -> Rows:
         height = max(len(cell) for cell in cells)
         broken += [[cell[k] if k < len(cell) else "" for cell in cells] for k in range(height)]
     return broken
+
+
+PAPERS = ("strawa2021", "focchi2025")  # packages beside this file
+
+
+def main(paper: str, output: Path = Path("results"), figures: bool = True) -> int:
+    """Run a paper of PAPERS, print its claims beside what comes out, write OUTPUT/PAPER/page.md.
+
+    figures: draw them; without matplotlib the page has none. Returns the exit status.
+    """
+    began = time.perf_counter()
+    folder = output / paper
+    folder.mkdir(parents=True, exist_ok=True)  # before minutes of work: it may be refused
+
+    def say(text: str) -> None:
+        print(f"{time.perf_counter() - began:5.0f} s  {text}", flush=True)
+
+    package = import_module(f"reproduce.{paper}")
+    results = package.run_everything(say)
+    say("page")
+    try:
+        files = package.PAGE.write(results, folder, figures)
+    except ImportError as error:
+        print(f"not drawn: {error}", file=sys.stderr)
+        files = package.PAGE.write(results, folder, draw=False)
+    print(f"\n{terminal(package.PAGE.claims(results))}\n")
+    names = ", ".join(file.name for file in files if file.suffix != ".png")
+    drawn = sum(file.suffix == ".png" for file in files)
+    print(f"{names} and {drawn} figures in {folder}; {time.perf_counter() - began:.0f} s")
+    return 0
+
+
+Drawings = dict[str, tuple[Figure, str]]  # {name: (figure, caption)}
+# results of all experiments of one paper
+
+REFERENCE: dict[str, Any] = {
+    "color": REFERENCE_COLOUR,
+    "linewidth": 4.0,
+    "alpha": 0.45,
+    "label": "reference",
+}
+
+
+def panels(size: tuple[float, float], rows: int, columns: int, **shared: Any) -> tuple[Figure, Any]:
+    """A figure of size (width, height) [inch] and its axes (rows, columns).
+
+    shared: further arguments of `Figure.subplots`.
+    """
+    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
+
+
+def save(results: R, folder: Path, paper: str, *draw: Callable[[R], Drawings]) -> Figures:
+    """Draw all figures of a paper and write them as PAPER-NAME.png. Returns files and captions."""
+    written: Figures = {}
+    with matplotlib.rc_context(STYLE_drawing):
+        for drawings in draw:
+            for name, (figure, caption) in drawings(results).items():
+                file = folder / f"{paper}-{name}.png"
+                figure.savefig(file)
+                written[name] = (file, caption)
+    return written

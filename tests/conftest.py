@@ -75,7 +75,7 @@ def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
-    monkeypatch.setattr("tracked_env.cli.waiting.PATIENCE", 3600.0)
+    monkeypatch.setattr("tracked_env.cli.exit_status.PATIENCE", 3600.0)
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def registries() -> Iterator[None]:
     from baselines import registry
     from baselines.estimators import stack
     from tracked_env import observation, sensors, uncertainty
-    from tracked_env.benchmark import sets
+    from tracked_env.benchmark import evaluation_sets as sets
 
     tables = (
         sensors.ADDED, observation.GROUPS, uncertainty.UNCERTAINTY_SETS, uncertainty.DESCRIPTIONS,

@@ -9,11 +9,11 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import tracked_env
+from tracked_env import arrays as b
 from tracked_env import observation as obs
-from tracked_env import rewards
-from tracked_env.engine import columns as b
+from tracked_env import step
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.physics import state as s
+from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import GROUPS, IN_SPACE, RANGES
 from tracked_env.references import REFERENCES
 from tracked_env.sensors import PRESETS
@@ -196,8 +196,8 @@ def test_reward_is_the_sum_of_its_terms_each_within_its_weight():
     rng = np.random.default_rng(0)
     for _ in range(150):
         _, reward, *_, info = env.step(rng.uniform(-1, 1, 2).astype(np.float32))
-        assert reward == pytest.approx(sum(info[key] for key in rewards.INFO_KEYS), abs=1e-12)
-        for name, weight in rewards.WEIGHTS.items():
+        assert reward == pytest.approx(sum(info[key] for key in step.INFO_KEYS), abs=1e-12)
+        for name, weight in step.WEIGHTS.items():
             assert min(weight, 0.0) <= info[f"reward_{name}"] <= max(weight, 0.0)
 
 
@@ -282,7 +282,7 @@ def test_a_diverged_vehicle_ends_with_its_last_readings_and_the_worst_reward(
     if sensors == "strawa":  # no delay: the sensors show what they showed before
         assert np.array_equal(observation[kept], before[kept])
     assert terminated and not truncated and not info["is_success"]
-    assert reward == sum(info[key] for key in rewards.INFO_KEYS) == -0.1
-    assert all(info[f"reward_{k}"] == min(w, 0.0) for k, w in rewards.WEIGHTS.items())
+    assert reward == sum(info[key] for key in step.INFO_KEYS) == -0.1
+    assert all(info[f"reward_{k}"] == min(w, 0.0) for k, w in step.WEIGHTS.items())
     observation, info = env.reset()
     assert env.observation_space.contains(observation) and np.isfinite(info["tracking_error"]).all()

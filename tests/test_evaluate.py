@@ -15,9 +15,9 @@ import pytest
 
 from baselines.registry import POLICIES
 from tracked_env import SPEED_ID, TERRAIN_ID
+from tracked_env.benchmark.evaluation_sets import EPISODES, SETS, VERSIONS, default_sets
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.report import SEPARATION_RATIO
-from tracked_env.benchmark.sets import EPISODES, SETS, VERSIONS, default_sets
 from tracked_env.observation import SIZE
 
 TINY = ("--sets", "payload", "--episodes", "2", "--duration", "1", "--no-figures")

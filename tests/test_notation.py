@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from tracked_env.physics import parameters, state
+from tracked_env.physics import parameters
+from tracked_env.physics import parameters as state
 
 ROOT = Path(__file__).resolve().parent.parent
 PHYSICS = ROOT / "tracked_env" / "physics"
 DOCUMENTED = {
     "parameters.py": ("VehicleParameters", "SoilParameters", "LateralModelParameters"),
-    "state.py": ("VehicleState",),
+    "parameters.py": ("VehicleState",),
 }
 
 

@@ -11,7 +11,7 @@ import pytest
 from tracked_env import observation as obs
 from tracked_env import sensors
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.physics.channels import CHANNELS
+from tracked_env.sensors import CHANNELS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 PERIOD = 0.02  # [s]

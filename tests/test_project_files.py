@@ -173,7 +173,7 @@ def test_the_security_page_lists_exactly_the_files_that_can_run_what_they_read(
     }
     part = text_of(repository, "SECURITY.md").split("## Files and arguments that run code")[1]
     listed = set(re.findall(r"`([\w/.]+\.py)`", part))
-    assert "agents/loading.py" in calling
+    assert "agents/archive.py" in calling
     assert listed - {"matplotlib.py"} == calling
 
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from tracked_env import SPEED
-from tracked_env.engine import columns as b
+from tracked_env import arrays as b
 from tracked_env.engine.episode import _START_RANGES
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.events import _FIELDS, CHANGEABLE
-from tracked_env.physics.parameters import GROUPS, RANGES
-from tracked_env.physics.state import STATE_NAMES
+from tracked_env.physics.parameters import GROUPS, RANGES, STATE_NAMES
 from tracked_env.references import REFERENCES
 from tracked_env.references.specification import POSE, QUANTITIES
 from tracked_env.sensors import _RANGES as SENSOR_RANGES

@@ -9,15 +9,21 @@ import numpy as np
 import pytest
 
 from baselines.estimators.stack import IdentificationStack
-from baselines.learned.shipped import shipped_agents
-from baselines.registry import POLICIES
+from baselines.registry import POLICIES, shipped_agents
 from tracked_env import observation as obs
 from tracked_env import sensors
-from tracked_env.benchmark import BenchmarkConfig, BenchmarkSet, PolicyContext, Store, run, sets
+from tracked_env.benchmark import (
+    BenchmarkConfig,
+    BenchmarkSet,
+    PolicyContext,
+    Store,
+    evaluation_sets,
+    run,
+)
+from tracked_env.benchmark.policies import open_archive
 from tracked_env.benchmark.policy_interface import PolicyEntry
-from tracked_env.benchmark.registered_policies import open_archive
 from tracked_env.benchmark.runner import episode_digest
-from tracked_env.physics.channels import ATTITUDE, Channel
+from tracked_env.sensors import ATTITUDE, Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from tracked_env.wrappers import IdentifiedVectorObservation
 
@@ -259,8 +265,10 @@ def test_a_shipped_agent_drives_the_benchmark_where_more_is_shown(tmp_path):
     entry = open_archive(shipped_agents("torque")["ppo-blind"][0])
     assert isinstance(entry, PolicyEntry)
     arguments = {"observation": GROUPS[::-1]}
-    sets.register(BenchmarkSet("plain", "payload", "what v0 shows"))
-    sets.register(BenchmarkSet("wheeled", "payload", "a fifth wheel", arguments=arguments))
+    evaluation_sets.register(BenchmarkSet("plain", "payload", "what v0 shows"))
+    evaluation_sets.register(
+        BenchmarkSet("wheeled", "payload", "a fifth wheel", arguments=arguments)
+    )
     config = BenchmarkConfig(sets=("plain", "wheeled"), episodes=2, duration=1.0)
     records = run(config, [entry], Store(tmp_path, config.identity()))
     rmse = [record["tracking_rmse"] for record in records]

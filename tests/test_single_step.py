@@ -9,7 +9,7 @@ import pytest
 
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.rewards import INFO_KEYS
+from tracked_env.step import INFO_KEYS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CRUISE = np.array([0.2, 0.25], np.float32)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracked_env import streams
+from tracked_env.engine import noise
 from tracked_env.physics.jit import loop
 
 COUNTS = (1, 2, 3, 7, 2**31 + 11, 2**32 - 5)  # the last two reject a share of the draws
@@ -13,18 +13,18 @@ COUNTS = (1, 2, 3, 7, 2**31 + 11, 2**32 - 5)  # the last two reject a share of t
 def draw(rng, floats, integers, counts):
     """All kinds of numbers in turn, as a law takes them."""
     for k in range(floats.shape[0]):
-        floats[k, 0] = streams.random(rng)
+        floats[k, 0] = noise.random(rng)
         for j in range(counts.size):
-            integers[k, j] = streams.integer(rng, counts[j])
-        floats[k, 1] = streams.uniform(rng, -3.7, 1.9)
-        integers[k, counts.size] = streams.seed(rng)
+            integers[k, j] = noise.integer(rng, counts[j])
+        floats[k, 1] = noise.uniform(rng, -3.7, 1.9)
+        integers[k, counts.size] = noise.seed(rng)
 
 
 @pytest.mark.parametrize("kind", ["PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64"])
 def test_numbers_are_those_of_the_generators_methods_and_it_moves_on(kind):
     one, other = (np.random.Generator(getattr(np.random, kind)(5)) for _ in range(2))
     floats, integers = np.empty((2000, 2)), np.empty((2000, len(COUNTS) + 1), dtype=np.int64)
-    (address,) = streams.addresses([one])
+    (address,) = noise.addresses([one])
     draw(address, floats, integers, np.array(COUNTS))
     for real, whole in zip(floats, integers, strict=True):
         assert real[0] == other.random()

@@ -5,7 +5,7 @@ import numpy as np
 
 from tests.test_terrain_v0 import CALM, ENDINGS, ON_PATH, ROUGH, STANDING, UPHILL, make
 from tracked_env import TERRAIN, TERRAIN_ID
-from tracked_env.engine import columns as b
+from tracked_env import arrays as b
 from tracked_env.sb3 import make_vec_env
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 

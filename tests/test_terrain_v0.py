@@ -15,11 +15,11 @@ from tests.test_vector_env import assert_same, wild_actions
 from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env import observation as obs
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.physics.attitude import matrix_of, quaternion_of
-from tracked_env.physics.channels import CHANNELS, signals
-from tracked_env.physics.state import VehicleState
+from tracked_env.physics.parameters import VehicleState
+from tracked_env.physics.rigid_body import matrix_of, quaternion_of
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants.terrain import RELIEF
+from tracked_env.sensors import CHANNELS, signals
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 GRADE = 0.2

@@ -10,7 +10,7 @@ import pytest
 
 from tests.benchmark.stub_policies import Constant
 from tracked_env import uncertainty
-from tracked_env.benchmark import BenchmarkConfig, BenchmarkSet, Store, check, run, sets
+from tracked_env.benchmark import BenchmarkConfig, BenchmarkSet, Store, check, evaluation_sets, run
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.events import ramp_events
@@ -153,16 +153,18 @@ def test_a_law_may_name_only_the_parameters_that_it_changes():
 
 
 def test_the_benchmark_runs_a_set_of_ones_own_beside_those_of_the_version(registries, tmp_path):
-    sets.register(BenchmarkSet("mine", heavy_then_light, "a third of the mass falls off"))
+    evaluation_sets.register(
+        BenchmarkSet("mine", heavy_then_light, "a third of the mass falls off")
+    )
     config = BenchmarkConfig(sets=("payload", "mine"), episodes=2, duration=1.0)
     coast = PolicyEntry("coast", lambda context: Constant(), "0")
     records = run(config, [coast], Store(tmp_path, config.identity()))
     assert [record["set"] for record in records] == ["payload"] * 2 + ["mine"] * 2
-    assert "mine" not in sets.default_sets() and "mine" not in sets.OF_VERSION
+    assert "mine" not in evaluation_sets.default_sets() and "mine" not in evaluation_sets.OF_VERSION
     answer = check(BenchmarkConfig(sets=("mine",), episodes=2))
     assert not answer.comparable and "sets of your own, not torque-v3: set mine" in answer.message
     with pytest.raises(ValueError, match="evaluation set 'mine' is registered already"):
-        sets.register(BenchmarkSet("mine", "payload", ""))
+        evaluation_sets.register(BenchmarkSet("mine", "payload", ""))
 
 
 def test_results_of_another_law_of_the_same_name_are_other_results(registries):
@@ -176,8 +178,8 @@ def test_results_of_another_law_of_the_same_name_are_other_results(registries):
         {"mass": [1000.0, 2000.0]},
         "drift",
     ):
-        sets.SETS.pop("mine", None)
-        sets.register(BenchmarkSet("mine", drawn, ""))
+        evaluation_sets.SETS.pop("mine", None)
+        evaluation_sets.register(BenchmarkSet("mine", drawn, ""))
         seen.append(BenchmarkConfig(sets=("mine",)).identity())
         assert seen[-1] == BenchmarkConfig(sets=("mine",)).identity()
     assert len({str(identity["own_sets"]) for identity in seen}) == 5

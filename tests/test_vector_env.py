@@ -7,10 +7,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
-from tracked_env.engine import columns as b
+from tracked_env import arrays as b
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.rewards import INFO_KEYS
 from tracked_env.sb3 import make_vec_env
+from tracked_env.step import INFO_KEYS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]

@@ -263,7 +263,7 @@ def test_an_update_of_the_wheel_drives_the_new_physics_over_the_old_kernel_cache
 ) -> None:
     """A formula that kernels inline differs in the new wheel: a tenth of the lateral force."""
     newer = tmp_path / wheel.name
-    formula = "tracked_env/physics/lumped_forces.py"
+    formula = "tracked_env/physics/lumped.py"
     with zipfile.ZipFile(wheel) as old, zipfile.ZipFile(newer, "w") as new:
         for name in old.namelist():
             content = old.read(name)

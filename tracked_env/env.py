@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import observation as obs
-from tracked_env.engine.columns import RowReport
+from tracked_env.arrays import RowReport, ending_flags
 from tracked_env.engine.env_config import EnvConfig, environment_arguments
-from tracked_env.engine.readings import ending_flags
 from tracked_env.engine.simulation import Simulation, checked_actions
 from tracked_env.validation import checked_choice, checked_flag
 
@@ -51,7 +50,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     OBSERVATION_TABLE
 
     ## Rewards
-    Sum of bounded terms (`tracked_env.rewards`), in [-0.1, 1] per step: closeness of position
+    Sum of bounded terms (`tracked_env.step`), in [-0.1, 1] per step: closeness of position
     (weight 0.7), heading (0.15) and speed (0.15), minus effort (0.05) and change of the action
     (0.05). Each is in `info`: `reward_position`, `reward_heading`, `reward_speed`,
     `reward_effort`, `reward_smoothness`.

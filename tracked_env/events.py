@@ -1,7 +1,7 @@
 """Schedules: what changes inside an episode, from readable dicts to the kernels' rows.
 
 One entry of a schedule changes one parameter, from its value at the start of the episode (or
-from the entry before it) to `target`; the formulas are in `tracked_env.physics.parameter_events`:
+from the entry before it) to `target`; the formulas are in `tracked_env.events`:
     {"parameter": "mass", "kind": "ramp", "target": 2000.0, "start": 10.0, "duration": 0.0}
     {"parameter": "cohesion", "kind": "region", "target": 9650.0,
      "x": 5.0, "y": 0.0, "radius": 3.0, "edge": 0.5}
@@ -9,6 +9,23 @@ from the entry before it) to `target`; the formulas are in `tracked_env.physics.
      "x": 5.0, "y": 0.0, "direction": 0.0, "edge": 1.0}      beyond it, looking along direction
     {"parameter": "longitudinal_resistance", "kind": "wave", "target": 0.7,
      "amplitude": 0.02, "k_x": 0.0, "k_y": 0.3, "phase": 0.0, "decay": 0.0}
+
+How a parameter changes inside an episode: ramps in time, regions and waves in space.
+
+An event changes one parameter. With w in [0, 1] its weight:
+    ramp, region, line:  value <- value + w (target - value)
+    wave:                value <- target + a X cos(k_x X + k_y Y + phase) exp(-decay Y), in
+                         [WAVE_LOW, WAVE_HIGH]: resistance coefficients only
+The wave form contains S (44) and (45), the resistance maps of S section 8.2.2.
+An event is one row of eight numbers: kind, parameter index, target, then five more:
+    RAMP    start [s], duration [s] (0 = step)
+    REGION  x [m], y [m], radius [m], width of the edge [m]: inside a disc
+    LINE    x [m], y [m], cos, sin of the normal, width [m]: beyond a straight line
+    WAVE    amplitude per metre of X, k_x, k_y [rad/m], phase [rad], decay [1/m]
+Every finite position gives a finite value: coordinates count at most as FAR, the exponent as
+EXPONENT_LIMIT, both far outside any map.
+
+References: [1] Strawa et al., Electronics 10 (2021) 187, (44) and (45).
 """
 
 import math
@@ -18,9 +35,52 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.physics.parameter_events import KINDS
+from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, Range
 from tracked_env.validation import checked_choice, checked_keys, checked_number
+
+WAVE_LOW, WAVE_HIGH = 0.2, 1.5  # [-] a wave is clipped here: (44) leaves the physical range
+FAR = 1e100  # [m] its square is finite, and so is its product with every field of an event
+EXPONENT_LIMIT = 700.0  # [-] exp of it, and of its negative, are finite and not 0
+RAMP, REGION, LINE, WAVE = range(4)
+KINDS = {"ramp": RAMP, "region": REGION, "line": LINE, "wave": WAVE}
+
+
+@formula
+def clip_weight(value):
+    """Weight in [0, 1]."""
+    return min(max(value, 0.0), 1.0)
+
+
+@formula
+def ramp_weight(time, start, duration):
+    """0 before `start` [s], 1 after `start + duration` [s], linear between."""
+    if duration <= 0.0:
+        return 1.0 if time >= start else 0.0
+    return clip_weight((time - start) / duration)
+
+
+@formula
+def changed_value(value, events, i, e, time, x, y):
+    """Parameter value after event e of vehicle i, at `time` [s] and position (x, y) [m]."""
+    kind, target = events[i, e, 0], events[i, e, 2]
+    first, second, third = events[i, e, 3], events[i, e, 4], events[i, e, 5]
+    fourth, fifth = events[i, e, 6], events[i, e, 7]
+    x, y = min(max(x, -FAR), FAR), min(max(y, -FAR), FAR)
+    if kind == WAVE:
+        phase = second * x + third * y + fourth
+        exponent = min(max(-fifth * y, -EXPONENT_LIMIT), EXPONENT_LIMIT)
+        wave = target + first * x * math.cos(phase) * math.exp(exponent)
+        return min(max(wave, WAVE_LOW), WAVE_HIGH)
+    if kind == RAMP:
+        weight = ramp_weight(time, first, second)
+    elif kind == REGION:
+        distance = math.sqrt((x - first) * (x - first) + (y - second) * (y - second))
+        weight = clip_weight(0.5 + (third - distance) / fourth)
+    else:
+        weight = clip_weight(0.5 + ((x - first) * third + (y - second) * fourth) / fifth)
+    return value + weight * (target - value)
+
 
 Event = dict[str, Any]
 

@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from tracked_env import TORQUE_ID
-from tracked_env.rewards import INFO_KEYS
+from tracked_env.step import INFO_KEYS
 from tracked_env.validation import checked_flag
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 

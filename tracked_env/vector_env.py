@@ -10,13 +10,13 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from tracked_env.engine.columns import Report
+from tracked_env.arrays import Report
 from tracked_env.engine.env_config import EnvConfig, environment_arguments
 from tracked_env.engine.episode import OPTION_KEYS
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
 from tracked_env.physics.parameters import Range
-from tracked_env.rewards import INFO_KEYS
+from tracked_env.step import INFO_KEYS
 from tracked_env.validation import (
     checked_choice,
     checked_flag,

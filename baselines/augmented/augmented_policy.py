@@ -5,29 +5,249 @@ The motion is that of the adaptive policy's filter; no parameter is identified. 
 the filtered forward speed and yaw rate and the commands that were sent, nothing else, and says what
 the law is to cancel or which parameters it is to use. Its state is one row per vehicle: what the
 drives give, the last measured motion, then the numbers of the adaptation.
+
+L1 adaptive augmentation of one channel: predictor, piecewise-constant adaptation, filter.
+
+Channel, with x measured, f the acceleration of the nominal model under the input that was applied,
+s what the model lacks (the matched uncertainty; it contains the unknown input gain):
+    x'  = f + s                                     the vehicle
+    p'  = f + s^ - a (p - x)                        state predictor, error e = p - x
+    e'  = -a e + s^ - s
+    s^  = -exp(-a T) e / P,  P = (1 - exp(-a T)) / a        at every sample, held for T
+    d'  = w (s^ - d)                                low-pass filter C(s) = w / (s + w)
+The law demands u - d where it demanded u. Over a period the error equation is integrated exactly
+for x that is linear in time and f that is its mean, so that what was saturated or is delayed in the
+drive is in f and nothing winds up.
+
+Properties, for constant s: e settles at -P s within one period, of order T; s^ at exp(-a T) s, so
+that d tends to s with a and T to 0. d is kept within +-bound: the projection of this scheme.
+Input gain: with x' = b f_u + .., b the true over the assumed gain, s holds (b - 1) f_u, and the
+loop of estimate and control is stable for |b - 1| < 1 at any bandwidth (small gain, |C| <= 1);
+beyond that only as far as drive and sensors are fast against w. See docs/augmented.md.
+
+References: [1] Hovakimyan, Cao, L1 Adaptive Control Theory (SIAM 2010), sections 2.1 and 3.3.
+
+L1 adaptive loop around each drive: weak and slow ones answer as the nominal drive does.
+
+    h(n+1) = h(n) + (1 - a) (u(n) - h(n)) + s         h torque over its limit, u command,
+    u      = u_d - d                                  a = exp(-dt / T) of the nominal drive
+The channel of `matched_uncertainty` with the measured torque for x, in units of the command: s of a
+drive with gain g and lag T_1 is (1 - a_1) (g u - h) - (1 - a) (u - h). Its input gain,
+b = g (1 - a_1) / (1 - a), is in (0, 1] for weak and slow drives, so the small-gain condition holds
+at any bandwidth w; the estimate settles at the rate b w, so a drive six times as slow asks for a
+bandwidth near the rate of control, and amplifies the noise of the torque like the lead that it is.
+A torque that was not measured in this period, or that no drive could have reached from the last
+one (|h(n+1) - h(n)| > |u| + |h(n)|, a wrong reading), leaves the estimate as it was.
+
+What the nominal model says of the last control period, in the two channels of the vehicle.
+
+    v_x' = thrust - resistance + pull               each over the nominal mass
+    w'   = twist - turning + carried                each over the nominal inertia
+from the measured motion and the efforts that the drives have given: the torques measured at the
+sprockets, with the loop of `drive_loop` around each drive. Loads of the ground,
+those of `lumped_forces`, are the mean of both ends of the period. v_y is that of a steady turn with
+the measured speed and yaw rate: the measured one is noisier than it is informative.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.augmented.channel_loads import OWN
-from baselines.augmented.drive_loop import correct_all
 from baselines.batch_policy import BatchPolicy
 from baselines.estimators.actuators import COMMANDS
+from baselines.estimators.measurement import ATTITUDE, COLUMN, DRIVE, DataSheet, Measurement
 from baselines.estimators.motion_filter import MotionFilter
-from baselines.estimators.sensor_samples import ATTITUDE, COLUMN, DRIVE, DataSheet, Measurement
+from baselines.linearizing import linearizing_law as law
+from baselines.linearizing.adaptive_policy import show
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
+    incline_seen,
     shows_attitude,
 )
-from baselines.linearizing.shown_motion import show
 from tracked_env import observation as layout
+from tracked_env.observation import INDEX, SCALE
+from tracked_env.physics import lumped
+from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
+
+
+class Estimate(NamedTuple):
+    """What one channel remembers, in the unit of its acceleration but for the first."""
+
+    error: float  # e = p - x, prediction less measurement [of x]
+    uncertainty: float  # s^, held since the last sample
+    cancelled: float  # d, its low-pass
+
+
+@formula
+def predictor_gains(rate, period):
+    """(exp(-a T) [-], P = (1 - exp(-a T)) / a [s]) for a [1/s] and T [s]; a = 0 gives (1, T)."""
+    decay = math.exp(-rate * period)
+    return decay, (1.0 - decay) / rate if rate > 0.0 else period
+
+
+@formula
+def sampled(known, change, modelled, rate, bandwidth, bound, period):
+    """Estimate after one period [s]; known: before it.
+
+    change: of the measured x over it. modelled: mean of f over it. rate a and bandwidth w [1/s];
+    w = inf passes s^ on as it is. bound: of d, >= 0.
+    """
+    decay, hold = predictor_gains(rate, period)
+    error = decay * known.error + hold * (known.uncertainty + modelled - change / period)
+    uncertainty = -decay * error / hold
+    share = 1.0 - math.exp(-bandwidth * period)
+    cancelled = known.cancelled + share * (uncertainty - known.cancelled)
+    return Estimate(error, uncertainty, min(max(cancelled, -bound), bound))
+
+
+LARGEST_CORRECTION = 1.0  # [-] of the torque limit
+ERROR_RATE = 1.0  # [1/s] a of the predictor: its share exp(-a dt) is 0.98 at 50 Hz
+READING_ERROR = 0.05  # [-] of the torque limit, well above the noise of a torque sensor
+# Columns of a row: torque given, whether it was measured, Estimate.
+_TORQUE, _KNOWN, _ESTIMATE, DRIVE_COLUMNS = 0, 1, 2, 5
+
+
+@formula
+def mean_of(before, now, decay, lag, period):
+    """Mean over one period [s] of h' = (u - h) / T from `before` to `now`, u constant;
+    decay = exp(-period / T)."""
+    command = (now - decay * before) / (1.0 - decay)
+    return command + (before - command) * (1.0 - decay) * lag / period
+
+
+@formula
+def drive_period(memory, i, at, sent, torque, decay, lag, bandwidth, period):
+    """Mean torque [-] that the drive gave since the last call, all torques over the limit.
+
+    memory (N, ..): row i holds the drive in columns `at` and following, brought up to now. sent:
+    command of the period. torque: measured now, NaN where it is not. decay, lag T [s]: nominal.
+    """
+    before = memory[i, at + _TORQUE]
+    e = at + _ESTIMATE
+    known = Estimate(memory[i, e], memory[i, e + 1], memory[i, e + 2])
+    nominal = (1.0 - decay) * (sent - before)
+    now = torque
+    reach = abs(sent) + abs(before) + READING_ERROR
+    measured = math.isfinite(torque) and abs(torque - before) <= reach
+    if not measured:
+        now = before + nominal + (1.0 - decay) * known.cancelled
+    elif memory[i, at + _KNOWN] > 0.0:
+        unit = (1.0 - decay) / period  # of a change per second, in commands
+        later = sampled(
+            known, (now - before) / unit, nominal / (1.0 - decay), ERROR_RATE, bandwidth,
+            LARGEST_CORRECTION, period,
+        )  # fmt: skip
+        memory[i, e], memory[i, e + 1], memory[i, e + 2] = later
+    memory[i, at + _TORQUE], memory[i, at + _KNOWN] = now, 1.0 if measured else 0.0
+    return mean_of(before, now, decay, lag, period)
+
+
+@loop
+def correct_all(memory, at, action):
+    """Actions (N, 2) in and out: less what the drives are known to add, within [-1, 1]."""
+    for i in range(action.shape[0]):
+        for side in range(2):
+            known = memory[i, at + side * DRIVE_COLUMNS + _ESTIMATE + 2]
+            action[i, side] = min(max(action[i, side] - known, -1.0), 1.0)
+
+
+# Columns of a row of the adaptation: both drives, the measured motion, whether there is one; then
+# those of the adaptation.
+SPEED = 2 * DRIVE_COLUMNS
+YAW_RATE, MEASURED, OWN = SPEED + 1, SPEED + 2, SPEED + 3
+_V_X, _W, _COMMAND = INDEX["v_x"], INDEX["yaw_rate"], INDEX["previous_action_left"]
+_FREE = lumped.TractionLimits(-1e30, 1e30, -1e30, 1e30)
+
+
+class Channels(NamedTuple):
+    """Terms of both channels, at one moment or as a mean."""
+
+    thrust: float  # [m/s^2] of both tracks
+    resistance: float  # [m/s^2] of both tracks, subtracted
+    pull: float  # [m/s^2] w v_y, and gravity on a slope
+    twist: float  # [rad/s^2] of the difference of the efforts
+    turning: float  # [rad/s^2] moment that resists the turn, subtracted
+    carried: float  # [rad/s^2] coupling with the speed, `constrained` only
+
+
+@formula
+def channels_of(v_x, yaw_rate, torque_left, torque_right, k, constrained, incline):
+    """Channels at a measured motion under these torques [N m] with the nominal Coefficients."""
+    across = soil.GRAVITY * incline.down_y
+    v_y = law.steady_lateral_velocity(v_x, yaw_rate, k, across)
+    v_y = -k.icr_forward * yaw_rate if constrained else v_y
+    motion = lumped.Motion(v_x, v_y, yaw_rate)
+    if constrained:
+        f = lumped.constrained_loads(motion, torque_left, torque_right, k, _FREE)
+    else:
+        f = lumped.sliding_loads(motion, torque_left, torque_right, k, _FREE)
+    arm = k.icr_forward if constrained else 0.0
+    uneven = k.half_gauge * (f.resistance_right - f.resistance_left)
+    return Channels(
+        (f.effort_left + f.effort_right) * k.inverse_mass,
+        (f.resistance_left + f.resistance_right) * k.inverse_mass,
+        yaw_rate * v_y + soil.GRAVITY * incline.down_x,
+        k.half_gauge * (f.effort_right - f.effort_left) * k.inverse_inertia,
+        (uneven - f.turning_moment + arm * f.lateral_force) * k.inverse_inertia,
+        arm * yaw_rate * v_x * k.inverse_inertia / k.inverse_mass,
+    )  # fmt: skip
+
+
+@formula
+def _mean(first, second):
+    """Mean of the Channels at both ends of a period."""
+    return Channels(
+        0.5 * (first.thrust + second.thrust),
+        0.5 * (first.resistance + second.resistance),
+        0.5 * (first.pull + second.pull),
+        0.5 * (first.twist + second.twist),
+        0.5 * (first.turning + second.turning),
+        0.5 * (first.carried + second.carried),
+    )  # fmt: skip
+
+
+class Period(NamedTuple):
+    """The last control period of one vehicle."""
+
+    mean: Channels
+    speed_change: float  # [m/s] of v_x
+    yaw_rate_change: float  # [rad/s]
+    known: bool  # False in the first call of an episode
+
+
+@formula
+def last_period(observation, i, torques, memory, p, drive_bandwidth, period, constrained, sloped):
+    """Period of vehicle i since the last call; its row of memory (N, >= OWN) is brought up to now.
+
+    observation (N, >= SIZE) filtered; torques (N, 2) [N m] measured or NaN; p: nominal.
+    """
+    incline = incline_seen(observation, i, sloped)
+    k = law.pressed(lumped.coefficients(p, constrained), incline.press)
+    lag, limit = p.drive_time_constant, p.torque_limit
+    decay = lumped.torque_decay(period, lag)
+    left = limit * drive_period(
+        memory, i, 0, observation[i, _COMMAND], torques[i, 0] / limit, decay, lag,
+        drive_bandwidth, period,
+    )  # fmt: skip
+    right = limit * drive_period(
+        memory, i, DRIVE_COLUMNS, observation[i, _COMMAND + 1], torques[i, 1] / limit, decay, lag,
+        drive_bandwidth, period,
+    )  # fmt: skip
+    v_x, yaw_rate = observation[i, _V_X] * SCALE[_V_X], observation[i, _W] * SCALE[_W]
+    before_v, before_w = memory[i, SPEED], memory[i, YAW_RATE]
+    first = channels_of(before_v, before_w, left, right, k, constrained, incline)
+    second = channels_of(v_x, yaw_rate, left, right, k, constrained, incline)
+    known = memory[i, MEASURED] > 0.0
+    memory[i, SPEED], memory[i, YAW_RATE], memory[i, MEASURED] = v_x, yaw_rate, 1.0
+    return Period(_mean(first, second), v_x - before_v, yaw_rate - before_w, known)
+
 
 _TORQUES = [COLUMN["torque_left"], COLUMN["torque_right"]]
 

@@ -18,24 +18,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimators import slip_outage
+from baselines.estimators import pose_outages
 from baselines.estimators import slip_step as step
-from baselines.estimators.estimate import Estimate
-from baselines.estimators.observation_reader import (
+from baselines.estimators.measurement import (
+    COLUMN,
+    DRIVE,
     FIRST,
     GROUP_SIZE,
+    INERTIAL,
+    POSE,
     RINGS,
     SLOT,
     STEP,
+    Estimate,
+    Measurement,
     ObservationReader,
     Reading,
-)
-from baselines.estimators.sensor_samples import (
-    COLUMN,
-    DRIVE,
-    INERTIAL,
-    POSE,
-    Measurement,
 )
 from baselines.estimators.slip_kinematics import (
     PRIOR_SLIP,
@@ -47,9 +45,9 @@ from baselines.estimators.slip_kinematics import (
     STATES,
 )
 from baselines.estimators.slip_observer import Answer, SlipObserver
-from tracked_env.physics.attitude import heading_rate, incline_of, on_map
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.rigid_body import heading_rate, incline_of, on_map
 from tracked_env.physics.terramechanics import GRAVITY, slip_ratio
 
 _FELT = COLUMN["acceleration_x"] - int(FIRST[INERTIAL])
@@ -127,8 +125,8 @@ def carry(motion, memory, period, slots, steps, biases, attitude):
                 new_w = memory[i, at + 1 + _GYRO] - biases[i, 1]
                 if older > 0 and math.isfinite(memory[i, at + 1 + _BEND]):
                     new_w += older * period * memory[i, at + 1 + _BEND]
-                a = new_a if abs(new_a) < slip_outage.LARGEST_ACCELERATION else felt
-                w = new_w if abs(new_w - motion[i, 5]) < slip_outage.WILD_TURN else turning
+                a = new_a if abs(new_a) < pose_outages.LARGEST_ACCELERATION else felt
+                w = new_w if abs(new_w - motion[i, 5]) < pose_outages.WILD_TURN else turning
             if k > 0:
                 mean_w = 0.5 * (turning + w)
                 gain = period * (0.5 * (felt + a) + mean_w * v_y)
@@ -160,12 +158,12 @@ def slips_now(motion, values, memory, value, covariance, steps, k):
         x, p = value[i], covariance[i]
         left, right = memory[i, step.BELT_L], memory[i, step.BELT_R]
         time = steps[i] * k.period
-        shared = slip_outage.speed_variance(x, p, left, right, k)
-        shared += time * time * memory[i, at + slip_outage.P_BB]
+        shared = pose_outages.speed_variance(x, p, left, right, k)
+        shared += time * time * memory[i, at + pose_outages.P_BB]
         shared += time * k.period * k.acceleration_variance
         if steps[i] > 0:
-            shared += slip_outage.HANDOVER * slip_outage.HANDOVER
-        turn = 0.25 * (k.gyro_variance + memory[i, at + slip_outage.P_GG])
+            shared += pose_outages.HANDOVER * pose_outages.HANDOVER
+        turn = 0.25 * (k.gyro_variance + memory[i, at + pose_outages.P_GG])
         turn /= k.inverse_gauge * k.inverse_gauge
         rises = (1.0, 1.0)
         for side in range(2):
@@ -174,7 +172,7 @@ def slips_now(motion, values, memory, value, covariance, steps, k):
             state = SLIP_LEFT + side
             if abs(belt) < step.FASTEST_BELT and abs(belt) > k.standing_belt:
                 x[state] = min(max(slip_ratio(belt, speed), -SLIP_LIMIT), SLIP_LIMIT)
-                rise = slip_outage.steepness(belt, x[state], k)
+                rise = pose_outages.steepness(belt, x[state], k)
                 noise = k.belt_variance * (speed / belt) ** 2
                 p[state, :] = 0.0
                 p[:, state] = 0.0
@@ -232,7 +230,7 @@ def to_present(
     """Move a motion (N, 6) of that moment to now, in place; attitude (N, 3) [rad, rad, rad/s]."""
     if reader.lag == 0:
         return
-    columns = [step.OUTAGE + slip_outage.BIAS, step.OUTAGE + slip_outage.TURN_BIAS]
+    columns = [step.OUTAGE + pose_outages.BIAS, step.OUTAGE + pose_outages.TURN_BIAS]
     carry(
         motion, reader.memory, reader.control_period, reader.slots, moment.steps,
         slip.memory[:, columns], attitude,

@@ -18,10 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators.estimate import Quantity, Setting
-from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
+from baselines.estimators import two_parameters as im
+from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, DataSheet, Quantity, Setting
 from baselines.estimators.two_parameters import (
     HOLDING,
     PLAIN,
@@ -35,9 +34,9 @@ from baselines.estimators.two_parameters import (
     take,
 )
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.attitude import incline_of
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.physics.rigid_body import incline_of
 from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s

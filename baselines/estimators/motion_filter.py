@@ -12,21 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators import late_pose
-from baselines.estimators import stack_links as links
-from baselines.estimators.estimate import Setting
-from baselines.estimators.observation_reader import NEEDS, ObservationReader
-from baselines.estimators.sensor_samples import (
+from baselines.estimators import stack as links
+from baselines.estimators.measurement import (
     ATTITUDE,
+    NEEDS,
     DataSheet,
     Measurement,
+    ObservationReader,
+    Setting,
     WiderMeasurement,
     attitude_of,
 )
 from baselines.estimators.slip_observer import Answer, SlipObserver
 from baselines.estimators.soil_estimator import PRIOR_SIGMA
 from tracked_env import observation as layout
+from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import PlantParameters
-from tracked_env.physics.vehicle import drive_limits
 
 
 class FilteredMotion(NamedTuple):

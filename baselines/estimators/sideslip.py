@@ -27,21 +27,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators.estimate import Setting
-from baselines.estimators.sensor_samples import (
+from baselines.estimators import two_parameters as im
+from baselines.estimators.measurement import (
     COLUMN,
     INERTIAL,
     POSE,
     Measurement,
+    Setting,
     attitude_of,
 )
 from baselines.estimators.turning import AGREEMENT, TURNED, slip_share
 from baselines.estimators.turning_equation import lever
 from baselines.estimators.two_parameters import TwoParameterEstimator
-from tracked_env.physics.attitude import incline_of
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.rigid_body import incline_of
 from tracked_env.physics.terramechanics import GRAVITY
 
 LEAST_TURN = 0.1  # [rad/s] slower turns say nothing

@@ -15,13 +15,12 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
-from baselines.estimators import slip_covariance, slip_kinematics
+from baselines.estimators import slip_kinematics
+from baselines.estimators import slip_kinematics as slip_covariance
 from baselines.estimators import slip_step as step
-from baselines.estimators.dead_reckoning import Way
-from baselines.estimators.sensor_samples import Measurement, attitude_of
-from baselines.estimators.slip_kinematics import ROWS, STATES, Constants, Inputs
-from baselines.estimators.slip_observer import SlipObserver
-from baselines.estimators.slip_unscented import BETA, SPREAD
+from baselines.estimators.measurement import Measurement, attitude_of
+from baselines.estimators.slip_kinematics import ROWS, STATES, Constants, Inputs, Way
+from baselines.estimators.slip_observer import BETA, SPREAD, SlipObserver
 from tracked_env.physics.jit import formula, loop
 
 # One row of numbers passes between Python and the kernels: calls with tuples cost more.

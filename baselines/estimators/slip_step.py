@@ -17,15 +17,10 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
 
 import math
 
-from baselines.estimators import (
-    dead_reckoning,
-    outage_measurement,
-    slip_covariance,
-    slip_kinematics,
-    slip_outage,
-)
-from baselines.estimators.dead_reckoning import Way
-from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, POSE
+from baselines.estimators import pose_outages, slip_kinematics
+from baselines.estimators import slip_kinematics as dead_reckoning
+from baselines.estimators import slip_kinematics as slip_covariance
+from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, POSE
 from baselines.estimators.slip_kinematics import (
     BELT_SIGMAS,
     PRIOR_SLIP,
@@ -37,10 +32,11 @@ from baselines.estimators.slip_kinematics import (
     STANDING_VEHICLE,
     STATES,
     YAW,
+    Way,
 )
-from tracked_env.physics.attitude import heading_rate, incline_of
 from tracked_env.physics.elementary import signed, wrap_angle
 from tracked_env.physics.jit import formula
+from tracked_env.physics.rigid_body import heading_rate, incline_of
 from tracked_env.physics.terramechanics import slip_ratio, track_speed_from_belt
 
 PATIENCE = 5  # [samples] that many outliers in a row are a change
@@ -58,7 +54,7 @@ BELT_L, BELT_R, HELD_L, HELD_R, STARTED, OUTLIERS, SKIPPED = range(
     COVARIANCE + STATES * STATES, COVARIANCE + STATES * STATES + 7
 )  # belt speeds and for how many steps they are held, a pose came (1 = yes), in a row, counted
 OUTAGE = SKIPPED + 1  # what slip_outage remembers
-RING = OUTAGE + slip_outage.COLUMNS
+RING = OUTAGE + pose_outages.COLUMNS
 
 _SPEED_L, _SPEED_R = COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]
 _YAW_RATE = COLUMN["yaw_rate"]
@@ -109,14 +105,14 @@ def _slip_of_jump(x, p, state, last, belt, steps, k):
         jumped = min(max(slip_ratio(belt, speed), -SLIP_LIMIT), SLIP_LIMIT)
         p[state, state] += min((jumped - x[state]) ** 2, PRIOR_SLIP * PRIOR_SLIP)
         x[state] = jumped
-        last = slip_outage.belt_of(before, jumped)
+        last = pose_outages.belt_of(before, jumped)
     return last
 
 
 @formula
 def is_blind(memory, i, k):
     """Whether vehicle i is in an outage."""
-    return slip_outage.silent(memory, i, OUTAGE, k)
+    return pose_outages.silent(memory, i, OUTAGE, k)
 
 
 @formula
@@ -131,7 +127,7 @@ def take_drive(memory, i, values, fresh, attitude, x, p, k):
     jumps = jumps or (seen_right and _jumps(last_right, right, memory[i, HELD_R], k))
     learns = memory[i, STARTED] > 0.0 and k.rows >= slip_kinematics.ROWS
     if jumps and learns and not fresh[i, POSE]:
-        slip_outage.begin(memory, i, OUTAGE, k)
+        pose_outages.begin(memory, i, OUTAGE, k)
     blind = memory[i, OUTAGE] >= k.silence
     if seen_left:
         if not blind:
@@ -148,7 +144,7 @@ def take_drive(memory, i, values, fresh, attitude, x, p, k):
     incline, common = incline_of(attitude[i, 1], attitude[i, 0]), -1.0
     if memory[i, STARTED] > 0.0:
         turn, carried = heading_rate(incline, attitude[i, 2])
-        common, last_left, last_right, left, right = slip_outage.carry(
+        common, last_left, last_right, left, right = pose_outages.carry(
             memory, i, OUTAGE, x, p, last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
             values, incline, carried, turn, k,
         )  # fmt: skip
@@ -194,10 +190,10 @@ def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
     are missing, and a gyro without a new sample, are replaced by the model's with a huge variance.
     The drive's own delay counts: its latest belt speed is one of `age` ago.
     """
-    if slip_outage.silent(memory, i, OUTAGE, k):
-        slip_outage.add_shown(memory, i, OUTAGE, x, memory[i, BELT_L], memory[i, BELT_R], 1.0, k)
+    if pose_outages.silent(memory, i, OUTAGE, k):
+        pose_outages.add_shown(memory, i, OUTAGE, x, memory[i, BELT_L], memory[i, BELT_R], 1.0, k)
     drive, pose = _steps(age[i, DRIVE], k), _steps(age[i, POSE], k)
-    slip_outage.see(memory, i, OUTAGE, values[i, 3], values[i, 2], pose * k.period, values, k)
+    pose_outages.see(memory, i, OUTAGE, values[i, 3], values[i, 2], pose * k.period, values, k)
     sums = dead_reckoning.since(memory, i, RING, slots, pose)
     way = Way(
         sums.d_left, sums.d_right, sums.c_left, sums.s_left, sums.c_right, sums.s_right,
@@ -236,7 +232,7 @@ def take_motion(memory, i, values, fresh, x, p, u, k, z, noise):
     memory[i, OUTLIERS] = 0.0
     now = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, left, right, left, right)
     expected = slip_kinematics.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, now, now, k)
-    outage_measurement.measure(
+    pose_outages.measure(
         memory, i, OUTAGE, values, fresh, expected, x, p, left, right, u.press, k, z, noise
     )
     return now, now
@@ -264,7 +260,7 @@ def start(memory, i, values, x, p, z, noise, way, k):
     variance = max(PRIOR_SLIP * PRIOR_SLIP * v * v, variance)
     if k.rows >= slip_kinematics.ROWS and noise[3, 3] < variance:
         v, variance = z[3], noise[3, 3]
-    slip_outage.start(memory, i, OUTAGE, x, p, values, v, variance, k)
+    pose_outages.start(memory, i, OUTAGE, x, p, values, v, variance, k)
 
 
 @formula
@@ -273,7 +269,7 @@ def innovation_verdict(memory, i, nis, k):
 
     The first pose after an outage is followed.
     """
-    if slip_outage.silent(memory, i, OUTAGE, k):
+    if pose_outages.silent(memory, i, OUTAGE, k):
         return 2 if nis > k.gate else 0
     if nis <= k.gate:
         memory[i, OUTLIERS] = 0.0
@@ -303,7 +299,7 @@ def finish(memory, i, x, p, root, u, used, outcome, k):
             p[:, a] = 0.0
             p[a, a] = variance
     if memory[i, STARTED] > 0.0:
-        slip_outage.settle(memory, i, OUTAGE, x, p, memory[i, BELT_L], memory[i, BELT_R], used, k)
+        pose_outages.settle(memory, i, OUTAGE, x, p, memory[i, BELT_L], memory[i, BELT_R], used, k)
     store(memory, i, x, p)
     smallest, largest = slip_covariance.information(p)
     moves = min(min(u.fade_left, u.fade_right), u.fade_side) > 0.0

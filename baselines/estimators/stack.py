@@ -12,35 +12,278 @@ features follow from what each estimator declares (`estimate.Estimator`); those 
 come after all others, so that the columns of an agent trained without it stay where they are.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.
+
+What is known after a control step, and how an agent is shown it.
+
+An estimator answers with bare arrays; an `Estimate` is made of them when it is read. A policy
+that needs two numbers of each answer does not pay for the rest.
+
+What passes between the estimators of the stack, as kernels: times and bad input.
+
+The time of the slip filter is that of the drive samples, which move it. Where the pose is late
+too, what it knows is that old, and `advance` brings it to the present; where the pose is newer
+than the drive, the filter has already been pulled there.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import late_pose
-from baselines.estimators import stack_links as links
 from baselines.estimators.actuators import COMMANDS, ActuatorEstimator
-from baselines.estimators.estimate import AnsweringEstimator, Estimator, Setting, Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.observation_reader import NEEDS, ObservationReader
-from baselines.estimators.sensor_samples import DataSheet, WiderMeasurement, attitude_of
-from baselines.estimators.sideslip import SideslipRow
-from baselines.estimators.slip_observer import SlipObserver
-from baselines.estimators.soil_estimator import SoilEstimator
-from baselines.estimators.stack_identification import (
-    ESTIMATORS,
-    Estimates,
-    Identification,
-    feature_names,
-    features,
+from baselines.estimators.measurement import (
+    COLUMN,
+    NEEDS,
+    POSE,
+    AnsweringEstimator,
+    DataSheet,
+    Estimate,
+    Estimator,
+    ObservationReader,
+    Pair,
+    Quantity,
+    Reading,
+    Setting,
+    Status,
+    WiderMeasurement,
+    attitude_of,
 )
+from baselines.estimators.sideslip import SideslipRow
+from baselines.estimators.slip_observer import Motion, SlipObserver
+from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
 from tracked_env import observation as layout
-from tracked_env.physics.channels import CHANNELS
+from tracked_env.observation import INDEX, SIZE
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
+from tracked_env.physics.rigid_body import heading_rate, incline_of, on_map
+from tracked_env.physics.terramechanics import GRAVITY
+from tracked_env.sensors import CHANNELS
+
+ESTIMATORS = ("longitudinal", "turning", "slip", "soil")  # of every stack
+Quantities = Mapping[str, tuple[Quantity, ...]]  # by estimator
+
+
+def blocks(quantities: Quantities) -> list[tuple[str, ...]]:
+    """Estimators whose features stand together: those of every stack, then one by one."""
+    return [ESTIMATORS, *((name,) for name in quantities if name not in ESTIMATORS)]
+
+
+def feature_names(quantities: Quantities) -> tuple[str, ...]:
+    """Names of features: of each block estimates, their deviations, then excitations."""
+    names: list[str] = []
+    for block in blocks(quantities):
+        own = [quantity.name for name in block for quantity in quantities[name]]
+        names += [*own, *(f"{name}_deviation" for name in own)]
+        names += [f"{name}_excitation" for name in block]
+    return tuple(names)
+
+
+class Estimates(Mapping[str, Estimate]):
+    """Estimates by estimator, each made of its bare answer when it is first read."""
+
+    def __init__(self) -> None:
+        self.answers: dict[str, Any] = {}  # bare, or an Estimate
+        self._make: dict[str, Callable[[Any], Estimate]] = {}
+        self._made: dict[str, Estimate] = {}
+
+    def add(self, name: str, answer: Any, make: Callable[[Any], Estimate]) -> None:
+        """Take an answer; make(answer) is its Estimate."""
+        self.answers[name] = answer
+        self._make[name] = make
+
+    def show(self, name: str, estimate: Estimate) -> None:
+        """Show an Estimate in place of the one of the answer, which stays."""
+        self._made[name] = estimate
+
+    def add_made(self, name: str, estimate: Estimate) -> None:
+        """Take an Estimate."""
+        self.answers[name] = self._made[name] = estimate
+
+    def __getitem__(self, name: str) -> Estimate:
+        if name not in self._made:
+            self._made[name] = self._make[name](self.answers[name])
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.answers)
+
+    def __len__(self) -> int:
+        return len(self.answers)
+
+
+class Identification:
+    """What is known after a control step of N vehicles.
+
+    reading: the observation. motion_rows: columns of the filtered Motion, (N, 6). parts: Estimate
+    by estimator. quantities: what each provides, in order: the four of ESTIMATORS, then further
+    ones. traction_known (N,): the data determine what effort the soil carries.
+    """
+
+    def __init__(
+        self,
+        reading: Reading,
+        motion_rows: NDArray[np.float64],
+        parts: Estimates,
+        quantities: Quantities,
+        traction_known: NDArray[np.bool_],
+    ) -> None:
+        self.reading, self.motion_rows, self.parts = reading, motion_rows, parts
+        self.quantities, self.traction_known = quantities, traction_known
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Filtered pose and velocities."""
+        return Motion(*self.motion_rows.T)
+
+    @property
+    def longitudinal(self) -> Estimate:
+        """1/m, mu_l."""
+        return self.parts["longitudinal"]
+
+    @property
+    def turning(self) -> Estimate:
+        """I, mu_t."""
+        return self.parts["turning"]
+
+    @property
+    def slip(self) -> Estimate:
+        """Pose, slips, side slip."""
+        return self.parts["slip"]
+
+    @property
+    def soil(self) -> Estimate:
+        """F_max, K."""
+        return self.parts["soil"]
+
+    @property
+    def provided(self) -> dict[str, tuple[str, ...]]:
+        """Names of the quantities that each estimator provides."""
+        return {name: tuple(q.name for q in own) for name, own in self.quantities.items()}
+
+    @property
+    def mass(self) -> NDArray[np.float64]:
+        """Mass [kg], (N,)."""
+        return self.estimates()["mass"][0]
+
+    @property
+    def mass_deviation(self) -> NDArray[np.float64]:
+        """Its standard deviation [kg], to first order, (N,)."""
+        return self.estimates()["mass"][1]
+
+    def estimates(self) -> dict[str, Pair]:
+        """(value, standard deviation) by name, each (N,), SI."""
+        return {
+            quantity.name: quantity.read(self.parts[name])
+            for name, own in self.quantities.items()
+            for quantity in own
+        }
+
+    def excitation(self) -> dict[str, NDArray[np.float64]]:
+        """Excitation [-] of each estimator, (N,)."""
+        return {name: self.parts[name].excitation for name in self.quantities}
+
+    def nis(self) -> dict[str, NDArray[np.float64]]:
+        """Normalised innovation squared of each estimator, NaN without a sample, (N,)."""
+        return {name: self.parts[name].nis for name in self.quantities}
+
+    def status(self) -> dict[str, NDArray[np.int64]]:
+        """Status of each estimator, (N,)."""
+        return {name: self.parts[name].status for name in self.quantities}
+
+
+def features(
+    known: Identification, nominal: PlantParameters, further: bool = True
+) -> NDArray[np.float32]:
+    """Estimates, standard deviations and excitations as numbers of order one, (N, F) float32.
+
+    Each estimator says how its quantities are shown: over the nominal value, as the logarithm of
+    that, or as they are. Excitation e is shown as e / (1 + e). further: False shows the four of
+    ESTIMATORS alone.
+    """
+    columns: list[NDArray[np.float64]] = []
+    for block in blocks(known.quantities) if further else [ESTIMATORS]:
+        shown = [
+            quantity.normalized(known.parts[name], nominal)
+            for name in block
+            for quantity in known.quantities[name]
+        ]
+        columns += [value for value, _ in shown] + [deviation for _, deviation in shown]
+        excitation = [known.parts[name].excitation for name in block]
+        columns += [e / (1.0 + e) for e in excitation]
+    out = np.empty((len(known.motion_rows), len(columns)), dtype=np.float32)
+    for column, values in enumerate(columns):
+        out[:, column] = values
+    return out
+
+
+_AFTER_SENSORS = INDEX["reference_speed"]  # from here on: reference, action, ages
+_V_X, _A_X, _BEND = COLUMN["v_x"], COLUMN["acceleration_x"], COLUMN["yaw_acceleration"]
+
+
+@loop
+def inspect(observation, start):
+    """(row, column, starts): the first reference, action or age of observation (N, >= SIZE) that
+    is not finite, or (-1, -1), and whether any row of start (N,) is marked. Sensors may be NaN:
+    those samples are skipped."""
+    starts = False
+    for i in range(observation.shape[0]):
+        starts = starts or start[i]
+        for column in range(_AFTER_SENSORS, SIZE):
+            if not math.isfinite(observation[i, column]):
+                return i, column, starts
+    return -1, -1, starts
+
+
+@loop
+def date(age, delay, behind):
+    """Ages (N, 3) [s] of the pose become those at the time of the filter.
+
+    delay (N,) [s] of the drive. behind (N,) [s] out: how old what the filter knows is.
+    """
+    for i in range(age.shape[0]):
+        behind[i] = min(age[i, POSE], delay[i])
+        age[i, POSE] -= behind[i]
+
+
+@loop
+def put_velocity(motion, values):
+    """The filtered v_x and v_y of motion (N, 6) in place of those of values (N, CHANNELS)."""
+    for i in range(motion.shape[0]):
+        values[i, _V_X], values[i, _V_X + 1] = motion[i, 3], motion[i, 4]
+
+
+@loop
+def advance(motion, behind, felt, attitude):
+    """Move a motion, (N, 6), that is `behind` (N,) [s], to the present, in place.
+
+    Acceleration and yaw acceleration, felt (N, CHANNELS) at that time, stay what they are; what the
+    accelerometer feels of gravity, by the attitude (N, 3), moves nothing.
+    """
+    for i in range(motion.shape[0]):
+        time = behind[i]
+        if time > 0.0:
+            yaw, v_x, v_y, yaw_rate = motion[i, 2], motion[i, 3], motion[i, 4], motion[i, 5]
+            incline = incline_of(attitude[i, 1], attitude[i, 0])
+            turn, carried = heading_rate(incline, attitude[i, 2])
+            forward = felt[i, _A_X] + GRAVITY * incline.down_x + yaw_rate * v_y
+            bend = felt[i, _BEND]
+            gain_x = forward * time if math.isfinite(forward) else 0.0
+            gain_w = bend * time if math.isfinite(bend) else 0.0
+            along, across = on_map(time * (v_x + 0.5 * gain_x), time * v_y, incline)
+            c, s = rotation(yaw + 0.5 * time * (turn * (yaw_rate + 0.25 * gain_w) + carried))
+            motion[i, 0] += c * along - s * across
+            motion[i, 1] += s * along + c * across
+            motion[i, 2] += time * (turn * (yaw_rate + 0.5 * gain_w) + carried)
+            motion[i, 3] += gain_x
+            motion[i, 5] += gain_w
+
 
 Memories = tuple[NDArray[np.float64], ...]
 Factory = Callable[[Setting], Estimator]
@@ -231,16 +474,16 @@ class IdentificationStack:
             )
         if self._sideslip is not None:
             self._sideslip.compute(latest, self.longitudinal, self.turning)
-        links.date(latest.age, moment.drive_delay, self._behind)
+        date(latest.age, moment.drive_delay, self._behind)
         estimates = Estimates()
         answer = late_pose.filtered(self.slip, latest, moment.held)
         estimates.add("slip", answer, self.slip.estimate)
         motion = self.slip.motion_rows()
-        links.put_velocity(motion, paired.values)
-        links.advance(motion, self._behind, paired.values, attitude_of(latest))
+        put_velocity(motion, paired.values)
+        advance(motion, self._behind, paired.values, attitude_of(latest))
         late_pose.to_present(motion, self.reader, self.slip, moment, attitude_of(latest))
         if self.reader.lag > 0:
-            links.put_velocity(motion, present.values)
+            put_velocity(motion, present.values)
             now = late_pose.estimate_now(
                 self.slip, answer, motion, reading.latest.values, moment.steps
             )  # fmt: skip
@@ -291,7 +534,7 @@ class IdentificationStack:
                 f"observation has shape {observation.shape}; must be {self._shape}{behind}. "
                 "Is the stack made for another count?"
             )
-        row, column, starts = links.inspect(observation, start)
+        row, column, starts = inspect(observation, start)
         if row >= 0:
             raise ValueError(
                 f"observation[{row}]: {layout.NAMES[column]} = {observation[row, column]}; must be "

@@ -25,12 +25,20 @@ from typing import Any
 
 import numpy as np
 
-from baselines.estimators import cohesive_soil
-from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators.estimate import Estimate, Estimator, Quantity, Setting
+from baselines.estimators import turning_equation
+from baselines.estimators import two_parameters as im
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, DataSheet
+from baselines.estimators.measurement import (
+    COLUMN,
+    DRIVE,
+    INERTIAL,
+    DataSheet,
+    Estimate,
+    Estimator,
+    Quantity,
+    Setting,
+)
 from baselines.estimators.turning_equation import Known, equation
 from baselines.estimators.two_parameters import (
     HOLDING,
@@ -50,9 +58,9 @@ from baselines.estimators.two_parameters import (
     take,
 )
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.attitude import incline_of
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.physics.rigid_body import incline_of
 from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
@@ -76,7 +84,7 @@ _W, _SPROCKET = COLUMN["yaw_rate"], COLUMN["sprocket_speed_left"]
 # AGREEMENT: how well the side slip agrees with a friction that is not shared, 0: nothing known.
 # COHESIVE: the first of those of cohesive_soil.
 TURNED, BELTS, AGREEMENT, COHESIVE = range(im.MEMORY, im.MEMORY + 4)
-MEMORY = COHESIVE + cohesive_soil.COLUMNS
+MEMORY = COHESIVE + turning_equation.COLUMNS
 
 
 @formula
@@ -122,7 +130,7 @@ def complete(out, i, memory, prior, table, mass, variance, known):
     """The answer of the regression on vehicle i becomes that of this estimator."""
     if table.shape[0] > 0:
         admit_shared_friction(out, i, memory, prior)
-    cohesive = memory[i, COHESIVE + cohesive_soil.LEFT] > 0.0
+    cohesive = memory[i, COHESIVE + turning_equation.LEFT] > 0.0
     per_mass(out, i, mass, variance, known, math.inf if cohesive else known.high)
 
 
@@ -131,9 +139,9 @@ def _inertia_apart(memory, i, sample, prior, mass, known):
     """The sample; on cohesive soil one on the friction alone."""
     inertia, _friction = ls.values(memory, i, prior)
     most, period = known.high * mass, known.averaged * SHARE_TIME
-    if cohesive_soil.resists(memory, i, COHESIVE, sample, inertia, most, period):
+    if turning_equation.resists(memory, i, COHESIVE, sample, inertia, most, period):
         variance, _p_12, _p_22 = ls.covariance(memory, i, prior)
-        sample = cohesive_soil.on_friction_alone(sample, inertia, variance)
+        sample = turning_equation.on_friction_alone(sample, inertia, variance)
     return sample
 
 
@@ -158,7 +166,7 @@ def update_all(z, fresh, attitude, memory, prior, table, known, mass, variance, 
                 if table.shape[0] > 0:
                     sample = _inertia_apart(memory, i, sample, prior, mass[i], known)
                 status, nis = take(memory, i, sample, prior, table)
-                if memory[i, COHESIVE + cohesive_soil.LEFT] > 0.0:
+                if memory[i, COHESIVE + turning_equation.LEFT] > 0.0:
                     status = max(status, HOLDING)
                 _compare_belts(z, i, memory, known)
             elif table.shape[0] > 0:

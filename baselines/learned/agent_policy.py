@@ -3,22 +3,305 @@
     action, state = policy.predict(observation (N, D), state, episode_start)
 Observation augmentation, running normalisation and network are those of the training. What the
 network sees of an observation is looked up by the names of the fields, `Shown`.
+
+The networks of trained agents: from their weights to an action, in single precision.
+
+    layer        y = f(x W^T + b)
+    LSTM [1]     a = x W_x^T + b_x + h W_h^T + b_h
+                 i, f, o = sigmoid(a_i, a_f, a_o),  g = tanh(a_g),  c' = f c + i g,  h' = o tanh(c')
+    actor        of PPO: clip(MLP(x));  of SAC, TQC and TD3: tanh(MLP(x));
+                 of recurrent PPO: clip(MLP([h', x]))
+Weights have the names and shapes of PyTorch. Sums run in the same order for any number of rows,
+so a batch has the bits of its single rows. The action is the mean of the distribution.
+
+References: [1] Hochreiter and Schmidhuber (1997), gates and their order as torch.nn.LSTM.
+
+What a teacher sees besides the observation: the hidden parameters in force, and the slips.
+
+A teacher is trained on an environment with `expose_truth`, and as a policy declares `needs_truth`,
+like the oracle: it measures what could be had, and is no competitor. A student infers these inputs
+from measurements and drives with the same network.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.learned.augmentation import Augmentation, make_augmentation, seen
-from baselines.learned.held_policy import chosen
-from baselines.learned.privileged_inputs import TEACHER, Truth, privileged
+from baselines.learned.augmentation import Augmentation, chosen, make_augmentation, seen
 from baselines.registry import Context
 from tracked_env import observation as layout
+from tracked_env.observation import FEATURE_BOUND
+from tracked_env.physics.jit import copy_entries, loop
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.terramechanics import GRAVITY, mohr_coulomb
 
 Floats = NDArray[np.float32]
+
+
+Arrays = dict[str, NDArray[Any]]
+Shapes = dict[str, tuple[int, ...]]
+Carried = tuple[Floats, Floats]  # hidden and cell values of an LSTM, (N, H) each
+
+ACTIONS = 2  # left and right sprocket
+ALGORITHMS = ("ppo", "sac", "td3", "tqc", "recurrent-ppo")
+RECURRENT = "recurrent-ppo"
+# Where the layers of the action stand in a policy of Stable-Baselines3: hidden ones, the last one.
+_GAUSSIAN = "mlp_extractor.policy_net.", "action_net"
+_SQUASHED = "actor.latent_pi.", "actor.mu"
+_HIDDEN_AND_LAST = {
+    "ppo": _GAUSSIAN, RECURRENT: _GAUSSIAN, "sac": _SQUASHED, "tqc": _SQUASHED,
+    "td3": ("actor.mu.", ""),
+}  # fmt: skip
+_LSTM = "lstm_actor."
+
+
+def _elu(x: Floats) -> Floats:
+    return np.maximum(x, 0.0) + (np.exp(np.minimum(x, 0.0)) - np.float32(1.0))
+
+
+def _relu(x: Floats) -> Floats:
+    return np.maximum(x, 0.0)
+
+
+ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {"tanh": np.tanh, "relu": _relu, "elu": _elu}
+
+
+def _sigmoid(x: Floats) -> Floats:
+    return 0.5 * (np.tanh(0.5 * x) + 1.0)  # exp(-x) would overflow
+
+
+@loop
+def _linear(inputs, weights, bias, out):
+    """out (N, M) = inputs (N, K) weights (K, M) + bias (M,).
+
+    The sum over K goes on in its order, four terms at a time, which halves the time.
+    """
+    count = inputs.shape[1]
+    whole = count - count % 4
+    for row in range(inputs.shape[0]):
+        x, y = inputs[row], out[row]
+        copy_entries(bias, y)
+        for k in range(0, whole, 4):
+            x_0, x_1, x_2, x_3 = x[k], x[k + 1], x[k + 2], x[k + 3]
+            w_0, w_1, w_2, w_3 = weights[k], weights[k + 1], weights[k + 2], weights[k + 3]
+            for m in range(y.shape[0]):
+                y[m] = (((y[m] + x_0 * w_0[m]) + x_1 * w_1[m]) + x_2 * w_2[m]) + x_3 * w_3[m]
+        for k in range(whole, count):
+            x_0, w_0 = x[k], weights[k]
+            for m in range(y.shape[0]):
+                y[m] += x_0 * w_0[m]
+
+
+class Linear:
+    """An affine map. weight: (M, K), bias: (M,)."""
+
+    def __init__(self, weight: NDArray[Any], bias: NDArray[Any]) -> None:
+        self._weights = np.ascontiguousarray(weight.T, dtype=np.float32)
+        self._bias = np.ascontiguousarray(bias, dtype=np.float32)
+
+    def __call__(self, inputs: Floats) -> Floats:
+        """Outputs (N, M) of inputs (N, K)."""
+        out = np.empty((len(inputs), len(self._bias)), dtype=np.float32)
+        _linear(np.ascontiguousarray(inputs, dtype=np.float32), self._weights, self._bias, out)
+        return out
+
+
+class Perceptron:
+    """Layers one after the other, `activation` (of ACTIVATIONS) behind all but the last."""
+
+    def __init__(self, weights: Mapping[str, Any], names: Sequence[str], activation: str) -> None:
+        """names: of the layers, whose parameters are NAME.weight and NAME.bias."""
+        self._layers = [Linear(weights[f"{n}.weight"], weights[f"{n}.bias"]) for n in names]
+        self._activation = ACTIVATIONS[activation]
+
+    def __call__(self, inputs: Floats) -> Floats:
+        """Outputs (N, M) of inputs (N, K)."""
+        for layer in self._layers[:-1]:
+            inputs = self._activation(layer(inputs))
+        return self._layers[-1](inputs)
+
+
+class LSTM:
+    """One layer of long short-term memory; `weights` have the names of torch.nn.LSTM."""
+
+    def __init__(self, weights: Mapping[str, Any]) -> None:
+        self._of_input = Linear(weights["weight_ih_l0"], weights["bias_ih_l0"])
+        self._of_hidden = Linear(weights["weight_hh_l0"], weights["bias_hh_l0"])
+        self.size = weights["weight_hh_l0"].shape[1]
+
+    def __call__(self, inputs: Floats, carried: Carried) -> Carried:
+        """Hidden and cell values after inputs (N, K)."""
+        hidden, cell = carried
+        gates = self._of_input(inputs) + self._of_hidden(hidden)
+        admit, forget, candidate, release = np.split(gates, 4, axis=1)
+        cell = _sigmoid(forget) * cell + _sigmoid(admit) * np.tanh(candidate)
+        return _sigmoid(release) * np.tanh(cell), cell
+
+    def started(self, carried: Carried | None, start: NDArray[np.bool_]) -> Carried:
+        """`carried`, zero in the rows where an episode starts."""
+        if carried is None:
+            zero = np.zeros((len(start), self.size), dtype=np.float32)
+            return zero, zero
+        hidden, cell = (np.where(start[:, None], np.float32(0.0), values) for values in carried)
+        return hidden, cell
+
+
+def _layer_names(algorithm: str, hidden: int) -> list[str]:
+    """Of the layers of an action with this number of hidden ones."""
+    prefix, last = _HIDDEN_AND_LAST[algorithm]
+    names = [f"{prefix}{2 * number}" for number in range(hidden)]  # activations stand between
+    return [*names, last or f"{prefix}{2 * hidden}"]
+
+
+def linear_shapes(names: Sequence[str], sizes: Sequence[int]) -> Shapes:
+    """Parameters of layers of these names, from sizes[0] inputs to sizes[-1] outputs."""
+    shapes: Shapes = {}
+    for name, (size, following) in zip(names, pairwise(sizes), strict=True):
+        shapes |= {f"{name}.weight": (following, size), f"{name}.bias": (following,)}
+    return shapes
+
+
+def lstm_shapes(prefix: str, inputs: int, hidden: int) -> Shapes:
+    """Parameters of an LSTM of so many inputs and hidden values."""
+    rows = 4 * hidden
+    shapes: Shapes = {f"{prefix}bias_{which}_l0": (rows,) for which in ("ih", "hh")}
+    sizes = (("ih", inputs), ("hh", hidden))
+    return shapes | {f"{prefix}weight_{which}_l0": (rows, size) for which, size in sizes}
+
+
+def actor_shapes(algorithm: str, network: Mapping[str, Any]) -> Shapes:
+    """The parameters that an archive of this architecture (`recipe.checked_network`) holds."""
+    inputs, hidden, carried = network["inputs"], network["hidden"], network["lstm_hidden"] or 0
+    names = _layer_names(algorithm, len(hidden))
+    shapes = linear_shapes(names, (inputs + carried, *hidden, ACTIONS))
+    if carried:
+        shapes |= lstm_shapes(_LSTM, inputs, carried)
+    if _HIDDEN_AND_LAST[algorithm] == _GAUSSIAN:
+        shapes["log_std"] = (ACTIONS,)  # of the exploration; the mean does not need it
+    elif _HIDDEN_AND_LAST[algorithm] == _SQUASHED:
+        width = hidden[-1] if hidden else inputs
+        shapes |= linear_shapes(["actor.log_std"], (width, ACTIONS))
+    return shapes
+
+
+def check_weights(weights: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raises ValueError for parameters of another name, shape or type, and for one not finite."""
+    if set(weights) != set(shapes):
+        changed = sorted(set(weights) ^ set(shapes))
+        raise ValueError(f"its weights lack or have too much: {', '.join(changed)[:200]}")
+    for name, value in weights.items():
+        if value.shape != shapes[name] or value.dtype != np.float32:
+            raise ValueError(
+                f"weights {name} are {value.dtype} {value.shape}; must be float32 "
+                f"{shapes[name]}, as its recipe says"
+            )
+        if not np.isfinite(value).all():
+            raise ValueError(f"weights {name} are not finite. Did its training diverge?")
+
+
+class Actor:
+    """The network of an agent, with the `predict` of Stable-Baselines3."""
+
+    def __init__(
+        self, algorithm: str, network: Mapping[str, Any], weights: Mapping[str, Any]
+    ) -> None:
+        """Of checked architecture; weights: of an archive. Raises ValueError if they do not fit."""
+        check_weights(weights, actor_shapes(algorithm, network))
+        names = _layer_names(algorithm, len(network["hidden"]))
+        self._layers = Perceptron(weights, names, network["activation"])
+        self._squashed = _HIDDEN_AND_LAST[algorithm] != _GAUSSIAN
+        self._lstm: LSTM | None = None
+        if network["lstm_hidden"]:
+            own = {name: weights[f"{_LSTM}{name}"] for name in _of_lstm(weights)}
+            self._lstm = LSTM(own)
+
+    def predict(
+        self, observation: Floats, state: Carried | None = None, episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[Floats, Carried | None]:  # fmt: skip
+        """Action (N, 2) in [-1, 1] after inputs (N, K), and what the LSTM carries on.
+
+        episode_start: (N,), rows whose LSTM forgets. deterministic: has no effect.
+        """
+        shown = observation
+        if self._lstm is not None:
+            none = np.zeros(len(observation), dtype=bool)
+            start = none if episode_start is None else np.asarray(episode_start, dtype=bool)
+            state = self._lstm(observation, self._lstm.started(state, start))
+            shown = np.concatenate([state[0], observation], axis=1)
+        action = self._layers(shown)
+        return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)), state
+
+
+def _of_lstm(weights: Mapping[str, Any]) -> list[str]:
+    return [name.removeprefix(_LSTM) for name in weights if name.startswith(_LSTM)]
+
+
+Truth = Mapping[str, NDArray[np.float64]]
+
+TEACHER = "teacher"  # the kind of such an agent in a recipe
+STUDENT_FEATURES = ("reckoned", "estimates")  # what its student with an LSTM may see, first: usual
+# Logarithm of the ratio to nominal that is shown as 1, and the differences that are.
+RATIOS = {"mass": 0.3, "inertia": 0.3, "shear_deformation_modulus": 0.5, "traction_limit": 1.0}
+DIFFERENCES = {
+    "longitudinal_resistance": 0.3, "lateral_resistance": 0.3, "drive_time_constant": 0.1,
+    "slip_left": 0.5, "slip_right": 0.5,
+}  # fmt: skip
+PRIVILEGED = (*RATIOS, *DIFFERENCES)
+# The true motion, as fields of the observation that ideal sensors would fill, and how far it is
+# usually from what dead reckoning says [SI].
+MOTION = {
+    "position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.05,
+    "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05,
+}  # fmt: skip
+
+
+def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
+    """The truth and the largest effort F_max of one track [N], Mohr-Coulomb."""
+    area, load = truth["track_width"] * truth["contact_length"], 0.5 * GRAVITY * truth["mass"]
+    limit = mohr_coulomb(truth["cohesion"], np.tan(truth["friction_angle"]), area, load)
+    return {**truth, "traction_limit": limit}
+
+
+def true_motion(truth: Truth, reference: Sequence[NDArray[np.float64]]) -> Floats:
+    """MOTION (N, 6) of the true state, as the observation shows it.
+
+    reference: x, y [m] and yaw [rad] of the reference now, (N,) each.
+    """
+    ahead, left = reference[0] - truth["x"], reference[1] - truth["y"]
+    turn = reference[2] - truth["yaw"]
+    cosine, sine = np.cos(truth["yaw"]), np.sin(truth["yaw"])
+    values = np.stack([
+        cosine * ahead + sine * left, cosine * left - sine * ahead,
+        turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
+        truth["v_x"], truth["v_y"], truth["yaw_rate"],
+    ], axis=1)  # fmt: skip
+    columns = [layout.INDEX[name] for name in MOTION]
+    bound = layout.BOUND[columns].astype(np.float64)
+    return np.clip(values / layout.SCALE[columns], -bound, bound).astype(np.float32)
+
+
+def privileged(truth: Truth, nominal: PlantParameters) -> Floats:
+    """The true PRIVILEGED quantities over their scales, (N, F), finite and clipped, 0 = nominal.
+
+    nominal: the vehicle on the soil that its controllers expect. Slips are clipped to 1 before
+    they are scaled, everything to FEATURE_BOUND after, so that a student learns what its teacher
+    sees.
+    """
+    given = _quantities(truth)
+    expected = {"slip_left": 0.0, "slip_right": 0.0, **_quantities(nominal._asdict())}
+    with np.errstate(divide="ignore"):  # a soil without any traction is shown as the bound
+        columns = [np.log(given[name] / expected[name]) / scale for name, scale in RATIOS.items()]
+    for name, scale in DIFFERENCES.items():
+        value = np.clip(given[name], -1.0, 1.0) if name.startswith("slip") else given[name]
+        columns.append((value - expected[name]) / scale)
+    shown = np.nan_to_num(np.stack(columns, axis=-1))
+    return np.clip(shown, -FEATURE_BOUND, FEATURE_BOUND).astype(np.float32)
+
+
 Bools = NDArray[np.bool_]
 
 

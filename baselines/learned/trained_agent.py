@@ -8,16 +8,25 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.measurement import DataSheet
 from baselines.learned.agent_archive import (
     INFERENCE,
+    PICKLED,
+    STUDENT,
     WEIGHTS,
+    Driven,
+    driven,
     from_npz,
+    groups_of,
+    normalisation_of,
     read_entry,
     read_recipe,
     untrusted,
 )
 from baselines.learned.agent_policy import (
+    PRIVILEGED,
+    TEACHER,
+    Actor,
     AgentPolicy,
     Groups,
     Normalisation,
@@ -26,18 +35,7 @@ from baselines.learned.agent_policy import (
     policy_of,
 )
 from baselines.learned.augmentation import make_augmentation
-from baselines.learned.forward_pass import Actor
-from baselines.learned.privileged_inputs import PRIVILEGED, TEACHER
-from baselines.learned.recipe import (
-    PICKLED,
-    STUDENT,
-    Driven,
-    driven,
-    groups_of,
-    normalisation_of,
-)
-from baselines.learned.recurrent_student import read_recurrent_student
-from baselines.learned.student_network import features_of, read_student, widened_by
+from baselines.learned.student import features_of, read_recurrent_student, read_student, widened_by
 from baselines.registry import Context
 from tracked_env import observation as layout
 

@@ -9,39 +9,110 @@ and uses the filtered pose and velocity instead of the measured ones. It starts 
 parameters in every episode, uses observations only, and no true parameter.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
+
+The filtered motion in an observation, in place of what the sensors measured.
+
+A controller reads the observation as it would read the sensors. Pose errors are those of the
+filtered pose to the same reference; the yaw rate is the gyro while its sample is new and the filter
+has not refused it. What the controller does not use is 0 where it is missing.
+
+The adaptive policy with parameters that it does not identify.
+
+    OraclePolicy     the true parameters at every step: what perfect identification would reach.
+                     Where the plant has no lateral resistance, as the shear of the soil takes up
+                     its turns, inertia and lateral resistance of the controller's model have no
+                     true values, and are identified together
+    IntegralPolicy   the nominal parameters, right or wrong; integral action removes the constant
+                     part of the error that they cause
+Both filter what the sensors give as the adaptive policy does, with the ground that they know or
+trust, and estimate no parameter.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import BatchPolicy
-from baselines.estimators.actuator_step import LEAST_DECAY
-from baselines.estimators.actuators import COMMANDS
-from baselines.estimators.estimate import Status
-from baselines.estimators.sensor_samples import ATTITUDE, DataSheet
+from baselines.estimators.actuators import COMMANDS, LEAST_DECAY
+from baselines.estimators.measurement import ATTITUDE, COLUMN, INERTIAL, DataSheet, Status
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
-from baselines.linearizing.drive_lead import lead_all
+from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
+    lead_all,
     shows_attitude,
 )
-from baselines.linearizing.shown_motion import show
 from tracked_env import observation as layout
-from tracked_env.physics import vehicle
-from tracked_env.physics.jit import loop
+from tracked_env.physics import lumped
+from tracked_env.physics.elementary import rotation, wrap_angle
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.lumped import torque_decay
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
+    PARAMETER_NAMES,
     PlantParameters,
     plant_parameters,
     row_parameters,
 )
-from tracked_env.physics.vehicle import torque_decay
+
+_I, _SIZE = layout.INDEX, layout.SIZE
+_X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
+_V_X, _V_Y, _W = _I["v_x"], _I["v_y"], _I["yaw_rate"]
+_GYRO, _REJECTED = COLUMN["yaw_rate"], int(Status.REJECTED)
+WILD_GYRO = 1.0  # [rad/s] from the yaw rate of the belts: a refused gyro beyond that is not used
+# Sensor fields that the controller does not use, but whose NaN would stop it.
+_UNUSED = np.array(
+    [_I[name] for name in layout.NAMES if name.startswith(("acc", "yaw_acc", "sprocket", "torque"))]
+)
+
+
+@formula
+def _show(observation, i, column, value, always):
+    """Write an SI value in place of what was measured: always, or where that is missing."""
+    if always or not np.isfinite(observation[i, column]):
+        layout.store(observation, i, column, value)
+
+
+@formula
+def _yaw_rate(i, yaw_rate, values, age, summary, status, stale):
+    """The gyro [rad/s] where its sample is new and the filter has not refused it, else yaw_rate."""
+    gyro = values[i, _GYRO]
+    wild = abs(gyro - yaw_rate) > WILD_GYRO
+    outlier = status[i] == _REJECTED and np.isfinite(summary[i, 2]) and wild
+    usable = np.isfinite(gyro) and not (age[i, INERTIAL] > stale or outlier)
+    return gyro if usable else yaw_rate
+
+
+@loop
+def show(observation, reference, motion, values, age, summary, status, stale, filtered):
+    """Put the filtered motion (N, 6) into observation (N, >= SIZE), in one frame with reference
+    (N, 3); not filtered: only where NaN. A missing attitude counts as level.
+
+    values, age: of the latest samples; stale [s]: an older gyro is not used. summary, status: of
+    the slip observer's answer.
+    """
+    for i in range(observation.shape[0]):
+        c, s = rotation(motion[i, 2])
+        e_x, e_y = reference[i, 0] - motion[i, 0], reference[i, 1] - motion[i, 1]
+        turn = wrap_angle(reference[i, 2] - motion[i, 2])
+        yaw_rate = _yaw_rate(i, motion[i, 5], values, age, summary, status, stale)
+        _show(observation, i, _X, c * e_x + s * e_y, filtered)
+        _show(observation, i, _Y, c * e_y - s * e_x, filtered)
+        _show(observation, i, _YAW, turn, filtered)
+        _show(observation, i, _V_X, motion[i, 3], filtered)
+        _show(observation, i, _V_Y, motion[i, 4], filtered)
+        _show(observation, i, _W, yaw_rate, filtered)
+        for k in range(_UNUSED.shape[0]):
+            _show(observation, i, _UNUSED[k], 0.0, False)
+        for column in range(_SIZE, observation.shape[1]):
+            if not np.isfinite(observation[i, column]):
+                observation[i, column] = 0.0
+
 
 _ROW = PARAMETER_INDEX
 _MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
@@ -86,7 +157,7 @@ def ground_of(parameters, soil, friction):
     """F_max, K (N, 2) and mu_t (N,) of parameters (PARAMETER_ROWS, N)."""
     for i in range(parameters.shape[1]):
         p = row_parameters(parameters.T, i, 0)
-        soil[i, 0] = vehicle.drive_limits(p).effort_maximum
+        soil[i, 0] = lumped.drive_limits(p).effort_maximum
         soil[i, 1] = p.shear_deformation_modulus
         friction[i] = p.lateral_resistance
 
@@ -281,3 +352,74 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     def nis(self) -> Mapping[str, NDArray[np.float64]]:
         """Normalised innovation squared of each estimator in the last call, (N,)."""
         return {} if self.known is None else self.known.nis()
+
+
+EFFECTIVE = ("inertia", "lateral_resistance")  # what one regression of the turns answers
+INTEGRAL_GAINS = Gains(200.0, 120.0, 20.0, 0.5, 100.0)  # tuned, docs/tuning.md
+TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
+
+
+class KnownParametersPolicy:
+    """An adaptive policy, made of the same arguments, whose parameters a subclass gives."""
+
+    identifying: type[AdaptivePolicy] = AdaptivePolicy
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        self._policy = self.identifying(*arguments, **options)
+
+    @property
+    def controller(self) -> Any:
+        """The controller that drives."""
+        return self._policy.controller
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveState | None = None,
+        episode_start: NDArray[np.bool_] | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AdaptiveState]:
+        """As AdaptivePolicy.predict."""
+        return self._policy.predict(observation, state, episode_start, deterministic)
+
+
+class OraclePolicy(KnownParametersPolicy):
+    """The adaptive policy with the parameters in force, as handed to `observe_truth`."""
+
+    needs_truth = True
+    _effective: tuple[str, ...] = ()
+
+    def observe_plant(self, without_effect: Collection[str]) -> None:
+        """Take note of the parameters that the plant does not read."""
+        self._effective = EFFECTIVE if "lateral_resistance" in without_effect else ()
+
+    def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
+        """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
+        self._policy.given_parameters = np.stack(
+            [np.atleast_1d(truth[name]) for name in PARAMETER_NAMES]
+        )
+        for name in self._effective:
+            self._policy.given_parameters[PARAMETER_INDEX[name]] = np.nan
+
+
+class IntegralPolicy(KnownParametersPolicy):
+    """Nominal parameters, the filter of the adaptive policy, integral action with anti-windup.
+
+    Arguments as AdaptivePolicy; gains: INTEGRAL_GAINS by default.
+    """
+
+    def __init__(self, *arguments: Any, gains: Gains = INTEGRAL_GAINS, **options: Any) -> None:
+        super().__init__(*arguments, gains=gains, **options)
+        self._nominal = np.array(self._policy.parameters, dtype=np.float64)[:, np.newaxis]
+
+    def predict(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveState | None = None,
+        episode_start: NDArray[np.bool_] | bool | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], AdaptiveState]:
+        """As AdaptivePolicy.predict."""
+        count = len(observation) if np.ndim(observation) == 2 else 1
+        self._policy.given_parameters = np.repeat(self._nominal, count, axis=1)
+        return super().predict(observation, state, episode_start, deterministic)

@@ -32,12 +32,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.physics import lumped_forces as plant
+from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics import vehicle
-from tracked_env.physics.attitude import in_plane_above
 from tracked_env.physics.elementary import saturated_sign, signed
 from tracked_env.physics.jit import formula
+from tracked_env.physics.rigid_body import in_plane_above
 
 MINIMUM_SPEED = 0.1  # [m/s] below it 1 / v_1 fades to 0; three sigma of a 0.03 m/s sensor
 PROBE_SPEED = 1e-3  # [m/s] lateral speed at which the slope of the friction is taken
@@ -122,7 +121,7 @@ def inverse_speed(speed):
 @formula
 def pressed(k, press):
     """Coefficients whose resistances are those of a normal load of `press` times the weight."""
-    return vehicle.Coefficients(
+    return lumped.Coefficients(
         k.inverse_mass, k.inverse_inertia, k.half_gauge, k.contact_length, k.inverse_radius,
         k.resistance * press, k.friction_intensity * press, k.turning_resistance_factor,
         k.icr_forward,
@@ -263,10 +262,10 @@ def turning_moment(motion, u_2, p, k, constrained):
         )
         return p.inertia * u_2 - k.turning_resistance_factor * moment
     d = k.icr_forward
-    none = plant.TractionLimits(0.0, 0.0, 0.0, 0.0)
-    loads = plant.constrained_loads(motion, 0.0, 0.0, k, none)
-    turning = vehicle.Motion(0.0, 0.0, 2.0 * soil.YAW_FRICTION_REGULARISATION)
-    magnitude = -plant.constrained_loads(turning, 0.0, 0.0, k, none).turning_moment
+    none = lumped.TractionLimits(0.0, 0.0, 0.0, 0.0)
+    loads = lumped.constrained_loads(motion, 0.0, 0.0, k, none)
+    turning = lumped.Motion(0.0, 0.0, 2.0 * soil.YAW_FRICTION_REGULARISATION)
+    magnitude = -lumped.constrained_loads(turning, 0.0, 0.0, k, none).turning_moment
     inertial = u_2 / k.inverse_inertia - d * motion.yaw_rate * motion.v_x / k.inverse_mass
     inverse_width = 1.0 / soil.YAW_FRICTION_REGULARISATION
     held = abs(motion.yaw_rate) < HELD_YAW_RATE and abs(u_2) < HELD_YAW_ACCELERATION
@@ -284,7 +283,7 @@ def track_efforts(motion, u_1, u_2, p, k, constrained, pull=0.0):
     """
     force = (u_1 - motion.yaw_rate * motion.v_y - pull) / k.inverse_mass
     turn = 0.5 * turning_moment(motion, u_2, p, k, constrained) / k.half_gauge
-    left, right = vehicle.track_speeds(motion, k.half_gauge)
+    left, right = lumped.track_speeds(motion, k.half_gauge)
     inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
     return (
         against_resistance(0.5 * force - turn, left, k.resistance, inverse_width),
@@ -317,7 +316,7 @@ def turning_reserve(motion, u_2, p, k, constrained, limit):
     0 where a track carries a steady turn at constant speed within its `limit` [N].
     """
     rate = signed(max(abs(motion.yaw_rate), RESERVE_YAW_RATE), u_2)
-    turning = vehicle.Motion(motion.v_x, motion.v_y, rate)
+    turning = lumped.Motion(motion.v_x, motion.v_y, rate)
     steady = abs(turning_moment(turning, 0.0, p, k, constrained))
     if 0.5 * steady / k.half_gauge + k.resistance <= limit:
         return 0.0

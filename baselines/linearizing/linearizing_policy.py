@@ -12,6 +12,14 @@ in it; where it does not, the ground counts as level.
 A batch is one loop over vehicles; a single vehicle is a batch of one.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
+
+Commands that make slow drives answer as fast as the nominal ones.
+
+A drive of lag T follows its command by h(n+1) = a h(n) + (1 - a) u, a = exp(-dt / T); a nominal one
+would reach a_0 h(n) + (1 - a_0) u_d. Both are the same for
+    u = h + (u_d - h) b,    b = (1 - a_0) / (1 - a), at most LARGEST_LEAD, and 1 where T <= T_0
+with h what the drive gives now, in units of the command and of its gain: a model that follows the
+commands that were sent. Noise of the demand is amplified by b as well; the action stays in [-1, 1].
 """
 
 import math
@@ -21,15 +29,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.batch_policy import BatchPolicy, not_finite
-from baselines.estimators.sensor_samples import ATTITUDE
+from baselines.estimators.measurement import ATTITUDE
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env import observation as layout
+from tracked_env.observation import INDEX
+from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics import vehicle
-from tracked_env.physics.attitude import LEVEL, incline_of
 from tracked_env.physics.elementary import signed
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.lumped import torque_decay
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
     PARAMETER_NAMES,
@@ -37,6 +46,7 @@ from tracked_env.physics.parameters import (
     PlantParameters,
     row_parameters,
 )
+from tracked_env.physics.rigid_body import LEVEL, incline_of
 from tracked_env.validation import CONTROL_PERIOD, checked_number, unknown
 
 LATERAL_MODELS = ("sliding", "constrained")
@@ -97,7 +107,7 @@ def control(observation, i, p, lacking, xi, integral, turning, gains, period, co
     lacking: (forward [m/s^2], turning [rad/s^2]) that the model lacks, cancelled by the efforts.
     """
     incline = incline_seen(observation, i, sloped)
-    k = law.pressed(vehicle.coefficients(p, constrained), incline.press)
+    k = law.pressed(lumped.coefficients(p, constrained), incline.press)
     heading_error = _si(observation, i, _HEADING_ERROR)
     # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
     faces_back = abs(heading_error) > 0.5 * math.pi
@@ -123,7 +133,7 @@ def control(observation, i, p, lacking, xi, integral, turning, gains, period, co
     demand = law.lifted(demand, incline)
     eta_1, u_2 = law.linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains, integral)
     xi += period * eta_1
-    motion = vehicle.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
+    motion = lumped.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
     pull = soil.GRAVITY * incline.down_x
     left, right = law.track_efforts(
         motion, xi - lacking[0], u_2 - lacking[1], p, k, constrained, pull
@@ -131,7 +141,7 @@ def control(observation, i, p, lacking, xi, integral, turning, gains, period, co
     limit = p.torque_limit * k.inverse_radius
     limit_left, limit_right = p.actuator_gain_left * limit, p.actuator_gain_right * limit
     if not sloped:
-        carried = law.TRACTION * vehicle.drive_limits(p).effort_limit
+        carried = law.TRACTION * lumped.drive_limits(p).effort_limit
         limit_left, limit_right = min(limit_left, carried), min(limit_right, carried)
     turning = law.turns_first(turning, v_x, heading_error, demand, gains)
     weaker = min(limit_left, limit_right)
@@ -291,3 +301,47 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         if bad >= 0:
             raise not_finite(observation, bad)
         return action, kept
+
+
+LARGEST_LEAD = 6.0  # [-] a lag of 0.3 s as fast as one of 0.05 s takes 5.1 at 50 Hz
+_LAG = PARAMETER_INDEX["drive_time_constant"]
+_COMMAND = INDEX["previous_action_left"]
+
+
+@formula
+def _reached(observation, i, side, start, decay, given):
+    """What a drive gives now [-], of what it gave one period ago and the command sent since."""
+    sent = observation[i, _COMMAND + side]
+    reached = decay * given[i, side] + (1.0 - decay) * sent
+    return 0.0 if start[i] else reached
+
+
+@loop
+def reached_all(observation, start, parameters, period, given):
+    """Bring given (N, 2) to the present; arguments as `lead_all`."""
+    shared = parameters.shape[1] == 1
+    for i in range(given.shape[0]):
+        decay = torque_decay(period, parameters[_LAG, 0 if shared else i])
+        for side in range(2):
+            given[i, side] = _reached(observation, i, side, start, decay, given)
+
+
+@loop
+def lead_all(observation, start, parameters, nominal_lag, period, given, action):
+    """Actions (N, 2) in and out; given (N, 2) [-] what the drives give, in and out.
+
+    observation (N, >= SIZE); start (N,): rows that begin, at rest; parameters (PARAMETER_ROWS, N or
+    1) with the lag; nominal_lag T_0 and period dt [s].
+    """
+    nominal = torque_decay(period, nominal_lag)
+    shared = parameters.shape[1] == 1
+    for i in range(action.shape[0]):
+        decay = torque_decay(period, parameters[_LAG, 0 if shared else i])
+        factor = 1.0
+        if decay > nominal:
+            factor = min((1.0 - nominal) / (1.0 - decay), LARGEST_LEAD)
+        for side in range(2):
+            given[i, side] = _reached(observation, i, side, start, decay, given)
+            if factor > 1.0:
+                led = given[i, side] + (action[i, side] - given[i, side]) * factor
+                action[i, side] = min(max(led, -1.0), 1.0)

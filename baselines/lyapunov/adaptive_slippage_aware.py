@@ -15,16 +15,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import BatchPolicy
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
-from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
-from baselines.lyapunov.slope_errors import ATTITUDE, shows_attitude
-from baselines.slip.friction_bank import CURVE, PLACE
-from baselines.slip.friction_estimator import RecursiveSlipEstimator
-from baselines.slip.slip_models import Array, SlipFamily, SlipModel
-from baselines.slip.slip_sweep import slip_family, strength_over_weight
-from baselines.slip.slope_models import LEVEL, SlopeSlipFamily, SlopeSlipModel, grades
-from baselines.slip.slope_sweep import slope_slip_family
+from baselines.lyapunov.slippage_aware import (
+    ATTITUDE,
+    NEEDS,
+    LyapunovState,
+    SlippageAwarePolicy,
+    shows_attitude,
+)
+from baselines.slip.friction_estimator import CURVE, PLACE, RecursiveSlipEstimator
+from baselines.slip.slip_models import (
+    LEVEL,
+    Array,
+    SlipFamily,
+    SlipModel,
+    SlopeSlipFamily,
+    SlopeSlipModel,
+    grades,
+)
+from baselines.slip.slip_sweep import slip_family, slope_slip_family, strength_over_weight
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.planners.clearance import clearance_along, moved, place_clearance
-from baselines.planners.dubins import SIGNS, SNAP, segments_of_words
-from baselines.planners.reeds_shepp import PARTS, SIDES, shortest
+from baselines.planners.curves import PARTS, SIDES, SIGNS, SNAP, segments_of_words, shortest
 from tracked_env.physics.jit import copy_entries, formula, loop
 
 Array = NDArray[np.float64]

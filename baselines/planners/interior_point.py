@@ -8,15 +8,359 @@ Gauss-Newton's are taken. mu follows the mean of s y downwards. Where vehicles t
 cost hardly depends on how: once it is flat, damped Gauss-Newton steps only mend what is missed.
 
 References: [1] J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), ch. 19.
+
+Newton step of an optimal control problem with three terminal equations, in O(N).
+
+State s = (x, y, p_, q_, yaw, T): position, belt speeds of the interval before, yaw, duration (a
+constant). Input u = (p, q). With z = (s, u), F = ds_next / dz, stage Hessians L and gradients l,
+and the terminal error c of the pose (x, y, yaw),
+    minimise   sum (z' L z / 2 + l' z)   subject to   s_next = F z,  pose_N = -c
+Adding rho / 2 |pose_N|^2 to the objective changes no minimum, and it makes the problem convex
+where the original is so on the constraint. The recursion eliminates u from the last interval on:
+    M = L + F' P F,   K = -M_uu^-1 M_us,   P <- M_ss - M_su M_uu^-1 M_us
+It fails exactly where the problem is not convex (a pivot of M_uu is not positive), which is the
+inertia test of the interior point method. The three multipliers enter as three more linear terms;
+G nu = c - G_0 gives them, G the inverse Hessian seen from the terminal pose.
+
+F changes the columns of yaw, T, p and q alone: `forward` has d(x, y, yaw)_next in these four.
+
+References: [1] C. V. Rao, S. J. Wright, J. B. Rawlings, Application of interior-point methods to
+model predictive control, J. Optim. Theory Appl. 99 (1998).
+
+Newton step of the interior point method: the problem to second order on every interval.
+
+With multipliers nu of the terminal pose, slacks s = g and multipliers y of the limits, s y = mu,
+eliminating slacks and their multipliers leaves stages (riccati) with
+    L = cost'' + (nu' pose_N)'' - sum y g'' + sum (y / s) g' g'^T
+    l = cost' - sum g' (mu / s - (y / s) (g - s))
+Second derivatives of pose_N need no more than those of one interval: the position at the end is the
+same function of the position after it, and the derivative of nu' pose_N in the yaw is summed from
+the end. Gauss-Newton: without second derivatives of motion and limits.
 """
 
 import math
+from typing import NamedTuple
 
-from baselines.planners import interval_limits
-from baselines.planners.newton_step import newton_step
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.planners import planning_problem
+from baselines.planners import planning_problem as arc
 from baselines.planners.planning_problem import NODES, evaluate
-from baselines.planners.riccati import BEFORE_P, DURATION, P, Q
 from tracked_env.physics.jit import copy_table, formula, loop
+
+Array = NDArray[np.float64]
+
+X, Y, BEFORE_P, BEFORE_Q, YAW, DURATION, P, Q = range(8)  # places in z
+STATES, ALL = 6, 8
+MOVING = 4  # columns of `forward`: yaw, T, p, q, the last of z
+TERMS = 4  # linear terms: that of the objective, and of three multipliers
+PIVOT = 1e-9  # [-] least pivot
+
+
+class Stages(NamedTuple):
+    """The problem of one step, and its solution."""
+
+    forward: Array  # (N, MOVING, 3) d(x, y, yaw)_next
+    hessian: Array  # (N, ALL, ALL) L, upper triangle; none in x and y
+    gradient: Array  # (N, ALL) l; none in x, y and yaw
+    gains: Array  # (N, 2, STATES) K
+    offsets: Array  # (N, TERMS, 2) inputs of each linear term
+    step: Array  # (N, ALL) z of the solution
+    value: Array  # (STATES, STATES) P
+    linear: Array  # (TERMS, STATES) of the value
+    product: Array  # (MOVING, STATES) P F
+    matrix: Array  # (ALL, ALL) M, upper triangle
+    vector: Array  # (TERMS, ALL)
+    terminal: Array  # (3, TERMS) c - G_0 and G
+
+
+@formula
+def make_stages(count):
+    """Work space for `count` intervals."""
+    return Stages(
+        np.zeros((count, MOVING, 3)), np.zeros((count, ALL, ALL)), np.zeros((count, ALL)),
+        np.empty((count, 2, STATES)), np.empty((count, TERMS, 2)), np.empty((count, ALL)),
+        np.empty((STATES, STATES)), np.empty((TERMS, STATES)), np.empty((MOVING, STATES)),
+        np.zeros((ALL, ALL)), np.empty((TERMS, ALL)), np.empty((3, TERMS)),
+    )  # fmt: skip
+
+
+@formula
+def _quadratic(value, forward, hessian, product, matrix):
+    """M of one interval from P."""
+    for r in range(STATES):
+        x, y, yaw = value[X, r], value[Y, r], value[YAW, r]
+        for c in range(MOVING):
+            product[c, r] = forward[c, 0] * x + forward[c, 1] * y + forward[c, 2] * yaw
+        product[1, r] += value[DURATION, r]
+        product[2, r] += value[BEFORE_P, r]
+        product[3, r] += value[BEFORE_Q, r]
+    for b in range(BEFORE_P, ALL):
+        for c in range(BEFORE_P, b + 1):
+            matrix[c, b] = hessian[c, b]
+    matrix[X, X], matrix[X, Y], matrix[Y, Y] = value[X, X], value[X, Y], value[Y, Y]
+    for b in range(MOVING):
+        g = product[b]
+        matrix[X, YAW + b], matrix[Y, YAW + b] = g[X], g[Y]
+        for c in range(b + 1):
+            f = forward[c]
+            matrix[YAW + c, YAW + b] += f[0] * g[X] + f[1] * g[Y] + f[2] * g[YAW]
+        if b >= 1:
+            matrix[DURATION, YAW + b] += g[DURATION]
+        if b >= 2:
+            matrix[P, YAW + b] += g[BEFORE_P]
+        if b >= 3:
+            matrix[Q, YAW + b] += g[BEFORE_Q]
+
+
+@formula
+def _linear(linear, forward, gradient, vector):
+    """Linear terms of one interval from those of the value."""
+    for j in range(TERMS):
+        v, m = linear[j], vector[j]
+        for c in range(MOVING):
+            m[YAW + c] = forward[c, 0] * v[X] + forward[c, 1] * v[Y] + forward[c, 2] * v[YAW]
+        m[X], m[Y], m[BEFORE_P], m[BEFORE_Q] = v[X], v[Y], 0.0, 0.0
+        m[DURATION] += v[DURATION]
+        m[P] += v[BEFORE_P]
+        m[Q] += v[BEFORE_Q]
+    for s in range(BEFORE_P, ALL):
+        vector[0, s] += gradient[s]
+
+
+@formula
+def _eliminate(m, vector, gains, offsets, value, linear, terminal):
+    """Gains of one interval, P and linear terms of its beginning; False: M_uu is not positive."""
+    pp, pq, qq = m[P, P], m[P, Q], m[Q, Q]
+    rest = qq - pq * pq / pp
+    if not (pp > PIVOT and rest > PIVOT):
+        return False
+    i_qq = 1.0 / rest
+    i_pq = -pq / pp * i_qq
+    i_pp = (1.0 - pq * i_pq) / pp
+    for s in range(STATES):
+        gains[0, s] = -(i_pp * m[s, P] + i_pq * m[s, Q])
+        gains[1, s] = -(i_pq * m[s, P] + i_qq * m[s, Q])
+    for b in range(STATES):
+        for c in range(b + 1):
+            entry = m[c, b] + m[c, P] * gains[0, b] + m[c, Q] * gains[1, b]
+            value[c, b] = entry
+            value[b, c] = entry
+    for j in range(TERMS):
+        p, q = vector[j, P], vector[j, Q]
+        offsets[j, 0] = -(i_pp * p + i_pq * q)
+        offsets[j, 1] = -(i_pq * p + i_qq * q)
+        for s in range(STATES):
+            linear[j, s] = vector[j, s] + gains[0, s] * p + gains[1, s] * q
+    for i in range(3):
+        for j in range(TERMS):
+            terminal[i, j] -= vector[i + 1, P] * offsets[j, 0] + vector[i + 1, Q] * offsets[j, 1]
+    return True
+
+
+@formula
+def _solve_three(g, x):
+    """x of g[:, 1:] x = g[:, 0] for a symmetric positive definite matrix; False where it is not."""
+    l_0 = g[0, 1]
+    if not l_0 > 0.0:
+        return False
+    a, b = g[0, 2] / l_0, g[0, 3] / l_0
+    l_1 = g[1, 2] - a * g[0, 2]
+    if not l_1 > 0.0:
+        return False
+    c = (g[1, 3] - a * g[0, 3]) / l_1
+    l_2 = g[2, 3] - b * g[0, 3] - c * c * l_1
+    if not l_2 > 0.0:
+        return False
+    y_1 = g[1, 0] - a * g[0, 0]
+    y_2 = g[2, 0] - b * g[0, 0] - c * y_1
+    x[2] = y_2 / l_2
+    x[1] = y_1 / l_1 - c * x[2]
+    x[0] = g[0, 0] / l_0 - a * x[1] - b * x[2]
+    return True
+
+
+@formula
+def _forward(a, count, nu):
+    """Steps of all intervals from a.step[0, DURATION] and the multipliers."""
+    z = a.step
+    for k in range(count):
+        for u in range(2):
+            total = a.offsets[k, 0, u]
+            for j in range(3):
+                total += nu[j] * a.offsets[k, j + 1, u]
+            for s in range(STATES):
+                total += a.gains[k, u, s] * z[k, s]
+            z[k, P + u] = total
+        if k + 1 < count:
+            for r in range(3):
+                total = 0.0
+                for c in range(MOVING):
+                    total += a.forward[k, c, r] * z[k, YAW + c]
+                if r < 2:
+                    total += z[k, r]
+                z[k + 1, YAW if r == 2 else r] = total
+            z[k + 1, DURATION] = z[k, DURATION]
+            z[k + 1, BEFORE_P], z[k + 1, BEFORE_Q] = z[k, P], z[k, Q]
+
+
+@loop
+def solve_riccati(a, count, error, rho, nu):
+    """Solve the problem of `a` for the terminal error (3,): steps into a.step, multipliers into nu.
+
+    Returns False where the problem is not convex on its constraint, or the terminal pose cannot be
+    moved. nu (3,) [s/m, s/m, s/rad]: of the original objective, without rho.
+    """
+    a.value[:, :] = 0.0
+    a.linear[:, :] = 0.0
+    a.terminal[:, :] = 0.0
+    for i in range(3):
+        place = YAW if i == 2 else i
+        a.value[place, place] = rho
+        a.linear[i + 1, place] = 1.0
+    for back in range(count):
+        k = count - 1 - back
+        _quadratic(a.value, a.forward[k], a.hessian[k], a.product, a.matrix)
+        _linear(a.linear, a.forward[k], a.gradient[k], a.vector)
+        if not _eliminate(
+            a.matrix, a.vector, a.gains[k], a.offsets[k], a.value, a.linear, a.terminal
+        ):
+            return False
+    bend = a.value[DURATION, DURATION]
+    if not bend > PIVOT:
+        return False
+    for i in range(3):
+        for j in range(TERMS):
+            a.terminal[i, j] += a.linear[i + 1, DURATION] * a.linear[j, DURATION] / bend
+        a.terminal[i, 0] = error[i] - a.terminal[i, 0]
+    if not _solve_three(a.terminal, nu):
+        return False
+    a.step[0, :] = 0.0
+    total = a.linear[0, DURATION]
+    for i in range(3):
+        total += nu[i] * a.linear[i + 1, DURATION]
+    a.step[0, DURATION] = -total / bend
+    _forward(a, count, nu)
+    for i in range(3):
+        nu[i] -= rho * error[i]
+    return True
+
+
+VARIABLES = (BEFORE_P, BEFORE_Q, DURATION, P, Q)  # of the limits' derivatives, as in z
+RHO = 30.0  # [s/m^2, s/rad^2] weight of the terminal error that makes the problem convex
+
+
+@loop
+def _assemble_motion(a, w, n, exact, damping):
+    """F of each interval, and second derivatives of motion weighted by nu, from the last one on."""
+    m = complex(w.nu[0], -w.nu[1])
+    i_m = m * 1j
+    yaw_nu = w.nu[2]  # derivative of nu' pose_N in the yaw at the end of the interval
+    for back in range(n):
+        k = n - 1 - back
+        e, r = w.moves[k], w.turns[k]
+        f, h = a.forward[k], a.hessian[k]
+        for u in range(3):  # T, p, q
+            move = e[arc.MOVE_T + u]
+            f[1 + u, 0], f[1 + u, 1], f[1 + u, 2] = move.real, move.imag, r[arc.TURN_T + u]
+        f[0, 0], f[0, 1], f[0, 2] = -e[arc.MOVE].imag, e[arc.MOVE].real, 1.0
+        h[:, :] = 0.0
+        if exact:
+            h[YAW, YAW] = -(m * e[arc.MOVE]).real
+            h[YAW, DURATION] = (i_m * e[arc.MOVE_T]).real
+            h[YAW, P] = (i_m * e[arc.MOVE_P]).real
+            h[YAW, Q] = (i_m * e[arc.MOVE_Q]).real
+            h[DURATION, DURATION] = (m * e[arc.MOVE_TT]).real
+            h[DURATION, P] = (m * e[arc.MOVE_TP]).real + yaw_nu * r[arc.TURN_TP]
+            h[DURATION, Q] = (m * e[arc.MOVE_TQ]).real + yaw_nu * r[arc.TURN_TQ]
+            h[P, P] = (m * e[arc.MOVE_PP]).real + yaw_nu * r[arc.TURN_PP]
+            h[P, Q] = (m * e[arc.MOVE_PQ]).real + yaw_nu * r[arc.TURN_PQ]
+            h[Q, Q] = (m * e[arc.MOVE_QQ]).real + yaw_nu * r[arc.TURN_QQ]
+            yaw_nu += (i_m * e[arc.MOVE]).real
+        h[P, P] += damping
+        h[Q, Q] += damping
+
+
+@formula
+def _assemble_cost(a, weights, belts, fixed):
+    """Gradient and second derivatives of the cost; weights of the squared steps of p and q."""
+    for k in range(len(belts)):
+        g, h = a.gradient[k], a.hessian[k]
+        g[:] = 0.0
+        for u in range(2):
+            if k == 0 or (fixed and u == 0):
+                continue
+            double = 2.0 * weights[u]
+            step = belts[k, u] - belts[k - 1, u]
+            g[BEFORE_P + u] -= double * step
+            g[P + u] += double * step
+            h[BEFORE_P + u, BEFORE_P + u] += double
+            h[BEFORE_P + u, P + u] -= double
+            h[P + u, P + u] += double
+    a.gradient[0, DURATION] += 1.0
+
+
+@loop
+def _assemble_limits(a, w, n, active, barrier, exact):
+    """Limits, with their slacks eliminated, into the gradient and the second derivatives."""
+    for k in range(n):
+        g, h = a.gradient[k], a.hessian[k]
+        for i in range(active):
+            s, y, slope = w.slacks[k, i], w.duals[k, i], w.slopes[k, i]
+            stiff = y / s
+            pull = barrier / s - stiff * (w.values[k, i] - s)
+            for c in range(5):
+                if slope[c] == 0.0:
+                    continue
+                z_c = VARIABLES[c]
+                g[z_c] -= slope[c] * pull
+                scaled = slope[c] * stiff
+                for b in range(c + 1):
+                    h[VARIABLES[b], z_c] += scaled * slope[b]
+            if exact:
+                h[P, P] -= y * w.bends[k, i, 0]
+                h[P, Q] -= y * w.bends[k, i, 1]
+                h[Q, Q] -= y * w.bends[k, i, 2]
+
+
+@formula
+def _give_speed(a, n):
+    """p is given: no step of it."""
+    for k in range(n):
+        a.forward[k, 2, :] = 0.0
+        a.gradient[k, P] = 0.0
+        a.hessian[k, :, P] = 0.0
+        a.hessian[k, P, :] = 0.0
+        a.hessian[k, P, P] = 1.0
+
+
+@loop
+def newton_step(a, w, weights, belts, active, barrier, fixed, exact, damping):
+    """Step of all unknowns into a.step, w.slack_steps, w.dual_steps; False where there is none.
+
+    exact: with second derivatives of motion and limits. damping [s/(m/s)^2]: added to those of
+    p and q.
+    """
+    n = len(belts)
+    _assemble_motion(a, w, n, exact, damping)
+    _assemble_cost(a, weights, belts, fixed)
+    _assemble_limits(a, w, n, active, barrier, exact)
+    if fixed:
+        _give_speed(a, n)
+    if not solve_riccati(a, n, w.error, RHO, w.new_nu):
+        return False
+    for k in range(n):
+        z = a.step[k]
+        for i in range(active):
+            slope, s, y = w.slopes[k, i], w.slacks[k, i], w.duals[k, i]
+            change = w.values[k, i] - s
+            for c in range(5):
+                change += slope[c] * z[VARIABLES[c]]
+            w.slack_steps[k, i] = change
+            w.dual_steps[k, i] = (barrier - y * change) / s - y
+    return True
+
 
 BOUNDARY = 0.995  # [-] share of the way to the boundary
 FIRST_BARRIER = 1e-2  # [s] mu at first
@@ -197,7 +541,7 @@ def solve(task, bounds, surface, duration, w, a, iterations, enough):
     Returns (duration, cost [s], whether it converged, iterations).
     """
     n = len(w.belts)
-    active = interval_limits.choose(bounds, w.chosen)
+    active = planning_problem.choose(bounds, w.chosen)
     weight = task.smoothing * n / NODES
     weights = (weight, weight / (bounds.half_gauge * bounds.half_gauge))
     cost = evaluate(task, bounds, surface, duration, w.belts, active, w)

@@ -4,34 +4,36 @@
     reeds-shepp   the same, forwards and in reverse
     clothoid      one clothoid; another method where it breaks a limit or goes far round
     optimal       least time under slip (`baselines.planners.optimal`), forwards, or with `reverse`
-                  in the gears that cost least (`baselines.planners.gears`)
+                  in the gears that cost least (`baselines.planners.optimal`)
 With equal v_min and v_max the speed is constant from the first moment on, as in [F]; otherwise a
 path is driven as fast as the limits allow, from the start's speed to rest, and the optimal plan
 can be at rest one interval after its end if the sprocket acceleration has a limit (`Trajectory`).
 With obstacles, a plan that touches one is replaced by a chain of plans along a route around them
-(`baselines.planners.chain`); so are way points.
+(`baselines.planners.legs`); so are way points.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), section 6.
+
+A plan as a command line asks for it: a vehicle on its soil, limits, and the slip of both.
+
+`planned` is registered in the group `tracked_env.commands` under the name `plan`.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.lyapunov.pseudo_kinematic import SlipModel
-from baselines.planners import chain, gears, plan_on_slopes, speed_profile
+from baselines.lyapunov.lyapunov_laws import SlipModel
+from baselines.planners import legs, plan_on_slopes, speed_along_path
+from baselines.planners import optimal as gears
 from baselines.planners.clearance import MARGIN, Footprint, checked_footprint, checked_margin
-from baselines.planners.clothoid import CLOSEST, clothoid
-from baselines.planners.dubins import dubins
+from baselines.planners.curves import CLOSEST, Path, clothoid, dubins, reeds_shepp
 from baselines.planners.obstacles import Obstacles, checked_obstacles
 from baselines.planners.optimal import INTERVALS, RADIUS, THREADS, optimal
-from baselines.planners.path import Path
-from baselines.planners.reeds_shepp import reeds_shepp
-from baselines.planners.timed_path import driven
+from baselines.planners.speed_along_path import driven
 from baselines.planners.trajectory import (
     Limits,
     Start,
@@ -41,10 +43,12 @@ from baselines.planners.trajectory import (
     checked_starts,
     failed_plan,
 )
+from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
 from tracked_env.validation import checked_choice, checked_flag, checked_number, checked_whole
 
 Array = NDArray[np.float64]
+
 
 LONGEST = 3.0  # [-] times the Dubins path: a longer clothoid is not driven
 _PERIOD = Range(1e-4, 10.0, "s", "It is the time between samples.")
@@ -88,7 +92,7 @@ def _clothoid(
     bend = path.largest_curvature
     if bend > limits.curvature:
         return None, f"the clothoid has a curvature of {bend:.3g} of {limits.curvature:.3g} 1/m"
-    allowed = float(speed_profile.bound_speed(np.array([bend]), limits, vehicle)[0])
+    allowed = float(speed_along_path.bound_speed(np.array([bend]), limits, vehicle)[0])
     needed = limits.v_min
     if allowed < needed * (1.0 - 1e-12):
         return None, f"the clothoid can be driven at {allowed:.3g} m/s of {needed:.3g} at least"
@@ -102,7 +106,7 @@ class TimedPath(NamedTuple):
     """A path with the speed along it."""
 
     path: Path
-    speed: speed_profile.SpeedProfile
+    speed: speed_along_path.SpeedProfile
     method: str  # that made it
     message: str  # why it is not the one that was asked for
 
@@ -123,11 +127,11 @@ def timed_path(
 
 def _profile(
     path: Path, start: Start, limits: Limits, vehicle: PlantParameters
-) -> speed_profile.SpeedProfile:
+) -> speed_along_path.SpeedProfile:
     """The speed along a path."""
     if limits.fixed:
-        return speed_profile.constant(path, limits.v_max, limits, vehicle)
-    return speed_profile.fastest(path, limits, vehicle, max(start.speed, 0.0))
+        return speed_along_path.constant(path, limits.v_max, limits, vehicle)
+    return speed_along_path.fastest(path, limits, vehicle, max(start.speed, 0.0))
 
 
 METHODS = ("optimal", "dubins", "reeds-shepp", "clothoid")
@@ -274,7 +278,7 @@ def plan(
     space = None
     if checked_obstacles(obstacles) is not None:
         assert obstacles is not None
-        space = chain.Space(obstacles, *body, room, time_limit)
+        space = legs.Space(obstacles, *body, room, time_limit)
     begins, goals, single = checked_starts(start, goal)
     workers = checked_whole("threads", threads, THREADS)
     before = checked_poses("via", via) if np.size(via) else np.zeros((0, 3))
@@ -291,7 +295,7 @@ def plan(
         try:
             checked_poses("goal", row)
             if passing:
-                made.append(chain.through(planner, begin, np.vstack([before, row]), space))
+                made.append(legs.through(planner, begin, np.vstack([before, row]), space))
             else:
                 made.append(planner(begin, row))
         except ValueError as error:
@@ -320,3 +324,50 @@ def _prepared(
     checked_whole("intervals", intervals, INTERVALS)
     allowed = checked_limits(limits, vehicle)
     return Planner(allowed, vehicle, slip_model, method, period, intervals, reverse, ground)
+
+
+class Planned(NamedTuple):
+    """A trajectory with what is drawn beside it."""
+
+    trajectory: Trajectory
+    slip: tuple[Array, Array, Array]  # beta left, right [m/s], alpha [rad], (M,) each
+    limits: Limits
+    vehicle: PlantParameters
+
+
+def planned(
+    goal: Sequence[float],
+    start: Sequence[float] = (0.0, 0.0, 0.0),
+    method: str = "optimal",
+    vehicle: str = "focchi",
+    friction: float | None = None,
+    slips: bool = True,
+    limits: Mapping[str, float] | None = None,
+    via: Sequence[Sequence[float]] = (),
+    circles: Sequence[Sequence[float]] = (),
+    reverse: bool = False,
+    slope: Sequence[float] | None = None,
+    around: Mapping[str, Any] | None = None,
+) -> Planned:
+    """Plan from a start to a goal, x, y [m], yaw [rad].
+
+    vehicle: a key of VEHICLES. friction: mu [-] of the soil, that of the vehicle by default. slips:
+    whether the plan knows the slip, identified on the distributed plant. limits: fields of
+    `Limits`. via: way points. circles: obstacles, x, y, radius [m]. reverse: whether it may be
+    driven backwards. slope: of the ground in x and y [-]; None: level. around: margin, room, time
+    limit of `plan` around obstacles. Raises ValueError.
+    """
+    body = VEHICLES[checked_choice("vehicle", vehicle, VEHICLES)]
+    if friction is not None:
+        body = with_friction(body, friction)
+    allowed = Limits.of(body, **dict(limits or {}))
+    if slope is not None and not slips:
+        raise ValueError("slope without slip; a plan on a slope must know slip. Drop one of them")
+    identified = identified_slip if slope is None else identified_slope_slip
+    made = plan(
+        tuple(start), goal, allowed, identified(body) if slips else None, method, body,
+        via=via, obstacles=Obstacles.of(circles=circles) if len(circles) else None,
+        reverse=reverse, ground=slope, **dict(around or {}),
+    )  # fmt: skip
+    assert isinstance(made, Trajectory)
+    return Planned(made, made.slip(body), allowed, body)

@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.planners.trajectory import Start, Trajectory
-from baselines.slip.slip_tables import layers
-from baselines.slip.slope_models import SlopeSlipModel, look_up_on_slopes
+from baselines.slip.slip_models import SlopeSlipModel, layers, look_up_on_slopes
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.validation import checked_number
@@ -180,7 +179,7 @@ def on_ground(
     if not isinstance(model, SlopeSlipModel):
         raise ValueError(
             f"slip_model = {type(model).__name__} with a ground; must know slopes: "
-            "`identified_slope_slip(vehicle)` of baselines.slip.slope_sweep"
+            "`identified_slope_slip(vehicle)` of baselines.slip.slip_sweep"
         )
     heights, iterations = slopes_of(ground), 0
     away: Array = np.zeros(3)

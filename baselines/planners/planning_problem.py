@@ -10,6 +10,32 @@ The unknowns are T and the belt speeds alone: poses follow from them exactly (ar
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), section 6.3.
+
+Motion at held belt speeds: exact arcs, with first and second derivatives.
+
+At held belt speeds v = v_x + i v_y and w are constant, so that over a duration d the position in
+the axes of its beginning moves by
+    a = d sigma(w d) v      sigma(theta) = (exp(i theta) - 1) / (i theta)
+and the yaw by theta = w d. In the world it moves by exp(i yaw) a: complex numbers are positions.
+No sub-steps are needed, whatever d. d = T / N: all intervals are equally long.
+
+References: [F] Focchi et al. (2025), section 3.2 (27); 6.3 integrates by sub-steps of RK4.
+
+Limits of a plan on each of its intervals as inequalities g >= 0, all in m/s.
+
+Belt speeds p (mean) and q (half the difference); p_, q_ of the interval before; h = B / 2,
+d = T / N. `Bounds` names the values.
+
+    0, 1    sprockets             belt - p -+ q >= 0
+    2, 3    belts on the mean     p - slowest >= 0,  fastest - p >= 0
+    4       ground speed          (fastest^2 - v_x^2 - v_y^2) / (2 fastest) >= 0
+    5, 6    lateral acceleration  (lateral -+ v_x w) h / fastest >= 0
+    7, 8    curvature             h (curvature v_x -+ w) >= 0
+    9..12   sprocket acceleration belt_rate d -+ (p - p_) -+ (q - q_) >= 0
+    13, 14  acceleration          rate d -+ (p - p_) >= 0
+    15, 16  stop, last interval   belt_rate d - p -+ q >= 0: at rest one interval later
+With |q| <= belt - p neither sprocket exceeds its limit in reverse, as p >= 0. The ground speed is
+bounded only where p is free: at a given p it follows from the turning rate.
 """
 
 import math
@@ -18,11 +44,188 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners import arc_motion as arc
-from baselines.planners import interval_limits
-from baselines.planners.arc_motion import arc_jet
 from baselines.planners.slip_surface import COLUMNS, ROWS, motion_jets
 from tracked_env.physics.jit import formula, loop
+
+SMALL = 0.2  # [rad] below it sigma is a series: the closed forms lose digits like 1e-16 / theta^2
+
+
+# Columns of the derivatives of a move (complex) and a turn; a turn is linear in T.
+MOVE, MOVE_T, MOVE_P, MOVE_Q, MOVE_TT, MOVE_TP, MOVE_TQ, MOVE_PP, MOVE_PQ, MOVE_QQ = range(10)
+TURN, TURN_T, TURN_P, TURN_Q, TURN_TP, TURN_TQ, TURN_PP, TURN_PQ, TURN_QQ = range(9)
+
+
+@formula
+def _chord_series(x):
+    """sigma, sigma', sigma'' for |x| <= SMALL, error below 1e-15."""
+    t = x * x
+    s = 1.0 - t / 6.0 * (1.0 - t / 20.0 * (1.0 - t / 42.0 * (1.0 - t / 72.0)))
+    c = 0.5 * x * (1.0 - t / 12.0 * (1.0 - t / 30.0 * (1.0 - t / 56.0 * (1.0 - t / 90.0))))
+    s_1 = x * (
+        -1.0 / 3.0 + t * (1.0 / 30.0 - t * (1.0 / 840.0 - t * (1.0 / 45360.0 - t / 3991680.0)))
+    )
+    c_1 = 0.5 - t * (0.125 - t * (1.0 / 144.0 - t * (1.0 / 5760.0 - t / 403200.0)))
+    s_2 = -1.0 / 3.0 + t * (0.1 - t * (1.0 / 168.0 - t * (1.0 / 6480.0 - t / 443520.0)))
+    c_2 = x * (-0.25 + t * (1.0 / 36.0 - t * (1.0 / 960.0 - t * (1.0 / 50400.0 - t / 4354560.0))))
+    return complex(s, c), complex(s_1, c_1), complex(s_2, c_2)
+
+
+@formula
+def chord(x):
+    """sigma, its first and second derivative, and exp(i x), at an angle x [rad]."""
+    cosine, sine = math.cos(x), math.sin(x)
+    if abs(x) <= SMALL:
+        sigma, sigma_1, sigma_2 = _chord_series(x)
+    else:
+        s, c = sine / x, (1.0 - cosine) / x
+        s_1, c_1 = (cosine - s) / x, (sine - c) / x
+        sigma, sigma_1 = complex(s, c), complex(s_1, c_1)
+        sigma_2 = complex((-sine - 2.0 * s_1) / x, (cosine - 2.0 * c_1) / x)
+    return sigma, sigma_1, sigma_2, complex(cosine, sine)
+
+
+@loop
+def arc_jet(v_x, v_y, w, duration, per_interval, direction, move, turn):
+    """Move [m] and turn [rad] of an interval with their derivatives in T, p, q.
+
+    v_x, v_y, w: jets in p, q. per_interval = 1 / N. direction = exp(i yaw) at its beginning: turns
+    the moves into the world. move (10,), turn (9,): out. Returns `direction` at its end.
+    """
+    d, n, u = duration, per_interval, direction
+    sigma, sigma_1, sigma_2, end = chord(w.value * d)
+    v = complex(v_x.value, v_y.value)
+    v_p, v_q = complex(v_x.p, v_y.p), complex(v_x.q, v_y.q)
+    a, b = u * (d * sigma), u * (d * d * sigma_1)
+    bv, cv, last = b * v, u * (d * d * d * sigma_2) * v, n * u * end
+    move[MOVE] = a * v
+    move[MOVE_T] = last * v
+    move[MOVE_P] = a * v_p + w.p * bv
+    move[MOVE_Q] = a * v_q + w.q * bv
+    move[MOVE_TT] = last * v * complex(0.0, n * w.value)
+    move[MOVE_TP] = last * (v_p + v * complex(0.0, d * w.p))
+    move[MOVE_TQ] = last * (v_q + v * complex(0.0, d * w.q))
+    move[MOVE_PP] = a * complex(v_x.pp, v_y.pp) + 2.0 * w.p * b * v_p + w.pp * bv + w.p * w.p * cv
+    move[MOVE_PQ] = (
+        a * complex(v_x.pq, v_y.pq) + b * (w.p * v_q + w.q * v_p) + w.pq * bv + w.p * w.q * cv
+    )
+    move[MOVE_QQ] = a * complex(v_x.qq, v_y.qq) + 2.0 * w.q * b * v_q + w.qq * bv + w.q * w.q * cv
+    turn[TURN], turn[TURN_T] = w.value * d, n * w.value
+    turn[TURN_P], turn[TURN_Q] = d * w.p, d * w.q
+    turn[TURN_TP], turn[TURN_TQ] = n * w.p, n * w.q
+    turn[TURN_PP], turn[TURN_PQ], turn[TURN_QQ] = d * w.pp, d * w.pq, d * w.qq
+    return u * end
+
+
+COUNT = 17  # inequalities of an interval
+FREE_SPEED = (2, 3, 4, 13, 14, 15, 16)  # those that have no meaning where p is given
+NONE = 1.0  # [m/s] value of an inequality that does not exist on an interval
+
+
+class Bounds(NamedTuple):
+    """Values of the limits; infinite: no such limit."""
+
+    belt: float  # [m/s] of either belt
+    slowest: float  # [m/s] of the mean of both
+    fastest: float  # [m/s] of the mean of both, and of the ground speed
+    lateral: float  # [m/s^2] |v_x w|
+    curvature: float  # [1/m] |w / v_x|
+    belt_rate: float  # [m/s^2] of either belt
+    rate: float  # [m/s^2] of the mean of both
+    half_gauge: float  # [m] h
+    fixed: bool  # whether p is given
+    stop: bool  # whether the vehicle rests at the end
+
+
+@formula
+def choose(bounds, chosen):
+    """Indices of the inequalities that these bounds need into chosen (COUNT,); their number."""
+    n = 0
+    for i in range(COUNT):
+        needed = not (bounds.fixed and i in FREE_SPEED)
+        if i == 5 or i == 6:
+            needed = bounds.lateral < math.inf
+        elif i == 7 or i == 8:
+            needed = bounds.curvature < math.inf
+        elif 9 <= i <= 12:
+            needed = bounds.belt_rate < math.inf
+        elif i == 13 or i == 14:
+            needed = needed and bounds.rate < math.inf
+        elif i >= 15:
+            needed = needed and bounds.stop
+        if needed:
+            chosen[n] = i
+            n += 1
+    return n
+
+
+@formula
+def _put(row, bend, before_p, before_q, t, p, q):
+    """Gradient in (p_, q_, T, p, q); no second derivatives."""
+    row[0], row[1], row[2], row[3], row[4] = before_p, before_q, t, p, q
+    bend[0], bend[1], bend[2] = 0.0, 0.0, 0.0
+
+
+@formula
+def _of_speeds(i, b, v_x, v_y, w, row, bend):
+    """Inequalities 4 to 8, on the motion over the ground."""
+    h = b.half_gauge
+    if i == 4:
+        f = 1.0 / b.fastest
+        _put(row, bend, 0.0, 0.0, 0.0, -f * (v_x.value * v_x.p + v_y.value * v_y.p),
+             -f * (v_x.value * v_x.q + v_y.value * v_y.q))  # fmt: skip
+        bend[0] = -f * (v_x.p * v_x.p + v_x.value * v_x.pp + v_y.p * v_y.p + v_y.value * v_y.pp)
+        bend[1] = -f * (v_x.p * v_x.q + v_x.value * v_x.pq + v_y.p * v_y.q + v_y.value * v_y.pq)
+        bend[2] = -f * (v_x.q * v_x.q + v_x.value * v_x.qq + v_y.q * v_y.q + v_y.value * v_y.qq)
+        return 0.5 * f * (b.fastest * b.fastest - v_x.value * v_x.value - v_y.value * v_y.value)
+    if i <= 6:
+        f = (1.0 if i == 6 else -1.0) * h / b.fastest
+        _put(row, bend, 0.0, 0.0, 0.0, f * (v_x.p * w.value + v_x.value * w.p),
+             f * (v_x.q * w.value + v_x.value * w.q))  # fmt: skip
+        bend[0] = f * (v_x.pp * w.value + 2.0 * v_x.p * w.p + v_x.value * w.pp)
+        bend[1] = f * (v_x.pq * w.value + v_x.p * w.q + v_x.q * w.p + v_x.value * w.pq)
+        bend[2] = f * (v_x.qq * w.value + 2.0 * v_x.q * w.q + v_x.value * w.qq)
+        return b.lateral * h / b.fastest + f * v_x.value * w.value
+    f, k = (h if i == 8 else -h), h * b.curvature
+    _put(row, bend, 0.0, 0.0, 0.0, k * v_x.p + f * w.p, k * v_x.q + f * w.q)
+    bend[0], bend[1] = k * v_x.pp + f * w.pp, k * v_x.pq + f * w.pq
+    bend[2] = k * v_x.qq + f * w.qq
+    return k * v_x.value + f * w.value
+
+
+@loop
+def inequality(i, b, speeds, before, place, interval, v_x, v_y, w, row, bend):
+    """Value of inequality i, with its derivatives.
+
+    row (5,): gradient in (p_, q_, T, p, q); bend (3,): second derivatives pp, pq, qq, both out.
+    speeds = (p, q); before = (p_, q_). place: whether there is an interval before, whether the
+    vehicle may be slower than `slowest`, whether it is the last. interval = (d, 1 / N).
+    """
+    p, q = speeds
+    has_before, slow, last = place
+    if i <= 1:
+        side = 1.0 if i == 0 else -1.0
+        _put(row, bend, 0.0, 0.0, 0.0, -1.0, -side)
+        return b.belt - p - side * q
+    if i <= 3:
+        side = 1.0 if i == 2 else -1.0
+        _put(row, bend, 0.0, 0.0, 0.0, side, 0.0)
+        slowest = 0.0 if slow else b.slowest
+        return side * (p - (slowest if i == 2 else b.fastest))
+    if i <= 8:
+        return _of_speeds(i, b, v_x, v_y, w, row, bend)
+    if not (last if i >= 15 else has_before):
+        _put(row, bend, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return NONE
+    if i >= 15:
+        side = 1.0 if i == 15 else -1.0
+        _put(row, bend, 0.0, 0.0, b.belt_rate * interval[1], -1.0, -side)
+        return b.belt_rate * interval[0] - p - side * q
+    along = 1.0 if i % 2 == 1 else -1.0
+    across = 0.0 if i >= 13 else (1.0 if i <= 10 else -1.0)
+    rate = b.rate if i >= 13 else b.belt_rate
+    _put(row, bend, along, across, rate * interval[1], -along, -across)
+    return rate * interval[0] - along * (p - before[0]) - across * (q - before[1])
+
 
 Array = NDArray[np.float64]
 
@@ -70,7 +273,7 @@ class Work(NamedTuple):
 @formula
 def make_work(n):
     """Work space for n intervals."""
-    c = interval_limits.COUNT
+    c = COUNT
     return Work(
         np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 10), np.complex128), np.empty((n, 9)),
         np.empty((n, c)), np.empty((n, c, 5)), np.empty((n, c, 3)),
@@ -95,8 +298,8 @@ def evaluate(task, bounds, surface, duration, belts, active, w):
         p, q = belts[k, 0], belts[k, 1]
         v_x, v_y, rate = motion_jets(surface, p, q, w.rows, w.columns)
         direction = arc_jet(v_x, v_y, rate, d, share, direction, w.moves[k], w.turns[k])
-        place += w.moves[k, arc.MOVE]
-        yaw += w.turns[k, arc.TURN]
+        place += w.moves[k, MOVE]
+        yaw += w.turns[k, TURN]
         before = (belts[k - 1, 0], belts[k - 1, 1]) if k > 0 else (task.before_p, task.before_q)
         if k > 0:
             cost += weight * (p - before[0]) ** 2 + turn_weight * (q - before[1]) ** 2
@@ -104,7 +307,7 @@ def evaluate(task, bounds, surface, duration, belts, active, w):
         place_in_plan = k > 0 or task.ramp, slow, k == n - 1
         for a in range(active):
             i = w.chosen[a]
-            w.values[k, a] = interval_limits.inequality(
+            w.values[k, a] = inequality(
                 i, bounds, (p, q), before, place_in_plan, (d, share), v_x, v_y, rate,
                 w.slopes[k, a], w.bends[k, a],
             )  # fmt: skip

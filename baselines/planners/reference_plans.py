@@ -20,17 +20,22 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners.hand_over import hand_over, held_intervals
+from baselines.planners.curves import Path, end_errors, places
 from baselines.planners.optimal import optimal
-from baselines.planners.path import Path, end_errors, places
 from baselines.planners.plan import timed_path
-from baselines.planners.speed_profile import SpeedProfile
-from baselines.planners.timed_path import sprockets
-from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits
+from baselines.planners.speed_along_path import SpeedProfile, sprockets
+from baselines.planners.trajectory import (
+    Limits,
+    Start,
+    Trajectory,
+    checked_limits,
+    hand_over,
+    held_intervals,
+)
 from baselines.slip.slip_sweep import identified_slip
 from tracked_env.physics.elementary import wrap_angle
 from tracked_env.physics.parameters import PlantParameters
-from tracked_env.physics.reference_knots import (
+from tracked_env.physics.reference_profile import (
     BODY_COLUMNS,
     COURSE_COLUMNS,
     FORWARD,

@@ -7,25 +7,32 @@ shifted by one control period, rolls the model out from the present state, and t
 
 References: [1] Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization in
 optimal feedback control, SIAM J. Control Optim. 43 (2005).
+
+Model predictive control as a policy: the identification stack in front of the controller.
+
+    PredictivePolicy         its model has the parameters that are identified under way
+    NominalPredictivePolicy  its model has the nominal parameters; motion is filtered all the same
+    PredictiveOraclePolicy   its model has the true parameters
+Estimates, filter, late poses and outages are those of the adaptive policy; the controller alone
+differs.
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import not_finite
-from baselines.linearizing.drive_lead import reached_all
+from baselines.estimators.actuators import COMMANDS
+from baselines.estimators.measurement import DataSheet
+from baselines.estimators.stack import Identification
+from baselines.linearizing.adaptive_policy import AdaptivePolicy, OraclePolicy
 from baselines.linearizing.linearizing_law import pressed
-from baselines.predictive import box_riccati
-from baselines.predictive.path_ahead import NEEDS as PATH_NEEDS
-from baselines.predictive.path_ahead import (
-    Ahead,
-    interpolation,
-    look_ahead,
-    make_ahead,
-)
+from baselines.linearizing.linearizing_policy import reached_all
+from baselines.predictive import stages
+from baselines.predictive.stages import PredictiveSettings, set_costs, total_cost
 from baselines.predictive.tracked_prediction import (
     GIVEN_LEFT,
     GIVEN_RIGHT,
@@ -33,18 +40,22 @@ from baselines.predictive.tracked_prediction import (
     STATES,
     YAW,
     YAW_RATE,
+    Ahead,
     X,
     Y,
     differentiate,
     drive,
+    interpolation,
+    look_ahead,
+    make_ahead,
     prediction,
 )
-from baselines.predictive.tracking_cost import PredictiveSettings, set_costs, total_cost
+from baselines.predictive.tracked_prediction import NEEDS as PATH_NEEDS
 from tracked_env import observation as layout
-from tracked_env.physics import vehicle
-from tracked_env.physics.attitude import LEVEL, incline_of
+from tracked_env.physics import lumped
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters, row_parameters
+from tracked_env.physics.rigid_body import LEVEL, incline_of
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.validation import CONTROL_PERIOD, checked_number
 
@@ -63,7 +74,7 @@ _ROLL_SCALE, _PITCH_SCALE = layout.make_layout(["attitude"]).scale[:2]
 class Work(NamedTuple):
     """What the kernel writes to, for one vehicle after the other."""
 
-    stages: box_riccati.Stages
+    stages: stages.Stages
     ahead: Ahead
     states: Array  # (N + 1, STATES) of the last plan
     new_states: Array  # (N + 1, STATES) of the one that is tried
@@ -73,7 +84,7 @@ class Work(NamedTuple):
 def make_work(count: int) -> Work:
     """Work space for `count` stages."""
     return Work(
-        box_riccati.make_stages(count), make_ahead(count), np.zeros((count + 1, STATES)),
+        stages.make_stages(count), make_ahead(count), np.zeros((count + 1, STATES)),
         np.zeros((count + 1, STATES)), np.zeros((count, 2)),
     )  # fmt: skip
 
@@ -94,7 +105,7 @@ def try_step(m, a, states, inputs, bounds, share, new_states, new_inputs):
         for s in range(STATES):
             a.change[s] = new_states[k, s] - states[k, s]
         for side in range(2):
-            new_inputs[k, side] = box_riccati.improved(
+            new_inputs[k, side] = stages.improved(
                 a, k, side, inputs[k, side], share, a.change, bounds[side]
             )
         drive(new_states[k], new_inputs[k], m, new_states[k + 1])
@@ -111,7 +122,7 @@ def gauss_newton(m, ahead, settings, work, inputs, bounds):
     coupling = settings.effort_change * (1.0 - m.decay) * (1.0 - m.decay)
     roll_out(m, a, states, inputs)
     set_costs(a, ahead, states, inputs, settings, coupling)
-    box_riccati.improve(a, inputs, bounds, m.decay, coupling)
+    stages.improve(a, inputs, bounds, m.decay, coupling)
     before, share = total_cost(ahead, states, inputs, settings, coupling), 1.0
     for _ in range(HALVINGS):
         try_step(m, a, states, inputs, bounds, share, work.new_states, work.new_inputs)
@@ -170,14 +181,14 @@ def plan_all(
             incline = incline_of(
                 observation[i, _PITCH] * _PITCH_SCALE, observation[i, _ROLL] * _ROLL_SCALE
             )
-        k = pressed(vehicle.coefficients(p, False), incline.press)
+        k = pressed(lumped.coefficients(p, False), incline.press)
         m = prediction(
             p, k, settings.duration, settings.smoothing, GRAVITY * incline.down_x,
             GRAVITY * incline.down_y,
         )  # fmt: skip
         look_ahead(observation, i, weights, incline, m, ahead)
         start_state(observation, i, given, states)
-        carried = settings.traction * vehicle.drive_limits(p).effort_limit
+        carried = settings.traction * lumped.drive_limits(p).effort_limit
         bounds[0] = 1.0 if sloped else min(1.0, carried / m.force_left)
         bounds[1] = 1.0 if sloped else min(1.0, carried / m.force_right)
         inputs, steps = plans[i], 1
@@ -264,3 +275,56 @@ def checked_settings(settings: PredictiveSettings, control_period: float) -> Pre
             f"{LONGEST_HORIZON:g} s together: the observation shows no more of the reference"
         )
     return given
+
+
+class PredictivePolicy(AdaptivePolicy):
+    """Predictive controller and estimators as one policy, for one vehicle or a batch.
+
+    parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
+    sensors (default `rtk`). lateral: must be "sliding". observation: names of the fields that the
+    environment shows; the look-ahead and the commands must be among them. settings: weights and
+    horizon.
+    Raises ValueError for arguments that make no sense, and for an observation that lacks a field.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters | None = None,
+        control_period: float = 0.02,
+        data_sheet: DataSheet | None = None,
+        lateral: str = "sliding",
+        observation: Sequence[str] = layout.NAMES,
+        settings: PredictiveSettings | None = None,
+    ) -> None:
+        if lateral != "sliding":
+            raise ValueError(
+                f"lateral = {lateral!r}; model predictive control predicts 'sliding' alone. Use "
+                "'adaptive' or 'nominal', or an environment with lateral_model='sliding'"
+            )
+        self._settings = settings
+        super().__init__(parameters, control_period, data_sheet, observation=observation)
+        needed = (*NEEDS, *COMMANDS, *self.stack.needs)
+        self._view = layout.View(observation, tuple(dict.fromkeys(needed)))
+
+    def _made(self, control_period: float, settings: Any, lateral: str, sloped: bool) -> Any:
+        return PredictiveController(self.parameters, control_period, self._settings, sloped)
+
+    def _drive(
+        self, observation: NDArray[np.float32], start: NDArray[np.bool_], memory: Any,
+        given: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float32], Any]:  # fmt: skip
+        action, plans = self.controller.act(observation, memory, start, given)
+        return action, plans
+
+
+class NominalPredictivePolicy(PredictivePolicy):
+    """The same with the nominal parameters; arguments as PredictivePolicy."""
+
+    def _adapt(self, known: Identification) -> None:
+        """The parameters stay what they are."""
+
+
+class PredictiveOraclePolicy(OraclePolicy):
+    """The same with the true parameters at every step; arguments as PredictivePolicy."""
+
+    identifying = PredictivePolicy

@@ -7,6 +7,19 @@ takes the place of that of efforts. The reference is that of `path_ahead`; a veh
 path's heading less alpha.
 
 References: [F] Focchi et al. (2025), section 3.2.
+
+Prediction of the pseudo-kinematic model for model predictive control of sprocket speeds.
+
+Stages k of h seconds at constant sprocket speeds u_k, in units of their limit, with beta(u) and
+alpha(u) of a slip model:
+    v = (r omega_L - beta_L + r omega_R - beta_R) / 2
+    w = (r omega_R - beta_R - r omega_L + beta_L) / B
+    yaw' = yaw + h w,   (x', y') by (v, v tan(alpha)) along the mean heading
+The states are those of `tracked_prediction`: pose, v and w of the stage before, and its sprocket
+speeds. v, w and tan(alpha) are linear in the sprocket speeds about a plan: `felt` (3, N, V, 3) is
+what they are on the plan of each of V vehicles, then their slopes by the left and right input.
+
+References: [F] Focchi et al. (2025), section 3.2.
 """
 
 from collections.abc import Sequence
@@ -15,23 +28,103 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimators.sensor_samples import DataSheet
-from baselines.lyapunov import pseudo_kinematic as kinematics
+from baselines.estimators.measurement import DataSheet
+from baselines.lyapunov import lyapunov_laws as kinematics
+from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
-from baselines.lyapunov.pseudo_kinematic import Array, Geometry
-from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
-from baselines.lyapunov.slope_errors import shows_attitude
-from baselines.predictive import box_riccati
-from baselines.predictive.path_ahead import NEEDS as PATH_NEEDS
-from baselines.predictive.path_ahead import interpolation, lay_path
+from baselines.lyapunov.lyapunov_laws import Array, Geometry
+from baselines.lyapunov.slippage_aware import (
+    NEEDS,
+    LyapunovState,
+    SlippageAwarePolicy,
+    shows_attitude,
+)
+from baselines.predictive import stages
 from baselines.predictive.predictive_control import Work, checked_settings, make_work, shift
-from baselines.predictive.sprocket_prediction import differentiate, motion_at, move, on_the_path
-from baselines.predictive.tracked_prediction import GIVEN_LEFT, GIVEN_RIGHT, STATES
-from baselines.predictive.tracking_cost import PredictiveSettings, set_costs
+from baselines.predictive.stages import PredictiveSettings, set_costs
+from baselines.predictive.tracked_prediction import (
+    GIVEN_LEFT,
+    GIVEN_RIGHT,
+    HEADING,
+    PATH_SPEED,
+    PATH_YAW_RATE,
+    SPEED,
+    STATES,
+    YAW,
+    YAW_RATE,
+    X,
+    Y,
+    interpolation,
+    lay_path,
+)
+from baselines.predictive.tracked_prediction import NEEDS as PATH_NEEDS
 from tracked_env import observation as layout
-from tracked_env.physics.attitude import LEVEL
-from tracked_env.physics.jit import loop
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.rigid_body import LEVEL
+
+
+@formula
+def motion_at(felt, k, i, left, right):
+    """v [m/s], w [rad/s] and tan(alpha) [-] of stage k, a change of (left, right) off the plan."""
+    v, w, t = felt[0, k, i, 0], felt[0, k, i, 1], felt[0, k, i, 2]
+    return (
+        v + left * felt[1, k, i, 0] + right * felt[2, k, i, 0],
+        w + left * felt[1, k, i, 1] + right * felt[2, k, i, 1],
+        t + left * felt[1, k, i, 2] + right * felt[2, k, i, 2],
+    )
+
+
+@formula
+def move(s, motion, left, right, h, after):
+    """State after one stage; returns cosine and sine of its mean heading."""
+    v, w, t = motion
+    cosine, sine = rotation(s[YAW] + 0.5 * h * w)
+    after[X] = s[X] + h * v * (cosine - t * sine)
+    after[Y] = s[Y] + h * v * (sine + t * cosine)
+    after[YAW] = s[YAW] + h * w
+    after[SPEED], after[YAW_RATE] = v, w
+    after[GIVEN_LEFT], after[GIVEN_RIGHT] = left, right
+    return cosine, sine
+
+
+@formula
+def differentiate(s, after, motion, felt, k, i, turn, h, forward):
+    """forward of stage k, see tracked_prediction; v and w of the stage before have no effect."""
+    v, _w, t = motion
+    cosine, sine = turn
+    forward[:, :] = 0.0
+    way_x, way_y = after[X] - s[X], after[Y] - s[Y]
+    forward[0, X], forward[0, Y], forward[0, YAW] = -way_y, way_x, 1.0
+    for side in range(2):
+        d_v, d_w, d_t = felt[1 + side, k, i, 0], felt[1 + side, k, i, 1], felt[1 + side, k, i, 2]
+        column = forward[5 + side]
+        column[X] = h * (d_v * (cosine - t * sine) - v * d_t * sine) - 0.5 * h * d_w * way_y
+        column[Y] = h * (d_v * (sine + t * cosine) + v * d_t * cosine) + 0.5 * h * d_w * way_x
+        column[YAW], column[SPEED], column[YAW_RATE] = h * d_w, d_v, d_w
+
+
+@formula
+def on_the_path(ahead, felt, beta, i, half_gauge, unit):
+    """Bring heading, v_x and yaw rate of `ahead` to a vehicle on the path, and fill its inputs.
+
+    beta (stages, V, 2) [m/s]; unit [m/s]: belt speed at the limit.
+    """
+    path, v, w = ahead.path, ahead.speed, ahead.turn
+    count = ahead.efforts.shape[0]
+    for k in range(count):
+        tangent = felt[0, k, i, 2]
+        speed = 0.5 * (v[k] + v[k + 1]) / np.sqrt(1.0 + tangent * tangent)
+        turn = 0.5 * (w[k] + w[k + 1])
+        path[k + 1, HEADING] -= np.arctan(tangent)
+        path[k + 1, PATH_SPEED], path[k + 1, PATH_YAW_RATE] = speed, turn
+        left, right = law.belt_speeds(
+            law.BodyMotion(speed, turn), beta[k, i, 0], beta[k, i, 1], half_gauge
+        )
+        ahead.efforts[k, 0] = min(max(left / unit, -1.0), 1.0)
+        ahead.efforts[k, 1] = min(max(right / unit, -1.0), 1.0)
+
 
 PROBE = 0.01  # [-] of the limit: step of the differences of the slip model
 SETTINGS = PredictiveSettings(
@@ -64,13 +157,13 @@ def plan_all(observation, error, last, start, felt, beta, weights, settings, geo
             differentiate(states[k], states[k + 1], motion, felt, k, i, turn, h, a.forward[k])
         coupling = 0.0 if start[i] else settings.effort_change
         set_costs(a, ahead, states, plans[i], settings, coupling)
-        box_riccati.improve(a, plans[i], bounds, 0.0, coupling)
+        stages.improve(a, plans[i], bounds, 0.0, coupling)
         new_states[0, :] = states[0]
         for k in range(plans.shape[1]):
             for s in range(STATES):
                 a.change[s] = new_states[k, s] - states[k, s]
             for side in range(2):
-                new_inputs[k, side] = box_riccati.improved(
+                new_inputs[k, side] = stages.improved(
                     a, k, side, plans[i, k, side], 1.0, a.change, 1.0
                 )
             left, right = new_inputs[k, 0], new_inputs[k, 1]

@@ -31,8 +31,7 @@ from baselines.slip.slip_sweep import (
 )
 from reproduce.focchi2025.runs import FRICTION, LENGTHS, Floats, vehicle
 from tracked_env.physics.parameters import PlantParameters
-from tracked_env.physics.patch_dynamics import hold_speeds
-from tracked_env.physics.patch_forces import make_patches
+from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
 
 # Runs of the real vehicle, in a folder beside that of the project.
 MEASURED = Path(__file__).parents[3] / "shared" / "data" / "slip_real_indoor.csv"

@@ -25,14 +25,14 @@ import numpy as np
 from scipy.optimize import root
 
 from baselines.lyapunov.lyapunov_laws import sprockets_for
-from reproduce.focchi2025 import chicane
+from reproduce.focchi2025 import control
 from reproduce.focchi2025.runs import Floats, vehicle
-from tracked_env.physics import state as s
+from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
-from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.plants.standalone import TerrainRig
 from tracked_env.references import ReferenceProfile, make_reference, sample
-from tracked_env.references.profile import constant, knot_times
+from tracked_env.references.catalogue import constant, knot_times
 
 FRICTION = 0.6  # [-] mu of 8.1 and 8.3
 SPEED, TURN = 0.8, 0.6  # [m/s], [rad/s] of 8.1
@@ -66,7 +66,7 @@ class OpenLoop(NamedTuple):
 def profile_of(commands: str) -> ReferenceProfile:
     """Speed and yaw rate of 8.1, one of COMMANDS, from the origin."""
     if commands == "(53)":
-        given = chicane.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
+        given = control.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
         return make_reference(given, DURATION, np.random.default_rng(0))
     starts = knot_times(DURATION)[:-1]
     turn = constant(0.0, len(starts))

@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from reproduce.focchi2025 import claims, planning_tables, slope_tables, tables
+from reproduce.focchi2025 import claims, tables
+from reproduce.focchi2025 import tables as planning_tables
+from reproduce.focchi2025 import tables as slope_tables
 from reproduce.focchi2025.results import Results
 from reproduce.paper_page import Figures, PaperPage
 
@@ -72,14 +74,17 @@ TABLES = {
         "Figure 9 in numbers, within ±4.6 rad/s.",
     ),
     **planning_tables.TABLES,
-    **slope_tables.TABLES,
+    **slope_tables.TABLES_SLOPE_TABLES,
 }
 
 
 def save_figures(results: Results, folder: Path) -> Figures:
     """Write all figures, in the order of the page. Raises ImportError without matplotlib."""
-    from reproduce import paper_figures
-    from reproduce.focchi2025 import control_figures, planning_figures, slope_figures, surfaces
+    from reproduce import paper_page as paper_figures
+    from reproduce.focchi2025 import figures as control_figures
+    from reproduce.focchi2025 import figures as planning_figures
+    from reproduce.focchi2025 import figures as slope_figures
+    from reproduce.focchi2025 import figures as surfaces
 
     return paper_figures.save(
         results, folder, "focchi2025", surfaces.drawings, control_figures.drawings,

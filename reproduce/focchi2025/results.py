@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from baselines.slip.slip_sweep import identified_slip
-from reproduce.focchi2025 import chicane, identification, planning_runs, slope_runs, spiral
-from reproduce.focchi2025.chicane import Case
+from reproduce.focchi2025 import control, identification
+from reproduce.focchi2025 import planning as planning_runs
+from reproduce.focchi2025 import slopes as slope_runs
+from reproduce.focchi2025.control import Case, Spiral
 from reproduce.focchi2025.identification import Identifications
-from reproduce.focchi2025.planning_runs import Planning
+from reproduce.focchi2025.planning import Planning
 from reproduce.focchi2025.runs import LENGTHS, Floats, Numbers, Run, vehicle
-from reproduce.focchi2025.slope_runs import Slopes
-from reproduce.focchi2025.spiral import Spiral
+from reproduce.focchi2025.slopes import Slopes
 
 
 class Results(NamedTuple):
@@ -52,17 +53,17 @@ def run_everything(
     if identified.measured is None:
         say("runs of the real vehicle: no file, left out")
     say("figure 10: spiral")
-    spirals = spiral.run_all()
+    spirals = control.run_all()
     say("figures 12 to 14: chicane")
-    trees = [case for case in chicane.MODELS if case.kind == "trees"]
-    cases = [*chicane.PAPER, *chicane.MODELS, *chicane.ONLINE, *chicane.RESISTANCES, *chicane.LOUD]
+    trees = [case for case in control.MODELS if case.kind == "trees"]
+    cases = [*control.PAPER, *control.MODELS, *control.ONLINE, *control.RESISTANCES, *control.LOUD]
     if identified.missing:
         cases = [case for case in cases if case not in trees]
-    driven = chicane.drive(list(dict.fromkeys(cases)))
+    driven = control.drive(list(dict.fromkeys(cases)))
     say("readings of (53), integrators")
-    read, integrated = chicane.readings(), chicane.integrators()
-    shown = [Case("table", length, chicane.RATES[0]) for length in LENGTHS]
+    read, integrated = control.readings(), control.integrators()
+    shown = [Case("table", length, control.RATES[0]) for length in LENGTHS]
     predicted = {case: predicted_slip(case, driven[case]) for case in shown}
-    slopes = slope_runs.run_all(say, terrain)
+    slopes = slope_runs.run_all_slope_runs(say, terrain)
     planning = planning_runs.run_all(say)
     return Results(identified, spirals, driven, read, integrated, predicted, slopes, planning)

@@ -3,12 +3,11 @@
 import numpy as np
 
 from reproduce.focchi2025 import load_models as loads
-from reproduce.focchi2025 import slope_chicane as closed
-from reproduce.focchi2025 import slope_identification as ident
+from reproduce.focchi2025 import slopes as closed
+from reproduce.focchi2025 import slopes as ident
 from reproduce.focchi2025.load_models import LOADS
 from reproduce.focchi2025.runs import LENGTHS
-from reproduce.focchi2025.slope_chicane import SlopeCase, Tracking
-from reproduce.focchi2025.slope_runs import SIDE_SLOPE, STARTS, Slopes
+from reproduce.focchi2025.slopes import SIDE_SLOPE, STARTS, SlopeCase, Slopes, Tracking
 from reproduce.paper_page import Claim, percent, verdict
 
 PRINTED_GAP, PRINTED_LENGTH = 4.0, 15.6  # [m] F 8.1

@@ -12,11 +12,10 @@ from reproduce.paper_page import Claim, percent, verdict
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.control import SETTLED, Run
-from reproduce.strawa2021.drive import PERIOD, rms
+from reproduce.strawa2021.control import PERIOD, SETTLED, Run, rms
 from reproduce.strawa2021.identification import Condition
-from reproduce.strawa2021.printed_gnr import WINDOW
 from reproduce.strawa2021.results import REGRESSIONS, Results
+from reproduce.strawa2021.soil import WINDOW
 
 STANDS = 0.05  # [m/s] slower than this a vehicle stands
 STARTED = 0.5  # [s] the torques have left the bounds that they start in

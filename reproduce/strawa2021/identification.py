@@ -7,6 +7,13 @@ origin along +Y: 7 s straight, then a spiral. Speed, radius and excitation are n
 chosen: 2 m/s +- 0.2 m/s with a period of 4 s, spiral down to R = 6 m at 30 s, start on the path
 at its speed. The controller begins with 55 % of the mass, 110 % of the inertia, mu_l = 0.6 and
 mu_t = 0.8 (8.2), lateral constraint and d as in 8.1.
+
+The policies of section 8.3: the controller behind the filter of its pose and slips.
+
+They differ in what they do about the parameters only: keep them, or identify them on line. As in
+S the estimated soil is not used by the controller.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
 
 import math
@@ -15,16 +22,57 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from baselines.estimators.measurement import DataSheet
+from baselines.estimators.stack import Identification
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from baselines.linearizing.linearizing_law import Gains
 from reproduce.strawa2021.control import (
+    PERIOD,
     SCENARIOS,
+    Drive,
+    Floats,
     believed_parameters,
+    drive,
     lateral_model_options,
+    rms,
 )
-from reproduce.strawa2021.drive import Drive, Floats, drive, rms
-from reproduce.strawa2021.filtered_policies import filtered_policy
 from tracked_env.events import Event, ramp_events
+from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import PRESETS, Sensors
 from tracked_env.uncertainty import STRAWA_MAPS
+
+
+class FilteringPolicy(AdaptivePolicy):
+    """The adaptive policy without adaptation: the controller keeps the parameters it was given.
+
+    Position noise of 1 m saturates the controller without a filter, so a comparison with the
+    adaptive policy has to have the same filter.
+    """
+
+    def _adapt(self, known: Identification) -> None:
+        """Keep the parameters."""
+
+
+def filtered_policy(
+    parameters: PlantParameters, sensors: Sensors, kind: str, lateral: str = "constrained"
+) -> AdaptivePolicy:
+    """The policy of one row of the tables, for any number of vehicles.
+
+    parameters: believed at the start. sensors: their noise is known to the filters. kind:
+    "printed", "paper" or "coupled" is the regression of mass, inertia and resistance, "fixed"
+    keeps the parameters.
+    """
+    made = FilteringPolicy if kind == "fixed" else AdaptivePolicy
+    return made(
+        parameters,
+        PERIOD,
+        DataSheet.of(sensors),
+        lateral,
+        Gains(),
+        regression="coupled" if kind == "fixed" else kind,
+        uses_soil=False,
+    )
+
 
 DURATION = 30.0  # [s]
 STRAIGHT = 7.0  # [s] length of the straight part

@@ -86,8 +86,9 @@ ORDER = ("exact", "mass-inertia", "sweep", "maps", "resistance-maps", "sandy-loa
 
 def save_figures(results: Results, folder: Path) -> Figures:
     """Write all figures, in the order of the page. Raises ImportError without matplotlib."""
-    from reproduce import paper_figures
-    from reproduce.strawa2021 import control_figures, identification_figures
+    from reproduce import paper_page as paper_figures
+    from reproduce.strawa2021 import figures as control_figures
+    from reproduce.strawa2021 import figures as identification_figures
 
     drawn = paper_figures.save(
         results, folder, "strawa2021", control_figures.drawings, identification_figures.drawings

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from reproduce.strawa2021 import control, identification, slip, soil, sweep
-from reproduce.strawa2021.drive import Drive
+from reproduce.strawa2021.control import Drive
 from reproduce.strawa2021.identification import Condition, Quality
 
 REGRESSIONS = ("printed", "paper", "coupled")

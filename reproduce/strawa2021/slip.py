@@ -14,13 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimators.observation_reader import ObservationReader
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.measurement import DataSheet, ObservationReader
 from baselines.estimators.slip_observer import SlipObserver
-from reproduce.strawa2021.control import ICR_FORWARD, SCENARIOS
-from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
-from reproduce.strawa2021.filtered_policies import filtered_policy
-from reproduce.strawa2021.identification import SPEED, manoeuvre
+from reproduce.strawa2021.control import ICR_FORWARD, PERIOD, SCENARIOS, Drive, Floats, drive, rms
+from reproduce.strawa2021.identification import SPEED, filtered_policy, manoeuvre
 from tracked_env.physics.parameters import LateralModelParameters, PlantParameters, plant_parameters
 from tracked_env.sensors import PRESETS, Sensors
 

@@ -5,6 +5,15 @@ The paper names neither soil nor path. Chosen: circle (R = 10 m, 2 m/s, steady) 
 at 10 s a stiffer and stronger one, at 20 s a softer one; and over heavy clay (Table 2). Slips and
 torques are the true ones, as the accuracy of the paper suggests, or measured: torque with the
 noise of the sensors and slip from the UKF.
+
+The generalised Newton-Raphson method of section 7.3 as it is printed, for one vehicle.
+
+For the last fifty control steps (`window`), both tracks, f = F_max g(K) - tau / r with
+g = 1 - K / (i l) (1 - exp(-i l / K)); (F_max, K) <- (F_max, K) - J^+ f, J the printed derivatives,
+J^+ the least-squares inverse, at most twenty times; not converged -> the last converged values.
+No weights, no damping, no prior: what the estimators of this project add.
+
+References: [1] Strawa et al., Electronics 10 (2021) 187, 7.3 and 8.3.3.
 """
 
 import math
@@ -14,19 +23,85 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimators.observation_reader import ObservationReader
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.measurement import DataSheet, ObservationReader
 from baselines.estimators.soil_estimator import SLIP_CORRELATION, SoilEstimator
-from reproduce.strawa2021.control import ICR_FORWARD, PATHS, SCENARIOS
-from reproduce.strawa2021.drive import PERIOD, Drive, Floats, drive, rms
-from reproduce.strawa2021.filtered_policies import filtered_policy
-from reproduce.strawa2021.identification import SPEED, manoeuvre
-from reproduce.strawa2021.printed_gnr import WINDOW, printed_gnr
+from reproduce.strawa2021.control import ICR_FORWARD, PATHS, PERIOD, SCENARIOS, Drive, drive, rms
+from reproduce.strawa2021.control import Floats as Floats_drive
+from reproduce.strawa2021.identification import SPEED, filtered_policy, manoeuvre
 from reproduce.strawa2021.slip import estimated_slips
 from tracked_env.events import Event, ramp_events
 from tracked_env.physics import terramechanics
 from tracked_env.physics.parameters import LateralModelParameters, PlantParameters, plant_parameters
 from tracked_env.sensors import PRESETS
+
+Floats = NDArray[np.float64]
+
+WINDOW = 50  # [control steps] 8.3.3
+ITERATIONS = 20  # at most, 8.3.3
+CONVERGED = 1e-6  # [-] relative step; the paper names none
+
+
+class Fit(NamedTuple):
+    """Time histories (T,)."""
+
+    effort_maximum: Floats  # [N]
+    modulus: Floats  # [m] K
+    iterations: Floats
+    converged: NDArray[np.bool_]
+
+
+def printed_gnr(
+    slip: Floats,
+    effort: Floats,
+    contact_length: float,
+    first_guess: tuple[float, float],
+    window: int = WINDOW,
+) -> Fit:
+    """Fit every window of slip [-] and effort tau / r [N], both (T, 2) for left and right.
+
+    Samples with an effort and slip of opposite sign or without slip are left out.
+    """
+    steps = len(slip)
+    fit = Fit(np.empty(steps), np.empty(steps), np.zeros(steps), np.zeros(steps, dtype=bool))
+    known = first_guess
+    for k in range(steps):
+        rows = slice(max(k + 1 - window, 0), k + 1)
+        distance, force = np.abs(slip[rows].ravel()) * contact_length, effort[rows].ravel()
+        used = (slip[rows].ravel() * force > 0.0) & (distance > 1e-12)
+        found, count, done = _newton(distance[used], np.abs(force[used]), known)
+        if done:
+            known = found
+        fit.effort_maximum[k], fit.modulus[k] = known
+        fit.iterations[k], fit.converged[k] = count, done
+    return fit
+
+
+def _newton(
+    distance: Floats, force: Floats, guess: tuple[float, float]
+) -> tuple[tuple[float, float], int, bool]:
+    """(F_max, K), iterations, converged; distance = |i| l [m]."""
+    maximum, modulus = guess
+    if distance.size < 2:
+        return guess, 0, False
+    for count in range(1, ITERATIONS + 1):
+        u = distance / modulus
+        decay = np.exp(-u)
+        share = 1.0 + np.expm1(-u) / u  # df/dF_max
+        slope = maximum * (decay + np.expm1(-u) / u) / modulus  # df/dK
+        residual = maximum * share - force
+        a, b, c = float(share @ share), float(share @ slope), float(slope @ slope)
+        determinant = a * c - b * b
+        if not determinant > 1e-12 * a * c:
+            return guess, count, False
+        p, q = float(share @ residual), float(slope @ residual)
+        step = (c * p - b * q) / determinant, (a * q - b * p) / determinant
+        maximum, modulus = maximum - step[0], modulus - step[1]
+        if not (0.0 < maximum < 1e7 and 1e-5 < modulus < 10.0):
+            return guess, count, False
+        if abs(step[0]) < CONVERGED * maximum and abs(step[1]) < CONVERGED * modulus:
+            return (maximum, modulus), count, True
+    return guess, ITERATIONS, False
+
 
 DURATION = 30.0  # [s]
 CHANGES = (10.0, 20.0)  # [s]
@@ -64,16 +139,16 @@ class Soil(NamedTuple):
     """Estimates of one method in every case."""
 
     method: str
-    time: Floats  # (T,)
-    true_effort: Floats  # (T, N) [N]
-    true_modulus: Floats  # (T, N) [m]
-    effort: Floats  # (T, N) estimated
-    modulus: Floats
-    iterations: Floats  # (T, N)
+    time: Floats_drive  # (T,)
+    true_effort: Floats_drive  # (T, N) [N]
+    true_modulus: Floats_drive  # (T, N) [m]
+    effort: Floats_drive  # (T, N) estimated
+    modulus: Floats_drive
+    iterations: Floats_drive  # (T, N)
     converged: NDArray[np.bool_]
     ratio_only: NDArray[np.bool_]  # (T, N) only F_max / K is determined
-    slip: Floats  # (T, N, 2) true
-    force: Floats  # (T, N, 2) [N] true efforts
+    slip: Floats_drive  # (T, N, 2) true
+    force: Floats_drive  # (T, N, 2) [N] true efforts
 
 
 def _drive(sensors: str, cases: Sequence[Case], duration: float) -> Drive:
@@ -95,7 +170,7 @@ def _drive(sensors: str, cases: Sequence[Case], duration: float) -> Drive:
     return drive(policy, rows, duration, sensors, keep=True)
 
 
-def true_maximum(result: Drive) -> Floats:
+def true_maximum(result: Drive) -> Floats_drive:
     """F_max of one track, (T, N) [N]."""
     truth, nominal = result.truth, plant_parameters()
     of_each: Any = np.vectorize(terramechanics.maximum_tractive_effort, otypes=[np.float64])
@@ -123,8 +198,8 @@ def parameters_of_guess() -> PlantParameters:
 
 
 def estimated_soil(
-    result: Drive, slips: Floats, variances: Floats, sensors: str
-) -> dict[str, Floats]:
+    result: Drive, slips: Floats_drive, variances: Floats_drive, sensors: str
+) -> dict[str, Floats_drive]:
     """Estimates of this project's estimator by name, (T, N): F_max [N], K [m], iterations, and the
     flags `converged` and `ratio_only`, 0 or 1.
 
@@ -141,7 +216,7 @@ def estimated_soil(
         residual="total",
         correlation_steps=1.0 if sensors == "ideal" else SLIP_CORRELATION,
     )
-    rows: list[dict[str, Floats]] = []
+    rows: list[dict[str, Floats_drive]] = []
     for observation, slip, variance in zip(result.observations, slips, variances, strict=True):
         soil.provide_slip(slip, variance)
         estimate = soil.update(reader.read(observation).latest)
@@ -177,7 +252,7 @@ def run_all(cases: Sequence[Case] = tuple(CASES), duration: float = DURATION) ->
     return found
 
 
-def _printed(exact: Soil, cases: Sequence[int], slip: Floats, window: int = WINDOW) -> Soil:
+def _printed(exact: Soil, cases: Sequence[int], slip: Floats_drive, window: int = WINDOW) -> Soil:
     """The method as printed on the true efforts of some cases and the slips given."""
     length, cases = plant_parameters().contact_length, list(cases)
     fits = [

@@ -13,11 +13,13 @@ from baselines.linearizing.linearizing_policy import FeedbackLinearizingControll
 from reproduce.strawa2021.control import (
     ICR_FORWARD,
     PATHS,
+    PERIOD,
     SCENARIOS,
     START,
+    Floats,
     believed_parameters,
+    drive,
 )
-from reproduce.strawa2021.drive import PERIOD, Floats, drive
 from reproduce.strawa2021.identification import manoeuvre
 
 FACTORS = np.linspace(0.5, 1.5, 11)  # [-] of the true value; the middle one is right

@@ -7,7 +7,7 @@ from reproduce.strawa2021 import control
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.drive import rms
+from reproduce.strawa2021.control import rms
 from reproduce.strawa2021.results import Results
 
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.algorithms import ppo, recurrent_ppo, sac, td3, tqc
-from agents.training.options import Options, options_of_train
+from agents import algorithms
+from agents.options import Options, options_of_train
 from baselines.learned.agent_archive import WEIGHTS, from_npz, read_entry, read_recipe
-from baselines.learned.forward_pass import Actor
+from baselines.learned.agent_policy import Actor
 
 Config = options_of_train()  # as the command line has it
 
@@ -15,11 +15,11 @@ OFF_POLICY = {"buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "hid
 ON_POLICY = {"n_steps": 32, "batch_size": 128, "n_epochs": 2, "hidden": (16,)}
 
 SETTINGS = {
-    "ppo": ppo.PPOSettings(**ON_POLICY),
-    "recurrent_ppo": recurrent_ppo.RecurrentPPOSettings(**ON_POLICY),
-    "sac": sac.SACSettings(**OFF_POLICY),
-    "td3": td3.TD3Settings(**OFF_POLICY),
-    "tqc": tqc.TQCSettings(**OFF_POLICY),
+    "ppo": algorithms.PPOSettings(**ON_POLICY),
+    "recurrent_ppo": algorithms.RecurrentPPOSettings(**ON_POLICY),
+    "sac": algorithms.SACSettings(**OFF_POLICY),
+    "td3": algorithms.TD3Settings(**OFF_POLICY),
+    "tqc": algorithms.TQCSettings(**OFF_POLICY),
 }
 
 

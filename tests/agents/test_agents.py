@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from gymnasium.vector import VectorWrapper
 
-from agents.agent_vector_env import AgentVectorEnv
 from agents.algorithms import ALGORITHMS
-from agents.loading import agent_entry
-from agents.training.held_out import HELD_OUT_SEED
-from baselines.learned.agent_archive import read_recipe
+from agents.archive import agent_entry
+from agents.held_out import HELD_OUT_SEED
+from agents.vector_envs import AgentVectorEnv
+from baselines.learned.agent_archive import normalisation_of, read_recipe
 from baselines.learned.augmentation import KINDS, make_augmentation
-from baselines.learned.recipe import normalisation_of
 from baselines.linearizing.linearizing_law import TUNED_GAINS
 from tests.agents.agent_cases import actor, small
 from tracked_env import observation as obs

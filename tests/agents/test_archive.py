@@ -14,10 +14,15 @@ import pytest
 
 import evaluate
 import train
-from agents.loading import agent_entry, load_teacher
-from agents.networks import to_npz
-from baselines.learned.agent_archive import INFERENCE, RECIPE, WEIGHTS, from_npz, read_recipe
-from baselines.learned.recipe import LONGEST_LAG
+from agents.archive import agent_entry, load_teacher, to_npz
+from baselines.learned.agent_archive import (
+    INFERENCE,
+    LONGEST_LAG,
+    RECIPE,
+    WEIGHTS,
+    from_npz,
+    read_recipe,
+)
 from tests.agents.agent_cases import parameters, small
 from tests.agents.test_student import SETTINGS
 from tracked_env import TORQUE_ID

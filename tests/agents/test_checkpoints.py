@@ -7,9 +7,9 @@ import pytest
 import torch
 
 import train
+from agents import checkpoint
 from agents.algorithms import ALGORITHMS
-from agents.training import checkpoints
-from agents.training.sb3_learner import RolloutCallback
+from agents.learners import RolloutCallback
 from tests.agents.agent_cases import SETTINGS, parameters, same_parameters, small
 
 
@@ -74,7 +74,7 @@ def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkey
     assert train.main(whole) == 0
     torn = replace(whole, output=tmp_path / "torn")
     killed_after(330, torn, monkeypatch)
-    assert (torn.folder / checkpoints.FILE).exists()
+    assert (torn.folder / checkpoint.FILE).exists()
     assert train.main(replace(torn, resume=True)) == 0
     assert len(models) == 2 and same_tensors(*models)
     assert "going on after" in capsys.readouterr().out
@@ -85,7 +85,7 @@ def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkey
     ]
     for column in ("steps", "mean_return", "held_out_rmse"):
         np.testing.assert_array_equal(curves[0][column], curves[1][column])
-    assert not (torn.folder / checkpoints.FILE).exists()
+    assert not (torn.folder / checkpoint.FILE).exists()
 
 
 @pytest.mark.slow
@@ -118,7 +118,7 @@ def test_evaluating_more_often_does_not_change_the_agent(tmp_path):
 
 def steps_in(folder):
     """Steps that the checkpoint of a folder goes on after."""
-    return checkpoints.read(folder)[0]["learner"]["attributes"]["num_timesteps"]
+    return checkpoint.read(folder)[0]["learner"]["attributes"]["num_timesteps"]
 
 
 def damage(path):
@@ -133,7 +133,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(cut, tmp_path, monkeyp
     whole, torn = small(tmp_path / "whole"), small(tmp_path / "torn")
     assert train.main(whole) == 0
     killed_after(400, torn, monkeypatch)
-    latest = torn.folder / checkpoints.FILE
+    latest = torn.folder / checkpoint.FILE
     if cut:
         latest.write_bytes(latest.read_bytes()[:2000])
     else:
@@ -148,7 +148,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(cut, tmp_path, monkeyp
 def test_nothing_but_damaged_checkpoints_is_a_clear_error(tmp_path, monkeypatch, capsys):
     config = small(tmp_path / "torn")
     killed_after(400, config, monkeypatch)
-    for name in (checkpoints.FILE, checkpoints.PREVIOUS):
+    for name in (checkpoint.FILE, checkpoint.PREVIOUS):
         damage(config.folder / name)
     assert train.main(replace(config, resume=True)) == 2
     assert "Nothing to resume" in capsys.readouterr().err
@@ -158,11 +158,11 @@ def test_a_kill_while_a_checkpoint_is_written_loses_neither(tmp_path, monkeypatc
     config = small(tmp_path / "torn")
     killed_after(400, config, monkeypatch)
     before = steps_in(config.folder)
-    half = (config.folder / checkpoints.FILE).read_bytes()[:5000]
-    temporary = config.folder / f".{checkpoints.FILE}.1-abcd.tmp"
+    half = (config.folder / checkpoint.FILE).read_bytes()[:5000]
+    temporary = config.folder / f".{checkpoint.FILE}.1-abcd.tmp"
     temporary.write_bytes(half)
     assert steps_in(config.folder) == before
-    (config.folder / checkpoints.FILE).unlink()  # killed between the two renamings
+    (config.folder / checkpoint.FILE).unlink()  # killed between the two renamings
     assert steps_in(config.folder) == before - 128
     assert train.main(replace(config, resume=True)) == 0
     assert not temporary.exists()
@@ -171,28 +171,28 @@ def test_a_kill_while_a_checkpoint_is_written_loses_neither(tmp_path, monkeypatc
 def test_two_writers_of_one_checkpoint_share_no_temporary_file(tmp_path, monkeypatch):
     """The second one begins and ends while the first one writes."""
     written = []
-    original = checkpoints.write_state
+    original = checkpoint.write_state
 
     def slow(path, state):
         original(path, state)
         written.append(path)
         if len(written) == 1:
-            checkpoints.write(tmp_path, {"recipe": {"config": {}}, "number": 2})
+            checkpoint.write(tmp_path, {"recipe": {"config": {}}, "number": 2})
 
-    monkeypatch.setattr(checkpoints, "write_state", slow)
-    checkpoints.write(tmp_path, {"recipe": {"config": {}}, "number": 1})
+    monkeypatch.setattr(checkpoint, "write_state", slow)
+    checkpoint.write(tmp_path, {"recipe": {"config": {}}, "number": 1})
     assert len(set(written)) == 2
-    assert checkpoints.read(tmp_path)[0]["number"] == 1
-    names = {checkpoints.FILE, checkpoints.PREVIOUS}
+    assert checkpoint.read(tmp_path)[0]["number"] == 1
+    names = {checkpoint.FILE, checkpoint.PREVIOUS}
     assert {path.name for path in tmp_path.iterdir()} == names
 
 
 def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path):
-    checkpoints.write(tmp_path, {"recipe": {"config": {}}, "number": 1})
+    checkpoint.write(tmp_path, {"recipe": {"config": {}}, "number": 1})
     with pytest.raises(TypeError, match="cannot be written"):
-        checkpoints.write(tmp_path, {"recipe": {"config": {}}, "number": object()})
-    assert [path.name for path in tmp_path.iterdir()] == [checkpoints.FILE]
-    assert checkpoints.read(tmp_path)[0]["number"] == 1
+        checkpoint.write(tmp_path, {"recipe": {"config": {}}, "number": object()})
+    assert [path.name for path in tmp_path.iterdir()] == [checkpoint.FILE]
+    assert checkpoint.read(tmp_path)[0]["number"] == 1
 
 
 def test_an_unfinished_training_is_not_overwritten_nor_mixed(tmp_path, monkeypatch, capsys):

@@ -6,19 +6,22 @@ from pathlib import Path
 
 import pytest
 
-from agents.algorithms import ALGORITHMS, make_model
-from agents.algorithms.ppo import PPOSettings
-from agents.algorithms.recurrent_ppo import RecurrentPPOSettings
-from agents.algorithms.sac import SACSettings
-from agents.algorithms.settings import LIMITS
-from agents.algorithms.stable_baselines import OffPolicySettings
-from agents.algorithms.student import StudentSettings
-from agents.algorithms.td3 import TD3Settings
-from agents.algorithms.tqc import TQCSettings
-from agents.training.environments import make_environment
-from agents.training.options import Options
-from agents.training.run import configuration, resolve
-from agents.training.student_learner import StudentLearner
+from agents.algorithms import (
+    ALGORITHMS,
+    LIMITS,
+    OffPolicySettings,
+    PPOSettings,
+    RecurrentPPOSettings,
+    SACSettings,
+    StudentSettings,
+    TD3Settings,
+    TQCSettings,
+    make_model,
+)
+from agents.environments import make_environment
+from agents.learners import StudentLearner
+from agents.options import Options
+from agents.run import configuration, resolve
 from tests.agents.agent_cases import ON_POLICY, Config, small
 from train import main
 
@@ -157,7 +160,7 @@ def test_more_samples_than_memory_holds_are_a_clear_error(tmp_path, capsys, monk
     def allocate(*_):
         raise MemoryError("Unable to allocate 454. GiB")
 
-    monkeypatch.setattr("agents.training.sb3_learner.make_model", allocate)
+    monkeypatch.setattr("agents.learners.make_model", allocate)
     assert main(small(tmp_path / "none")) == 2
     assert "454. GiB. Lower vehicles, n_steps" in capsys.readouterr().err
 

@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 
 import train
-from agents import ending
-from agents.algorithms import ALGORITHMS, settings
-from agents.training import checkpoints
-from agents.training.folder import PRODUCTS
-from agents.training.progress import Progress
-from agents.training.sb3_learner import RolloutCallback, Sb3Learner
-from agents.training.student_learner import StudentLearner
+from agents import algorithms, checkpoint, folder
+from agents.algorithms import ALGORITHMS
+from agents.folder import PRODUCTS
+from agents.learners import RolloutCallback, Sb3Learner, StudentLearner
+from agents.progress import Progress
 from tests.agents.agent_cases import parameters, same_parameters, small
 from tests.agents.test_student import SETTINGS
 
@@ -33,7 +31,7 @@ def one_line(capsys):
 @pytest.fixture
 def any_rate(monkeypatch):
     """Learning rates that spoil a network at once are refused; here they are let through."""
-    monkeypatch.setitem(settings.LIMITS, "learning_rate", "(0, inf)")
+    monkeypatch.setitem(algorithms.LIMITS, "learning_rate", "(0, inf)")
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -67,7 +65,7 @@ def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
         patch.setattr(Sb3Learner, "check", spoil)
         assert train.main(config) == 2
     assert "diverged at 384 steps: log_std is not finite" in one_line(capsys)
-    assert checkpoints.read(tmp_path)[0]["progress"]["saved"] == 256
+    assert checkpoint.read(tmp_path)[0]["progress"]["saved"] == 256
     for product in PRODUCTS[:2]:
         assert all(np.isfinite(of).all() for of in parameters(tmp_path / product).values())
     assert "finished" not in json.loads((tmp_path / "config.json").read_text())
@@ -96,7 +94,7 @@ def test_an_error_of_the_program_is_not_taken_for_a_divergence(tmp_path, monkeyp
 
 def test_an_evaluation_without_a_number_does_not_replace_the_best_agent(tmp_path, monkeypatch):
     scores = iter([0.5, float("nan"), 0.7])
-    monkeypatch.setattr("agents.training.progress.held_out_rmse", lambda *_: next(scores))
+    monkeypatch.setattr("agents.progress.held_out_rmse", lambda *_: next(scores))
     assert train.main(small(tmp_path, evaluate_every=128, steps=384)) == 0
     assert not same_parameters(tmp_path / "agent.zip", tmp_path / "last.zip")
 
@@ -106,16 +104,16 @@ def test_a_disk_that_is_full_is_one_line_and_the_training_goes_on_later(
 ):
     config = small(tmp_path / "torn", held_out=0)
     assert train.main(replace(config, output=tmp_path / "whole")) == 0
-    write, written = checkpoints.write, []
+    write, written = checkpoint.write, []
 
     def full(folder, state):
         if len(written) == 2:
-            (folder / f".{checkpoints.FILE}.tmp").write_bytes(b"half of it")
+            (folder / f".{checkpoint.FILE}.tmp").write_bytes(b"half of it")
             raise OSError(errno.ENOSPC, "No space left on device")
         written.append(write(folder, state))
 
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoints, "write", full)
+        patch.setattr(checkpoint, "write", full)
         assert train.main(config) == 2
     message = one_line(capsys)
     assert "cannot be written" in message and "No space left on device" in message
@@ -128,8 +126,8 @@ def test_a_disk_that_is_full_is_one_line_and_the_training_goes_on_later(
 @pytest.mark.parametrize(
     "stage",
     [
-        "agents.training.sb3_learner.make_environment",
-        "agents.training.sb3_learner.make_model",
+        "agents.learners.make_environment",
+        "agents.learners.make_model",
         "train.begin",
     ],
 )
@@ -159,14 +157,14 @@ def test_ctrl_c_that_the_shell_has_switched_off_stays_so():
     """As for a process in the background."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        ending.stop_at_once("never")
+        folder.stop_at_once("never")
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-        ending.raise_again()
+        folder.raise_again()
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        ending.stop_at_once("now")
+        folder.stop_at_once("now")
         assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-        ending.raise_again()
+        folder.raise_again()
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
@@ -175,7 +173,7 @@ def test_ctrl_c_that_the_shell_has_switched_off_stays_so():
 @pytest.mark.parametrize("delay", [0.1, 0.8, 1.8])
 def test_ctrl_c_while_everything_is_imported_is_one_line(delay, repository, tmp_path):
     began = time.perf_counter()
-    subprocess.run([sys.executable, "-c", "import agents.ending"], cwd=repository, check=True)
+    subprocess.run([sys.executable, "-c", "import agents.folder"], cwd=repository, check=True)
     delay += 2.0 * (time.perf_counter() - began)  # the handler stands, however busy the machine is
     process = subprocess.Popen(
         [sys.executable, str(repository / "train.py"), "--output", str(tmp_path / "none")],

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from agents.loading import agent_entry
-from agents.training.arguments import environment_arguments
-from agents.training.environment_state import layers
-from agents.training.environments import make_environment, make_held_out, make_part, make_taught
-from agents.training.reward import PRECISION, TrainingReward
-from agents.training.run import Augmentation, resolve
+from agents.archive import agent_entry
+from agents.checkpoint import layers
+from agents.environments import make_environment, make_held_out, make_part, make_taught
+from agents.options import environment_arguments
+from agents.reward import PRECISION, TrainingReward
+from agents.run import Augmentation, resolve
 from baselines.learned.agent_archive import read_recipe
 from tests.agents.agent_cases import small
 from tracked_env import SPEED_ID

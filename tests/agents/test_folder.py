@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import train
-from agents.training import checkpoints, folder
-from agents.training.student_learner import StudentLearner
+from agents import checkpoint, folder
+from agents.learners import StudentLearner
 from tests.agents.agent_cases import Config, same_parameters, small
 from tests.agents.test_checkpoints import killed_after
 from tests.agents.test_student import SETTINGS
@@ -46,13 +46,13 @@ def test_a_finished_training_is_not_repeated(finished, capsys):
 def test_overwrite_trains_anew_where_a_training_is_finished(finished, tmp_path, monkeypatch):
     config = replace(finished, output=tmp_path)
     with monkeypatch.context() as patch:  # killed before the last checkpoints were deleted
-        patch.setattr(checkpoints, "remove", lambda folder: None)
+        patch.setattr(checkpoint, "remove", lambda folder: None)
         assert train.main(config) == 0
-    (tmp_path / checkpoints.FILE).replace(tmp_path / checkpoints.PREVIOUS)
+    (tmp_path / checkpoint.FILE).replace(tmp_path / checkpoint.PREVIOUS)
     anew = replace(config, overwrite=True, seed=4, steps=512)
     killed_after(200, anew, monkeypatch)
     assert "finished" not in recorded(tmp_path)
-    assert not (tmp_path / checkpoints.PREVIOUS).exists()
+    assert not (tmp_path / checkpoint.PREVIOUS).exists()
     assert not (tmp_path / "agent.zip").exists()  # it would be the one of before
     assert train.main(replace(anew, overwrite=False, resume=True)) == 0
     assert recorded(tmp_path)["finished"] is True and recorded(tmp_path)["config"]["seed"] == 4
@@ -76,7 +76,7 @@ def test_one_checkpoint_of_two_is_an_unfinished_training_too(
     """As a kill between two renamings leaves it; a damaged one gives way to --overwrite."""
     config = replace(finished, output=tmp_path)
     killed_after(200, config, monkeypatch)
-    left = (tmp_path / checkpoints.FILE).replace(tmp_path / checkpoints.PREVIOUS)
+    left = (tmp_path / checkpoint.FILE).replace(tmp_path / checkpoint.PREVIOUS)
     if damaged:
         left.write_bytes(b"half of it")
     assert train.main(config) == 2
@@ -165,9 +165,9 @@ def test_a_checkpoint_left_by_a_kill_in_the_last_moment_is_cleared(
 ):
     config = replace(finished, output=tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoints, "remove", lambda folder: None)
+        patch.setattr(checkpoint, "remove", lambda folder: None)
         assert train.main(config) == 0
-    left = tmp_path / checkpoints.FILE
+    left = tmp_path / checkpoint.FILE
     assert left.exists()
     assert train.main(replace(config, resume=True)) == 0
     assert "already finished" in capsys.readouterr().out

@@ -9,11 +9,10 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.utils import set_random_seed
 from torch import nn
 
-from agents.algorithms import ALGORITHMS, make_model
-from agents.gaussian_policy import GaussianPolicy, Tanh
-from agents.networks import network_of
-from agents.training.environments import make_environment
-from agents.training.run import resolve
+from agents.algorithms import ALGORITHMS, GaussianPolicy, Tanh, make_model
+from agents.archive import network_of
+from agents.environments import make_environment
+from agents.run import resolve
 from tests.agents.agent_cases import SETTINGS, small
 
 SEEN, ACTS = Box(-np.inf, np.inf, (31,), np.float32), Box(-1.0, 1.0, (2,), np.float32)

@@ -9,13 +9,13 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import train
-from agents.loading import agent_entry
-from agents.training.arguments import MIXTURE, SENSOR_MIXTURE
-from agents.training.environment_state import layers
-from agents.training.environments import joined, make_environment, make_held_out, make_part
-from agents.training.held_out import HELD_OUT_SEED, held_out_errors, held_out_rmse
-from agents.training.joined import JoinedVecEnv, shares
-from agents.training.run import resolve
+from agents.archive import agent_entry
+from agents.checkpoint import layers
+from agents.environments import joined, make_environment, make_held_out, make_part
+from agents.held_out import HELD_OUT_SEED, held_out_errors, held_out_rmse
+from agents.options import MIXTURE, SENSOR_MIXTURE
+from agents.run import resolve
+from agents.vector_envs import JoinedVecEnv, shares
 from baselines.learned.agent_archive import read_recipe
 from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import same_parameters, small

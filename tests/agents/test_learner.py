@@ -11,10 +11,9 @@ import pytest
 
 import train
 from agents.algorithms import ALGORITHMS, Algorithm, register
-from agents.loading import agent_entry
-from agents.training.learner import Diverged
-from agents.training.options import options_of_train
-from agents.training.progress import Progress
+from agents.archive import agent_entry
+from agents.options import options_of_train
+from agents.progress import Diverged, Progress
 from baselines.learned.agent_archive import read_recipe
 from tests.agents.agent_cases import parameters, same_parameters
 from tests.test_documentation import python_blocks

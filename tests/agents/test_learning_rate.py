@@ -5,12 +5,10 @@ import pytest
 import torch
 
 import train
-from agents.algorithms import ALGORITHMS
-from agents.algorithms.ppo import PPOSettings
-from agents.algorithms.stable_baselines import FallingRate
-from agents.training.progress import Progress
-from agents.training.run import resolve
-from agents.training.sb3_learner import Sb3Learner
+from agents.algorithms import ALGORITHMS, FallingRate, PPOSettings
+from agents.learners import Sb3Learner
+from agents.progress import Progress
+from agents.run import resolve
 from tests.agents.agent_cases import SETTINGS, small
 
 ROLLOUT = 128  # [steps] of `small`, four vehicles

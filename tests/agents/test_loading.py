@@ -12,14 +12,13 @@ from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 
 from agents.algorithms import ALGORITHMS, make_model
-from agents.archive import load_network
-from agents.loading import agent_entry, unpickled
-from agents.training.environments import make_environment
-from agents.training.run import resolve
+from agents.archive import agent_entry, load_network, unpickled
+from agents.environments import make_environment
+from agents.run import resolve
 from baselines.learned import trained_agent
 from baselines.learned.agent_archive import read_recipe
-from baselines.learned.forward_pass import Actor
-from baselines.learned.shipped import shipped_agents
+from baselines.learned.agent_policy import Actor
+from baselines.registry import shipped_agents
 from tests.agents.agent_cases import parameters, small
 from tracked_env import TORQUE_ID
 from tracked_env import observation as obs

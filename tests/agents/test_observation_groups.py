@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.archive import load_network
-from agents.loading import agent_entry
-from agents.training import checkpoints
-from agents.training.environments import make_environment
-from agents.training.run import resolve
-from agents.training.state_file import read_state, write_state
+from agents import checkpoint
+from agents.archive import agent_entry, load_network
+from agents.environments import make_environment
+from agents.run import resolve
+from agents.state_file import read_state, write_state
 from baselines.learned.agent_archive import RECIPE, read_recipe
 from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import same_parameters, small
@@ -21,7 +20,7 @@ from tests.agents.test_student import student_config
 from tracked_env import TERRAIN, sensors
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
-from tracked_env.physics.channels import Channel
+from tracked_env.sensors import Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from train import main
 
@@ -183,7 +182,7 @@ def test_a_resumed_training_with_a_registered_channel_is_the_uninterrupted_one(
     assert main(config) == 0
     torn = replace(config, output=tmp_path / "torn")
     killed_after(330, torn, monkeypatch)
-    assert (torn.folder / checkpoints.FILE).exists()
+    assert (torn.folder / checkpoint.FILE).exists()
     assert main(replace(torn, resume=True)) == 0
     assert same_parameters(config.folder / "last.zip", torn.folder / "last.zip")
 

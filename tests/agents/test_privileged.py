@@ -6,14 +6,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from agents.agent_vector_env import AgentVectorEnv
-from agents.privileged import Privileged, TruthfulVectorEnv
-from agents.training.arguments import MIXTURE
-from agents.training.environment_state import layers
-from agents.training.environments import make_part, make_taught
-from agents.training.run import Augmentation, resolve
-from baselines.learned.agent_policy import policy_of
-from baselines.learned.privileged_inputs import PRIVILEGED, privileged
+from agents.checkpoint import layers
+from agents.environments import make_part, make_taught
+from agents.options import MIXTURE
+from agents.run import Augmentation, resolve
+from agents.vector_envs import AgentVectorEnv, Privileged, TruthfulVectorEnv
+from baselines.learned.agent_policy import PRIVILEGED, policy_of, privileged
 from tests.agents.agent_cases import small
 from tests.agents.test_agents import STEPS
 from tracked_env import SPEED_ID, TORQUE_ID

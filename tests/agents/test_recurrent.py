@@ -3,10 +3,9 @@
 import pytest
 import torch
 
-from agents.algorithms import make_model
-from agents.algorithms.recurrent_ppo import RecurrentPPOSettings
-from agents.training.environments import make_environment
-from agents.training.run import resolve
+from agents.algorithms import RecurrentPPOSettings, make_model
+from agents.environments import make_environment
+from agents.run import resolve
 from tests.agents.agent_cases import small
 
 

@@ -6,19 +6,21 @@ import numpy as np
 import pytest
 import torch
 
-from agents.algorithms.student import StudentSettings
-from agents.inference import RecurrentInference, RecurrentStudentModel, weights
-from agents.loading import agent_entry
-from agents.training.learner import Learner
-from agents.training.progress import Progress
-from agents.training.recurrent_student_learner import RecurrentStudentLearner
-from agents.training.run import resolve
+from agents.algorithms import StudentSettings
+from agents.archive import RecurrentInference, RecurrentStudentModel, agent_entry, weights
+from agents.learners import RecurrentStudentLearner
+from agents.progress import Learner, Progress
+from agents.run import resolve
 from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
-from baselines.learned.privileged_inputs import MOTION, PRIVILEGED
-from baselines.learned.reckoned_augmentation import RECKONED, SHEET
-from baselines.learned.recurrent_student import OUTPUTS, read_recurrent_student
-from baselines.learned.student_network import features_of
-from baselines.learned.torque_augmentation import FEATURES, FILTERED, KNOWN
+from baselines.learned.agent_policy import MOTION, PRIVILEGED
+from baselines.learned.augmentation import (
+    FEATURES,
+    FILTERED,
+    KNOWN_TORQUE_AUGMENTATION,
+    RECKONED,
+    SHEET,
+)
+from baselines.learned.student import OUTPUTS, features_of, read_recurrent_student
 from tests.agents.agent_cases import actor, same_parameters, small
 from tests.agents.test_agents import as_evaluated
 from tracked_env import observation as obs
@@ -117,7 +119,10 @@ def test_a_student_on_estimates_drives_as_in_training_from_an_archive_that_says_
     }  # fmt: skip
     assert recipe["config"]["student"]["features"] == "estimates"
     policy = agent_entry(tmp_path / "last.zip").make(resolve(config).parts[0].context)
-    assert policy.augmentation.feature_names == (*KNOWN, *SHEET) and not needs_truth(policy)
+    assert policy.augmentation.feature_names == (
+        *KNOWN_TORQUE_AUGMENTATION,
+        *SHEET,
+    ) and not needs_truth(policy)
     assert policy.augmentation.learned == FEATURES  # what is kept where it learns no more
     env = make_vec_env("tracked_env/Torque-v0", 2, 0, {"sensors": "rtk"})
     observation, state = env.reset(), None

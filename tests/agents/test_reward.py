@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from agents.training.environments import make_environment
-from agents.training.reward import ScaledReward, TrainingReward
-from agents.training.run import resolve
+from agents.environments import make_environment
+from agents.reward import ScaledReward, TrainingReward
+from agents.run import resolve
 from tests.agents.agent_cases import small
 from tracked_env.sb3 import make_vec_env
 from tracked_env.vector_env import TrackedVehicleVectorEnv

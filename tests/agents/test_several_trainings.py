@@ -16,13 +16,12 @@ from typing import Any
 import pytest
 
 import train
-from agents.several_trainings import Place, planned, train_all
-from agents.sweep_file import parse_seeds, read_sweep
-from agents.training.folder import CONFIG
+from agents.folder import CONFIG
+from agents.sweep import Place, parse_seeds, planned, read_sweep, train_all
 from tests.agents.agent_cases import Config, same_parameters, small
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark.executors.worker_pool import WorkerPool
-from tracked_env.benchmark.registered_policies import default_names, registered_policies
+from tracked_env.benchmark.executors import WorkerPool
+from tracked_env.benchmark.policies import default_names, registered_policies
 
 SMALL = (
     "--quiet", "--vehicles", "4", "--held-out", "2", "--duration", "1", "--uncertainty", "payload",
@@ -187,7 +186,7 @@ def test_a_wrong_sweep_file_is_one_line_that_names_it(
 
 
 def test_the_example_of_the_head_of_the_module_is_a_sweep() -> None:
-    from agents import sweep_file
+    from agents import sweep as sweep_file
 
     assert sweep_file.__doc__ is not None
     lines = sweep_file.__doc__.splitlines()

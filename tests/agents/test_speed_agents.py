@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import train
-from agents.loading import agent_entry
-from agents.training.options import Options
+from agents.archive import agent_entry
+from agents.options import Options
 from tests.agents.agent_cases import small
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID
 from tracked_env import observation as obs

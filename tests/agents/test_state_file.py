@@ -16,20 +16,18 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
 import train
+from agents import checkpoint
 from agents.algorithms import make_model
-from agents.training import checkpoints
-from agents.training.environment_state import capture_environment, layers
-from agents.training.environments import make_environment
-from agents.training.run import resolve
-from agents.training.sb3_state import capture
-from agents.training.state_file import GENERATORS, STATE, TYPES, read_state, write_state
+from agents.checkpoint import capture, capture_environment, layers
+from agents.environments import make_environment
+from agents.run import resolve
+from agents.state_file import GENERATORS, STATE, TYPES, read_state, write_state
 from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import small
 from tests.agents.test_archive import WRONG, Harm, branches, entries, packed, put
 from tests.agents.test_checkpoints import killed_after
-from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
-from tracked_env.engine import columns
-from tracked_env.physics.state import VehicleState
+from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID, arrays
+from tracked_env.physics.parameters import VehicleState
 from tracked_env.sb3 import TrackedVehicleVecEnv
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -104,7 +102,7 @@ def test_the_state_of_every_memory_comes_back_to_the_bit(augmentation, env, show
 
 def test_what_cannot_be_written_is_a_clear_error(tmp_path):
     for value, message in (
-        (object(), "a object cannot be written.*agents.training.state_file.TYPES"),
+        (object(), "a object cannot be written.*agents.state_file.TYPES"),
         (np.array([None]), "an array of object cannot be written"),
         (np.random.Generator(np.random.MT19937(0)), "a Generator cannot be written"),
         (type("VehicleState", (tuple,), {})(), "a VehicleState cannot be written"),
@@ -133,7 +131,7 @@ def test_no_code_of_a_checkpoint_runs(tmp_path, capsys):
         {STATE: json.dumps(named)},
         {STATE: pickle.dumps(Harm(mark))},
     ):
-        packed(folder / checkpoints.FILE, files)
+        packed(folder / checkpoint.FILE, files)
         assert train.main(small(folder, resume=True)) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert str(folder) in line and "not written by a training, or damaged" in line
@@ -155,7 +153,7 @@ def test_only_what_is_listed_is_ever_built():
      '{"state": {"nothing": 0, "more": 1}, "arrays": []}'],
 )  # fmt: skip
 def test_a_checkpoint_that_is_none_is_one_line(content, tmp_path, capsys):
-    packed(tmp_path / checkpoints.FILE, {STATE: content})
+    packed(tmp_path / checkpoint.FILE, {STATE: content})
     assert train.main(small(tmp_path, resume=True)) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "not written by a training, or damaged" in line and str(tmp_path) in line
@@ -169,8 +167,8 @@ def interrupted(tmp_path_factory):
     )
     with pytest.MonkeyPatch.context() as patch:
         killed_after(400, config, patch)
-    (config.folder / checkpoints.PREVIOUS).unlink()
-    files = entries(config.folder / checkpoints.FILE)
+    (config.folder / checkpoint.PREVIOUS).unlink()
+    files = entries(config.folder / checkpoint.FILE)
     return config, json.loads(files[STATE]), files
 
 
@@ -195,7 +193,7 @@ def test_no_value_in_a_checkpoint_is_a_traceback(interrupted, tmp_path, capsys):
         text = json.dumps(put(content, where, WRONG[i % len(WRONG)]))
         folder = tmp_path / str(i)
         folder.mkdir()
-        packed(folder / checkpoints.FILE, {**files, STATE: text})
+        packed(folder / checkpoint.FILE, {**files, STATE: text})
         status = train.main(replace(config, output=folder, resume=True))
         lines = capsys.readouterr().err.splitlines()
         assert (status, len(lines)) in ((0, 0), (2, 1)), where
@@ -208,10 +206,10 @@ def test_places_outside_the_arrays_of_the_kernels_are_refused(
     column, interrupted, tmp_path, capsys
 ):
     config, _, _ = interrupted
-    state = read_state(config.folder / checkpoints.FILE)
+    state = read_state(config.folder / checkpoint.FILE)
     counters = simulation_of(state)["batch"].counters
-    counters[0, getattr(columns, column)] = -(10**6)
-    write_state(tmp_path / checkpoints.FILE, state)
+    counters[0, getattr(arrays, column)] = -(10**6)
+    write_state(tmp_path / checkpoint.FILE, state)
     assert train.main(replace(config, output=tmp_path, resume=True)) == 2
     assert "Batch.counters" in capsys.readouterr().err
 
@@ -221,11 +219,11 @@ def test_arrays_of_another_shape_are_refused_before_anything_is_put_back(
 ):
     config, _, _ = interrupted
     for name in ("floats", "counters", "events", "noise", "history", "profile"):
-        state = read_state(config.folder / checkpoints.FILE)
+        state = read_state(config.folder / checkpoint.FILE)
         simulation = simulation_of(state)
         smaller = getattr(simulation["batch"], name)[..., :-1]
         simulation["batch"] = simulation["batch"]._replace(**{name: smaller})
-        write_state(tmp_path / checkpoints.FILE, state)
+        write_state(tmp_path / checkpoint.FILE, state)
         assert train.main(replace(config, output=tmp_path, resume=True)) == 2
         assert f"Batch.{name} = " in capsys.readouterr().err
 

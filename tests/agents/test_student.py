@@ -6,22 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agents.agent_vector_env import AgentVectorEnv
-from agents.algorithms.student import StudentSettings
-from agents.inference import StudentModel, make_inference, weights
-from agents.loading import agent_entry
-from agents.networks import to_npz
-from agents.privileged import Privileged, TruthfulVectorEnv
-from agents.training import checkpoints
-from agents.training.progress import Progress
-from agents.training.run import resolve
-from agents.training.sb3_learner import RolloutCallback
-from agents.training.student_learner import StudentLearner
+from agents import checkpoint
+from agents.algorithms import StudentSettings
+from agents.archive import StudentModel, agent_entry, make_inference, to_npz, weights
+from agents.learners import RolloutCallback, StudentLearner
+from agents.progress import Progress
+from agents.run import resolve
+from agents.vector_envs import AgentVectorEnv, Privileged, TruthfulVectorEnv
 from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
-from baselines.learned.agent_policy import Normalisation
-from baselines.learned.history_augmentation import History
-from baselines.learned.privileged_inputs import PRIVILEGED, privileged
-from baselines.learned.student_network import read_student
+from baselines.learned.agent_policy import PRIVILEGED, Normalisation, privileged
+from baselines.learned.augmentation import History
+from baselines.learned.student import read_student
 from tests.agents.agent_cases import actor, same_parameters, small
 from tests.agents.test_agents import STEPS, Recorded, as_evaluated
 from tracked_env import SPEED_ID
@@ -171,7 +166,7 @@ def test_a_normalised_inference_of_the_former_scale_is_refused(student):
     content = read_entry(path, INFERENCE)
     read_student(content, options, None, scaling)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("baselines.learned.student_network.INFERENCE_FORMAT", 3)
+        patch.setattr("baselines.learned.student.INFERENCE_FORMAT", 3)
         with pytest.raises(ValueError, match="inference of format 2; must be 3"):
             read_student(content, options, None, scaling)
     stored = from_npz(content, INFERENCE)
@@ -290,9 +285,9 @@ def test_a_checkpoint_of_another_shape_is_one_line(name, teacher, tmp_path, monk
     with monkeypatch.context() as patch:
         patch.setattr(Progress, "between", interrupted)
         assert main(config) == 130
-    state = checkpoints.read(tmp_path)[0]
+    state = checkpoint.read(tmp_path)[0]
     state["learner"][name] = np.zeros((3, 5), np.float32)
-    checkpoints.write(tmp_path, state)
+    checkpoint.write(tmp_path, state)
     capsys.readouterr()
     assert main(replace(config, resume=True)) == 2
     (line,) = capsys.readouterr().err.splitlines()

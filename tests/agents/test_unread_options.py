@@ -5,10 +5,8 @@ from pathlib import Path
 import pytest
 
 import train
-from agents.algorithms.ppo import PPOSettings
-from agents.algorithms.sac import SACSettings
-from agents.algorithms.student import StudentSettings
-from agents.training.run import resolve
+from agents.algorithms import PPOSettings, SACSettings, StudentSettings
+from agents.run import resolve
 from tests.agents.agent_cases import Config
 
 REFUSED = [

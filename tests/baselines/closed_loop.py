@@ -7,10 +7,9 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 
 from tracked_env import observation as layout
-from tracked_env.physics import lumped_forces as plant
-from tracked_env.physics import vehicle
+from tracked_env.physics import lumped
 from tracked_env.physics.jit import loop
-from tracked_env.physics.rk4 import rk4_step
+from tracked_env.physics.lumped import rk4_step
 
 SUB_STEP = 0.0025  # [s]
 RTK_NOISE = (0.02, math.radians(0.3), 0.03, 0.003)  # [m], [rad], [m/s], [rad/s]
@@ -20,14 +19,14 @@ def _plant_step(accelerations, constrained):
     @loop
     def step(state, p, action, count):
         """Advance state (8, N): X, Y, yaw, v_x, v_y, yaw rate, torques; in place."""
-        k, drive = vehicle.coefficients(p, constrained), vehicle.drive_limits(p)
-        decay = vehicle.torque_decay(0.5 * SUB_STEP, p.drive_time_constant)
+        k, drive = lumped.coefficients(p, constrained), lumped.drive_limits(p)
+        decay = lumped.torque_decay(0.5 * SUB_STEP, p.drive_time_constant)
         for i in range(state.shape[1]):
-            motion = vehicle.Motion(state[3, i], state[4, i], state[5, i])
+            motion = lumped.Motion(state[3, i], state[4, i], state[5, i])
             left, right = state[6, i], state[7, i]
             to_left, to_right = action[i, 0] * p.torque_limit, action[i, 1] * p.torque_limit
             for _ in range(count):
-                limits = plant.traction_limits(motion, k.half_gauge, drive)
+                limits = lumped.traction_limits(motion, k.half_gauge, drive)
                 start = (left, right)
                 middle = (to_left + (left - to_left) * decay, to_right + (right - to_right) * decay)
                 left = to_left + (middle[0] - to_left) * decay
@@ -46,8 +45,8 @@ def _plant_step(accelerations, constrained):
 
 
 STEP = {
-    "sliding": _plant_step(plant.sliding_accelerations, False),
-    "constrained": _plant_step(plant.constrained_accelerations, True),
+    "sliding": _plant_step(lumped.sliding_accelerations, False),
+    "constrained": _plant_step(lumped.constrained_accelerations, True),
 }
 
 

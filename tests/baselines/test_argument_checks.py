@@ -5,13 +5,12 @@ from functools import partial
 import pytest
 
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.observation_reader import ObservationReader
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.measurement import DataSheet, ObservationReader
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
-from baselines.lyapunov.pseudo_kinematic import NoSlip
+from baselines.lyapunov.lyapunov_laws import NoSlip
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from tracked_env.physics.parameters import VEHICLES

@@ -7,9 +7,8 @@ from typing import Any
 
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.executors import Executor
+from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry
-from tracked_env.benchmark.policy_lookup import load_policies
-from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 
 CONFIG = BenchmarkConfig(sets=("payload", "drift"), episodes=36, duration=1.0)
 

@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 
 from baselines.registry import POLICIES
+from benchmarks.studies import adaptation as ad
 from tests.benchmark.stub_policies import Constant, entry
 from tests.benchmark.test_report import EASY, records
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import SETS, BenchmarkConfig, Store, load_policy, run
-from tracked_env.benchmark import adaptation as ad
-from tracked_env.benchmark.executors.sent_policies import received, sent
+from tracked_env.benchmark.executors import received, sent
+from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry, frozen
-from tracked_env.benchmark.policy_lookup import load_policies
-from tracked_env.benchmark.records import READS_TRUTH
-from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.benchmark.runner import drive
+from tracked_env.benchmark.store import READS_TRUTH
 from tracked_env.benchmark.summary import rows_of
 
 PAYLOAD = BenchmarkConfig(sets=("payload",), episodes=2, duration=6.0)

@@ -8,7 +8,7 @@ import pytest
 
 from tests.benchmark.stub_policies import Believing, Constant, Tracking, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run
-from tracked_env.benchmark.beliefs import KNOWN, Recorder
+from tracked_env.benchmark.metrics import KNOWN, Recorder
 from tracked_env.benchmark.runner import drive
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.plants.lumped import LUMPED

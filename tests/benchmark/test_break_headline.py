@@ -12,7 +12,7 @@ from tests.benchmark.stub_policies import Constant
 from tests.benchmark.test_leaderboard import script
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import BenchmarkConfig
-from tracked_env.benchmark.splits import AUDIT
+from tracked_env.benchmark.evaluation_sets import AUDIT
 
 
 class Settings(NamedTuple):

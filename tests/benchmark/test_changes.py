@@ -5,13 +5,7 @@ import pytest
 
 from tests.benchmark.stub_policies import Constant
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.changes import (
-    ABRUPT_TIME,
-    CHANGING,
-    Change,
-    abrupt_changes,
-    recovery,
-)
+from tracked_env.benchmark.metrics import ABRUPT_TIME, CHANGING, Change, abrupt_changes, recovery
 from tracked_env.benchmark.runner import drive
 
 PERIOD = 0.02  # [s]

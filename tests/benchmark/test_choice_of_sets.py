@@ -9,8 +9,8 @@ from scipy.stats import spearmanr
 
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import choice_of_sets as choosing
-from tracked_env.benchmark.records import READS_TRUTH
-from tracked_env.benchmark.sets import TORQUE_SETS
+from tracked_env.benchmark.evaluation_sets import TORQUE_SETS
+from tracked_env.benchmark.store import READS_TRUTH
 from tracked_env.benchmark.summary import rows_of, summarise
 
 TRUTHFUL = ("oracle", "mpc-oracle")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.benchmark.stub_policies import Believing, Constant, entry
-from tracked_env.benchmark import BenchmarkConfig, Store, episode_figures, run
+from tracked_env.benchmark import BenchmarkConfig, Store, figures, run
 
 pytest.importorskip("matplotlib", reason="figures need the extra `render`")
 
@@ -21,18 +21,18 @@ POLICIES = [
 @pytest.fixture(scope="module")
 def finished(
     tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[Store, list[episode_figures.Record]]:
+) -> tuple[Store, list[figures.Record]]:
     """A store and its records."""
     store = Store(tmp_path_factory.mktemp("run"), CONFIG.identity())
     return store, run(CONFIG, POLICIES, store)
 
 
 def drawn(
-    finished: tuple[Store, list[episode_figures.Record]],
-) -> dict[str, episode_figures.Traces]:
+    finished: tuple[Store, list[figures.Record]],
+) -> dict[str, figures.Traces]:
     """The traces of every set."""
     store, _ = finished
-    found: dict[str, episode_figures.Traces] = {}
+    found: dict[str, figures.Traces] = {}
     for name in CONFIG.sets:
         loaded = {policy.name: store.load_trace(policy.name, name) for policy in POLICIES}
         found[name] = {policy: trace for policy, trace in loaded.items() if trace is not None}
@@ -40,10 +40,10 @@ def drawn(
 
 
 def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(
-    finished: tuple[Store, list[episode_figures.Record]], tmp_path: Path
+    finished: tuple[Store, list[figures.Record]], tmp_path: Path
 ) -> None:
     store, records = finished
-    files = episode_figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
+    files = figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
     assert sorted(path.name for path in files) == [
         "drive-payload.svg",
         "errors.svg",
@@ -55,7 +55,7 @@ def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(
 
 @pytest.mark.parametrize("damaged", [["coast"], ["coast", "spin"]])
 def test_a_damaged_trace_is_left_out_of_the_figures_and_the_others_are_drawn(
-    finished: tuple[Store, list[episode_figures.Record]], tmp_path: Path, damaged: list[str]
+    finished: tuple[Store, list[figures.Record]], tmp_path: Path, damaged: list[str]
 ) -> None:
     original, records = finished
     store = Store(tmp_path / "copy", CONFIG.identity())
@@ -65,13 +65,13 @@ def test_a_damaged_trace_is_left_out_of_the_figures_and_the_others_are_drawn(
         store.save_trace(policy.name, "payload", trace)
         if policy.name in damaged:
             store.trace_path(policy.name, "payload").write_bytes(b"mine")
-    files = episode_figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
+    files = figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
     assert len(files) == (4 if len(damaged) == 1 else 1)
     assert len(store.notices) == len(damaged)
 
 
 def test_policies_of_which_fewer_episodes_were_kept_are_drawn_and_names_are_no_formulas(
-    finished: tuple[Store, list[episode_figures.Record]], tmp_path: Path
+    finished: tuple[Store, list[figures.Record]], tmp_path: Path
 ) -> None:
     original, records = finished
     store = Store(tmp_path / "copy", CONFIG.identity())
@@ -82,18 +82,18 @@ def test_policies_of_which_fewer_episodes_were_kept_are_drawn_and_names_are_no_f
         kept = 1 if name == "coast" else 3
         store.save_trace(new, "payload", {**trace, "motion": trace["motion"][:, :kept]})
     renamed = [{**r, "policy": odd[r["policy"]]} for r in records]
-    files = episode_figures.save_all(tmp_path, store, renamed, CONFIG.sets, CONFIG.seed)
+    files = figures.save_all(tmp_path, store, renamed, CONFIG.sets, CONFIG.seed)
     assert len(files) == 4
 
 
 def test_every_axis_has_a_label_with_its_unit(
-    finished: tuple[Store, list[episode_figures.Record]],
+    finished: tuple[Store, list[figures.Record]],
 ) -> None:
-    traces, style = drawn(finished), episode_figures.looks(["coast", "spin"])
+    traces, style = drawn(finished), figures.looks(["coast", "spin"])
     for figure in (
-        episode_figures.drive("payload", traces["payload"], style),
-        episode_figures.paths("payload", traces["payload"], style, seed=0),
-        episode_figures.errors(traces, style),
+        figures.drive("payload", traces["payload"], style),
+        figures.paths("payload", traces["payload"], style, seed=0),
+        figures.errors(traces, style),
     ):
         labels = [axes.get_ylabel() for axes in figure.axes] + [
             axes.get_xlabel() for axes in figure.axes
@@ -104,16 +104,16 @@ def test_every_axis_has_a_label_with_its_unit(
 
 
 def test_title_and_legend_do_not_overlap_and_lie_inside(
-    finished: tuple[Store, list[episode_figures.Record]],
+    finished: tuple[Store, list[figures.Record]],
 ) -> None:
     _, records = finished
-    style = episode_figures.looks(["coast", "spin"])
+    style = figures.looks(["coast", "spin"])
     traces = drawn(finished)
     for figure in (
-        episode_figures.overview(records, CONFIG.sets, style),
-        episode_figures.errors(traces, style),
-        episode_figures.paths("payload", traces["payload"], style, seed=0),
-        episode_figures.drive("payload", traces["payload"], style),
+        figures.overview(records, CONFIG.sets, style),
+        figures.errors(traces, style),
+        figures.paths("payload", traces["payload"], style, seed=0),
+        figures.drive("payload", traces["payload"], style),
     ):
         figure.canvas.draw()
         title = figure._suptitle.get_window_extent()  # type: ignore[attr-defined]
@@ -125,10 +125,10 @@ def test_title_and_legend_do_not_overlap_and_lie_inside(
 
 
 def test_the_end_of_a_policy_that_left_the_path_is_marked(
-    finished: tuple[Store, list[episode_figures.Record]],
+    finished: tuple[Store, list[figures.Record]],
 ) -> None:
-    style = episode_figures.looks(["coast", "spin"])
-    figure = episode_figures.paths("payload", drawn(finished)["payload"], style, seed=0)
+    style = figures.looks(["coast", "spin"])
+    figure = figures.paths("payload", drawn(finished)["payload"], style, seed=0)
     crosses = [line for line in figure.axes[0].lines if line.get_marker() == "X"]
     assert style["spin"].colour in {line.get_color() for line in crosses}
 
@@ -136,7 +136,7 @@ def test_the_end_of_a_policy_that_left_the_path_is_marked(
 @pytest.fixture(scope="module")
 def believed(
     tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[Store, list[episode_figures.Record]]:
+) -> tuple[Store, list[figures.Record]]:
     """A store with a policy that estimates parameters, one of them with a wide band."""
     store = Store(tmp_path_factory.mktemp("believed"), CONFIG.identity())
     guess = {"mass": (1450.0, 100.0), "lateral_resistance": (0.8, 1e3), "slip_left": (0.0, 0.1)}
@@ -148,21 +148,19 @@ def believed(
 
 
 def test_policies_that_estimate_get_a_picture_of_their_beliefs(
-    believed: tuple[Store, list[episode_figures.Record]], tmp_path: Path
+    believed: tuple[Store, list[figures.Record]], tmp_path: Path
 ) -> None:
     store, records = believed
-    files = episode_figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
+    files = figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
     assert "beliefs-payload.svg" in [path.name for path in files]
 
 
 def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(
-    believed: tuple[Store, list[episode_figures.Record]],
+    believed: tuple[Store, list[figures.Record]],
 ) -> None:
     store, _ = believed
     traces = {name: store.load_trace(name, "payload") or {} for name in ("coast", "guess")}
-    figure = episode_figures.beliefs(
-        "payload", traces, episode_figures.looks(["coast", "guess"]), seed=0
-    )
+    figure = figures.beliefs("payload", traces, figures.looks(["coast", "guess"]), seed=0)
     assert figure is not None
     assert len(figure.axes) == 2 * 3  # mass and lateral resistance of three episodes
     assert "[kg]" in figure.axes[0].get_ylabel()
@@ -175,41 +173,41 @@ def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(
 
 
 def test_without_estimates_there_is_no_picture_of_beliefs(
-    finished: tuple[Store, list[episode_figures.Record]],
+    finished: tuple[Store, list[figures.Record]],
 ) -> None:
-    traces, style = drawn(finished), episode_figures.looks(["coast", "spin"])
-    assert episode_figures.beliefs("payload", traces["payload"], style, seed=0) is None
+    traces, style = drawn(finished), figures.looks(["coast", "spin"])
+    assert figures.beliefs("payload", traces["payload"], style, seed=0) is None
 
 
 def test_policies_differ_in_more_than_colour() -> None:
-    style = episode_figures.looks([f"policy {i}" for i in range(6)])
+    style = figures.looks([f"policy {i}" for i in range(6)])
     for part in zip(*style.values(), strict=True):
         assert len(set(part)) == 6
 
 
 def test_without_matplotlib_the_error_names_the_extra(
-    finished: tuple[Store, list[episode_figures.Record]],
+    finished: tuple[Store, list[figures.Record]],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     store, records = finished
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(ImportError, match=r"tracked-env\[render\]"):
-        episode_figures.save_all(tmp_path, store, records, CONFIG.sets, 0)
+        figures.save_all(tmp_path, store, records, CONFIG.sets, 0)
 
 
 def test_paths_have_the_error_of_every_policy_over_time_below_them(
-    finished: tuple[Store, list[episode_figures.Record]],
+    finished: tuple[Store, list[figures.Record]],
 ) -> None:
-    style = episode_figures.looks(["coast", "spin"])
-    figure = episode_figures.paths("payload", drawn(finished)["payload"], style, seed=0)
+    style = figures.looks(["coast", "spin"])
+    figure = figures.paths("payload", drawn(finished)["payload"], style, seed=0)
     below = [axes for axes in figure.axes if axes.get_xlabel() == "time [s]"]
     assert len(below) == 3 and all(len(axes.lines) == 2 for axes in below)
     assert all(axes.get_yscale() == "log" for axes in below)
 
 
 def test_a_figure_draws_five_policies_in_the_order_that_is_given_and_keeps_its_legend_whole(
-    finished: tuple[Store, list[episode_figures.Record]], tmp_path: Path
+    finished: tuple[Store, list[figures.Record]], tmp_path: Path
 ) -> None:
     original, records = finished
     names = [f"policy-with-quite-a-long-name-{i}" for i in range(7)]
@@ -221,14 +219,14 @@ def test_a_figure_draws_five_policies_in_the_order_that_is_given_and_keeps_its_l
     own = [r for r in records if r["policy"] == "coast"]
     given = [{**r, "policy": name} for name in names for r in own]
     wanted = [names[i] for i in (6, 0, 3, 5, 1, 2)]
-    files = episode_figures.save_all(tmp_path, store, given, CONFIG.sets, 0, wanted)
+    files = figures.save_all(tmp_path, store, given, CONFIG.sets, 0, wanted)
     for path in files:
         text = path.read_text()
         shown = sorted((text.index(f"{name}<"), name) for name in names if f"{name}<" in text)
         assert {name for _, name in shown} == set(wanted[:5]), path.name
-    style = episode_figures.looks(wanted[:5])
+    style = figures.looks(wanted[:5])
     traces = dict.fromkeys(wanted[:5], trace)
-    figure = episode_figures.drive("payload", traces, style)
+    figure = figures.drive("payload", traces, style)
     figure.canvas.draw()
     legend = figure.legends[0].get_window_extent()
     assert len(figure.legends[0].get_texts()) == 5

@@ -16,11 +16,9 @@ from tests.benchmark.mortal_policies import MARK
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN
-from tracked_env.benchmark.chunks import chunk_size
-from tracked_env.benchmark.executors import make_executor
-from tracked_env.benchmark.executors.shard import parse_shard
-from tracked_env.benchmark.executors.worker_pool import WorkerPool
+from tracked_env.benchmark.executors import WorkerPool, make_executor, parse_shard
 from tracked_env.benchmark.policy_interface import PolicyError
+from tracked_env.benchmark.runner import chunk_size
 from tracked_env.cli.main import main
 
 STUBS = "mortal_policies"
@@ -205,7 +203,7 @@ def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(
     paths = os.pathsep.join([str(repository), str(Path(__file__).parent)])
     code = (
         "from mortal_policies import sleep; "
-        "from tracked_env.benchmark.executors.worker_pool import WorkerPool; "
+        "from tracked_env.benchmark.executors import WorkerPool; "
         "list(WorkerPool(1).results(sleep, 0, [300.0]))"
     )
     environment = {**os.environ, "PYTHONPATH": paths, MARK: str(mark)}

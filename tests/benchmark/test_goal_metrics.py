@@ -6,12 +6,12 @@ import pytest
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import BenchmarkConfig
-from tracked_env.benchmark.goal_metrics import GOAL_ANGLE, GOAL_DISTANCE, goals_of, reaching
+from tracked_env.benchmark.evaluation_sets import GOAL_REACHING, default_sets, names_of, version_of
 from tracked_env.benchmark.leaderboard import goal_table, leaderboard
-from tracked_env.benchmark.registered_policies import registered_policy
+from tracked_env.benchmark.metrics import GOAL_ANGLE, GOAL_DISTANCE, goals_of, reaching
+from tracked_env.benchmark.policies import registered_policy
 from tracked_env.benchmark.report import markdown
 from tracked_env.benchmark.runner import run
-from tracked_env.benchmark.sets import GOAL_REACHING, default_sets, names_of, version_of
 from tracked_env.benchmark.store import Store
 from tracked_env.benchmark.summary import rows_of, summarise
 

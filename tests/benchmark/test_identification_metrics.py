@@ -9,8 +9,7 @@ import pytest
 from tests.benchmark.stub_policies import Believing, Constant, Tracking, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run, summarise
 from tracked_env.benchmark import identification_metrics as ident
-from tracked_env.benchmark.beliefs import KNOWN, Beliefs
-from tracked_env.benchmark.metrics import CHANNELS, Trace
+from tracked_env.benchmark.metrics import CHANNELS, KNOWN, Beliefs, Trace
 from tracked_env.physics.parameters import VEHICLES
 
 PERIOD = 0.02  # [s]

@@ -92,7 +92,7 @@ def test_the_simulation_takes_nothing_but_pictures_from_what_is_without_influenc
     assert taken == {
         ("env.py", "rendering"),
         ("vector_env.py", "rendering"),
-        ("benchmark/chunks.py", "benchmark/store"),
+        ("benchmark/runner.py", "benchmark/store"),
         ("benchmark/runner.py", "benchmark/executors"),
         ("benchmark/runner.py", "benchmark/figure_data"),
         ("benchmark/runner.py", "benchmark/progress_bar"),

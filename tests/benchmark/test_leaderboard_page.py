@@ -16,9 +16,9 @@ from tests.benchmark.test_leaderboard import ALL, board
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import leaderboard_page as page
-from tracked_env.benchmark.drawing import MAX_DRAWN, colour, marks
-from tracked_env.benchmark.records import READS_TRUTH
+from tracked_env.benchmark.figures import MAX_DRAWN, colour, marks
 from tracked_env.benchmark.statistics import Estimate
+from tracked_env.benchmark.store import READS_TRUTH
 from tracked_env.benchmark.summary import rows_of, summarise
 from tracked_env.benchmark.text_tables import cell
 

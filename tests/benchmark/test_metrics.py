@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tracked_env.benchmark import metrics
-from tracked_env.benchmark.changes import CHANGING
-from tracked_env.benchmark.metrics import Trace
+from tracked_env.benchmark.metrics import CHANGING, Trace
 from tracked_env.engine.env_config import DRIVES
 
 PERIOD = 0.02  # [s]

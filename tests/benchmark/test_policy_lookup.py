@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from tests.benchmark.stub_policies import Constant, entry
+from tracked_env.benchmark.policies import archives, load_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry
-from tracked_env.benchmark.policy_lookup import archives, load_policies
 
 REGISTRY = {"nominal": lambda context: Constant()}
 

@@ -128,7 +128,7 @@ def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_chec
     from dataclasses import replace
 
     import train
-    from agents.several_trainings import train_all
+    from agents.sweep import train_all
 
     nodes.be_two()
     monkeypatch.chdir(tmp_path)

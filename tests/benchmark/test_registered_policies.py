@@ -7,18 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.learned import shipped
-from baselines.learned.shipped import PRETRAINED, shipped_agents
-from baselines.registry import BY_ENVIRONMENT
+from baselines import registry
+from baselines.registry import BY_ENVIRONMENT, PRETRAINED, shipped_agents
 from tests.benchmark.plugin_package import Install, install
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, entry_points
-from tracked_env.benchmark import PolicyContext, registered_policies
-from tracked_env.benchmark.policy_lookup import load_policies
-from tracked_env.benchmark.registered_policies import (
+from tracked_env.benchmark import PolicyContext, policies
+from tracked_env.benchmark.policies import (
     ENVIRONMENTS,
     Registered,
     by_name,
     default_names,
+    load_policies,
     open_archive,
 )
 
@@ -32,7 +31,7 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
 def registered() -> tuple[list[Registered], list[str]]:
     """What is registered, and what is said to be left out."""
     said: list[str] = []
-    return registered_policies.registered_policies(said.append), said
+    return policies.registered_policies(said.append), said
 
 
 def ours() -> list[tuple[str, str | None]]:
@@ -69,11 +68,11 @@ def test_every_shipped_archive_is_registered() -> None:
 def test_agents_whose_archives_are_not_installed_are_known_and_not_compared(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for scores in PRETRAINED.glob(f"*/{shipped.SCORES}"):
+    for scores in PRETRAINED.glob(f"*/{registry.SCORES}"):
         (tmp_path / scores.parent.name).mkdir()
         (tmp_path / scores.parent.name / scores.name).write_bytes(scores.read_bytes())
     before = {env: list(shipped_agents(env)) for env in BY_ENVIRONMENT}
-    monkeypatch.setattr(shipped, "PRETRAINED", tmp_path)
+    monkeypatch.setattr(registry, "PRETRAINED", tmp_path)
     policies, said = registered()
     assert said == []
     for env, names in BY_ENVIRONMENT.items():
@@ -181,6 +180,6 @@ def test_an_archive_that_nothing_opens_is_a_clear_error(
     def entries(group: str) -> list[tuple[str, EntryPoint]]:
         return []
 
-    monkeypatch.setattr(registered_policies, "declared", entries)
+    monkeypatch.setattr(policies, "declared", entries)
     with pytest.raises(ValueError, match="no installed package opens archives"):
         open_archive(tmp_path / "agent.zip")

@@ -12,7 +12,7 @@ import pytest
 from tracked_env.benchmark import report
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS, OF_GOALS
-from tracked_env.benchmark.records import READS_TRUTH
+from tracked_env.benchmark.store import READS_TRUTH
 from tracked_env.benchmark.text_tables import escaped
 
 EASY = np.linspace(0.04, 0.06, 16)

@@ -19,8 +19,8 @@ from tracked_env.benchmark import (
     load_policy,
     run,
 )
-from tracked_env.benchmark.chunks import pending
-from tracked_env.benchmark.figure_data import figure_data
+from tracked_env.benchmark.evaluation_sets import NEWEST
+from tracked_env.benchmark.files import figure_data
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.policy_interface import (
     PolicyContext,
@@ -28,8 +28,7 @@ from tracked_env.benchmark.policy_interface import (
     PolicyError,
     checked_answer,
 )
-from tracked_env.benchmark.runner import drive
-from tracked_env.benchmark.sets import NEWEST
+from tracked_env.benchmark.runner import drive, pending
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.sensors import STRAWA
 from tracked_env.uncertainty import UNCERTAINTY_SETS

@@ -16,8 +16,8 @@ from tests.benchmark.executor_cases import (
     values,
 )
 from tracked_env.benchmark import Store, run
-from tracked_env.benchmark.chunks import pending
-from tracked_env.benchmark.executors.shard import Shard
+from tracked_env.benchmark.executors import Shard
+from tracked_env.benchmark.runner import pending
 from tracked_env.cli.main import main
 
 
@@ -54,7 +54,7 @@ def test_two_processes_of_one_shard_are_refused(tmp_path: Path, repository: Path
     store = Store(tmp_path, CONFIG.identity(), Shard(1, 2))
     code = (
         "import sys; from pathlib import Path; from tracked_env.benchmark import *; "
-        "from tracked_env.benchmark.executors.shard import Shard; "
+        "from tracked_env.benchmark.executors import Shard; "
         "c = BenchmarkConfig(sets=('payload', 'drift'), episodes=36, duration=1.0); "
         f"Store(Path({str(tmp_path)!r}), c.identity(), Shard(int(sys.argv[1]), 2))"
     )

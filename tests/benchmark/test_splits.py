@@ -4,12 +4,18 @@ from itertools import combinations
 
 import pytest
 
-from agents.training.held_out import HELD_OUT_SEED
-from agents.training.run import ROWS, TRAININGS, random_seed
+from agents.held_out import HELD_OUT_SEED
+from agents.run import ROWS, TRAININGS, random_seed
 from tracked_env.benchmark import BenchmarkConfig, frozen
+from tracked_env.benchmark.evaluation_sets import (
+    AUDIT,
+    DEVELOPMENT,
+    EPISODES,
+    SPLITS,
+    VERSIONS,
+    seeds_of,
+)
 from tracked_env.benchmark.runner import episode_digest
-from tracked_env.benchmark.sets import EPISODES, VERSIONS
-from tracked_env.benchmark.splits import AUDIT, DEVELOPMENT, SPLITS, seeds_of
 
 
 def overlap(one: range, other: range) -> bool:

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.studies.choose_sets import candidates
 from tracked_env import TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark.sets import SETS, TORQUE_SETS, UNLIKE_SETS
-from tracked_env.benchmark.splits import DEVELOPMENT
-from tracked_env.cli.choose_command import candidates
+from tracked_env.benchmark.evaluation_sets import DEVELOPMENT, SETS, TORQUE_SETS, UNLIKE_SETS
 from tracked_env.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.cli import clone, evaluate_command
+from tracked_env.cli import evaluate_command
+from tracked_env.cli import evaluate_command as clone
 from tracked_env.cli.evaluate_options import Config, env_of, parsed
 from tracked_env.cli.main import COMMANDS, main
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.identify import identify_slip
+from baselines.identify.identify_slip import fit
+from baselines.identify.pages import score_rows
+from baselines.identify.slip_runs import Runs, read_runs
 from tests.cli.skid_steering import runs, spoilt
-from tracked_env.cli.user_data import corrupt_runs
-from tracked_env.cli.user_data.slip_fit import fit
-from tracked_env.cli.user_data.slip_page import score_rows
-from tracked_env.cli.user_data.slip_runs import Runs, read_runs
 from tracked_env.physics.parameters import VEHICLES
 
 FOCCHI = VEHICLES["focchi"]
@@ -40,7 +40,7 @@ def as_runs(left, right, motion, samples=1):
 
 
 def corrupt(left, right, motion, samples=1):
-    return corrupt_runs.corrupt(as_runs(left, right, motion, samples), FOCCHI)
+    return identify_slip.corrupt(as_runs(left, right, motion, samples), FOCCHI)
 
 
 @pytest.mark.parametrize("surface", SURFACES)

@@ -8,20 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.estimators import soil_window, turning
+from baselines.estimators import soil_estimator, turning
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.predictive import predictive_control
-from baselines.predictive.predictive_policy import PredictivePolicy
+from baselines.predictive.predictive_control import PredictivePolicy
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env import observation as layout
 from tracked_env.benchmark import BenchmarkConfig, default_sets
-from tracked_env.benchmark.registered_policies import default_names, registered_policies
-from tracked_env.benchmark.sets import group_of, version_of
-from tracked_env.cli import first_look
-from tracked_env.cli.evaluate_command import benchmark_config
+from tracked_env.benchmark.evaluation_sets import group_of, version_of
+from tracked_env.benchmark.policies import default_names, registered_policies
+from tracked_env.cli import evaluate_command
+from tracked_env.cli.evaluate_command import FIRST_LOOKS, benchmark_config, first_policies
 from tracked_env.cli.evaluate_options import Config, parsed
-from tracked_env.cli.first_look import FIRST_LOOKS, first_policies
 from tracked_env.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
@@ -96,11 +95,11 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(
             asked.append((function, shared.specs))
             return iter(())
 
-    monkeypatch.setattr(first_look, "WorkerPool", Pool)
-    monkeypatch.setattr(first_look, "PATIENCE", 0.2)
-    monkeypatch.setattr(first_look, "run_task", lambda task, config: time.sleep(seconds))
+    monkeypatch.setattr(evaluate_command, "WorkerPool", Pool)
+    monkeypatch.setattr(evaluate_command, "PATIENCE", 0.2)
+    monkeypatch.setattr(evaluate_command, "run_task", lambda task, config: time.sleep(seconds))
     policy = entry("constant", lambda context: Constant())
-    first_look.compile_kernels(BenchmarkConfig(sets=("payload",)), ("constant",), [policy])
+    evaluate_command.compile_kernels(BenchmarkConfig(sets=("payload",)), ("constant",), [policy])
     assert ("compiling kernels, once" in capsys.readouterr().err) == said
     assert bool(asked) == said  # a second process, where there is something to compile
     time.sleep(0.3)
@@ -109,7 +108,7 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(
 
 @pytest.mark.parametrize("kind", [AdaptivePolicy, PredictivePolicy])
 def test_what_is_compiled_ahead_is_what_driving_calls(kind: type[AdaptivePolicy]) -> None:
-    kernels: list[Any] = [soil_window.update_all, turning.update_all]
+    kernels: list[Any] = [soil_estimator.update_all, turning.update_all]
     if kind is PredictivePolicy:
         kernels.append(predictive_control.plan_all)
     ahead, fresh = kind(), kind()

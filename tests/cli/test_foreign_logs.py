@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from baselines.identify.csv_log import pairs, read_cells
+from baselines.identify.friction_smoothing import unit_moment
+from baselines.identify.identify_log import contradictions, identify, parameter_set
+from baselines.identify.vehicle_log import Drivetrain, read_log
 from tests.cli.independent_vehicle import Columns, Noise, Vehicle, drive, friction, write
 from tracked_env.cli.main import main
-from tracked_env.cli.user_data.csv_cells import read_cells
-from tracked_env.cli.user_data.csv_columns import pairs
-from tracked_env.cli.user_data.friction_smoothing import unit_moment
-from tracked_env.cli.user_data.log_identification import identify
-from tracked_env.cli.user_data.parameter_set import contradictions, parameter_set
-from tracked_env.cli.user_data.vehicle_log import Drivetrain, read_log
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.sensors import PRESETS
 

@@ -13,7 +13,7 @@ from baselines.registry import POLICIES, policies
 from tests.benchmark.plugin_package import Install, install
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import frozen
-from tracked_env.benchmark.sets import SETS, version_of
+from tracked_env.benchmark.evaluation_sets import SETS, version_of
 from tracked_env.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")

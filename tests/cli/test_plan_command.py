@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.planners.plan_request import planned
+from baselines.planners.plan import planned
 from tracked_env import entry_points
+from tracked_env.cli.exit_status import COMPILING
 from tracked_env.cli.main import main
-from tracked_env.cli.plan_figure import outline
-from tracked_env.cli.waiting import COMPILING
+from tracked_env.cli.plan_command import outline
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
@@ -71,7 +71,7 @@ def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(
         return planned((2.0, 2.5, -0.4), method="dubins", slips=False)
 
     monkeypatch.setattr("tracked_env.cli.plan_command.command_function", lambda name: slow)
-    monkeypatch.setattr("tracked_env.cli.waiting.PATIENCE", 0.05)
+    monkeypatch.setattr("tracked_env.cli.exit_status.PATIENCE", 0.05)
     assert main([*QUICK]) == 0
     assert capsys.readouterr().err == f"{COMPILING}\n"
 

@@ -11,7 +11,7 @@ import pytest
 from baselines.registry import POLICIES, policies
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import BenchmarkConfig, PolicyEntry, Store, run
-from tracked_env.benchmark.splits import AUDIT, DEVELOPMENT
+from tracked_env.benchmark.evaluation_sets import AUDIT, DEVELOPMENT
 from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.cli.main import main
 from tracked_env.cli.tune_command import Search, registered

@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from baselines.identify import vehicle_log
+from baselines.identify.csv_log import record_log
+from baselines.identify.identify_log import biases, half_width, identify, parameter_set, untold
+from baselines.identify.vehicle_log import Drivetrain, Log, read_log
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
 from docs.identified_logs import KNOWN, driven, intervals
 from tracked_env.cli.main import main
-from tracked_env.cli.user_data import vehicle_log
-from tracked_env.cli.user_data.log_identification import biases, half_width, identify
-from tracked_env.cli.user_data.log_recording import record_log
-from tracked_env.cli.user_data.parameter_set import parameter_set, untold
-from tracked_env.cli.user_data.vehicle_log import Drivetrain, Log, read_log
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from baselines.identify.identify_slip import fit
+from baselines.identify.slip_runs import Runs, mean_motion, read_runs
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
 from baselines.slip.slip_models import load
 from baselines.slip.slip_sweep import steady_motion, with_friction
 from tracked_env.cli.main import main
-from tracked_env.cli.user_data.slip_fit import fit
-from tracked_env.cli.user_data.slip_runs import Runs, mean_motion, read_runs
 from tracked_env.physics.parameters import VEHICLES
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")

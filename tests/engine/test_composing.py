@@ -8,7 +8,7 @@ from tests.test_vector_env import assert_same
 from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env import observation as obs
 from tracked_env.physics.jit import loop
-from tracked_env.physics.state import STATE_NAMES
+from tracked_env.physics.parameters import STATE_NAMES
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 EVERYTHING = [*TERRAIN["observation"], "height_scan"]

@@ -10,8 +10,8 @@ import pytest
 
 from tests.test_vector_env import assert_same
 from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
+from tracked_env import arrays as b
 from tracked_env import observation as obs
-from tracked_env.engine import columns as b
 from tracked_env.references import sample
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 

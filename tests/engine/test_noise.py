@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tracked_env.engine import columns as b
+from tracked_env import arrays as b
 from tracked_env.engine import noise
-from tracked_env.physics.channels import NOISE_COUNT
+from tracked_env.sensors import NOISE_COUNT
 
 SEEDS = (0, 1, 7, 2**31, 2**32 - 1, 2**32, 2**32 + 1, 2**62 + 12345, 2**63 - 1)
 

@@ -6,14 +6,13 @@ import math
 import numpy as np
 import pytest
 
+from tracked_env import arrays as b
 from tracked_env import observation as obs
-from tracked_env.engine import columns as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
-from tracked_env.physics import state as s
-from tracked_env.physics.channels import CHANNELS
+from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import HEAVY_CLAY, VEHICLES
-from tracked_env.sensors import PRESETS, Sensors, make_sensors
+from tracked_env.sensors import CHANNELS, PRESETS, Sensors, make_sensors
 from tracked_env.uncertainty import SOILS, STRAWA_MAPS, UNCERTAINTY_SETS
 
 NOMINAL = VEHICLES["strawa"]

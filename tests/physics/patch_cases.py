@@ -5,11 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracked_env.physics import patch_forces
+from tracked_env.physics import patches_on_level_ground
+from tracked_env.physics.lumped import Motion, coefficients, drive_limits
 from tracked_env.physics.parameters import FIRM_FLOOR, FOCCHI_VEHICLE, plant_parameters
-from tracked_env.physics.patch_dynamics import Belts, advance, contact_of, hold_speeds, on_one_soil
-from tracked_env.physics.patch_forces import make_patches, resistance
-from tracked_env.physics.vehicle import Motion, coefficients, drive_limits
+from tracked_env.physics.patches_on_level_ground import (
+    Belts,
+    advance,
+    contact_of,
+    hold_speeds,
+    make_patches,
+    on_one_soil,
+    resistance,
+)
 
 PATCHES = make_patches()
 FOCCHI = plant_parameters(FOCCHI_VEHICLE, FIRM_FLOOR)
@@ -35,7 +42,7 @@ def parts(p, patches=PATCHES):
 
 def soil_resistance(motion, left, right, contact, patches=PATCHES):
     """`resistance` with a scratch array of its own."""
-    scratch = np.full((patch_forces.SCRATCH_ROWS, patch_forces.LANES), np.nan)
+    scratch = np.full((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES), np.nan)
     return resistance(scratch, motion, left, right, contact, patches)
 
 
@@ -112,7 +119,7 @@ def drive_by_torque(moved, torques, p, steps, h, euler=False, patches=PATCHES, d
     """`Moved` after `steps` steps of the torque-driven plant from (pose, motion, belts)."""
     k, drive, contact = parts(p, patches)
     inverse_belt_mass = p.sprocket_radius**2 / p.sprocket_inertia
-    scratch = np.zeros((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
+    scratch = np.zeros((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
     return advance(
         scratch, moved, Belts(*torques), Belts(*torques), decay, steps, h,
         on_one_soil(k, drive, contact, inverse_belt_mass), patches, euler,

@@ -4,15 +4,17 @@ import math
 
 import numpy as np
 
-from tracked_env.physics.lumped_forces import (
+from tracked_env.physics.lumped import (
+    Motion,
+    coefficients,
     constrained_accelerations,
     constrained_loads,
+    drive_limits,
     sliding_accelerations,
     sliding_loads,
     traction_limits,
 )
 from tracked_env.physics.parameters import SoilParameters, plant_parameters
-from tracked_env.physics.vehicle import Motion, coefficients, drive_limits
 
 CLAY = plant_parameters()
 SANDY_LOAM = SoilParameters(cohesion=9.65e3, friction_angle=math.radians(35.0))

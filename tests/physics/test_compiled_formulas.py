@@ -9,26 +9,22 @@ from numba.core.registry import CPUDispatcher
 from tests.physics.patch_cases import FOCCHI, PATCHES, parts
 from tracked_env.physics import (
     elementary,
-    lumped_forces,
+    lumped,
     parameters,
-    patch_dynamics,
-    patch_forces,
-    rk4,
-    rosenbrock,
+    patches_on_level_ground,
     terramechanics,
-    vehicle,
 )
 from tracked_env.physics.jit import formula, loop, summation
+from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import plant_parameters
-from tracked_env.physics.vehicle import Motion
 
 CLAY = plant_parameters()
-DRIVE = vehicle.drive_limits(CLAY)
-K = vehicle.coefficients(CLAY, False)
-K_FIXED = vehicle.coefficients(CLAY, True)
+DRIVE = lumped.drive_limits(CLAY)
+K = lumped.coefficients(CLAY, False)
+K_FIXED = lumped.coefficients(CLAY, True)
 TURN = Motion(2.0, -0.013, 0.23)
 BACK = Motion(-0.03, 0.4, -1.7)
-LIMITS = lumped_forces.traction_limits(TURN, K.half_gauge, DRIVE)
+LIMITS = lumped.traction_limits(TURN, K.half_gauge, DRIVE)
 SOIL = (DRIVE.effort_maximum, DRIVE.shear_length)
 TORQUES = ((300.0, 2300.0), (-900.0, 7e3))
 LOADS = [(m, *t, k, LIMITS) for m in (TURN, BACK) for t in TORQUES for k in (K, K_FIXED)]
@@ -36,18 +32,18 @@ NUMBERS = (-650.3, -1.0, -1e-9, 0.0, 0.03, 0.7, 33.3)
 RK4_TORQUES = ((300.0, 2300.0), (310.0, 2290.0), (320.0, 2280.0))
 
 FLOOR, FLOOR_DRIVE, CONTACT = parts(FOCCHI)
-SCRATCH = np.zeros((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
-BELTS = rosenbrock.Belts(1.7, 2.3)
-RATES = rosenbrock.Rates(1.0, -2.0, 0.5, 0.3, -4.0)
-OTHER_RATES = rosenbrock.Rates(0.3, 0.1, -0.7, -2.0, 9.0)
+SCRATCH = np.zeros((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
+BELTS = patches_on_level_ground.Belts(1.7, 2.3)
+RATES = patches_on_level_ground.Rates(1.0, -2.0, 0.5, 0.3, -4.0)
+OTHER_RATES = patches_on_level_ground.Rates(0.3, 0.1, -0.7, -2.0, 9.0)
 SHEAR = [(SCRATCH, m, *b, CONTACT, PATCHES) for m in (TURN, BACK) for b in (BELTS, (0.0, -1.0))]
-DRAGS = [patch_forces.resistance(*arguments) for arguments in SHEAR]
+DRAGS = [patches_on_level_ground.resistance(*arguments) for arguments in SHEAR]
 INVERSE_BELT_MASSES = (0.0, 0.147)
 MOVES = [
     (
-        SCRATCH, (patch_dynamics.Pose(1.0, 2.0, 0.7, math.cos(0.7), math.sin(0.7)), m, BELTS),
-        rosenbrock.Belts(20.0, -3.0), rosenbrock.Belts(9.0, 0.5), decay, 3, 0.0025,
-        patch_dynamics.on_one_soil(FLOOR, FLOOR_DRIVE, CONTACT, mass), PATCHES, euler,
+        SCRATCH, (patches_on_level_ground.Pose(1.0, 2.0, 0.7, math.cos(0.7), math.sin(0.7)), m, BELTS),
+        patches_on_level_ground.Belts(20.0, -3.0), patches_on_level_ground.Belts(9.0, 0.5), decay, 3, 0.0025,
+        patches_on_level_ground.on_one_soil(FLOOR, FLOOR_DRIVE, CONTACT, mass), PATCHES, euler,
     )
     for m in (TURN, BACK) for decay in (0.0, 0.7) for mass in INVERSE_BELT_MASSES
     for euler in (False, True)
@@ -78,7 +74,7 @@ ARGUMENTS = {
         "resisting": [(v, f, 4267.0, 10.0) for f in (-9e3, 1e3) for v in NUMBERS],
         "lateral_friction": [(v, w, 5690.0, 2.0) for v in NUMBERS for w in NUMBERS],
     },
-    lumped_forces: {
+    lumped: {
         "track_limits": [(v, DRIVE) for v in NUMBERS],
         "traction_limits": [(TURN, 0.85, DRIVE), (BACK, 0.85, DRIVE)],
         "safe_effort": [(TURN, 5e3, 0.85, DRIVE), (TURN, 5e5, 0.85, DRIVE)],
@@ -87,47 +83,39 @@ ARGUMENTS = {
         "sliding_accelerations": LOADS,
         "constrained_accelerations": LOADS,
         "track_slip": [(f, v, DRIVE) for f in (-5e4, 4e3) for v in NUMBERS],
-    },
-    vehicle: {
         "drive_limits": [(CLAY,)],
         "track_speeds": [(TURN, 0.85)],
         "coefficients": [(CLAY, False), (CLAY, True)],
         "inertial_acceleration": [(TURN, 0.3, -0.2)],
         "torque_decay": [(0.00125, 0.05), (0.00125, 0.0)],
         "kinetic_energy": [(TURN, CLAY)],
-    },
-    rk4: {
         "rk4_step": [
-            (lumped_forces.sliding_accelerations, TURN, *RK4_TORQUES, K, LIMITS, 0.0025),
-            (lumped_forces.constrained_accelerations, TURN, *RK4_TORQUES, K_FIXED, LIMITS, 0.0025),
+            (lumped.sliding_accelerations, TURN, *RK4_TORQUES, K, LIMITS, 0.0025),
+            (lumped.constrained_accelerations, TURN, *RK4_TORQUES, K_FIXED, LIMITS, 0.0025),
         ],
     },
     parameters: {"row_parameters": [(np.arange(60.0).reshape(2, 30), 1, 3)]},
-    patch_forces: {
+    patches_on_level_ground: {
         "patch_count": [(PATCHES,)],
         "resistance": SHEAR,
         "tracks_resistance": [
             (w, m, *b, (c, c._replace(strength=0.5 * c.strength)), patches)
             for w, m, *b, c, patches in SHEAR
         ],
-    },
-    rosenbrock: {
         "damped": [(r, RATES, FLOOR, c, 0.001) for r in DRAGS for c in INVERSE_BELT_MASSES],
         "pushed": [(TURN, RATES, 0.01)],
         "combined": [(RATES, OTHER_RATES, 1.5, -0.5)],
         "departure": [
             (r, RATES, OTHER_RATES, FLOOR, c, 0.001) for r in DRAGS for c in INVERSE_BELT_MASSES
         ],
-    },
-    patch_dynamics: {
-        "followed": [(BELTS, rosenbrock.Belts(20.0, -3.0), decay) for decay in (0.0, 0.7)],
+        "followed": [(BELTS, patches_on_level_ground.Belts(20.0, -3.0), decay) for decay in (0.0, 0.7)],
         "contact_of": [(FOCCHI, FLOOR, FLOOR_DRIVE, PATCHES)],
         "loads_of": [(r, m, BELTS, FLOOR) for r in DRAGS for m in (TURN, BACK)],
         "on_one_soil": [(FLOOR, FLOOR_DRIVE, CONTACT, 0.147)],
         "tracks_loads": [(r, m, BELTS, FLOOR, (9.0, 3.0)) for r in DRAGS for m in (TURN, BACK)],
         "driving_torque": [(t, v, 0.25) for t in (-3.0, 7.0) for v in NUMBERS],
         "rates_of": [
-            (vehicle.Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR,
+            (lumped.Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR,
              FLOOR_DRIVE, c) for c in INVERSE_BELT_MASSES
         ],
         "advance": MOVES,
@@ -168,7 +156,10 @@ def test_the_loop_over_vehicles_equals_pure_python_bit_for_bit(euler):
     speeds, table = np.array([[3.0, 4.0], [0.0, -5.0]]), np.array([FOCCHI, CLAY])
     start = np.array([[1.0, 2.0, 0.7, 0.3, 0.0, 0.1], [0.0, 0.0, -3.0, -0.4, 0.2, 1.0]])
     results = []
-    for kernel in (patch_dynamics.hold_speeds, patch_dynamics.hold_speeds.py_func):
+    for kernel in (
+        patches_on_level_ground.hold_speeds,
+        patches_on_level_ground.hold_speeds.py_func,
+    ):
         states, loads = start.copy(), np.zeros((2, 6))
         kernel(states, speeds, table, PATCHES, 4, 0.0025, euler, loads)
         results.append(np.concatenate([states, loads], axis=1))
@@ -178,11 +169,13 @@ def test_the_loop_over_vehicles_equals_pure_python_bit_for_bit(euler):
 
 def test_the_resistance_of_the_soil_equals_pure_python_all_the_way_down(monkeypatch):
     inner = ("_place", "_columns", "_row", "_pair", "patch_count", "exponential", "rotation")
-    compiled = [patch_forces.resistance(*arguments) for arguments in SHEAR]
+    compiled = [patches_on_level_ground.resistance(*arguments) for arguments in SHEAR]
     for name in inner:
-        monkeypatch.setattr(patch_forces, name, getattr(patch_forces, name).py_func)
+        monkeypatch.setattr(
+            patches_on_level_ground, name, getattr(patches_on_level_ground, name).py_func
+        )
     for arguments, expected in zip(SHEAR, compiled, strict=True):
-        assert patch_forces.resistance.py_func(*arguments) == expected
+        assert patches_on_level_ground.resistance.py_func(*arguments) == expected
 
 
 @formula

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tracked_env.physics.attitude import (
+from tracked_env.physics.rigid_body import (
     LEVEL,
     angles_of,
     heading_rate,

@@ -260,8 +260,8 @@ def references(function: object, seen: set[int]) -> set[str]:
 
 @pytest.mark.parametrize(
     "module",
-    ["tracked_env.plants.lumped", "tracked_env.plants.terrain", "tracked_env.engine.composing",
-     "baselines.estimators.slip_unscented", "baselines.predictive.predictive_control"],
+    ["tracked_env.plants.lumped", "tracked_env.plants.terrain", "tracked_env.engine.extra_groups",
+     "baselines.estimators.slip_observer", "baselines.predictive.predictive_control"],
 )  # fmt: skip
 def test_the_key_of_a_module_covers_every_function_that_its_kernels_call(module: str) -> None:
     """Found the other way round: by the functions themselves instead of by the imports."""

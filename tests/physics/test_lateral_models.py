@@ -7,9 +7,8 @@ import pytest
 from scipy.optimize import fsolve
 
 from tests.physics.plant_cases import CLAY, SANDY_LOAM, model, random_cases
-from tracked_env.physics.lumped_forces import track_slip
+from tracked_env.physics.lumped import Motion, drive_limits, track_slip, track_speeds
 from tracked_env.physics.parameters import LateralModelParameters, plant_parameters
-from tracked_env.physics.vehicle import Motion, drive_limits, track_speeds
 
 # --- sliding lateral model ------------------------------------------------------------------------
 

@@ -7,14 +7,20 @@ import pytest
 
 from docs import limits
 from docs.limits import TURN_SOILS, VEHICLE, ground
-from tracked_env.engine import columns as b
+from tracked_env import arrays as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
-from tracked_env.physics import state as s
-from tracked_env.physics.lumped_forces import sliding_loads, track_slip, traction_limits
+from tracked_env.physics import parameters as s
+from tracked_env.physics.lumped import (
+    Motion,
+    coefficients,
+    drive_limits,
+    sliding_loads,
+    track_slip,
+    traction_limits,
+)
 from tracked_env.physics.parameters import RANGES
 from tracked_env.physics.terramechanics import GRAVITY
-from tracked_env.physics.vehicle import Motion, coefficients, drive_limits
 
 WEIGHT = VEHICLE.mass * GRAVITY
 

@@ -8,16 +8,19 @@ from scipy.optimize import brentq
 
 from tests.physics.plant_cases import CLAY, LATERAL_MODELS, REST, model, random_cases
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.lumped_forces import safe_effort, track_limits, track_slip, traction_limits
-from tracked_env.physics.parameters import RANGES
-from tracked_env.physics.vehicle import (
+from tracked_env.physics.lumped import (
     Motion,
     drive_limits,
     inertial_acceleration,
     kinetic_energy,
+    safe_effort,
     torque_decay,
+    track_limits,
+    track_slip,
     track_speeds,
+    traction_limits,
 )
+from tracked_env.physics.parameters import RANGES
 
 # --- power ----------------------------------------------------------------------------------
 

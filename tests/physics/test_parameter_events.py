@@ -8,9 +8,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.test_env import make
-from tracked_env.events import _FIELDS, decode_event, encode_event, encode_schedule
-from tracked_env.physics import parameter_events
-from tracked_env.physics.parameter_events import KINDS
+from tracked_env import events
+from tracked_env.events import _FIELDS, KINDS, decode_event, encode_event, encode_schedule
 from tracked_env.physics.parameters import RANGES
 
 LARGEST = np.finfo(float).max
@@ -23,7 +22,7 @@ MAP = {
 
 def changed(event, x, y, time=0.0, before=0.8):
     """The value after one event, as the kernel computes it."""
-    return parameter_events.changed_value(before, encode_schedule([event])[None], 0, 0, time, x, y)
+    return events.changed_value(before, encode_schedule([event])[None], 0, 0, time, x, y)
 
 
 def event_of(kind, ends):
@@ -44,7 +43,7 @@ def test_a_wave_is_its_formula_to_the_bit_wherever_a_map_may_lie():
         assert changed(MAP, x, y) == min(max(plain, 0.2), 1.5)
 
 
-@pytest.mark.parametrize("kind", parameter_events.KINDS)
+@pytest.mark.parametrize("kind", events.KINDS)
 @given(x=POSITIONS, y=POSITIONS, ends=st.lists(st.booleans(), min_size=6, max_size=6))
 @example(x=0.0, y=-8e4, ends=[True] * 6)
 @example(x=0.0, y=-LARGEST, ends=[True] * 6)

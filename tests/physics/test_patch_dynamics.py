@@ -19,18 +19,21 @@ from tests.physics.patch_cases import (
     trajectory,
 )
 from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.lumped import Motion, kinetic_energy, track_speeds
 from tracked_env.physics.parameters import FIRM_FLOOR, VEHICLES
-from tracked_env.physics.patch_dynamics import (
+from tracked_env.physics.patches_on_level_ground import (
     FADE,
+    HISTORY_TURN,
     SPEED_DRIVEN,
+    Belts,
     Pose,
+    Rates,
+    damped,
     driving_torque,
     loads_of,
+    make_patches,
     rates_of,
 )
-from tracked_env.physics.patch_forces import HISTORY_TURN, make_patches
-from tracked_env.physics.rosenbrock import Belts, Rates, damped
-from tracked_env.physics.vehicle import Motion, kinetic_energy, track_speeds
 
 STRAWA = VEHICLES["strawa"]
 AT_ORIGIN = Pose(0.0, 0.0, 0.0, 1.0, 0.0)

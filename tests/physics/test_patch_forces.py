@@ -19,7 +19,8 @@ from tests.physics.patch_cases import (
     shear_displacement,
     soil_resistance,
 )
-from tracked_env.physics.patch_forces import (
+from tracked_env.physics.lumped import Motion
+from tracked_env.physics.patches_on_level_ground import (
     COLUMN_LIMIT,
     HISTORY_TURN,
     Patches,
@@ -27,7 +28,6 @@ from tracked_env.physics.patch_forces import (
     patch_count,
 )
 from tracked_env.physics.terramechanics import tractive_effort
-from tracked_env.physics.vehicle import Motion
 
 _, DRIVE, CONTACT = parts(FOCCHI)
 HALF = CONTACT.half_length

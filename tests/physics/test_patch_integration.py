@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from docs.step_halving_patches import MANOEUVRES, PERIOD, commanded, error, torque_errors
-from docs.step_halving_patches import run as drive
+from docs.step_halving import (
+    MANOEUVRES_STEP_HALVING_PATCHES,
+    PERIOD,
+    commanded,
+    error,
+    torque_errors,
+)
+from docs.step_halving import run_step_halving_patches as drive
 from tests.physics.patch_cases import (
     EASY,
     FOCCHI,
@@ -18,11 +24,16 @@ from tests.physics.patch_cases import (
     soil_resistance,
     trajectory,
 )
+from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import HEAVY_CLAY, STRAWA_VEHICLE, VEHICLES, plant_parameters
-from tracked_env.physics.patch_dynamics import SPEED_DRIVEN, Pose, loads_of, rates_of
-from tracked_env.physics.patch_forces import make_patches
-from tracked_env.physics.rosenbrock import Belts
-from tracked_env.physics.vehicle import Motion
+from tracked_env.physics.patches_on_level_ground import (
+    SPEED_DRIVEN,
+    Belts,
+    Pose,
+    loads_of,
+    make_patches,
+    rates_of,
+)
 
 STRAWA = VEHICLES["strawa"]
 # Soft and easy to roll on: smooth at every step tried, and nothing that has a kink.
@@ -101,7 +112,7 @@ def test_the_steps_solve_the_equations_that_an_independent_solver_solves(by_torq
 
 
 def test_the_default_step_stays_within_a_millimetre_in_the_tabulated_manoeuvres():
-    for name, speeds in MANOEUVRES.items():
+    for name, speeds in MANOEUVRES_STEP_HALVING_PATCHES.items():
         truth = drive(speeds, 1e-4, False, FOCCHI)
         distance, turn = error(drive(speeds, 2.5e-3, False, FOCCHI), truth)
         assert distance < 1e-3, name
@@ -218,7 +229,7 @@ def test_commands_of_the_tables_are_those_of_the_kinematics():
     left, right = commanded(np.array([0.2]), np.array([0.3]))[0] * FOCCHI.sprocket_radius
     assert 0.5 * (left + right) == pytest.approx(0.2)
     assert (right - left) / FOCCHI.track_gauge == pytest.approx(0.3)
-    assert len(MANOEUVRES["chicane, 20 s"]) * PERIOD == pytest.approx(20.0)
+    assert len(MANOEUVRES_STEP_HALVING_PATCHES["chicane, 20 s"]) * PERIOD == pytest.approx(20.0)
     assert PATCHES.columns.size == 10 and STRAWA.mass > FOCCHI.mass
 
 

@@ -17,13 +17,15 @@ from docs.step_halving import (
     random_errors,
     run,
 )
-from tracked_env.physics.lumped_forces import (
+from tracked_env.physics.lumped import (
+    Motion,
+    coefficients,
     constrained_accelerations,
+    drive_limits,
     sliding_accelerations,
     traction_limits,
 )
 from tracked_env.physics.parameters import LateralModelParameters, SoilParameters, plant_parameters
-from tracked_env.physics.vehicle import Motion, coefficients, drive_limits
 
 CLAY = plant_parameters()
 SUBSTEPS = 8  # of 2.5 ms in one control period of 20 ms

@@ -7,9 +7,8 @@ import pytest
 from scipy.integrate import quad
 
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.lumped_forces import track_slip
+from tracked_env.physics.lumped import drive_limits, track_slip
 from tracked_env.physics.parameters import HEAVY_CLAY, RANGES, STRAWA_VEHICLE, plant_parameters
-from tracked_env.physics.vehicle import drive_limits
 
 LENGTH = STRAWA_VEHICLE.contact_length
 WEIGHT = STRAWA_VEHICLE.mass * soil.GRAVITY

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from tracked_env.physics.state import STATE_NAMES
+from tracked_env.physics.parameters import STATE_NAMES
 
 ODD = ("y", "yaw", "v_y", "yaw_rate", "roll", "roll_rate", "acceleration_y", "yaw_acceleration")
 # [rad/s^2] The yaw acceleration is a sum over 80 patches whose order is the compiler's: 600 N at

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
-from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.plants.standalone import TerrainRig
 
 SAMPLE = 0.01  # [s]
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tracked_env.benchmark import sets
+from tracked_env.benchmark import evaluation_sets
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.physics import state as s
+from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.plants.standalone import Rig
 from tracked_env.uncertainty import make_uncertainty
@@ -82,4 +82,6 @@ def test_the_sets_of_weak_and_failing_drives_draw_gains_and_belong_to_no_version
             other.parameters
         )
     for name in ("weak-actuator", "actuator-fault"):
-        assert name in sets.SETS and name not in sets.names_of(sets.PLANAR)
+        assert name in evaluation_sets.SETS and name not in evaluation_sets.names_of(
+            evaluation_sets.PLANAR
+        )

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tests.test_env import run
-from tracked_env.engine import columns as b
+from tracked_env import arrays as b
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.physics import state as s
+from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import GROUPS, PARAMETER_NAMES, RANGES, VEHICLES
 from tracked_env.uncertainty import UNCERTAINTY_SETS
 

@@ -8,11 +8,10 @@ import pytest
 
 from tests.plants.mirrored import assert_mirrored
 from tracked_env import TERRAIN, TERRAIN_ID
-from tracked_env.physics import state as s
-from tracked_env.physics.attitude import Quaternion, matrix_of
+from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, row_parameters
-from tracked_env.physics.rigid_body import Inertia, with_payload
-from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.physics.rigid_body import Inertia, Quaternion, matrix_of, with_payload
+from tracked_env.plants.standalone import TerrainRig
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 FOCCHI = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.patch_dynamics import hold_speeds
-from tracked_env.physics.patch_forces import make_patches
+from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
 from tracked_env.plants.standalone import Rig
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -24,11 +23,11 @@ DEFAULTS = (
     "env.py",
     "vector_env.py",
     "engine/env_config.py",
-    "benchmark/set_catalogue.py",
-    "benchmark/sets.py",
+    "benchmark/evaluation_sets.py",
+    "benchmark/evaluation_sets.py",
     "cli/evaluate_options.py",
-    "cli/first_look.py",
-    "cli/identify_command.py",
+    "cli/evaluate_command.py",
+    "identify/commands.py",
 )
 
 

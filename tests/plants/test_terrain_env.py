@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.plants.standalone import TerrainRig
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 FIELD = [{"kind": "plane", "slope_x": 0.15, "slope_y": 0.1}, {"kind": "hills", "height": 0.3}]

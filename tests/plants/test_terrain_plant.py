@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from tests.plants.mirrored import assert_mirrored
-from tracked_env.physics import state as s
+from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.tracked_body import HEIGHT_RATIO
-from tracked_env.plants.standalone import Rig
+from tracked_env.physics.terrain_motion import HEIGHT_RATIO
+from tracked_env.plants.standalone import Rig, TerrainRig
 from tracked_env.plants.terrain import RELIEF
-from tracked_env.plants.terrain_rig import TerrainRig
-from tracked_env.terrain.drawn_relief import RELIEF_COLUMNS
+from tracked_env.terrain.pool import RELIEF_COLUMNS
 
 FOCCHI = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
 GRAVITY, HEIGHT, HALF_LENGTH, RADIUS = 9.81, 0.25, 0.35, 0.0856

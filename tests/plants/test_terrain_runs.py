@@ -7,8 +7,8 @@ import pytest
 
 from tests.physics.world_axes_plant import euler_run
 from tests.plants.terrain_runs import difference, rig_of, run
-from tracked_env.physics.attitude import Quaternion, matrix_of
-from tracked_env.plants.terrain_options import LONGEST_STEP
+from tracked_env.physics.rigid_body import Quaternion, matrix_of
+from tracked_env.plants.terrain import LONGEST_STEP
 
 NAMES = (
     "01_up10_mu0.4_nonuniform", "07_sideturn10_mu0.4_uniform", "09_field_mu0.6_nonuniform",

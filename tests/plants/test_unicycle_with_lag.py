@@ -10,18 +10,18 @@ from gymnasium.utils.env_checker import check_env
 
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID, TORQUE_ID, plants
+from tracked_env import arrays as b
+from tracked_env.arrays import Batch
 from tracked_env.benchmark import SETS, BenchmarkConfig, BenchmarkSet, Store, run
-from tracked_env.engine import columns as b
-from tracked_env.engine.columns import Batch
-from tracked_env.engine.kernels import advance_blocks, hold_blocks
 from tracked_env.observation import unpack
-from tracked_env.physics import state as s
-from tracked_env.physics import vehicle
+from tracked_env.physics import lumped
+from tracked_env.physics import parameters as s
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import VEHICLES, row_parameters
 from tracked_env.plants import Plant, Prepared
 from tracked_env.plants.standalone import Rig
+from tracked_env.step import advance_blocks, hold_blocks
 
 DECAY = b.PLANT  # [-] what the lag leaves of a difference after one sub-step
 RADIUS, GAUGE, LIMIT, LAG = (
@@ -36,7 +36,7 @@ RADIUS, GAUGE, LIMIT, LAG = (
 def derive(floats, i, substep):
     """Refresh the decay of vehicle i."""
     p = row_parameters(floats, i, b.PARAMETERS)
-    floats[i, DECAY] = vehicle.torque_decay(substep, p.drive_time_constant)
+    floats[i, DECAY] = lumped.torque_decay(substep, p.drive_time_constant)
 
 
 @formula

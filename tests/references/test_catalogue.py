@@ -10,7 +10,7 @@ from scipy.special import fresnel, j0, struve
 from tests.references.reference_cases import DURATION, SMOOTH_KINDS, build
 from tracked_env.physics.reference_profile import SEGMENT_DURATION
 from tracked_env.references import catalogue, make_reference, sample
-from tracked_env.references.random_path import random_smooth
+from tracked_env.references.catalogue import random_smooth
 
 
 @pytest.mark.parametrize("kind", SMOOTH_KINDS)

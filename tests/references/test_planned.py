@@ -7,20 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.planners.hand_over import hand_over
 from baselines.planners.optimal import optimal
 from baselines.planners.plan import plan, timed_path
-from baselines.planners.trajectory import Limits, Start
+from baselines.planners.trajectory import Limits, Start, hand_over
 from baselines.slip.slip_sweep import identified_slip
-from tracked_env.physics import reference_knots as knots
+from tracked_env.physics import reference_profile as knots
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.references import make_reference, planned, sample
-from tracked_env.references.profile import with_knots
+from tracked_env.references import make_reference, sample, specification
+from tracked_env.references.catalogue import with_knots
 
 FOCCHI = VEHICLES["focchi"]
 GOAL = (2.0, 2.5, -0.4)
 FIXED = {"v_min": 0.4, "v_max": 0.4}
-LIMITS = {**planned.DEFAULT_LIMITS}
+LIMITS = {**specification.DEFAULT_LIMITS}
 TARGETS = Path(__file__).parents[3] / "shared" / "data" / "planners" / "targets.csv"
 PATHS = ("dubins", "reeds-shepp", "clothoid")
 
@@ -38,7 +37,7 @@ def optimal_trajectory(limits, slip=True, goal=GOAL, vehicle=FOCCHI):
 
 
 @pytest.mark.parametrize("limits", [LIMITS, {**LIMITS, **FIXED}], ids=["variable", "fixed"])
-@pytest.mark.parametrize("frame", planned.FRAMES)
+@pytest.mark.parametrize("frame", specification.FRAMES)
 def test_at_the_knots_of_an_optimal_plan_the_reference_is_the_sample_of_the_planner(frame, limits):
     trajectory = optimal_trajectory(limits)
     profile = build(frame=frame, limits=limits)
@@ -57,7 +56,7 @@ def test_at_the_knots_of_an_optimal_plan_the_reference_is_the_sample_of_the_plan
         np.testing.assert_allclose(at.speed[:-1], belts[:-1], rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("frame", planned.FRAMES)
+@pytest.mark.parametrize("frame", specification.FRAMES)
 def test_between_knots_the_inputs_of_an_optimal_plan_are_held_and_the_pose_moves_with_them(frame):
     trajectory = optimal_trajectory(LIMITS)
     profile = build(frame=frame)
@@ -122,7 +121,7 @@ def test_in_the_body_frame_a_path_is_driven_by_the_belts_that_slip_needs():
 SLIPPING = {"planner": "clothoid", "slip": True, "limits": {"v_min": 0.3, "v_max": 0.3}}
 
 
-@pytest.mark.parametrize("frame", planned.FRAMES)
+@pytest.mark.parametrize("frame", specification.FRAMES)
 @pytest.mark.parametrize("given", [*({"planner": p} for p in ("optimal", *PATHS)), SLIPPING])
 def test_after_the_plan_the_reference_stands_at_the_goal_with_its_yaw(given, frame):
     profile = build(**given, frame=frame)
@@ -168,12 +167,14 @@ def test_the_goals_of_halton_are_those_of_the_published_code(nearest):
     with TARGETS.open() as file:
         rows = [row for row in csv.DictReader(file) if float(row["annulus_min"]) == nearest]
     expected = [[float(row[name]) for name in ("x", "y", "yaw")] for row in rows]
-    np.testing.assert_allclose(planned.halton_goals(nearest, 4.0), expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        specification.halton_goals(nearest, 4.0), expected, rtol=0.0, atol=1e-12
+    )
 
 
 def test_drawn_goals_are_halton_points_of_the_vehicle_and_follow_the_generator():
     ends = {tuple(build(goals="halton", seed=s).knots[-1, 1:3].tolist()) for s in range(12)}
-    known = {tuple(goal[:2].tolist()) for goal in planned.halton_goals(1.0, 4.0)}
+    known = {tuple(goal[:2].tolist()) for goal in specification.halton_goals(1.0, 4.0)}
     assert ends <= known and len(ends) > 6
     assert build(goals="halton", seed=5).knots[-1, 1] == build(goals="halton", seed=5).knots[-1, 1]
     large = build(goals="halton", vehicle=VEHICLES["strawa"], seed=1).knots[-1, 1:3]
@@ -195,11 +196,11 @@ def refusing(converged):
 
 
 def test_a_drawn_goal_without_a_plan_gives_way_to_the_next_one(monkeypatch):
-    monkeypatch.setattr(planned, "_planner", lambda name: refusing([3.0]))
+    monkeypatch.setattr(specification, "_planner", lambda name: refusing([3.0]))
     goals = [(float(n), 0.0, 0.0) for n in range(5)]
     for seed in range(6):
         assert build(goals=goals, seed=seed).knots[-1, 1] == 3.0
-    monkeypatch.setattr(planned, "_planner", lambda name: refusing([]))
+    monkeypatch.setattr(specification, "_planner", lambda name: refusing([]))
     with pytest.raises(ValueError, match=r"none of 5 goals drawn, .*out of reach"):
         build(goals=goals)
 
@@ -242,8 +243,8 @@ def test_a_plan_without_a_vehicle_is_refused():
 
 
 def test_no_installed_package_with_planners_is_a_clear_error(monkeypatch):
-    planned._planner.cache_clear()
-    monkeypatch.setattr(planned, "declared", lambda group: [])
+    specification._planner.cache_clear()
+    monkeypatch.setattr(specification, "declared", lambda group: [])
     with pytest.raises(ValueError, match="no installed package registers"):
         build()
-    planned._planner.cache_clear()
+    specification._planner.cache_clear()

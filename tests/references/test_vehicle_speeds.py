@@ -7,7 +7,7 @@ import pytest
 import tracked_env
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.sets import SETS, BenchmarkSet
+from tracked_env.benchmark.evaluation_sets import SETS, BenchmarkSet
 from tracked_env.engine.env_config import make_vehicle
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES, top_speed

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.rendering.hill_shading import LIGHT, brightness_on_grid
 from tracked_env.rendering.perspective import Picture
 from tracked_env.rendering.raster import Eye, GroundGrid
+from tracked_env.rendering.soil_map import LIGHT, brightness_on_grid
 
 Points = NDArray[np.float64]
 WIDTH, HEIGHT = 320, 240  # [px]

@@ -5,7 +5,7 @@ import pytest
 
 from tests.rendering.picture_cases import driven, region, started
 from tracked_env.rendering import snapshot
-from tracked_env.rendering.afterglow import Memory
+from tracked_env.rendering.scene import Memory
 
 
 def test_a_notice_tells_what_has_changed_and_goes() -> None:

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from tests.rendering.picture_cases import CENTRED, Picture, driven, started
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
-from tracked_env.physics.patch_dynamics import hold_speeds
-from tracked_env.physics.patch_forces import make_patches
+from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
 from tracked_env.rendering import Renderer, canvas, scene, sizes, snapshot
-from tracked_env.rendering.afterglow import Memory
+from tracked_env.rendering.scene import Memory
 from tracked_env.uncertainty import UNCERTAINTY_SETS, Draw
 
 FLOOR = {"plant": "distributed", "drive": "speed"}

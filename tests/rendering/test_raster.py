@@ -5,10 +5,9 @@ import pytest
 
 from tests.rendering.terrain_cases import HEIGHT, WIDTH, board, bump, eye, grid, seen
 from tracked_env.rendering import raster
-from tracked_env.rendering.hill_shading import LIGHT
-from tracked_env.rendering.landscape import Landscape, resampled
-from tracked_env.rendering.perspective import Picture
-from tracked_env.rendering.terrain_source import TerrainSource, level
+from tracked_env.rendering.perspective import Landscape, Picture, resampled
+from tracked_env.rendering.snapshot import TerrainSource, level
+from tracked_env.rendering.soil_map import LIGHT
 
 RED = (255, 0, 0)
 

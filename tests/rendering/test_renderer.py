@@ -14,7 +14,7 @@ from gymnasium.wrappers import RecordVideo
 
 import tracked_env  # noqa: F401
 from tests.rendering.picture_cases import CENTRED, SHAPE, driven, started
-from tracked_env.engine import columns as b
+from tracked_env import arrays as b
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.rendering import Renderer, canvas, snapshot
 from tracked_env.vector_env import TrackedVehicleVectorEnv

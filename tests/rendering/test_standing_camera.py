@@ -7,7 +7,7 @@ import pytest
 
 from tests.rendering.picture_cases import started
 from tests.rendering.terrain_cases import bump
-from tracked_env.physics.state import STATE_NAMES
+from tracked_env.physics.parameters import STATE_NAMES
 from tracked_env.rendering import Renderer, TerrainSource
 
 HILL = TerrainSource(bump(9.0, -3.0, 2.0, 1.5), centre_height=0.5)

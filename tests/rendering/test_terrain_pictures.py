@@ -14,17 +14,10 @@ import pytest
 from tests.rendering.picture_cases import SHAPE, driven, started
 from tests.rendering.terrain_cases import bump
 from tracked_env import TERRAIN_ID
-from tracked_env.plants.terrain_state import LOAD_LEFT, LOAD_RIGHT
-from tracked_env.rendering import (
-    Renderer,
-    TerrainSource,
-    canvas,
-    hill_shading,
-    source_of,
-    terrain_strip,
-)
-from tracked_env.rendering.landscape import interval_around
-from tracked_env.rendering.terrain_source import BodyPose
+from tracked_env.plants.terrain import LOAD_LEFT, LOAD_RIGHT
+from tracked_env.rendering import Renderer, TerrainSource, canvas, legend, soil_map, source_of
+from tracked_env.rendering.perspective import interval_around
+from tracked_env.rendering.snapshot import BodyPose
 
 ON_TERRAIN = (800, 960, 3)
 EXTENT = np.array([[-20.0, -20.0], [20.0, 20.0]])
@@ -60,7 +53,7 @@ def test_level_terrain_from_above_is_darker_than_no_terrain_by_a_constant_factor
     with_terrain, without = picture_of(TerrainSource()), picture_of(None)
     ground = np.s_[60:100, 100:300]
     ratio = with_terrain[ground] / without[ground]
-    assert ratio == pytest.approx(np.full(ratio.shape, hill_shading.LEVEL), abs=0.006)
+    assert ratio == pytest.approx(np.full(ratio.shape, soil_map.LEVEL), abs=0.006)
 
 
 def test_slopes_to_the_north_west_are_bright_and_those_to_the_south_east_dark() -> None:
@@ -77,11 +70,11 @@ def test_a_reflection_of_terrain_and_light_reflects_the_map() -> None:
     x, y = np.meshgrid(np.linspace(-4.0, 4.0, 82), np.linspace(4.0, -4.0, 82))
     heights = bump(1.0, 1.5)(x, y)
     pixels = np.full((80, 80, 3), 180, dtype=np.uint8)
-    one = hill_shading.shaded_map(pixels, heights, 0.1, 0.25)
-    light = (-hill_shading.LIGHT[0], *hill_shading.LIGHT[1:])
-    other = hill_shading.shaded_map(pixels, heights[:, ::-1].copy(), 0.1, 0.25, light)
+    one = soil_map.shaded_map(pixels, heights, 0.1, 0.25)
+    light = (-soil_map.LIGHT[0], *soil_map.LIGHT[1:])
+    other = soil_map.shaded_map(pixels, heights[:, ::-1].copy(), 0.1, 0.25, light)
     assert np.array_equal(one, other[:, ::-1]) and not np.array_equal(one, other)
-    north_west_axis = hill_shading.shaded_map(pixels, heights.T[::-1, ::-1].copy(), 0.1, 0.25)
+    north_west_axis = soil_map.shaded_map(pixels, heights.T[::-1, ::-1].copy(), 0.1, 0.25)
     turned = one.transpose(1, 0, 2)[::-1, ::-1]
     assert np.abs(north_west_axis.astype(int) - turned).max() > 20  # the light has a direction
 
@@ -89,7 +82,7 @@ def test_a_reflection_of_terrain_and_light_reflects_the_map() -> None:
 def test_contour_lines_lie_where_the_height_is_a_multiple_of_the_interval() -> None:
     x = np.tile(np.linspace(-0.02, 8.0, 402), (12, 1))  # 50 px for a metre
     pixels = np.full((10, 400, 3), 250, dtype=np.uint8)
-    shown = hill_shading.shaded_map(pixels, 0.3 * x, 0.02, 0.5)[5, :, 2].astype(int)
+    shown = soil_map.shaded_map(pixels, 0.3 * x, 0.02, 0.5)[5, :, 2].astype(int)
     lines = np.flatnonzero((shown[1:-1] < shown[:-2]) & (shown[1:-1] <= shown[2:])) + 1
     places = 0.02 * lines
     assert places == pytest.approx(0.5 * np.arange(1, 5) / 0.3, abs=0.03)
@@ -135,7 +128,7 @@ def test_roll_and_pitch_turn_their_indicators_and_beyond_the_limit_they_warn() -
     terrain = TerrainSource(centre_height=0.5)
     level, rolled = picture_of(terrain), picture_of(terrain, roll=0.4)
     pitched = picture_of(terrain, pitch=0.4)
-    roll, pitch = terrain_strip._DIALS[0][0], terrain_strip._DIALS[1][0]
+    roll, pitch = legend._DIALS[0][0], legend._DIALS[1][0]
     assert np.array_equal(dial(level, pitch), dial(rolled, pitch))
     upper = dial(rolled, roll)[:36]  # the left side is up
     assert upper[:, :44].sum() > 2 * upper[:, 44:].sum()
@@ -149,7 +142,7 @@ def test_roll_and_pitch_turn_their_indicators_and_beyond_the_limit_they_warn() -
 def test_the_load_map_has_the_front_at_the_top_and_the_left_edge_at_the_left() -> None:
     patches = np.zeros((3, 2))
     patches[2, 1] = 100.0  # front, left
-    picture = canvas.to_array(terrain_strip.load_picture(patches, 100.0, (40, 60)))
+    picture = canvas.to_array(legend.load_picture(patches, 100.0, (40, 60)))
     dark = (picture == canvas.LOAD_SCALE[-1]).all(axis=2)
     assert dark[:20, :20].all() and dark.sum() == 400
 
@@ -159,9 +152,9 @@ def test_the_profile_rises_where_the_path_climbs() -> None:
     renderer = Renderer("rgb_array", 50, terrain=TerrainSource(lambda x, y: 0.1 * np.abs(x - 30.0)))
     picture = renderer.draw(env.simulation, 0)
     assert picture is not None
-    box = terrain_strip._PROFILE
+    box = legend._PROFILE
     profile = picture[640 + box.top + 2 : 640 + box.bottom - 2, box.left + 2 : box.right - 2]
-    earth = (profile == terrain_strip.EARTH).all(axis=2).sum(axis=0)
+    earth = (profile == legend.EARTH).all(axis=2).sum(axis=0)
     lowest = int(np.argmin(earth[10:])) + 10
     assert earth[12] > earth[100] > earth[lowest] < earth[-12]
     assert lowest / len(earth) == pytest.approx(0.5, abs=0.03)  # of 60 m

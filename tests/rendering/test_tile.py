@@ -7,8 +7,8 @@ import pytest
 
 from tests.rendering.picture_cases import started
 from tracked_env.rendering import Renderer
+from tracked_env.rendering.legend import STRIP
 from tracked_env.rendering.renderer import MOST_PANELS
-from tracked_env.rendering.tile import STRIP
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 FILM = 240  # [px] width of a tile in a film of 1920 px with eight tiles in a row

@@ -16,7 +16,7 @@ import pytest
 from tests.rendering.picture_cases import CENTRED, driven, region, started
 from tests.rendering.terrain_cases import bump
 from tracked_env.rendering import Recorder, TerrainSource, viewer
-from tracked_env.rendering.recording import Recording
+from tracked_env.rendering.viewer import Recording
 
 
 def loads(simulation: Any, row: int) -> np.ndarray:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from reproduce.focchi2025 import chicane, loop, spiral
-from reproduce.focchi2025.chicane import Case
+from reproduce.focchi2025 import control
 from reproduce.focchi2025.claims import prediction
+from reproduce.focchi2025.control import Case
 from reproduce.focchi2025.results import predicted_slip
 from reproduce.focchi2025.runs import LENGTHS, RESISTANCE, Run, vehicle
 
@@ -22,10 +22,10 @@ def driven():
     """Errors after 3 s of the chicane, two vehicles each."""
     asked = cases("uc", "table", "exponential, slow")
     asked += cases("uc", "table", resistance=0.0, believed_resistance=0.0)
-    for true, told in chicane.SOILS:
+    for true, told in control.SOILS:
         asked += cases("table", "online", friction=true, believed=told)
         asked += cases("table", friction=true, believed=true)
-    runs = chicane.drive(list(dict.fromkeys(asked)), seeds=2)
+    runs = control.drive(list(dict.fromkeys(asked)), seeds=2)
     return {case: run.numbers() for case, run in runs.items()}
 
 
@@ -48,7 +48,7 @@ def test_the_unicycle_controller_is_a_tenth_of_a_metre_off_with_a_contact_length
 
 def test_slip_is_predicted_in_the_turns_and_not_after_the_jumps():
     case = Case("table", 0.7, RATE)
-    run = chicane.drive([case], seeds=1)[case]
+    run = control.drive([case], seeds=1)[case]
     told = predicted_slip(case, run)
     for size, error, jump in prediction({case: run}, {case: told}, case).values():
         assert error < 0.2 * size
@@ -60,13 +60,13 @@ def test_slip_is_predicted_in_the_turns_and_not_after_the_jumps():
 
 @pytest.mark.parametrize("length", LENGTHS)
 def test_rolling_resistance_makes_both_controllers_worse(driven, length):
-    for kind in chicane.KINDS:
+    for kind in control.KINDS:
         free = driven[Case(kind, length, RATE, resistance=0.0, believed_resistance=0.0)]
         assert free.largest < 0.95 * driven[Case(kind, length, RATE)].largest
 
 
 @pytest.mark.parametrize("length", LENGTHS)
-@pytest.mark.parametrize(("true", "told"), chicane.SOILS)
+@pytest.mark.parametrize(("true", "told"), control.SOILS)
 def test_slip_identified_on_line_makes_up_for_the_wrong_friction(driven, length, true, told):
     known = driven[Case("table", length, RATE, true, true)]
     wrong = driven[Case("table", length, RATE, true, told)]
@@ -85,7 +85,7 @@ def test_the_exponential_form_of_slow_runs_is_between_the_table_and_no_slip_at_a
 def test_vehicles_of_a_case_differ_by_their_noise_and_cases_share_it():
     quiet = Case("uc", rate=RATE, noise=0.0)
     asked = [quiet, quiet._replace(noise=0.02), quiet._replace(noise=0.04)]
-    runs = chicane.drive(asked, seeds=2, duration=0.1)
+    runs = control.drive(asked, seeds=2, duration=0.1)
     assert not np.ptp(runs[quiet].sprockets[1], axis=1).any()
     once, twice = (runs[case].sprockets[1] - runs[quiet].sprockets[1] for case in asked[1:])
     assert np.abs(once).min() > 0.0 and np.ptp(once, axis=1).min() > 0.0
@@ -94,11 +94,11 @@ def test_vehicles_of_a_case_differ_by_their_noise_and_cases_share_it():
 
 def test_the_closed_loop_on_patches_moves_as_the_environment_does():
     case = Case("uc", rate=200, noise=0.0)
-    inside = chicane.drive([case], seeds=1, duration=4.0)[case]
-    policy = chicane.policy(case)
-    outside = loop.follow(
-        policy, loop.patches(vehicle(), 1, False, 2.5e-3),
-        loop.sampled([chicane.reading("v_max t")], 200.0, 4.0), chicane.START, vehicle(), 200.0,
+    inside = control.drive([case], seeds=1, duration=4.0)[case]
+    policy = control.policy(case)
+    outside = control.follow(
+        policy, control.patches(vehicle(), 1, False, 2.5e-3),
+        control.sampled([control.reading("v_max t")], 200.0, 4.0), control.START_CHICANE, vehicle(), 200.0,
     )  # fmt: skip
     np.testing.assert_allclose(outside.reference, inside.reference, atol=1e-9)
     np.testing.assert_allclose(outside.state, inside.state, atol=1e-4)
@@ -121,15 +121,15 @@ def test_a_vehicle_at_rest_has_no_slip_angle_and_a_moving_one_that_of_its_veloci
     [("v_max t", 0.0, 0.4), ("v_max t / t_1", 0.0, 0.2), ("v_max (t - t_1)", -0.4, 0.0)],
 )
 def test_the_ramp_of_the_chicane_has_three_readings(name, start, end):
-    profile = chicane.reading(name)
+    profile = control.reading(name)
     assert profile.speed[0, 0] == pytest.approx(start)
     assert profile.speed[3, 0] + 0.5 * profile.speed[3, 1] == pytest.approx(end)
     assert (profile.speed[4:, 0] == 0.2).all() and not profile.speed[4:, 1].any()
 
 
 def test_explicit_euler_with_1_ms_drives_the_same_chicane(monkeypatch):
-    monkeypatch.setattr(chicane, "DURATION", 8.0)
-    runs = chicane.integrators()
+    monkeypatch.setattr(control, "DURATION", 8.0)
+    runs = control.integrators()
     reference = runs["Rosenbrock, 1 ms", "table"].numbers().largest
     for (name, kind), run in runs.items():
         if kind == "table":
@@ -138,7 +138,7 @@ def test_explicit_euler_with_1_ms_drives_the_same_chicane(monkeypatch):
 
 @pytest.fixture(scope="module")
 def spirals():
-    return spiral.run_all(duration=16.0)
+    return control.run_all(duration=16.0)
 
 
 def test_on_the_spiral_the_lyapunov_function_falls_for_the_slippage_aware_controller_only(spirals):
@@ -150,8 +150,8 @@ def test_on_the_spiral_the_lyapunov_function_falls_for_the_slippage_aware_contro
 
 
 def test_the_spiral_as_printed_is_too_fast_for_the_sprockets():
-    assert spiral.beyond_after(vehicle()) == pytest.approx(0.459, abs=0.001)
-    assert spiral.beyond_after(vehicle(), spiral.YAW_ACCELERATION) > spiral.DURATION
+    assert control.beyond_after(vehicle()) == pytest.approx(0.459, abs=0.001)
+    assert control.beyond_after(vehicle(), control.YAW_ACCELERATION) > control.DURATION
 
 
 def test_the_vehicle_is_that_of_table_2():

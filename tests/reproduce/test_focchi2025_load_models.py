@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from reproduce.focchi2025 import load_models as loads
-from reproduce.focchi2025 import slope_chicane, slope_claims, slope_identification, slope_runs
-from reproduce.focchi2025 import uneven_ground as ground
+from reproduce.focchi2025 import slope_claims, slopes
 from reproduce.focchi2025.runs import vehicle
 from tracked_env.terrain.height_field import make_height_field
 
@@ -15,40 +14,40 @@ MAP_SLOPES = (0.0277, 0.2788, 0.5300)  # [-] median, 90 %, 99 % of the authors' 
 @pytest.fixture
 def mapped(reference_data):
     """The authors' map, or a skip that names the file."""
-    found, missing = ground.authors_map(reference_data / "terrain_mesh" / "height_5cm.npz")
+    found, missing = slopes.authors_map(reference_data / "terrain_mesh" / "height_5cm.npz")
     if found is None:
         pytest.skip(missing)
     return found
 
 
 def test_the_seeded_field_has_the_slopes_of_the_authors_map():
-    np.testing.assert_allclose(ground.slopes(ground.field()), MAP_SLOPES, rtol=0.02)
+    np.testing.assert_allclose(slopes.slopes(slopes.field()), MAP_SLOPES, rtol=0.02)
 
 
 def test_the_authors_map_has_the_slopes_that_the_seeded_field_is_fitted_to(mapped):
-    np.testing.assert_allclose(ground.slopes(mapped), MAP_SLOPES, rtol=0.001)
+    np.testing.assert_allclose(slopes.slopes(mapped), MAP_SLOPES, rtol=0.001)
 
 
 def test_a_fractal_alone_has_no_slopes_with_so_long_a_tail():
-    plain = ground.UnevenGround("fractal", make_height_field(ground.FRACTAL), (0.0, 0.0))
-    median, most, _ = ground.slopes(plain)
+    plain = slopes.UnevenGround("fractal", make_height_field(slopes.FRACTAL), (0.0, 0.0))
+    median, most, _ = slopes.slopes(plain)
     assert most / median < 2.5 < 10.0 < MAP_SLOPES[1] / MAP_SLOPES[0]
 
 
 def test_a_vehicle_starts_on_a_flank_of_both_grounds(mapped):
-    for one in (mapped, ground.field()):
+    for one in (mapped, slopes.field()):
         _, slope_x, slope_y = one.field.at(*one.start)
         assert 0.18 < slope_x < 0.25 and abs(slope_y) < 0.06
 
 
 def test_without_the_map_its_file_is_named_and_the_seeded_field_is_run(tmp_path, monkeypatch):
-    for module in (loads, slope_chicane):
+    for module in (loads, slopes):
         monkeypatch.setattr(module, "DURATION", 0.5)
-    monkeypatch.setattr(slope_chicane, "RATE", 50.0)
-    monkeypatch.setattr(slope_identification, "SPEED_STEP", 6.0)
-    monkeypatch.setattr(slope_identification, "PROBES", 40)
+    monkeypatch.setattr(slopes, "RATE", 50.0)
+    monkeypatch.setattr(slopes, "SPEED_STEP", 6.0)
+    monkeypatch.setattr(slopes, "PROBES", 40)
     said = []
-    found = slope_runs.run_all(said.append, tmp_path / "gone.npz")
+    found = slopes.run_all_slope_runs(said.append, tmp_path / "gone.npz")
     assert "gone.npz" in said[0] and "left out" in said[0] and found.missing == said[0]
     assert [one.name for one in found.grounds] == ["seeded field"]
     made = slope_claims.slope_claims(found)

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from baselines.lyapunov.lyapunov_laws import LyapunovGains, PoseError, unicycle_law
 from reproduce.focchi2025 import load_models as loads
 from reproduce.focchi2025.runs import vehicle
-from tracked_env.physics.attitude import in_body_plane
+from tracked_env.physics.rigid_body import in_body_plane
 from tracked_env.physics.terramechanics import GRAVITY
-from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.plants.standalone import TerrainRig
 
 ANGLE, SPEED = math.radians(20.0), 0.5  # [rad], [m/s]
 

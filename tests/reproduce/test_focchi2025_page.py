@@ -10,15 +10,13 @@ import reproduce
 from baselines.slip import slip_sweep
 from reproduce.focchi2025 import (
     PAGE,
-    chicane,
     claims,
+    control,
     identification,
     load_models,
-    planning_runs,
+    planning,
     results,
-    slope_chicane,
-    slope_identification,
-    spiral,
+    slopes,
 )
 from reproduce.focchi2025.results import Results
 from reproduce.focchi2025.runs import vehicle
@@ -36,7 +34,7 @@ def module_patch():
         yield patch
 
 
-def short_drive(cases, seeds=chicane.SEEDS, duration=LENGTH):
+def short_drive(cases, seeds=control.SEEDS, duration=LENGTH):
     """All cases at 50 Hz, whatever they ask for, but for decision trees, which take long."""
     asked = {
         case: case._replace(rate=50, kind="table" if case.kind == "trees" else case.kind)
@@ -46,7 +44,7 @@ def short_drive(cases, seeds=chicane.SEEDS, duration=LENGTH):
     return {case: driven[stands] for case, stands in asked.items()}
 
 
-drive = chicane.drive
+drive = control.drive
 
 
 @pytest.fixture(scope="module")
@@ -58,18 +56,18 @@ def found(module_patch, tmp_path_factory):
     table = (34.45 * runs.sprocket_left, 34.45 * runs.sprocket_right, runs.beta_left,
              runs.beta_right, alpha)  # fmt: skip
     np.savetxt(file, np.stack(table, axis=1), delimiter=",")
-    for module in (identification, chicane):
+    for module in (identification, control):
         module_patch.setattr(module, "sweep", coarse_sweep)
-    module_patch.setattr(chicane, "DURATION", LENGTH)
-    module_patch.setattr(chicane, "drive", short_drive)
-    module_patch.setattr(spiral, "DURATION", LENGTH)
-    for module in (load_models, slope_chicane):
+    module_patch.setattr(control, "DURATION", LENGTH)
+    module_patch.setattr(control, "drive", short_drive)
+    module_patch.setattr(control, "DURATION", LENGTH)
+    for module in (load_models, slopes):
         module_patch.setattr(module, "DURATION", 1.0)
-    module_patch.setattr(slope_chicane, "RATE", 50.0)
-    module_patch.setattr(planning_runs, "GOALS", 6)
-    module_patch.setattr(planning_runs, "SOME", 2)
-    module_patch.setattr(slope_identification, "SPEED_STEP", 6.0)
-    module_patch.setattr(slope_identification, "PROBES", 40)
+    module_patch.setattr(slopes, "RATE", 50.0)
+    module_patch.setattr(planning, "GOALS", 6)
+    module_patch.setattr(planning, "SOME", 2)
+    module_patch.setattr(slopes, "SPEED_STEP", 6.0)
+    module_patch.setattr(slopes, "PROBES", 40)
     said = []
     made = results.run_everything(said.append, file, file.with_name("no-map.npz"))
     assert len(said) >= 4 and any("no-map.npz" in line for line in said)
@@ -102,7 +100,7 @@ def test_without_figures_the_page_links_to_nothing(found, tmp_path):
 
 
 def test_without_matplotlib_the_missing_package_is_named(found, tmp_path, monkeypatch):
-    monkeypatch.delitem(sys.modules, "reproduce.paper_figures", raising=False)
+    monkeypatch.delitem(sys.modules, "reproduce.paper_page", raising=False)
     monkeypatch.delattr(reproduce, "paper_figures", raising=False)  # else it is not imported again
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
@@ -167,5 +165,5 @@ def test_the_terminal_s_table_fits(found):
 
 def test_the_results_are_complete(found):
     assert isinstance(found, Results)
-    assert {case.kind for case in found.chicane} == {"uc", "table", *chicane.REGRESSED, "online"}
+    assert {case.kind for case in found.chicane} == {"uc", "table", *control.REGRESSED, "online"}
     assert all(len(slip[0]) == round(50 * LENGTH) for slip in found.predicted.values())

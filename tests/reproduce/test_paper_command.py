@@ -9,7 +9,7 @@ import typing
 import pytest
 
 import evaluate
-from reproduce import command
+from reproduce import paper_page
 from reproduce.paper_page import Claim, PaperPage
 from tracked_env.cli import evaluate_options
 
@@ -48,7 +48,7 @@ def paper(monkeypatch):
 
 
 def test_a_paper_is_run_its_claims_printed_and_its_page_written(paper, tmp_path, capsys):
-    assert command.main("made_up", tmp_path) == 0
+    assert paper_page.main("made_up", tmp_path) == 0
     said = capsys.readouterr().out
     assert said.index("section 1: counting") < said.index("two and one") < said.index("1 figures")
     text = (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
@@ -59,7 +59,7 @@ def test_a_paper_is_run_its_claims_printed_and_its_page_written(paper, tmp_path,
 
 
 def test_without_figures_nothing_is_drawn(paper, tmp_path, capsys):
-    assert command.main("made_up", tmp_path, figures=False) == 0
+    assert paper_page.main("made_up", tmp_path, figures=False) == 0
     assert "0 figures" in capsys.readouterr().out
     assert not list(tmp_path.rglob("*.png"))
     assert "## Figures" not in (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
@@ -71,7 +71,7 @@ def test_without_matplotlib_the_page_is_written_all_the_same_and_the_package_nam
     monkeypatch.setattr(
         paper, "PAGE", PaperPage(*(vars(paper.PAGE) | {"save_figures": no_figures}).values())
     )
-    assert command.main("made_up", tmp_path) == 0
+    assert paper_page.main("made_up", tmp_path) == 0
     said = capsys.readouterr()
     assert "matplotlib" in said.err and "0 figures" in said.out
     assert "two and one" in (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
@@ -80,12 +80,12 @@ def test_without_matplotlib_the_page_is_written_all_the_same_and_the_package_nam
 def test_evaluate_and_the_folders_offer_the_same_papers(repository):
     offered = evaluate_options.PAPERS
     folders = {path.parent.name for path in (repository / "reproduce").glob("*/page.py")}
-    assert set(offered) - {"none"} == set(command.PAPERS) == folders
+    assert set(offered) - {"none"} == set(paper_page.PAPERS) == folders
 
 
 def test_evaluate_hands_a_paper_to_the_command(monkeypatch, tmp_path):
     calls = []
-    monkeypatch.setattr(command, "main", lambda *given: calls.append(given) or 0)
+    monkeypatch.setattr(paper_page, "main", lambda *given: calls.append(given) or 0)
     assert evaluate.main(evaluate.Config(paper="focchi2025", output=tmp_path, figures=False)) == 0
     assert calls == [("focchi2025", tmp_path, False)]
 
@@ -99,7 +99,7 @@ def test_evaluate_hands_a_paper_to_the_command(monkeypatch, tmp_path):
 )
 def test_python_m_reproduce_takes_a_paper_a_folder_and_no_figures(monkeypatch, arguments, expected):
     calls = []
-    monkeypatch.setattr(command, "main", lambda *given: calls.append(given) or 0)
+    monkeypatch.setattr(paper_page, "main", lambda *given: calls.append(given) or 0)
     monkeypatch.setattr(sys, "argv", ["reproduce", *arguments])
     with pytest.raises(SystemExit) as ended:
         runpy.run_module("reproduce", run_name="__main__")
@@ -116,4 +116,4 @@ def test_a_paper_that_is_not_there_is_refused_with_the_names_of_those_that_are(r
         check=False,
     )
     assert done.returncode == 2
-    assert all(paper in done.stderr for paper in ("nobody1999", *command.PAPERS))
+    assert all(paper in done.stderr for paper in ("nobody1999", *paper_page.PAPERS))

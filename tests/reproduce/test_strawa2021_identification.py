@@ -9,7 +9,7 @@ from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
 from reproduce.strawa2021.identification import Condition
-from reproduce.strawa2021.printed_gnr import printed_gnr
+from reproduce.strawa2021.soil import printed_gnr
 from reproduce.strawa2021.sweep import surface
 from tracked_env.physics import terramechanics
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from tracked_env.engine import columns as b
+from tracked_env import arrays as b
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import SoilParameters
-from tracked_env.terrain.flat import Surface
-from tracked_env.terrain.ground import Terrain, at
+from tracked_env.terrain.ground import Surface, Terrain, at
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 

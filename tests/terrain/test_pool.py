@@ -10,7 +10,7 @@ import pytest
 from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.plants.standalone import TerrainRig
 from tracked_env.terrain.height_field import make_height_field
 from tracked_env.terrain.pool import make_pool
 from tracked_env.uncertainty import Draw

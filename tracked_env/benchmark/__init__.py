@@ -1,6 +1,7 @@
 """Paired comparison of policies on named uncertainty sets; docs/evaluation.md shows its use."""
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.evaluation_sets import DEFAULT_SETS, SETS, BenchmarkSet, default_sets
 from tracked_env.benchmark.frozen import check
 from tracked_env.benchmark.policy_interface import (
     Policy,
@@ -11,8 +12,6 @@ from tracked_env.benchmark.policy_interface import (
 )
 from tracked_env.benchmark.report import terminal
 from tracked_env.benchmark.runner import run
-from tracked_env.benchmark.set_catalogue import BenchmarkSet
-from tracked_env.benchmark.sets import DEFAULT_SETS, SETS, default_sets
 from tracked_env.benchmark.store import Store
 from tracked_env.benchmark.summary import Summary, summarise
 

@@ -6,15 +6,15 @@ from typing import Any
 
 import gymnasium
 
-from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
-from tracked_env.benchmark.set_catalogue import BenchmarkSet
-from tracked_env.benchmark.sets import (
+from tracked_env.benchmark.evaluation_sets import (
     DEFAULT_SETS,
     OF_VERSION,
     SETS,
+    BenchmarkSet,
     Version,
     version_of,
 )
+from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
 from tracked_env.observation import make_layout
 from tracked_env.physics.kernel_cache import imported_source
 from tracked_env.sensors import make_sensors
@@ -27,35 +27,29 @@ CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its ti
 # What a result's identity leaves out: files and folders of the package that draw, report or adapt
 # to other libraries. Everything else counts, so a new file counts until it is named here.
 WITHOUT_INFLUENCE = {
-    "benchmark/adaptation.py": "statistics and figures of records",
-    "benchmark/breaking_points.py": "which levels are run; each is part of the identity",
+    "studies/adaptation.py": "statistics and figures of records",
+    "studies/breaking_points.py": "which levels are run; each is part of the identity",
     "cli/": "command lines",
     "rendering/": "pictures of a state",
     "sb3.py": "another interface to the vector environment",
-    "benchmark/drawing.py": "figures from records",
+    "benchmark/figures.py": "figures from records",
     "benchmark/choice_of_sets.py": "statistics of records",
     "benchmark/executors/": "where chunks of episodes run",
     "benchmark/files.py": "writes records",
     "benchmark/text_tables.py": "tables from cells",
-    "benchmark/episode_figures.py": "figures from records",
     "benchmark/frozen.py": "compares what is drawn with what is kept",
     "benchmark/leaderboard.py": "tables from records",
     "benchmark/progress_bar.py": "shows how far it is",
-    "benchmark/provenance.py": "names machine and packages in records",
-    "benchmark/policy_lookup.py": "finds policies; each record has its own fingerprint",
+    "benchmark/store.py": "names machine and packages in records",
+    "benchmark/policies.py": "finds policies; each record has its own fingerprint",
     "benchmark/leaderboard_page.py": "tables from records",
-    "benchmark/registered_policies.py": "finds policies; each record has its own fingerprint",
-    "benchmark/records.py": "checks of what is read",
     "benchmark/relative_errors.py": "statistics of records",
     "benchmark/reliability.py": "statistics of records",
     "benchmark/report.py": "tables from records",
-    "benchmark/figure_data.py": "the motion that is kept for figures",
     "benchmark/statistics.py": "statistics of records",
-    "benchmark/store.py": "writes and reads records",
     "benchmark/summary.py": "statistics of records",
     "benchmark/training_curves.py": "what trainings left beside their archives",
     "benchmark/tuning.py": "chooses settings of policies; each record has its own fingerprint",
-    "benchmark/tuning_records.py": "tables of what was chosen from",
     "benchmark/video.py": "pictures of an episode",
 }
 # Of the simulation that this process runs: files of kernels as they were when those were imported,

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from tracked_env.benchmark.sets import Version, group_of
+from tracked_env.benchmark.evaluation_sets import Version, group_of
 from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.benchmark.summary import ALL_SETS, SEPARATION_RATIO, Row
 

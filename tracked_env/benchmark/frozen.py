@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.sets import (
+from tracked_env.benchmark.evaluation_sets import (
     EPISODES,
     PLANAR,
     SEED,

@@ -24,11 +24,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.benchmark.beliefs import SLIPS, Beliefs
-from tracked_env.benchmark.changes import last_outside
-from tracked_env.benchmark.metrics import Metric, Trace, settled_step
+from tracked_env.benchmark.metrics import SLIPS, Beliefs, Metric, Trace, last_outside, settled_step
+from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
-from tracked_env.physics.vehicle import drive_limits
 
 SETTLED = 0.1  # [-] relative error within which an estimate is settled
 DIVERGED = 0.5  # [-] relative error from which on an estimate may count as diverged

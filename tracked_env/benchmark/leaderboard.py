@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracked_env.benchmark.drawing import MAX_DRAWN
+from tracked_env.benchmark.figures import MAX_DRAWN
 from tracked_env.benchmark.relative_errors import RelativeError, agreement, relative
 from tracked_env.benchmark.reliability import FEW_EPISODES, FEW_SEEDS, enough, estimate, fewest
 from tracked_env.benchmark.report import (

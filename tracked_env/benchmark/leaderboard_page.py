@@ -16,7 +16,7 @@ from markupsafe import Markup
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import reliability as rel
 from tracked_env.benchmark import report
-from tracked_env.benchmark.drawing import (
+from tracked_env.benchmark.figures import (
     MARK_LIMIT,
     STYLE,
     Look,

@@ -13,10 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tracked_env.benchmark.changes import RECOVERED
-from tracked_env.benchmark.goal_metrics import GOAL_ANGLE, GOAL_DISTANCE
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
-from tracked_env.benchmark.metrics import METRICS, OF_GOALS
+from tracked_env.benchmark.metrics import GOAL_ANGLE, GOAL_DISTANCE, METRICS, OF_GOALS, RECOVERED
 from tracked_env.benchmark.reliability import FEW_EPISODES, FEW_SEEDS
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Record, write_atomically

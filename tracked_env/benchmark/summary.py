@@ -33,9 +33,8 @@ from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.identification_metrics import IdentificationSummary, mean_nis
 from tracked_env.benchmark.identification_metrics import summarise as summarise_beliefs
 from tracked_env.benchmark.metrics import ACTION_RATES, METRICS
-from tracked_env.benchmark.records import BESIDE, READS_TRUTH
 from tracked_env.benchmark.statistics import Estimate
-from tracked_env.benchmark.store import Record
+from tracked_env.benchmark.store import BESIDE, READS_TRUTH, Record
 
 SEPARATION_RATIO = 1.2  # [-] of the interquartile means
 ALL_SETS = "all sets"

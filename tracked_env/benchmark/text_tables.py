@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from tracked_env.benchmark.drawing import Mark
+from tracked_env.benchmark.figures import Mark
 
 
 def aligned(rows: Sequence[Sequence[str]], names: int = 2, width: int | None = None) -> str:

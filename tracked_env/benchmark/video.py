@@ -31,7 +31,7 @@ from tracked_env.benchmark.policy_interface import (
 from tracked_env.env import TrackedVehicleEnv
 
 if TYPE_CHECKING:
-    from tracked_env.rendering.recording import Recording
+    from tracked_env.rendering.viewer import Recording
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 
@@ -220,7 +220,7 @@ def _beside(names: Sequence[str], films: Sequence[Iterator[Picture]]) -> Iterato
     if len(films) == 1:
         yield from films[0]
         return
-    from tracked_env.rendering.side_by_side import side_by_side
+    from tracked_env.rendering.canvas import side_by_side
 
     shown: list[Picture] = []
     for drawn in zip_longest(*films):

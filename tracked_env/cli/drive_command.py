@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
 from tracked_env.benchmark.policy_interface import Policy, checked_policy, needs_truth, tell_plant
-from tracked_env.benchmark.policy_lookup import load_policies
-from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_episode_options, config_of
 from tracked_env.cli.exit_status import Parser, reported

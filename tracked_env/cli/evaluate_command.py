@@ -1,15 +1,28 @@
-"""`tracked-env evaluate`: the paired comparison of policies, from options to files and tables."""
+"""`tracked-env evaluate`: the paired comparison of policies, from options to files and tables.
 
+What only a clone of the repository has: training, the papers' experiments, pickled archives.
+
+The first look of `tracked-env evaluate`: few policies on few sets, and their kernels.
+
+Kernels are compiled once after an installation, which takes most of the time of the first look. A
+second process compiles from the other end, and each loads what the other has finished.
+"""
+
+import os
 import shlex
 import shutil
+import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
-from tracked_env import TORQUE_ID
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import (
     BenchmarkConfig,
     Store,
@@ -19,26 +32,138 @@ from tracked_env.benchmark import (
     leaderboard_page,
     report,
 )
-from tracked_env.benchmark.chunks import pending
-from tracked_env.benchmark.executors import make_executor
-from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
-from tracked_env.benchmark.policy_lookup import archives, load_policies
-from tracked_env.benchmark.progress_bar import progress_bar
-from tracked_env.benchmark.registered_policies import (
+from tracked_env.benchmark.executors import WorkerPool, make_executor
+from tracked_env.benchmark.policies import (
+    archives,
     by_name,
     default_names,
+    load_policies,
     open_archive,
     registered_policies,
 )
-from tracked_env.benchmark.runner import run
+from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
+from tracked_env.benchmark.progress_bar import progress_bar
+from tracked_env.benchmark.runner import Task, pending, run, run_task
 from tracked_env.benchmark.store import identity_hash
-from tracked_env.benchmark.summary import rows_of
+from tracked_env.benchmark.summary import SEED_MARK, rows_of
 from tracked_env.benchmark.training_curves import read_costs, read_curves
-from tracked_env.cli import clone
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, Config, env_of, parsed
-from tracked_env.cli.exit_status import one_line
-from tracked_env.cli.first_look import FIRST_LOOKS, compile_kernels, first_policies
+from tracked_env.cli.exit_status import explained, one_line
 from tracked_env.validation import checked_choice, name_or_json
+
+ROOT = Path(__file__).resolve().parents[2]  # the clone, where this package lies in one
+
+
+def script(name: str) -> Path | None:
+    """A script of the clone, None where this package is installed without one."""
+    path = ROOT / name
+    return path if path.is_file() and (ROOT / "pyproject.toml").is_file() else None
+
+
+def run_script(name: str, arguments: Sequence[str]) -> NoReturn:
+    """Go on as `python NAME ARGUMENTS` of the clone."""
+    command = [sys.executable, str(ROOT / name), *arguments]
+    sys.stdout.flush()
+    if sys.platform == "win32":  # where exec returns to the shell at once
+        sys.exit(subprocess.run(command, check=False).returncode)
+    os.execv(sys.executable, command)
+
+
+def main_clone(arguments: Sequence[str], program: str) -> int:
+    """`tracked-env train`: train.py of the clone. Returns the exit status."""
+    if script("train.py") is None:
+        print(
+            f"{program}: training is not part of the installed package. Clone the repository and "
+            "run `make install` there, then `python train.py`",
+            file=sys.stderr,
+        )
+        return 2
+    run_script("train.py", arguments)
+
+
+DURATION = 0.5  # [s] of an episode that is driven so that its kernels are compiled
+PATIENCE = 1.5  # [s] after which there must be something to compile
+
+
+class FirstLook(NamedTuple):
+    """What is compared where neither policies nor sets are named."""
+
+    policies: tuple[str, ...]
+    sets: tuple[str, ...]  # one of each group of the frozen version
+
+
+FIRST_LOOKS = {
+    TORQUE_ID: FirstLook(
+        ("integral", "adaptive", "mpc-adaptive", "oracle", "ppo-residual@0", "ppo-blind@0"),
+        ("outages-alternating", "actuator-fault", "distributed", "noisy-fast"),
+    ),
+    SPEED_ID: FirstLook(
+        ("slc", "slc-adaptive", "mpc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
+        ("floor-outages-alternating", "friction-step", "floor-slow-drive-late", "floor-ood"),
+    ),
+    TERRAIN_ID: FirstLook(
+        ("uc", "slc", "slc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
+        ("hills-outages", "slope", "slope-payload", "hills-ood"),
+    ),
+}  # fmt: skip
+
+
+def first_policies(env: str, known: Sequence[str]) -> tuple[str, ...]:
+    """Those of the first look that are registered, all that are where there are fewer than two."""
+    chosen = FIRST_LOOKS[env].policies
+    found = tuple(name for name in chosen if name.partition(SEED_MARK)[0] in known)
+    return found if len(found) > 1 else tuple(known)
+
+
+class _Ahead(NamedTuple):
+    """What the process that compiles from the other end is told."""
+
+    config: BenchmarkConfig
+    specs: tuple[str, ...]
+
+
+def compile_from_the_end(ahead: _Ahead, job: int) -> None:
+    """Compile what the policies call, from its end, then what each plant needs.
+
+    Where anything fails, the main process finds it out and says it.
+    """
+    del job
+    with suppress(Exception):
+        registry, trained = by_name(registered_policies(lambda warning: None), ahead.config.env)
+        context = ahead.config.context(ahead.config.sets[0])
+        for entry in load_policies(ahead.specs, registry, trained, open_archive):
+            compile_kernels = getattr(checked_policy(entry, context), "compile_kernels", None)
+            if compile_kernels is not None:
+                compile_kernels()
+        for name in reversed(ahead.config.sets):
+            run_task(Task(entry, name, (0,)), ahead.config)
+
+
+def compile_kernels(
+    benchmark: BenchmarkConfig, specs: tuple[str, ...], entries: Sequence[PolicyEntry]
+) -> None:
+    """Drive every policy on every set for DURATION; a line says so where it compiles.
+
+    Raises PolicyError.
+    """
+    short = replace(benchmark, duration=DURATION)
+    pool = WorkerPool(1)
+
+    def beside() -> None:
+        with suppress(OSError):  # without a second process it takes longer, nothing else
+            for _ in pool.results(compile_from_the_end, _Ahead(short, specs), [0]):
+                pass
+
+    helper = threading.Timer(PATIENCE, beside)
+    helper.daemon = True
+    helper.start()
+    try:
+        with explained(after=PATIENCE):
+            for name in benchmark.sets:
+                for entry in entries:
+                    run_task(Task(entry, name, (0,)), short)
+    finally:
+        helper.cancel()
 
 
 class Extras(NamedTuple):
@@ -112,7 +237,7 @@ def draw(
     files: list[Path] = []
     try:
         if config.figures:
-            from tracked_env.benchmark import episode_figures
+            from tracked_env.benchmark import figures as episode_figures
 
             files = episode_figures.save_all(
                 folder / "figures", store, records, benchmark.sets, benchmark.seed, agents
@@ -181,8 +306,8 @@ def run_config(config: Config, program: str, extras: Extras = INSTALLED) -> int:
 def main(arguments: Sequence[str], program: str) -> int:
     """`tracked-env evaluate`; returns the exit status."""
     config = parsed(arguments, program)
-    if (config.trust or config.paper != "none") and clone.script("evaluate.py"):
-        clone.run_script("evaluate.py", arguments)
+    if (config.trust or config.paper != "none") and script("evaluate.py"):
+        run_script("evaluate.py", arguments)
     return run_config(config, program)
 
 

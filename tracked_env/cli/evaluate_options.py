@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark.executors.shard import Shard, parse_shard
-from tracked_env.benchmark.sets import SETS, default_sets
+from tracked_env.benchmark.evaluation_sets import SETS, default_sets
+from tracked_env.benchmark.executors import Shard, parse_shard
 from tracked_env.cli.exit_status import Parser
 from tracked_env.validation import checked_choice, known
 

@@ -1,4 +1,7 @@
-"""Exit status of a command: errors as one line, and the end at Ctrl-C."""
+"""Exit status of a command: errors as one line, and the end at Ctrl-C.
+
+What a command says where it keeps the user waiting.
+"""
 
 import argparse
 import difflib
@@ -7,8 +10,9 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import wraps
 from pathlib import Path
 from typing import Any, NoReturn
@@ -134,3 +138,23 @@ def end_at_interrupt(program: str) -> None:
         os._exit(130)  # as shells have it for Ctrl-C
 
     signal.signal(signal.SIGINT, stop)
+
+
+PATIENCE = 4.0  # [s] without a word
+COMPILING = "compiling kernels, once after an installation: about a minute ..."
+
+
+@contextmanager
+def explained(text: str = COMPILING, after: float | None = None) -> Iterator[None]:
+    """Print `text` to the standard error if the block takes longer than `after` [s].
+
+    None: PATIENCE.
+    """
+    wait = PATIENCE if after is None else after
+    timer = threading.Timer(wait, lambda: print(text, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

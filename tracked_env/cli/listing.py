@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import gymnasium
 
 from tracked_env.benchmark import frozen
-from tracked_env.benchmark.registered_policies import registered_policies
-from tracked_env.benchmark.sets import SETS, VERSIONS, default_sets, group_of, version_of
+from tracked_env.benchmark.evaluation_sets import SETS, VERSIONS, default_sets, group_of, version_of
+from tracked_env.benchmark.policies import registered_policies
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, add_env
 from tracked_env.cli.exit_status import Parser
 from tracked_env.engine.env_config import EnvConfig

@@ -12,21 +12,48 @@ from importlib import import_module
 from tracked_env.cli.exit_status import Parser, end_at_interrupt
 
 COMMANDS = {
-    "evaluate": ("evaluate_command", "compare policies on the same randomized episodes"),
-    "leaderboard": ("leaderboard_command", "evaluate everything that is registered, and rank it"),
-    "choose-sets": ("choose_command", "what every candidate for the evaluation sets separates"),
-    "adaptation": ("adaptation_command", "what adapting to changes inside episodes is worth"),
-    "breaking-points": ("breaking_command", "how much of one difficulty each policy stands"),
-    "policies": ("listing", "list the policies that are registered"),
-    "envs": ("listing", "list the environments and their evaluation sets"),
-    "render": ("render_command", "write a GIF, MP4 or PNG of policies on an evaluation set"),
-    "drive": ("drive_command", "drive by keyboard or gamepad, with an observer's estimates beside"),
-    "plan": ("plan_command", "plan a motion to a goal with slip, print and draw it"),
-    "tune": ("tune_command", "search the settings of a controller on development episodes"),
-    "record": ("record_command", "drive an episode and write the log of its sensors as CSV"),
-    "identify": ("identify_command", "mass, inertia, resistance, slip, soil from your own log"),
-    "slip": ("slip_command", "slip over the sprocket speeds, from your own runs"),
-    "train": ("clone", "train an agent; needs a clone of the repository"),
+    "evaluate": (
+        "tracked_env.cli.evaluate_command",
+        "compare policies on the same randomized episodes",
+    ),
+    "leaderboard": (
+        "tracked_env.cli.leaderboard_command",
+        "evaluate everything that is registered, and rank it",
+    ),
+    "policies": ("tracked_env.cli.listing", "list the policies that are registered"),
+    "envs": ("tracked_env.cli.listing", "list the environments and their evaluation sets"),
+    "render": (
+        "tracked_env.cli.render_command",
+        "write a GIF, MP4 or PNG of policies on an evaluation set",
+    ),
+    "drive": (
+        "tracked_env.cli.drive_command",
+        "drive by keyboard or gamepad, with an observer's estimates beside",
+    ),
+    "plan": (
+        "tracked_env.cli.plan_command",
+        "plan a motion to a goal with slip, print and draw it",
+    ),
+    "tune": (
+        "tracked_env.cli.tune_command",
+        "search the settings of a controller on development episodes",
+    ),
+    "record": (
+        "tracked_env.cli.record_command",
+        "drive an episode and write the log of its sensors as CSV",
+    ),
+    "identify": (
+        "baselines.identify.commands:identify_command",
+        "mass, inertia, resistance, slip, soil from your own log",
+    ),
+    "slip": (
+        "baselines.identify.commands:slip_command",
+        "slip over the sprocket speeds, from your own runs",
+    ),
+    "train": (
+        "tracked_env.cli.evaluate_command:main_clone",
+        "train an agent; needs a clone of the repository",
+    ),
 }
 
 
@@ -50,9 +77,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     program = f"tracked-env {given.command}"
     end_at_interrupt(program)
     sys.path.insert(0, "")  # so that `module:attribute` finds modules of the current folder
-    module = import_module(f"tracked_env.cli.{COMMANDS[given.command][0]}")
+    module, _, function = COMMANDS[given.command][0].partition(":")
+    command = getattr(import_module(module), function or "main")
     try:
-        status: int = module.main(given.arguments, program)
+        status: int = command(given.arguments, program)
         sys.stdout.flush()
     except BrokenPipeError:  # as `tracked-env policies | head` has it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

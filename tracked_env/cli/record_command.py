@@ -4,14 +4,12 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from baselines.identify.csv_log import record_log
+from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
 from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
-from tracked_env.benchmark.policy_lookup import load_policies
-from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_episode_options, config_of
-from tracked_env.cli.exit_status import Parser, reported
-from tracked_env.cli.user_data.log_recording import record_log
-from tracked_env.cli.waiting import explained
+from tracked_env.cli.exit_status import Parser, explained, reported
 
 
 @reported

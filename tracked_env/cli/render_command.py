@@ -4,11 +4,10 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.studies.choose_sets import few_seeds
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry
-from tracked_env.benchmark.policy_lookup import load_policies
-from tracked_env.benchmark.registered_policies import by_name, open_archive, registered_policies
-from tracked_env.cli.choose_command import few_seeds
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import JoinedNames, add_episode_options, config_of, names
 from tracked_env.cli.exit_status import Parser, reported

@@ -5,29 +5,26 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.evaluation_sets import LENGTH, seeds_of, tuning_sets
+from tracked_env.benchmark.policies import ENVIRONMENTS, registered_policies
 from tracked_env.benchmark.policy_interface import source_fingerprint
 from tracked_env.benchmark.progress_bar import Progress, progress_bar
-from tracked_env.benchmark.registered_policies import ENVIRONMENTS, registered_policies
-from tracked_env.benchmark.sets import tuning_sets
-from tracked_env.benchmark.splits import LENGTH, seeds_of
 from tracked_env.benchmark.store import identity_hash
 from tracked_env.benchmark.text_tables import aligned
 from tracked_env.benchmark.tuning import (
     Candidate,
+    Records,
     Settings,
     Tunable,
-    default_settings,
-    outcome,
-    searched,
-    tunable,
-    varied,
-)
-from tracked_env.benchmark.tuning_records import (
-    Records,
     best_of,
     candidate_rows,
+    default_settings,
+    outcome,
     page,
+    searched,
     sensitivity_rows,
+    tunable,
+    varied,
 )
 from tracked_env.cli.evaluate_options import add_env, add_option, env_of
 from tracked_env.cli.exit_status import Parser, reported

@@ -7,24 +7,28 @@ with N = 1, `vector_env.py` with N; neither holds an equation.
 Streams: vehicle i draws from its own generator. Its episode draws come in a fixed order and
 its sensor noise from a generator of its own, seeded by the episode: what a policy does never
 changes what the vehicle, the soil, the reference and the noise are.
+
+A function over many rows, on several threads. Kernels release the interpreter lock.
 """
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from tracked_env import arrays as b
 from tracked_env import observation as obs
-from tracked_env.engine import columns as b
+from tracked_env.arrays import Readings
 from tracked_env.engine import noise
-from tracked_env.engine.batch_reset import BatchReset
-from tracked_env.engine.composing import Composer
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, draw_episode, make_settings
-from tracked_env.engine.episode_loading import (
+from tracked_env.engine.extra_groups import Composer
+from tracked_env.engine.reset import (
+    BatchReset,
     Episodes,
     complete_starts,
     each_drawn,
@@ -33,13 +37,47 @@ from tracked_env.engine.episode_loading import (
     running_arrays,
     states_of,
 )
-from tracked_env.engine.kernels import CALM, SOME_ENDED, Clock
-from tracked_env.engine.readings import Readings
-from tracked_env.engine.threads import Threads
 from tracked_env.physics.jit import bound
 from tracked_env.physics.parameters import Range
+from tracked_env.step import CALM, SOME_ENDED, Clock
 from tracked_env.uncertainty import ArrayLaw
 from tracked_env.validation import checked_whole
+
+
+class Threads:
+    """Runs a function over equal shares of the rows; threads start with the first run."""
+
+    def __init__(self, count: int) -> None:
+        """count: threads, with that of the caller."""
+        self.count = count
+        self._pool: ThreadPoolExecutor | None = None
+
+    @property
+    def started(self) -> bool:
+        """Whether there are threads beside that of the caller."""
+        return self._pool is not None
+
+    def run(self, function: Callable[[int, int], int], size: int, lanes: int = 1) -> list[int]:
+        """Results of function(first, last) for shares of `size` rows, the caller's share first.
+
+        lanes: rows that belong together; a share begins at a multiple of it.
+        """
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self.count - 1, "tracked_env")
+        blocks = -(-size // lanes)
+        share = -(-blocks // self.count) * lanes
+        parts = [
+            self._pool.submit(function, first, min(first + share, size))
+            for first in range(share, size, share)
+        ]
+        return [function(0, min(share, size)), *(part.result() for part in parts)]
+
+    def close(self) -> None:
+        """End the threads; a later run starts new ones."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
 
 RESETS_SHARED_FROM = 8  # [vehicles] whose resets take longer than to hand half to another thread
 _RUNNING = (  # attributes that change while episodes run

@@ -16,34 +16,145 @@ once a step. The springs are explicit, stable up to h = 2 / (largest eigenfreque
 
 References: [1] McLachlan, Quispel, "Splitting methods", Acta Numerica 11 (2002). [2] those of
 `rosenbrock`.
+
+Belts driven by sprocket torques: their rates, and their elimination from an implicit step.
+
+A step solves (M + d A) of vehicle and both belts together (symbols in NOTATION.md). A belt has one
+speed, coupled to the vehicle by the last row c of its drag (`contact_totals.belt_drag`), so that it
+is eliminated by hand: what is left is the vehicle's matrix less a share of c c^T for each belt.
+Where the speeds of the belts are given there is nothing to eliminate.
+
+A tracked vehicle on springs and patches, made of its parameters and the numbers of the ground.
+
+Stiffness and damping are those of F table 2, read per track. The height of the centre of mass,
+0.25 m, is F's for its vehicle with 0.7 m of contact. None scales it with the contact length, and
+gives the inertias about roll and pitch by their ratios to the yaw inertia in force, which are
+parameters (`roll_inertia_ratio`): an ASSUMPTION for every other vehicle (0.71 m and 572, 737 kg m^2
+for the one of Strawa et al., who do not give them). `ground_stiffness_factor` multiplies stiffness
+and damping.
+
+Reference: [1] Focchi et al. (2025), table 2 and section 8.
 """
 
+import math
 from typing import NamedTuple
 
-from tracked_env.physics import contact_totals, uniform_load
-from tracked_env.physics import ground_contact as g
-from tracked_env.physics.attitude import Quaternion, matrix_of, turned
-from tracked_env.physics.contact_totals import BeltDrag, Drag, Wrench
-from tracked_env.physics.driven_belts import NO_BELTS, BeltDrive, belt_rates, eliminated, solve
-from tracked_env.physics.ground_contact import Footing, Twist
+import numpy as np
+
+from tracked_env.physics import patches_on_terrain
+from tracked_env.physics import patches_on_terrain as g
+from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula
-from tracked_env.physics.patch_dynamics import Belts, followed
-from tracked_env.physics.patch_forces import BELT_SPEED_FLOOR
+from tracked_env.physics.parameters import FOCCHI_VEHICLE
+from tracked_env.physics.patches_on_level_ground import (
+    BELT_SPEED_FLOOR,
+    GAMMA,
+    Belts,
+    driving_torque,
+    followed,
+)
+from tracked_env.physics.patches_on_terrain import (
+    BeltDrag,
+    Drag,
+    Footing,
+    Rocking,
+    Twist,
+    Wrench,
+    rocking_of,
+)
 from tracked_env.physics.rigid_body import (
     Inertia,
+    Quaternion,
+    factors,
+    matrix_of,
     momentum,
     moved,
+    solved,
     summed,
+    turned,
     with_inertia,
     with_weight,
 )
-from tracked_env.physics.rosenbrock import GAMMA
 from tracked_env.physics.terramechanics import GRAVITY
-from tracked_env.physics.uniform_load import Rocking
+
+NO_BELTS = Belts(0.0, 0.0)
+
+
+class BeltDrive(NamedTuple):
+    """How the belts follow their drives."""
+
+    inverse_belt_mass: float  # [1/kg] r^2 / J, or 0 where their speed is given
+    inverse_radius: float  # [1/m]
+    inverse_belt_limit: float  # [s/m] 1 / (r omega_max)
+
+
+@formula
+def _less(drag, c, share):
+    """drag - share c c^T, of a belt's BeltDrag c."""
+    x, y, z = share * c.x, share * c.y, share * c.z
+    roll, pitch, yaw = share * c.roll, share * c.pitch, share * c.yaw
+    return Drag(
+        drag.xx - x * c.x, drag.yx - y * c.x, drag.yy - y * c.y,
+        drag.zx - z * c.x, drag.zy - z * c.y, drag.zz - z * c.z,
+        drag.rx - roll * c.x, drag.ry - roll * c.y, drag.rz - roll * c.z, drag.rr - roll * c.roll,
+        drag.px - pitch * c.x, drag.py - pitch * c.y, drag.pz - pitch * c.z,
+        drag.pr - pitch * c.roll, drag.pp - pitch * c.pitch,
+        drag.wx - yaw * c.x, drag.wy - yaw * c.y, drag.wz - yaw * c.z,
+        drag.wr - yaw * c.roll, drag.wp - yaw * c.pitch, drag.ww - yaw * c.yaw,
+    )  # fmt: skip
+
+
+@formula
+def eliminated(kick, body, d):
+    """Factors of M + d A with the belts eliminated, and what a belt keeps of its own rate."""
+    mass = body.drive.inverse_belt_mass
+    if mass == 0.0:
+        return factors(kick.drag, body.inertia, d), 1.0, 1.0
+    keep_left = 1.0 / (1.0 + d * mass * kick.left.own)
+    keep_right = 1.0 / (1.0 + d * mass * kick.right.own)
+    drag = _less(kick.drag, kick.left, d * mass * keep_left)
+    drag = _less(drag, kick.right, d * mass * keep_right)
+    return factors(drag, body.inertia, d), keep_left, keep_right
+
+
+@formula
+def _on(c, twist):
+    """Force [N] on the belt per time [s] of a twist: c . twist."""
+    return (
+        c.x * twist.x + c.y * twist.y + c.z * twist.z
+        + c.roll * twist.roll + c.pitch * twist.pitch + c.yaw * twist.yaw
+    )  # fmt: skip
+
+
+@formula
+def solve(factored, kick, body, d, wrench, belts):
+    """(twist, belts) y with (1 + d A) y = (M^-1 wrench, belts), belts included."""
+    f, keep_left, keep_right = factored
+    mass = body.drive.inverse_belt_mass
+    if mass == 0.0:
+        return solved(f, wrench), NO_BELTS
+    wrench = summed(wrench, kick.left, d * keep_left * belts.left)
+    wrench = summed(wrench, kick.right, d * keep_right * belts.right)
+    twist = solved(f, wrench)
+    left = keep_left * (belts.left + d * mass * _on(kick.left, twist))
+    right = keep_right * (belts.right + d * mass * _on(kick.right, twist))
+    return twist, Belts(left, right)
+
+
+@formula
+def belt_rates(kick, belts, torques, drive):
+    """Rates [m/s^2] of belts driven by torques [N m]."""
+    limit, mass = drive.inverse_belt_limit, drive.inverse_belt_mass
+    if mass == 0.0:
+        return NO_BELTS
+    left = driving_torque(torques.left, belts.left, limit) * drive.inverse_radius
+    right = driving_torque(torques.right, belts.right, limit) * drive.inverse_radius
+    return Belts(mass * (left - kick.left.effort), mass * (right - kick.right.effort))
+
 
 _NO_WRENCH = Wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _NO_BELT_DRAG = BeltDrag(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_NO_TILT = uniform_load.Tilt(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_NO_TILT = patches_on_terrain.Tilt(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _NO_DRAG = Drag(*[0.0] * 21)
 LINEAR = -1.0  # decay of a command that changes linearly in time
 _A = (2.0 * GAMMA - 1.0) / GAMMA
@@ -78,7 +189,7 @@ class Kick(NamedTuple):
     drag: Drag
     left: BeltDrag
     right: BeltDrag
-    tilt: uniform_load.Tilt
+    tilt: patches_on_terrain.Tilt
 
 
 @formula
@@ -99,17 +210,17 @@ def drifted(pose, twist, duration):
 def meet_ground(fill, relief, w, pose, r, body):
     """Where the patches are and which way the ground faces there; returns places off the map."""
     if body.uniform:
-        few = min(body.lanes, g.WIDE)
-        uniform_load.locate_foot(w, few, pose, r, body.footing)
+        few = min(body.lanes, patches_on_terrain.WIDE)
+        patches_on_terrain.locate_foot(w, few, pose, r, body.footing)
         off = fill(relief, w, few)
-        g.orient(w, few, r)
-        uniform_load.share_plane(w, body.lanes)
+        patches_on_terrain.orient(w, few, r)
+        patches_on_terrain.share_plane(w, body.lanes)
         return off
-    g.locate(w, body.lanes, pose, r, body.footing.height)
+    patches_on_terrain.locate(w, body.lanes, pose, r, body.footing.height)
     off = fill(relief, w, body.lanes)
-    g.orient(w, body.lanes, r)
+    patches_on_terrain.orient(w, body.lanes, r)
     for lane in range(2 * body.patches, body.lanes):
-        w[g.SINKAGE, lane] = -1.0
+        w[patches_on_terrain.SINKAGE, lane] = -1.0
     return off
 
 
@@ -117,8 +228,8 @@ def meet_ground(fill, relief, w, pose, r, body):
 def set_belts(w, belts, body):
     """Belt speeds in all lanes; returns the longest contact time [s] of both tracks."""
     length = body.footing.half_length
-    g.set_belt(w, 0, body.patches, belts.left, body.footing)
-    g.set_belt(w, body.patches, body.lanes, belts.right, body.footing)
+    patches_on_terrain.set_belt(w, 0, body.patches, belts.left, body.footing)
+    patches_on_terrain.set_belt(w, body.patches, body.lanes, belts.right, body.footing)
     slow = max(min(abs(belts.left), abs(belts.right)), BELT_SPEED_FLOOR)
     return 2.0 * length / slow
 
@@ -132,23 +243,23 @@ def kick_at(w, r, twist, longest, body, again):
     footing = body.footing
     tilt, carrying = _NO_TILT, 1.0
     if body.uniform:
-        tilt, carrying = uniform_load.tilt_of(w, twist, footing, body.rocking), 0.0
-        uniform_load.share_load(w, 2 * body.patches, tilt.load)
+        tilt, carrying = patches_on_terrain.tilt_of(w, twist, footing, body.rocking), 0.0
+        patches_on_terrain.share_load(w, 2 * body.patches, tilt.load)
     else:
-        g.press(w, body.lanes, twist, footing)
-    g.slide(w, body.lanes, twist, footing, longest)
-    g.resist(w, body.lanes, again)
-    wrench = contact_totals.total_wrench(w, body.lanes, footing.height, carrying)
+        patches_on_terrain.press(w, body.lanes, twist, footing)
+    patches_on_terrain.slide(w, body.lanes, twist, footing, longest)
+    patches_on_terrain.resist(w, body.lanes, again)
+    wrench = patches_on_terrain.total_wrench(w, body.lanes, footing.height, carrying)
     damping = carrying * footing.patch_area * footing.damping
-    drag = contact_totals.total_drag(w, body.lanes, footing.height, damping)
+    drag = patches_on_terrain.total_drag(w, body.lanes, footing.height, damping)
     if body.uniform:
-        wrench, drag = uniform_load.held(w, tilt, footing, body.rocking, wrench, drag)
+        wrench, drag = patches_on_terrain.held(w, tilt, footing, body.rocking, wrench, drag)
     wrench = with_weight(wrench, r, body.inertia.mass * GRAVITY)
     wrench = with_inertia(wrench, twist, body.inertia)
     left, right = _NO_BELT_DRAG, _NO_BELT_DRAG
     if body.drive.inverse_belt_mass > 0.0:
-        left = contact_totals.belt_drag(w, 0, body.patches, footing.height)
-        right = contact_totals.belt_drag(w, body.patches, 2 * body.patches, footing.height)
+        left = patches_on_terrain.belt_drag(w, 0, body.patches, footing.height)
+        right = patches_on_terrain.belt_drag(w, body.patches, 2 * body.patches, footing.height)
     return Kick(wrench, drag, left, right, tilt)
 
 
@@ -257,10 +368,76 @@ def settled_of(w, kick, off, body):
     )
     largest, touching = 0.0, 0.0
     for lane in range(2 * n):
-        largest = max(largest, w[g.LOAD, lane])
-        touching += 1.0 if w[g.LOAD, lane] > 0.0 else 0.0
-    left, right = contact_totals.track_totals(w, 0, n), contact_totals.track_totals(w, n, 2 * n)
+        largest = max(largest, w[patches_on_terrain.LOAD, lane])
+        touching += 1.0 if w[patches_on_terrain.LOAD, lane] > 0.0 else 0.0
+    left, right = (
+        patches_on_terrain.track_totals(w, 0, n),
+        patches_on_terrain.track_totals(w, n, 2 * n),
+    )
     return Settled(
         rates, left[0] + right[0], left[0], right[0], largest, touching / (2 * n),
         left[1], right[1], left[2], right[2], off, kick.tilt.saturated,
     )  # fmt: skip
+
+
+_FOCCHI_AREA = FOCCHI_VEHICLE.track_width * FOCCHI_VEHICLE.contact_length  # [m^2] of one track
+STIFFNESS = 1e5 / _FOCCHI_AREA  # [N/m^3] F table 2
+DAMPING = 5e3 / _FOCCHI_AREA  # [N s/m^3]
+HEIGHT_RATIO = 0.25 / FOCCHI_VEHICLE.contact_length
+
+# Numbers that `body_of` reads: height as (number, ratio to the contact length), roll and pitch
+# inertia as (number, 1 for the parameter's ratio to the yaw inertia), one of the two 0; stiffness,
+# damping, stiffening. Here none is given.
+SCALED = np.array([0.0, HEIGHT_RATIO, 0.0, 1.0, 0.0, 1.0, STIFFNESS, DAMPING, 0.0])
+
+
+@formula
+def nominal_height(p, made):
+    """Height [m] of the nominal centre of mass above the plane of the tracks."""
+    return made[0] + made[1] * p.contact_length
+
+
+@formula
+def sinkage_at_rest(p, made):
+    """Sinkage [m] of the tracks at rest on level ground."""
+    area = 2.0 * p.contact_length * p.track_width
+    return soil.GRAVITY * p.mass / (made[6] * p.ground_stiffness_factor * area)
+
+
+@formula
+def height_at_rest(p, made):
+    """Height [m] of the nominal centre of mass at rest on level ground at height 0."""
+    return nominal_height(p, made) - sinkage_at_rest(p, made)
+
+
+@formula
+def body_of(p, lanes, count, made, by_torque, uniform):
+    """Tracked from PlantParameters with `count` patches a track; made: numbers as in SCALED."""
+    firmness = p.ground_stiffness_factor if uniform else 1.0  # else of each patch
+    footing = Footing(
+        nominal_height(p, made) + p.centre_of_mass_z, 0.5 * p.contact_length,
+        p.contact_length * p.track_width / count, made[6] * firmness, made[7] * firmness, made[8],
+        p.centre_of_mass_x, p.centre_of_mass_y,
+    )  # fmt: skip
+    roll, pitch = p.roll_inertia_ratio * p.inertia, p.pitch_inertia_ratio * p.inertia
+    inertia = Inertia(p.mass, made[2] + made[3] * roll, made[4] + made[5] * pitch, p.inertia)
+    radius = p.sprocket_radius
+    drive = BeltDrive(
+        radius * radius / p.sprocket_inertia if by_torque else 0.0,
+        1.0 / radius,
+        1.0 / (radius * p.sprocket_speed_limit),
+    )
+    rocking = rocking_of(footing, 0.5 * p.track_gauge, p.track_width, 2 * count)
+    return Tracked(inertia, footing, rocking, drive, lanes, count, uniform)
+
+
+@formula
+def set_soil(w, first, last, soil_there, patch_area):
+    """Rows of the soil in lanes first .. last - 1 of the scratch of `ground_contact`."""
+    tangent = math.tan(soil_there.friction_angle)
+    for lane in range(first, last):
+        w[g.FRICTION, lane] = tangent
+        w[g.ADHESION, lane] = soil_there.cohesion * patch_area
+        w[g.INVERSE_MODULUS, lane] = 1.0 / soil_there.shear_deformation_modulus
+        w[g.ROLLING, lane] = soil_there.longitudinal_resistance
+        w[g.FIRMNESS, lane] = soil_there.ground_stiffness_factor

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.engine.columns import Batch
-from tracked_env.physics.parameters import PlantParameters, SoilParameters
-from tracked_env.physics.state import VehicleState
+from tracked_env.arrays import Batch
+from tracked_env.physics.parameters import PlantParameters, SoilParameters, VehicleState
 
 Floats = NDArray[np.float64]
 

@@ -14,34 +14,34 @@ from typing import Any
 
 import numpy as np
 
-from tracked_env.engine import columns as b
-from tracked_env.engine.columns import Batch
-from tracked_env.engine.kernels import advance_blocks, hold_blocks
-from tracked_env.physics import patch_dynamics, patch_forces, vehicle
-from tracked_env.physics import state as s
+from tracked_env import arrays as b
+from tracked_env.arrays import Batch
+from tracked_env.physics import lumped, patches_on_level_ground
+from tracked_env.physics import parameters as s
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import (
     IN_SPACE,
     OF_TORQUE_DRIVES,
     PARAMETER_NAMES,
     PlantParameters,
     Range,
+    VehicleState,
     row_parameters,
 )
-from tracked_env.physics.patch_dynamics import SPEED_DRIVEN, Belts, Pose, TrackedVehicle
-from tracked_env.physics.state import VehicleState
-from tracked_env.physics.vehicle import Motion
+from tracked_env.physics.patches_on_level_ground import SPEED_DRIVEN, Belts, Pose, TrackedVehicle
 from tracked_env.plants.base import Plant, Prepared
-from tracked_env.plants.derived import REST, derive_free, derived
+from tracked_env.plants.lumped import REST, derive_free, derived
+from tracked_env.step import advance_blocks, hold_blocks
 from tracked_env.terrain import ground
-from tracked_env.terrain.flat import level
+from tracked_env.terrain.ground import level
 from tracked_env.validation import checked_choice, checked_whole
 
 INTEGRATORS = ("rosenbrock", "euler")
 SOIL_AT = ("centre", "tracks")
-_PATCHES = Range(1, patch_forces.COLUMN_LIMIT, "-", "Did you pass a length?")
+_PATCHES = Range(1, patches_on_level_ground.COLUMN_LIMIT, "-", "Did you pass a length?")
 NO_REST = -1.0  # [m/s, rad/s] every speed is a motion: the plant alone changes no digit
 _RESISTANCE_LEFT, _RESISTANCE_RIGHT = b.PLANT, b.PLANT + 1  # [N] at the end of the last step
 # What the lumped law of the lateral friction needs, and shear has no use for.
@@ -76,14 +76,14 @@ def _write(floats, i, moved, torques, k, rest):
     floats[i, row + s.V_Y] = _rested(motion.v_y, rest)
     floats[i, row + s.YAW_RATE] = _rested(motion.yaw_rate, rest)
     floats[i, row + s.TORQUE_LEFT], floats[i, row + s.TORQUE_RIGHT] = torques.left, torques.right
-    left, right = vehicle.track_speeds(motion, k.half_gauge)
+    left, right = lumped.track_speeds(motion, k.half_gauge)
     floats[i, row + s.SLIP_LEFT] = soil.slip_ratio(moved.belts.left, left)
     floats[i, row + s.SLIP_RIGHT] = soil.slip_ratio(moved.belts.right, right)
     floats[i, row + s.SPROCKET_SPEED_LEFT] = moved.belts.left * k.inverse_radius
     floats[i, row + s.SPROCKET_SPEED_RIGHT] = moved.belts.right * k.inverse_radius
     floats[i, row + s.EFFORT_LEFT] = loads.effort_left
     floats[i, row + s.EFFORT_RIGHT] = loads.effort_right
-    forward, lateral = vehicle.inertial_acceleration(motion, rates.v_x, rates.v_y)
+    forward, lateral = lumped.inertial_acceleration(motion, rates.v_x, rates.v_y)
     floats[i, row + s.ACCELERATION_X], floats[i, row + s.ACCELERATION_Y] = forward, lateral
     floats[i, row + s.YAW_ACCELERATION] = rates.yaw_rate
     floats[i, _RESISTANCE_LEFT] = loads.resistance_left
@@ -116,16 +116,16 @@ def given_by_drives(asked, p, by_torque):
 def _one_soil(batch, i, period, p, parts, inverse_belt_mass, patches):
     """TrackedVehicle on the soil of its centre of mass; parts: coefficients, drive limits."""
     k, drive = parts
-    contact = patch_dynamics.contact_of(p, k, drive, patches)
-    return patch_dynamics.on_one_soil(k, drive, contact, inverse_belt_mass)
+    contact = patches_on_level_ground.contact_of(p, k, drive, patches)
+    return patches_on_level_ground.on_one_soil(k, drive, contact, inverse_belt_mass)
 
 
 @formula
 def _track_soil(terrain, p, x, y, patches):
     """(Contact, largest motion resistance [N]) of a track whose middle is at (x, y) [m]."""
     there = ground.on_soil(p, ground.at(level, terrain, x, y).soil)
-    k = vehicle.coefficients(there, False)
-    contact = patch_dynamics.contact_of(there, k, vehicle.drive_limits(there), patches)
+    k = lumped.coefficients(there, False)
+    contact = patches_on_level_ground.contact_of(there, k, lumped.drive_limits(there), patches)
     return contact, k.resistance
 
 
@@ -171,7 +171,7 @@ def _move(demand_of, soils, rest, batch, w, block, pace, chosen, options):
         demand = given_by_drives(demand_of(floats, i, p, by_torque, options), p, by_torque)
     half_decay = floats[i, b.TORQUE_DECAY]
     body = soils(batch, i, pace.period, p, (k, drive), inverse_belt_mass, patches)
-    moved, given = patch_dynamics.advance(
+    moved, given = patches_on_level_ground.advance(
         w, start, command, demand, half_decay * half_decay, substeps, pace.h, body, patches, euler
     )
     if not by_torque:
@@ -206,7 +206,7 @@ def advance(
     start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler,
 ):  # fmt: skip
     """Kernel of the control step, see `engine.kernels`."""
-    scratch = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
+    scratch = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
     batch = Batch(floats, counters, profile, events, noise, history)
     given = (chosen, actions, observations)
     rest = (start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler)
@@ -219,7 +219,7 @@ def advance_on_two_soils(
     start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler,
 ):  # fmt: skip
     """The same with a soil under each track."""
-    scratch = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
+    scratch = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
     batch = Batch(floats, counters, profile, events, noise, history)
     given = (chosen, actions, observations)
     rest = (start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler)
@@ -229,7 +229,7 @@ def advance_on_two_soils(
 @loop
 def hold(*call):
     """Kernel of the plant alone, on uniform soil."""
-    scratch = np.empty((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
+    scratch = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
     return hold_blocks(derive_free, _hold_on_one_soil, 1, scratch, call)
 
 
@@ -260,7 +260,7 @@ def checked_patches(given: object, allowed: Range = _PATCHES) -> tuple[int, int]
 
 
 def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
-    patches = patch_forces.make_patches(*checked_patches(options["patches"]))
+    patches = patches_on_level_ground.make_patches(*checked_patches(options["patches"]))
     euler = checked_choice("integrator", options["integrator"], INTEGRATORS) == "euler"
     split = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "tracks"
     kernel = advance_on_two_soils if split else advance

@@ -18,60 +18,276 @@ and integrator in `physics.terrain_motion`, terrains in `terrain.height_field`. 
 Defaults and their sources are in `plants.terrain_options`.
 How a row of the batch becomes a moving body, and back, is in `plants.terrain_state`.
 References: [1] Focchi et al. (2025), table 2 and section 8.
+
+Options of the plant on terrain: defaults with their sources, checks, and where a vehicle rests.
+
+The numbers of F's vehicle and what they mean for others are in `physics.tracked_body`.
+
+Reference: [1] Focchi et al. (2025), table 2 and section 8.
+
+From a row of the batch to a moving body and back: the state of the plant on terrain.
+
+The state is that of a point of the hull, where the centre of mass is without a payload. The body
+moves about its true centre of mass, which is at c = (c_x, c_y, c_z) from there in body axes:
+    p_c = p + R c,   v_c = v + W x c,   a = v_c' + W x v_c - W' x c - W x (W x c)
+So the hull stays where it is, and as fast as it is, when a payload is put down or taken up and c
+changes: a load that leaves takes its own momentum with it, and one that comes has the hull's
+velocity already. The momentum of a load that moves over the hull is not modelled. Sensors are at
+the point of the hull. The state keeps the attitude as yaw, pitch, roll, and z above the height at
+rest on level ground with the parameters at the start of the episode.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.engine import columns as b
-from tracked_env.engine.columns import Batch
-from tracked_env.engine.kernels import Block, Pace, advance_blocks, hold_blocks
-from tracked_env.physics import ground_contact as g
-from tracked_env.physics import state as s
-from tracked_env.physics import terrain_motion, vehicle
-from tracked_env.physics.attitude import matrix_of
+from tracked_env import arrays as b
+from tracked_env.arrays import Batch
+from tracked_env.physics import lumped, terrain_motion
+from tracked_env.physics import parameters as s
+from tracked_env.physics import patches_on_terrain as g
+from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import (
     OF_TORQUE_DRIVES,
     PARAMETER_NAMES,
     PlantParameters,
+    Range,
+    VehicleState,
     row_parameters,
 )
-from tracked_env.physics.patch_dynamics import Belts
-from tracked_env.physics.state import VehicleState
-from tracked_env.physics.terrain_motion import LINEAR
-from tracked_env.physics.tracked_body import body_of, height_at_rest, set_soil
+from tracked_env.physics.patches_on_level_ground import Belts
+from tracked_env.physics.patches_on_terrain import LANES, Twist
+from tracked_env.physics.rigid_body import angles_of, at_point, matrix_of, quaternion_of
+from tracked_env.physics.terrain_motion import (
+    DAMPING,
+    HEIGHT_RATIO,
+    LINEAR,
+    STIFFNESS,
+    Pose3,
+    body_of,
+    height_at_rest,
+    nominal_height,
+    set_soil,
+    sinkage_at_rest,
+)
 from tracked_env.plants.base import Ground, Plant, Prepared
-from tracked_env.plants.derived import derive_free
-from tracked_env.plants.distributed import DISTRIBUTED, LATERAL_LAW, given_by_drives, rolling
-from tracked_env.plants.terrain_options import (
-    DEFAULTS,
-    LOADS,
-    ROTATIONAL,
-    SOIL_AT,
-    made_of,
-    patches_of,
-    resting,
+from tracked_env.plants.distributed import (
+    DISTRIBUTED,
+    LATERAL_LAW,
+    checked_patches,
+    given_by_drives,
+    rolling,
 )
-from tracked_env.plants.terrain_state import (
-    FAILURES,
-    OWN_COLUMNS,
-    RELIEF,
-    RESISTANCE_LEFT,
-    RESISTANCE_RIGHT,
-    moving_body,
-    write,
-)
+from tracked_env.plants.lumped import derive_free
+from tracked_env.step import Block, Pace, advance_blocks, hold_blocks
 from tracked_env.terrain import ground as terrain_ground
-from tracked_env.terrain.drawn_relief import RELIEF_SIZE, fill_there, ground_at
-from tracked_env.terrain.flat import level
-from tracked_env.terrain.pool import make_pool, member_of
-from tracked_env.validation import checked_choice
+from tracked_env.terrain.ground import level
+from tracked_env.terrain.pool import (
+    RELIEF_COLUMNS,
+    RELIEF_SIZE,
+    fill_there,
+    ground_at,
+    make_pool,
+    member_of,
+)
+from tracked_env.validation import checked_choice, checked_number
+
+LOADS = ("nonuniform", "uniform")
+SOIL_AT = ("centre", "patches")
+TILT_LIMIT = math.radians(60.0)  # [rad] beyond the tipping angles of F's vehicle: it has fallen
+LONGEST_STEP = 2e-3  # [s] of an integration step; docs/terrain.md has the table of step halving
+_NUMBERS = {
+    "stiffness": Range(1e4, 1e9, "N/m^3", "It is per area of contact."),
+    "damping": Range(0.0, 1e8, "N s/m^3", "It is per area of contact."),
+    "stiffening": Range(0.0, 100.0, "s/m^2", "F table 2 prints N s/m^2."),
+    "longest_step": Range(1e-5, 5e-3, "s", "Did you pass milliseconds?"),
+    "tilt_limit": Range(0.01, math.pi, "rad", "Did you pass degrees?"),
+}
+_SCALED = {
+    "centre_of_mass_height": Range(1e-4, 10.0, "m", "It is the height above the tracks' plane."),
+    "roll_inertia": Range(0.01, 1e6, "kg m^2", "It is about the centre of mass."),
+    "pitch_inertia": Range(0.01, 1e6, "kg m^2", "It is about the centre of mass."),
+}
+ROTATIONAL = ("roll_inertia", "pitch_inertia")
+_PATCHES = Range(1, 80, "-", "Did you pass a length?")
+_MOST = LANES // 2  # patches of a track
+
+DEFAULTS: Mapping[str, Any] = {
+    "terrain": "flat", "load": "nonuniform", "patches": (10, 4), "soil_at": "centre",
+    "centre_of_mass_height": None, "roll_inertia": None, "pitch_inertia": None,
+    "stiffness": STIFFNESS, "damping": DAMPING, "stiffening": 0.0, "longest_step": LONGEST_STEP,
+    "tilt_limit": TILT_LIMIT,
+}  # fmt: skip
+
+
+class Resting(NamedTuple):
+    """Pose of a vehicle that stands on the tangent plane under its foot."""
+
+    z: float  # [m] as the state has it
+    pitch: float  # [rad]
+    roll: float  # [rad]
+
+
+def made_of(options: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Numbers of the options, as the kernel takes them. Raises ValueError.
+
+    Height as (number, ratio to the contact length), roll and pitch inertia as (number, 1 for the
+    parameter's ratio to the yaw inertia), one of the two 0; stiffness, damping, stiffening,
+    longest step, tilt limit.
+    """
+    made: list[float] = []
+    ratios = (HEIGHT_RATIO, 1.0, 1.0)
+    for (name, allowed), ratio in zip(_SCALED.items(), ratios, strict=True):
+        given = options[name]
+        made += [0.0, ratio] if given is None else [checked_number(name, given, allowed), 0.0]
+    made += [checked_number(name, options[name], allowed) for name, allowed in _NUMBERS.items()]
+    return np.array(made)
+
+
+def patches_of(given: object) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Middles of the patches over half the contact length and over the track's width.
+
+    given: (along, across) a track. Raises ValueError.
+    """
+    along, across = checked_patches(given, _PATCHES)
+    if along * across > _MOST:
+        raise ValueError(f"patches = {given!r}; must be at most {_MOST} a track in all")
+    columns = 1.0 - (2.0 * np.arange(along) + 1.0) / along
+    rows = (np.arange(across) + 0.5) / across - 0.5
+    return 0.5 * (columns - columns[::-1]), 0.5 * (rows - rows[::-1])  # exactly antisymmetric
+
+
+def resting(
+    ground: Callable[[float, float], Any], parameters: PlantParameters, made: NDArray[np.float64],
+    x: float, y: float, yaw: float,
+) -> Resting:  # fmt: skip
+    """Pose with the nominal centre of mass above (x, y) [m], world, and that yaw [rad].
+
+    ground: (x, y) [m] -> height [m], dz/dx, dz/dy [-].
+    Sunk in as far as the springs need on that slope, and tilted by a shifted centre of mass as they
+    allow. The tilt that the slope adds and the curvature of the ground are not in it: a vehicle
+    that starts there settles by milliradians on a plane and by hundredths of a radian on hills.
+    """
+    p = parameters
+    height, sink = nominal_height(p, made), sinkage_at_rest(p, made)
+    foot_x, foot_y = x, y
+    for _ in range(8):
+        height_there, slope_x, slope_y = (float(value) for value in ground(foot_x, foot_y))
+        upright = 1.0 / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+        above = height - sink * upright
+        foot_x, foot_y = x + above * upright * slope_x, y + above * upright * slope_y
+    along = slope_x * math.cos(yaw) + slope_y * math.sin(yaw)
+    aside = slope_y * math.cos(yaw) - slope_x * math.sin(yaw)
+    z = height_there + above * upright
+    pitch, roll = -math.atan(along), math.atan2(aside, math.sqrt(1.0 + along * along))
+    # The springs turn by the moment of the shift over their stiffness, while all patches carry.
+    ahead = min(max(p.centre_of_mass_x, -p.contact_length / 6.0), p.contact_length / 6.0)
+    left = min(max(p.centre_of_mass_y, -p.track_gauge / 2.0), p.track_gauge / 2.0)
+    pitch += 12.0 * sink * ahead / p.contact_length**2
+    roll -= sink * left / (p.track_gauge**2 / 4.0 + p.track_width**2 / 12.0)
+    return Resting(z - height_at_rest(p, made), pitch, roll)
+
+
+# Columns of its own, all at the end of the last step.
+(
+    RESISTANCE_LEFT, RESISTANCE_RIGHT, LOAD_LEFT, LOAD_RIGHT, LARGEST_LOAD, TOUCHING, OFF_MAP,
+    SATURATED,
+) = range(b.PLANT, b.PLANT + 8)  # fmt: skip
+# Relief drawn for the vehicle and its episode, see `terrain.drawn_relief`.
+RELIEF = SATURATED + 1
+OWN_COLUMNS = RELIEF + RELIEF_COLUMNS - b.PLANT
+FAILURES = ("tilted", "off_map", "overloaded")
+
+
+@formula
+def _shifted(pose, x, y, z):
+    """Pose of the point (x, y, z) [m] of the body, in body axes from where `pose` is."""
+    r = matrix_of(pose.q)
+    return Pose3(
+        pose.x + (r.xx * x + r.xy * y + r.xz * z),
+        pose.y + (r.yx * x + r.yy * y + r.yz * z),
+        pose.z + (r.zx * x + r.zy * y + r.zz * z),
+        pose.q,
+    )
+
+
+@formula
+def moving_body(floats, i, p, rest_height):
+    """(pose, twist, belts) of vehicle i, of its centre of mass."""
+    row = b.STATE
+    c_x, c_y, c_z = p.centre_of_mass_x, p.centre_of_mass_y, p.centre_of_mass_z
+    q = quaternion_of(floats[i, row + s.YAW], floats[i, row + s.PITCH], floats[i, row + s.ROLL])
+    pose = Pose3(floats[i, row + s.X], floats[i, row + s.Y], floats[i, row + s.Z] + rest_height, q)
+    twist = Twist(
+        floats[i, row + s.V_X], floats[i, row + s.V_Y], floats[i, row + s.V_Z],
+        floats[i, row + s.ROLL_RATE], floats[i, row + s.PITCH_RATE], floats[i, row + s.YAW_RATE],
+    )  # fmt: skip
+    belts = Belts(
+        floats[i, row + s.SPROCKET_SPEED_LEFT] * p.sprocket_radius,
+        floats[i, row + s.SPROCKET_SPEED_RIGHT] * p.sprocket_radius,
+    )
+    return _shifted(pose, c_x, c_y, c_z), at_point(twist, c_x, c_y, c_z), belts
+
+
+@formula
+def _failure(pitch, roll, settled, tilt_limit):
+    """Why the vehicle cannot go on: 1, 2, ... of FAILURES, or 0."""
+    if math.cos(pitch) * math.cos(roll) < math.cos(tilt_limit):
+        return 1.0
+    if settled.off_map > 0.0:
+        return 2.0
+    return 3.0 if settled.saturated > 0.0 else 0.0
+
+
+@formula
+def write(floats, i, moved, given, settled, p, body, rest_height, tilt_limit):
+    """State of vehicle i after the step, its algebraic rows and the plant's columns included.
+
+    moved: (pose, twist, belts) and settled: Settled, of the centre of mass; given: what the drives
+    give.
+    """
+    row = b.STATE
+    c_x, c_y, c_z = p.centre_of_mass_x, p.centre_of_mass_y, p.centre_of_mass_z
+    twist, belts = at_point(moved[1], -c_x, -c_y, -c_z), moved[2]
+    rates = at_point(settled.rates, -c_x, -c_y, -c_z)
+    pose = _shifted(moved[0], -c_x, -c_y, -c_z)
+    yaw, pitch, roll = angles_of(pose.q, floats[i, row + s.YAW])
+    floats[i, row + s.X], floats[i, row + s.Y] = pose.x, pose.y
+    floats[i, row + s.Z] = pose.z - rest_height
+    floats[i, row + s.YAW], floats[i, row + s.PITCH], floats[i, row + s.ROLL] = yaw, pitch, roll
+    floats[i, row + s.V_X], floats[i, row + s.V_Y] = twist.x, twist.y
+    floats[i, row + s.V_Z], floats[i, row + s.YAW_RATE] = twist.z, twist.yaw
+    floats[i, row + s.ROLL_RATE], floats[i, row + s.PITCH_RATE] = twist.roll, twist.pitch
+    height = body.footing.height - c_z
+    over_ground = lumped.Motion(twist.x - height * twist.pitch, twist.y, twist.yaw)
+    left, right = lumped.track_speeds(over_ground, 0.5 * p.track_gauge)
+    floats[i, row + s.SLIP_LEFT] = soil.slip_ratio(belts.left, left)
+    floats[i, row + s.SLIP_RIGHT] = soil.slip_ratio(belts.right, right)
+    floats[i, row + s.SPROCKET_SPEED_LEFT] = belts.left / p.sprocket_radius
+    floats[i, row + s.SPROCKET_SPEED_RIGHT] = belts.right / p.sprocket_radius
+    floats[i, row + s.EFFORT_LEFT] = settled.effort_left
+    floats[i, row + s.EFFORT_RIGHT] = settled.effort_right
+    if body.drive.inverse_belt_mass == 0.0:
+        given = Belts(
+            settled.effort_left * p.sprocket_radius, settled.effort_right * p.sprocket_radius
+        )
+    floats[i, row + s.TORQUE_LEFT], floats[i, row + s.TORQUE_RIGHT] = given.left, given.right
+    floats[i, row + s.ACCELERATION_X] = rates.x + twist.pitch * twist.z - twist.yaw * twist.y
+    floats[i, row + s.ACCELERATION_Y] = rates.y + twist.yaw * twist.x - twist.roll * twist.z
+    floats[i, row + s.ACCELERATION_Z] = rates.z + twist.roll * twist.y - twist.pitch * twist.x
+    floats[i, row + s.YAW_ACCELERATION] = rates.yaw
+    floats[i, b.FAILURE] = _failure(pitch, roll, settled, tilt_limit)
+    floats[i, RESISTANCE_LEFT] = settled.resistance_left
+    floats[i, RESISTANCE_RIGHT] = settled.resistance_right
+    floats[i, LOAD_LEFT], floats[i, LOAD_RIGHT] = settled.load_left, settled.load_right
+    floats[i, LARGEST_LOAD], floats[i, TOUCHING] = settled.largest, settled.touching
+    floats[i, OFF_MAP], floats[i, SATURATED] = settled.off_map, settled.saturated
+
 
 Floats = NDArray[np.float64]
 _TORQUE_LEFT, _TORQUE_RIGHT = b.STATE + s.TORQUE_LEFT, b.STATE + s.TORQUE_RIGHT
@@ -139,7 +355,7 @@ def _move(batch, w, block, pace, options):
         begin, demand, linear = _demanded(floats, i, p, by_torque, held)
         steps = math.ceil(pace.substeps * pace.h / made[9] - 1e-9)
         h = pace.substeps * pace.h / steps
-        decay = vehicle.torque_decay(h, p.drive_time_constant)
+        decay = lumped.torque_decay(h, p.drive_time_constant)
         if linear:
             command, decay = begin, LINEAR
     end, command, kick, off = terrain_motion.advance(

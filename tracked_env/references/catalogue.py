@@ -15,21 +15,179 @@ on by its own law until one segment after `duration` and keeps v and w from ther
 
 References: [1] Focchi et al. 2025, (53). [2] Strawa et al., Electronics 10 (2021) 187, 8.3.
 [3] Langbein, Leopold, River Meanders, USGS Prof. Paper 422-H, 1966 (sine-generated curve).
+
+The value of a reference: coefficients of speed and yaw rate, and how they are fitted.
+
+    v(t), w(t): polynomials of degree 5 on segments of h = 0.5 s; see
+    tracked_env/physics/reference_profile.py for their evaluation and the path they imply.
+The Hermite fit reproduces value, first and second derivative at both ends of each segment; in
+between its error is h^6 f'''''' / 46080, e.g. 2e-12 rad/s for the default figure eight.
+
+References: [1] Davis, Interpolation and Approximation, 2.5 (Hermite interpolation, error).
+
+Random smooth paths: v and w are cubic B-splines with random coefficients, drawn in a kernel.
+
+    v(t) = sum_n V_n B((t - t_n) / T),  w likewise;  B the cubic B-spline on knots of spacing T
+Coefficients are drawn = clip(1.5 U(-1, 1), -1, 1), so that a third of them is at a limit, first
+those of v, then those of w. Per interval of T four neighbours times `_spline_segments` give the
+polynomials of the profile; sums are fused (one rounding a term) in the order of the four, so that
+the bits depend neither on the processor nor on the number of paths.
+
+References: [1] de Boor, A Practical Guide to Splines, ch. IX-XI (B-splines stay in their hull).
+
+A smooth path through way-points at constant speed, as a profile of speed and yaw rate.
+
+The path is the quintic spline through the points over the chord length (C4), straight at
+both ends (curvature and its derivative are zero there), so that what comes before and after
+can be straight. With s = v t the arc length, r(u) the spline and ' = d/du:
+    kappa = (x' y'' - y' x'') / |r'|^3,  w = v kappa,  dw/dt = v^2 kappa' / |r'|
+Per segment of time the polynomial w has six conditions: w and dw/dt at both ends, the exact
+change of heading, and the exact mean heading. So the heading has no drift at all, and the
+position none to first order; w is C1, hence the path C3.
+
+References: [1] de Boor, A Practical Guide to Splines, ch. XIII.
 """
 
 import math
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from tracked_env.physics.reference_profile import SEGMENT_DURATION
-from tracked_env.references.profile import (
-    FloatArray,
-    ReferenceProfile,
-    constant,
-    fit,
-    knot_times,
-    number_of_segments,
-)
+from tracked_env.engine.noise import addresses, uniform
+from tracked_env.physics import reference_profile
+from tracked_env.physics.elementary import fused
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.reference_profile import SEGMENT_DURATION, sample_profile
+
+FloatArray = NDArray[np.float64]
+
+DEGREE = 5  # [-] of the polynomials
+GRID_TOLERANCE = 1e-9  # [-] of a segment: 20.000000000000004 s is still 40 segments
+
+
+class ReferenceProfile(NamedTuple):
+    """One reference: profile and start pose, world frame."""
+
+    speed: FloatArray  # [m/s, s] (S, 6), ascending powers of the time within the segment
+    yaw_rate: FloatArray  # [rad/s, s] (S, 6), likewise
+    x: float = 0.0  # [m]
+    y: float = 0.0  # [m]
+    yaw: float = 0.0  # [rad]
+    # (S, 4) or (S, 22) further columns of `physics.reference_knots`; empty: the uniform grid
+    knots: FloatArray = np.zeros((0, 0))
+
+    @property
+    def table(self) -> FloatArray:
+        """(S, W) all columns, as the kernels take them."""
+        parts = [self.speed, self.yaw_rate, *([self.knots] if self.knots.size else [])]
+        return np.concatenate(parts, axis=1)
+
+
+def of_table(table: FloatArray, x: float, y: float, yaw: float) -> ReferenceProfile:
+    """The reference of a table (S, W) with its start pose; rows that are not used are left out."""
+    width = reference_profile.UNIFORM_COLUMNS
+    if table.shape[1] == width:
+        return ReferenceProfile(table[:, :6].copy(), table[:, 6:].copy(), x, y, yaw)
+    used = table[np.isfinite(table[:, reference_profile.START])]
+    speed, yaw_rate, knots = used[:, :6].copy(), used[:, 6:width].copy(), used[:, width:].copy()
+    return ReferenceProfile(speed, yaw_rate, x, y, yaw, knots)
+
+
+def with_knots(profile: ReferenceProfile, width: int) -> FloatArray:
+    """The table (K, W) with knots of a reference, W = `width` >= that of its own."""
+    table = profile.table
+    if not profile.knots.size:
+        ends = SEGMENT_DURATION * np.arange(len(table) + 1, dtype=np.float64)
+        at = sample(profile, ends)
+        table = np.vstack([table, np.zeros(reference_profile.UNIFORM_COLUMNS)])
+        table[-1, 0], table[-1, DEGREE + 1] = at.speed[-1], at.yaw_rate[-1]
+        table = np.column_stack([table, ends, at.x, at.y, at.yaw])
+    if table.shape[1] < width:
+        moving = np.zeros((len(table), width - table.shape[1]))
+        moving[:, : DEGREE + 1], moving[:, -DEGREE - 1 :] = table[:, :6], table[:, 6:12]
+        table = np.concatenate([table, moving], axis=1)
+    return table
+
+
+class ReferenceSamples(NamedTuple):
+    """A reference at T times, each field (T,), world frame; yaw is not wrapped."""
+
+    x: FloatArray  # [m]
+    y: FloatArray  # [m]
+    yaw: FloatArray  # [rad]
+    speed: FloatArray  # [m/s]
+    acceleration: FloatArray  # [m/s^2] derivative of the signed speed
+    jerk: FloatArray  # [m/s^3] its second derivative
+    yaw_rate: FloatArray  # [rad/s]
+    yaw_acceleration: FloatArray  # [rad/s^2]
+
+
+def number_of_segments(duration: float) -> int:
+    """Return S for an episode of `duration` [s]: those that cover it, and one beyond."""
+    return math.ceil(duration / SEGMENT_DURATION - GRID_TOLERANCE) + 1
+
+
+def knot_times(duration: float) -> FloatArray:
+    """Return the ends of the segments [s], shape (S + 1,)."""
+    return SEGMENT_DURATION * np.arange(number_of_segments(duration) + 1, dtype=np.float64)
+
+
+def derivative_row(time: float, order: int) -> FloatArray:
+    """Return the row r (6,) with r @ coefficients = derivative of that order at `time` [s].
+
+    Order -1 is the integral from 0 to `time`, order -2 the integral of that integral.
+    """
+    row = np.zeros(DEGREE + 1)
+    for n in range(max(order, 0), DEGREE + 1):
+        row[n] = math.gamma(n + 1) / math.gamma(n - order + 1) * time ** (n - order)
+    return row
+
+
+_END_CONDITIONS = [derivative_row(t, order) for t in (0.0, SEGMENT_DURATION) for order in (0, 1, 2)]
+_HERMITE = np.linalg.inv(np.array(_END_CONDITIONS)).T  # (6, 6): end values @ this
+
+
+def fit(value: ArrayLike, first: ArrayLike, second: ArrayLike) -> FloatArray:
+    """Return coefficients (S, 6) from value, first and second derivative at the knots (S + 1,).
+
+    Scalars count as the same number at every knot; at least one argument is an array.
+    """
+    at_knots = np.stack(np.broadcast_arrays(value, first, second), axis=-1)
+    return np.concatenate([at_knots[:-1], at_knots[1:]], axis=1) @ _HERMITE
+
+
+def constant(value: float, segments: int) -> FloatArray:
+    """Return the coefficients (S, 6) of a quantity that does not change."""
+    coefficients = np.zeros((segments, DEGREE + 1))
+    coefficients[:, 0] = value
+    return coefficients
+
+
+def sample(profile: ReferenceProfile, times: ArrayLike) -> ReferenceSamples:
+    """Return the reference at sorted `times` (T,) [s] >= 0, by the kernels of the simulation.
+
+    Raises ValueError when the times are not sorted, negative or not finite.
+    """
+    times = np.ascontiguousarray(times, dtype=np.float64)
+    ordered = times.ndim == 1 and np.all(np.isfinite(times)) and np.all(np.diff(times) >= 0.0)
+    if not ordered or (times.size > 0 and times[0] < 0.0):
+        raise ValueError(
+            f"times = {times} s; must be one-dimensional, finite, >= 0 and sorted. "
+            "Sort them first, or pass the time since the start of the episode."
+        )
+    out = np.empty((len(ReferenceSamples._fields), times.size))
+    if profile.knots.size:
+        reference_profile.sample_knots(profile.table, times, out)
+        return ReferenceSamples(*out)
+    cos_yaw, sin_yaw = math.cos(profile.yaw), math.sin(profile.yaw)
+    sample_profile(profile.speed, profile.yaw_rate, times, cos_yaw, sin_yaw, out)
+    out[0] += profile.x
+    out[1] += profile.y
+    out[2] += profile.yaw
+    return ReferenceSamples(*out)
+
 
 EIGHT_AMPLITUDE = 2.404825557695773  # [rad] a, first zero of J0
 EIGHT_EXTENT = 0.7497418431069495  # [-] Struve H0(a): tip to tip over half the length
@@ -174,3 +332,231 @@ def chicane(
     w[starts < switch_time - 0.5 * SEGMENT_DURATION, 0] = yaw_rate
     w[before, 0] = 0.0
     return ReferenceProfile(v, w)
+
+
+RANDOM_STRETCH = 1.5  # [-] of the uniform draws before clipping, so that limits are visited
+SLOWEST = 1e-9  # [m/s] below it the lateral acceleration limits nothing
+
+
+@lru_cache
+def _spline_segments(per_interval: int) -> FloatArray:
+    """Map (4, 6 per_interval): four B-spline coefficients @ it = the segments of an interval."""
+    u = np.arange(per_interval + 1) / per_interval
+    rate = 1.0 / (per_interval * SEGMENT_DURATION)
+    one = np.ones_like(u)
+    value = [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]
+    first = [-3 * (1 - u) ** 2, 9 * u**2 - 12 * u, -9 * u**2 + 6 * u + 3, 3 * u**2]
+    second = [6 * (1 - u), 18 * u - 12 * one, 6 * one - 18 * u, 6 * u]
+    rows = [
+        fit(f / 6, df * rate / 6, ddf * rate**2 / 6)
+        for f, df, ddf in zip(value, first, second, strict=True)
+    ]
+    return np.stack([row.ravel() for row in rows])
+
+
+@formula
+def _clipped_draws(rng, out):
+    """=clip(1.5 U(-1, 1), -1, 1) each; steady at the start, where derivatives are zero."""
+    for n in range(out.size):
+        out[n] = min(max(RANDOM_STRETCH * uniform(rng, -1.0, 1.0), -1.0), 1.0)
+    out[1] = out[2] = out[0]
+
+
+@formula
+def _limited(v, w, lateral_acceleration):
+    """Reduce w (C,) where |v w| could exceed the limit: V_n meets W_m for |n - m| <= 3."""
+    for n in range(v.size):
+        fastest = SLOWEST
+        for m in range(max(n - 3, 0), min(n + 4, v.size)):
+            fastest = max(fastest, abs(v[m]))
+        bound = lateral_acceleration / fastest
+        w[n] = min(max(w[n], -bound), bound)
+
+
+@formula
+def _write(coefficients, segments, row, out):
+    """Fill out (S, 6) with the polynomials of the spline; row: room for those of an interval."""
+    width = DEGREE + 1
+    per_interval = row.size // width
+    for n in range(coefficients.size - 3):
+        for j in range(row.size):
+            total = coefficients[n] * segments[0, j]
+            for m in range(1, 4):
+                total = fused(coefficients[n + m], segments[m, j], total)
+            row[j] = total
+        for k in range(n * per_interval, min((n + 1) * per_interval, out.shape[0])):
+            for j in range(width):
+                out[k, j] = row[(k - n * per_interval) * width + j]
+
+
+@loop
+def _draw_paths(rngs, chosen, profile, limits, segments):
+    """Draw the profiles of the chosen vehicles; limits as RandomPaths, profile (S, N, 12)."""
+    per_interval = segments.shape[1] // (DEGREE + 1)
+    count = -(-profile.shape[0] // per_interval) + 3
+    v, w, row = np.empty(count), np.empty(count), np.empty(segments.shape[1])
+    middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
+    for k in range(chosen.size):
+        _clipped_draws(rngs[k], v)
+        _clipped_draws(rngs[k], w)
+        for n in range(count):
+            v[n] = middle + half * v[n]
+            w[n] = limits[2] * w[n]
+        _limited(v, w, limits[3])
+        _write(v, segments, row, profile[:, chosen[k], :6])
+        _write(w, segments, row, profile[:, chosen[k], 6:])
+
+
+class RandomPaths(NamedTuple):
+    """Paths of one law for a batch of vehicles."""
+
+    limits: FloatArray  # (4,) speed low, high [m/s], yaw rate [rad/s], lateral acc. [m/s^2]
+    segments: FloatArray  # of `_spline_segments`
+
+    def fill(
+        self, streams: NDArray[np.int64], chosen: NDArray[np.int64], profile: FloatArray
+    ) -> None:
+        """Draw the profiles of the chosen vehicles into profile (S, N, 12)."""
+        _draw_paths(streams, chosen, profile, *self)
+
+
+def random_paths(
+    speed_range: tuple[float, float] = (1.0, 3.0),
+    yaw_rate_limit: float = 0.5,
+    lateral_acceleration_limit: float = 1.5,
+    knot_interval: float = 2.0,
+) -> RandomPaths:
+    """The law of `random_smooth` with these parameters."""
+    limits = np.array([*speed_range, yaw_rate_limit, lateral_acceleration_limit], dtype=float)
+    return RandomPaths(limits, _spline_segments(round(knot_interval / SEGMENT_DURATION)))
+
+
+def random_smooth(
+    duration: float,
+    rng: np.random.Generator,
+    speed_range: tuple[float, float] = (1.0, 3.0),
+    yaw_rate_limit: float = 0.5,
+    lateral_acceleration_limit: float = 1.5,
+    knot_interval: float = 2.0,
+) -> ReferenceProfile:
+    """Random smooth path: v and w are cubic B-splines, C2, with one coefficient an interval.
+
+    Coefficients of v =clip(..) over `speed_range` [m/s], of w =clip(..) within +-
+    `yaw_rate_limit` [rad/s], reduced where |v w| could exceed `lateral_acceleration_limit`
+    [m/s^2]. A B-spline never leaves the hull of its coefficients, so all limits hold exactly
+    at all times, and |v'| <= (high - low) / knot_interval.
+    """
+    profile = np.empty((number_of_segments(duration), 1, 2 * (DEGREE + 1)))
+    paths = random_paths(speed_range, yaw_rate_limit, lateral_acceleration_limit, knot_interval)
+    paths.fill(addresses([rng]), np.zeros(1, np.int64), profile)
+    return ReferenceProfile(profile[:, 0, :6].copy(), profile[:, 0, 6:].copy())
+
+
+PASSING_TOLERANCE = 1e-3  # [m] to each way-point
+PANELS = 4  # [-] quadrature panels between two way-points
+NEWTON_STEPS = 4  # [-] for the inverse of the arc length; quadratic from 1e-2
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS  # on [0, 1]
+_CONDITIONS = [derivative_row(t, order) for order in (0, 1) for t in (0.0, SEGMENT_DURATION)]
+_CONDITIONS += [derivative_row(SEGMENT_DURATION, order) for order in (-1, -2)]
+_FIT = np.linalg.inv(np.array(_CONDITIONS)).T  # (6, 6): conditions @ this
+
+
+class _Path:
+    """The spline through points (M, 2) with its arc length; beyond its end it is straight."""
+
+    def __init__(self, points: FloatArray) -> None:
+        from scipy.interpolate import make_interp_spline  # 0.4 s to import: only when used
+
+        chords = np.hypot(*np.diff(points, axis=0).T)
+        knots = np.concatenate([[0.0], np.cumsum(chords)])
+        straight_end = [(2, np.zeros(2)), (3, np.zeros(2))]
+        ends: Any = (straight_end, straight_end)  # the stubs know the named conditions only
+        spline = make_interp_spline(knots, points, k=5, bc_type=ends)
+        self._first, self._second, self._third = (spline.derivative(n) for n in (1, 2, 3))
+        fractions = np.arange(PANELS) / PANELS
+        panels = (knots[:-1, None] + chords[:, None] * fractions).ravel()
+        self._panels = np.append(panels, knots[-1])
+        lengths = self._length(self._panels[:-1], np.diff(self._panels))
+        self._arc = np.concatenate([[0.0], np.cumsum(lengths)])
+        self.arc_of_points = self._arc[::PANELS]
+
+    def _length(self, start: FloatArray, extent: FloatArray) -> FloatArray:
+        """Arc length [m] from parameter `start` over `extent`, both (n,)."""
+        tangent = self._first(start[:, None] + extent[:, None] * _NODES)
+        return extent * (np.hypot(tangent[..., 0], tangent[..., 1]) @ _WEIGHTS)
+
+    def parameter(self, arc: FloatArray) -> FloatArray:
+        """Return u with s(u) = arc [m] (n,), limited to the path."""
+        arc = np.minimum(arc, self._arc[-1])
+        panel = np.clip(np.searchsorted(self._arc, arc, "right") - 1, 0, len(self._arc) - 2)
+        start, base = self._panels[panel], self._arc[panel]
+        width = self._panels[panel + 1] - start
+        extent = width * (arc - base) / (self._arc[panel + 1] - base)
+        for _ in range(NEWTON_STEPS):
+            tangent = self._first(start + extent)
+            missing = arc - base - self._length(start, extent)
+            extent = np.clip(extent + missing / np.hypot(*tangent.T), 0.0, width)
+        return start + extent
+
+    def heading(self, u: FloatArray) -> FloatArray:
+        """Heading [rad] at sorted u (n,), unwrapped."""
+        tangent = self._first(u)
+        return np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+
+    def curvature(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Curvature [1/m] and its derivative by the arc length [1/m^2] at u (n,)."""
+        (x1, y1), (x2, y2), (x3, y3) = self._first(u).T, self._second(u).T, self._third(u).T
+        tangent2 = x1 * x1 + y1 * y1
+        tangent3 = tangent2 * np.sqrt(tangent2)
+        kappa = (x1 * y2 - y1 * x2) / tangent3
+        bend = (x1 * y3 - y1 * x3) / tangent3 - 3.0 * kappa * (x1 * x2 + y1 * y2) / tangent2
+        return kappa, bend / np.sqrt(tangent2)
+
+
+@lru_cache(maxsize=64)
+def _profile(points_bytes: bytes, speed: float, segments: int) -> ReferenceProfile:
+    """Build the profile (10 ms); an episode that repeats the points finds it here."""
+    points = np.frombuffer(points_bytes).reshape(-1, 2)
+    path = _Path(points)
+    starts = SEGMENT_DURATION * np.arange(segments + 1)
+    # Per segment: its start and the quadrature nodes, in one sorted list of times.
+    times = starts[:, None] + SEGMENT_DURATION * np.concatenate([[0.0], _NODES])
+    u = path.parameter(speed * times.ravel())
+    heading = path.heading(u).reshape(times.shape)
+    kappa, bend = path.curvature(u.reshape(times.shape)[:, 0])
+    w, dw = speed * kappa, speed**2 * bend
+    turn = np.diff(heading[:, 0])
+    mean = SEGMENT_DURATION * ((heading[:-1, 1:] - heading[:-1, :1]) @ _WEIGHTS)
+    yaw_rate = np.stack([w[:-1], w[1:], dw[:-1], dw[1:], turn, mean], axis=1) @ _FIT
+    (x, y), yaw = points[0].tolist(), float(heading[0, 0])
+    profile = ReferenceProfile(constant(speed, segments), yaw_rate, x, y, yaw)
+    _check_passing(profile, points, path.arc_of_points / speed)
+    return profile
+
+
+def _check_passing(profile: ReferenceProfile, points: FloatArray, times: FloatArray) -> None:
+    """Raise ValueError unless the profile passes every way-point that it has time for."""
+    reached = times <= len(profile.speed) * SEGMENT_DURATION
+    samples = sample(profile, times[reached])
+    miss = np.hypot(samples.x - points[reached, 0], samples.y - points[reached, 1])
+    worst = int(miss.argmax())
+    if not miss[worst] <= PASSING_TOLERANCE:
+        raise ValueError(
+            f"points: the path misses way-point {worst} by {miss[worst]:.2g} m; must be within "
+            f"{PASSING_TOLERANCE} m. Its curvature changes too fast for {SEGMENT_DURATION} s "
+            "segments: lower the speed, or spread or smooth the way-points."
+        )
+
+
+def waypoints(duration: float, points: FloatArray, speed: float = 2.0) -> ReferenceProfile:
+    """Path through `points` (M, 2) [m], world frame, M >= 2, at `speed` [m/s] > 0.
+
+    The start pose is the first point, along the path. A path longer than the profile is
+    truncated by time; after the last point (at length / speed) the reference goes straight
+    on at the same speed. Raises ValueError if a way-point were missed by more than 1 mm.
+    """
+    data = np.ascontiguousarray(points, dtype=np.float64).tobytes()
+    kept = _profile(data, float(speed), number_of_segments(duration))
+    return kept._replace(speed=kept.speed.copy(), yaw_rate=kept.yaw_rate.copy())

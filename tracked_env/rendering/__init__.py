@@ -31,8 +31,8 @@ if not getattr(pygame, "IS_CE", False):
         'pip uninstall pygame && pip install --force-reinstall pygame-ce "tracked-env[render]"'
     )
 
-from tracked_env.rendering.recording import Recorder
 from tracked_env.rendering.renderer import Renderer
-from tracked_env.rendering.terrain_source import TerrainSource, source_of
+from tracked_env.rendering.snapshot import TerrainSource, source_of
+from tracked_env.rendering.viewer import Recorder
 
 __all__ = ["Recorder", "Renderer", "TerrainSource", "source_of"]

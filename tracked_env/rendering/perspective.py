@@ -1,4 +1,20 @@
-"""The scene from behind the vehicle: ground, paths, vehicle and reference, with a depth buffer."""
+"""The scene from behind the vehicle: ground, paths, vehicle and reference, with a depth buffer.
+
+The ground of one episode for pictures in perspective: height grid, soil colours, ribbons.
+
+The grid covers the path and as far around it as a picture shows. A ribbon is a line drawn on the
+ground: quads whose corners lie on the ground, so that it bends with it and hides behind hills.
+
+The eye behind the vehicle: where it stands, and the projection of its picture.
+
+It looks along a heading that follows the vehicle's yaw with a lag, so that the picture turns
+smoothly. It stands behind and above the vehicle, and higher where the ground between the two
+would hide the vehicle. The horizon moves in the picture and the vehicle stays at one row.
+A standing eye keeps its place until the vehicle is out of the middle, too far, too close or behind
+a hill: the ground is then drawn once for many pictures.
+"""
+
+import math
 
 import numpy as np
 import pygame
@@ -6,16 +22,201 @@ from numpy.typing import NDArray
 
 from tracked_env.rendering import canvas, raster
 from tracked_env.rendering.canvas import Bytes, Colour
-from tracked_env.rendering.chase_camera import ChaseCamera, StandingCamera
-from tracked_env.rendering.landscape import Landscape, resampled
-from tracked_env.rendering.raster import Eye
-from tracked_env.rendering.scene import GHOST_REACH, footprint
-from tracked_env.rendering.snapshot import Pose, Snapshot
-from tracked_env.rendering.soil_map import SoilMap
-from tracked_env.rendering.terrain_source import BodyPose, TerrainSource, pose_of
-from tracked_env.rendering.vehicle_mesh import vehicle_faces
+from tracked_env.rendering.raster import Eye, GroundGrid, project
+from tracked_env.rendering.scene import GHOST_REACH, footprint, vehicle_faces
+from tracked_env.rendering.sizes import default_zoom, grid_of
+from tracked_env.rendering.snapshot import BodyPose, Pose, Snapshot, TerrainSource, pose_of
+from tracked_env.rendering.soil_map import LIGHT, SoilMap, brightness_on_grid, contour_interval
 
 Points = NDArray[np.float64]
+
+
+VIEW = 30.0  # [contact lengths] that are seen; around the path the grid reaches as far
+AROUND, COARSE = 4.0, 96  # [contact lengths] around the path, and [-] heights on each side, that
+#                           choose the interval of the contour lines
+FINEST = 1.0 / 24.0  # [contact lengths] between heights
+MOST_CELLS = 1.5e6  # [-] of a grid
+SOIL_STEP = 4  # cells of the heights for one colour of the soil
+LIFT = 0.01  # [contact lengths] of ribbons above the ground
+
+
+def height_grid(
+    terrain: TerrainSource, low: Points, high: Points, cell: float
+) -> tuple[NDArray[np.float32], float, float]:
+    """Heights [m] float32 (R, C), x and y [m] of the first, over low to high (2,) [m]."""
+    columns, rows = (math.ceil((high[k] - low[k]) / cell) + 2 for k in (0, 1))
+    xs = low[0] + cell * np.arange(columns)
+    ys = low[1] + cell * np.arange(rows)
+    heights = np.empty((rows, columns), dtype=np.float32)
+    block = max(1, int(2e5) // columns)
+    for first in range(0, rows, block):
+        x, y = np.meshgrid(xs, ys[first : first + block])
+        heights[first : first + block] = terrain.checked_heights(x, y)
+    return heights, float(low[0]), float(low[1])
+
+
+def interval_around(terrain: TerrainSource, path: Points, length: float) -> float:
+    """Interval [m] of the contour lines for the ground around a path (P, 2) [m]."""
+    low, high = path.min(axis=0) - AROUND * length, path.max(axis=0) + AROUND * length
+    xs, ys = (np.linspace(low[k], high[k], COARSE) for k in (0, 1))
+    x, y = np.meshgrid(xs, ys)
+    return contour_interval(terrain.checked_heights(x, y))
+
+
+class Landscape:
+    """Ground of one episode."""
+
+    def __init__(
+        self,
+        terrain: TerrainSource,
+        path: Points,
+        length: float,
+        interval: float,
+        light: tuple[float, float, float] = LIGHT,
+    ) -> None:
+        """path (P, 2) [m] of the reference; length: contact length [m]; interval [m] between
+        contour lines; light: vector to it.
+        """
+        self.length, self.light = length, light
+        low, high = path.min(axis=0) - VIEW * length, path.max(axis=0) + VIEW * length
+        self.cell = max(FINEST * length, math.sqrt(float(np.prod(high - low)) / MOST_CELLS))
+        heights, x, y = height_grid(terrain, low, high, self.cell)
+        bright = np.empty_like(heights)
+        brightness_on_grid(heights, self.cell, light, bright)
+        mesh = grid_of(default_zoom(length))
+        white = np.full((1, 1, 3), 255, dtype=np.uint8)
+        self.grid = GroundGrid(
+            heights, bright, x, y, 1.0 / self.cell, white, float(max(heights.shape)),
+            1.0 / interval, mesh.parts / mesh.side,
+        )  # fmt: skip
+
+    def colour(self, soil: SoilMap, shot: Snapshot) -> None:
+        """Take the soil's colours as they are now."""
+        rows, columns = self.grid.heights.shape
+        step = 1 if soil.uniform else SOIL_STEP
+        count = (1, 1) if soil.uniform else (rows // step, columns // step)
+        xs = self.grid.x + self.cell * step * (np.arange(count[1]) + 0.5)
+        ys = self.grid.y + self.cell * step * (np.arange(count[0]) + 0.5)
+        pixels = soil.image(shot, xs, ys)
+        one = float(max(rows, columns)) if soil.uniform else float(step)
+        self.grid = self.grid._replace(soil=pixels, soil_step=one)
+
+    def heights(self, points: Points) -> Points:
+        """Heights [m] (...,) of the drawn ground at places (..., 2) [m], bilinear."""
+        grid = self.grid.heights
+        at = (points - (self.grid.x, self.grid.y)) * self.grid.inverse_cell
+        at = np.clip(at, 0.0, (grid.shape[1] - 1.001, grid.shape[0] - 1.001))
+        j, i = np.moveaxis(at.astype(np.int64), -1, 0)
+        u, v = np.moveaxis(at - at.astype(np.int64), -1, 0)
+        low = grid[i, j] + u * (grid[i, j + 1] - grid[i, j])
+        high = grid[i + 1, j] + u * (grid[i + 1, j + 1] - grid[i + 1, j])
+        return low + v * (high - low)
+
+    def on_ground(self, points: Points) -> Points:
+        """Places (..., 2) [m] with their heights, just above the ground (..., 3)."""
+        heights = self.heights(points) + LIFT * self.length
+        return np.concatenate([points, heights[..., None]], axis=-1)
+
+    def ribbon(self, line: Points, width: Points) -> Points:
+        """Quads (P - 1, 4, 3) [m] of a line (P, 2) [m] on the ground, width (P,) [m].
+
+        Points that repeat the one before them give quads without an area.
+        """
+        along = np.gradient(line, axis=0)
+        size = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+        aside = 0.5 * width[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1) / size
+        left, right = self.on_ground(line + aside), self.on_ground(line - aside)
+        return np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)
+
+
+def resampled(line: Points, step: float) -> Points:
+    """A line (P, 2) [m] with points `step` [m] apart along it; at least its two ends."""
+    size = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    at = np.concatenate([[0.0], np.cumsum(size)])
+    moved = np.concatenate([[True], size > 1e-9])
+    count = max(math.ceil(at[-1] / step), 1) + 1
+    wanted = np.linspace(0.0, at[-1], count)
+    return np.stack([np.interp(wanted, at[moved], line[moved, k]) for k in (0, 1)], axis=1)
+
+
+# In contact lengths:
+BEHIND, ABOVE = 3.7, 1.9  # from the vehicle to the eye
+FREE = 0.45  # least height of the line of sight above the ground
+NEAR = 0.4  # nothing closer is drawn
+LAG = 0.6  # [s] time constant of the heading
+FIELD = math.radians(54.0)  # [rad] horizontal angle of view
+VEHICLE_ROW = 0.57  # [-] of the picture's height
+SAMPLES = 24  # [-] of the line of sight
+# Of a standing eye: distances ahead [contact lengths] and parts of the picture where the vehicle
+# may be.
+CLOSEST, FARTHEST = 2.2, 7.0
+MIDDLE = 0.12, 0.88  # [-] of the width
+UPRIGHT = 0.10, 0.86  # [-] of the height
+
+
+class ChaseCamera:
+    """The eye of one episode."""
+
+    def __init__(self, yaw: float, time: float) -> None:
+        """Start behind a vehicle with that yaw [rad] at that time [s]."""
+        self._yaw, self._time = yaw, time
+
+    def follow(self, yaw: float, time: float) -> None:
+        """Turn towards the yaw [rad] of the vehicle (not wrapped) at that time [s]."""
+        elapsed, self._time = max(time - self._time, 0.0), time
+        self._yaw += (yaw - self._yaw) * (1.0 - math.exp(-elapsed / LAG))
+
+    def eye(self, pose: BodyPose, landscape: Landscape, width: int, height: int) -> Eye:
+        """The eye for a picture of that size [px]."""
+        length = landscape.length
+        cosine, sine = math.cos(self._yaw), math.sin(self._yaw)
+        x, y = pose.x - BEHIND * length * cosine, pose.y - BEHIND * length * sine
+        z = pose.z + ABOVE * length
+        share = np.linspace(0.0, 0.9, SAMPLES)  # from the eye to the vehicle
+        line = np.stack([x + share * (pose.x - x), y + share * (pose.y - y)], axis=1)
+        needed = landscape.heights(line) + FREE * length * (1.0 - share)
+        z = max(z, float(np.max((needed - share * pose.z) / (1.0 - share))))
+        focal = 0.5 * width / math.tan(0.5 * FIELD)
+        row = VEHICLE_ROW * height - focal * (z - pose.z) / (BEHIND * length)
+        return Eye(
+            x, y, z, cosine, sine, focal, 0.5 * width, row, NEAR * length, VIEW * length
+        )  # fmt: skip
+
+
+class StandingCamera(ChaseCamera):
+    """An eye that takes a new place behind the vehicle when it no longer sees it well."""
+
+    def __init__(self, yaw: float, time: float) -> None:
+        """Start behind a vehicle with that yaw [rad] at that time [s]."""
+        super().__init__(yaw, time)
+        self._eye: Eye | None = None
+
+    def follow(self, yaw: float, time: float) -> None:
+        """Note the yaw [rad] of the vehicle."""
+        self._yaw = yaw
+
+    def eye(self, pose: BodyPose, landscape: Landscape, width: int, height: int) -> Eye:
+        """The eye for a picture of that size [px]; the one before where that still sees it."""
+        if self._eye is None or not _sees(self._eye, pose, landscape, width, height):
+            self._eye = super().eye(pose, landscape, width, height)
+        return self._eye
+
+
+def _sees(eye: Eye, pose: BodyPose, landscape: Landscape, width: int, height: int) -> bool:
+    """Whether the vehicle is in the middle of the picture, at a good distance, and not hidden."""
+    column, row, inverse = project(eye, np.array([pose.x, pose.y, pose.z])).tolist()
+    if not inverse or not CLOSEST < 1.0 / (inverse * landscape.length) < FARTHEST:
+        return False
+    if not MIDDLE[0] * width < column < MIDDLE[1] * width:
+        return False
+    if not UPRIGHT[0] * height < row < UPRIGHT[1] * height:
+        return False
+    share = np.linspace(0.0, 0.9, SAMPLES)[:, None]
+    line = np.array([eye.x, eye.y, eye.z]) + share * np.array(
+        [pose.x - eye.x, pose.y - eye.y, pose.z - eye.z]
+    )
+    return bool((line[:, 2] > landscape.heights(line[:, :2])).all())
+
 
 ZENITH: Colour = (126, 172, 212)
 HORIZON: Colour = (222, 231, 238)

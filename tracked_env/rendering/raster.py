@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.physics.jit import formula, loop
-from tracked_env.rendering.hill_shading import LINE, contour, coverage
+from tracked_env.rendering.soil_map import LINE, contour, coverage
 
 Pixels = NDArray[np.uint8]  # (H, W, 3)
 

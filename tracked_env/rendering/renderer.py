@@ -10,19 +10,16 @@ from numpy.typing import NDArray
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import SoilParameters
 from tracked_env.references import sample
-from tracked_env.rendering import canvas, legend, scene, sizes, tile
-from tracked_env.rendering.afterglow import Memory
-from tracked_env.rendering.belief_rows import Beliefs
-from tracked_env.rendering.landscape import interval_around
+from tracked_env.rendering import canvas, legend, scene, sizes
+from tracked_env.rendering import legend as tile
+from tracked_env.rendering.legend import HEIGHT_TERRAIN_STRIP as STRIP_HEIGHT
+from tracked_env.rendering.legend import TerrainStrip
 from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
-from tracked_env.rendering.panel import Panel
-from tracked_env.rendering.perspective import Perspective
-from tracked_env.rendering.scene import Camera, Points
-from tracked_env.rendering.snapshot import Snapshot, take
+from tracked_env.rendering.panel import Beliefs, Panel
+from tracked_env.rendering.perspective import Perspective, interval_around
+from tracked_env.rendering.scene import Camera, Memory, Points
+from tracked_env.rendering.snapshot import Snapshot, TerrainSource, take
 from tracked_env.rendering.soil_map import SoilMap
-from tracked_env.rendering.terrain_source import TerrainSource
-from tracked_env.rendering.terrain_strip import HEIGHT as STRIP_HEIGHT
-from tracked_env.rendering.terrain_strip import TerrainStrip
 from tracked_env.validation import checked_choice
 
 SCENE_WIDTH, SCENE_HEIGHT = 680, 640  # [px]
@@ -216,7 +213,7 @@ class Renderer:
             self._from_above(ground, stage, shot, lines, view)
         notices = stage.memory.notices()
         if self._is_tile:
-            tile.draw(ground, self._text, shot, notices)
+            tile.draw_tile(ground, self._text, shot, notices)
             return picture
         legend.draw(ground, self._text, stage.soil, shot, notices, zoom)
         panel = stage.panel.draw(shot, stage.memory, refresh, view, beliefs)

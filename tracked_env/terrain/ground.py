@@ -1,13 +1,18 @@
 """What is under a vehicle at a place: height, slope and soil, at one instant of its episode.
 
 The soil starts with the parameters of the episode; each event changes one of them in turn, by
-time and place (`tracked_env.physics.parameter_events`). `refresh` writes all parameters in
+time and place (`tracked_env.events`). `refresh` writes all parameters in
 force at the vehicle's centre of mass; `at` gives ground and soil at any other place, under a track
 or under a patch, so that a plant decides where its soil is asked for.
 
     ground = Terrain(batch.floats, batch.events, i, count, time)       inside a kernel
     under = at(level, ground, x, y)                                    Ground: surface, soil
     Terrain(...).at(x, y)                                              the same from Python
+
+Level ground, the default surface.
+
+A surface is a compiled function (x, y) [m] -> `Surface`; another one is another such function,
+passed to `tracked_env.terrain.ground.at` by the plant that drives on it.
 """
 
 from typing import NamedTuple
@@ -15,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.engine import columns as b
-from tracked_env.physics import parameter_events
-from tracked_env.physics import state as s
+from tracked_env import arrays as b
+from tracked_env import events as parameter_events
+from tracked_env.physics import parameters as s
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
@@ -27,7 +32,20 @@ from tracked_env.physics.parameters import (
     SoilParameters,
     gathering,
 )
-from tracked_env.terrain.flat import Surface, level
+
+
+class Surface(NamedTuple):
+    """Geometry of the ground at one place, world frame."""
+
+    height: float  # [m]
+    slope_x: float  # [-] dz/dx
+    slope_y: float  # [-] dz/dy
+
+
+@formula
+def level(x, y):
+    """Height 0 and no slope, wherever (x, y) [m] is."""
+    return Surface(0.0, 0.0, 0.0)
 
 
 class Ground(NamedTuple):

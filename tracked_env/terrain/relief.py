@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.physics.elementary import rotation
-from tracked_env.physics.ground_contact import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
 
 RAMP, STEP = 0.0, 1.0  # kinds of an edge
 

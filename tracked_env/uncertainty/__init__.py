@@ -15,13 +15,21 @@ from typing import Any
 
 import numpy as np
 
+from tracked_env.engine.noise import integer, uniform
 from tracked_env.physics.jit import fill_entries, formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, ParametersRead, PlantParameters
 from tracked_env.references import ReferenceProfile
-from tracked_env.streams import integer, uniform
-from tracked_env.uncertainty import compiled, floors, slopes, soils, weak_drives
-from tracked_env.uncertainty.compiled import ArrayLaw, Draws, numbers
-from tracked_env.uncertainty.law import CheckedLaw, Draw, Law, checked, fingerprint
+from tracked_env.uncertainty import drawing_laws, laws, soils
+from tracked_env.uncertainty.drawing_laws import (
+    ArrayLaw,
+    CheckedLaw,
+    Draw,
+    Draws,
+    Law,
+    checked,
+    fingerprint,
+    numbers,
+)
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
 from tracked_env.validation import (
     checked_choice,
@@ -41,15 +49,15 @@ def _nominal(rng, nominal, path, truth, changes):
 
 @loop
 def _each_nominal(*call):
-    compiled.draw_each(_nominal, call)
+    drawing_laws.draw_each(_nominal, call)
 
 
 UNCERTAINTY_SETS: dict[str, Law] = {
-    **compiled.laws(("nominal", _each_nominal, _nominal)),
+    **drawing_laws.laws(("nominal", _each_nominal, _nominal)),
     **soils.LAWS,
-    **weak_drives.LAWS,
-    **floors.LAWS,
-    **slopes.LAWS,
+    **laws.LAWS_WEAK_DRIVES,
+    **laws.LAWS,
+    **laws.LAWS_SLOPES,
 }
 DESCRIPTIONS: dict[str, str] = {}  # of the sets that were registered
 

@@ -5,12 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from baselines.augmented.augmented_policy import AugmentedState
-from baselines.augmented.channel_loads import OWN
-from baselines.augmented.drive_loop import DRIVE_COLUMNS
-from baselines.augmented.l1_policy import L1Policy, L1Settings
-from baselines.augmented.mrac_policy import HIGH, LOW, MracPolicy, MracSettings
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.augmented.augmented_policy import DRIVE_COLUMNS, OWN, AugmentedState
+from baselines.augmented.l1 import L1Policy, L1Settings
+from baselines.augmented.mrac import HIGH, LOW, MracPolicy, MracSettings
+from baselines.estimators.measurement import DataSheet
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.registry import l1, mrac
 from tests.baselines.episodes import context, replay, run, seen_by

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from baselines.augmented.channel_loads import OWN
-from baselines.augmented.drive_loop import (
+from baselines.augmented.augmented_policy import (
     DRIVE_COLUMNS,
     LARGEST_CORRECTION,
+    OWN,
     correct_all,
     drive_period,
     mean_of,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from baselines.augmented.matched_uncertainty import Estimate, predictor_gains, sampled
+from baselines.augmented.augmented_policy import Estimate, predictor_gains, sampled
 from tracked_env.physics.jit import loop
 
 NONE = Estimate(0.0, 0.0, 0.0)

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from baselines.augmented.parameter_adaptation import (
-    Adaptation,
-    Load,
-    adapted,
-    beyond,
-    demanded,
-)
+from baselines.augmented.mrac import Adaptation, Load, adapted, beyond, demanded
 from tracked_env.physics.jit import loop
 
 LOW, HIGH, NOMINAL = Load(0.2, 0.0, -5.0), Load(4.0, 4.0, 5.0), Load(1.0, 1.0, 0.0)

@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from baselines.estimators.sensor_samples import COLUMN, DataSheet, Measurement, make_measurement
-from tracked_env.physics import lumped_forces as plant
-from tracked_env.physics import vehicle
+from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
+from tracked_env.physics import lumped
 from tracked_env.physics.parameters import plant_parameters
 
 CLAY = plant_parameters()
-NO_LIMITS = plant.TractionLimits(-1e9, 1e9, -1e9, 1e9)
+NO_LIMITS = lumped.TractionLimits(-1e9, 1e9, -1e9, 1e9)
 EXACT = DataSheet(*[0.0] * 6, 0.0, 1.0, 0.0, 0.0)  # sensors without errors
 RTK = DataSheet()
 
@@ -64,14 +63,14 @@ def measurements(p, kind, lateral_model="sliding", sheet=EXACT, count=1, seed=0,
     """A list of measurements of `count` vehicles with parameters p: the plant's accelerations
     at every moment of a motion, with the sensors' noise (no bias). Belts roll without slip."""
     constrained = lateral_model == "constrained"
-    k = vehicle.coefficients(p, constrained)
-    rates = plant.constrained_accelerations if constrained else plant.sliding_accelerations
+    k = lumped.coefficients(p, constrained)
+    rates = lumped.constrained_accelerations if constrained else lumped.sliding_accelerations
     rng = np.random.default_rng(seed + 1000)
     result: list[Measurement] = []
     for v_x, v_y, w, left, right in zip(*motion(kind, seed, steps), strict=True):
-        state = vehicle.Motion(v_x, -p.icr_forward * w if constrained else v_y, w)
+        state = lumped.Motion(v_x, -p.icr_forward * w if constrained else v_y, w)
         rate_x, rate_y, bend = rates(state, left, right, k, NO_LIMITS)
-        a_x, a_y = vehicle.inertial_acceleration(state, rate_x, rate_y)
+        a_x, a_y = lumped.inertial_acceleration(state, rate_x, rate_y)
         noise = rng.standard_normal((8, count))
         result.append(
             make_measurement(

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
+from baselines.estimators import two_parameters as im
 from baselines.estimators.two_parameters import PLAIN as NO_MODELS
 from baselines.estimators.two_parameters import take
 from tracked_env.physics.jit import loop

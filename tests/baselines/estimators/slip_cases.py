@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.estimators.sensor_samples import DataSheet, Measurement, make_measurement
+from baselines.estimators.measurement import DataSheet, Measurement, make_measurement
 from tracked_env.physics.parameters import plant_parameters
 
 PARAMETERS = plant_parameters()

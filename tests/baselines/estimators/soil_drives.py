@@ -6,7 +6,7 @@ from collections import deque
 import numpy as np
 from scipy.special import ndtr
 
-from baselines.estimators.sensor_samples import DataSheet, Measurement, make_measurement
+from baselines.estimators.measurement import DataSheet, Measurement, make_measurement
 from baselines.estimators.soil_estimator import SoilEstimator
 from tracked_env.physics.parameters import plant_parameters
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators.actuators import ActuatorEstimator
-from baselines.estimators.estimate import Status
-from baselines.estimators.sensor_samples import DataSheet, WiderMeasurement, make_measurement
+from baselines.estimators.measurement import DataSheet, Status, WiderMeasurement, make_measurement
 from tracked_env.physics.parameters import VEHICLES
 
 PERIOD = 0.02

@@ -5,12 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from baselines.estimators.estimate import Setting, Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.sensor_samples import (
+from baselines.estimators.measurement import (
     ATTITUDE,
     DataSheet,
     Measurement,
+    Setting,
+    Status,
     WiderMeasurement,
     make_measurement,
 )
@@ -22,8 +23,8 @@ from tests.baselines.estimators.motion_cases import EXACT, measurements, motion
 from tests.baselines.estimators.slip_cases import GAUGE, PARAMETERS, PERIOD, RADIUS, RTK, part
 from tracked_env import TERRAIN
 from tracked_env import observation as layout
-from tracked_env.physics.attitude import angles_of, matrix_of, quaternion_of, turned
 from tracked_env.physics.parameters import VEHICLES, plant_parameters
+from tracked_env.physics.rigid_body import angles_of, matrix_of, quaternion_of, turned
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.sensors import make_sensors
 from tracked_env.vector_env import TrackedVehicleVectorEnv

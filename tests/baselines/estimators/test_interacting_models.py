@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
+from baselines.estimators import two_parameters as im
 from tests.baselines.estimators.regression_cases import (
     HOLDING,
     LIVELY,

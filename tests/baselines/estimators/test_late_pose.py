@@ -5,9 +5,17 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from baselines.estimators import late_pose
+from baselines.estimators.measurement import (
+    COLUMN,
+    FIRST,
+    INERTIAL,
+    RINGS,
+    SLOT,
+    STEP,
+    DataSheet,
+    ObservationReader,
+)
 from baselines.estimators.motion_filter import MotionFilter
-from baselines.estimators.observation_reader import FIRST, RINGS, SLOT, STEP, ObservationReader
-from baselines.estimators.sensor_samples import COLUMN, INERTIAL, DataSheet
 from baselines.estimators.stack import IdentificationStack
 from baselines.registry import POLICIES
 from tracked_env.benchmark import BenchmarkConfig, metrics

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from baselines.estimators import least_squares as ls
-from baselines.estimators.estimate import Status
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.sensor_samples import COLUMN
+from baselines.estimators.measurement import COLUMN, Status
 from tests.baselines.estimators.motion_cases import (
     CLAY,
     EXACT,

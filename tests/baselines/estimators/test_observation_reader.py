@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from baselines.estimators.observation_reader import LAST_PAIR, ObservationReader
-from baselines.estimators.sensor_samples import DRIVE, INERTIAL, POSE
+from baselines.estimators.measurement import DRIVE, INERTIAL, LAST_PAIR, POSE, ObservationReader
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from tracked_env import arrays as b
 from tracked_env import observation as layout
-from tracked_env.engine import columns as b
-from tracked_env.physics import state as s
+from tracked_env.physics import parameters as s
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.channels import CHANNEL_COUNT
 from tracked_env.physics.parameters import plant_parameters
+from tracked_env.sensors import CHANNEL_COUNT
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CLAY = plant_parameters()

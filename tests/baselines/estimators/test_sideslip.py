@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from baselines.estimators import interacting_models as im
 from baselines.estimators import sideslip
-from baselines.estimators.estimate import Setting
+from baselines.estimators import two_parameters as im
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.sensor_samples import COLUMN
+from baselines.estimators.measurement import COLUMN, Setting
 from baselines.estimators.turning import AGREEMENT, BELTS, TURNED, TurningEstimator
 from tests.baselines.estimators.motion_cases import CLAY, RTK, measurements
 from tracked_env.physics import terramechanics as soil

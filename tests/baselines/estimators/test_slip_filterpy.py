@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.estimators.sensor_samples import Measurement
+from baselines.estimators.measurement import Measurement
 from baselines.estimators.slip_filterpy import FilterpySlipObserver
 from baselines.estimators.slip_observer import SlipObserver
 from tests.baselines.estimators.slip_cases import PARAMETERS, PERIOD, RTK, simulate, weaving

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators import slip_step as step
-from baselines.estimators.sensor_samples import COLUMN, DataSheet, Measurement, make_measurement
+from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
 from baselines.estimators.slip_kinematics import NAMES
 from baselines.estimators.slip_observer import SlipObserver
 from tests.baselines.estimators.slip_cases import (

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from baselines.estimators import slip_outage, slip_step
+from baselines.estimators import pose_outages, slip_step
 from baselines.estimators import soil_regression as sr
-from baselines.estimators.sensor_samples import COLUMN, DataSheet
+from baselines.estimators.measurement import COLUMN, DataSheet
 from baselines.estimators.slip_filterpy import FilterpySlipObserver
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.stack import IdentificationStack
@@ -15,9 +15,9 @@ from baselines.registry import adaptive, oracle
 from tests.baselines.episodes import context
 from tests.baselines.estimators.slip_cases import PARAMETERS, PERIOD, RTK, weaving
 from tests.baselines.estimators.slip_cases import simulate as slipping
+from tracked_env import arrays as b
 from tracked_env.benchmark import BenchmarkConfig, metrics
 from tracked_env.benchmark.runner import drive
-from tracked_env.engine import columns as b
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.parameters import plant_parameters
 from tracked_env.sensors import UNMEASURED, make_sensors
@@ -168,7 +168,7 @@ def test_the_inertial_speed_carries_slips_that_change_unseen_and_its_bias_is_lea
     way = np.linalg.norm(run.state[END - 1, :, :2] - answer.value[:, :2], axis=1)
     assert way.max() < 0.15  # [m]; 2.5 m by the slips of before
     assert np.allclose(answer.value[:, 3:5], 0.3, atol=0.03)
-    learned = observer.memory[:, slip_step.OUTAGE + slip_outage.BIAS]
+    learned = observer.memory[:, slip_step.OUTAGE + pose_outages.BIAS]
     assert np.allclose(learned, bias, atol=0.01)
 
 
@@ -181,7 +181,7 @@ def test_the_gyro_holds_the_heading_and_its_bias_is_learned():
     observer = SlipObserver(PARAMETERS, PERIOD, sheet, 4)
     for m in blind(run.measurements):
         answer = observer.update(m)
-    learned = observer.memory[:, slip_step.OUTAGE + slip_outage.TURN_BIAS]
+    learned = observer.memory[:, slip_step.OUTAGE + pose_outages.TURN_BIAS]
     assert np.allclose(learned, bias, atol=0.0015)
     assert np.abs(run.state[END - 1, :, 2] - answer.value[:, 2]).max() < 0.02  # 0.06 by the bias
 
@@ -211,7 +211,7 @@ def test_a_belt_that_stands_while_the_track_slides_does_not_stop_the_vehicle():
 
 def test_without_a_velocity_sensor_the_bias_is_learned_from_the_speed_of_the_filter():
     """Else the inertial speed that carries the outage is wrong by 30 s of the bias: 0.6 m."""
-    assert slip_outage.UNMEASURED == UNMEASURED
+    assert pose_outages.UNMEASURED == UNMEASURED
     errors, worst = {}, {}
     for chosen in ("outages", "outages-no-velocity"):
         config = BenchmarkConfig(sets=(chosen,))
@@ -302,7 +302,7 @@ def _jumping(pose_at=(0,), steps=60):
 
 def test_a_belt_that_jumps_does_not_take_the_inertial_speed_along():
     """The slip is that of the new belt; with the belt of before it would make 0.4 m/s."""
-    observer, speed = SlipObserver(PARAMETERS, PERIOD, RTK), slip_step.OUTAGE + slip_outage.SPEED
+    observer, speed = SlipObserver(PARAMETERS, PERIOD, RTK), slip_step.OUTAGE + pose_outages.SPEED
     for k, m in enumerate(_jumping().measurements):
         observer.update(m)
         assert observer.motion().v_x[0] == pytest.approx(1.5, abs=0.15)
@@ -318,10 +318,10 @@ def test_the_first_pose_after_an_outage_counts_once():
     observer, at = SlipObserver(PARAMETERS, PERIOD, RTK), slip_step.OUTAGE
     for m in run.measurements:
         observer.update(m)
-    filtered = observer.motion().v_x[0] - observer.memory[0, at + slip_outage.GAP_SPEED]
-    assert observer.memory[0, at + slip_outage.SPEED] == pytest.approx(filtered, abs=1e-9)
+    filtered = observer.motion().v_x[0] - observer.memory[0, at + pose_outages.GAP_SPEED]
+    assert observer.memory[0, at + pose_outages.SPEED] == pytest.approx(filtered, abs=1e-9)
     assert 1.7 < filtered < 2.0  # of 1.8 and 2.1
-    assert observer.memory[0, at + slip_outage.TURNED] == pytest.approx(0.0, abs=0.02)
+    assert observer.memory[0, at + pose_outages.TURNED] == pytest.approx(0.0, abs=0.02)
 
 
 def test_slips_with_one_pose_a_second_are_within_their_claim():

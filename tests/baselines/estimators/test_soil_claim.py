@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from baselines.estimators.soil_claim import SOJOURN
-from baselines.estimators.soil_estimator import WINDOW, nominal_effort_maximum
+from baselines.estimators.soil_estimator import SOJOURN, WINDOW, nominal_effort_maximum
 from tests.baselines.estimators.soil_drives import (
     CLAY,
     FIRM,

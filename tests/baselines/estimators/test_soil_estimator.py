@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators import soil_regression as sr
-from baselines.estimators.estimate import Status
+from baselines.estimators.measurement import Status
 from tests.baselines.estimators.soil_drives import (
     FIRM,
     IDEAL,

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators import soil_regression as sr
-from baselines.estimators.estimate import Status
-from baselines.estimators.sensor_samples import Measurement, make_measurement
+from baselines.estimators.measurement import Measurement, Status, make_measurement
 from baselines.estimators.soil_estimator import EFFORT_RANGE, SoilEstimator, nominal_effort_maximum
 from tests.baselines.estimators.soil_drives import (
     CLAY,

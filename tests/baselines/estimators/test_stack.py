@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators import stack_links as links
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators import stack as links
+from baselines.estimators import two_parameters as im
+from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import ESTIMATORS, FEATURES, QUANTITIES, IdentificationStack
 from baselines.registry import oracle
 from tests.baselines.episodes import context

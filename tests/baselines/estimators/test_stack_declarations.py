@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from baselines.estimators import stack as stacks
-from baselines.estimators.estimate import Estimate, Quantity, Status
-from baselines.estimators.sensor_samples import DRIVE
+from baselines.estimators.measurement import DRIVE, Estimate, Quantity, Status
 from baselines.estimators.stack import ESTIMATORS, FEATURES, QUANTITIES, IdentificationStack
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tracked_env import observation as layout
 from tracked_env import sensors
-from tracked_env.physics import vehicle
-from tracked_env.physics.channels import CHANNELS, Channel
+from tracked_env.physics import lumped
 from tracked_env.physics.parameters import RANGES, VEHICLES
+from tracked_env.sensors import CHANNELS, Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from tracked_env.wrappers import IdentifiedVectorObservation
 
@@ -38,7 +37,7 @@ def drive():
 
 def written_out(known):
     """The features as formulas: what agents were trained with, for good."""
-    p, maximum = NOMINAL, vehicle.drive_limits(NOMINAL).effort_maximum
+    p, maximum = NOMINAL, lumped.drive_limits(NOMINAL).effort_maximum
     a, t, s, g = known.longitudinal, known.turning, known.slip, known.soil
     mass = 1.0 / a.value[:, 0]
     sigma = {e: np.sqrt(np.diagonal(of.covariance, axis1=1, axis2=2)) for e, of in

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from baselines.estimators import interacting_models as im
 from baselines.estimators import turning_equation
-from baselines.estimators.estimate import Status
-from baselines.estimators.sensor_samples import COLUMN
+from baselines.estimators import two_parameters as im
+from baselines.estimators.measurement import COLUMN, Status
 from baselines.estimators.turning import AGREEMENT, BELTS, TURNED, TurningEstimator
 from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, follow, measurements
 from tests.baselines.estimators.turning_cases import (

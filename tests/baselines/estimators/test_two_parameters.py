@@ -5,10 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from baselines.estimators import interacting_models as im
-from baselines.estimators.estimate import Status
+from baselines.estimators import two_parameters as im
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.sensor_samples import COLUMN, DRIVE, INERTIAL, Measurement
+from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, Measurement, Status
 from tests.baselines.estimators.motion_cases import CLAY, KINDS, RTK, follow, measurements, mirrored
 from tests.baselines.estimators.turning_cases import TRUTH, estimator
 

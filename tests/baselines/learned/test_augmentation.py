@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.learned.augmentation import KINDS, make_augmentation, seen
-from baselines.learned.history_augmentation import LAGS, REMEMBERED
+from baselines.learned.augmentation import KINDS, LAGS, REMEMBERED, make_augmentation, seen
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env import observation as obs
@@ -91,9 +90,7 @@ def test_memories_put_back_in_some_rows_leave_the_others(kind):
 
 
 def test_the_residual_of_zero_is_the_adaptive_policy():
-    agents = pytest.importorskip(
-        "agents.agent_vector_env", reason="its wrapper needs the extra `rl`"
-    )
+    agents = pytest.importorskip("agents.vector_envs", reason="its wrapper needs the extra `rl`")
     inner = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
     env = agents.AgentVectorEnv(inner, make_augmentation("residual", {}, CONTEXT, 2))
     plain = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")

@@ -3,13 +3,19 @@
 import numpy as np
 import pytest
 
-from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
-from baselines.learned.agent_policy import policy_of
-from baselines.learned.forward_pass import ALGORITHMS, Actor, Perceptron, actor_shapes
-from baselines.learned.recipe import STUDENT, groups_of, normalisation_of
-from baselines.learned.shipped import shipped_agents
-from baselines.learned.student_network import features_of, inference_layers, widened_by
+from baselines.learned.agent_archive import (
+    INFERENCE,
+    STUDENT,
+    from_npz,
+    groups_of,
+    normalisation_of,
+    read_entry,
+    read_recipe,
+)
+from baselines.learned.agent_policy import ALGORITHMS, Actor, Perceptron, actor_shapes, policy_of
+from baselines.learned.student import features_of, inference_layers, widened_by
 from baselines.learned.trained_agent import open_agent
+from baselines.registry import shipped_agents
 from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.observation import make_layout
@@ -66,7 +72,7 @@ def actions(model, shown, starts):
 @pytest.mark.parametrize("network", NETWORKS, ids=["two-layers", "three-layers", "no-layer"])
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_an_actor_acts_as_the_policy_of_stable_baselines3(algorithm, network):
-    networks = pytest.importorskip("agents.networks", reason="the reference needs the extra `rl`")
+    networks = pytest.importorskip("agents.archive", reason="the reference needs the extra `rl`")
     network, weights = made(algorithm, network)
     theirs = networks.build(algorithm, network, weights)
     assert {name: value.shape for name, value in networks.weights_of(theirs).items()} == (
@@ -83,11 +89,11 @@ def test_an_actor_acts_as_the_policy_of_stable_baselines3(algorithm, network):
 def with_torch(path, context):
     """The agent of an archive with networks of PyTorch."""
     torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
-    from agents.archive import load_network
-    from agents.inference import (
+    from agents.archive import (
         RecurrentInference,
         RecurrentStudentModel,
         StudentModel,
+        load_network,
         make_inference,
     )
 

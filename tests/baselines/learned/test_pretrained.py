@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.learned.agent_archive import read_recipe
-from baselines.learned.recipe import current
-from baselines.learned.shipped import PRETRAINED as FOLDER
+from baselines.learned.agent_archive import current, read_recipe
+from baselines.registry import PRETRAINED as FOLDER
 from tracked_env.benchmark import BenchmarkConfig, Store
-from tracked_env.benchmark.registered_policies import open_archive
+from tracked_env.benchmark.evaluation_sets import default_sets, version_of
+from tracked_env.benchmark.policies import open_archive
 from tracked_env.benchmark.runner import run
-from tracked_env.benchmark.sets import default_sets, version_of
 from tracked_env.benchmark.statistics import interquartile_mean
 
 AGENTS = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
@@ -51,8 +50,8 @@ def test_the_command_of_an_agent_says_its_whole_configuration(folder: Path) -> N
     Commands of before `--augmentation` call it `--memory`.
     """
     tyro = pytest.importorskip("tyro", reason="train.py needs the extra `cli`")
-    options = pytest.importorskip("agents.training.options", reason="needs the extra `rl`")
-    configuration = importlib.import_module("agents.training.run").configuration
+    options = pytest.importorskip("agents.options", reason="needs the extra `rl`")
+    configuration = importlib.import_module("agents.run").configuration
     recipe = current(json.loads((folder / "config.json").read_text(encoding="utf-8")))
     command = shlex.split(recipe["command"].replace(" --memory ", " --augmentation "))[2:]
     today = configuration(tyro.cli(options.options_of_train(), args=command))

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from baselines.estimators.sensor_samples import DataSheet
-from baselines.learned.augmentation import KINDS, make_augmentation
-from baselines.learned.reckoned_augmentation import RECKONED, SHEET
+from baselines.estimators.measurement import DataSheet
+from baselines.learned.augmentation import KINDS, RECKONED, SHEET, make_augmentation
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from baselines.registry import POLICIES

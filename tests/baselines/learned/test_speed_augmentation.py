@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from baselines.learned.augmentation import make_augmentation
-from baselines.learned.speed_augmentation import KNOWN
-from baselines.lyapunov.slope_errors import tuned_gains
+from baselines.learned.augmentation import KNOWN, make_augmentation
+from baselines.lyapunov.slippage_aware import tuned_gains
 from baselines.registry import slc_adaptive
 from tracked_env import SPEED, TERRAIN
 from tracked_env.benchmark import PolicyContext

@@ -9,10 +9,10 @@ from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import adaptive
 from tracked_env import observation as layout
 from tracked_env.benchmark import BenchmarkConfig, metrics
-from tracked_env.benchmark.beliefs import Recorder
+from tracked_env.benchmark.metrics import Recorder
 from tracked_env.benchmark.runner import drive
-from tracked_env.physics.channels import CHANNELS
 from tracked_env.physics.parameters import plant_parameters
+from tracked_env.sensors import CHANNELS
 
 OUTLIERS, DROPOUTS, MISSING = 0.005, 0.01, 0.005  # [-] of the samples
 EPISODES, SEED = 32, 73_000

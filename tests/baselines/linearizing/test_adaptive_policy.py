@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.measurement import DataSheet
 from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import STATE

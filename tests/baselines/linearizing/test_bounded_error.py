@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.linearizing import linearizing_law as law
-from baselines.linearizing.known_parameters import INTEGRAL_GAINS, IntegralPolicy
+from baselines.linearizing.adaptive_policy import INTEGRAL_GAINS, IntegralPolicy
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tests.baselines.closed_loop import drive, starts, steady

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.estimators.sensor_samples import ATTITUDE
+from baselines.estimators.measurement import ATTITUDE
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
 from baselines.registry import POLICIES
@@ -13,14 +13,14 @@ from tests.baselines.episodes import run
 from tracked_env import TERRAIN
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
+from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics import vehicle
-from tracked_env.physics.attitude import incline_of, matrix_of, quaternion_of
 from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.rigid_body import incline_of, matrix_of, quaternion_of
 from tracked_env.sensors import MOCAP
 
 LIGHT = VEHICLES["focchi"]
-K = vehicle.coefficients(LIGHT, False)
+K = lumped.coefficients(LIGHT, False)
 SHOWN = layout.make_layout(TERRAIN["observation"])
 TORQUE = {**TERRAIN, "drive": "torque"}
 
@@ -61,7 +61,7 @@ def seen(count=40, seed=1, **attitude):
 def test_efforts_hold_the_weights_share_along_the_slope_and_the_pressed_resistance(pitch):
     incline = incline_of(pitch, 0.1)
     k = law.pressed(K, incline.press)
-    motion = vehicle.Motion(0.4, 0.0, 0.0)
+    motion = lumped.Motion(0.4, 0.0, 0.0)
     left, right = law.track_efforts(motion, 0.0, 0.0, LIGHT, k, False, 9.81 * incline.down_x)
     weight = LIGHT.mass * soil.GRAVITY
     rolling = LIGHT.longitudinal_resistance * weight * math.cos(pitch) * math.cos(0.1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.linearizing.drive_lead import LARGEST_LEAD, lead_all
+from baselines.linearizing.linearizing_policy import LARGEST_LEAD, lead_all
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PARAMETER_INDEX, VEHICLES
 

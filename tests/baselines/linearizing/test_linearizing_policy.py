@@ -14,14 +14,13 @@ from baselines.linearizing.linearizing_policy import (
     FeedbackLinearizingController,
 )
 from tracked_env import observation as layout
-from tracked_env.physics import lumped_forces as plant
+from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics import vehicle
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
 
 CLAY = plant_parameters()
 PRINTED = CLAY._replace(turning_resistance_factor=2.0)  # S (20) to the letter
-NO_LIMITS = plant.TractionLimits(-1e9, 1e9, -1e9, 1e9)
+NO_LIMITS = lumped.TractionLimits(-1e9, 1e9, -1e9, 1e9)
 RNG = np.random.default_rng(3)
 MIRROR = (1.0, 1.0, -1.0, 1.0)  # on xi, the integral along body x and y, what comes first
 
@@ -64,7 +63,7 @@ def test_a_load_against_resistance_leaves_exactly_the_net_load():
 
 
 def test_the_steady_lateral_velocity_balances_friction_and_centrifugal_force():
-    k = vehicle.coefficients(CLAY, False)
+    k = lumped.coefficients(CLAY, False)
     for speed, yaw_rate in ((2.0, 0.2), (2.0, -0.5), (-1.5, 0.3), (4.0, 0.02), (4.0, 0.05)):
 
         def excess(v_y, speed=speed, yaw_rate=yaw_rate):
@@ -74,7 +73,7 @@ def test_the_steady_lateral_velocity_balances_friction_and_centrifugal_force():
         exact = brentq(excess, -0.9, 0.9, xtol=1e-14)
         assert law.steady_lateral_velocity(speed, yaw_rate, k) == pytest.approx(exact, rel=1e-3)
     assert law.steady_lateral_velocity(2.0, 0.0, k) == 0.0
-    slippery = vehicle.coefficients(CLAY._replace(lateral_resistance=0.0), False)
+    slippery = lumped.coefficients(CLAY._replace(lateral_resistance=0.0), False)
     assert law.steady_lateral_velocity(2.0, 0.5, slippery) == -1.0  # the bound: drifting
 
 
@@ -125,12 +124,12 @@ def test_the_demand_of_the_constrained_lateral_model_moves_along_the_heading_to_
 def test_the_static_feedback_gives_the_demanded_accelerations(lateral_model):
     constrained = lateral_model == "constrained"
     p = PRINTED._replace(icr_forward=0.2)
-    k = vehicle.coefficients(p, constrained)
-    rates = plant.constrained_accelerations if constrained else plant.sliding_accelerations
+    k = lumped.coefficients(p, constrained)
+    rates = lumped.constrained_accelerations if constrained else lumped.sliding_accelerations
     for _ in range(300):
         scale = 10.0 ** RNG.uniform(-2.0, 0.5)
         v_x, v_y, yaw_rate, u_1, u_2 = scale * RNG.uniform(-1.0, 1.0, 5)
-        motion = vehicle.Motion(v_x, -0.2 * yaw_rate if constrained else v_y, yaw_rate)
+        motion = lumped.Motion(v_x, -0.2 * yaw_rate if constrained else v_y, yaw_rate)
         left, right = law.track_efforts(motion, u_1, u_2, p, k, constrained)
         r = p.sprocket_radius
         got_1, _, got_2 = rates(motion, left * r, right * r, k, NO_LIMITS)
@@ -226,7 +225,7 @@ def test_torque_beyond_the_nominal_traction_is_not_asked_for():
     sand = CLAY._replace(cohesion=0.0)
     values = dict.fromkeys(layout.NAMES, 0.0) | {"position_error_x": 20.0}
     action, _ = FeedbackLinearizingController(sand).predict(layout.pack(values))
-    limit = vehicle.drive_limits(sand).effort_limit * sand.sprocket_radius / sand.torque_limit
+    limit = lumped.drive_limits(sand).effort_limit * sand.sprocket_radius / sand.torque_limit
     assert limit < 0.3
     assert action == pytest.approx([law.TRACTION * limit] * 2, rel=1e-6)
 

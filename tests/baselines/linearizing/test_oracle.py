@@ -5,8 +5,8 @@ import pytest
 
 from baselines.registry import POLICIES
 from tracked_env.benchmark import BenchmarkConfig, PolicyEntry, Store, run
+from tracked_env.benchmark.evaluation_sets import DEVELOPMENT
 from tracked_env.benchmark.policy_interface import tell_plant
-from tracked_env.benchmark.splits import DEVELOPMENT
 from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.physics.parameters import PARAMETER_NAMES
 

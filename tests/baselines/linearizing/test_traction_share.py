@@ -9,10 +9,10 @@ import pytest
 from baselines.linearizing import linearizing_law as law
 from tracked_env.benchmark import runner
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.policies import registered_policy
 from tracked_env.benchmark.policy_interface import checked_policy
-from tracked_env.benchmark.registered_policies import registered_policy
+from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics import vehicle
 from tracked_env.physics.parameters import plant_parameters
 
 # Of the episode of seed 90024: a steady turn takes 4200 N of the outer track, which carries 4171 N.
@@ -20,12 +20,12 @@ SHORT = plant_parameters()._replace(
     mass=1760.6, inertia=1321.8, longitudinal_resistance=0.1584, lateral_resistance=0.5574,
     cohesion=3799.5, friction_angle=0.21658, shear_deformation_modulus=0.0043981,
 )  # fmt: skip
-TURN = vehicle.Motion(1.0, 0.0, 0.3)
+TURN = lumped.Motion(1.0, 0.0, 0.3)
 
 
 def reserve(p, u_2, limit=None):
-    k = vehicle.coefficients(p, False)
-    carried = law.TRACTION * vehicle.drive_limits(p).effort_limit
+    k = lumped.coefficients(p, False)
+    carried = law.TRACTION * lumped.drive_limits(p).effort_limit
     return law.turning_reserve(TURN, u_2, p, k, False, carried if limit is None else limit)
 
 
@@ -42,7 +42,7 @@ def test_steering_is_kept_before_speed_only_where_a_steady_turn_is_not_carried()
     p = SHORT
     friction = p.lateral_resistance * p.mass * soil.GRAVITY * p.contact_length / 4.0
     steady = friction / p.track_gauge + 0.5 * p.longitudinal_resistance * p.mass * soil.GRAVITY
-    assert steady > vehicle.drive_limits(p).effort_limit
+    assert steady > lumped.drive_limits(p).effort_limit
     expected = (friction + p.inertia * law.RESERVED_YAW_ACCELERATION) / p.track_gauge
     assert reserve(p, 1.0) == pytest.approx(expected, rel=0.01)
     assert reserve(p, 1.0) == reserve(p, 30.0) and reserve(p, 1.0, 1.01 * steady) == 0.0

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.slip.slip_sweep import with_friction
 from tracked_env import observation as layout

@@ -12,8 +12,8 @@ from baselines.lyapunov.lyapunov_laws import (
     PoseError,
     Slip,
     lyapunov_value,
+    pose_rate,
 )
-from baselines.lyapunov.pseudo_kinematic import pose_rate
 from tests.baselines.lyapunov.lyapunov_function import lyapunov_rate, pose_error
 
 GAINS = LyapunovGains()

@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 from scipy.special import fresnel
 
-from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov import pseudo_kinematic as kinematics
-from baselines.lyapunov.lyapunov_laws import BodyMotion, PoseError
-from baselines.lyapunov.pseudo_kinematic import Geometry, NoSlip, PseudoKinematicModel, Spiral
+from baselines.lyapunov import lyapunov_laws
+from baselines.lyapunov.lyapunov_laws import (
+    BodyMotion,
+    Geometry,
+    NoSlip,
+    PoseError,
+    PseudoKinematicModel,
+    Spiral,
+)
 from tests.baselines.lyapunov.lyapunov_function import pose_error
 from tracked_env.physics.parameters import plant_parameters
 
@@ -49,7 +54,7 @@ def test_the_centre_of_rotation_moves_forward_and_the_turn_gets_wider_with_slip(
     assert speed == pytest.approx(ideal[0])
     assert alpha < 0.0  # a left turn: the lateral velocity points to the right
     assert -speed * math.tan(alpha) / turn > 0.0  # x_icr = -v_y / w
-    v_x, v_y = kinematics.pose_rate(0.0, speed, alpha)
+    v_x, v_y = lyapunov_laws.pose_rate(0.0, speed, alpha)
     assert v_x == pytest.approx(speed)
     assert math.atan(v_y / v_x) == pytest.approx(alpha)
 
@@ -71,7 +76,7 @@ def test_the_integration_is_of_fourth_order():
     for steps in (4, 8, 16):
         x = y = yaw = 0.0
         for _ in range(steps):
-            x, y, yaw = kinematics.pose_step(x, y, yaw, motion, 0.2, 1.0 / steps)
+            x, y, yaw = lyapunov_laws.pose_step(x, y, yaw, motion, 0.2, 1.0 / steps)
         cosine = math.cos(0.2)
         exact_x = (math.sin(2.2) - math.sin(0.2)) / (2.0 * cosine)
         exact_y = (math.cos(0.2) - math.cos(2.2)) / (2.0 * cosine)
@@ -99,30 +104,30 @@ def test_the_error_is_in_body_axes_and_carried_along_with_both_motions():
     pose, reference = (0.2, -0.1, 0.4), (0.0, 0.1, 0.1)
     start = pose_error(*pose, *reference)
     after = pose_error(
-        *kinematics.pose_step(*pose, BodyMotion(v_x, w), math.atan(v_y / v_x), h),
-        *kinematics.pose_step(*reference, BodyMotion(speed, turn), 0.0, h),
+        *lyapunov_laws.pose_step(*pose, BodyMotion(v_x, w), math.atan(v_y / v_x), h),
+        *lyapunov_laws.pose_step(*reference, BodyMotion(speed, turn), 0.0, h),
     )
-    carried = kinematics.carried(start, v_x, v_y, w, speed, turn, h)
+    carried = lyapunov_laws.carried(start, v_x, v_y, w, speed, turn, h)
     assert tuple(carried) == pytest.approx(tuple(after), abs=1e-7)
     assert not np.allclose(carried, start, atol=1e-4)
-    assert kinematics.carried(start, v_x, v_y, w, speed, turn, 0.0) == PoseError(*start)
+    assert lyapunov_laws.carried(start, v_x, v_y, w, speed, turn, 0.0) == PoseError(*start)
 
 
 def test_the_gain_is_one_without_noise_and_the_root_of_its_riccati_equation_with_it():
-    assert kinematics.steady_gain(0.0, 0.03, 0.0, 0.02) == 1.0
-    gain = kinematics.steady_gain(0.02, 0.03, 0.05, 0.02)
+    assert lyapunov_laws.steady_gain(0.0, 0.03, 0.0, 0.02) == 1.0
+    gain = lyapunov_laws.steady_gain(0.02, 0.03, 0.05, 0.02)
     grown = (0.03 * 0.02) ** 2 + 0.05**2 * 0.02
     variance = gain * 0.02**2  # after a sample; before the next one it has grown
     assert (variance + grown) / (variance + grown + 0.02**2) == pytest.approx(gain, rel=1e-12)
-    assert 0.0 < kinematics.steady_gain(0.02, 0.03, 0.0, 0.02) < gain
+    assert 0.0 < lyapunov_laws.steady_gain(0.02, 0.03, 0.0, 0.02) < gain
 
 
 def test_the_slip_angle_is_bounded_and_fades_out_at_standstill():
-    slow, most = kinematics.SLOW, kinematics.MAXIMUM_SLIP_ANGLE
-    assert kinematics.faded(0.2, slow) == kinematics.faded(0.2, -1.0) == 0.2
-    assert kinematics.faded(-1.5, 1.0) == -most
-    assert kinematics.faded(1.5, 0.0) == kinematics.faded(math.nan, 1.0) == 0.0
-    values = [kinematics.faded(0.2, speed) for speed in np.linspace(0.0, 0.1, 1001)]
+    slow, most = lyapunov_laws.SLOW, lyapunov_laws.MAXIMUM_SLIP_ANGLE
+    assert lyapunov_laws.faded(0.2, slow) == lyapunov_laws.faded(0.2, -1.0) == 0.2
+    assert lyapunov_laws.faded(-1.5, 1.0) == -most
+    assert lyapunov_laws.faded(1.5, 0.0) == lyapunov_laws.faded(math.nan, 1.0) == 0.0
+    values = [lyapunov_laws.faded(0.2, speed) for speed in np.linspace(0.0, 0.1, 1001)]
     assert 0.0 < np.diff(values).max() < 1e-3
     assert np.diff(values).min() >= 0.0
     assert np.diff(values)[[0, 499]].max() < 2e-5  # no kink at 0, none at SLOW
@@ -131,9 +136,13 @@ def test_the_slip_angle_is_bounded_and_fades_out_at_standstill():
 def test_on_the_path_the_vehicle_drives_what_the_law_demands_at_rest():
     reference, alpha = np.array([[0.3, 0.5]]), np.array([-0.3])
     motion = np.empty((1, 2))
-    kinematics.along_slip(reference, alpha, np.array([0.1]), motion)
-    rest = law.slippage_aware_law(
-        PoseError(0.0, 0.0, 0.3), 0.3, 0.5, law.Slip(-0.3, -0.3, 0.1), law.LyapunovGains()
+    lyapunov_laws.along_slip(reference, alpha, np.array([0.1]), motion)
+    rest = lyapunov_laws.slippage_aware_law(
+        PoseError(0.0, 0.0, 0.3),
+        0.3,
+        0.5,
+        lyapunov_laws.Slip(-0.3, -0.3, 0.1),
+        lyapunov_laws.LyapunovGains(),
     )
     assert tuple(motion[0]) == pytest.approx(tuple(rest), abs=1e-15)
 

@@ -5,11 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from baselines.estimators.sensor_samples import DataSheet
-from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov import pseudo_kinematic as kinematics
-from baselines.lyapunov.lyapunov_laws import LyapunovGains
-from baselines.lyapunov.pseudo_kinematic import NoSlip, PseudoKinematicModel, Spiral
+from baselines.estimators.measurement import DataSheet
+from baselines.lyapunov import lyapunov_laws
+from baselines.lyapunov.lyapunov_laws import LyapunovGains, NoSlip, PseudoKinematicModel, Spiral
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from tests.baselines.lyapunov.lyapunov_function import pose_error
 from tracked_env import observation as layout
@@ -44,8 +42,8 @@ class Circle:
         return 0.6
 
     def advance(self, pose, _time, duration):
-        motion = law.BodyMotion(self.speed, 0.6)
-        return np.array(kinematics.pose_step(*pose, motion, 0.0, duration))
+        motion = lyapunov_laws.BodyMotion(self.speed, 0.6)
+        return np.array(lyapunov_laws.pose_step(*pose, motion, 0.0, duration))
 
 
 def drive(

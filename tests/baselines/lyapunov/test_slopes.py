@@ -4,14 +4,18 @@ import numpy as np
 import pytest
 
 import tracked_env
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, KnownSlip
 from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
-from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
-from baselines.lyapunov.slope_errors import ATTITUDE, AttitudeFilter, in_vehicle_plane
+from baselines.lyapunov.slippage_aware import (
+    ATTITUDE,
+    AttitudeFilter,
+    SlippageAwarePolicy,
+    UnicyclePolicy,
+    in_vehicle_plane,
+)
 from baselines.registry import POLICIES
-from baselines.slip.slip_sweep import identified_slip, with_friction
-from baselines.slip.slope_sweep import identified_slope_slip
+from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.policy_interface import needs_truth

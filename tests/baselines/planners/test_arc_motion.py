@@ -5,10 +5,9 @@ import cmath
 import numpy as np
 import pytest
 
-from baselines.planners import arc_motion as arc
-from baselines.planners.arc_motion import SMALL, arc_jet, chord
-from baselines.planners.slip_surface import COLUMNS, ROWS, Jet, motion_jets
-from baselines.planners.surface_fit import surface_of
+from baselines.planners import planning_problem as arc
+from baselines.planners.planning_problem import SMALL, arc_jet, chord
+from baselines.planners.slip_surface import COLUMNS, ROWS, Jet, motion_jets, surface_of
 from baselines.slip.slip_models import ExponentialSlipModel
 from baselines.slip.slip_sweep import identified_slip
 from tracked_env.physics.parameters import VEHICLES

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.clothoid import clothoid
-from baselines.planners.path import Path, end_errors, places
+from baselines.planners.curves import Path, clothoid, end_errors, places
 from tests.baselines.planners.pairs import HALF, drive, missed, published_targets, random_pairs
 
 ORIGIN = (0.0, 0.0, 0.0)

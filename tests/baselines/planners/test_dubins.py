@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.dubins import WORDS, dubins
+from baselines.planners.curves import WORDS, dubins
 from tests.baselines.planners.pairs import HALF, drive, missed, published_targets, random_pairs
 
 PI = math.pi

@@ -12,8 +12,7 @@ from baselines.planners.clearance import Footprint
 from baselines.planners.obstacles import Obstacles
 from baselines.planners.plan import plan
 from baselines.planners.trajectory import Limits
-from baselines.slip.slip_sweep import identified_slip
-from baselines.slip.slope_sweep import identified_slope_slip
+from baselines.slip.slip_sweep import identified_slip, identified_slope_slip
 from tests.baselines.planners.scenes import (
     bar,
     cells_of,

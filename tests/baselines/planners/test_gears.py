@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
+from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
 from baselines.planners.plan import plan
-from baselines.planners.surface_fit import surface_of
+from baselines.planners.slip_surface import surface_of
 from baselines.planners.trajectory import Limits, Start
 from tests.baselines.planners.optimal_cases import FOCCHI, ORIGIN, SLIP, limits_of, replayed
 from tests.baselines.planners.pairs import missed

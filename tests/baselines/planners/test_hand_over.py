@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.hand_over import FRAMES, hand_over, held_intervals
 from baselines.planners.plan import METHODS, plan
-from baselines.planners.trajectory import Limits
+from baselines.planners.trajectory import FRAMES, Limits, hand_over, held_intervals
 from baselines.slip.slip_sweep import identified_slip, with_friction
 from tracked_env.physics.parameters import VEHICLES
 

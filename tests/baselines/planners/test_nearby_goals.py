@@ -11,11 +11,10 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.interior_point import solve
+from baselines.planners.interior_point import make_stages, solve
 from baselines.planners.optimal import _prepared, _task, optimal
 from baselines.planners.planning_problem import make_work
-from baselines.planners.riccati import make_stages
-from baselines.planners.surface_fit import surface_of
+from baselines.planners.slip_surface import surface_of
 from baselines.planners.trajectory import Limits, Start
 from baselines.slip.slip_sweep import identified_slip, with_friction
 from tests.baselines.planners.optimal_cases import ORIGIN, held

@@ -6,7 +6,6 @@ import time
 import numpy as np
 import pytest
 
-from baselines.planners.chain import end_of
 from baselines.planners.clearance import (
     Footprint,
     Scene,
@@ -16,11 +15,11 @@ from baselines.planners.clearance import (
     place_clearance,
     vehicle_clearance,
 )
+from baselines.planners.curves import places
 from baselines.planners.hybrid_a_star import Motions
-from baselines.planners.obstacles import Obstacles
-from baselines.planners.path import places
+from baselines.planners.legs import end_of
+from baselines.planners.obstacles import Obstacles, Search, find_route
 from baselines.planners.plan import plan
-from baselines.planners.route import Search, find_route
 from baselines.planners.trajectory import Limits
 from tests.baselines.planners.pairs import missed
 from tests.baselines.planners.scenes import bar, cells_of, least_distance, poses_of

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
-from baselines.planners.dubins import dubins
+from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
+from baselines.planners.curves import dubins
 from baselines.planners.optimal import optimal
-from baselines.planners.surface_fit import surface_of
+from baselines.planners.slip_surface import surface_of
 from baselines.planners.trajectory import Limits, Start
 from tests.baselines.planners.optimal_cases import (
     FOCCHI,
@@ -23,8 +23,7 @@ from tests.baselines.planners.optimal_cases import (
     vehicle_on,
 )
 from tests.baselines.planners.pairs import missed
-from tracked_env.physics.patch_dynamics import hold_speeds
-from tracked_env.physics.patch_forces import make_patches
+from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
 
 
 @pytest.mark.parametrize("goals", ["1 m", "2 m", "random"])

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.dubins import dubins
+from baselines.planners.curves import dubins
 from baselines.planners.optimal import optimal
-from baselines.planners.surface_fit import surface_of
+from baselines.planners.slip_surface import surface_of
 from baselines.planners.trajectory import Limits
 from baselines.slip.slip_sweep import identified_slip
 from tests.baselines.planners.pairs import drive

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.lyapunov.pseudo_kinematic import PseudoKinematicModel
+from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
 from baselines.planners.plan import plan
 from baselines.planners.trajectory import Limits, Start
 from baselines.slip.slip_sweep import identified_slip

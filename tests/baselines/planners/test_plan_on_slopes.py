@@ -8,12 +8,11 @@ import pytest
 from baselines.planners.plan import plan
 from baselines.planners.plan_on_slopes import driven_on, grade_at, slopes_of
 from baselines.planners.trajectory import Limits
-from baselines.slip.slip_sweep import identified_slip, with_friction
-from baselines.slip.slope_models import grades
-from baselines.slip.slope_sweep import identified_slope_slip
+from baselines.slip.slip_models import grades
+from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
 from tests.baselines.planners.pairs import missed
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.plants.standalone import TerrainRig
 from tracked_env.terrain.height_field import make_height_field
 
 FOCCHI = with_friction(VEHICLES["focchi"], 0.4)

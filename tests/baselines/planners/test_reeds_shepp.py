@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.dubins import dubins
-from baselines.planners.reeds_shepp import reeds_shepp
+from baselines.planners.curves import dubins, reeds_shepp
 from tests.baselines.planners.pairs import HALF, drive, missed, random_pairs
 
 ORIGIN = (0.0, 0.0, 0.0)

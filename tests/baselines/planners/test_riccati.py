@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.planners.riccati import ALL, DURATION, YAW, P, Q, make_stages, solve
+from baselines.planners.interior_point import ALL, DURATION, YAW, P, Q, make_stages, solve_riccati
 from tracked_env.physics.jit import loop
 
 COUNT = 12
@@ -61,7 +61,7 @@ def test_it_solves_the_dense_system_whatever_the_weight_of_the_terminal_error(rh
         np.block([[hessian, jacobian.T], [jacobian, zeros]]), -np.append(gradient, error)
     )
     nu = np.empty(3)
-    assert solve(stages, COUNT, error, rho, nu)
+    assert solve_riccati(stages, COUNT, error, rho, nu)
     np.testing.assert_allclose(nu, solution[FREE:], rtol=1e-7, atol=1e-9)
     for k, z in enumerate(blocks):
         np.testing.assert_allclose(stages.step[k], z @ solution[:FREE], rtol=1e-7, atol=1e-9)
@@ -74,6 +74,6 @@ def test_it_is_refused_exactly_where_it_is_not_convex():
         stages, error = random_stages(seed, shift=seed - 20.0)
         _, hessian, _, jacobian = dense(stages)
         smallest = np.linalg.eigvalsh(hessian + rho * jacobian.T @ jacobian)[0]
-        assert solve(stages, COUNT, error, rho, np.empty(3)) == (smallest > 0.0)
+        assert solve_riccati(stages, COUNT, error, rho, np.empty(3)) == (smallest > 0.0)
         verdicts.add(bool(smallest > 0.0))
     assert verdicts == {True, False}

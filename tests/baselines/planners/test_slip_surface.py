@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.slip_surface import SlipSurface
-from baselines.planners.surface_fit import surface_of
+from baselines.planners.slip_surface import SlipSurface, surface_of
 from baselines.slip.slip_models import ExponentialSlipModel
 from baselines.slip.slip_sweep import identified_slip, slip_family, with_friction
 from tracked_env.physics.parameters import VEHICLES

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.path import Path, places
-from baselines.planners.speed_profile import constant, fastest
+from baselines.planners.curves import Path, places
+from baselines.planners.speed_along_path import constant, fastest
 from baselines.planners.trajectory import Limits
 from tracked_env.physics.parameters import VEHICLES
 

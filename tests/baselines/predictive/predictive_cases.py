@@ -4,14 +4,19 @@ import numpy as np
 
 from baselines.linearizing.linearizing_law import pressed
 from baselines.predictive import predictive_control as control
-from baselines.predictive.path_ahead import interpolation, look_ahead
-from baselines.predictive.tracked_prediction import STATES, drive, prediction
-from baselines.predictive.tracking_cost import PredictiveSettings, total_cost
+from baselines.predictive.stages import PredictiveSettings, total_cost
+from baselines.predictive.tracked_prediction import (
+    STATES,
+    drive,
+    interpolation,
+    look_ahead,
+    prediction,
+)
 from tracked_env import observation as layout
-from tracked_env.physics import vehicle
-from tracked_env.physics.attitude import LEVEL
+from tracked_env.physics import lumped
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import plant_parameters
+from tracked_env.physics.rigid_body import LEVEL
 
 STAGE = 0.04  # [s]
 SMOOTHING = PredictiveSettings().smoothing
@@ -20,7 +25,7 @@ SMOOTHING = PredictiveSettings().smoothing
 @loop
 def model_of(p, duration, smoothing, pull_x, pull_y):
     """Prediction of a vehicle with parameters p."""
-    k = pressed(vehicle.coefficients(p, False), 1.0)
+    k = pressed(lumped.coefficients(p, False), 1.0)
     return prediction(p, k, duration, smoothing, pull_x, pull_y)
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 
-from baselines.predictive import box_riccati
+from baselines.predictive import stages
 from baselines.predictive.tracked_prediction import CHANGED, COLUMNS, GIVEN_LEFT, LEFT, STATES
 from tests.baselines.predictive.predictive_cases import Problem, observed
 
@@ -33,11 +33,11 @@ def linear_system(seed):
 
 def after_improving(forward, q, r, coupling, count, gradient=0.0, bounds=(np.inf, np.inf)):
     """Stages of the linear system, improved about no input."""
-    work = box_riccati.make_stages(count)
+    work = stages.make_stages(count)
     work.forward[:] = forward
     work.weight[:, :STATES], work.weight[:, LEFT:] = q, r + coupling
     work.gradient[:] = gradient
-    box_riccati.improve(work, np.zeros((count, 2)), np.array(bounds), DECAY, coupling)
+    stages.improve(work, np.zeros((count, 2)), np.array(bounds), DECAY, coupling)
     return work
 
 
@@ -110,9 +110,7 @@ def test_the_least_value_in_a_box_is_that_of_a_fine_search():
         h = root @ root.T + 0.1 * np.eye(2)
         g = 2.0 * rng.standard_normal(2)
         low, high = -rng.random(2), rng.random(2)
-        d = np.array(
-            box_riccati.bounded_minimum(h[0, 0], h[0, 1], h[1, 1], g[0], g[1], low, high)[:2]
-        )
+        d = np.array(stages.bounded_minimum(h[0, 0], h[0, 1], h[1, 1], g[0], g[1], low, high)[:2])
         assert ((d >= low) & (d <= high)).all()
         cost = 0.5 * d @ h @ d + g @ d
         axes = [np.linspace(low[k], high[k], 41) for k in range(2)]

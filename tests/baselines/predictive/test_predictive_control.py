@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from baselines.predictive.path_ahead import TIMES, interpolation
 from baselines.predictive.predictive_control import PredictiveController, shift
-from baselines.predictive.tracking_cost import PredictiveSettings
+from baselines.predictive.stages import PredictiveSettings
+from baselines.predictive.tracked_prediction import TIMES, interpolation
 from tests.baselines.predictive.predictive_cases import Problem, model, observed
 from tracked_env import observation as layout
+from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import plant_parameters
-from tracked_env.physics.vehicle import drive_limits
 
 ERRORS = {"position_error_x": 0.1, "position_error_y": -0.2, "heading_error": 0.15}
 

@@ -5,14 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from baselines.estimators.sensor_samples import DataSheet
+from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_sweep import FRICTIONS, slip_family, with_friction
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.patch_dynamics import hold_speeds
-from tracked_env.physics.patch_forces import make_patches
+from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
 
 FOCCHI = VEHICLES["focchi"]
 PERIOD = 0.02

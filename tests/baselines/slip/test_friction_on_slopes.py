@@ -5,13 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from baselines.estimators.sensor_samples import DataSheet
-from baselines.slip.friction_bank import CHANNELS, VELOCITIES
-from baselines.slip.friction_estimator import RecursiveSlipEstimator
+from baselines.estimators.measurement import DataSheet
+from baselines.slip.friction_estimator import CHANNELS, VELOCITIES, RecursiveSlipEstimator
 from baselines.slip.slip_sweep import FRICTIONS, with_friction
-from tracked_env.physics import state as s
+from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.plants.terrain_rig import TerrainRig
+from tracked_env.plants.standalone import TerrainRig
 from tracked_env.sensors import MOCAP
 
 FOCCHI = VEHICLES["focchi"]

@@ -6,19 +6,20 @@ import time
 import numpy as np
 import pytest
 
-from baselines.slip.slip_sweep import steady_motion, with_friction
-from baselines.slip.slope_models import STEEPEST, grades
-from baselines.slip.slope_sweep import (
+from baselines.slip.slip_models import STEEPEST, grades
+from baselines.slip.slip_sweep import (
     LOADS,
     attitudes,
     identified_slope_slip,
     slope_slip_family,
     slope_sweep,
+    steady_motion,
     steady_on_slopes,
+    with_friction,
 )
 from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.terrain_motion import SCALED, STIFFNESS
 from tracked_env.physics.terramechanics import GRAVITY
-from tracked_env.physics.tracked_body import SCALED, STIFFNESS
 
 FOCCHI = VEHICLES["focchi"]
 RIGID = SCALED.copy()

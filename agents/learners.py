@@ -1,0 +1,433 @@
+"""The algorithms of Stable-Baselines3 and sb3-contrib as learners.
+
+The training of a student of a privileged teacher (`agents.archive`, `agents.vector_envs`).
+
+The student drives from the first step on; what it meets, with the true inputs beside, goes into a
+buffer on which the inference is regressed (DAgger [1]: the samples are those of the student's own
+driving, not of the teacher's; as the adaptation module of RMA [2]). Truth is needed for that
+regression alone; the policy that is evaluated and saved is an `AgentPolicy` with a history.
+
+References: [1] Ross et al., arXiv:1011.0686. [2] Kumar et al., arXiv:2107.04034.
+
+The training of a student with an LSTM (`baselines.learned.student`).
+
+As every student it drives from the first step on. What it meets goes into the buffer in blocks of
+`n_steps`, with what the LSTM carried when the block began; the inference is regressed on sequences
+of that length by back-propagation through time. What was carried comes from earlier blocks, so that
+the memory reaches further back than a block does.
+"""
+
+import traceback
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from torch import nn
+
+from agents import checkpoint
+from agents.algorithms import FallingRate, check_budget, check_buffer, make_model
+from agents.archive import (
+    RecurrentInference,
+    RecurrentStudentModel,
+    StudentModel,
+    load_teacher,
+    make_inference,
+    weights,
+)
+from agents.checkpoint import capture_environment, resume_environment
+from agents.environments import make_environment, make_taught
+from agents.options import control_period, driven
+from agents.progress import Diverged, Progress, Trained, check_finite
+from agents.run import Run
+from baselines.learned.agent_archive import INFERENCE, groups_of, normalisation_of
+from baselines.learned.agent_policy import (
+    PRIVILEGED,
+    AgentPolicy,
+    Normalisation,
+    TeacherPolicy,
+    policy_of,
+)
+from baselines.learned.student import OUTPUTS, features_of, widened_by
+from tracked_env import TORQUE_ID
+from tracked_env.benchmark import PolicyContext
+from tracked_env.engine.env_config import EnvConfig
+
+
+def normalisation(model: BaseAlgorithm) -> Normalisation | None:
+    """The running normalisation of a model's environment, as it is now."""
+    layer = model.get_vec_normalize_env()
+    if layer is None:
+        return None
+    statistics: Any = layer.obs_rms
+    return Normalisation(
+        statistics.mean.copy(), statistics.var.copy(), layer.epsilon, layer.clip_obs
+    )
+
+
+class Sb3Learner:
+    """A model of Stable-Baselines3 in the environment of a run. Raises ValueError."""
+
+    column = "mean_return"
+    recipe: Mapping[str, Any] = {}
+
+    def __init__(self, run: Run) -> None:
+        self.augmentation, self.groups = run.augmentation, run.groups
+        env = make_environment(run)
+        log = str(run.folder) if run.tensorboard else None
+        self.model = make_model(run.name, run.settings, env, run.seed, log)
+        check_budget(run.settings, run.schedule.total)
+
+    @property
+    def steps(self) -> int:
+        """Environment steps done, over all vehicles."""
+        return self.model.num_timesteps
+
+    @property
+    def mean_return(self) -> float:
+        """Of the last episodes that ended; NaN before the first one."""
+        ended: Any = self.model.ep_info_buffer or []
+        returns = [float(info["r"]) for info in ended]
+        return round(sum(returns) / len(returns), 3) if returns else float("nan")
+
+    def learn(self, progress: Progress) -> None:
+        """Learn to the end of the schedule.
+
+        Raises Diverged, also for the errors that networks of NaN cause in a library.
+        """
+        left = progress.schedule.total - self.steps
+        if left <= 0:
+            return
+        callback = RolloutCallback(self, progress)
+        try:
+            self.model.learn(left, callback=callback, reset_num_timesteps=self.steps == 0)
+        except (ValueError, RuntimeError, ArithmeticError) as error:
+            try:
+                check_finite(self.model.policy, {}, self.steps)
+            except Diverged as diverged:
+                raise diverged from error
+            # Finite parameters too may make a deviation that is not: exp(log_std).
+            frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+            if frames[-1].f_globals["__name__"].startswith("torch.distributions"):
+                raise Diverged(
+                    f"the training diverged at {self.steps:,} steps: the distribution of the "
+                    "action is not finite"
+                ) from error
+            raise
+
+    def check(self) -> None:
+        """Raises Diverged after an update that has spoilt the networks."""
+        logged = self.model.logger.name_to_value
+        losses = {name: value for name, value in logged.items() if name.endswith("loss")}
+        check_finite(self.model.policy, losses, self.steps)
+
+    def policy(self, context: PolicyContext) -> AgentPolicy | TeacherPolicy:
+        """The agent as it is now, as a policy of the benchmark."""
+        statistics = normalisation(self.model)
+        return policy_of(self.model, *self.augmentation, context, statistics, self.groups)
+
+    def trained(self) -> Trained:
+        """The agent as it is now, for an archive."""
+        statistics, stored = normalisation(self.model), None
+        if statistics is not None:
+            stored = {
+                "mean": statistics.mean.tolist(), "variance": statistics.variance.tolist(),
+                "epsilon": statistics.epsilon, "clip": statistics.clip,
+            }  # fmt: skip
+        return Trained(self.model.policy, {"normalisation": stored}, {})
+
+    def capture(self) -> dict[str, Any]:
+        """Everything that the next rollout depends on."""
+        return checkpoint.capture(self.model)
+
+    def resume(self, captured: Mapping[str, Any]) -> None:
+        """Put back what `capture` took. Raises any exception where it does not fit."""
+        checkpoint.resume(self.model, captured)
+
+
+class RolloutCallback(BaseCallback):
+    """Hands the progress of a training what Stable-Baselines3 says between rollouts and steps."""
+
+    def __init__(self, learner: Sb3Learner, progress: Progress) -> None:
+        super().__init__()
+        self.learner, self.progress = learner, progress
+
+    def _on_step(self) -> bool:
+        self.progress.count(self.training_env.num_envs)
+        return True
+
+    def _on_rollout_start(self) -> None:
+        """Between an update and the next rollout the state of a training is smallest."""
+        self.learner.check()
+        rate = self.model.learning_rate
+        if isinstance(rate, FallingRate):
+            rate.remaining = 1.0 - self.learner.steps / self.progress.schedule.total
+        before = self.progress.evaluated
+        self.progress.between(self.learner.mean_return)
+        if self.progress.evaluated > before and self.progress.held_out:
+            self.logger.record("held_out/rmse", self.progress.curve[-1][-1])
+
+    def _on_training_end(self) -> None:
+        self.learner.check()
+        self.progress.finish(self.learner.mean_return)
+
+
+_CHANGING = ("_filled", "_observation", "_state", "_start", "steps")  # while it learns
+
+
+class StudentLearner:
+    """A student of the teacher of a run.
+
+    Raises ValueError for a missing teacher, or one that has learned to drive something else.
+    """
+
+    column = "loss"
+    outputs = len(PRIVILEGED)  # of the inference
+    recipe: Mapping[str, Any]
+
+    def __init__(self, run: Run) -> None:
+        self.teacher, recipe = load_teacher(run.teacher, run.trust)
+        check_teacher(run, recipe)
+        self.settings = settings = run.settings
+        check_buffer(settings, run.vehicles)
+        self.options = run.augmentation.options
+        self.groups = run.groups
+        names = ("algorithm", "normalisation")
+        self.recipe = {**{name: recipe[name] for name in names}, "teacher": recipe}
+        env, self.truths = make_taught(run)
+        self.env = env
+        torch.manual_seed(run.seed)
+        self.model = self._model(normalisation_of(recipe))
+        self.optimiser = torch.optim.Adam(self.model.inference.parameters(), fused=True)
+        size = max(settings.buffer_size // env.num_envs, settings.n_steps)
+        self._rows = size - size % settings.n_steps
+        shown = env.observation_space.shape
+        assert shown is not None
+        self._seen = torch.zeros(self._rows, env.num_envs, *shown)
+        self._true = torch.zeros(self._rows, env.num_envs, self.outputs)
+        self._filled = 0  # rows of the buffer ever written
+        self._random = np.random.default_rng(run.seed)
+        self._observation: Any = env.reset()
+        self._state: Any = None
+        self._start = np.ones(env.num_envs, dtype=bool)
+        self.steps = 0
+
+    def _model(self, scaling: Normalisation | None) -> Any:
+        """The student with an inference that is not trained yet."""
+        observed = sum(map(len, self.groups.values()))
+        sheet = self.options.get("data_sheet", False)
+        inference = make_inference(self.options["lags"], self.settings.hidden, observed, sheet)
+        return StudentModel(inference, self.teacher, scaling, observed)
+
+    @property
+    def truth(self) -> Any:
+        """What the teacher would see beside the present observation, (N, F) of all rows."""
+        return self.model.privileged(np.concatenate([truth.present for truth in self.truths]))
+
+    def policy(self, context: PolicyContext) -> AgentPolicy:
+        """The student as the benchmark has it."""
+        return AgentPolicy(self.model, *widened_by(self.options), context, groups=self.groups)
+
+    def collect(self) -> float:
+        """Drive `n_steps`; returns the mean square of how wrong the inference was meanwhile."""
+        errors = 0.0
+        for _ in range(self.settings.n_steps):
+            row = self._filled % len(self._seen)
+            self._seen[row] = torch.from_numpy(self._observation)
+            truth = self.truth
+            self._true[row] = torch.from_numpy(truth)
+            found = self.model.infer(self._observation)
+            errors += float(np.mean((found - truth) ** 2))
+            action, self._state = self.model.predict(
+                self._observation, self._state, self._start, deterministic=True
+            )
+            self._observation, _, self._start, _ = self.env.step(action)
+            self._filled += 1
+        self.steps += self.settings.n_steps * self.env.num_envs
+        return errors / self.settings.n_steps
+
+    def regress(self, rate: float) -> None:
+        """Gradient steps on samples of the buffer. rate: learning rate."""
+        count = min(self._filled, len(self._seen)) * self.env.num_envs
+        seen, true = self._seen.flatten(0, 1), self._true.flatten(0, 1)
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        for _ in range(self.settings.gradient_steps):
+            rows = torch.from_numpy(self._random.integers(count, size=self.settings.batch_size))
+            loss = nn.functional.mse_loss(self.model.inference(seen[rows]), true[rows])
+            self.optimiser.zero_grad()
+            loss.backward()
+            self.optimiser.step()
+
+    def learn(self, progress: Progress) -> None:
+        """Learn to the end of the schedule.
+
+        Raises Diverged for an inference that is not finite, before anything of it is kept.
+        """
+        total = progress.schedule.total
+        while self.steps < total:
+            before = self.steps
+            loss = self.collect()
+            self.regress(self.settings.learning_rate * (1.0 - before / total))
+            check_finite(self.model.inference, {"loss": loss}, self.steps)
+            progress.count(self.steps - before)
+            progress.between(round(loss, 5))
+        progress.finish(progress.curve[-1][3] if progress.curve else float("nan"))
+
+    def trained(self) -> Trained:
+        """The network of the teacher, and what infers its inputs."""
+        return Trained(self.teacher, {}, {INFERENCE: weights(self.model.inference)})
+
+    def capture(self) -> dict[str, Any]:
+        """Everything that the next samples and regressions depend on."""
+        filled = min(self._filled, len(self._seen))
+        return {
+            **{name: getattr(self, name) for name in _CHANGING},
+            "inference": self.model.inference.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "buffer": (self._seen[:filled].numpy(), self._true[:filled].numpy()),
+            "random": self._random.bit_generator.state,
+            "environment": capture_environment(self.env),
+        }
+
+    def resume(self, captured: Mapping[str, Any]) -> None:
+        """Put back what `capture` took. Raises any exception where it does not fit."""
+        for name in ("_filled", "_observation", "_start", "steps"):
+            checkpoint.check(getattr(self, name), captured[name], name)
+        for name in _CHANGING:
+            setattr(self, name, captured[name])
+        self.model.inference.load_state_dict(captured["inference"])
+        self.optimiser.load_state_dict(captured["optimiser"])
+        for buffer, stored in zip((self._seen, self._true), captured["buffer"], strict=True):
+            buffer[: len(stored)] = torch.from_numpy(stored)
+        self._random.bit_generator.state = captured["random"]
+        resume_environment(self.env, captured["environment"])
+
+
+def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
+    """Raises ValueError for a teacher of another control period, drive, vehicle or observation.
+
+    Its privileged inputs would be ratios to other values, its actions other commands, and its
+    network would see other fields.
+    """
+    environment = recipe.get("environment", {})
+    theirs = driven(environment.get("id", TORQUE_ID), environment)
+    ours = driven(run.env, run.arguments)
+    pairs: dict[str, tuple[Any, Any]] = {}
+    pairs["control_period"] = (recipe["control_period"], control_period(run.env, run.arguments))
+    for name in ("drive", "vehicle"):
+        usual = EnvConfig._field_defaults[name]
+        pairs[name] = theirs.get(name, usual), ours.get(name, usual)
+    for name, (of_teacher, of_student) in pairs.items():
+        if of_teacher != of_student:
+            raise ValueError(
+                f"teacher {run.teacher} was trained with {name} = {of_teacher}; its student "
+                f"would have {of_student}. Is --env or --env-args another one?"
+            )
+    groups = groups_of(recipe)
+    if list(groups.items()) != list(run.groups.items()):
+        raise ValueError(
+            f"teacher {run.teacher} was trained with observation = {[*groups]}; its student would "
+            f"have {[*run.groups]}. Give both the same groups, in one order, in --env-args"
+        )
+
+
+LARGEST_GRADIENT = 1.0  # [-] norm that a gradient is shortened to
+
+
+class RecurrentStudentLearner(StudentLearner):
+    """A student with an LSTM, of the teacher of a run.
+
+    Raises ValueError as StudentLearner, for an observation without the motion, and for estimates
+    where sprocket speeds are commanded.
+    """
+
+    outputs = OUTPUTS
+
+    def __init__(self, run: Run) -> None:
+        features_of(run.augmentation.options, run.parts[0].context.drive)  # refuses some
+        super().__init__(run)
+        rows, count = self._rows, self.env.num_envs
+        self._began = torch.zeros(rows, count, 1)
+        blocks = rows // self.settings.n_steps
+        self._carried = torch.zeros(2, blocks, count, self.settings.lstm_hidden)
+
+    def _model(self, scaling: Normalisation | None) -> RecurrentStudentModel:
+        shown = self.env.observation_space.shape
+        assert shown is not None
+        settings = self.settings
+        inference = RecurrentInference(shown[0], settings.hidden, settings.lstm_hidden)
+        names = [field for of_group in self.groups.values() for field in of_group]
+        return RecurrentStudentModel(inference, self.teacher, scaling, names, settings.features)
+
+    @property
+    def truth(self) -> Any:
+        """What the inference should say of the present observation, (N, F) of all rows."""
+        motion = np.concatenate([truth.motion() for truth in self.truths])
+        hidden = np.concatenate([truth.present for truth in self.truths])
+        return self.model.wanted(self._observation, motion, hidden)
+
+    def collect(self) -> float:
+        """Drive one block; returns how wrong the inference was meanwhile, as `_loss`."""
+        block = self._filled % self._rows // self.settings.n_steps
+        carried = None if self._state is None else self._state[0]
+        for kept, values in zip(self._carried[:, block], carried or (0.0, 0.0), strict=True):
+            kept[:] = torch.as_tensor(values)
+        losses = 0.0
+        for _ in range(self.settings.n_steps):
+            row = self._filled % self._rows
+            self._seen[row] = torch.from_numpy(self._observation)
+            self._true[row] = torch.from_numpy(self.truth)
+            self._began[row, :, 0] = torch.from_numpy(self._start.astype(np.float32))
+            action, self._state = self.model.predict(
+                self._observation, self._state, self._start, deterministic=True
+            )
+            losses += float(_loss(torch.from_numpy(self.model.found), self._true[row]))
+            self._observation, _, self._start, _ = self.env.step(action)
+            self._filled += 1
+        self.steps += self.settings.n_steps * self.env.num_envs
+        return losses / self.settings.n_steps
+
+    def regress(self, rate: float) -> None:
+        """Gradient steps on sequences of the buffer. rate: learning rate."""
+        length, count = self.settings.n_steps, self.env.num_envs
+        blocks = min(self._filled, self._rows) // length
+        size = max(self.settings.batch_size // length, 1)
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        seen, true, began = (
+            values.view(-1, length, *values.shape[1:])
+            for values in (self._seen, self._true, self._began)
+        )
+        network = self.model.inference
+        for _ in range(self.settings.gradient_steps):
+            block, row = (
+                torch.from_numpy(self._random.integers(most, size=size)) for most in (blocks, count)
+            )
+            of_time = [values[block, :, row].transpose(0, 1) for values in (seen, began, true)]
+            carried = self._carried[0, block, row], self._carried[1, block, row]
+            loss = _loss(network(of_time[0], of_time[1], carried)[0], of_time[2])
+            self.optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(network.parameters(), LARGEST_GRADIENT)
+            self.optimiser.step()
+
+    def capture(self) -> dict[str, Any]:
+        """Everything that the next samples and regressions depend on."""
+        return {
+            **super().capture(), "began": self._began.numpy(), "carried": self._carried.numpy()
+        }  # fmt: skip
+
+    def resume(self, captured: Mapping[str, Any]) -> None:
+        """Put back what `capture` took. Raises any exception where it does not fit."""
+        super().resume(captured)
+        self._began[:] = torch.from_numpy(captured["began"])
+        self._carried[:] = torch.from_numpy(captured["carried"])
+
+
+def _loss(found: torch.Tensor, true: torch.Tensor) -> torch.Tensor:
+    """Mean of the squared error / 2 below 1, of its magnitude - 1/2 above: a vehicle far off its
+    path counts, but does not outweigh all others."""
+    return nn.functional.smooth_l1_loss(found, true)

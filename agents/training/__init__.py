@@ -1,1 +1,0 @@
-"""Trainings: options resolved into a `Run`, learners, environments, checkpoints, folders."""

@@ -1,0 +1,245 @@
+"""Model-reference adaptation of one channel with three parameters, by a Lyapunov update law.
+
+Channel: thrust h (over the nominal mass or inertia) moves x against the parts r and 1 of the load,
+    h   = q_1 x' + q_2 r + q_3                      the vehicle, q unknown, q_1 > 0
+    h   = p_1 a + p_2 r + p_3                       the law: a is what it asks of its parameters p
+    x_m'= a + l (x - x_m)                           reference model, fed with the error e = x - x_m
+    e'  = -l e + (p - q)' y / q_1,  y = (a, r, 1)
+    p'  = -G y E(e) / (1 + y' G y / l^2) - k (p - p_0)
+With V = q_1 e^2 + (p - q)' (p - q) / G and neither k nor dead zone, V' = -2 q_1 l e^2 <= 0 before
+normalization. E(e) = e - clip(e, -z, z): dead zone z. k: sigma modification, a pull towards the
+nominal p_0. p stays in the box [low, high]: for a diagonal G that clipping is the projection.
+The normalization keeps adaptation slower than the reference model: y' G y / (1 + ..) < l^2.
+Where the input y is constant, (p - p_0) moves along G y only; without excitation no parameter is
+claimed to be right, the prediction is.
+Here a follows from the effort that was applied, limits and lag included (the deficit of the drives
+is hedged in the reference model), so that a saturated drive teaches nothing wrong.
+
+References: [1] Lavretsky, Wise, Robust and Adaptive Control (2013), chapters 9 to 11. [2] Gibson,
+Annaswamy, Lavretsky, IEEE Access 1 (2013), closed-loop reference models. [3] Johnson, Calise,
+J. Guidance 26 (2003), pseudo-control hedging.
+
+Model-reference adaptive augmentation of the linearizing law.
+
+The law keeps its form; mass, motion resistance, inertia and turning resistance in it are adapted by
+`parameter_adaptation`, one channel each for forward speed and yaw rate, with what is left as a
+constant force and moment. Parameters are ratios to the nominal ones:
+    thrust = p_1 (v_x' - w v_y) + p_2 R_0 / m_0 + p_3       [m/s^2]
+    twist  = q_1 w' + q_2 M_0 / I_0 + q_3                   [rad/s^2]
+    m = p_1 m_0,  mu_l = mu_l0 p_2 / p_1,  I = q_1 I_0,  mu_t = mu_t0 q_2 / p_1
+They make the prediction right, and are not claimed to be those of the vehicle.
+
+References: [1] Lavretsky, Wise, Robust and Adaptive Control (2013).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from baselines.augmented.augmented_policy import OWN, AugmentedPolicy, last_period
+from baselines.linearizing import linearizing_law as law
+from baselines.linearizing.linearizing_law import Gains
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import PARAMETER_INDEX, Range
+from tracked_env.validation import checked_number
+
+
+class Load(NamedTuple):
+    """Three numbers of a channel: parameters, gains, bounds, or regressors."""
+
+    inertial: float  # of x'
+    resisting: float  # of r
+    constant: float  # of 1
+
+
+class Adaptation(NamedTuple):
+    """Numbers of the law, for one channel."""
+
+    gain: Load  # G, diagonal
+    low: Load  # projection bounds
+    high: Load
+    nominal: Load  # p_0
+    rate: float  # [1/s] l
+    leak: float  # [1/s] k
+    dead_zone: float  # [of x] z
+
+
+@formula
+def demanded(parameters, thrust, resisting):
+    """a: the x' that `thrust` gives by the parameters."""
+    p = parameters
+    return (thrust - p.resisting * resisting - p.constant) / p.inertial
+
+
+@formula
+def beyond(error, dead_zone):
+    """What of an error exceeds the dead zone; odd."""
+    return error - min(max(error, -dead_zone), dead_zone)
+
+
+@formula
+def within(value, low, high):
+    """value in [low, high]."""
+    return min(max(value, low), high)
+
+
+@formula
+def _moved(p, middle, error, change, thrust, resisting, law, period):
+    """(Load, error e) after one period, with a of the parameters `middle` all through it."""
+    a = demanded(middle, thrust, resisting)
+    decay = math.exp(-law.rate * period)
+    later = decay * error + (1.0 - decay) / law.rate * (change / period - a)
+    g = law.gain
+    size = a * a * g.inertial + resisting * resisting * g.resisting + g.constant
+    effect = beyond(0.5 * (error + later), law.dead_zone)
+    keep = math.exp(-law.leak * period)
+    held_for = (1.0 - keep) / law.leak if law.leak > 0.0 else period
+    step = -held_for * effect / (1.0 + size / (law.rate * law.rate))
+    low, high, at = law.low, law.high, law.nominal
+    inertial = at.inertial + keep * (p.inertial - at.inertial) + step * g.inertial * a
+    held = at.resisting + keep * (p.resisting - at.resisting) + step * g.resisting * resisting
+    constant = at.constant + keep * (p.constant - at.constant) + step * g.constant
+    moved = Load(
+        within(inertial, low.inertial, high.inertial),
+        within(held, low.resisting, high.resisting),
+        within(constant, low.constant, high.constant),
+    )
+    return moved, later
+
+
+@formula
+def adapted(p, error, change, thrust, resisting, law, period):
+    """(Load p, error e) after one period [s].
+
+    change: of the measured x over it; thrust, resisting: means over it; law: Adaptation. Of second
+    order in the period (midpoint rule): e by its exact solution for constant a, p by the mean of e.
+    """
+    ahead, _error = _moved(p, p, error, change, thrust, resisting, law, period)
+    middle = Load(
+        0.5 * (p.inertial + ahead.inertial),
+        0.5 * (p.resisting + ahead.resisting),
+        0.5 * (p.constant + ahead.constant),
+    )
+    return _moved(p, middle, error, change, thrust, resisting, law, period)
+
+
+_ROW = PARAMETER_INDEX
+_MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
+_INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
+# Projection bounds, ratios to the nominal values; constants [m/s^2, rad/s^2].
+LOW, HIGH = Load(0.4, 0.05, -3.0), Load(2.5, 3.0, 3.0)
+NOMINAL = Load(1.0, 1.0, 0.0)
+
+
+class MracSettings(NamedTuple):
+    """Settings of the law, and of both channels: the gains G, rates and dead zones."""
+
+    k_p: float = 120.0  # [1/s^3] gains of the law
+    k_v: float = 52.1  # [1/s^2]
+    k_a: float = 10.6  # [1/s]
+    bound: float = 0.211  # [m] what the law sees of a position error at most
+
+    forward_inertial: float = 80.6  # [s/m^2] gain of the mass
+    forward_resisting: float = 132.0  # [s/m^2] of the motion resistance
+    forward_constant: float = 12.5  # [1/s^2] of the constant force
+    turning_inertial: float = 13.3  # [s/rad^2] of the inertia
+    turning_resisting: float = 408.0  # [s/rad^2] of the turning resistance
+    turning_constant: float = 67.4  # [1/s^2] of the constant moment
+    forward_rate: float = 17.2  # [1/s] l of the reference model
+    turning_rate: float = 17.2  # [1/s]
+    leak: float = 0.0105  # [1/s] sigma modification
+    forward_dead_zone: float = 0.00142  # [m/s]
+    turning_dead_zone: float = 0.00525  # [rad/s]
+    drive_bandwidth: float = 101.0  # [1/s] of the low-pass filter of each drive's loop
+
+
+# Setting -> (low, high, whether on a logarithmic scale) of a search.
+TUNABLE = {
+    **law.TUNABLE,
+    "forward_inertial": (5.0, 5000.0, True),
+    "forward_resisting": (1.0, 500.0, True),
+    "forward_constant": (1.0, 500.0, True),
+    "turning_inertial": (5.0, 5000.0, True),
+    "turning_resisting": (1.0, 500.0, True),
+    "turning_constant": (1.0, 500.0, True),
+    "forward_rate": (5.0, 60.0, True),
+    "turning_rate": (5.0, 60.0, True),
+    "leak": (0.001, 0.3, True),
+    "forward_dead_zone": (0.0, 0.01, False),
+    "turning_dead_zone": (0.0, 0.01, False),
+    "drive_bandwidth": (30.0, 300.0, True),
+}
+_ALLOWED = Range(0.0, 1e6, "SI", "Gains, rates and dead zones are not negative.")
+
+
+@loop
+def adapt_all(
+    observation, torques, p, period, constrained, sloped, ahead, aside, drive_bandwidth, memory,
+    parameters, lacking,
+):  # fmt: skip
+    """One step of all vehicles: observation (N, >= SIZE) filtered, torques (N, 2) [N m] measured or
+    NaN, p nominal, ahead and aside: Adaptation of both channels, memory (N, OWN + 8) in and out,
+    parameters (PARAMETER_ROWS, N) and lacking (N, 2) [m/s^2, rad/s^2] out."""
+    for i in range(observation.shape[0]):
+        last = last_period(
+            observation, i, torques, memory, p, drive_bandwidth, period, constrained, sloped
+        )
+        mean, at = last.mean, OWN + 4
+        forward = Load(memory[i, OWN], memory[i, OWN + 1], memory[i, OWN + 2])
+        turning = Load(memory[i, at], memory[i, at + 1], memory[i, at + 2])
+        if last.known:
+            forward, memory[i, OWN + 3] = adapted(
+                forward, memory[i, OWN + 3], last.speed_change - period * mean.pull, mean.thrust,
+                mean.resistance, ahead, period,
+            )  # fmt: skip
+            turning, memory[i, at + 3] = adapted(
+                turning, memory[i, at + 3], last.yaw_rate_change - period * mean.carried,
+                mean.twist, mean.turning, aside, period,
+            )  # fmt: skip
+            memory[i, OWN], memory[i, OWN + 1], memory[i, OWN + 2] = forward
+            memory[i, at], memory[i, at + 1], memory[i, at + 2] = turning
+        mass = forward.inertial
+        parameters[_MASS, i] = p.mass * mass
+        parameters[_RESISTANCE, i] = p.longitudinal_resistance * forward.resisting / mass
+        parameters[_INERTIA, i] = p.inertia * turning.inertial
+        parameters[_FRICTION, i] = p.lateral_resistance * turning.resisting / mass
+        lacking[i, 0] = -forward.constant / mass
+        lacking[i, 1] = -turning.constant / turning.inertial
+
+
+class MracPolicy(AugmentedPolicy):
+    """The law with model-reference adaptation; arguments as AugmentedPolicy, and settings.
+
+    Raises ValueError for a setting that is negative or not a number, or a rate that is zero.
+    """
+
+    first = np.array([*np.zeros(OWN), *NOMINAL, 0.0, *NOMINAL, 0.0])
+
+    def __init__(
+        self, *arguments: Any, settings: MracSettings | None = None, **options: Any
+    ) -> None:
+        given = MracSettings() if settings is None else settings
+        for name, value in given._asdict().items():
+            least = 1e-3 if name.endswith("_rate") else 0.0
+            checked_number(name, value, _ALLOWED._replace(low=least))
+        self.settings = s = MracSettings(*(float(value) for value in given))
+        options.setdefault("gains", Gains(s.k_p, s.k_v, s.k_a, s.bound))
+        super().__init__(*arguments, **options)
+        self._ahead = Adaptation(
+            Load(s.forward_inertial, s.forward_resisting, s.forward_constant),
+            LOW, HIGH, NOMINAL, s.forward_rate, s.leak, s.forward_dead_zone,
+        )  # fmt: skip
+        self._aside = Adaptation(
+            Load(s.turning_inertial, s.turning_resisting, s.turning_constant),
+            LOW, HIGH, NOMINAL, s.turning_rate, s.leak, s.turning_dead_zone,
+        )  # fmt: skip
+
+    def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:
+        """As AugmentedPolicy.adapt."""
+        controller = self.controller
+        adapt_all(
+            observation, torques, self.parameters, controller.control_period, self.constrained,
+            self.sloped, self._ahead, self._aside, self.settings.drive_bandwidth, adaptation,
+            controller.parameters, controller.lacking,
+        )  # fmt: skip

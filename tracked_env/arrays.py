@@ -1,0 +1,298 @@
+"""The arrays of a batch of N vehicles, and the names of their columns.
+
+Everything the kernels touch lives in a few arrays, one vehicle per row:
+    floats    (N, PLANT + own)     state, parameters, reference, sensors, bookkeeping, the plant's
+    counters  (N, COUNTER_COLUMNS) integers: clocks and flags
+    profile   (S, N, 12 or more)   reference: polynomials of speed (6) and of yaw rate (6), and
+                                   its knots where it has its own, see `physics.reference_knots`
+    events    (N, E, EVENT_FIELDS) what changes inside the episode
+    noise     (NOISE_BLOCK / NOISE_RUN, N, NOISE_RUN, NOISE_COUNT) float32 normal numbers
+              drawn ahead; NOISE_RUN steps lie together because writing is scattered too
+    history   (N, H, DELIVERED_COUNT) past samples, for delayed sensors
+Profile and noise have the time first: vehicles that run in step then read one stream of memory.
+A column is an offset, so that a kernel takes one array instead of a hundred. Offsets are for
+kernels; outside them a column has a name (`COLUMN`, `Batch.column`, `Batch.counter`).
+
+What can be read of N vehicles between their steps: copies, by name, in SI units.
+"""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.observation import LOOK_AHEAD
+from tracked_env.physics.lumped import Coefficients, DriveLimits
+from tracked_env.physics.parameters import PARAMETER_NAMES, PARAMETER_ROWS, STATE_NAMES, STATE_ROWS
+from tracked_env.physics.reference_profile import UNIFORM_COLUMNS
+from tracked_env.sensors import CHANNEL_COUNT, GROUPS, NOISE_COUNT
+
+NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle
+NOISE_RUN = 8  # [steps] of it that are neighbours in memory
+EVENT_FIELDS = 8
+AHEAD = len(LOOK_AHEAD)
+GROUP_COUNT = len(GROUPS)
+COEFFICIENT_COUNT = len(Coefficients._fields)
+DRIVE_COUNT = len(DriveLimits._fields)
+DELIVERED_COUNT = CHANNEL_COUNT + GROUP_COUNT  # samples, and the step at which each was taken
+
+
+class RewardTerms(NamedTuple):
+    """One number for each term of the reward, or an array."""
+
+    position: Any
+    heading: Any
+    speed: Any
+    effort: Any
+    smoothness: Any
+
+
+REWARD_TERMS = RewardTerms._fields
+
+# --- columns of `floats` -------------------------------------------------------------------
+STATE = 0
+PARAMETERS = STATE + STATE_ROWS  # in force now
+COEFFICIENTS = PARAMETERS + PARAMETER_ROWS  # derived from PARAMETERS, by plants that use them
+DRIVE = COEFFICIENTS + COEFFICIENT_COUNT  # the same
+TORQUE_DECAY = DRIVE + DRIVE_COUNT  # [-] exp(-h / 2T) of half a sub-step
+REFERENCE_X = TORQUE_DECAY + 1  # [m]
+REFERENCE_Y = REFERENCE_X + 1  # [m]
+REFERENCE_YAW = REFERENCE_Y + 1  # [rad]
+REFERENCE_COSINE = REFERENCE_YAW + 1  # [-] of the reference yaw, and the sine in the next column
+REFERENCE_MOTION = REFERENCE_COSINE + 2  # v, dv/dt, d2v/dt2, w, dw/dt
+AHEAD_SPEED = REFERENCE_MOTION + 5
+AHEAD_YAW_RATE = AHEAD_SPEED + AHEAD
+SIGMA = AHEAD_YAW_RATE + AHEAD  # standard deviation per channel
+BIAS = SIGMA + CHANNEL_COUNT  # per channel
+CROSS_COUPLING = BIAS + CHANNEL_COUNT  # [-]
+VELOCITY = CROSS_COUPLING + 1  # [-] 1, or 0 where v_x and v_y are not measured
+DROPOUT = VELOCITY + 1  # per group: a normal number below it loses the sample
+OUTAGE = DROPOUT + GROUP_COUNT  # [control steps] gap low, high, length low, high
+SAMPLE = OUTAGE + 4  # latest samples, and the step each group was sampled
+DELIVERED = SAMPLE + DELIVERED_COUNT  # samples after their delay; unused while nobody has one
+# What a step reports lies together, so that one pass over the batch collects it.
+ERROR_DISTANCE = DELIVERED + DELIVERED_COUNT  # [m] true distance from vehicle to reference
+ERROR_YAW = ERROR_DISTANCE + 1  # [rad] true, reference minus vehicle
+REWARD = ERROR_YAW + 1
+TERMS = REWARD + 1  # one per reward term
+SQUARED_ERROR_SUM = TERMS + len(REWARD_TERMS)  # [m^2] over the episode, for its RMSE
+ACTION = SQUARED_ERROR_SUM + 1  # [-] in force: left, right
+LAST_ACTION = ACTION + 2  # [-] of the control step before: left, right
+BASE = LAST_ACTION + 2  # parameters at the start of the episode
+FAILURE = BASE + PARAMETER_ROWS  # [-] why the vehicle cannot go on, `Plant.failures`; 0: it can
+PLANT = FAILURE + 1  # from here on: what a plant keeps for itself
+
+# Name -> column of `floats`, for all that is read outside kernels.
+COLUMN = {
+    **{name: STATE + row for row, name in enumerate(STATE_NAMES)},
+    **{name: PARAMETERS + row for row, name in enumerate(PARAMETER_NAMES)},
+    **{name: DRIVE + row for row, name in enumerate(DriveLimits._fields)},
+    "reference_x": REFERENCE_X,
+    "reference_y": REFERENCE_Y,
+    "reference_yaw": REFERENCE_YAW,
+    "reference_speed": REFERENCE_MOTION,
+    "reference_yaw_rate": REFERENCE_MOTION + 3,
+    "distance": ERROR_DISTANCE,
+    "heading_error": ERROR_YAW,
+    "reward": REWARD,
+    **{f"reward_{name}": TERMS + row for row, name in enumerate(REWARD_TERMS)},
+    "squared_error_sum": SQUARED_ERROR_SUM,
+    "action_left": ACTION,
+    "action_right": ACTION + 1,
+}
+
+# --- columns of `counters` -----------------------------------------------------------------
+STEP = 0  # control steps since reset
+NOISE_CURSOR = 1  # next unused row of the noise block
+TERMINATED = 2
+TRUNCATED = 3
+EVENT_COUNT = 4
+MAX_STEP = 5  # [control steps] of the episode
+PERIOD = 6  # per group, [control steps] between samples
+DELAY = PERIOD + GROUP_COUNT  # per group, [control steps]
+OUTAGE_FROM = DELAY + GROUP_COUNT  # step at which the next outage of the pose begins; -1: never
+OUTAGE_UNTIL = OUTAGE_FROM + 1  # step at which the last one ends or has ended
+COUNTER_COLUMNS = OUTAGE_UNTIL + 1
+
+COUNTER = {
+    "step": STEP, "noise_cursor": NOISE_CURSOR, "terminated": TERMINATED, "truncated": TRUNCATED,
+    "event_count": EVENT_COUNT, "max_step": MAX_STEP,
+}  # fmt: skip
+
+
+class Report(NamedTuple):
+    """What a control step reports of N vehicles."""
+
+    tracking_error: NDArray[np.float64]  # (N, 2) distance [m] and heading error [rad]
+    reward: NDArray[np.float64]  # (N,)
+    terms: RewardTerms  # (N,) each
+
+
+class RowReport(NamedTuple):
+    """The same of one vehicle, as views: they change with its next step."""
+
+    tracking_error: NDArray[np.float64]  # (2,)
+    rewards: NDArray[np.float64]  # (1 + terms,) the reward, then its terms
+    flags: NDArray[np.int64]  # (2,) terminated, truncated
+
+
+class Batch(NamedTuple):
+    """The arrays of N vehicles."""
+
+    floats: NDArray[np.float64]
+    counters: NDArray[np.int64]
+    profile: NDArray[np.float64]
+    events: NDArray[np.float64]
+    noise: NDArray[np.float32]
+    history: NDArray[np.float64]
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """A view (N,) of one column of the floats."""
+        return self.floats[:, COLUMN[name]]
+
+    def counter(self, name: str) -> NDArray[np.int64]:
+        """A view (N,) of one counter."""
+        return self.counters[:, COUNTER[name]]
+
+    def state(self) -> NDArray[np.float64]:
+        """A view (N, STATE_ROWS) of the states."""
+        return self.floats[:, STATE : STATE + STATE_ROWS]
+
+    def parameters(self) -> NDArray[np.float64]:
+        """A view (N, PARAMETER_ROWS) of the parameters in force."""
+        return self.floats[:, PARAMETERS : PARAMETERS + PARAMETER_ROWS]
+
+    def base(self) -> NDArray[np.float64]:
+        """A view (N, PARAMETER_ROWS) of the parameters at the start of the episode."""
+        return self.floats[:, BASE : BASE + PARAMETER_ROWS]
+
+    def report(self) -> Report:
+        """A copy of what the last step reports."""
+        values = self.floats.T[ERROR_DISTANCE : TERMS + len(REWARD_TERMS)].copy()
+        return Report(values[:2].T, values[2], RewardTerms(*values[3:]))
+
+    def row_report(self, i: int) -> RowReport:
+        """Views of what the last step reports of vehicle i."""
+        row = self.floats[i]
+        return RowReport(
+            row[ERROR_DISTANCE : ERROR_YAW + 1],
+            row[REWARD : TERMS + len(REWARD_TERMS)],
+            self.counters[i, TERMINATED : TRUNCATED + 1],
+        )
+
+
+def columns(names: Iterable[str]) -> list[int]:
+    """Columns of `floats` of these names."""
+    return [COLUMN[name] for name in names]
+
+
+def allocate(
+    count: int, segments: int, own_columns: int = 0, events: int = 1, history: int = 1,
+    reference_columns: int = UNIFORM_COLUMNS,
+) -> Batch:  # fmt: skip
+    """Zeroed arrays for `count` vehicles, of a plant with so many columns of its own."""
+    return Batch(
+        np.zeros((count, PLANT + own_columns)),
+        np.zeros((count, COUNTER_COLUMNS), dtype=np.int64),
+        np.zeros((segments, count, reference_columns)),
+        np.zeros((count, events, EVENT_FIELDS)),
+        np.zeros((NOISE_BLOCK // NOISE_RUN, count, NOISE_RUN, NOISE_COUNT), dtype=np.float32),
+        np.zeros((count, history, DELIVERED_COUNT)),
+    )
+
+
+def bytes_per_vehicle(batch: Batch) -> int:
+    """Memory of one vehicle [bytes]."""
+    return sum(array.nbytes for array in batch) // batch.floats.shape[0]
+
+
+SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
+
+
+def ending_flags(failures: tuple[str, ...]) -> list[str]:
+    """Names of the flags of `info` for a plant that can fail so, `Plant.failures`."""
+    return [f"ended_{name}" for name in ("off_path", *failures)]
+
+
+class Readings:
+    """Of the arrays `batch`, one row per vehicle."""
+
+    batch: Batch
+    # Which episodes have ended, looked up when it is asked for after a step in which one did:
+    _ended: NDArray[np.bool_]
+    _ended_known: bool
+    _some_resting: bool
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """A copy (N,) of one column of the floats; names: `columns.COLUMN`."""
+        return self.batch.column(name).copy()
+
+    def report(self) -> Report:
+        """A copy of tracking error, reward and its terms."""
+        return self.batch.report()
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """(N,) control steps since reset."""
+        return self.batch.counter("step").copy()
+
+    @property
+    def terminated(self) -> NDArray[np.bool_]:
+        """(N,) off the path, or non-finite."""
+        return self.batch.counter("terminated") != 0
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """(N,) out of time."""
+        return self.batch.counter("truncated") != 0
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """(N,) the episode has ended, and none was started since; such rows are not to be stepped.
+
+        The array itself, which a reset changes.
+        """
+        if not self._ended_known:
+            counters = self.batch.counters
+            self._ended = (counters[:, TERMINATED] | counters[:, TRUNCATED]) != 0
+            self._ended_known = True
+        return self._ended
+
+    def resting(self) -> NDArray[np.bool_] | None:
+        """A copy of `ended`, or None where no episode has ended."""
+        if not self._some_resting:
+            return None
+        self._some_resting = bool(self.ended.any())
+        return self.ended.copy() if self._some_resting else None
+
+    @property
+    def rmse(self) -> NDArray[np.float64]:
+        """(N,) root mean square distance to the reference since reset [m]."""
+        steps = np.maximum(self.batch.counter("step"), 1)
+        return np.sqrt(self.batch.column("squared_error_sum") / steps)
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
+        return self.truncated & (self.rmse < SUCCESS_RMSE * self.batch.column("contact_length"))
+
+    def endings(self, failures: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
+        """Why episodes have terminated, (N,) each: off the path, or a failure of the plant.
+
+        failures: `Plant.failures`. A state that is not finite has no flag.
+        """
+        names, over = ending_flags(failures), self.terminated
+        if not np.count_nonzero(over):  # nearly always: nothing to look up
+            return {name: np.zeros_like(over) for name in names}
+        code = self.batch.floats[:, FAILURE]
+        finite = np.isfinite(self.batch.state()).all(axis=1)
+        return {name: over & finite & (code == k) for k, name in enumerate(names)}
+
+    def reference_position(self, i: int) -> NDArray[np.float64]:
+        """(2,) position [m] of the reference of vehicle i now, world frame."""
+        return self.batch.floats[i, REFERENCE_X : REFERENCE_Y + 1].copy()
+
+    def truth(self) -> dict[str, NDArray[np.float64]]:
+        """True state and parameters in force, by name; each (N,)."""
+        return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}

@@ -1,0 +1,470 @@
+"""Common parts of all figures of the benchmark: colours, sizes, title and legend.
+
+Colours are those of Okabe and Ito, distinguishable with any colour vision; every policy has a
+line style and a marker of its own as well.
+
+A ratio r is coloured by x = ln r / (|ln r| + ln SOFT): blue below 1, red above, white at 1; the
+slope is largest at 1, where the leaders differ, and no finite ratio reaches the end of the scale.
+
+Figures of a finished benchmark, as SVG; needs matplotlib (extra `render`).
+
+overview.svg        tracking RMSE of every episode, per set and policy
+errors.svg          distance to the reference over time: median and quartiles
+paths-<set>.svg     reference and driven paths of the first episodes, and their errors over time
+drive-<set>.svg     error, torque and slip of one episode over time
+beliefs-<set>.svg   true and estimated parameters over time, if a policy estimates any
+"""
+
+import html
+import io
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracked_env.benchmark.metrics import CHANNELS
+from tracked_env.benchmark.statistics import Estimate
+from tracked_env.benchmark.store import Record, Store, write_atomically
+from tracked_env.benchmark.summary import agent_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+PALETTE = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe-Ito
+LINE_STYLES = ("--", "-", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
+MARKERS = ("v", "o", "s", "D", "^", "P")
+REFERENCE_COLOUR = "0.55"
+DPI = 120  # [1/inch]
+MAX_DRAWN = 5  # policies in a figure; more cannot be told apart
+SOFT = 1.25  # [-] ratio at half of the colour scale
+BLUE, WHITE, RED = (
+    np.array(c, dtype=np.float64) for c in ((20, 88, 160), (255,) * 3, (172, 50, 14))
+)
+MARK_WIDTH = 160.0  # [px] of an interval in a cell
+MARK_LIMIT = 8.0  # [-] ratios beyond it, or below its inverse, lie at the end of the mark
+STYLE: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "0.9",
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "path.simplify_threshold": 0.3,  # [px] keeps vector files of long episodes small
+}
+
+
+class Look(NamedTuple):
+    """How one policy is drawn."""
+
+    colour: str
+    line_style: Any
+    marker: str
+
+
+class Mark(NamedTuple):
+    """An interval on a logarithmic axis, places in pixels."""
+
+    value: float
+    low: float
+    high: float
+    one: float  # where the ratio is 1
+
+
+def looks(policies: Sequence[str]) -> dict[str, Look]:
+    """Line style of each policy, the same in every figure; 36 different ones."""
+    return {
+        name: Look(PALETTE[i % 6], LINE_STYLES[(i + i // 6) % 6], MARKERS[(i + i // 6) % 6])
+        for i, name in enumerate(policies)
+    }
+
+
+def new_figure(
+    panel: tuple[float, float],
+    rows: int = 1,
+    columns: int = 1,
+    left: float = 0.65,
+    gap: tuple[float, float] = (0.35, 0.4),
+    **shared: Any,
+) -> Any:
+    """Figure and axes (rows, columns), without any global state.
+
+    panel, gap: width and height of a panel and between two [inch]; left: left margin [inch].
+    Fixed margins, because measuring the labels takes longer than drawing the figure.
+    """
+    from matplotlib.figure import Figure
+
+    right, top, bottom = 0.15, 0.9, 0.55
+    width = left + columns * panel[0] + (columns - 1) * gap[0] + right
+    height = bottom + rows * panel[1] + (rows - 1) * gap[1] + top
+    figure = Figure(figsize=(width, height), dpi=DPI)
+    grid = {
+        "left": left / width,
+        "right": 1.0 - right / width,
+        "wspace": gap[0] / panel[0],
+        "bottom": bottom / height,
+        "top": 1.0 - top / height,
+        "hspace": gap[1] / panel[1],
+    }
+    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **shared)
+
+
+def plain_ticks(axis: "Axis", places: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Ticks of a logarithmic axis at these places of each decade, written as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=places))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def head(figure: "Figure", axes: "Axes", title: str, style: dict[str, Look]) -> None:
+    """Title at the upper left, and below it one legend for all panels."""
+    width, height = figure.get_size_inches()
+    handles, labels = axes.get_legend_handles_labels()
+    by_label = dict(zip(labels, handles, strict=True))
+    order = [label for label in ("reference", "true", *style) if label in by_label]
+    entry = 0.55 + 0.08 * max(map(len, order), default=0)  # [inch] with its handle
+    columns = min(max(int(width / entry), 1), max(len(order), 1))
+    further = 0.17 * (-(-len(order) // columns) - 1)  # [inch] of the rows after the first
+    at = figure.subplotpars
+    figure.subplots_adjust(
+        bottom=at.bottom * height / (height + further), top=at.top * height / (height + further)
+    )
+    height += further
+    figure.set_size_inches(width, height)
+    figure.legend(
+        [by_label[label] for label in order],
+        order,
+        loc="upper left",
+        bbox_to_anchor=(0.0, 1.0 - 0.3 / height),
+        ncols=columns,
+    )
+    figure.suptitle(title, x=0.12 / width, y=1.0 - 0.12 / height, ha="left", va="top", fontsize=11)
+
+
+def svg_text(figure: "Figure", title: str) -> str:
+    """A figure as SVG, the same text for the same figure; its letters stay text."""
+    import matplotlib
+
+    buffer = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": title}):
+        figure.savefig(
+            buffer, format="svg", bbox_inches="tight", pad_inches=0.1,
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+        )  # fmt: skip
+    # A tenth of a point is not seen; the digits behind it are half of a file.
+    return re.sub(r' d="[^"]+"', lambda of: re.sub(r"(\.\d)\d+", r"\1", of[0]), buffer.getvalue())
+
+
+# What a figure inside a page takes over from it: colours of text, grid and background.
+_OF_PAGE = {
+    "#000000": "currentColor", "#262626": "currentColor", "#e6e6e6": "var(--grid)",
+    "#ffffff": "none",
+}  # fmt: skip
+
+
+def inline_svg(text: str, title: str) -> str:
+    """An SVG file as an element of HTML; black, white and the grid follow the page's colours."""
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r' xmlns(?::\w+)?="[^"]*"', "", text).replace("xlink:href", "href")
+    text = re.sub(r' id="\w+_\d+"', "", text)  # the same in every figure
+    for colour, own in _OF_PAGE.items():
+        text = text.replace(colour, own)
+    label = html.escape(title, quote=True)
+    return text.replace("<svg", f'<svg role="img" aria-label="{label}" fill="currentColor"', 1)
+
+
+def colour(ratio: float) -> tuple[str, str]:
+    """Background and text colour of a ratio of errors."""
+    step = math.log(min(max(ratio, 1e-9), 1e9))
+    x = step / (abs(step) + math.log(SOFT))
+    mixed = (WHITE + abs(x) * ((BLUE if x < 0.0 else RED) - WHITE)).round()
+    linear = np.where(mixed <= 10.31, mixed / 3294.6, ((mixed / 255 + 0.055) / 1.055) ** 2.4)
+    light = float(linear @ (0.2126, 0.7152, 0.0722))  # relative luminance
+    # Contrast is (light + 0.05) / 0.05 with black and 1.05 / (light + 0.05) with white.
+    text = "#000" if (light + 0.05) ** 2 > 1.05 * 0.05 else "#fff"
+    return "#" + "".join(f"{int(part):02x}" for part in mixed), text
+
+
+def marks(estimates: Sequence[Estimate]) -> list[Mark]:
+    """Intervals of one column on one axis, which holds 1 and ends at MARK_LIMIT at most."""
+    low = max(min(1 / 1.1, *(e.low for e in estimates)), 1.0 / MARK_LIMIT)
+    high = min(max(1.1, *(e.high for e in estimates)), MARK_LIMIT)
+    scale = (MARK_WIDTH - 8.0) / math.log(high / low)
+
+    def place(ratio: float) -> float:
+        return round(4.0 + scale * math.log(min(max(ratio, low), high) / low), 1)
+
+    return [Mark(place(e.value), place(e.low), place(e.high), place(1.0)) for e in estimates]
+
+
+Traces = dict[str, dict[str, NDArray[Any]]]  # of one set, by policy
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "DPI", "PALETTE", "REFERENCE_COLOUR", "STYLE", "Look", "Record", "Traces", "beliefs", "drive",
+    "errors", "looks", "overview", "paths", "save_all",
+]  # fmt: skip
+
+BELIEFS = {  # drawn, with their labels
+    "mass": "mass [kg]",
+    "inertia": "inertia [kg m²]",
+    "longitudinal_resistance": "longitudinal resistance [-]",
+    "lateral_resistance": "lateral resistance [-]",
+}
+SMALLEST_DRAWN = 1e-3  # [m] of errors on a logarithmic axis
+MARKER_TIME = 5.0  # [s] between two markers on a path
+
+
+def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Look]) -> "Figure":
+    """Every episode as a point, quartiles as a box; RMSE on a logarithmic axis."""
+    figure, grid = new_figure((7.0, 0.24 * len(sets) * (len(style) + 1)), left=1.4)
+    axes = grid[0, 0]
+    rng = np.random.default_rng(0)  # of the vertical scatter of the points
+    for row, name in enumerate(sets):
+        for k, (policy, look) in enumerate(style.items()):
+            rmse = np.array(
+                [r["tracking_rmse"] for r in records if (r["set"], r["policy"]) == (name, policy)]
+            )
+            y = row + (k - 0.5 * (len(style) - 1)) * 0.8 / len(style)
+            height = 0.55 / len(style)
+            axes.boxplot(
+                rmse, positions=[y], orientation="horizontal", widths=height, showfliers=False,
+                manage_ticks=False, patch_artist=True,
+                boxprops={"facecolor": look.colour, "alpha": 0.35, "edgecolor": look.colour},
+                medianprops={"color": look.colour, "linewidth": 2.0},
+                whiskerprops={"color": look.colour}, capprops={"color": look.colour},
+            )  # fmt: skip
+            scatter = y + height * rng.uniform(-0.4, 0.4, len(rmse))
+            axes.plot(
+                rmse, scatter, look.marker, color=look.colour, markersize=3.0, alpha=0.6,
+                markeredgewidth=0.0, label=policy if row == 0 else None,
+            )  # fmt: skip
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_yticks(range(len(sets)), sets)
+    axes.set_ylim(len(sets) - 0.5, -0.5)
+    axes.tick_params(axis="y", length=0)
+    axes.grid(visible=False, axis="y")
+    for row in range(1, len(sets)):
+        axes.axhline(row - 0.5, color="0.85", linewidth=0.8)
+    axes.set_xlabel("tracking RMSE of an episode [m]")
+    head(figure, axes, "Tracking error of every episode", style)
+    return figure
+
+
+def errors(traces: dict[str, Traces], style: dict[str, Look]) -> "Figure":
+    """One panel per set: median of the error over the episodes, and the quartiles as a band."""
+    columns = min(len(traces), 4)
+    rows = -(-len(traces) // columns)
+    figure, grid = new_figure((2.4, 1.8), rows, columns, gap=(0.2, 0.45), sharex=True, sharey=True)
+    panels = grid.ravel()
+    for axes, (name, by_policy) in zip(panels, traces.items(), strict=False):
+        for policy, trace in by_policy.items():
+            low, median, high = np.quantile(trace["error"], [0.25, 0.5, 0.75], axis=1)
+            look = style[policy]
+            axes.fill_between(trace["time"], low, high, color=look.colour, alpha=0.25, linewidth=0)
+            axes.plot(
+                trace["time"], median, linestyle=look.line_style, color=look.colour, label=policy
+            )
+        axes.set_title(name)
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+    for axes in panels[len(traces) :]:
+        axes.remove()
+    for column in range(columns):
+        last = [row for row in range(rows) if row * columns + column < len(traces)][-1]
+        grid[last, column].set_xlabel("time [s]")
+        grid[last, column].tick_params(labelbottom=True)
+    for row in range(rows):
+        grid[row, 0].set_ylabel("distance to reference [m]")
+    head(figure, panels[0], "Tracking error over time: median and quartiles", style)
+    return figure
+
+
+def _motion(trace: dict[str, NDArray[Any]], name: str, episode: int) -> NDArray[np.float64]:
+    """One channel of one shown episode, (T,); NaN after its end."""
+    return np.asarray(trace["motion"][:, episode, CHANNELS.index(name)], dtype=np.float64)
+
+
+def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figure":
+    """Reference and driven paths of the first episodes of a set, and their errors over time.
+
+    Errors of centimetres are not seen beside paths of many metres: hence the lower row. Markers
+    every MARKER_TIME show who is where at the same time: a delay is an error as well.
+    """
+    longest = max(traces.values(), key=lambda trace: len(trace["motion"]))
+    count = min(trace["motion"].shape[1] for trace in traces.values())
+    every = max(round(MARKER_TIME / float(longest["control_period"])), 1)
+    figure, grid = new_figure((2.4, 2.2), 2, count, gap=(0.5, 0.5))
+    for episode, (axes, below) in enumerate(grid.T):
+        x, y = (_motion(longest, f"reference_{axis}", episode) for axis in "xy")
+        axes.plot(
+            x, y, color=REFERENCE_COLOUR, linewidth=5.0, alpha=0.5, label="reference",
+            marker="o", markersize=6.0, markevery=(every - 1, every),
+        )  # fmt: skip
+        for policy, trace in reversed(traces.items()):  # the baseline on top
+            look = style[policy]
+            x, y = _motion(trace, "x", episode), _motion(trace, "y", episode)
+            axes.plot(
+                x, y, linestyle=look.line_style, color=look.colour, linewidth=1.3, label=policy,
+                marker=look.marker, markersize=4.0, markevery=(every - 1, every),
+            )  # fmt: skip
+            if np.isnan(x).any() or len(x) < len(longest["motion"]):  # it ended early: mark where
+                end = np.flatnonzero(np.isfinite(x))[-1]
+                axes.plot(x[end], y[end], "X", color=look.colour, markersize=8.0)
+            error = _motion(trace, "error", episode)
+            time = np.arange(1, len(error) + 1) * trace["control_period"]
+            line = {"linestyle": look.line_style, "color": look.colour, "linewidth": 1.1}
+            below.plot(time, np.maximum(error, SMALLEST_DRAWN), **line)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_title(f"episode {episode} (seed {seed + episode})")
+        axes.set_xlabel("x [m]")
+        below.set_yscale("log")
+        below.yaxis.set_major_formatter("{x:g}")
+        below.set_xlabel("time [s]")
+    grid[0, 0].set_ylabel("y [m]")
+    grid[1, 0].set_ylabel("distance to reference [m]")
+    head(figure, grid[0, 0], f"{name}: paths, a marker every {MARKER_TIME:g} s", style)
+    return figure
+
+
+def drive(name: str, traces: Traces, style: dict[str, Look], episode: int = 0) -> "Figure":
+    """Error, torque and slip of one episode of a set over time; a column per side."""
+    figure, grid = new_figure((4.0, 1.6), 3, 2, gap=(0.75, 0.4), sharex=True)
+    for row in grid[1:]:
+        row[1].sharey(row[0])
+    for policy, trace in reversed(traces.items()):  # the baseline on top
+        look = style[policy]
+        time = np.arange(1, len(trace["motion"]) + 1) * trace["control_period"]
+        line = {"linestyle": look.line_style, "color": look.colour, "linewidth": 1.1}
+        grid[0, 0].plot(time, _motion(trace, "error", episode), label=policy, **line)
+        heading = np.degrees(_motion(trace, "heading_error", episode))
+        grid[0, 1].plot(time, heading, **line)
+        for column, side in enumerate(("left", "right")):
+            grid[1, column].plot(time, _motion(trace, f"torque_{side}", episode) / 1e3, **line)
+            grid[2, column].plot(time, 100.0 * _motion(trace, f"slip_{side}", episode), **line)
+    for column, side in enumerate(("left", "right")):
+        grid[1, column].set_title(f"{side} track")
+        grid[2, column].set_xlabel("time [s]")
+    grid[0, 0].set_ylabel("distance to reference [m]")
+    grid[0, 1].set_ylabel("heading error [deg]")
+    grid[1, 0].set_ylabel("sprocket torque [kN m]")
+    grid[2, 0].set_ylabel("slip [%]")
+    figure.align_ylabels(grid[:, 0])
+    head(figure, grid[0, 0], f"{name}: episode {episode}", style)
+    return figure
+
+
+def _believed(trace: dict[str, NDArray[Any]], name: str, episode: int) -> NDArray[np.float64]:
+    """Time, true value, estimate and its standard deviation, (4, points); NaN after the end."""
+    row = list(trace["believed_names"]).index(name)
+    parts = [trace[f"believed_{part}"][:, row, episode] for part in ("truth", "value", "deviation")]
+    return np.array([trace["believed_time"], *parts], dtype=np.float64)
+
+
+def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figure | None":
+    """True and estimated parameters with a band of two claimed sigma; a column per episode.
+
+    None when no policy estimates one of BELIEFS. The axes show truth and estimates, a band that
+    is wider is cut off.
+    """
+    known = {policy: set(map(str, t.get("believed_names", ()))) for policy, t in traces.items()}
+    rows = [parameter for parameter in BELIEFS if any(parameter in of for of in known.values())]
+    if not rows:
+        return None
+    count = min(traces[policy]["believed_value"].shape[2] for policy, of in known.items() if of)
+    figure, grid = new_figure(
+        (2.5, 1.35), len(rows), count, left=0.75, gap=(0.25, 0.2), sharex=True, sharey="row"
+    )
+    for parameter, panels in zip(rows, grid, strict=True):
+        policies = [policy for policy, of in known.items() if parameter in of]
+        extremes = []
+        for episode, axes in enumerate(panels):
+            drawn = {p: _believed(traces[p], parameter, episode) for p in policies}
+            time, truth, _, _ = max(drawn.values(), key=lambda d: np.isfinite(d[1]).sum())
+            axes.plot(time, truth, color=REFERENCE_COLOUR, linewidth=4.0, alpha=0.5, label="true")
+            extremes.append([np.nanmin(truth), np.nanmax(truth)])
+            for policy, (time, _, value, deviation) in reversed(drawn.items()):
+                look = style[policy]
+                band = value - 2.0 * deviation, value + 2.0 * deviation
+                axes.fill_between(time, *band, color=look.colour, alpha=0.2, linewidth=0)
+                line = {"linestyle": look.line_style, "color": look.colour, "linewidth": 1.2}
+                axes.plot(time, value, label=policy, **line)
+                finite = value[np.isfinite(value)]
+                if finite.size:
+                    extremes.append(list(np.quantile(finite, [0.01, 0.99])))
+        low, high = np.min(extremes), np.max(extremes)
+        margin = 0.15 * (high - low) + 0.05 * abs(high)
+        panels[0].set_ylim(low - margin, high + margin)
+        panels[0].set_ylabel(BELIEFS[parameter])
+    for episode in range(count):
+        grid[0, episode].set_title(f"episode {episode} (seed {seed + episode})")
+        grid[-1, episode].set_xlabel("time [s]")
+    figure.align_ylabels(grid[:, 0])
+    head(figure, grid[0, 0], f"{name}: parameters, estimates ± 2 standard deviations", style)
+    return figure
+
+
+def save_all(
+    folder: Path,
+    store: Store,
+    records: Sequence[Record],
+    sets: Sequence[str],
+    seed: int,
+    agents: Sequence[str] | None = None,
+) -> list[Path]:
+    """Draw everything into `folder`; returns the files. Raises ImportError without matplotlib.
+
+    agents: those that are drawn, by default the first ones; MAX_DRAWN of them. Of an agent with
+    several seeds the first one is drawn.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise ImportError(
+            "figures need matplotlib: pip install 'tracked-env[render]', or pass --no-figures"
+        ) from error
+    folder.mkdir(parents=True, exist_ok=True)
+    first: dict[str, str] = {}
+    for record in records:
+        first.setdefault(agent_of(record["policy"]), record["policy"])
+    chosen = list(first if agents is None else agents)[:MAX_DRAWN]
+    first = {agent: first[agent] for agent in chosen}  # in this order, as their colours
+    records = [record for record in records if record["policy"] in first.values()]
+    style = looks(list(first.values()))
+    found: dict[str, Traces] = {}
+    for name in sets:
+        loaded = {policy: store.load_trace(policy, name) for policy in style}
+        traces = {policy: trace for policy, trace in loaded.items() if trace is not None}
+        if traces:
+            found[name] = traces
+    # Names of policies are shown as they are: a dollar sign in one begins no formula.
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        drawn = {"overview": overview(records, sets, style)}
+        if found:
+            drawn["errors"] = errors(found, style)
+        for name, traces in found.items():
+            drawn[f"paths-{name}"] = paths(name, traces, style, seed)
+            drawn[f"drive-{name}"] = drive(name, traces, style)
+            believed = beliefs(name, traces, style, seed)
+            if believed is not None:
+                drawn[f"beliefs-{name}"] = believed
+        files = []
+        for title, figure in drawn.items():
+            path = folder / f"{title}.svg"
+            write_atomically(path, svg_text(figure, title).encode())
+            files.append(path)
+    return files

@@ -1,0 +1,584 @@
+"""Normal load and shear of the patches under two tracks on uneven ground.
+
+Equations, for the patch at r = (x, y, -h) from the centre of mass in body axes, at P in the world
+(symbols in NOTATION.md; x_m = x + c_x is from the middle of the tracks, c ahead of it the centre
+of mass; k_A, d_A those of the patch):
+    n    = (-h_x, -h_y, 1) / sqrt(1 + h_x^2 + h_y^2)          normal of the ground
+    rho  = (h(P) - P_z) n_z,  u = v + W x r,  rho' = -n . u    sinkage and its rate
+    N    = A_p max(0, k_A s rho + d_A rho'),  s = 1 + K_tp v_x (x_m + sign(v_x) l);  0 if rho <= 0
+    t    = unit of P_n x_b,  q = n x t,  P_n a = a - (a . n) n  axes of the contact plane
+    s    = (u_t - v', u_q),  v' = v_s |P_n x_b|                shear velocity
+    T    = (l - sign(v_s) x_m) / |v_s|,  th = T n . W          time and turn since first contact
+    j    = T |(u_t S - v' - u_q C, u_t C + u_q S)|,  S = sin(th)/th,  C = (1 - cos(th))/th
+    k    = (c A_p + mu N) (1 - exp(-j/K)) / |s|                shear resistance [N s/m]
+    f    = N n - k s - c_r N g(u_t) t,  g(u) = u / sqrt(u^2 + w^2)
+A patch without contact (rho <= 0 or N = 0) has no force, cohesion included. All forces act at P, so
+each has the moment r x f. On level ground this is `patch_forces`, and beyond HISTORY_TURN the
+displacement is raised as it is there.
+
+The passes, one loop each, because short loops keep more patches in flight: `locate` says where the
+patches are, a terrain fills heights and slopes, `orient` makes the axes of contact; at a motion,
+`press` gives the loads, `slide` and `resist` the shear; `contact_totals` adds up. In body axes with
+n = (a, b, c) and g = |P_n x_b| = sqrt(b^2 + c^2):  t = (g, -a b/g, -a c/g),  q = (0, c, -b)/g.
+
+Assumptions: the ground is a plane under each patch, motion is steady during contact, a patch meets
+the soil at the leading end of its track even where that hangs free.
+References: [1] Focchi et al. (2025) sections 2.1 to 2.3, whose load model is corrected here; see
+docs/terrain.md.
+
+Sums over patches: what the ground does to a vehicle, and how that changes with its motion.
+
+With the force f_k of a patch at r_k and its slope K_k over the patch's velocity, both from the rows
+that `ground_contact` fills, in body axes:
+    wrench = sum (f_k, r_k x f_k)
+    drag   = sum J_k^T K_k J_k,   J_k = [1, -[r_k] x]        of v + W x r_k
+    belts  = sum J_k^T K_k x_b,   the coupling of a belt's speed to the vehicle, one sum per track
+The slope of a force in its contact plane is (K_TT, K_TQ; K_TQ, K_QQ) along t and q, K_ROLL is added
+along t, and the damper of the ground acts along n, with the firmness of its patch.
+
+Uniform load: a vehicle on one foot with springs against tilt, the load shared by all patches.
+
+Equations, at the foot r0 = (-c_x, -c_y, -h) in the middle of the tracks (symbols in NOTATION.md):
+    F   = A max(0, k_A rho + d_A rho') if rho > 0, along n;  N = F / patches
+    M_x = -K_x n_y - D_x W_x,   M_y = K_y n_x - D_y W_y          n in body axes; 0 when F = 0
+    K_x = k_A A (B^2/4 + w^2/12),  K_y = k_A A l^2/3,  D = K d_A / k_A
+    |M_x| <= F (B + w)/2,  |M_y| <= F l                  and r0 x F n beside M
+These are the rocking stiffnesses of the springs that the nonuniform load has under its patches. The
+ground under the foot stands for all ground under the vehicle: a plane that touches it.
+
+Validity: beyond the bounds of M the vehicle would tip; here its patches in the air still carry
+load. Reaching a bound (`Tilt.saturated`) is a failure of the model.
+References: [1] Focchi et al. (2025) section 2.2, corrected; see docs/terrain.md.
+"""
+
+import math
+from typing import NamedTuple
+
+from tracked_env.physics.elementary import exponential, rotation
+from tracked_env.physics.jit import formula, summation
+from tracked_env.physics.patches_on_level_ground import (
+    BELT_SPEED_FLOOR,
+    HISTORY_RISE,
+    HISTORY_TURN,
+    SHEAR_SPEED_FLOOR,
+    SMALLEST_TURN,
+    TURN_LIMIT,
+)
+
+ROLLING_SPEED = 0.01  # [m/s] w: slower patches meet less rolling resistance
+AXIS_FLOOR = 1e-24  # [-] keeps 0/0 out where the body's x axis is along the normal
+SHORT_TURN = 0.5 * math.pi  # [rad] up to it a short series does for S and C
+WIDE = 8  # lanes are filled up to a multiple of this: the vectors of the processor
+LANES = 1288  # two tracks of 80 x 8 patches; an odd number of cache lines from row to row
+
+# Rows of the scratch array; a lane is a patch, the left track first.
+(
+    PLACE_X, PLACE_Y, HEIGHT, SLOPE_X, SLOPE_Y,  # of the terrain
+    X, Y, PLACE_Z, FRICTION, ADHESION, INVERSE_MODULUS, ROLLING, FIRMNESS, BELT, TIME,
+    SINKAGE, N_X, N_Y, N_Z, AHEAD, INVERSE_AHEAD, LOAD, FORWARD, SLIDE, ASIDE, SHEARED,
+    OLD_SLIDE, OLD_ASIDE, THRUST, LATERAL, ROLLED, K_TT, K_TQ, K_QQ, K_ROLL,
+) = range(35)  # fmt: skip
+SCRATCH_ROWS = 35
+
+
+class Twist(NamedTuple):
+    """Velocity of the centre of mass and angular velocity, body axes; or six of their rates."""
+
+    x: float  # [m/s]
+    y: float  # [m/s]
+    z: float  # [m/s]
+    roll: float  # [rad/s]
+    pitch: float  # [rad/s]
+    yaw: float  # [rad/s]
+
+
+class Footing(NamedTuple):
+    """Geometry of the tracks and springs of the soil, the same for all patches."""
+
+    height: float  # [m] h, centre of mass above the plane of the tracks
+    half_length: float  # [m] l
+    patch_area: float  # [m^2] A_p
+    stiffness: float  # [N/m^3] k_A, per area
+    damping: float  # [N s/m^3] d_A, per area
+    stiffening: float  # [s/m^2] K_tp
+    ahead: float  # [m] c_x, centre of mass ahead of the middle of the tracks
+    aside: float  # [m] c_y, to the left of it
+
+
+@formula
+def padded(count):
+    """Lanes of `count` patches, filled up."""
+    return (count + WIDE - 1) // WIDE * WIDE
+
+
+@formula
+def place_patches(w, columns, rows, half_gauge, track_width, f):
+    """Rows X, Y [m] of the patches from the centre of mass; f: Footing.
+
+    columns, rows: their middles over half the length and over the width of a track.
+    Returns the number of lanes; those after the last patch have no sinkage ever.
+    """
+    lane = 0
+    for side in range(2):
+        middle = -half_gauge if side else half_gauge
+        for row in range(rows.size):
+            for column in range(columns.size):
+                w[X, lane] = columns[column] * f.half_length - f.ahead
+                w[Y, lane] = middle + rows[row] * track_width - f.aside
+                lane += 1
+    lanes = padded(lane)
+    for row in range(SCRATCH_ROWS):
+        for empty in range(lane, lanes):
+            w[row, empty] = 0.0
+    return lanes
+
+
+@formula
+def set_belt(w, first, last, speed, f):
+    """Rows BELT, TIME of the lanes of one track whose belt moves at `speed` [m/s]; f: Footing."""
+    size = max(abs(speed), BELT_SPEED_FLOOR)
+    moving = abs(speed) / size  # 1, or less below the floor: a belt that stands has no first end
+    ahead = moving if speed >= 0.0 else -moving
+    inverse = 1.0 / size
+    first_end = f.half_length - ahead * f.ahead  # from the centre of mass, along the motion
+    for lane in range(first, last):
+        w[BELT, lane] = speed
+        w[TIME, lane] = (first_end - ahead * w[X, lane]) * inverse
+
+
+@formula
+def locate(w, lanes, p, r, height):
+    """Rows PLACE_X, PLACE_Y, PLACE_Z [m]: the patches in the world; centre of mass p, axes r."""
+    low_x, low_y = p[0] - r.xz * height, p[1] - r.yz * height
+    low_z = p[2] - r.zz * height
+    for lane in range(lanes):
+        x, y = w[X, lane], w[Y, lane]
+        w[PLACE_X, lane] = low_x + (r.xx * x + r.xy * y)
+        w[PLACE_Y, lane] = low_y + (r.yx * x + r.yy * y)
+        w[PLACE_Z, lane] = low_z + (r.zx * x + r.zy * y)
+
+
+@summation
+def orient(w, lanes, r):
+    """Rows SINKAGE [m], N_X, N_Y, N_Z, AHEAD, INVERSE_AHEAD [-] from heights and slopes."""
+    for lane in range(lanes):
+        a, b = w[SLOPE_X, lane], w[SLOPE_Y, lane]
+        steep = math.sqrt(1.0 + a * a + b * b)
+        n_x = r.zx - (r.xx * a + r.yx * b)
+        n_y = r.zy - (r.xy * a + r.yy * b)
+        n_z = r.zz - (r.xz * a + r.yz * b)
+        across = math.sqrt(n_y * n_y + n_z * n_z + AXIS_FLOOR)
+        inverse = 1.0 / (steep * across)  # one division for both
+        upright = across * inverse
+        w[SINKAGE, lane] = (w[HEIGHT, lane] - w[PLACE_Z, lane]) * upright
+        w[N_X, lane] = n_x * upright
+        w[N_Y, lane] = n_y * upright
+        w[N_Z, lane] = n_z * upright
+        w[AHEAD, lane] = across * upright
+        w[INVERSE_AHEAD, lane] = steep * steep * inverse
+
+
+@summation
+def _turn_factors(turn, short):
+    """S = sin(th)/th and C = (1 - cos(th))/th of the turn th [rad].
+
+    short: |th| <= SHORT_TURN, and a series does.
+    """
+    half = 0.5 * turn
+    if short:
+        z = half * half
+        ratio = 1 / 39916800 - z * (1 / 6227020800 - z * (1 / 1307674368000))
+        ratio = 1 / 120 - z * (1 / 5040 - z * (1 / 362880 - z * ratio))
+        ratio = 1.0 - z * (1 / 6 - z * ratio)
+        cosine = 1 / 3628800 - z * (1 / 479001600 - z * (1 / 87178291200))
+        cosine = 1 / 24 - z * (1 / 720 - z * (1 / 40320 - z * cosine))
+        cosine = 1.0 - z * (1 / 2 - z * cosine)
+    else:
+        cosine, sine = rotation(half)
+        small = abs(half) < SMALLEST_TURN
+        ratio = 1.0 if small else sine / (1.0 if small else half)
+    return ratio * cosine, half * ratio * ratio
+
+
+@summation
+def shear_displacement(turn, time, u_t, u_q, belt, half_length, short):
+    """j [m] of a patch that has been in contact for `time` [s] and turned by `turn` [rad].
+
+    u_t, u_q [m/s]: velocity along and across the track in the contact plane; belt [m/s]: v'.
+    """
+    turn = min(max(turn, -TURN_LIMIT), TURN_LIMIT)
+    s, c = _turn_factors(turn, short)
+    j_t = u_t * s - belt - u_q * c
+    j_q = u_t * c + u_q * s
+    j = time * math.sqrt(j_t * j_t + j_q * j_q)
+    if short:
+        return j
+    return j + HISTORY_RISE * half_length * max(abs(turn) - HISTORY_TURN, 0.0)
+
+
+@formula
+def normal_load(sinkage, rate, area, stiffness, damping):
+    """Load [N] of the spring and damper of a patch: pushes only, and only where it has sunk in."""
+    load = area * (stiffness * sinkage + damping * rate)
+    return max(load, 0.0) if sinkage > 0.0 else 0.0
+
+
+@summation
+def press(w, lanes, twist, f):
+    """Row LOAD [N]: every patch on its own springs."""
+    length = f.half_length
+    low_x, low_y = twist.x - f.height * twist.pitch, twist.y + f.height * twist.roll
+    leading = f.ahead + (length if twist.x > 0.0 else (-length if twist.x < 0.0 else 0.0))
+    rise = f.stiffening * twist.x
+    for lane in range(lanes):
+        x, y = w[X, lane], w[Y, lane]
+        u_x, u_y = low_x - twist.yaw * y, low_y + twist.yaw * x
+        u_z = twist.z + (twist.roll * y - twist.pitch * x)
+        stiffness = f.stiffness * (1.0 + rise * (x + leading))
+        closing = -(w[N_X, lane] * u_x + w[N_Y, lane] * u_y + w[N_Z, lane] * u_z)
+        area = f.patch_area * w[FIRMNESS, lane]
+        w[LOAD, lane] = normal_load(w[SINKAGE, lane], closing, area, stiffness, f.damping)
+
+
+@summation
+def _slide(w, lanes, twist, f, short):
+    """See `slide`; short: no patch turns by more than SHORT_TURN."""
+    length = f.half_length
+    low_x, low_y = twist.x - f.height * twist.pitch, twist.y + f.height * twist.roll
+    for lane in range(lanes):
+        x, y = w[X, lane], w[Y, lane]
+        a, b, c = w[N_X, lane], w[N_Y, lane], w[N_Z, lane]
+        g, inverse_g = w[AHEAD, lane], w[INVERSE_AHEAD, lane]
+        u_x, u_y = low_x - twist.yaw * y, low_y + twist.yaw * x
+        u_z = twist.z + (twist.roll * y - twist.pitch * x)
+        u_t = g * u_x - a * inverse_g * (b * u_y + c * u_z)
+        u_q = (c * u_y - b * u_z) * inverse_g
+        belt, time = w[BELT, lane] * g, w[TIME, lane]
+        turn = time * (a * twist.roll + b * twist.pitch + c * twist.yaw)
+        w[SHEARED, lane] = shear_displacement(turn, time, u_t, u_q, belt, length, short)
+        w[FORWARD, lane] = u_t
+        w[SLIDE, lane] = u_t - belt
+        w[ASIDE, lane] = u_q
+
+
+@formula
+def slide(w, lanes, twist, f, longest):
+    """Rows FORWARD, SLIDE, ASIDE [m/s] and SHEARED [m] at a motion.
+
+    longest [s]: contact time of the last patch.
+    """
+    spin2 = twist.roll * twist.roll + twist.pitch * twist.pitch + twist.yaw * twist.yaw
+    if spin2 * longest * longest < SHORT_TURN * SHORT_TURN:
+        _slide(w, lanes, twist, f, True)
+    else:
+        _slide(w, lanes, twist, f, False)
+
+
+@summation
+def resist(w, lanes, again):
+    """Rows ALONG, ASIDE_PUSH [N], EFFORT, ROLLED [N] and K_TT, K_TQ, K_QQ [N s/m] from the slide.
+
+    again: rows OLD_SLIDE and OLD_ASIDE have the slide of the motion before. A patch that slides
+    faster now has as its drag along the motion the slope of the force, which is flat, and not the
+    secant.
+    """
+    for lane in range(lanes):
+        load, u_t = w[LOAD, lane], w[FORWARD, lane]
+        s_t, s_q = w[SLIDE, lane], w[ASIDE, lane]
+        strength = w[ADHESION, lane] + w[FRICTION, lane] * load if load > 0.0 else 0.0
+        decay = exponential(-w[SHEARED, lane] * w[INVERSE_MODULUS, lane])
+        speed = math.sqrt(s_t * s_t + s_q * s_q + SHEAR_SPEED_FLOOR * SHEAR_SPEED_FLOOR)
+        roll_speed = math.sqrt(u_t * u_t + ROLLING_SPEED * ROLLING_SPEED)
+        inverse = 1.0 / (speed * roll_speed)  # one division for both
+        inverse_speed = roll_speed * inverse
+        k = strength * (1.0 - decay) * inverse_speed
+        rolling = w[ROLLING, lane] * load * (speed * inverse)
+        old_t, old_q = w[OLD_SLIDE, lane], w[OLD_ASIDE, lane]
+        faster = again and old_t * s_t + old_q * s_q > old_t * old_t + old_q * old_q
+        slope = strength * decay * w[TIME, lane] * w[INVERSE_MODULUS, lane]
+        less = (min(slope, k) - k) * (inverse_speed * inverse_speed) if faster else 0.0
+        w[OLD_SLIDE, lane] = s_t
+        w[OLD_ASIDE, lane] = s_q
+        w[THRUST, lane] = -k * s_t
+        w[ROLLED, lane] = rolling * u_t
+        w[LATERAL, lane] = -k * s_q
+        w[K_TT, lane] = k + less * s_t * s_t
+        w[K_TQ, lane] = less * s_t * s_q
+        w[K_QQ, lane] = k + less * s_q * s_q
+        w[K_ROLL, lane] = rolling
+
+
+class Wrench(NamedTuple):
+    """Force [N] and moment [N m] about the centre of mass, body axes."""
+
+    x: float
+    y: float
+    z: float
+    roll: float
+    pitch: float
+    yaw: float
+
+
+class Drag(NamedTuple):
+    """Lower triangle of the symmetric matrix A in wrench = -A twist + ..., row by row."""
+
+    xx: float  # [N s/m]
+    yx: float
+    yy: float
+    zx: float
+    zy: float
+    zz: float
+    rx: float  # [N s] moment about the body's x axis by v_x, v_y, v_z
+    ry: float
+    rz: float
+    rr: float  # [N m s]
+    px: float
+    py: float
+    pz: float
+    pr: float
+    pp: float
+    wx: float  # yaw
+    wy: float
+    wz: float
+    wr: float
+    wp: float
+    ww: float
+
+
+class BeltDrag(NamedTuple):
+    """How the belt of one track is coupled to the vehicle: the last row of its Drag."""
+
+    x: float  # [N s/m] force of the belt's speed on the vehicle, body axes
+    y: float
+    z: float
+    roll: float  # [N s] and its moment
+    pitch: float
+    yaw: float
+    own: float  # [N s/m] resistance to the belt itself
+    effort: float  # [N] tractive effort of the track
+
+
+@summation
+def total_wrench(w, lanes, h, carrying):
+    """Sum of the forces of all patches and of their moments."""
+    fx, fy, fz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for lane in range(lanes):
+        x, y = w[X, lane], w[Y, lane]
+        a, b, c = w[N_X, lane], w[N_Y, lane], w[N_Z, lane]
+        inverse_g = w[INVERSE_AHEAD, lane]
+        along = w[THRUST, lane] - w[ROLLED, lane]
+        leaning, aside = a * along * inverse_g, w[LATERAL, lane] * inverse_g
+        push = carrying * w[LOAD, lane]
+        f_x = along * w[AHEAD, lane] + push * a
+        f_y = aside * c - leaning * b + push * b
+        f_z = push * c - leaning * c - aside * b
+        fx += f_x
+        fy += f_y
+        fz += f_z
+        mx += y * f_z + h * f_y
+        my -= h * f_x + x * f_z
+        mz += x * f_y - y * f_x
+    return Wrench(fx, fy, fz, mx, my, mz)
+
+
+@summation
+def total_drag(w, lanes, h, damping):
+    """Sum of J^T K J over the patches: K in their axes of contact, J = [1, -[r]x]."""
+    xx, yx, yy, zx, zy, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    rx, ry, rz, px, py, pz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    wx, wy, wz, rr, pr, pp = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    wr, wp, ww = 0.0, 0.0, 0.0
+    for lane in range(lanes):
+        x, y = w[X, lane], w[Y, lane]
+        a, b, c = w[N_X, lane], w[N_Y, lane], w[N_Z, lane]
+        g, inverse_g = w[AHEAD, lane], w[INVERSE_AHEAD, lane]
+        t_y, t_z = -a * b * inverse_g, -a * c * inverse_g
+        q_y, q_z = c * inverse_g, -b * inverse_g
+        k_tt, k_tq, k_qq = w[K_TT, lane] + w[K_ROLL, lane], w[K_TQ, lane], w[K_QQ, lane]
+        stiff = damping * w[FIRMNESS, lane] if w[LOAD, lane] > 0.0 else 0.0
+        o_x, o_y, o_z = k_tt * g, k_tt * t_y + k_tq * q_y, k_tt * t_z + k_tq * q_z
+        i_x, i_y, i_z = k_tq * g, k_tq * t_y + k_qq * q_y, k_tq * t_z + k_qq * q_z
+        d_x, d_y, d_z = stiff * a, stiff * b, stiff * c
+        a_xx = o_x * g + d_x * a
+        a_yx = o_x * t_y + i_x * q_y + d_x * b
+        a_zx = o_x * t_z + i_x * q_z + d_x * c
+        a_yy = o_y * t_y + i_y * q_y + d_y * b
+        a_zy = o_y * t_z + i_y * q_z + d_y * c
+        a_zz = o_z * t_z + i_z * q_z + d_z * c
+        b_rx, b_ry, b_rz = y * a_zx + h * a_yx, y * a_zy + h * a_yy, y * a_zz + h * a_zy
+        b_px, b_py, b_pz = -h * a_xx - x * a_zx, -h * a_yx - x * a_zy, -h * a_zx - x * a_zz
+        b_wx, b_wy, b_wz = x * a_yx - y * a_xx, x * a_yy - y * a_yx, x * a_zy - y * a_zx
+        xx += a_xx
+        yx += a_yx
+        yy += a_yy
+        zx += a_zx
+        zy += a_zy
+        zz += a_zz
+        rx += b_rx
+        ry += b_ry
+        rz += b_rz
+        px += b_px
+        py += b_py
+        pz += b_pz
+        wx += b_wx
+        wy += b_wy
+        wz += b_wz
+        rr += y * b_rz + h * b_ry
+        pr += y * b_pz + h * b_py
+        pp += -h * b_px - x * b_pz
+        wr += y * b_wz + h * b_wy
+        wp += -h * b_wx - x * b_wz
+        ww += x * b_wy - y * b_wx
+    return Drag(xx, yx, yy, zx, zy, zz, rx, ry, rz, rr, px, py, pz, pr, pp, wx, wy, wz, wr, wp, ww)
+
+
+@summation
+def belt_drag(w, first, last, height):
+    """BeltDrag of the track in lanes first .. last - 1, after `load_patches`."""
+    fx, fy, fz, mx, my, mz, own, effort = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for lane in range(first, last):
+        x, y = w[X, lane], w[Y, lane]
+        a, b, c = w[N_X, lane], w[N_Y, lane], w[N_Z, lane]
+        g, inverse_g = w[AHEAD, lane], w[INVERSE_AHEAD, lane]
+        along, across = g * w[K_TT, lane], g * w[K_TQ, lane]
+        f_x = along * g
+        f_y = (across * c - along * a * b) * inverse_g
+        f_z = -(across * b + along * a * c) * inverse_g
+        fx += f_x
+        fy += f_y
+        fz += f_z
+        mx += y * f_z + height * f_y
+        my -= height * f_x + x * f_z
+        mz += x * f_y - y * f_x
+        own += along * g
+        effort += w[THRUST, lane] * g
+    return BeltDrag(fx, fy, fz, mx, my, mz, own, effort)
+
+
+@summation
+def track_totals(w, first, last):
+    """(normal load, tractive effort, motion resistance) [N] of the track in these lanes."""
+    load, effort, rolled = 0.0, 0.0, 0.0
+    for lane in range(first, last):
+        load += w[LOAD, lane]
+        effort += w[THRUST, lane] * w[AHEAD, lane]
+        rolled += w[ROLLED, lane] * w[AHEAD, lane]
+    return load, effort, rolled
+
+
+class Rocking(NamedTuple):
+    """Springs of the whole contact against sinking and tilting."""
+
+    area: float  # [m^2] A, both tracks
+    roll: float  # [N m/rad] K_x
+    pitch: float  # [N m/rad] K_y
+    half_width: float  # [m] (B + w)/2, where the vehicle would tip sideways
+    retardation: float  # [s] d_A / k_A
+
+
+class Tilt(NamedTuple):
+    """What holds the vehicle up and level."""
+
+    load: float  # [N] F
+    roll: float  # [N m] M_x
+    pitch: float  # [N m] M_y
+    roll_drag: float  # [N m s] slope of -M_x over the roll rate
+    pitch_drag: float  # [N m s]
+    saturated: float  # [-] 1 where a bound of M is reached
+
+
+@formula
+def rocking_of(footing, half_gauge, track_width, count):
+    """Rocking of two tracks with `count` patches in all."""
+    area = footing.patch_area * count
+    spring = footing.stiffness * area
+    length = footing.half_length
+    return Rocking(
+        area,
+        spring * (half_gauge * half_gauge + track_width * track_width / 12.0),
+        spring * length * length / 3.0,
+        half_gauge + 0.5 * track_width,
+        footing.damping / footing.stiffness,
+    )
+
+
+@formula
+def locate_foot(w, lanes, p, r, f):
+    """Rows PLACE_X, PLACE_Y, PLACE_Z of lanes 0 .. lanes - 1: all of them the foot; f: Footing."""
+    for lane in range(lanes):
+        w[PLACE_X, lane] = p[0] - r.xz * f.height - (r.xx * f.ahead + r.xy * f.aside)
+        w[PLACE_Y, lane] = p[1] - r.yz * f.height - (r.yx * f.ahead + r.yy * f.aside)
+        w[PLACE_Z, lane] = p[2] - r.zz * f.height - (r.zx * f.ahead + r.zy * f.aside)
+
+
+@formula
+def share_plane(w, lanes):
+    """The axes of contact of lane 0 in all lanes."""
+    for row in (SINKAGE, N_X, N_Y, N_Z, AHEAD, INVERSE_AHEAD, HEIGHT):
+        value = w[row, 0]
+        for lane in range(lanes):
+            w[row, lane] = value
+
+
+@formula
+def share_load(w, patches, load):
+    """Row LOAD: the load [N] in equal parts on all patches."""
+    for lane in range(patches):
+        w[LOAD, lane] = load / patches
+
+
+@formula
+def _bounded(moment, limit):
+    """(moment within +-limit, 1 where it is inside, else 0)."""
+    clipped = min(max(moment, -limit), limit)
+    return clipped, (1.0 if clipped == moment else 0.0)
+
+
+@formula
+def tilt_of(w, twist, footing, k):
+    """Tilt at a motion; k: Rocking."""
+    a, b, c = w[N_X, 0], w[N_Y, 0], w[N_Z, 0]
+    u_x = twist.x - footing.height * twist.pitch + footing.aside * twist.yaw
+    u_y = twist.y + footing.height * twist.roll - footing.ahead * twist.yaw
+    u_z = twist.z - footing.aside * twist.roll + footing.ahead * twist.pitch
+    closing = -(a * u_x + b * u_y + c * u_z)
+    load = normal_load(w[SINKAGE, 0], closing, k.area, footing.stiffness, footing.damping)
+    touching = 1.0 if load > 0.0 else 0.0
+    roll, in_roll = _bounded(-k.roll * (b + k.retardation * twist.roll), load * k.half_width)
+    pitch, in_pitch = _bounded(
+        k.pitch * (a - k.retardation * twist.pitch), load * footing.half_length
+    )
+    return Tilt(
+        load, roll, pitch, touching * in_roll * k.roll * k.retardation,
+        touching * in_pitch * k.pitch * k.retardation, touching * (1.0 - in_roll * in_pitch),
+    )  # fmt: skip
+
+
+@formula
+def held(w, tilt, footing, k, wrench, drag):
+    """Wrench and Drag of the shear of all patches, and those of load and tilt added."""
+    a, b, c = w[N_X, 0], w[N_Y, 0], w[N_Z, 0]
+    # r0 x n, the moment of a force of 1 N along the normal at the foot.
+    roll = footing.height * b - footing.aside * c
+    pitch = footing.ahead * c - footing.height * a
+    yaw = footing.aside * a - footing.ahead * b
+    wrench = Wrench(
+        wrench.x + tilt.load * a,
+        wrench.y + tilt.load * b,
+        wrench.z + tilt.load * c,
+        wrench.roll + tilt.roll + tilt.load * roll,
+        wrench.pitch + tilt.pitch + tilt.load * pitch,
+        wrench.yaw + tilt.load * yaw,
+    )
+    d = k.area * footing.damping if tilt.load > 0.0 else 0.0
+    x, y, z, turn, nod = d * a, d * b, d * c, d * roll, d * pitch
+    return wrench, Drag(
+        drag.xx + x * a, drag.yx + x * b, drag.yy + y * b,
+        drag.zx + x * c, drag.zy + y * c, drag.zz + z * c,
+        drag.rx + turn * a, drag.ry + turn * b, drag.rz + turn * c,
+        drag.rr + turn * roll + tilt.roll_drag,
+        drag.px + nod * a, drag.py + nod * b, drag.pz + nod * c,
+        drag.pr + nod * roll, drag.pp + nod * pitch + tilt.pitch_drag,
+        drag.wx + yaw * x, drag.wy + yaw * y, drag.wz + yaw * z,
+        drag.wr + yaw * turn, drag.wp + yaw * nod, drag.ww + d * yaw * yaw,
+    )  # fmt: skip

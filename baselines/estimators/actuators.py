@@ -1,51 +1,58 @@
 """Estimator of the drives: gain of each, and their lag, from commands and torques.
 
-Recursive least squares of `actuator_step` for N vehicles, with its prior from the nominal vehicle
-and the data sheet. Both drives have the same lag; their gains may differ, and step on the way.
-
-What the drives make of their commands: gain of each, and lag, from commands and torques.
-
     torque_k(n) = a torque_k(n-1) + b_k limit u_k(n),   a = exp(-dt / T),   b_k = g_k (1 - a)
     sensor_k(n) = torque_k(n) - J domega_k(n)/dt
 with u_k(n) the command (action) in force before step n, T the lag of both drives, g_k the gain of
 each, k = L, R, and J what the soil does not get of the torque: the inertia of a drive and track, or
 0 on a plant without. Recursive least squares on the output error [1], of [b_L, b_R, a, J]: the
-model runs on commands alone, which are known without noise, so nothing biases these parameters.
+model runs on commands alone, which have no noise, so nothing biases these parameters.
 Its sensitivities obey the same equation,
     db_k(n) = a db_k(n-1) + limit u_k(n),       da_k(n) = a da_k(n-1) + torque_k(n-1)
 and the model is moved along them with every correction. It is b_k and a, not g_k and T, since the
 first samples are linear in them. A sample waits for the next one, for domega/dt = the difference of
-its neighbours over the time between them; while the lag is not known it does not. Old data fade by
+its neighbours over the time between them; while the lag is uncertain it does not. Old data fade by
 random walks of g_k and a. JUMP_AFTER outliers of one drive in a row are a change of its gain, or of
 the lag.
 The sensor shows the torque that reaches the soil. It is that of the drive only where the soil
 carries it: a track that may slip fast, or a sprocket near its top speed, says nothing of its drive.
+The prior is from the nominal vehicle and the data sheet. Both drives have the same lag; their gains
+may differ, and step on the way.
 
 References: [1] L. Ljung, System Identification, 2nd ed., section 11.4.
 """
 
 import math
-from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from baselines.estimators.measurement import (
     COLUMN,
     DRIVE,
-    AnsweringEstimator,
+    BatchEstimator,
     DataSheet,
     Estimate,
-    Estimator,
     Measurement,
     Quantity,
     Setting,
+    columns_of,
+    empty_rows,
 )
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, VEHICLES, checked_number, checked_whole
 
+COMMANDS = ("previous_action_left", "previous_action_right")  # fields of the observation
+LONGEST_AGE = 1.0  # [s] of a drive sample that is used
+LONGEST_SPAN = 0.2  # [s] between the neighbours of a sample that is used
+GAIN_SIGMA = 0.3  # [-] prior standard deviation
+DECAY_SIGMA = 0.2  # [-] the same of a, at 50 Hz; T = 0.05 s is a = 0.67, T = 0.3 s is a = 0.94
+GAIN_WALK = 0.004  # [1/sqrt(s)] random walk of a gain
+DECAY_WALK = 0.002  # [1/sqrt(s)] of a
+DECAY_JUMP = 0.03  # [-] of a, where a gain seems to have changed
+MODEL_NOISE = 0.0005  # [-] of the torque limit: what the model leaves out
+FASTEST = 0.85  # [-] of the top speed: from here on a drive may give less
 LARGEST_DECAY = 0.99  # [-] at 50 Hz a lag of 2 s
 LEAST_DECAY = 1e-3  # [-] at 50 Hz a lag of 3 ms: as good as none
 SLIPPING = 0.5  # [-] slip ratio beyond which the soil may limit the torque
@@ -54,23 +61,27 @@ OUTLIER = 5.0  # [-] standard deviations of the innovation
 UNKNOWN = 0.5  # [-] of the prior variance of a: above it samples do not wait
 JUMP_AFTER = 3  # [-] outliers of one drive in a row are a change
 
-# Columns of `memory`: clocks; the sample that waits (when it was taken, plus one; torques; speeds
-# of the sprockets) and the one before (when, speeds); the model; parameters and their covariance;
-# room for a regressor and P times it; then a ring of commands, two per step.
-(
-    STEPS, MODELLED, SKIPPED, WAITING, HELD, _HELD_RIGHT, SPEED, _SPEED_RIGHT, BEFORE, EARLIER,
-    _EARLIER_RIGHT, TORQUE, _TORQUE_RIGHT, DA, _DA_RIGHT, DB, _DB_RIGHT, OUTLIERS, _OUTLIERS_RIGHT,
-) = range(19)  # fmt: skip
-B, A, INERTIA = 19, 21, 22
 ORDER = 4  # b_L, b_R, a, J
-P = B + ORDER
-PHI = P + ORDER * ORDER
-P_PHI = PHI + ORDER
-RING = P_PHI + ORDER
-# Columns of an answer.
-VALUES, VARIANCES, ANSWER_STATUS, ANSWER_NIS, ANSWER_SKIPPED = 0, 3, 9, 10, 11
-ANSWER = 12
-CONVERGING, HOLDING, REJECTED = 0, 1, 2  # of estimate.Status, as plain numbers for kernels
+# The state of the estimator for one vehicle; pairs are left and right.
+ROW = np.dtype([
+    ("steps", float), ("modelled", float),  # control steps so far, and of the model
+    ("skipped", float),
+    # The sample that waits: when it was taken, plus one; torques; speeds of the sprockets.
+    ("waiting", float), ("held", float, 2), ("speed", float, 2),
+    ("before", float), ("earlier", float, 2),  # the one before: when, speeds
+    ("torque", float, 2), ("da", float, 2), ("db", float, 2),  # the model and its sensitivities
+    ("outliers", float, 2),  # in a row
+    ("b", float, 2), ("a", float), ("inertia", float),
+    ("p", float, (ORDER, ORDER)),  # covariance of [b_L, b_R, a, J]
+    ("phi", float, ORDER), ("p_phi", float, ORDER),  # room for a regressor and P times it
+])  # fmt: skip
+# The answer of the kernel for one vehicle.
+ANSWER = np.dtype([
+    ("gain", float, 2), ("decay", float),
+    ("variances", float, 6),  # LL, LR, RR, La, Ra, aa
+    ("status", float), ("nis", float), ("skipped", float),
+])  # fmt: skip
+CONVERGING, HOLDING, REJECTED = 0, 1, 2  # of measurement.Status, as plain numbers for kernels
 
 _V_X, _W = COLUMN["v_x"], COLUMN["yaw_rate"]
 _SPROCKET, _TORQUE = COLUMN["sprocket_speed_left"], COLUMN["torque_left"]
@@ -80,7 +91,6 @@ class Model(NamedTuple):
     """Constants of the estimator."""
 
     period: float  # [s]
-    slots: int  # of the ring
     limit: float  # [N m] of one drive
     radius: float  # [m] r
     half_gauge: float  # [m] B/2
@@ -100,53 +110,53 @@ class Model(NamedTuple):
 
 
 @formula
-def _doubt(memory, i, left, right, decay, inertia, variance):
+def _doubt(row, left, right, decay, inertia, variance):
     """Add a variance to P along a direction of [b_L, b_R, a, J]."""
-    way = (left, right, decay, inertia)
-    for row in range(ORDER):
-        for column in range(ORDER):
-            memory[i, P + ORDER * row + column] += variance * way[row] * way[column]
+    direction = (left, right, decay, inertia)
+    for r in range(ORDER):
+        for c in range(ORDER):
+            row.p[r, c] += variance * direction[r] * direction[c]
 
 
 @formula
-def _doubt_gain(memory, i, side, variance):
+def _doubt_gain(row, side, variance):
     """Add a variance [-] of the gain of one drive, 0 left, 1 right."""
-    open_ = 1.0 - memory[i, A]
-    _doubt(memory, i, open_ * (1.0 - side), open_ * side, 0.0, 0.0, variance)
+    open_ = 1.0 - row.a
+    _doubt(row, open_ * (1.0 - side), open_ * side, 0.0, 0.0, variance)
 
 
 @formula
-def _doubt_lag(memory, i, variance):
+def _doubt_lag(row, variance):
     """Add a variance [-] of a, with the gains as they are: b_k changes by -g_k times as much."""
-    inverse = 1.0 / (1.0 - memory[i, A])
-    left, right = memory[i, B] * inverse, memory[i, B + 1] * inverse
-    _doubt(memory, i, -left, -right, 1.0, 0.0, variance)
+    inverse = 1.0 / (1.0 - row.a)
+    left, right = row.b[0] * inverse, row.b[1] * inverse
+    _doubt(row, -left, -right, 1.0, 0.0, variance)
 
 
 @formula
-def _begin(memory, i, model):
+def _begin(row, model):
     """The prior, where nothing has been seen: J between 0 and that of the nominal vehicle."""
-    memory[i, A] = model.decay
-    memory[i, B] = memory[i, B + 1] = 1.0 - model.decay
-    memory[i, INERTIA] = 0.5 * model.inertia
-    _doubt_gain(memory, i, 0, model.gain_variance)
-    _doubt_gain(memory, i, 1, model.gain_variance)
-    _doubt_lag(memory, i, model.decay_variance)
-    _doubt(memory, i, 0.0, 0.0, 0.0, 0.5 * model.inertia, 1.0)
+    row.a = model.decay
+    row.b[0] = row.b[1] = 1.0 - model.decay
+    row.inertia = 0.5 * model.inertia
+    _doubt_gain(row, 0, model.gain_variance)
+    _doubt_gain(row, 1, model.gain_variance)
+    _doubt_lag(row, model.decay_variance)
+    _doubt(row, 0.0, 0.0, 0.0, 0.5 * model.inertia, 1.0)
 
 
 @formula
-def _advance(memory, i, model):
-    """Move the model by one step, with the commands in force then."""
-    step = int(memory[i, MODELLED]) + 1
-    at = RING + 2 * (step % model.slots)
-    a = memory[i, A]
+def _advance(row, ring):
+    """Move the model by one step, with the commands in force then, of the ring (2 * slots,)."""
+    step = int(row.modelled) + 1
+    at = 2 * (step % (ring.shape[0] // 2))
+    a = row.a
     for side in range(2):
-        torque, command = memory[i, TORQUE + side], memory[i, at + side]
-        memory[i, DA + side] = a * memory[i, DA + side] + torque
-        memory[i, DB + side] = a * memory[i, DB + side] + command
-        memory[i, TORQUE + side] = a * torque + memory[i, B + side] * command
-    memory[i, MODELLED] = step
+        torque, command = row.torque[side], ring[at + side]
+        row.da[side] = a * row.da[side] + torque
+        row.db[side] = a * row.db[side] + command
+        row.torque[side] = a * torque + row.b[side] * command
+    row.modelled = step
 
 
 @formula
@@ -161,177 +171,145 @@ def _carried(z, i, side, model):
 
 
 @formula
-def _correct(memory, i, side, rate, rate_variance, model):
+def _correct(row, side, rate, rate_variance, model):
     """Take the torque that waits of one drive, 0 left, 1 right, at domega/dt = rate [rad/s^2].
 
     Returns (innovation squared over its variance, whether it was used).
     """
-    torque, inertia = memory[i, HELD + side], memory[i, INERTIA]
-    memory[i, PHI + 1 - side] = 0.0
-    memory[i, PHI + side] = memory[i, DB + side]
-    memory[i, PHI + 2], memory[i, PHI + 3] = memory[i, DA + side], -rate
+    torque, inertia = row.held[side], row.inertia
+    row.phi[1 - side], row.phi[side], row.phi[2], row.phi[3] = 0.0, row.db[side], row.da[side], -rate
     spread = model.variance + inertia * inertia * rate_variance
-    for row in range(ORDER):
+    for r in range(ORDER):
         entry = 0.0
-        for column in range(ORDER):
-            entry += memory[i, P + ORDER * row + column] * memory[i, PHI + column]
-        memory[i, P_PHI + row] = entry
-        spread += memory[i, PHI + row] * entry
-    innovation = torque - (memory[i, TORQUE + side] - inertia * rate)
+        for c in range(ORDER):
+            entry += row.p[r, c] * row.phi[c]
+        row.p_phi[r] = entry
+        spread += row.phi[r] * entry
+    innovation = torque - (row.torque[side] - inertia * rate)
     nis = innovation * innovation / spread
     if nis > OUTLIER * OUTLIER:
-        memory[i, OUTLIERS + side] += 1.0
-        if memory[i, OUTLIERS + side] >= JUMP_AFTER:
-            _doubt_gain(memory, i, side, model.gain_variance)
-            _doubt_lag(memory, i, model.jump_variance)
+        row.outliers[side] += 1.0
+        if row.outliers[side] >= JUMP_AFTER:
+            _doubt_gain(row, side, model.gain_variance)
+            _doubt_lag(row, model.jump_variance)
             # Whatever made it so, the torque is what it is.
-            memory[i, TORQUE + side] = torque + inertia * rate
-            memory[i, DA + side] = memory[i, DB + side] = memory[i, OUTLIERS + side] = 0.0
+            row.torque[side] = torque + inertia * rate
+            row.da[side] = row.db[side] = row.outliers[side] = 0.0
         return nis, False
-    memory[i, OUTLIERS + side] = 0.0
+    row.outliers[side] = 0.0
     step = innovation / spread
-    before = memory[i, A]
-    memory[i, A] = min(max(before + memory[i, P_PHI + 2] * step, LEAST_DECAY), LARGEST_DECAY)
-    memory[i, INERTIA] += memory[i, P_PHI + 3] * step
+    before = row.a
+    row.a = min(max(before + row.p_phi[2] * step, LEAST_DECAY), LARGEST_DECAY)
+    row.inertia += row.p_phi[3] * step
     for drive in range(2):  # the model as it would be with these parameters from the start
-        change = memory[i, P_PHI + drive] * step
-        memory[i, B + drive] += change
-        memory[i, TORQUE + drive] += (
-            memory[i, DA + drive] * (memory[i, A] - before) + memory[i, DB + drive] * change
-        )
-    for row in range(ORDER):
-        for column in range(ORDER):
-            product = memory[i, P_PHI + row] * memory[i, P_PHI + column]
-            memory[i, P + ORDER * row + column] -= product / spread
-    _doubt_gain(memory, i, side, model.gain_walk)
-    _doubt_lag(memory, i, 0.5 * model.decay_walk)
+        change = row.p_phi[drive] * step
+        row.b[drive] += change
+        row.torque[drive] += row.da[drive] * (row.a - before) + row.db[drive] * change
+    for r in range(ORDER):
+        for c in range(ORDER):
+            row.p[r, c] -= row.p_phi[r] * row.p_phi[c] / spread
+    _doubt_gain(row, side, model.gain_walk)
+    _doubt_lag(row, 0.5 * model.decay_walk)
     return nis, True
 
 
 @formula
-def _take(memory, z, i, taken, model):
-    """Use the sample that waits, whose neighbours are known now; returns (sum of normalised
-    innovations squared, drives used, whether a sample was refused).
+def _use(row, z, i, span, at_once, model):
+    """Use the sample that waits; returns (sum of normalised innovations squared, drives used,
+    whether a sample was refused).
 
-    domega/dt is as uncertain as the sensor makes it, and as what it changes by meanwhile.
+    domega/dt over `span` [s] is as uncertain as the sensor makes it, and as what it changes by
+    meanwhile. at_once: without its next neighbour; domega/dt is then that of the last step, and may
+    be wrong by all of itself.
     """
-    span = (taken + 1.0 - memory[i, BEFORE]) * model.period
     total, used, refused = 0.0, 0, False
     for side in range(2):
-        newest, before = z[i, _SPROCKET + side], memory[i, EARLIER + side]
+        before = row.earlier[side]
+        newest = row.speed[side] if at_once else z[i, _SPROCKET + side]
         rate = (newest - before) / span
-        bend = (newest - memory[i, SPEED + side] - memory[i, SPEED + side] + before) / span
-        if math.isfinite(memory[i, HELD + side]) and math.isfinite(rate + bend):
+        bend = rate if at_once else (newest - row.speed[side] - row.speed[side] + before) / span
+        if math.isfinite(row.held[side]) and math.isfinite(rate + bend):
             variance = model.speed_variance / (span * span) + bend * bend
-            nis, good = _correct(memory, i, side, rate, variance, model)
+            nis, good = _correct(row, side, rate, variance, model)
             total += nis
             used += 1
             refused = refused or not good
+        if at_once:
+            row.held[side] = np.nan
     return total, used, refused
 
 
 @formula
-def _take_at_once(memory, i, model):
-    """Use the newest sample without its next neighbour, instead of letting it wait; as `_take`.
-
-    domega/dt is that of the last step, and may be wrong by all of itself.
-    """
-    span = (memory[i, WAITING] - memory[i, BEFORE]) * model.period
-    total, used, refused = 0.0, 0, False
-    for side in range(2):
-        rate = (memory[i, SPEED + side] - memory[i, EARLIER + side]) / span
-        if math.isfinite(memory[i, HELD + side] + rate):
-            variance = model.speed_variance / (span * span) + rate * rate
-            nis, good = _correct(memory, i, side, rate, variance, model)
-            total += nis
-            used += 1
-            refused = refused or not good
-        memory[i, HELD + side] = np.nan
-    return total, used, refused
-
-
-@formula
-def _answer(memory, i, model, out):
-    """g_L, g_R, a and their covariance into out (N, ANSWER); gains within their range."""
-    s = 1.0 / (1.0 - memory[i, A])
-    left, right = s * memory[i, B], s * memory[i, B + 1]
-    p_ll, p_lr, p_la = memory[i, P], memory[i, P + 1], memory[i, P + 2]
-    p_rr, p_ra, p_aa = memory[i, P + 5], memory[i, P + 6], memory[i, P + 10]
-    out[i, 0] = min(max(left, model.gain_low), model.gain_high)
-    out[i, 1] = min(max(right, model.gain_low), model.gain_high)
-    out[i, 2] = memory[i, A]
-    out[i, 3] = s * s * (p_ll + 2.0 * left * p_la + left * left * p_aa)
-    out[i, 4] = s * s * (p_lr + right * p_la + left * p_ra + left * right * p_aa)
-    out[i, 5] = s * s * (p_rr + 2.0 * right * p_ra + right * right * p_aa)
-    out[i, 6] = s * (p_la + left * p_aa)
-    out[i, 7] = s * (p_ra + right * p_aa)
-    out[i, 8] = p_aa
+def _write_answer(row, model, out):
+    """Gains, a and their covariance into `out`, an ANSWER; gains within their range."""
+    s, p = 1.0 / (1.0 - row.a), row.p
+    left, right = s * row.b[0], s * row.b[1]
+    p_ll, p_lr, p_la, p_rr, p_ra, p_aa = p[0, 0], p[0, 1], p[0, 2], p[1, 1], p[1, 2], p[2, 2]
+    out.gain[0] = min(max(left, model.gain_low), model.gain_high)
+    out.gain[1] = min(max(right, model.gain_low), model.gain_high)
+    out.decay = row.a
+    out.variances[0] = s * s * (p_ll + 2.0 * left * p_la + left * left * p_aa)
+    out.variances[1] = s * s * (p_lr + right * p_la + left * p_ra + left * right * p_aa)
+    out.variances[2] = s * s * (p_rr + 2.0 * right * p_ra + right * right * p_aa)
+    out.variances[3] = s * (p_la + left * p_aa)
+    out.variances[4] = s * (p_ra + right * p_aa)
+    out.variances[5] = p_aa
 
 
 @loop
-def update_all(z, fresh, age, command_left, command_right, memory, model, out):
-    """One sample of every vehicle: z (N, 13), fresh, age (N, 3), commands (N,) [-] in force before
-    now; memory (N, columns) in and out; out (N, ANSWER)."""
+def update_all(samples, commands, rows, rings, model, out):
+    """One sample of every vehicle: samples z (N, 13), fresh, age (N, 3); commands (2, N) [-] in
+    force before now; rows (N,) and rings (N, 2 * slots) of commands are changed, out is written."""
+    z, fresh, age = samples
+    slots = rings.shape[1] // 2
     for i in range(z.shape[0]):
-        step = int(memory[i, STEPS])
+        row, ring, answer = rows[i], rings[i], out[i]
+        step = int(row.steps)
         if step == 0:
-            _begin(memory, i, model)
-        at = RING + 2 * (step % model.slots)
-        memory[i, at] = model.limit * command_left[i]
-        memory[i, at + 1] = model.limit * command_right[i]
+            _begin(row, model)
+        at = 2 * (step % slots)
+        ring[at], ring[at + 1] = model.limit * commands[0, i], model.limit * commands[1, i]
         status, nis, used = HOLDING, 0.0, 0
         taken = step - int(age[i, DRIVE] / model.period + 0.5)
-        new = fresh[i, DRIVE] and taken >= memory[i, WAITING]
-        waiting = int(memory[i, WAITING]) - 1
-        until = max(waiting if new else 0, step - model.slots + 1)
-        while memory[i, MODELLED] < until:
-            _advance(memory, i, model)
+        new = fresh[i, DRIVE] and taken >= row.waiting
+        waiting = int(row.waiting) - 1
+        until = max(waiting if new else 0, step - slots + 1)
+        while row.modelled < until:
+            _advance(row, ring)
         if new:
-            close = taken + 1.0 - memory[i, BEFORE] <= model.longest
-            if memory[i, BEFORE] > 0.0 and close and waiting == memory[i, MODELLED]:
-                nis, used, refused = _take(memory, z, i, taken, model)
+            close = taken + 1.0 - row.before <= model.longest
+            if row.before > 0.0 and close and waiting == row.modelled:
+                span = (taken + 1.0 - row.before) * model.period
+                nis, used, refused = _use(row, z, i, span, False, model)
                 status = REJECTED if refused else HOLDING
-            memory[i, BEFORE], memory[i, WAITING] = memory[i, WAITING], taken + 1.0
+            row.before, row.waiting = row.waiting, taken + 1.0
             for side in range(2):
-                memory[i, EARLIER + side] = memory[i, SPEED + side]
-                memory[i, SPEED + side] = z[i, _SPROCKET + side]
+                row.earlier[side], row.speed[side] = row.speed[side], z[i, _SPROCKET + side]
                 torque = z[i, _TORQUE + side]
                 if not math.isfinite(torque + z[i, _V_X] + z[i, _W] + z[i, _SPROCKET + side]):
-                    memory[i, SKIPPED] += 1.0
+                    row.skipped += 1.0
                     status, torque = REJECTED, np.nan
                 elif not _carried(z, i, side, model):
                     torque = np.nan
-                memory[i, HELD + side] = torque
-            unsure = memory[i, P + 2 * ORDER + 2] > UNKNOWN * model.decay_variance
-            if unsure and taken + 1.0 - memory[i, BEFORE] == 1.0 and memory[i, BEFORE] > 0.0:
-                while memory[i, MODELLED] < taken:
-                    _advance(memory, i, model)
-                nis, used, refused = _take_at_once(memory, i, model)
+                row.held[side] = torque
+            unsure = row.p[2, 2] > UNKNOWN * model.decay_variance
+            if unsure and taken + 1.0 - row.before == 1.0 and row.before > 0.0:
+                while row.modelled < taken:
+                    _advance(row, ring)
+                span = (row.waiting - row.before) * model.period
+                nis, used, refused = _use(row, z, i, span, True, model)
                 status = REJECTED if refused else status
-        _answer(memory, i, model, out)
+        _write_answer(row, model, answer)
         if used > 0 and status == HOLDING:
-            known = max(out[i, 3], out[i, 5]) < 0.5 * model.gain_variance
-            if known and out[i, 8] < 0.5 * model.decay_variance:
+            sure = max(answer.variances[0], answer.variances[2]) < 0.5 * model.gain_variance
+            if sure and answer.variances[5] < 0.5 * model.decay_variance:
                 status = CONVERGING
-        memory[i, STEPS] = step + 1.0
-        out[i, ANSWER_STATUS] = status
-        out[i, ANSWER_NIS] = nis if used == 2 else np.nan
-        out[i, ANSWER_SKIPPED] = memory[i, SKIPPED]
+        row.steps = step + 1.0
+        answer.status, answer.skipped = status, row.skipped
+        answer.nis = nis if used == 2 else np.nan
 
 
-COMMANDS = ("previous_action_left", "previous_action_right")  # fields of the observation
-LONGEST_AGE = 1.0  # [s] of a drive sample that is used
-LONGEST_SPAN = 0.2  # [s] between the neighbours of a sample that is used
-GAIN_SIGMA = 0.3  # [-] prior standard deviation
-DECAY_SIGMA = 0.2  # [-] the same of a, at 50 Hz; T = 0.05 s is a = 0.67, T = 0.3 s is a = 0.94
-GAIN_WALK = 0.004  # [1/sqrt(s)] random walk of a gain
-DECAY_WALK = 0.002  # [1/sqrt(s)] of a
-DECAY_JUMP = 0.03  # [-] of a, where a gain seems to have changed
-MODEL_NOISE = 0.0005  # [-] of the torque limit: what the model leaves out
-FASTEST = 0.85  # [-] of the top speed: from here on a drive may give less
-
-
-class ActuatorEstimator(AnsweringEstimator):
+class ActuatorEstimator(BatchEstimator):
     """Estimates [drive_time_constant T [s], gains of the left and right drive [-]] of N vehicles.
 
     parameters: nominal ones. control_period [s]. data_sheet: noise of the sensors. count: vehicles.
@@ -349,6 +327,7 @@ class ActuatorEstimator(AnsweringEstimator):
         "torque_right", *COMMANDS,
     )  # fmt: skip
     paired = True
+    row = ROW
 
     def __init__(
         self,
@@ -365,8 +344,7 @@ class ActuatorEstimator(AnsweringEstimator):
         decay = math.exp(-period / lag) if lag > 0.0 else LEAST_DECAY
         bounds = RANGES["actuator_gain_left"]
         self._model = Model(
-            period, round(LONGEST_AGE / period) + 2, float(p.torque_limit),
-            float(p.sprocket_radius), 0.5 * float(p.track_gauge),
+            period, float(p.torque_limit), float(p.sprocket_radius), 0.5 * float(p.track_gauge),
             FASTEST * float(p.sprocket_speed_limit),
             sheet.torque_noise**2 + (MODEL_NOISE * float(p.torque_limit)) ** 2,
             2.0 * sheet.sprocket_speed_noise**2, float(p.sprocket_inertia),
@@ -374,48 +352,33 @@ class ActuatorEstimator(AnsweringEstimator):
             min(max(decay, LEAST_DECAY), LARGEST_DECAY), GAIN_SIGMA**2, DECAY_SIGMA**2,
             GAIN_WALK**2 * period, DECAY_WALK**2 * period, DECAY_JUMP**2, bounds.low, bounds.high,
         )  # fmt: skip
-        self.memory = np.zeros((count, RING + 2 * self._model.slots))
+        self.memory = np.zeros((count, columns_of(ROW)))
+        self.ring = np.zeros((count, 2 * (round(LONGEST_AGE / period) + 2)))
 
     @classmethod
     def for_stack(cls, setting: Setting) -> "ActuatorEstimator":
         """As a part of the identification stack."""
         return cls(setting.parameters, setting.control_period, setting.data_sheet, setting.count)
 
-    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
-        """Nothing is needed of other estimators."""
-
-    def reset(self, rows: ArrayLike | None = None) -> None:
-        """Forget all, of the vehicles named (indices or a mask), or of all."""
-        self.memory[slice(None) if rows is None else np.asarray(rows)] = 0.0
-
-    def compute(self, measurement: Measurement) -> NDArray[np.float64]:
-        """Take one sample; the bare answer (N, ANSWER): g_L, g_R, a, their covariance (LL, LR, RR,
-        La, Ra, aa), status, NIS, samples skipped."""
-        out = np.empty((len(self.memory), ANSWER))
-        left, right = (measurement.channel(name) for name in COMMANDS)
-        update_all(
-            measurement.values, measurement.fresh, measurement.age, left, right, self.memory,
-            self._model, out,
-        )  # fmt: skip
-        return out
+    def compute(self, measurement: Measurement) -> NDArray[Any]:
+        """Take one sample; the bare answers (N,) of ANSWER."""
+        out = empty_rows(len(self.memory), ANSWER)
+        commands = np.stack([measurement.channel(name) for name in COMMANDS])
+        update_all(tuple(measurement), commands, self.rows, self.ring, self._model, out)
+        return np.asarray(out)
 
     def belt_inertia(self) -> NDArray[np.float64]:
         """J [kg m^2] of a drive and track that the torques show, (N,); 0 on a plant without."""
-        return self.memory[:, INERTIA].copy()
+        return np.array(self.rows["inertia"])
 
-    def update(self, measurement: Measurement) -> Estimate:
-        """Take one sample of every vehicle."""
-        return self.estimate(self.compute(measurement))
-
-    def estimate(self, answer: NDArray[np.float64]) -> Estimate:
-        """The answer of the kernel as an Estimate; the lag to first order."""
+    def estimate(self, answer: NDArray[Any]) -> Estimate:
+        """The answers of the kernel as an Estimate; the lag to first order."""
         model, value = self._model, np.empty((len(answer), 3))
-        decay = answer[:, 2]
-        value[:, 0] = lag(decay, model.period)
-        value[:, 1:] = answer[:, :2]
+        decay = answer["decay"]
+        value[:, 0], value[:, 1:] = lag(decay, model.period), answer["gain"]
         slope = value[:, 0] ** 2 / (model.period * decay)  # dT/da
         index = np.array([[5, 3, 4], [3, 0, 1], [4, 1, 2]])
-        raw = answer[:, VARIANCES:ANSWER_STATUS][:, index]
+        raw = answer["variances"][:, index]
         jacobian = np.ones_like(value)
         jacobian[:, 0] = slope
         prior = np.sqrt([model.decay_variance, model.gain_variance, model.gain_variance])
@@ -424,15 +387,10 @@ class ActuatorEstimator(AnsweringEstimator):
         with np.errstate(divide="ignore", invalid="ignore"):
             condition = np.where(smallest > 0.0, largest / smallest, np.inf)
         return Estimate(
-            self.names,
-            value,
-            raw * jacobian[:, :, None] * jacobian[:, None, :],
-            smallest,
-            condition,
-            answer[:, ANSWER_STATUS].astype(np.int64),
-            answer[:, ANSWER_NIS],
-            answer[:, ANSWER_SKIPPED].astype(np.int64),
-        )
+            self.names, value, raw * jacobian[:, :, None] * jacobian[:, None, :], smallest,
+            condition, answer["status"].astype(np.int64), answer["nis"],
+            answer["skipped"].astype(np.int64),
+        )  # fmt: skip
 
 
 def lag(decay: NDArray[np.float64], period: float) -> NDArray[np.float64]:

@@ -6,9 +6,9 @@ is in it, and each track has its own resistance: `coupled`, exact in curves too.
 accelerometer feels dv_x/dt - w v_y - g sin(pitch), gravity with the opposite sign, and m times that
 is what traction and resistance add up to. So gravity stays in a_x, where it excites the mass; the
 normal load alone changes, g cos(pitch) cos(roll) for g. S 7.1.2 assumes
-longitudinal motion: `paper` and `printed` take dv_x/dt for a_x and s_L = s_R = sign(v_x).
+longitudinal motion: its regression takes dv_x/dt for a_x and s_L = s_R = sign(v_x).
 Variance of the equation: accelerometer and torque sensors. Tracks slower than SLOWEST are left
-out: there s is not yet +-1. `printed` leaves nothing out and weighs all samples alike.
+out: there s is not yet +-1.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2, its suggestion in 8.3.1.
 """
@@ -17,29 +17,34 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators import two_parameters as im
-from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, DataSheet, Quantity, Setting
+from baselines.estimators.measurement import (
+    COLUMN,
+    DRIVE,
+    INERTIAL,
+    DataSheet,
+    Quantity,
+    Setting,
+)
 from baselines.estimators.two_parameters import (
+    FORGETTING,
     HOLDING,
-    PLAIN,
     REJECTED,
     SLOWEST,
     TORQUE_MARGIN,
     TwoParameterEstimator,
-    answer,
-    as_printed,
-    chosen_forgetting,
+    checked_forgetting,
     take,
+    write_answer,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 from tracked_env.physics.rigid_body import incline_of
-from tracked_env.validation import CONTROL_PERIOD, checked_number
 
-FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
 # Models of interacting_models, with walks [1/sqrt(s)] of 1/m, relative, and of mu_l.
 WALKS = {
     im.CALM: (0.0, 0.005), im.FAST: (0.005, 0.2), im.BORDER: (0.0, 0.8), im.JUMP: (3.0, 0.01),
@@ -58,7 +63,7 @@ _A_X, _TORQUE = COLUMN["acceleration_x"], COLUMN["torque_left"]
 _SPROCKET = COLUMN["sprocket_speed_left"]
 
 
-class Known(NamedTuple):
+class Constants(NamedTuple):
     """Constants of the longitudinal equation."""
 
     inverse_radius: float  # [1/m] 1/r
@@ -79,56 +84,56 @@ def _sliding(belt, track):
 
 
 @formula
-def equation(z, i, known, press):
+def equation(z, i, k, press):
     """The Sample of vehicle i from its measurement z (N, 13), and whether the tracks move.
 
     press: [-] normal load over the weight.
     """
     v_x, w = z[i, _V_X], z[i, _W]
-    left, right = v_x - w * known.half_gauge, v_x + w * known.half_gauge
-    force = (z[i, _TORQUE] + z[i, _TORQUE + 1]) * known.inverse_radius
-    slowest = min(abs(left), abs(right)) if known.coupled else abs(v_x)
-    belt_left = z[i, _SPROCKET] / known.inverse_radius
-    belt_right = z[i, _SPROCKET + 1] / known.inverse_radius
-    doubt = known.coupled and (_sliding(belt_left, left) or _sliding(belt_right, right))
-    if known.coupled:
+    left, right = v_x - w * k.half_gauge, v_x + w * k.half_gauge
+    force = (z[i, _TORQUE] + z[i, _TORQUE + 1]) * k.inverse_radius
+    slowest = min(abs(left), abs(right)) if k.coupled else abs(v_x)
+    belt_left = z[i, _SPROCKET] / k.inverse_radius
+    belt_right = z[i, _SPROCKET + 1] / k.inverse_radius
+    doubt = k.coupled and (_sliding(belt_left, left) or _sliding(belt_right, right))
+    if k.coupled:
         y = z[i, _A_X]
         side = 0.5 * (math.copysign(1.0, left) + math.copysign(1.0, right))
     else:
         y = z[i, _A_X] + w * z[i, _V_Y]
         side = math.copysign(1.0, v_x)
-    scale = known.inverse_mass * known.inverse_mass
-    variance = known.acceleration_variance + scale * known.effort_variance
+    scale = k.inverse_mass * k.inverse_mass
+    variance = k.acceleration_variance + scale * k.effort_variance
     return ls.Sample(
-        y, force, -soil.GRAVITY * press * side, variance, known.effort_variance
-    ), slowest > known.slowest and not doubt
+        y, force, -soil.GRAVITY * press * side, variance, k.effort_variance
+    ), slowest > k.slowest and not doubt
 
 
 @loop
-def update_all(z, fresh, attitude, memory, prior, table, known, out):
-    """One sample of every vehicle: z (N, 13), fresh and attitude (N, 3), memory (N, MEMORY) in and
-    out."""
+def update_all(samples, rows, prior, table, k, out):
+    """One sample of every vehicle: samples z (N, 13), fresh and attitude (N, 3); the rows (N,) of
+    the memory are changed, the answers (N,) written."""
+    z, fresh, attitude = samples
     for i in range(z.shape[0]):
-        status, nis = HOLDING, np.nan
+        row, status, nis = rows[i], HOLDING, np.nan
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
             press = incline_of(attitude[i, 1], attitude[i, 0]).press
-            sample, moving = equation(z, i, known, press)
+            sample, moving = equation(z, i, k, press)
             seen = sample.y + sample.phi_1 + sample.phi_2 + z[i, _V_X] + z[i, _W]
             if not math.isfinite(seen):
-                memory[i, ls.SKIPPED] += 1.0
+                row.skipped += 1.0
                 status = REJECTED
-            elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > known.largest_torque:
+            elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > k.largest_torque:
                 status = REJECTED
             elif moving:
-                status, nis = take(memory, i, sample, prior, table)
-        answer(memory, i, prior, status, nis, out)
+                status, nis = take(row, sample, prior, table)
+        write_answer(row, prior, status, nis, out[i])
 
 
 class LongitudinalEstimator(TwoParameterEstimator):
     """Estimates [1/m, mu_l] of N vehicles; see the head of the file.
 
-    regression: "coupled" (default), "paper" or "printed", see two_parameters. forgetting: factor
-    per sample; None takes the default of the regression, 0.998 for "paper" and "printed".
+    forgetting: factor per sample.
     separated: whether the equation of the side slip, which tells load and soil apart, goes with it;
     without it a slow trend is taken for one of the soil.
     """
@@ -147,12 +152,10 @@ class LongitudinalEstimator(TwoParameterEstimator):
         control_period: float = 0.02,
         data_sheet: DataSheet | None = None,
         count: int = 1,
-        regression: str = "coupled",
-        forgetting: float | None = None,
+        forgetting: float = FORGETTING,
         separated: bool = True,
     ) -> None:
-        control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        forgetting = chosen_forgetting(regression, forgetting, FORGETTING)
+        checked_forgetting("forgetting", forgetting)
         nominal = 1.0 / parameters.mass
         bounds = RANGES["longitudinal_resistance"]
         prior = ls.Prior(
@@ -161,36 +164,46 @@ class LongitudinalEstimator(TwoParameterEstimator):
             nominal / MASS_FACTOR, bounds.low, nominal * MASS_FACTOR, bounds.high,
             forgetting,
         )  # fmt: skip
-        printed = regression == "printed"
-        coupled = regression == "coupled"
+        super().__init__(parameters, control_period, data_sheet, count, prior)
         walks = WALKS if separated else {**WALKS, im.ALARMED: OF_THE_SOIL}
-        super().__init__(
-            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior,
-            im.table(walks, TREND_GATE, RESISTANCE_SIGMA, control_period) if coupled else PLAIN,
-        )  # fmt: skip
+        self.table = im.table(walks, TREND_GATE, RESISTANCE_SIGMA, self.control_period)
         sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius
-        self._known = Known(
-            1.0 / p.sprocket_radius,
-            0.5 * p.track_gauge,
-            nominal,
-            1.0 if printed else sheet.acceleration_noise**2 + MODEL_NOISE**2,
-            0.0 if printed else 2.0 * effort * effort,
-            math.inf if printed else TORQUE_MARGIN * p.torque_limit,
-            -1.0 if printed else SLOWEST,
-            coupled,
+        self._constants = Constants(
+            inverse_radius=1.0 / p.sprocket_radius,
+            half_gauge=0.5 * p.track_gauge,
+            inverse_mass=nominal,
+            acceleration_variance=sheet.acceleration_noise**2 + MODEL_NOISE**2,
+            effort_variance=2.0 * effort * effort,
+            largest_torque=TORQUE_MARGIN * p.torque_limit,
+            slowest=SLOWEST,
+            coupled=True,
         )
 
     @classmethod
     def for_stack(cls, setting: Setting) -> "LongitudinalEstimator":
         """As a part of the identification stack."""
-        s = setting
+        s, separated = setting, setting.lateral == "sliding"
         part = cls(
-            s.parameters, s.control_period, s.data_sheet, s.count, s.regression,
-            separated=s.lateral == "sliding",
-        )  # fmt: skip
+            s.parameters, s.control_period, s.data_sheet, s.count, separated=separated
+        )
         return part.on_slopes() if s.attitude else part
 
-    def known(self) -> tuple[Any, ...]:
+    def constants(self) -> tuple[Any, ...]:
         """Constants of the equation."""
-        return (self._known,)
+        return (self._constants,)
+
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """(low, high) between which each parameter is sought, by name."""
+        p = self.prior
+        return {
+            "mass": (1.0 / p.high_1, 1.0 / p.low_1),
+            "longitudinal_resistance": (p.low_2, p.high_2),
+        }
+
+    def residual(self, values: NDArray[np.float64], mass: float, resistance: float) -> float:
+        """Residual of one vehicle's sample (1, 13) on level ground with these parameters, over its
+        standard deviation; NaN where the sample says nothing."""
+        sample, usable = equation(values, 0, self._constants, 1.0)
+        error = sample.y - sample.phi_1 * (1.0 / mass) - sample.phi_2 * resistance
+        return error / math.sqrt(sample.variance) if usable else math.nan

@@ -1,53 +1,44 @@
-"""What an estimator is given: one sample of every sensor channel, per vehicle.
+"""What passes between observations, sensors and estimators: measurements, estimates, the reader.
 
-    values (N, 13)  SI, in the order of tracked_env.sensors.CHANNELS; pose in any
-                    fixed frame; NaN where a sample is missing
+A Measurement holds one sample of every sensor channel, per vehicle:
+    values (N, 13)  SI, in the order of tracked_env.sensors.CHANNELS; pose in any fixed frame; NaN
+                    where a sample is missing
     fresh  (N, 3)   whether pose, inertial, drive have a new sample since the last update
     age    (N, 3)   [s] how old each group's sample is
 On slopes also ATTITUDE, of the last inertial sample; where it is not measured the ground counts as
 level. A DataSheet holds what everybody may know of their sensors: noise and bias magnitudes.
 
-References: [S] Strawa et al., Electronics 10 (2021) 187, section 5.2.
-
-What every estimator answers: values with covariance, excitation and status.
-
+An Estimate holds values with covariance, excitation and status:
     excitation  smallest eigenvalue of the information that the (forgetting) window holds, in
                 units of the prior information: 0 = the data say nothing about some direction of
                 the parameters, 1 = data and prior weigh the same
     condition   ratio of the largest to the smallest eigenvalue of the same matrix
-An estimator keeps everything it remembers in `memory`, float64 (N, columns): a copy of the array
-can be put back, and the estimator goes on from there. It declares what it provides and what it
-needs; the stack takes names, order and features from these declarations.
+An estimator keeps its whole state in `memory`, float64 (N, columns), and where it has one in a
+ring of past samples, `ring` (N, columns): copies of the arrays can be put back, and the estimator
+goes on from there. Kernels read them as rows with named fields (`rows_of`). An estimator declares
+what it provides and what it needs; the stack takes names, order and features from these.
 
-From observations to measurements: absolute pose, new samples, samples that belong together.
-
-An observation holds the pose as an error against the reference. The reader integrates the
-reference from the observed speed and yaw rate (cubic between two observations), so that
-    p = p_ref - R(yaw) e_p,    yaw = yaw_ref - e_yaw
-are coordinates in a frame fixed at the start of the episode. What the integration loses is
-common to p and p_ref, hence nothing that a controller acts on. A group has a new sample when its
-age has not grown by one control period. Inertial and drive samples of different age are paired
-by the time at which they were taken, so that regressions see one moment; each pair is given once.
-
-Assumption: one call per control step and vehicle.
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 5.2.
 """
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
+from numba import config
 from numpy.typing import ArrayLike, NDArray
 
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters, Range
-from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUP_START, GROUPS
+from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUPS
 from tracked_env.validation import CONTROL_PERIOD, VEHICLES, checked_number, checked_whole
 
+Floats = NDArray[np.float64]
 COLUMN = {name: column for column, name in enumerate(CHANNELS)}
 ATTITUDE = ("roll", "pitch", "pitch_rate")  # fields of the observation group of that name
 POSE, INERTIAL, DRIVE = range(len(GROUPS))  # columns of `fresh` and `age`
@@ -85,11 +76,11 @@ class DataSheet(NamedTuple):
 class Measurement(NamedTuple):
     """One sample of all channels of N vehicles; see the head of the file."""
 
-    values: NDArray[np.float64]  # (N, CHANNEL_COUNT)
+    values: Floats  # (N, CHANNEL_COUNT)
     fresh: NDArray[np.bool_]  # (N, 3)
-    age: NDArray[np.float64]  # (N, 3) [s]
+    age: Floats  # (N, 3) [s]
 
-    def channel(self, name: str) -> NDArray[np.float64]:
+    def channel(self, name: str) -> Floats:
         """One channel, (N,)."""
         return self.values[:, COLUMN[name]]
 
@@ -100,23 +91,21 @@ class WiderMeasurement(Measurement):
     added: by name, (N,) SI each; the last sample, also where the others are of one moment.
     """
 
-    added: Mapping[str, NDArray[np.float64]]
+    added: Mapping[str, Floats]
 
     @classmethod
-    def of(
-        cls, measurement: Measurement, added: Mapping[str, NDArray[np.float64]]
-    ) -> "WiderMeasurement":
+    def of(cls, measurement: Measurement, added: Mapping[str, Floats]) -> "WiderMeasurement":
         """`measurement` with the fields `added`."""
         wider = cls(*measurement)
         wider.added = added
         return wider
 
-    def channel(self, name: str) -> NDArray[np.float64]:
+    def channel(self, name: str) -> Floats:
         """One channel or one registered field, (N,)."""
         return self.added[name] if name in self.added else super().channel(name)
 
 
-def attitude_of(measurement: Measurement) -> NDArray[np.float64]:
+def attitude_of(measurement: Measurement) -> Floats:
     """ATTITUDE (N, 3) of a measurement: zeros where it is not measured."""
     if not isinstance(measurement, WiderMeasurement) or ATTITUDE[0] not in measurement.added:
         return np.zeros((len(measurement.values), len(ATTITUDE)))
@@ -131,8 +120,7 @@ def make_measurement(
     fresh, age: a number for all, or shape (3,) or (N, 3). Raises ValueError for an unknown
     channel.
     """
-    unknown = set(channels) - set(CHANNELS)
-    if unknown:
+    if unknown := set(channels) - set(CHANNELS):
         raise ValueError(f"unknown channels {sorted(unknown)}; known are {CHANNELS}")
     arrays = {name: np.atleast_1d(np.asarray(v, dtype=float)) for name, v in channels.items()}
     count = max((len(array) for array in arrays.values()), default=1)
@@ -147,17 +135,11 @@ def make_measurement(
     )
 
 
-__all__ = [
-    "ATTITUDE", "COLUMN", "DRIVE", "GROUP_START", "INERTIAL", "POSE", "DataSheet", "Measurement",
-    "attitude_of", "make_measurement",
-]  # fmt: skip
-
-
 class Status(IntEnum):
     """What the last update did."""
 
     CONVERGING = 0  # the sample was used, and the data determine every parameter
-    HOLDING = 1  # no new information in some direction: there the estimate is kept
+    HOLDING = 1  # no new information in some direction: there the estimate stays
     REJECTED = 2  # the sample was refused (missing, NaN, or an outlier)
 
 
@@ -165,25 +147,25 @@ class Estimate(NamedTuple):
     """Estimates of N vehicles; P parameters or states."""
 
     names: tuple[str, ...]  # (P,)
-    value: NDArray[np.float64]  # (N, P) SI
-    covariance: NDArray[np.float64]  # (N, P, P)
-    excitation: NDArray[np.float64]  # (N,) [-]
-    condition: NDArray[np.float64]  # (N,) [-] >= 1, inf when some direction has no information
+    value: Floats  # (N, P) SI
+    covariance: Floats  # (N, P, P)
+    excitation: Floats  # (N,) [-]
+    condition: Floats  # (N,) [-] >= 1, inf when some direction has no information
     status: NDArray[np.int64]  # (N,) of Status
-    nis: NDArray[np.float64]  # (N,) normalised innovation squared of this sample, NaN if none
+    nis: Floats  # (N,) normalised innovation squared of this sample, NaN if none
     skipped: NDArray[np.int64]  # (N,) samples with NaN so far
 
-    def of(self, name: str) -> NDArray[np.float64]:
+    def of(self, name: str) -> Floats:
         """Value of one parameter, (N,)."""
         return self.value[:, self.names.index(name)]
 
-    def deviation(self, name: str) -> NDArray[np.float64]:
+    def deviation(self, name: str) -> Floats:
         """Standard deviation of one parameter, (N,)."""
         column = self.names.index(name)
         return np.sqrt(self.covariance[:, column, column])
 
 
-Pair = tuple[NDArray[np.float64], NDArray[np.float64]]  # (N,) each
+Pair = tuple[Floats, Floats]  # (N,) each
 
 
 class Quantity(NamedTuple):
@@ -228,7 +210,6 @@ class Setting:
     data_sheet: DataSheet  # noise of the sensors
     count: int  # vehicles
     lateral: str = "sliding"  # lateral model of the nominal model
-    regression: str = "coupled"
     attitude: bool = False  # whether roll, pitch and pitch rate are measured; else level ground
 
 
@@ -237,10 +218,10 @@ class Estimator(Protocol):
 
     needs: sensor channels, and quantities that estimators before it in the stack provide.
     paired: it takes inertial and drive samples of one moment, with the filtered velocity; else
-    each group's latest sample.
+    each group's latest sample. It may have a `ring` (N, columns) beside its memory.
     """
 
-    memory: NDArray[np.float64]  # (N, columns)
+    memory: Floats  # (N, columns)
 
     @property
     def provides(self) -> tuple[Quantity, ...]:
@@ -266,39 +247,110 @@ class Estimator(Protocol):
         """Forget all, of the vehicles named (indices or a mask), or of all."""
 
 
-class AnsweringEstimator:
-    """An estimator that answers with bare arrays; the Estimate is made of them where it is read.
+def columns_of(row: np.dtype[Any]) -> int:
+    """Columns of memory that a row with named fields takes."""
+    return row.itemsize // 8
 
-    Faster than `update` where few read the Estimate. `update` is `estimate(compute(...))`.
+
+def rows_of(memory: Floats, row: np.dtype[Any]) -> Any:
+    """memory (N, columns) as rows (N,), or a ring (N, K * columns) as (N, K) slots, that have
+    named fields; the same numbers. Without compilation, records give the fields as attributes."""
+    rows = memory.view(row)
+    rows = rows[:, 0] if memory.shape[1] == row.itemsize // 8 else rows
+    return rows.view(np.recarray) if config.DISABLE_JIT else rows
+
+
+def empty_rows(count: int, row: np.dtype[Any]) -> Any:
+    """Room for `count` rows."""
+    return rows_of(np.empty((count, columns_of(row))), row)
+
+
+class BatchEstimator:
+    """An estimator of N vehicles that answers with bare arrays.
+
+    `compute` is faster than `update` where few read the Estimate; `update` is
+    `estimate(compute(...))`.
     """
 
+    names: tuple[str, ...]
+    provides: tuple[Quantity, ...]
+    needs: tuple[str, ...]
+    row: ClassVar[np.dtype[Any]]  # of the memory
+    memory: Floats
+
+    @property
+    def rows(self) -> Any:
+        """The memory as rows (N,) with named fields."""
+        return rows_of(self.memory, self.row)
+
     def compute(self, measurement: Measurement) -> Any:
-        """Take one sample of every vehicle; an answer that the next call leaves as it is."""
+        """Take one sample; an answer that the next call leaves as it is."""
         raise NotImplementedError
 
     def estimate(self, answer: Any) -> Estimate:
         """The Estimate that `answer` says; depends on nothing else that changes."""
         raise NotImplementedError
 
+    def update(self, measurement: Measurement) -> Estimate:
+        """Take one sample of every vehicle.
+
+        Raises ValueError for a measurement that is not one of as many vehicles.
+        """
+        n = len(self.memory)
+        shapes = ((n, CHANNEL_COUNT), (n, len(GROUPS)), (n, len(GROUPS)))
+        for name, array, shape in zip(Measurement._fields, measurement, shapes, strict=True):
+            if array.shape != shape:
+                raise ValueError(
+                    f"measurement.{name} has shape {array.shape}; must be {shape}. "
+                    f"Is the estimator made for count = {n} vehicles?"
+                )
+        return self.estimate(self.compute(measurement))
+
+    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+        """Nothing is needed of other estimators."""
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Forget all, of the vehicles named (indices or a mask), or of all."""
+        where = slice(None) if rows is None else np.asarray(rows)
+        for array in arrays_of(self):
+            array[where] = 0.0
+
+
+def arrays_of(part: Any) -> list[Floats]:
+    """The arrays that hold the whole state of an estimator: its memory and, if any, its ring."""
+    return [part.memory, part.ring] if hasattr(part, "ring") else [part.memory]
+
+
+# --- the observation reader -------------------------------------------------------------------
+# An observation holds the pose as an error against the reference. The reader integrates the
+# reference from the observed speed and yaw rate (cubic between two observations), so that
+#     p = p_ref - R(yaw) e_p,    yaw = yaw_ref - e_yaw
+# are coordinates in a frame fixed at the start of the episode. What the integration loses is common
+# to p and p_ref, hence nothing that a controller acts on. A group has a new sample when its age has
+# not grown by one control period. Inertial and drive samples of different age are paired by the
+# time at which they were taken, so that regressions see one moment; each pair is given once.
+# Assumption: one call per control step and vehicle.
 
 LONGEST_AGE = 1.0  # [s] older samples are not paired
 POSE_DELAY = Range(0.0, LONGEST_AGE, "s", "Did you pass milliseconds?")
 DELAY_RISE = 0.2  # [-] slope at which the delay of a group follows ages that stay up
-
-# Columns of `memory`: reference pose and motion, ages, steps, when the last pair was taken (plus
-# one, 0 = none yet); then two rings of samples.
-(
-    REF_X, REF_Y, REF_YAW, SPEED, ACCELERATION, YAW_RATE, YAW_ACCELERATION,
-    AGE, _AGE_INERTIAL, _AGE_DRIVE, STEP, DELAY, LAST_PAIR,
-) = range(13)  # fmt: skip
-RINGS = 13
 GROUP_SIZE = 4  # channels of the inertial and of the drive group
-SLOT = 1 + GROUP_SIZE  # step at which it was taken (plus one, 0 = empty), values
+
+# The state of the reader for one vehicle, and a slot of the rings of inertial and drive samples.
+READER_ROW = np.dtype([
+    ("x", float), ("y", float), ("yaw", float),  # of the reference
+    ("speed", float), ("acceleration", float), ("yaw_rate", float), ("yaw_acceleration", float),
+    ("age", float, 3),  # [s] of the groups
+    ("step", float), ("delay", float),  # [s] of the drive group, dropouts apart
+    ("last_pair", float),  # step at which it was taken plus one, 0 = none yet
+])  # fmt: skip
+SAMPLE = np.dtype([("taken", float), ("values", float, GROUP_SIZE)])  # step plus one, 0 = empty
 
 _I, _SCALE = layout.INDEX, layout.SCALE
 _ERRORS = ("position_error_x", "position_error_y", "heading_error")
-_PATH = ("reference_speed", "reference_acceleration", "reference_yaw_rate",
-         "reference_yaw_acceleration")  # fmt: skip
+_PATH = (
+    "reference_speed", "reference_acceleration", "reference_yaw_rate", "reference_yaw_acceleration"
+)  # fmt: skip
 _CHANNELS = CHANNELS[COLUMN["v_x"] :]  # taken as they are
 NEEDS = (*_ERRORS, *_CHANNELS, *_PATH, *(f"{group}_age" for group in GROUPS))
 _ERROR_X, _ERROR_Y, _ERROR_YAW = (_I[name] for name in _ERRORS)
@@ -307,7 +359,6 @@ _AGES = _I["pose_age"]
 _OLDEST = float(layout.FIELDS[_AGES].bound)  # [s] at which ages are clipped
 _COPIED = np.array([(_I[name], COLUMN[name]) for name in _CHANNELS])  # observation column, channel
 FIRST = np.array([0, COLUMN["acceleration_x"], COLUMN["sprocket_speed_left"]])  # of each group
-assert [_I["inertial_age"], _I["drive_age"]] == [_AGES + 1, _AGES + 2]
 
 
 class Reading(NamedTuple):
@@ -315,126 +366,130 @@ class Reading(NamedTuple):
 
     latest: Measurement  # each group's last sample
     paired: Measurement  # inertial and drive of one moment; not fresh where there is no pair
-    reference: NDArray[np.float64]  # (N, 3) pose of the reference now [m, m, rad]
-    drive_delay: NDArray[np.float64]  # (N,) [s] the delay of the drive group; dropouts apart
+    reference: Floats  # (N, 3) pose of the reference now [m, m, rad]
+    drive_delay: Floats  # (N,) [s] the delay of the drive group; dropouts apart
 
 
 @formula
-def advance_reference(memory, i, speed, acceleration, yaw_rate, yaw_acceleration, period):
-    """Move the reference pose of vehicle i by one period [s] to the motion now observed.
+def advance_reference(row, speed, acceleration, yaw_rate, yaw_acceleration, period):
+    """Move the reference pose by one period [s] to the motion now observed.
 
     Cubic Hermite interpolation of speed and yaw rate, Simpson's rule for the position.
     """
-    v, a, w, bend = (
-        memory[i, SPEED], memory[i, ACCELERATION],
-        memory[i, YAW_RATE], memory[i, YAW_ACCELERATION],
-    )  # fmt: skip
+    v, a, w, bend = row.speed, row.acceleration, row.yaw_rate, row.yaw_acceleration
     half = period * ((13.0 * w + 3.0 * yaw_rate) / 32.0) + period * period * (
         (11.0 * bend - 5.0 * yaw_acceleration) / 192.0
     )
     whole = 0.5 * period * (w + yaw_rate) + period * period * (bend - yaw_acceleration) / 12.0
     v_middle = 0.5 * (v + speed) + period * (a - acceleration) / 8.0
-    yaw = memory[i, REF_YAW]
+    yaw = row.yaw
     c_0, s_0 = rotation(yaw)
     c_1, s_1 = rotation(yaw + half)
     c_2, s_2 = rotation(yaw + whole)
-    memory[i, REF_X] += period / 6.0 * (v * c_0 + 4.0 * v_middle * c_1 + speed * c_2)
-    memory[i, REF_Y] += period / 6.0 * (v * s_0 + 4.0 * v_middle * s_1 + speed * s_2)
-    memory[i, REF_YAW] = yaw + whole
+    row.x += period / 6.0 * (v * c_0 + 4.0 * v_middle * c_1 + speed * c_2)
+    row.y += period / 6.0 * (v * s_0 + 4.0 * v_middle * s_1 + speed * s_2)
+    row.yaw = yaw + whole
 
 
 @formula
-def _pair(memory, i, taken_inertial, taken_drive, slots, paired):
-    """Fill the inertial and drive channels of `paired` with samples of one moment, the last for
-    which both can have come; True when both are there and were not given before."""
-    drive_ring = RINGS + slots * SLOT
-    when = min(taken_inertial, taken_drive)
-    a = RINGS + (when % slots) * SLOT
-    b = drive_ring + (when % slots) * SLOT
-    together = memory[i, a] == when + 1.0 and memory[i, b] == when + 1.0
-    for c in range(GROUP_SIZE):
-        paired[i, FIRST[INERTIAL] + c] = memory[i, a + 1 + c]
-        paired[i, FIRST[DRIVE] + c] = memory[i, b + 1 + c]
-    if not together or memory[i, LAST_PAIR] > when:
+def _pair(row, rings, when, paired):
+    """Fill the inertial and drive channels of `paired` (CHANNELS,) with samples of step `when`, the
+    last for which both can have come; True when both are there and were not given before."""
+    slot = when % rings.shape[1]
+    together = True
+    for group in (INERTIAL, DRIVE):
+        sample = rings[group - 1, slot]
+        together = together and sample.taken == when + 1.0
+        for c in range(GROUP_SIZE):
+            paired[FIRST[group] + c] = sample.values[c]
+    if not together or row.last_pair > when:
         return False
-    memory[i, LAST_PAIR] = when + 1.0
+    row.last_pair = when + 1.0
     return True
 
 
 @loop
-def read_all(
-    observation, memory, start, period, slots, latest, paired, fresh, pair, age, pair_age, ref,
-    delay,
-):  # fmt: skip
-    """Read every row: observation (N, >= SIZE), start (N,) bool; the others are written."""
+def read_all(observation, rows, rings, period, reading):
+    """Read every row of observation (N, >= SIZE) into a Reading."""
     for i in range(observation.shape[0]):
-        if start[i]:
-            memory[i, :] = 0.0
-        speed = observation[i, _SPEED] * _SCALE[_SPEED]
-        acceleration = observation[i, _ACCELERATION] * _SCALE[_ACCELERATION]
-        yaw_rate = observation[i, _REF_YAW_RATE] * _SCALE[_REF_YAW_RATE]
-        bend = observation[i, _BEND] * _SCALE[_BEND]
-        step = int(memory[i, STEP])
+        row, ring, seen = rows[i], rings[i], observation[i]
+        latest, fresh = reading.latest.values[i], reading.latest.fresh[i]
+        age = reading.latest.age[i]
+        speed = seen[_SPEED] * _SCALE[_SPEED]
+        acceleration = seen[_ACCELERATION] * _SCALE[_ACCELERATION]
+        yaw_rate, bend = seen[_REF_YAW_RATE] * _SCALE[_REF_YAW_RATE], seen[_BEND] * _SCALE[_BEND]
+        step = int(row.step)
         if step > 0:
-            advance_reference(memory, i, speed, acceleration, yaw_rate, bend, period)
-        memory[i, SPEED], memory[i, ACCELERATION] = speed, acceleration
-        memory[i, YAW_RATE], memory[i, YAW_ACCELERATION] = yaw_rate, bend
+            advance_reference(row, speed, acceleration, yaw_rate, bend, period)
+        row.speed, row.acceleration, row.yaw_rate, row.yaw_acceleration = (
+            speed, acceleration, yaw_rate, bend
+        )  # fmt: skip
         for g in range(3):
-            age[i, g] = observation[i, _AGES + g] * _SCALE[_AGES + g]
-            newest = min(memory[i, AGE + g] + period, _OLDEST) - 0.5 * period
-            fresh[i, g] = step == 0 or age[i, g] < newest
-            memory[i, AGE + g] = age[i, g]
-        risen = memory[i, DELAY] + DELAY_RISE * period
-        memory[i, DELAY] = delay[i] = min(age[i, DRIVE], risen)
+            age[g] = seen[_AGES + g] * _SCALE[_AGES + g]
+            newest = min(row.age[g] + period, _OLDEST) - 0.5 * period
+            fresh[g] = step == 0 or age[g] < newest
+            row.age[g] = age[g]
+        row.delay = reading.drive_delay[i] = min(age[DRIVE], row.delay + DELAY_RISE * period)
         for k in range(_COPIED.shape[0]):
-            latest[i, _COPIED[k, 1]] = observation[i, _COPIED[k, 0]] * _SCALE[_COPIED[k, 0]]
-        yaw = memory[i, REF_YAW] - observation[i, _ERROR_YAW] * _SCALE[_ERROR_YAW]
+            latest[_COPIED[k, 1]] = seen[_COPIED[k, 0]] * _SCALE[_COPIED[k, 0]]
+        yaw = row.yaw - seen[_ERROR_YAW] * _SCALE[_ERROR_YAW]
         c, s = rotation(yaw)
-        e_x = observation[i, _ERROR_X] * _SCALE[_ERROR_X]
-        e_y = observation[i, _ERROR_Y] * _SCALE[_ERROR_Y]
-        latest[i, 0] = memory[i, REF_X] - (c * e_x - s * e_y)
-        latest[i, 1] = memory[i, REF_Y] - (s * e_x + c * e_y)
-        latest[i, 2] = yaw
-        for g in range(3):
-            ref[i, g] = memory[i, REF_X + g]
+        e_x, e_y = seen[_ERROR_X] * _SCALE[_ERROR_X], seen[_ERROR_Y] * _SCALE[_ERROR_Y]
+        latest[0] = row.x - (c * e_x - s * e_y)
+        latest[1] = row.y - (s * e_x + c * e_y)
+        latest[2] = yaw
+        reference = reading.reference[i]
+        reference[0], reference[1], reference[2] = row.x, row.y, row.yaw
+        when = step
         for g in (INERTIAL, DRIVE):
-            taken = max(step - int(age[i, g] / period + 0.5), 0)
-            if fresh[i, g]:
-                at = RINGS + ((g - 1) * slots + taken % slots) * SLOT
-                memory[i, at] = taken + 1.0
+            taken = max(step - int(age[g] / period + 0.5), 0)
+            when = min(when, taken)
+            if fresh[g]:
+                sample = ring[g - 1, taken % ring.shape[1]]
+                sample.taken = taken + 1.0
                 for k in range(GROUP_SIZE):
-                    memory[i, at + 1 + k] = latest[i, FIRST[g] + k]
+                    sample.values[k] = latest[FIRST[g] + k]
+        paired = reading.paired.values[i]
         for k in range(CHANNEL_COUNT):
-            paired[i, k] = latest[i, k]
-        taken_inertial = max(step - int(age[i, INERTIAL] / period + 0.5), 0)
-        taken_drive = max(step - int(age[i, DRIVE] / period + 0.5), 0)
-        together = _pair(memory, i, taken_inertial, taken_drive, slots, paired)
-        oldest = max(age[i, INERTIAL], age[i, DRIVE])
+            paired[k] = latest[k]
+        together = _pair(row, ring, when, paired)
+        oldest = max(age[INERTIAL], age[DRIVE])
         for g in range(3):
-            pair[i, g] = fresh[i, POSE] if g == POSE else together
-            pair_age[i, g] = age[i, POSE] if g == POSE else oldest
-        memory[i, STEP] = step + 1.0
+            reading.paired.fresh[i, g] = fresh[POSE] if g == POSE else together
+            reading.paired.age[i, g] = age[POSE] if g == POSE else oldest
+        row.step = step + 1.0
 
 
 class ObservationReader:
     """Reads the observations of N vehicles, one call per control step.
 
-    control_period [s]; count: vehicles; pose_delay [s], see late_pose. Its whole state is `memory`.
-    Raises ValueError for a number that makes no sense.
+    control_period [s]; count: vehicles; pose_delay [s], see late_pose. Its state is `memory` and
+    `ring`. Raises ValueError for a number that makes no sense.
     """
 
     def __init__(self, control_period: float, count: int = 1, pose_delay: float = 0.0) -> None:
         count = checked_whole("count", count, VEHICLES)
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        self.slots = round(LONGEST_AGE / control_period) + 2
         delay = checked_number("pose_delay", pose_delay, POSE_DELAY)
         self.lag = round(delay / self.control_period)  # [steps]
-        self.memory = np.zeros((count, RINGS + 2 * self.slots * SLOT))
-        self._none = np.zeros(count, dtype=bool)
+        slots = round(LONGEST_AGE / control_period) + 2
+        self.memory = np.zeros((count, columns_of(READER_ROW)))
+        self.ring = np.zeros((count, 2 * slots * columns_of(SAMPLE)))
+
+    @property
+    def rows(self) -> Any:
+        """The memory as rows (N,) of READER_ROW."""
+        return rows_of(self.memory, READER_ROW)
+
+    @property
+    def rings(self) -> Any:
+        """The ring as slots (N, 2, K) of SAMPLE, inertial then drive."""
+        return rows_of(self.ring, SAMPLE).reshape(len(self.ring), 2, -1)
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
-        self.memory[slice(None) if rows is None else np.asarray(rows)] = 0.0
+        where = slice(None) if rows is None else np.asarray(rows)
+        self.memory[where] = self.ring[where] = 0.0
 
     def read(
         self, observation: NDArray[np.float32], start: NDArray[np.bool_] | None = None
@@ -449,26 +504,21 @@ class ObservationReader:
                 f"observation has shape {observation.shape}; must be ({count}, {layout.SIZE}). "
                 "Did a wrapper stack or append to it?"
             )
-        return self.take(observation, self._none if start is None else start)
+        if start is not None:
+            self.reset(start)
+        return self.take(observation)
 
-    def take(
-        self,
-        observation: NDArray[np.float32],
-        start: NDArray[np.bool_],
-    ) -> Reading:
-        """`read` without its check, of observations (N, >= SIZE)."""
+    def take(self, observation: NDArray[np.float32]) -> Reading:
+        """`read` without its check and starts, of observations (N, >= SIZE)."""
         count = len(self.memory)
-        latest, paired = np.empty((count, CHANNEL_COUNT)), np.empty((count, CHANNEL_COUNT))
-        fresh, pair = np.empty((count, 3), dtype=bool), np.empty((count, 3), dtype=bool)
-        age, pair_age = np.empty((count, 3)), np.empty((count, 3))
-        reference, delay = np.empty((count, 3)), np.empty(count)
-        read_all(
-            observation, self.memory, start, self.control_period, self.slots,
-            latest, paired, fresh, pair, age, pair_age, reference, delay,
-        )  # fmt: skip
-        return Reading(
-            Measurement(latest, fresh, age),
-            Measurement(paired, pair, pair_age),
-            reference,
-            delay,
+        latest, paired = (
+            Measurement(
+                np.empty((count, CHANNEL_COUNT)),
+                np.empty((count, 3), dtype=bool),
+                np.empty((count, 3)),
+            )
+            for _ in range(2)
         )
+        reading = Reading(latest, paired, np.empty((count, 3)), np.empty(count))
+        read_all(observation, self.rows, self.rings, self.control_period, reading)
+        return reading

@@ -1,33 +1,89 @@
-"""The filtered motion without identification: observation reader and slip observer, no more.
+"""The filtered motion: observation reader and slip observer, and poses that come late.
 
 For controllers that want the pose and the velocities of the adaptive policy's filter, and not its
-parameters. The ground that the filter reckons with in an outage is the nominal one, as uncertain
-as the soil estimator thinks it before any data.
+parameters; the identification stack begins with it. Without identification the ground of an outage
+is the nominal one, as uncertain as the soil estimator assumes it before any data.
+
+The time of the slip filter is that of the drive samples, which move it. Where the pose is late
+too, its estimate is that old, and `advance` brings it to the present; where the pose is newer than
+the drive, the filter has already been pulled there.
+
+A pose that is L steps old tells of step n - L. Where slips change within the delay, no constant
+slip explains both the belts now and that pose, and a filter that tries to loses the heading, on
+weak soil within a second. So all samples of one moment are taken together,
+    filter, regressions   at n - L, with belts, torques, gyro and accelerometer of then
+    to the present        v_x' = f_x + w v_y - b,   psi' = w - b_w,   x', y' from them (trapezoids)
+with f_x, w what was felt since, b, b_w the biases that pose_outages has learned, and v_y as it was.
+Slips of the present are those of that motion and of the belts of now; what the accelerometer and
+the gyro add to the variance of the speed, L steps long, adds to theirs.
+L is of the data sheet. In the first L steps of an episode there is nothing new at the moment of
+the first pose: the filter waits, and the motion is that pose and the inertial way since.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimators import late_pose
-from baselines.estimators import stack as links
+from baselines.estimators import pose_outages as outage
+from baselines.estimators import slip_step as step
 from baselines.estimators.measurement import (
     ATTITUDE,
+    COLUMN,
+    DRIVE,
+    FIRST,
+    GROUP_SIZE,
+    INERTIAL,
     NEEDS,
+    POSE,
     DataSheet,
+    Estimate,
     Measurement,
     ObservationReader,
+    Reading,
     Setting,
     WiderMeasurement,
+    arrays_of,
     attitude_of,
+)
+from baselines.estimators.slip_kinematics import (
+    PRIOR_SLIP,
+    SIDE_SLIP,
+    SLIP_LEFT,
+    SLIP_LIMIT,
+    SLIP_RIGHT,
+    STANDING_VEHICLE,
 )
 from baselines.estimators.slip_observer import Answer, SlipObserver
 from baselines.estimators.soil_estimator import PRIOR_SIGMA
 from tracked_env import observation as layout
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.rigid_body import heading_rate, incline_of, on_map
+from tracked_env.physics.terramechanics import GRAVITY, slip_ratio
+
+_AFTER_SENSORS = layout.INDEX["reference_speed"]  # from here on: reference, action, ages
+_V_X, _A_X, _YAW_ACCELERATION = (
+    COLUMN[name] for name in ("v_x", "acceleration_x", "yaw_acceleration")
+)
+_FELT, _GYRO, _BEND = (  # among the inertial channels
+    COLUMN[name] - int(FIRST[INERTIAL]) for name in ("acceleration_x", "yaw_rate", "yaw_acceleration")
+)
+_SPROCKET = COLUMN["sprocket_speed_left"]
+
+
+class Moment(NamedTuple):
+    """What N vehicles measured when the last pose saw them."""
+
+    samples: Measurement  # ages as they were then
+    paired: Measurement  # inertial and drive of one moment, then; not fresh where there is no pair
+    drive_delay: NDArray[np.float64]  # (N,) [s] beyond that of the pose
+    steps: NDArray[np.int64]  # (N,) since then
+    waits: NDArray[np.bool_]  # (N,) nothing is new: the filter waits
 
 
 class FilteredMotion(NamedTuple):
@@ -37,6 +93,191 @@ class FilteredMotion(NamedTuple):
     reference: NDArray[np.float64]  # (N, 3) pose of the reference now [m, m, rad]
     rows: NDArray[np.float64]  # (N, 6) X, Y, psi, v_x, v_y, w, now
     answer: Answer  # of the slip observer
+
+
+@loop
+def inspect(observation, start):
+    """(row, column, starts): the first reference, action or age of observation (N, >= SIZE) that
+    is not finite, or (-1, -1), and whether any row of start (N,) is marked. Sensors may be NaN:
+    those samples are skipped."""
+    starts = False
+    for i in range(observation.shape[0]):
+        starts = starts or start[i]
+        for column in range(_AFTER_SENSORS, layout.SIZE):
+            if not math.isfinite(observation[i, column]):
+                return i, column, starts
+    return -1, -1, starts
+
+
+@loop
+def date(age, delay, behind):
+    """Ages (N, 3) [s] of the pose become those at the time of the filter.
+
+    delay (N,) [s] of the drive. behind (N,) [s] out: how old what the filter knows is.
+    """
+    for i in range(age.shape[0]):
+        behind[i] = min(age[i, POSE], delay[i])
+        age[i, POSE] -= behind[i]
+
+
+@loop
+def put_velocity(motion, values):
+    """The filtered v_x and v_y of motion (N, 6) in place of those of values (N, CHANNELS)."""
+    for i in range(motion.shape[0]):
+        values[i, _V_X], values[i, _V_X + 1] = motion[i, 3], motion[i, 4]
+
+
+@loop
+def advance(motion, behind, felt, attitude):
+    """Move a motion, (N, 6), that is `behind` (N,) [s], to the present, in place.
+
+    Acceleration and yaw acceleration, felt (N, CHANNELS) at that time, stay what they are; what the
+    accelerometer feels of gravity, by the attitude (N, 3), moves nothing.
+    """
+    for i in range(motion.shape[0]):
+        time = behind[i]
+        if time > 0.0:
+            yaw, v_x, v_y, yaw_rate = motion[i, 2], motion[i, 3], motion[i, 4], motion[i, 5]
+            incline = incline_of(attitude[i, 1], attitude[i, 0])
+            turn, carried = heading_rate(incline, attitude[i, 2])
+            forward = felt[i, _A_X] + GRAVITY * incline.down_x + yaw_rate * v_y
+            bend = felt[i, _YAW_ACCELERATION]
+            gain_x = forward * time if math.isfinite(forward) else 0.0
+            gain_w = bend * time if math.isfinite(bend) else 0.0
+            along, across = on_map(time * (v_x + 0.5 * gain_x), time * v_y, incline)
+            c, s = rotation(yaw + 0.5 * time * (turn * (yaw_rate + 0.25 * gain_w) + carried))
+            motion[i, 0] += c * along - s * across
+            motion[i, 1] += s * along + c * across
+            motion[i, 2] += time * (turn * (yaw_rate + 0.5 * gain_w) + carried)
+            motion[i, 3] += gain_x
+            motion[i, 5] += gain_w
+
+
+@formula
+def _newest(ring, moment):
+    """(slot of a ring (K,) with the last sample up to step `moment`, steps it is older); -1: none."""
+    slots = ring.shape[0]
+    for older in range(min(slots, moment + 1)):
+        slot = (moment - older) % slots
+        if ring[slot].taken == moment - older + 1.0:
+            return slot, older
+    return -1, 0
+
+
+@loop
+def look_back(readers, rings, period, lag, moment):
+    """Samples of `lag` steps ago out of the reader, into a Moment whose samples, pairs and delay
+    are those of now; its steps and waits (N,) are written."""
+    values, fresh, age = moment.samples
+    pairs, pair, pair_age = moment.paired
+    delay, steps, waits = moment.drive_delay, moment.steps, moment.waits
+    for i in range(readers.shape[0]):
+        now = int(readers[i].step) - 1
+        steps[i] = min(lag, now)
+        waits[i] = 0 < now <= lag
+        since = steps[i] * period
+        for group in (INERTIAL, DRIVE):
+            slot, older = _newest(rings[i, group - 1], now - steps[i])
+            fresh[i, group] = slot >= 0 and older == 0 and not waits[i]
+            age[i, group] = older * period
+            for c in range(GROUP_SIZE):
+                taken = rings[i, group - 1, slot].values[c] if slot >= 0 else np.nan
+                values[i, FIRST[group] + c] = taken
+        if pair_age[i, DRIVE] < since + 0.5 * period:  # else even later than the pose
+            for group in (INERTIAL, DRIVE):
+                pair[i, group] = fresh[i, INERTIAL] and fresh[i, DRIVE]
+                pair_age[i, group] = since
+                for c in range(GROUP_SIZE):
+                    pairs[i, FIRST[group] + c] = values[i, FIRST[group] + c]
+        fresh[i, POSE] = fresh[i, POSE] and not waits[i]
+        age[i, POSE] = max(age[i, POSE] - since, 0.0)
+        delay[i] = max(delay[i] - since, 0.0)
+
+
+@loop
+def carry(motion, readers, rings, period, steps, filters, attitude):
+    """Motion (N, 6) of `steps` (N,) ago to the present, in place, by what was felt since.
+
+    readers (N,), rings (N, 2, K): of the reader; filters (N,): rows of the slip observer, with the
+    biases of accelerometer and gyro; attitude (N, 3). Where a sample is missing, the accelerations
+    of the one before last on.
+    """
+    for i in range(motion.shape[0]):
+        now = int(readers[i].step) - 1
+        bias_a, bias_w = filters[i].speed[outage.BIAS], filters[i].heading[outage.BIAS]
+        incline = incline_of(attitude[i, 1], attitude[i, 0])
+        turn, carried = heading_rate(incline, attitude[i, 2])
+        v_y, felt, turning = motion[i, 4], 0.0, motion[i, 5]
+        for k in range(steps[i] + 1):
+            slot, older = _newest(rings[i, INERTIAL - 1], now - steps[i] + k)
+            a, w = felt, turning
+            if slot >= 0:
+                inertial = rings[i, INERTIAL - 1, slot].values
+                new_a = inertial[_FELT] - bias_a + GRAVITY * incline.down_x
+                new_w = inertial[_GYRO] - bias_w
+                if older > 0 and math.isfinite(inertial[_BEND]):
+                    new_w += older * period * inertial[_BEND]
+                a = new_a if abs(new_a) < outage.LARGEST_ACCELERATION else felt
+                w = new_w if abs(new_w - motion[i, 5]) < outage.WILD_TURN else turning
+            if k > 0:
+                mean_w = 0.5 * (turning + w)
+                gain = period * (0.5 * (felt + a) + mean_w * v_y)
+                bend = period * (turn * mean_w + carried)
+                c, s = rotation(motion[i, 2] + 0.5 * bend)
+                along, across = on_map(
+                    period * (motion[i, 3] + 0.5 * gain), period * v_y, incline
+                )  # fmt: skip
+                motion[i, 0] += c * along - s * across
+                motion[i, 1] += s * along + c * across
+                motion[i, 2] += bend
+                motion[i, 3] += gain
+            felt, turning = a, w
+        if steps[i] > 0:
+            motion[i, 5] = turning
+
+
+@loop
+def slips_now(motion, values, rows, value, covariance, steps, k):
+    """Pose, slips and side slip of now into value (N, STATES) and covariance, which hold those of
+    `steps` (N,) ago; motion (N, 6) and values (N, CHANNELS) are of now.
+
+    With g = -dV/di, the variance of a speed V of a track is g^2 times that of its slip. The speed
+    of then is as sure as its slips; a bias b and white noise s of the accelerometer add
+    T^2 b^2 + T dt s^2 within T, and the turn of now is the gyro's.
+    """
+    for i in range(motion.shape[0]):
+        row, x, p = rows[i], value[i], covariance[i]
+        time = steps[i] * k.period
+        shared = outage.speed_variance(x, p, row.belt[0], row.belt[1], k)
+        shared += time * time * row.speed[outage.P_BB]
+        shared += time * k.period * k.acceleration_variance
+        if steps[i] > 0:
+            shared += outage.HANDOVER * outage.HANDOVER
+        turn = 0.25 * (k.gyro_variance + row.heading[outage.P_BB])
+        turn /= k.inverse_gauge * k.inverse_gauge
+        rises = (1.0, 1.0)
+        for side in range(2):
+            belt = k.radius * values[i, _SPROCKET + side]
+            speed = motion[i, 3] + (side - 0.5) * motion[i, 5] / k.inverse_gauge
+            state = SLIP_LEFT + side
+            if abs(belt) < step.FASTEST_BELT and abs(belt) > k.standing_belt:
+                x[state] = min(max(slip_ratio(belt, speed), -SLIP_LIMIT), SLIP_LIMIT)
+                rise = outage.steepness(belt, x[state], k)
+                noise = k.belt_variance * (speed / belt) ** 2
+                p[state, :] = 0.0
+                p[:, state] = 0.0
+                p[state, state] = min(
+                    (shared + turn + noise) / (rise * rise), PRIOR_SLIP * PRIOR_SLIP
+                )
+            else:
+                rise = math.inf
+            rises = (rise, rises[1]) if side == 0 else (rises[0], rise)
+        cross = (shared - turn) / (rises[0] * rises[1])
+        p[SLIP_LEFT, SLIP_RIGHT] = p[SLIP_RIGHT, SLIP_LEFT] = cross
+        for a in range(3):
+            x[a] = motion[i, a]
+        if abs(motion[i, 3]) > STANDING_VEHICLE:
+            x[SIDE_SLIP] = math.atan(motion[i, 4] / motion[i, 3])
 
 
 class MotionFilter:
@@ -53,66 +294,149 @@ class MotionFilter:
         count: int = 1,
         lateral: str = "sliding",
         attitude: bool = False,
+        observer: type[SlipObserver] = SlipObserver,
     ) -> None:
-        setting = Setting(
-            parameters, control_period, data_sheet, count, lateral, "coupled", attitude
-        )
         self.reader = ObservationReader(control_period, count, data_sheet.pose_delay)
-        self.slip = SlipObserver.for_stack(setting)
+        setting = Setting(
+            parameters, self.reader.control_period, data_sheet, int(count), lateral, bool(attitude)
+        )
+        self.slip = observer.for_stack(setting)
         self._scales = layout.make_layout(["attitude"]).scale[:3] if attitude else None
-        maximum = drive_limits(parameters).effort_maximum
-        modulus = parameters.shear_deformation_modulus
-        soil = np.array([maximum, modulus])
-        self._soil = np.tile(soil, (count, 1))
-        self._uncertain = np.tile(np.diag((np.array(PRIOR_SIGMA) * soil) ** 2), (count, 1, 1))
-        self._friction = np.full(count, float(parameters.lateral_resistance))
+        soil = np.array(
+            [drive_limits(parameters).effort_maximum, parameters.shear_deformation_modulus]
+        )
+        covariance = np.diag((np.array(PRIOR_SIGMA) * soil) ** 2)
+        self._ground = (
+            np.tile(soil, (count, 1)), np.tile(covariance, (count, 1, 1)),
+            np.full(count, float(parameters.lateral_resistance)),
+        )  # fmt: skip
 
     @property
     def needs(self) -> tuple[str, ...]:
         """Fields of the observation that are read."""
         return (*NEEDS, *(ATTITUDE if self._scales is not None else ()))
 
+    def _arrays(self) -> list[NDArray[np.float64]]:
+        """The whole state."""
+        return [*arrays_of(self.reader), *arrays_of(self.slip)]
+
     def memories(self) -> Sequence[NDArray[np.float64]]:
-        """A copy of everything that is remembered; `restore` puts it back."""
-        return self.reader.memory.copy(), self.slip.memory.copy()
+        """A copy of the whole state; `restore` puts it back."""
+        return tuple(array.copy() for array in self._arrays())
 
     def restore(self, memories: Sequence[NDArray[np.float64]]) -> None:
         """Go on from what `memories` returned. Raises ValueError for that of another batch."""
-        own = (self.reader.memory, self.slip.memory)
-        for kept, memory in zip(own, memories, strict=True):
-            if memory.shape != kept.shape:
-                raise ValueError(
-                    f"state with shape {memory.shape}; must be {kept.shape}. Is it that of "
-                    "another batch, or of another control period?"
-                )
-        for kept, memory in zip(own, memories, strict=True):
-            kept[:] = memory
+        restore_arrays(self._arrays(), memories)
+
+    def read(
+        self, observation: NDArray[np.float32], start: NDArray[np.bool_]
+    ) -> tuple[Reading, Moment]:
+        """What an observation says, and the moment of its pose: that of now, where poses are not
+        late."""
+        reader, reading = self.reader, self.reader.take(observation)
+        latest, count = reading.latest, len(start)
+        steps, waits = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
+        if reader.lag == 0:
+            return reading, Moment(latest, reading.paired, reading.drive_delay, steps, waits)
+        then, paired = (
+            Measurement(*(array.copy() for array in one)) for one in (latest, reading.paired)
+        )
+        moment = Moment(then, paired, reading.drive_delay.copy(), steps, waits)
+        look_back(reader.rows, reader.rings, reader.control_period, reader.lag, moment)
+        return reading, moment
+
+    def filter(
+        self, latest: Measurement, paired: Measurement, moment: Moment
+    ) -> tuple[NDArray[np.float64], Answer]:
+        """The motion (N, 6) of now, and the answer of the slip observer.
+
+        latest, paired: those of the moment, where they need be with fields added. Ages in `latest`
+        become those at the time of the filter, velocities in `paired` the filtered ones.
+        """
+        behind, attitude = np.empty(len(latest.age)), attitude_of(latest)
+        date(latest.age, moment.drive_delay, behind)
+        answer = self._filtered(latest, moment.waits)
+        motion = self.slip.motion_rows()
+        put_velocity(motion, paired.values)
+        advance(motion, behind, paired.values, attitude)
+        if self.reader.lag > 0:
+            reader = self.reader
+            carry(
+                motion, reader.rows, reader.rings, reader.control_period, moment.steps,
+                self.slip.rows, attitude,
+            )  # fmt: skip
+        return motion, answer
+
+    def _filtered(self, samples: Measurement, waits: NDArray[np.bool_]) -> Answer:
+        """The slip observer's answer; rows that wait stay where they were."""
+        if not waits.any():
+            return self.slip.compute(samples)
+        before = [array[waits] for array in arrays_of(self.slip)]
+        answer = self.slip.compute(samples)
+        for array, old in zip(arrays_of(self.slip), before, strict=True):
+            array[waits] = old
+        rows = self.slip.rows[waits]
+        answer[0][waits], answer[1][waits] = rows["state"], rows["covariance"]
+        return answer
+
+    def estimate_now(
+        self, answer: Answer, motion: NDArray[np.float64], moment: Moment, values: NDArray[np.float64]
+    ) -> Estimate:
+        """The Estimate of now of the answer at a moment; see `slips_now`."""
+        value, covariance = answer[0].copy(), answer[1].copy()
+        slips_now(
+            motion, values, self.slip.rows, value, covariance, moment.steps, self.slip.constants
+        )
+        return self.slip.estimate((value, covariance, answer[2], answer[3]))
 
     def update(self, observation: NDArray[np.float32], start: NDArray[np.bool_]) -> FilteredMotion:
         """Take one observation of every vehicle; rows with `start` begin anew.
 
         Raises ValueError for a reference, action or age that is not finite.
         """
-        row, column, starts = links.inspect(observation, start)
-        if row >= 0:
-            raise ValueError(
-                f"observation[{row}]: {layout.NAMES[column]} = {observation[row, column]}; must be "
-                "finite. Only sensors may be NaN. Did a wrapper divide by zero?"
-            )
-        if starts:
+        if check_finite(observation, start):
             self.reader.reset(start)
             self.slip.reset(start)
-        reading = self.reader.take(observation, start)
-        moment = late_pose.moment_of(self.reader, reading)
-        latest, behind = moment.samples, np.empty(len(observation))
+        reading, moment = self.read(observation, start)
+        latest = moment.samples
         if self._scales is not None:
             shown = observation[:, layout.SIZE : layout.SIZE + 3].astype(np.float64) * self._scales
             latest = WiderMeasurement.of(latest, dict(zip(ATTITUDE, shown.T, strict=True)))
-        links.date(latest.age, moment.drive_delay, behind)
-        self.slip.take_ground(self._soil, self._uncertain, self._friction)
-        answer = late_pose.filtered(self.slip, latest, moment.held)
-        motion = self.slip.motion_rows()
-        links.put_velocity(motion, moment.paired.values)
-        links.advance(motion, behind, moment.paired.values, attitude_of(latest))
-        late_pose.to_present(motion, self.reader, self.slip, moment, attitude_of(latest))
+        self.slip.take_ground(*self._ground)
+        motion, answer = self.filter(latest, moment.paired, moment)
         return FilteredMotion(reading.latest, reading.reference, motion, answer)
+
+
+def check_finite(observation: NDArray[np.float32], start: NDArray[np.bool_]) -> bool:
+    """Whether any row starts.
+
+    Raises ValueError for a reference, action or age that is not finite.
+    """
+    row, column, starts = inspect(observation, start)
+    if row >= 0:
+        raise ValueError(
+            f"observation[{row}]: {layout.NAMES[column]} = {observation[row, column]}; must be "
+            "finite. Only sensors may be NaN. Did a wrapper divide by zero?"
+        )
+    return bool(starts)
+
+
+def restore_arrays(
+    arrays: Sequence[NDArray[np.float64]],
+    memories: Sequence[NDArray[np.float64]],
+    rows: NDArray[np.bool_] | None = None,
+) -> None:
+    """Copy `memories` into the arrays of a state, in the rows marked (N,) or in all.
+
+    Raises ValueError, before anything is changed, for the state of another batch.
+    """
+    for array, memory in zip(arrays, memories, strict=True):
+        if memory.shape != array.shape:
+            raise ValueError(
+                f"state of {len(memory)} vehicles with {memory.shape[1]} columns; must be of "
+                f"{len(array)} with {array.shape[1]}. Is it that of another batch, or of another "
+                "control period?"
+            )
+    where = slice(None) if rows is None else rows
+    for array, memory in zip(arrays, memories, strict=True):
+        array[where] = memory[where]

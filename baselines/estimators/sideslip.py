@@ -27,8 +27,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators import two_parameters as im
 from baselines.estimators.measurement import (
     COLUMN,
     INERTIAL,
@@ -36,9 +36,10 @@ from baselines.estimators.measurement import (
     Measurement,
     Setting,
     attitude_of,
+    columns_of,
+    rows_of,
 )
-from baselines.estimators.turning import AGREEMENT, TURNED, slip_share
-from baselines.estimators.turning_equation import lever
+from baselines.estimators.turning import lever, slip_share
 from baselines.estimators.two_parameters import TwoParameterEstimator
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.rigid_body import incline_of
@@ -56,10 +57,10 @@ AGREES = 2.0  # [-] agreement from which on it is used elsewhere
 
 _V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
 _A_Y = COLUMN["acceleration_y"]
-SQUARE, PRODUCT = range(2)  # columns of memory: weighted sums for the ratio
+ROW = np.dtype([("square", float), ("product", float)])  # weighted sums for the ratio
 
 
-class Known(NamedTuple):
+class Constants(NamedTuple):
     """Constants of the equation."""
 
     half_length: float  # [m] l / 2
@@ -70,98 +71,89 @@ class Known(NamedTuple):
 
 
 @formula
-def expected(z, i, known, inverse_mass, friction, friction_variance, press):
+def expected(z, i, k, inverse_mass, friction, friction_variance, press):
     """(v_y [m/s] as the equation expects it, its variance) of vehicle i.
 
     inverse_mass [1/kg], friction C = m mu_t [kg] with its variance. press: [-] normal load over the
     weight.
     """
     a_y, w = z[i, _A_Y], z[i, _W]
-    per_acceleration = lever(z[i, _V_Y], known.half_length * w) / (
+    per_acceleration = lever(z[i, _V_Y], k.half_length * w) / (
         friction * GRAVITY * press * inverse_mass
     )
     v_y = -a_y * per_acceleration
-    relative = friction_variance / (friction * friction) + ERROR * ERROR * known.lasting
+    relative = friction_variance / (friction * friction) + ERROR * ERROR * k.lasting
     variance = (
-        known.velocity_variance
-        + per_acceleration * per_acceleration * known.acceleration_variance
+        k.velocity_variance
+        + per_acceleration * per_acceleration * k.acceleration_variance
         + v_y * v_y * relative
     )
     return v_y, variance
 
 
 @formula
-def _compare(memory, i, known, found, v_y, variance, relative):
-    """Add a sample to the sums for the ratio of measured v_y to `found`, the expected one.
+def _compare(row, k, model, v_y, variance, relative):
+    """Add a sample to the sums for the ratio of measured v_y to that of the model.
 
-    relative [-]: variance of the mass it was found with, over its square; that error lasts.
+    relative [-]: variance of the mass in the model, over its square; that error lasts.
     """
-    weight = 1.0 / (variance + found * found * relative * known.lasting)
-    memory[i, SQUARE] = known.keep * memory[i, SQUARE] + found * found * weight
-    memory[i, PRODUCT] = known.keep * memory[i, PRODUCT] + found * v_y * weight
+    weight = 1.0 / (variance + model * model * relative * k.lasting)
+    row.square = k.keep * row.square + model * model * weight
+    row.product = k.keep * row.product + model * v_y * weight
 
 
 @formula
-def _agreement(memory, i):
+def _agreement(row):
     """Likelihood of the measured ratio where the equation holds, over that where it does not [-].
 
-    There any ratio in [0, 1] is as likely as another. 0 while nothing is known.
+    There any ratio in [0, 1] is as likely as another. 0 before the first sample.
     """
-    square = memory[i, SQUARE]
-    if square <= 0.0:
+    if row.square <= 0.0:
         return 0.0
-    off = memory[i, PRODUCT] / square - 1.0
-    return math.sqrt(square / (2.0 * math.pi)) * math.exp(-0.5 * off * off * square)
+    off = row.product / row.square - 1.0
+    return math.sqrt(row.square / (2.0 * math.pi)) * math.exp(-0.5 * off * off * row.square)
 
 
 @formula
-def _usable(z, i, fresh, age, known):
+def _usable(z, i, fresh, age, k):
     """Whether velocity and acceleration are of one moment, of a vehicle that turns forward."""
     together = fresh[i, POSE] and fresh[i, INERTIAL] and age[i, POSE] == age[i, INERTIAL]
     v_x, v_y, w = z[i, _V_X], z[i, _V_Y], z[i, _W]
-    inside = abs(v_y) < INSIDE * known.half_length * abs(w)
+    inside = abs(v_y) < INSIDE * k.half_length * abs(w)
     finite = math.isfinite(v_x + v_y + w + z[i, _A_Y])
     return together and finite and inside and v_x > LEAST_SPEED and abs(w) > LEAST_TURN
 
 
-@formula
-def _take(i, longitudinal, prior, known, v_y, found, variance, inverse_mass, holds):
-    """Use the measured v_y for 1/m, where the equation has been found to hold."""
-    slope = -found / inverse_mass
-    sample = ls.Sample(v_y - found + slope * inverse_mass, slope, 0.0, variance, 0.0)
-    error, gain = ls.innovation(longitudinal, i, 0, sample, prior)
-    usual = error * error < im.OUTLIER_GATE * (gain + variance)
-    if usual and holds:
-        im.learn_apart(longitudinal, i, sample, prior)
-
-
 @loop
-def update_all(
-    z, fresh, age, attitude, memory, longitudinal, prior, turning, other_prior, table, known
-):  # fmt: skip
-    """One sample of every vehicle: z (N, CHANNELS), fresh, age and attitude (N, 3), memory (N, 2)
-    and those of the longitudinal and the turning regression in and out; table: of the latter."""
+def update_all(samples, rows, longitudinal, prior, turning, turning_prior, table, k):
+    """One sample of every vehicle: samples z (N, CHANNELS), fresh, age and attitude (N, 3); rows
+    (N,) and those of the two regressions are changed; table: of the turning regression."""
+    z, fresh, age, attitude = samples
     for i in range(z.shape[0]):
-        started = longitudinal[i, im.ODDS] > 0.0 and turning[i, im.ODDS] > 0.0
-        if not (started and _usable(z, i, fresh, age, known)):
+        straight, turn = longitudinal[i], turning[i]
+        if not (straight.odds[0] > 0.0 and turn.odds[0] > 0.0 and _usable(z, i, fresh, age, k)):
             continue
         press = incline_of(attitude[i, 1], attitude[i, 0]).press
-        inverse_mass, _resistance = ls.values(longitudinal, i, prior)
-        _inertia, friction = ls.values(turning, i, other_prior)
-        _i_i, _i_c, c_c = ls.covariance(turning, i, other_prior)
-        found, variance = expected(z, i, known, inverse_mass, friction, c_c, press)
-        calm = longitudinal[i, im.ALARM] <= 0.0 and turning[i, im.ALARM] <= 0.0
-        if calm and longitudinal[i, im.ODDS + im.CALM] > CALM_ODDS:
-            # The monitor's mass owes nothing to this equation: it is no witness in its own cause.
-            apart, p_11 = im.watched(longitudinal, i, prior)
-            there = found * inverse_mass / apart
-            _compare(memory, i, known, there, z[i, _V_Y], variance, p_11 / (apart * apart))
-        turning[i, AGREEMENT] = _agreement(memory, i)
-        firm = turning[i, TURNED] > 0.0 and slip_share(turning, i) < FIRM
-        holds = firm or turning[i, AGREEMENT] >= AGREES
-        if holds and im.evident(turning, i, table):
-            im.share_alarm(longitudinal, turning, i)
-        _take(i, longitudinal, prior, known, z[i, _V_Y], found, variance, inverse_mass, holds)
+        inverse_mass, _resistance = ls.values(straight.estimates[0], prior)
+        _inertia, friction = ls.values(turn.estimates[0], turning_prior)
+        _i_i, _i_c, c_c = ls.covariance(turn.estimates[0], turning_prior)
+        model, variance = expected(z, i, k, inverse_mass, friction, c_c, press)
+        if straight.alarm <= 0.0 and turn.alarm <= 0.0 and straight.odds[im.CALM] > CALM_ODDS:
+            # The monitor's mass does not use this equation, so it is an independent check of it.
+            independent, p_11 = im.watched(straight, prior)
+            relative = p_11 / (independent * independent)
+            by_monitor = model * inverse_mass / independent
+            _compare(rows[i], k, by_monitor, z[i, _V_Y], variance, relative)
+        turn.agreement = _agreement(rows[i])
+        firm = turn.turned > 0.0 and slip_share(turn) < FIRM
+        holds = firm or turn.agreement >= AGREES
+        if holds and im.evident(turn, table):
+            im.share_alarm(straight, turn)
+        slope = -model / inverse_mass
+        sample = ls.Sample(z[i, _V_Y] - model + slope * inverse_mass, slope, 0.0, variance, 0.0)
+        error, gain = ls.innovation(straight.estimates[0], sample, prior)
+        if error * error < im.OUTLIER_GATE * (gain + variance) and holds:
+            im.learn_apart(straight, sample, prior)
 
 
 class SideslipRow:
@@ -169,8 +161,8 @@ class SideslipRow:
 
     def __init__(self, setting: Setting) -> None:
         period, sheet = setting.control_period, setting.data_sheet
-        self.memory = np.zeros((setting.count, 2))
-        self._known = Known(
+        self.memory = np.zeros((setting.count, columns_of(ROW)))
+        self._constants = Constants(
             0.5 * float(setting.parameters.contact_length),
             sheet.velocity_noise**2,
             sheet.acceleration_noise**2 + sheet.acceleration_bias**2,
@@ -185,10 +177,10 @@ class SideslipRow:
         turning: TwoParameterEstimator,
     ) -> None:
         """Take one sample of every vehicle."""
+        samples = latest.values, latest.fresh, latest.age, attitude_of(latest)
         update_all(
-            latest.values, latest.fresh, latest.age, attitude_of(latest), self.memory,
-            longitudinal.memory, longitudinal.prior, turning.memory, turning.prior, turning.table,
-            self._known,
+            samples, rows_of(self.memory, ROW), longitudinal.rows, longitudinal.prior,
+            turning.rows, turning.prior, turning.table, self._constants,
         )  # fmt: skip
 
     def reset(self, rows: ArrayLike | None = None) -> None:

@@ -6,25 +6,21 @@ g = V / V_t (terramechanics.track_speed_from_belt at V_t = 1), t = tan(alpha):
     X+   = X + dt v_x (cos(psi_m) - t sin(psi_m)),   psi_m = psi + w dt / 2
     Y+   = Y + dt v_x (sin(psi_m) + t cos(psi_m)),   psi+ = psi + w dt      S 7.2.2, ISO sign
     i_L, i_R, alpha: random walks
-On a slope X, Y, psi are those of the map: (v_x, t v_x) -> `attitude.on_map`, w -> d psi/dt by the
+On a slope X, Y, psi are those of the map: (v_x, t v_x) -> `rigid_body.on_map`, w -> d psi/dt by the
 measured roll, pitch and rate of pitch; belts, velocities and the gyro stay in the vehicle's plane.
-    z    = [X, Y, psi, v_x, v_y, w], taken `age` ago (see dead_reckoning)
-Belt speeds act as the mean over the step, with noise s = r sigma_omega (see slip_covariance).
+    z    = [X, Y, psi, v_x, v_y, w], taken `age` ago (see late poses)
+Belt speeds act as the mean over the step, with noise s = r sigma_omega (see covariances).
 Errors in variables: the same noise is in z - h and in dh/di = -V_t, whose product would not average
 to zero (0.003 of slip with 0.1 rad/s). So the belt speed one step earlier multiplies what depends
 on the sigma point, as an instrumental variable: V = g_mean V_t + (g - g_mean) V_t,earlier.
 
 A track that stands tells nothing about its slip: noise of its sprocket would pass for full slip.
 So deviations of the sigma points from the mean fade out with the belt speed (the sample then
-does not change what is held). The same holds for alpha and v_x.
+does not change the estimate). The same holds for alpha and v_x.
 
-References: [S] Strawa et al., Electronics 10 (2021) 187, sections 3 and 7.2.
-
-Where the belts have carried a vehicle lately, for samples of the pose that come late.
-
-A sample that is `age` old saw the vehicle where it was, so the observer predicts that: it takes
-the way driven since then off its present pose. Kept are sums over time, not poses, so that the
-way is always evaluated with the present estimate of the slips (constant over the delay):
+Late poses: a sample that is `age` old saw the vehicle where it was, so the observer predicts that: it takes
+the way driven since then off its present pose. The ring holds sums over time, not poses, so that
+the way is always evaluated with the present estimate of the slips (constant over the delay):
     D_L = sum dt V_tL,   C_L = sum dt V_tL cos(psi),   S_L = sum dt V_tL sin(psi)     and R
     yaw  way = (g_R D_R - g_L D_L) / B,    g = V / V_t of each track
     X    way = (g_L C_L + g_R C_R) / 2 - tan(alpha) (g_L S_L + g_R S_R) / 2
@@ -36,18 +32,19 @@ the sums, one slot per step, reaches back for the longest delay. Stored poses wo
 of then: a corrected slip would take effect only after the delay, and the observer would correct it
 again and again.
 
-Covariances of the slip observer: process noise Q, measurement noise R, P within its bounds.
-
-Noise of the belts s = r sigma_omega enters z and X, Y, psi, beside that of the other sensors:
+Covariances: noise of the belts s = r sigma_omega enters z and X, Y, psi, beside that of the other sensors:
     R += s^2 J J^T,  J = d(v_x, v_y, w)/d(V_tL, V_tR);     Q += s^2 dt^2 G G^T likewise
-Process noise fades out with the belt speed, as the deviations of slip_kinematics do.
+Process noise fades out with the belt speed, as the deviations above do.
 Information on s = (i_L, i_R, alpha): eigenvalues of D P_s^-1 D - 1, D the prior's sigmas.
 
-References: [1] O. K. Smith, Comm. ACM 4 (1961) 168: eigenvalues of a symmetric 3 x 3 matrix.
+References: [S] Strawa et al., Electronics 10 (2021) 187, sections 3 and 7.2. [1] O. K. Smith,
+Comm. ACM 4 (1961) 168: eigenvalues of a symmetric 3 x 3 matrix.
 """
 
 import math
 from typing import NamedTuple
+
+import numpy as np
 
 from baselines.estimators.measurement import DataSheet
 from tracked_env.physics.elementary import rotation
@@ -55,80 +52,6 @@ from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.rigid_body import heading_rate, on_map
 from tracked_env.physics.terramechanics import track_speed_from_belt
-
-# What is remembered of one vehicle, from column `start` of its memory on.
-HEAD, FILLED, FIRST_SLOT = range(3)  # slot written last, slots written so far, slots
-D_LEFT, D_RIGHT, C_LEFT, S_LEFT, C_RIGHT, S_RIGHT, BELT_LEFT, BELT_RIGHT = range(8)
-SLOT = 8
-
-
-class Way(NamedTuple):
-    """Sums of the belts' ways [m] since some earlier step, and their speeds [m/s] then."""
-
-    d_left: float
-    d_right: float
-    c_left: float
-    s_left: float
-    c_right: float
-    s_right: float
-    belt_left: float
-    belt_right: float
-    instrument_left: float  # speeds one step earlier: nearly the same, but with other noise
-    instrument_right: float
-
-
-def slots_for(longest_delay: float, control_period: float) -> int:
-    """Slots that reach back over `longest_delay` [s]."""
-    return round(longest_delay / control_period) + 3
-
-
-def columns_for(slots: int) -> int:
-    """Columns of memory that `slots` slots take."""
-    return FIRST_SLOT + SLOT * slots
-
-
-@formula
-def push(memory, i, start, slots, way):
-    """Add one step: `way` holds the step's own sums and the belt speeds at its end."""
-    old = start + FIRST_SLOT + SLOT * int(memory[i, start + HEAD])
-    head = (int(memory[i, start + HEAD]) + 1) % slots
-    new = start + FIRST_SLOT + SLOT * head
-    memory[i, start + HEAD] = head
-    memory[i, start + FILLED] = min(memory[i, start + FILLED] + 1.0, 1.0 * slots)
-    memory[i, new + D_LEFT] = memory[i, old + D_LEFT] + way.d_left
-    memory[i, new + D_RIGHT] = memory[i, old + D_RIGHT] + way.d_right
-    memory[i, new + C_LEFT] = memory[i, old + C_LEFT] + way.c_left
-    memory[i, new + S_LEFT] = memory[i, old + S_LEFT] + way.s_left
-    memory[i, new + C_RIGHT] = memory[i, old + C_RIGHT] + way.c_right
-    memory[i, new + S_RIGHT] = memory[i, old + S_RIGHT] + way.s_right
-    memory[i, new + BELT_LEFT] = way.belt_left
-    memory[i, new + BELT_RIGHT] = way.belt_right
-
-
-@formula
-def since(memory, i, start, slots, steps):
-    """Way since `steps` steps ago, at most as far back as the ring reaches; 0 gives zero sums
-    and the present belt speeds."""
-    head = int(memory[i, start + HEAD])
-    reach = max(memory[i, start + FILLED] - 1.0, 0.0)
-    back = int(min(max(steps, 0.0), reach))
-    more = int(min(max(steps, 0.0) + 1.0, reach))
-    now = start + FIRST_SLOT + SLOT * head
-    earlier = start + FIRST_SLOT + SLOT * ((head - more + slots) % slots)
-    then = start + FIRST_SLOT + SLOT * ((head - back + slots) % slots)
-    return Way(
-        memory[i, now + D_LEFT] - memory[i, then + D_LEFT],
-        memory[i, now + D_RIGHT] - memory[i, then + D_RIGHT],
-        memory[i, now + C_LEFT] - memory[i, then + C_LEFT],
-        memory[i, now + S_LEFT] - memory[i, then + S_LEFT],
-        memory[i, now + C_RIGHT] - memory[i, then + C_RIGHT],
-        memory[i, now + S_RIGHT] - memory[i, then + S_RIGHT],
-        memory[i, then + BELT_LEFT],
-        memory[i, then + BELT_RIGHT],
-        memory[i, earlier + BELT_LEFT],
-        memory[i, earlier + BELT_RIGHT],
-    )
-
 
 NAMES = ("x", "y", "yaw", "slip_left", "slip_right", "side_slip")
 STATES = len(NAMES)
@@ -147,6 +70,42 @@ BIAS_WINDOW = 0.5  # [s] over it the gyro's bias does not average out, the noise
 SILENCE = 0.25  # [s] a pose that is only late or rare comes within it, see slip_outage
 BLENDING = 0.5  # [s] time constant with which what is shown follows the first pose after an outage
 LEAST_SIGMA = 1e-4  # [m, rad, m/s, rad/s] of ideal sensors: keeps the covariance well conditioned
+# Times the sine of the tilt: a turn on a slope changes the force that the soil must carry, and so
+# slips and alpha; a light vehicle on a slope of 0.2 then has a median NIS of 6, the expected one.
+SLOPE_SLIP_DRIFT = 0.25  # [1/sqrt(s)]
+SLOPE_SIDE_SLIP_DRIFT = 0.5  # [rad/sqrt(s)]
+LARGEST_POSITION = 100.0  # [m] sigma of X and Y grows no further
+LARGEST_YAW = 1.0  # [rad] sigma of psi grows no further: beyond it the circle is closed
+STANDING_SHARE = 0.01  # [-] process noise variance of the pose at standstill, of that in motion
+ICR_OFFSET = 0.2  # [m] x_icr of a turn on the spot, whose v_y = -x_icr w alpha cannot describe
+IGNORED = 1e4  # [SI] variance of a row of z that is missing
+LEAST_PIVOT = 1e-13  # [-] share of a variance that rounding leaves: below it P has lost digits
+POSE_GATE = 30.7  # [-] chi^2 of three rows that white noise exceeds once in 1e6
+JITTER = 1e-12  # [SI] added to every variance per step: keeps P positive definite
+
+# The state of the slip observer for one vehicle. A filter of (sum, bias) holds both and their
+# covariance: SUM, BIAS, P_SS, P_SB, P_BB.
+ROW = np.dtype([
+    ("state", float, STATES), ("covariance", float, (STATES, STATES)),
+    ("belt", float, 2), ("held", float, 2),  # [m/s] left, right; steps without a new sample
+    ("started", float),  # 1 once a pose has come
+    ("outliers", float), ("skipped", float),  # in a row; samples with NaN
+    # of pose_outages
+    ("silent", float),  # [steps] since the last pose
+    ("speed", float, 5), ("heading", float, 5),  # filters of [m/s, m/s^2] and [rad, rad/s]
+    # the ground, 0: not known: F_max [N], l / K [-], covariance of their logarithms, mu_t
+    ("effort_maximum", float), ("shear_length", float),
+    ("p_ff", float), ("p_fk", float), ("p_kk", float), ("friction", float),
+    ("gap", float, 4),  # shown minus filtered x, y, yaw, speed
+    ("seen_speed", float), ("seen_turn", float),  # [m/s], [rad] innovations of the last pose
+    ("felt", float), ("turns", float),  # [m/s^2], [rad/s] at the last step
+    # of the ring
+    ("head", float), ("filled", float),  # slot written last, slots written so far
+])  # fmt: skip
+# A slot of the ring: sums of the belts' ways [m] since the start, belt speeds [m/s].
+SLOT = np.dtype([(name, float) for name in (
+    "d_left", "d_right", "c_left", "s_left", "c_right", "s_right", "belt_left", "belt_right"
+)])  # fmt: skip
 
 
 class Constants(NamedTuple):
@@ -203,6 +162,21 @@ class Inputs(NamedTuple):
     common: float  # [-] variance per step of what both slips share; -1: they walk on their own
 
 
+class Way(NamedTuple):
+    """Sums of the belts' ways [m] since some earlier step, and their speeds [m/s] then."""
+
+    d_left: float
+    d_right: float
+    c_left: float
+    s_left: float
+    c_right: float
+    s_right: float
+    belt_left: float
+    belt_right: float
+    instrument_left: float  # speeds one step earlier: nearly the same, but with other noise
+    instrument_right: float
+
+
 def make_constants(
     parameters: PlantParameters,
     period: float,
@@ -242,6 +216,46 @@ def make_constants(
     return Constants(*(float(number) for number in numbers))
 
 
+def slots_for(longest_delay: float, control_period: float) -> int:
+    """Slots of a ring that reaches back over `longest_delay` [s]."""
+    return round(longest_delay / control_period) + 3
+
+
+@formula
+def push(row, ring, way):
+    """Add one step: `way` holds the step's own sums and the belt speeds at its end."""
+    old = ring[int(row.head)]
+    head = (int(row.head) + 1) % ring.shape[0]
+    new = ring[head]
+    row.head = head
+    row.filled = min(row.filled + 1.0, 1.0 * ring.shape[0])
+    new.d_left = old.d_left + way.d_left
+    new.d_right = old.d_right + way.d_right
+    new.c_left = old.c_left + way.c_left
+    new.s_left = old.s_left + way.s_left
+    new.c_right = old.c_right + way.c_right
+    new.s_right = old.s_right + way.s_right
+    new.belt_left, new.belt_right = way.belt_left, way.belt_right
+
+
+@formula
+def since(row, ring, steps):
+    """Way since `steps` steps ago, at most as far back as the ring reaches; 0 gives zero sums
+    and the present belt speeds."""
+    head, slots = int(row.head), ring.shape[0]
+    reach = max(row.filled - 1.0, 0.0)
+    back = int(min(max(steps, 0.0), reach))
+    more = int(min(max(steps, 0.0) + 1.0, reach))
+    now, then = ring[head], ring[(head - back + slots) % slots]
+    earlier = ring[(head - more + slots) % slots]
+    return Way(
+        now.d_left - then.d_left, now.d_right - then.d_right,
+        now.c_left - then.c_left, now.s_left - then.s_left,
+        now.c_right - then.c_right, now.s_right - then.s_right,
+        then.belt_left, then.belt_right, earlier.belt_left, earlier.belt_right,
+    )  # fmt: skip
+
+
 @formula
 def ramp(speed, standing):
     """0 [-] below the speed `standing`, 1 from twice that speed on, linear between."""
@@ -249,11 +263,12 @@ def ramp(speed, standing):
 
 
 @formula
-def make_inputs(
-    last_left, last_right, left, right, slip_left, slip_right, side_slip, incline, pitch_rate,
-    common, k,
-):  # fmt: skip
-    """Inputs of a step in which the belts went from `last` to the present speeds [m/s]."""
+def make_inputs(last, belts, x, incline, pitch_rate, common, k):
+    """Inputs of a step in which the belts (left, right) went from `last` to `belts` [m/s], with
+    the slips and side slip of the state x."""
+    last_left, last_right = last
+    left, right = belts
+    slip_left, slip_right, side_slip = x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP]
     ahead, _ = on_map(1.0, 0.0, incline)
     cross, aside = on_map(0.0, 1.0, incline)
     turn, carried = heading_rate(incline, pitch_rate)
@@ -312,8 +327,9 @@ def process(x, y, yaw, slip_left, slip_right, side_slip, u, k):
 
 
 @formula
-def measured(x, y, yaw, slip_left, slip_right, side_slip, u, way, gyro, k):
-    """z = (X, Y, psi, v_x, v_y, w): the pose group when `way` began, w when `gyro` began."""
+def measured(state, u, way, gyro, k):
+    """Of a state (6 numbers) z = (X, Y, psi, v_x, v_y, w): the pose group when `way` began, w when `gyro` began."""
+    x, y, yaw, slip_left, slip_right, side_slip = state
     left, right, tangent = gains(slip_left, slip_right, side_slip, u)
     east = 0.5 * (left * way.c_left + right * way.c_right)
     north = 0.5 * (left * way.s_left + right * way.s_right)
@@ -349,20 +365,6 @@ def step_way(yaw, left, right, u, k):
         u.turn * d_left, u.turn * d_right, c * d_left, s * d_left, c * d_right, s * d_right,
         left, right, left, right,
     )  # fmt: skip
-
-
-# Times the sine of the tilt: a turn on a slope changes the force that the soil must carry, and so
-# slips and alpha; a light vehicle on a slope of 0.2 then has a median NIS of 6, the expected one.
-SLOPE_SLIP_DRIFT = 0.25  # [1/sqrt(s)]
-SLOPE_SIDE_SLIP_DRIFT = 0.5  # [rad/sqrt(s)]
-LARGEST_POSITION = 100.0  # [m] sigma of X and Y grows no further
-LARGEST_YAW = 1.0  # [rad] sigma of psi grows no further: beyond it the circle is closed
-STANDING_SHARE = 0.01  # [-] process noise variance of the pose at standstill, of that in motion
-ICR_OFFSET = 0.2  # [m] x_icr of a turn on the spot, whose v_y = -x_icr w alpha cannot describe
-IGNORED = 1e4  # [SI] variance of a row of z that is missing
-LEAST_PIVOT = 1e-13  # [-] share of a variance that rounding leaves: below it P has lost digits
-POSE_GATE = 30.7  # [-] chi^2 of three rows that white noise exceeds once in 1e6
-JITTER = 1e-12  # [SI] added to every variance per step: keeps P positive definite
 
 
 @formula
@@ -464,11 +466,12 @@ def bound(p):
 
 
 @formula
-def inflate(p, east, north, turn, pose_nis, nis, k):
+def inflate(p, error, pose_nis, nis, k):
     """Free the pose where the sample contradicts it, and the slips where the velocities do.
 
-    Without velocities the slips are freed in any case.
+    error: of X, Y, psi. Without velocities the slips are freed in any case.
     """
+    east, north, turn = error
     if pose_nis > POSE_GATE:
         p[X, X] += east * east
         p[Y, Y] += north * north

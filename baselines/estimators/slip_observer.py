@@ -1,11 +1,7 @@
 """Unscented Kalman filter for the slips of both tracks, and a filtered pose: S 7.2, batched.
 
-The model is in slip_kinematics, delayed samples in dead_reckoning, the filter in slip_unscented,
-the rest of a step in slip_step. slip_filterpy is the same observer around the filter of filterpy.
-
-References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
-
-Scaled unscented transform over six states for a batch of vehicles, and the loop that uses it.
+The model is in slip_kinematics, the rest of a step in slip_step. slip_filterpy is the same observer
+around the filter of filterpy. The filter is a scaled unscented transform over six states:
 
 n = 6, L = spread^2 n - n, U^T U = (n + L) P (Cholesky):
     sigma points   x, x + rows of U, x - rows of U
@@ -24,36 +20,37 @@ References: [1] R. van der Merwe, PhD thesis, OGI (2004). [S] Strawa et al., Ele
 """
 
 import math
-from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
-from baselines.estimators import pose_outages, slip_kinematics
-from baselines.estimators import slip_kinematics as dead_reckoning
-from baselines.estimators import slip_kinematics as slip_covariance
+from baselines.estimators import pose_outages as outage
+from baselines.estimators import slip_kinematics as kinematics
 from baselines.estimators import slip_step as step
 from baselines.estimators.measurement import (
     ATTITUDE,
     POSE_DELAY,
-    AnsweringEstimator,
+    BatchEstimator,
     DataSheet,
     Estimate,
-    Estimator,
     Measurement,
     Quantity,
     Setting,
     attitude_of,
+    columns_of,
+    rows_of,
 )
-from baselines.estimators.slip_kinematics import ROWS, STATES
+from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLOT, STATES
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters, Range
 from tracked_env.physics.rigid_body import LEVEL
-from tracked_env.sensors import CHANNEL_COUNT, GROUPS
 from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
+# Value, covariance, (N, 4) excitation, condition, NIS, skipped, and status.
+Answer = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
+FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
 SPREAD = 0.6  # [-] alpha of the unscented transform
 BETA = 2.0  # [-] best for a Gaussian
 POINTS = 2 * STATES + 1
@@ -63,10 +60,23 @@ _C = 0.5 / _SCALE  # weight of every point but the first
 _C0 = 1.0 - STATES / _SCALE + (1.0 - SPREAD * SPREAD + BETA)  # first weight of a covariance
 
 
+class Scratch(NamedTuple):
+    """Room for one step of one vehicle."""
+
+    root: Any  # (6, 6) Cholesky factor
+    points: Any  # (STATES, POINTS) sigma points
+    images: Any  # (ROWS, POINTS) what the model makes of them
+    s: Any  # (6, 6) covariance of the innovation
+    w: Any  # (6, 6) M^-1 C^T
+    e: Any  # (6,) M^-1 y
+    z: Any  # (6,) sample
+    noise: Any  # (6, 6) Q or R
+
+
 @loop
 def draw(x, p, root, points):
     """Sigma points (STATES, POINTS) of (x, P)."""
-    slip_covariance.factorise(p, root, STATES, _SCALE)
+    kinematics.factorise(p, root, STATES, _SCALE)
     for a in range(STATES):
         for j in range(POINTS):
             points[a, j] = x[a]
@@ -76,11 +86,12 @@ def draw(x, p, root, points):
 
 
 @loop
-def predict(x, p, u, k, root, points, images):
-    """(x, P) one step later, without Q. images (>= 3, POINTS) is scratch."""
+def predict(x, p, u, k, scratch):
+    """(x, P) one step later, without Q."""
+    root, points, images = scratch.root, scratch.points, scratch.images
     draw(x, p, root, points)
     for j in range(POINTS):
-        images[0, j], images[1, j], images[2, j] = slip_kinematics.process(
+        images[0, j], images[1, j], images[2, j] = kinematics.process(
             points[0, j], points[1, j], points[2, j],
             points[3, j], points[4, j], points[5, j], u, k,
         )  # fmt: skip
@@ -105,20 +116,21 @@ def predict(x, p, u, k, root, points, images):
 
 
 @loop
-def compare(x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e):
+def compare(x, p, u, way, gyro, k, scratch):
     """Innovation of z in units of its sigma, e = M^-1 y, and W = M^-1 C^T (ROWS, STATES).
 
     Returns (NIS of the pose rows, NIS of all rows).
     """
+    root, points, images, s, w, e, z, noise = scratch
     rows = int(k.rows)
     draw(x, p, root, points)
     for j in range(POINTS):
+        point = (
+            points[0, j], points[1, j], points[2, j], points[3, j], points[4, j], points[5, j]
+        )  # fmt: skip
         (
             images[0, j], images[1, j], images[2, j], images[3, j], images[4, j], images[5, j],
-        ) = slip_kinematics.measured(
-            points[0, j], points[1, j], points[2, j],
-            points[3, j], points[4, j], points[5, j], u, way, gyro, k,
-        )  # fmt: skip
+        ) = kinematics.measured(point, u, way, gyro, k)  # fmt: skip
     for a in range(rows):
         first, total = images[a, 0], 0.0
         for j in range(1, POINTS):
@@ -138,7 +150,7 @@ def compare(x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e):
             for j in range(1, POINTS):
                 total += images[a, j] * images[b, j]
             s[a, b] = noise[a, b] + _C * total + _C0 * images[a, 0] * images[b, 0]
-    slip_covariance.factorise(s, root, rows, 1.0)
+    kinematics.factorise(s, root, rows, 1.0)
     pose_nis = nis = 0.0
     for a in range(rows):
         for m in range(a):
@@ -165,124 +177,120 @@ def _correct(x, p, rows, w, e):
 
 
 @loop
-def update_all(
-    values, fresh, age, attitude, k, slots, memory, value, covariance, summary, status
-):  # fmt: skip
-    """One step of all vehicles: summary (N, 4) excitation, condition, NIS, skipped."""
-    root, s, w = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    points, images = np.empty((STATES, POINTS)), np.empty((ROWS, POINTS))
-    noise, z, e = np.empty((6, 6)), np.empty(6), np.empty(6)
-    for i in range(memory.shape[0]):
-        x, p = value[i], covariance[i]
-        step.load(memory, i, x, p)
-        u = step.take_drive(memory, i, values, fresh, attitude, x, p, k)
-        started = memory[i, step.STARTED] > 0.0
+def update_all(samples, k, rows, rings, answers):
+    """One step of all vehicles: samples values (N, CHANNELS), fresh, age, attitude (N, 3); rows (N,)
+    and rings (N, slots) of the memory are changed, the answers written: value, covariance, summary
+    (N, 4) excitation, condition, NIS, skipped, and status."""
+    values, fresh, age, attitude = samples
+    value, covariance, summary, status = answers
+    scratch = Scratch(
+        np.empty((6, 6)), np.empty((STATES, POINTS)), np.empty((ROWS, POINTS)), np.empty((6, 6)),
+        np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((6, 6)),
+    )  # fmt: skip
+    z, noise, w, e = scratch.z, scratch.noise, scratch.w, scratch.e
+    out = z, noise
+    for i in range(rows.shape[0]):
+        row, ring, x, p = rows[i], rings[i], value[i], covariance[i]
+        sample = step.Sensed(values[i], fresh[i], age[i], attitude[i])
+        step.load(row, x, p)
+        u = step.take_drive(row, sample, x, p, k)
+        started = row.started > 0.0
         yaw = x[2]
         if started:
-            slip_covariance.fill_process_noise(noise, yaw, u, k)
-            predict(x, p, u, k, root, points, images)
+            kinematics.fill_process_noise(noise, yaw, u, k)
+            predict(x, p, u, k, scratch)
             yaw = 0.5 * (yaw + x[2])
             for a in range(STATES):
                 for b in range(a, STATES):
                     p[a, b] += noise[a, b]
-        step.reckon(memory, i, slots, yaw, u, k)
+        step.reckon(row, ring, yaw, u, k)
         outcome, used, nis = 1, False, math.nan
-        new, usable = step.has_pose(values, fresh, i)
+        new, usable = step.has_pose(sample)
         if new and not usable:
-            memory[i, step.SKIPPED] += 1.0
+            row.skipped += 1.0
             outcome = 2
-        if step.is_blind(memory, i, k) and not (new and usable):
-            way, gyro = step.take_motion(memory, i, values, fresh, x, p, u, k, z, noise)
-            compare(x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e)
+        if step.is_blind(row, k) and not (new and usable):
+            way, gyro = step.take_motion(row, sample, x, p, u, k, out)
+            compare(x, p, u, way, gyro, k, scratch)
             _correct(x, p, ROWS, w, e)
         elif new and usable:
-            way, gyro = step.take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise)
+            way, gyro = step.take_pose(row, ring, sample, x, u, k, out)
             if not started:
-                step.start(memory, i, values, x, p, z, noise, way, k)
+                step.start(row, sample.values, x, p, out, way, k)
             else:
-                pose_nis, nis = compare(
-                    x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e
-                )
-                verdict = step.innovation_verdict(memory, i, nis, k)
+                pose_nis, nis = compare(x, p, u, way, gyro, k, scratch)
+                verdict = step.innovation_verdict(row, nis, k)
                 used = verdict != 1
                 if verdict == 1:
                     outcome = 2
                 elif verdict == 2:
-                    east, north, turn = z[0] - x[0], z[1] - x[1], z[2] - x[2]
-                    slip_covariance.inflate(p, east, north, turn, pose_nis, nis, k)
-                    compare(x, p, z, noise, u, way, gyro, k, root, points, images, s, w, e)
+                    error = (z[0] - x[0], z[1] - x[1], z[2] - x[2])
+                    kinematics.inflate(p, error, pose_nis, nis, k)
+                    compare(x, p, u, way, gyro, k, scratch)
                 if used:
                     _correct(x, p, int(k.rows), w, e)
         summary[i, 0], summary[i, 1], status[i] = step.finish(
-            memory, i, x, p, root, u, used, outcome, k
+            row, x, p, scratch.root, u, used, outcome, k
         )
-        summary[i, 2] = nis
-        summary[i, 3] = memory[i, step.SKIPPED]
-
-
-# Value, covariance, (N, 4) excitation, condition, NIS, skipped, and status.
-Answer = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
-FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
+        summary[i, 2], summary[i, 3] = nis, row.skipped
 
 
 @loop
-def forget(memory, rows):
-    """Vehicles `rows` as nothing were known of them."""
-    for i in rows:
-        memory[i, :] = 0.0
-        memory[i, step.HELD_L] = memory[i, step.HELD_R] = step.LARGEST_READING
+def forget(rows, which):
+    """Vehicles `which` as nothing were known of them."""
+    for i in which:
+        row = rows[i]
         for a in range(STATES):
-            memory[i, step.COVARIANCE + (STATES + 1) * a] = slip_covariance.largest_variance(a)
+            row.covariance[a, a] = kinematics.largest_variance(a)
+        row.held[0] = row.held[1] = step.LARGEST_READING
 
 
 @loop
-def motion_all(memory, k, motion):
+def motion_all(rows, k, motion):
     """(X, Y, psi, v_x, v_y, w) of all vehicles into motion (N, 6)."""
-    for i in range(memory.shape[0]):
-        belt_left, belt_right = memory[i, step.BELT_L], memory[i, step.BELT_R]
-        slip_left, slip_right = (
-            memory[i, step.STATE + slip_kinematics.SLIP_LEFT],
-            memory[i, step.STATE + slip_kinematics.SLIP_RIGHT],
-        )
-        alpha = memory[i, step.STATE + slip_kinematics.SIDE_SLIP]
-        u = slip_kinematics.make_inputs(
-            belt_left, belt_right, belt_left, belt_right, slip_left, slip_right, alpha,
-            LEVEL, 0.0, -1.0, k,
-        )  # fmt: skip
-        left, right, tangent = slip_kinematics.gains(slip_left, slip_right, alpha, u)
-        velocity = slip_kinematics.body_velocity(left, right, belt_left, belt_right, tangent, k)
-        gap = step.OUTAGE + pose_outages.GAP_X
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        x, belts = row.state, (row.belt[0], row.belt[1])
+        u = kinematics.make_inputs(belts, belts, x, LEVEL, 0.0, -1.0, k)
+        left, right, tangent = kinematics.gains(x[3], x[4], x[5], u)
+        velocity = kinematics.body_velocity(left, right, belts[0], belts[1], tangent, k)
         for a in range(3):
-            motion[i, a] = memory[i, step.STATE + a] + memory[i, gap + a]
+            motion[i, a] = x[a] + row.gap[a]
             motion[i, 3 + a] = velocity[a]
-        motion[i, 3] += memory[i, step.OUTAGE + pose_outages.GAP_SPEED]
+        motion[i, 3] += row.gap[3]
 
 
 @loop
-def read_slips(memory, k, slips, variances):
+def read_slips(rows, k, slips, variances):
     """i_L, i_R and their variances of all vehicles, (N, 2) each; inf in an outage, where slips are
     what the soil is thought to be."""
-    for i in range(memory.shape[0]):
+    for i in range(rows.shape[0]):
+        row = rows[i]
         for side in range(2):
-            state = slip_kinematics.SLIP_LEFT + side
-            slips[i, side] = memory[i, step.STATE + state]
-            variances[i, side] = memory[i, step.COVARIANCE + (STATES + 1) * state]
-            if pose_outages.silent(memory, i, step.OUTAGE, k):
-                variances[i, side] = math.inf
+            state = SLIP_LEFT + side
+            slips[i, side] = row.state[state]
+            blind = outage.silent(row, k)
+            variances[i, side] = math.inf if blind else row.covariance[state, state]
 
 
 @loop
-def take_ground_all(memory, k, soil, covariance, friction):
+def take_ground_all(rows, k, soil, covariance, friction):
     """soil (N, 2) F_max, K, their covariance (N, 2, 2) and mu_t (N,), for outages."""
-    for i in range(memory.shape[0]):
+    for i in range(rows.shape[0]):
         maximum, modulus = soil[i, 0], soil[i, 1]
-        pose_outages.take_ground(
-            memory, i, step.OUTAGE, maximum, modulus,
-            covariance[i, 0, 0] / (maximum * maximum),
-            covariance[i, 0, 1] / (maximum * modulus),
-            covariance[i, 1, 1] / (modulus * modulus),
-            friction[i], k,
-        )  # fmt: skip
+        ff = covariance[i, 0, 0] / (maximum * maximum)
+        fk = covariance[i, 0, 1] / (maximum * modulus)
+        kk = covariance[i, 1, 1] / (modulus * modulus)
+        outage.take_ground(rows[i], maximum, modulus, ff, fk, kk, friction[i], k)
+
+
+def estimate_of(names: tuple[str, ...], answer: Answer) -> Estimate:
+    """A bare answer as an Estimate."""
+    value, covariance, summary, status = answer
+    return Estimate(
+        names, value, covariance, summary[:, 0], summary[:, 1], status, summary[:, 2],
+        summary[:, 3].astype(np.int64),
+    )  # fmt: skip
 
 
 class Motion(NamedTuple):
@@ -300,7 +308,7 @@ _DRIFT = Range(0.0, 10.0, "SI/sqrt(s)", "It is no variance.")
 _DELAY = Range(0.0, 10.0, "s", "Did you pass milliseconds?")
 
 
-class SlipObserver(AnsweringEstimator):
+class SlipObserver(BatchEstimator):
     """Slip ratios, side slip angle and pose of N vehicles from pose and sprocket speeds.
 
     parameters: nominal; track gauge and sprocket radius are used, in outages contact length and
@@ -317,7 +325,7 @@ class SlipObserver(AnsweringEstimator):
     Raises ValueError for arguments outside their range.
     """
 
-    names = slip_kinematics.NAMES
+    names = kinematics.NAMES
     provides = (
         Quantity("slip_left", "-"), Quantity("slip_right", "-"), Quantity("side_slip", "rad"),
     )  # fmt: skip
@@ -326,6 +334,7 @@ class SlipObserver(AnsweringEstimator):
         "acceleration_x", "acceleration_y", "torque_left", "torque_right",
     )  # fmt: skip
     paired = False
+    row = ROW
 
     def __init__(
         self,
@@ -354,12 +363,12 @@ class SlipObserver(AnsweringEstimator):
         self.velocity = bool(velocity)
         rows = ROWS if velocity else 3
         gate = float(chi2.isf(FALSE_ALARM, rows))
-        self._constants = slip_kinematics.make_constants(
+        self._constants = kinematics.make_constants(
             parameters, self.control_period, data_sheet, drifts, gate, rows, lateral
         )
-        self._slots = dead_reckoning.slots_for(longest_delay, self.control_period)
-        columns = step.RING + dead_reckoning.columns_for(self._slots)
-        self.memory = np.zeros((int(count), columns))
+        slots = kinematics.slots_for(longest_delay, self.control_period)
+        self.memory = np.zeros((count, columns_of(ROW)))
+        self.ring = np.zeros((count, slots * columns_of(SLOT)))
         self.reset()
 
     @classmethod
@@ -374,17 +383,21 @@ class SlipObserver(AnsweringEstimator):
         return part
 
     @property
-    def constants(self) -> slip_kinematics.Constants:
+    def constants(self) -> kinematics.Constants:
         """Numbers of the model, as the kernels take them."""
         return self._constants
 
-    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
-        """Nothing is needed of other estimators."""
+    @property
+    def rings(self) -> Any:
+        """The ring as slots (N, K) of slip_kinematics.SLOT."""
+        return rows_of(self.ring, SLOT)
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
+        super().reset(rows)
         every = np.arange(len(self.memory))
-        forget(self.memory, every if rows is None else np.atleast_1d(every[np.asarray(rows)]))
+        which = every if rows is None else np.atleast_1d(every[np.asarray(rows)])
+        forget(self.rows, which)
 
     def take_ground(
         self,
@@ -394,57 +407,31 @@ class SlipObserver(AnsweringEstimator):
     ) -> None:
         """What is known of the ground, for outages: F_max [N] of a track and K [m] (N, 2), their
         covariance (N, 2, 2), mu_t (N,)."""
-        take_ground_all(self.memory, self._constants, soil, covariance, friction)
+        take_ground_all(self.rows, self._constants, soil, covariance, friction)
 
     def compute(self, measurement: Measurement) -> Answer:
         """Take one sample; returns the bare answer: value, covariance, summary, status."""
         n = len(self.memory)
-        value, covariance = np.empty((n, STATES)), np.empty((n, STATES, STATES))
-        summary, status = np.empty((n, 4)), np.empty(n, dtype=np.int64)
-        self._advance(measurement, value, covariance, summary, status)
-        return value, covariance, summary, status
+        answer = (
+            np.empty((n, STATES)), np.empty((n, STATES, STATES)), np.empty((n, 4)),
+            np.empty(n, dtype=np.int64),
+        )  # fmt: skip
+        samples = (*measurement, attitude_of(measurement))
+        self._advance(samples, answer)
+        return answer
 
     def estimate(self, answer: Answer) -> Estimate:
         """The bare answer as an Estimate."""
-        value, covariance, summary, status = answer
-        return Estimate(
-            self.names, value, covariance, summary[:, 0], summary[:, 1], status,
-            summary[:, 2], summary[:, 3].astype(np.int64),
-        )  # fmt: skip
+        return estimate_of(self.names, answer)
 
-    def update(self, measurement: Measurement) -> Estimate:
-        """Take one sample of every vehicle. NIS is NaN without a new pose sample.
-
-        Raises ValueError for arrays whose shape is not that of a Measurement of N vehicles.
-        """
-        n = len(self.memory)
-        shapes = ((n, CHANNEL_COUNT), (n, len(GROUPS)), (n, len(GROUPS)))
-        for name, array, shape in zip(Measurement._fields, measurement, shapes, strict=True):
-            if array.shape != shape:
-                raise ValueError(
-                    f"measurement.{name} has shape {array.shape}; must be {shape}. "
-                    f"Is the observer made for count = {n} vehicles?"
-                )
-        return self.estimate(self.compute(measurement))
-
-    def _advance(
-        self,
-        measurement: Measurement,
-        value: NDArray[np.float64],
-        covariance: NDArray[np.float64],
-        summary: NDArray[np.float64],
-        status: NDArray[np.int64],
-    ) -> None:
-        """The filter itself: writes its results into the arrays, all but the first out."""
-        update_all(
-            measurement.values, measurement.fresh, measurement.age, attitude_of(measurement),
-            self._constants, self._slots, self.memory, value, covariance, summary, status,
-        )  # fmt: skip
+    def _advance(self, samples: tuple[Any, ...], answer: Answer) -> None:
+        """The filter itself: writes its results into the answer."""
+        update_all(samples, self._constants, self.rows, self.rings, answer)
 
     def motion_rows(self) -> NDArray[np.float64]:
         """The columns of a Motion, (N, 6)."""
         columns = np.empty((len(self.memory), 6))
-        motion_all(self.memory, self._constants, columns)
+        motion_all(self.rows, self._constants, columns)
         return columns
 
     def motion(self) -> Motion:
@@ -465,5 +452,5 @@ class SlipObserver(AnsweringEstimator):
         """`slips` and `slip_variances`."""
         count = len(self.memory)
         slips, variances = np.empty((count, 2)), np.empty((count, 2))
-        read_slips(self.memory, self._constants, slips, variances)
+        read_slips(self.rows, self._constants, slips, variances)
         return slips, variances

@@ -4,11 +4,11 @@ Order of one step, for whatever does the filtering between:
     take_drive    belt speeds in, Inputs out; missing ones stay as they were and are counted; a
                   belt that jumps does not take the vehicle along, so it changes the slip
     (predict)
-    reckon        the step's way into the ring of dead_reckoning
+    reckon        the step's way into the ring
     take_pose     sample, its R and how old it is; rows that are missing get a huge variance
     start, or innovation_verdict and (update)
                   NIS above the gate is an outlier; PATIENCE of them in a row are a change: then
-                  slip_covariance.inflate frees what the innovation contradicts, and the sample is
+                  inflate frees what the innovation contradicts, and the sample is
                   used
     finish        slips and alpha into their bounds, covariance symmetric and bounded
 
@@ -16,10 +16,10 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
 """
 
 import math
+from typing import Any, NamedTuple
 
-from baselines.estimators import pose_outages, slip_kinematics
-from baselines.estimators import slip_kinematics as dead_reckoning
-from baselines.estimators import slip_kinematics as slip_covariance
+from baselines.estimators import pose_outages as outage
+from baselines.estimators import slip_kinematics as kinematics
 from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, POSE
 from baselines.estimators.slip_kinematics import (
     BELT_SIGMAS,
@@ -36,7 +36,7 @@ from baselines.estimators.slip_kinematics import (
 )
 from tracked_env.physics.elementary import signed, wrap_angle
 from tracked_env.physics.jit import formula
-from tracked_env.physics.rigid_body import heading_rate, incline_of
+from tracked_env.physics.rigid_body import incline_of
 from tracked_env.physics.terramechanics import slip_ratio, track_speed_from_belt
 
 PATIENCE = 5  # [samples] that many outliers in a row are a change
@@ -47,17 +47,17 @@ FASTEST_BELT = 100.0  # [m/s] a belt beyond it is a fault of the sensor, as NaN 
 OLDEST = 10.0  # [s] an older sample counts as that old
 LARGEST_READING = 1e9  # [SI] anything beyond is a fault of the sensor, as NaN is
 
-# What is remembered of one vehicle, the columns of `memory`.
-STATE = 0
-COVARIANCE = STATE + STATES
-BELT_L, BELT_R, HELD_L, HELD_R, STARTED, OUTLIERS, SKIPPED = range(
-    COVARIANCE + STATES * STATES, COVARIANCE + STATES * STATES + 7
-)  # belt speeds and for how many steps they are held, a pose came (1 = yes), in a row, counted
-OUTAGE = SKIPPED + 1  # what slip_outage remembers
-RING = OUTAGE + pose_outages.COLUMNS
-
 _SPEED_L, _SPEED_R = COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]
 _YAW_RATE = COLUMN["yaw_rate"]
+
+
+class Sensed(NamedTuple):
+    """The sample of one vehicle."""
+
+    values: Any  # (CHANNELS,)
+    fresh: Any  # (3,)
+    age: Any  # (3,) [s]
+    attitude: Any  # (3,) roll, pitch, rate of pitch
 
 
 @formula
@@ -67,21 +67,21 @@ def _usable(reading):
 
 
 @formula
-def load(memory, i, x, p):
-    """State and covariance of vehicle i into x (STATES,) and p (STATES, STATES)."""
+def load(row, x, p):
+    """State and covariance of a vehicle into x (STATES,) and p (STATES, STATES)."""
     for a in range(STATES):
-        x[a] = memory[i, STATE + a]
+        x[a] = row.state[a]
         for b in range(STATES):
-            p[a, b] = memory[i, COVARIANCE + STATES * a + b]
+            p[a, b] = row.covariance[a, b]
 
 
 @formula
-def store(memory, i, x, p):
+def store(row, x, p):
     """The reverse of `load`."""
     for a in range(STATES):
-        memory[i, STATE + a] = x[a]
+        row.state[a] = x[a]
         for b in range(STATES):
-            memory[i, COVARIANCE + STATES * a + b] = p[a, b]
+            row.covariance[a, b] = p[a, b]
 
 
 @formula
@@ -105,63 +105,61 @@ def _slip_of_jump(x, p, state, last, belt, steps, k):
         jumped = min(max(slip_ratio(belt, speed), -SLIP_LIMIT), SLIP_LIMIT)
         p[state, state] += min((jumped - x[state]) ** 2, PRIOR_SLIP * PRIOR_SLIP)
         x[state] = jumped
-        last = pose_outages.belt_of(before, jumped)
+        last = outage.belt_of(before, jumped)
     return last
 
 
 @formula
-def is_blind(memory, i, k):
-    """Whether vehicle i is in an outage."""
-    return pose_outages.silent(memory, i, OUTAGE, k)
+def is_blind(row, k):
+    """Whether the vehicle is in an outage."""
+    return outage.silent(row, k)
 
 
 @formula
-def take_drive(memory, i, values, fresh, attitude, x, p, k):
-    """Inputs of this step; the belt speeds are remembered. attitude (N, 3): ATTITUDE."""
-    begun_left, begun_right = last_left, last_right = memory[i, BELT_L], memory[i, BELT_R]
-    left, right = k.radius * values[i, _SPEED_L], k.radius * values[i, _SPEED_R]
-    memory[i, HELD_L] += 1.0
-    memory[i, HELD_R] += 1.0
+def take_drive(row, sample, x, p, k):
+    """Inputs of this step; the row holds the belt speeds from then on."""
+    begun, last, belts = (row.belt[0], row.belt[1]), (row.belt[0], row.belt[1]), row.belt
+    last_left, last_right = last
+    left, right = k.radius * sample.values[_SPEED_L], k.radius * sample.values[_SPEED_R]
+    row.held[0] += 1.0
+    row.held[1] += 1.0
     seen_left, seen_right = abs(left) < FASTEST_BELT, abs(right) < FASTEST_BELT
-    jumps = seen_left and _jumps(last_left, left, memory[i, HELD_L], k)
-    jumps = jumps or (seen_right and _jumps(last_right, right, memory[i, HELD_R], k))
-    learns = memory[i, STARTED] > 0.0 and k.rows >= slip_kinematics.ROWS
-    if jumps and learns and not fresh[i, POSE]:
-        pose_outages.begin(memory, i, OUTAGE, k)
-    blind = memory[i, OUTAGE] >= k.silence
+    jumps = seen_left and _jumps(last_left, left, row.held[0], k)
+    jumps = jumps or (seen_right and _jumps(last_right, right, row.held[1], k))
+    learns = row.started > 0.0 and k.rows >= kinematics.ROWS
+    if jumps and learns and not sample.fresh[POSE]:
+        outage.begin(row, k)
+    blind = row.silent >= k.silence
     if seen_left:
         if not blind:
-            last_left = _slip_of_jump(x, p, SLIP_LEFT, last_left, left, memory[i, HELD_L], k)
-        memory[i, BELT_L] = left
-        memory[i, HELD_L] = 0.0 if fresh[i, DRIVE] else memory[i, HELD_L]
+            last_left = _slip_of_jump(x, p, SLIP_LEFT, last_left, left, row.held[0], k)
+        belts[0] = left
+        row.held[0] = 0.0 if sample.fresh[DRIVE] else row.held[0]
     if seen_right:
         if not blind:
-            last_right = _slip_of_jump(x, p, SLIP_RIGHT, last_right, right, memory[i, HELD_R], k)
-        memory[i, BELT_R] = right
-        memory[i, HELD_R] = 0.0 if fresh[i, DRIVE] else memory[i, HELD_R]
+            last_right = _slip_of_jump(x, p, SLIP_RIGHT, last_right, right, row.held[1], k)
+        belts[1] = right
+        row.held[1] = 0.0 if sample.fresh[DRIVE] else row.held[1]
     if not (seen_left and seen_right):
-        memory[i, SKIPPED] += 1.0
-    incline, common = incline_of(attitude[i, 1], attitude[i, 0]), -1.0
-    if memory[i, STARTED] > 0.0:
-        turn, carried = heading_rate(incline, attitude[i, 2])
-        common, last_left, last_right, left, right = pose_outages.carry(
-            memory, i, OUTAGE, x, p, last_left, last_right, memory[i, BELT_L], memory[i, BELT_R],
-            values, incline, carried, turn, k,
-        )  # fmt: skip
+        row.skipped += 1.0
+    pitch_rate = sample.attitude[2]
+    incline, common = incline_of(sample.attitude[1], sample.attitude[0]), -1.0
+    if row.started > 0.0:
+        common, last_left, last_right, left, right = outage.carry(
+            row, x, p, (last_left, last_right), sample.values, incline, pitch_rate, k
+        )
         if common >= 0.0:
-            memory[i, BELT_L], memory[i, BELT_R] = left, right
-            begun_left, begun_right = last_left, last_right
-    return slip_kinematics.make_inputs(
-        begun_left, begun_right, memory[i, BELT_L], memory[i, BELT_R],
-        x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP], incline, attitude[i, 2], common, k,
-    )  # fmt: skip
+            belts[0], belts[1] = left, right
+            begun = (last_left, last_right)
+    now = (belts[0], belts[1])
+    return kinematics.make_inputs(begun, now, x, incline, pitch_rate, common, k)
 
 
 @formula
-def reckon(memory, i, slots, yaw, u, k):
+def reckon(row, ring, yaw, u, k):
     """Add the step's way, with heading `yaw` [rad] in its middle."""
-    way = slip_kinematics.step_way(yaw, memory[i, BELT_L], memory[i, BELT_R], u, k)
-    dead_reckoning.push(memory, i, RING, slots, way)
+    way = kinematics.step_way(yaw, row.belt[0], row.belt[1], u, k)
+    kinematics.push(row, ring, way)
 
 
 @formula
@@ -171,137 +169,136 @@ def _steps(age, k):
 
 
 @formula
-def _moment(memory, i, slots, steps, k):
+def _moment(row, ring, steps, k):
     """Belt speeds of `steps` steps ago, with what serves as their instruments."""
-    way = dead_reckoning.since(memory, i, RING, slots, steps)
+    way = kinematics.since(row, ring, steps)
     return (
         way.belt_left,
         way.belt_right,
-        slip_kinematics.instrument(way.instrument_left, way.belt_left, k),
-        slip_kinematics.instrument(way.instrument_right, way.belt_right, k),
+        kinematics.instrument(way.instrument_left, way.belt_left, k),
+        kinematics.instrument(way.instrument_right, way.belt_right, k),
     )
 
 
 @formula
-def take_pose(memory, i, slots, values, fresh, age, x, u, k, z, noise):
-    """Sample into z (ROWS,), its R into noise (ROWS, ROWS).
+def take_pose(row, ring, sample, x, u, k, out):
+    """Sample into z (ROWS,), its R into noise (ROWS, ROWS), the two of `out`.
 
     Returns (the way since it was taken, belt speeds when the gyro's was taken). Velocities that
     are missing, and a gyro without a new sample, are replaced by the model's with a huge variance.
     The drive's own delay counts: its latest belt speed is one of `age` ago.
     """
-    if pose_outages.silent(memory, i, OUTAGE, k):
-        pose_outages.add_shown(memory, i, OUTAGE, x, memory[i, BELT_L], memory[i, BELT_R], 1.0, k)
-    drive, pose = _steps(age[i, DRIVE], k), _steps(age[i, POSE], k)
-    pose_outages.see(memory, i, OUTAGE, values[i, 3], values[i, 2], pose * k.period, values, k)
-    sums = dead_reckoning.since(memory, i, RING, slots, pose)
+    values, (z, noise) = sample.values, out
+    if outage.silent(row, k):
+        outage.add_shown(row, x, 1.0, k)
+    drive, pose = _steps(sample.age[DRIVE], k), _steps(sample.age[POSE], k)
+    outage.see(row, values[3], values[2], pose * k.period, values, k)
+    sums = kinematics.since(row, ring, pose)
     way = Way(
         sums.d_left, sums.d_right, sums.c_left, sums.s_left, sums.c_right, sums.s_right,
-        *_moment(memory, i, slots, pose - drive, k),
+        *_moment(row, ring, pose - drive, k),
     )  # fmt: skip
-    gyro = Way(
-        0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-        *_moment(memory, i, slots, _steps(age[i, INERTIAL], k) - drive, k),
-    )  # fmt: skip
-    slip_covariance.fill_measurement_noise(noise, u, way, gyro, pose, k)
-    expected = slip_kinematics.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, way, gyro, k)
-    z[0], z[1] = values[i, 0], values[i, 1]
-    z[2] = expected[2] + wrap_angle(values[i, 2] - expected[2])
-    z[3], z[4], z[5] = values[i, 3], values[i, 4], values[i, _YAW_RATE]
+    inertial = _steps(sample.age[INERTIAL], k)
+    gyro = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *_moment(row, ring, inertial - drive, k))
+    kinematics.fill_measurement_noise(noise, u, way, gyro, pose, k)
+    expected = kinematics.measured((x[0], x[1], x[2], x[3], x[4], x[5]), u, way, gyro, k)
+    z[0], z[1] = values[0], values[1]
+    z[2] = expected[2] + wrap_angle(values[2] - expected[2])
+    z[3], z[4], z[5] = values[3], values[4], values[_YAW_RATE]
     missing = False
-    for row in range(3, int(k.rows)):
-        new = row < 5 or fresh[i, INERTIAL]
-        missing = missing or (new and not _usable(z[row]))
-        if not (new and _usable(z[row])):
-            z[row] = expected[row]
-            noise[row, :] = 0.0
-            noise[:, row] = 0.0
-            noise[row, row] = slip_covariance.IGNORED
+    for r in range(3, int(k.rows)):
+        new = r < 5 or sample.fresh[INERTIAL]
+        missing = missing or (new and not _usable(z[r]))
+        if not (new and _usable(z[r])):
+            z[r] = expected[r]
+            noise[r, :] = 0.0
+            noise[:, r] = 0.0
+            noise[r, r] = kinematics.IGNORED
     if missing:
-        memory[i, SKIPPED] += 1.0
+        row.skipped += 1.0
     return way, gyro
 
 
 @formula
-def take_motion(memory, i, values, fresh, x, p, u, k, z, noise):
-    """In an outage: what gyro, effort and friction say into z (ROWS,), its R into noise.
+def take_motion(row, sample, x, p, u, k, out):
+    """In an outage: what gyro, effort and friction say into z (ROWS,), its R into noise, as
+    `take_pose`.
 
-    Returns (no way, present belt speeds), as `take_pose`.
+    Returns (no way, present belt speeds).
     """
-    left, right = memory[i, BELT_L], memory[i, BELT_R]
-    memory[i, OUTLIERS] = 0.0
+    left, right = row.belt[0], row.belt[1]
+    row.outliers = 0.0
     now = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, left, right, left, right)
-    expected = slip_kinematics.measured(x[0], x[1], x[2], x[3], x[4], x[5], u, now, now, k)
-    pose_outages.measure(
-        memory, i, OUTAGE, values, fresh, expected, x, p, left, right, u.press, k, z, noise
-    )
+    expected = kinematics.measured((x[0], x[1], x[2], x[3], x[4], x[5]), u, now, now, k)
+    outage.measure(row, sample, expected, x, p, u.press, k, out)
     return now, now
 
 
 @formula
-def has_pose(values, fresh, i):
+def has_pose(sample):
     """(a new pose sample came, it can be used)."""
-    x, y, yaw = values[i, 0], values[i, 1], values[i, 2]
-    return fresh[i, POSE], _usable(x) and _usable(y) and _usable(yaw)
+    x, y, yaw = sample.values[0], sample.values[1], sample.values[2]
+    return sample.fresh[POSE], _usable(x) and _usable(y) and _usable(yaw)
 
 
 @formula
-def start(memory, i, values, x, p, z, noise, way, k):
+def start(row, sensors, x, p, out, way, k):
     """Pose and inertial speed from the first sample, as uncertain as the sensor is and as far as it
-    is old. The slips stay open: the drives change them at once, the speed they do not."""
+    is old; out: z and R. The slips stay open: drives change them at once, but not the speed."""
+    z, noise = out
     driven = max(abs(way.d_left), abs(way.d_right))
     for a in range(3):
         x[a] = z[a]
         p[a, :] = 0.0
         p[:, a] = 0.0
         p[a, a] = noise[a, a] + (driven * driven if a < YAW else 0.0)
-    memory[i, STARTED] = 1.0
+    row.started = 1.0
     v, variance = 0.5 * (way.belt_left + way.belt_right), STANDING_VEHICLE * STANDING_VEHICLE
     variance = max(PRIOR_SLIP * PRIOR_SLIP * v * v, variance)
-    if k.rows >= slip_kinematics.ROWS and noise[3, 3] < variance:
+    if k.rows >= kinematics.ROWS and noise[3, 3] < variance:
         v, variance = z[3], noise[3, 3]
-    pose_outages.start(memory, i, OUTAGE, x, p, values, v, variance, k)
+    outage.start(row, x, p, sensors, v, variance, k)
 
 
 @formula
-def innovation_verdict(memory, i, nis, k):
+def innovation_verdict(row, nis, k):
     """0 = use the sample, 1 = outlier, 2 = one too many outliers: follow it.
 
     The first pose after an outage is followed.
     """
-    if pose_outages.silent(memory, i, OUTAGE, k):
+    if outage.silent(row, k):
         return 2 if nis > k.gate else 0
     if nis <= k.gate:
-        memory[i, OUTLIERS] = 0.0
+        row.outliers = 0.0
         return 0
-    memory[i, OUTLIERS] += 1.0
-    if memory[i, OUTLIERS] < PATIENCE:
+    row.outliers += 1.0
+    if row.outliers < PATIENCE:
         return 1
-    memory[i, OUTLIERS] = 0.0
+    row.outliers = 0.0
     return 2
 
 
 @formula
-def finish(memory, i, x, p, root, u, used, outcome, k):
+def finish(row, x, p, root, u, used, outcome, k):
     """Bounds, memory; root (STATES, STATES) is scratch; used: a pose was.
 
-    Returns (excitation, condition, status as estimate.Status).
+    Returns (excitation, condition, status as measurement.Status).
     """
     x[SLIP_LEFT] = min(max(x[SLIP_LEFT], -SLIP_LIMIT), SLIP_LIMIT)
     x[SLIP_RIGHT] = min(max(x[SLIP_RIGHT], -SLIP_LIMIT), SLIP_LIMIT)
     x[SIDE_SLIP] = min(max(x[SIDE_SLIP], -SIDE_SLIP_LIMIT), SIDE_SLIP_LIMIT)
-    slip_covariance.bound(p)
-    if not slip_covariance.factorise(p, root, STATES, 1.0):
+    kinematics.bound(p)
+    if not kinematics.factorise(p, root, STATES, 1.0):
         # Rounding has used up the digits, after nonsense: keep the variances, drop the rest.
         for a in range(STATES):
-            variance = min(max(p[a, a], LOST_DIGITS), slip_covariance.largest_variance(a))
+            variance = min(max(p[a, a], LOST_DIGITS), kinematics.largest_variance(a))
             p[a, :] = 0.0
             p[:, a] = 0.0
             p[a, a] = variance
-    if memory[i, STARTED] > 0.0:
-        pose_outages.settle(memory, i, OUTAGE, x, p, memory[i, BELT_L], memory[i, BELT_R], used, k)
-    store(memory, i, x, p)
-    smallest, largest = slip_covariance.information(p)
+    if row.started > 0.0:
+        outage.settle(row, x, p, used, k)
+    store(row, x, p)
+    smallest, largest = kinematics.information(p)
     moves = min(min(u.fade_left, u.fade_right), u.fade_side) > 0.0
     learns = used and moves and smallest >= EXCITED
     status = outcome if outcome == 2 else (0 if learns else 1)

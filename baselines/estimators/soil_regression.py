@@ -23,6 +23,8 @@ Physics 50 (1982) 912: effective variance. [3] D. W. Marquardt, SIAM J. 11 (1963
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from tracked_env.physics.elementary import signed
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.terramechanics import (
@@ -41,14 +43,15 @@ SMALLEST_SLIP = 1e-9  # [-] fitted slips stay positive
 TRUSTED = 100.0  # [-] inverse variance of ln F from the data that a controller may rely on
 SHRINK = 0.2  # [-] a step leaves at least this share of a fitted slip
 
-# What is remembered of one vehicle ahead of its window, the columns of `memory`.
-(
-    LOG_F, LOG_K, ANCHOR_F, ANCHOR_K, J_FF, J_FK, J_KK, FILLED, NEXT, OUTLIERS, SKIPPED,
-    CHANGES, WAITING, ITERATIONS, CONVERGED, MISFITS,
-    P_FF, P_FK, P_KK, CLOCK, TAKEN,  # of soil_claim: covariance; steps so far, at the last sample
-) = range(21)  # fmt: skip
-HEADER = 21
-BLOCKS = 5  # of 2 * window columns each: slip, effort, variance of the slip, fitted slip, step
+# The state of the soil estimator for one vehicle, beside its window.
+ROW = np.dtype([(name, float) for name in (
+    "log_f", "log_k", "anchor_f", "anchor_k", "j_ff", "j_fk", "j_kk", "filled", "next", "outliers",
+    "skipped", "changes", "waiting", "iterations", "converged", "misfits",
+    "p_ff", "p_fk", "p_kk",  # covariance that is claimed
+    "clock", "taken",  # control steps so far, and at the last sample
+)])  # fmt: skip
+SLIP, EFFORT, VARIANCE, STAR, CLOCK = range(5)  # rows of a window; STAR: fitted slip
+BLOCKS = 5
 ROWS = 6  # of the scratch: F, i F', e, 1 / R, next i*, d i*/dF
 
 
@@ -138,7 +141,7 @@ def sample_slips(left, right, log_f, log_k, model):
 @formula
 def _evaluate(window, star, scratch, n, log_f, log_k, model):
     """Residuals of n samples into `scratch` (ROWS, >= n), at the fitted slips `star`."""
-    slip, effort, variance = window[0], window[1], window[2]
+    slip, effort, variance = window[SLIP], window[EFFORT], window[VARIANCE]
     maximum = math.exp(log_f)
     shear_length = model.contact_length * math.exp(-log_k)
     for k in range(n):
@@ -218,13 +221,13 @@ def _prior_cost(log_f, log_k, anchor_f, anchor_k, model):
 def fit(window, n, scratch, start, anchor, model):
     """Fit the first n samples of one vehicle, from `start` with prior mean `anchor`.
 
-    window (BLOCKS, samples), its last row the fitted slips, updated; scratch (2 ROWS + 1, samples);
+    window (BLOCKS, samples), whose fitted slips are updated; scratch (2 ROWS + 1, samples);
     start, anchor: (ln F_max, ln K). The first FREE_STEPS of `total` are full steps within the
     bounds: far from the solution its cost, linear around slips that are not yet fitted, is too
     low to compare with. Returns (ln F_max, ln K, Normal, iterations, converged); the first ROWS of
     scratch are those of the last accepted step.
     """
-    effort, star = window[1], window[3]
+    effort, star = window[EFFORT], window[STAR]
     here, there, moved = scratch[:ROWS], scratch[ROWS : 2 * ROWS], scratch[2 * ROWS]
     log_f, log_k = start
     anchor_f, anchor_k = anchor
@@ -284,20 +287,20 @@ def eigen(ff, fk, kk):
 
 
 @formula
-def effort_limit(memory, i, contact_length):
-    """F(i = 1) [N] of one track of vehicle i, and whether the data of the window determine it."""
-    u = contact_length * math.exp(-memory[i, LOG_K])
+def effort_limit(row, contact_length):
+    """F(i = 1) [N] of one track, and whether the data of the window determine it."""
+    u = contact_length * math.exp(-row.log_k)
     share = mobilised_shear(u)
     twist = -u * mobilised_shear_slope(u) / share
-    a, b, c = memory[i, J_FF], memory[i, J_FK], memory[i, J_KK]
+    a, b, c = row.j_ff, row.j_fk, row.j_kk
     determinant = a * c - b * b
     numerator = c - 2.0 * b * twist + a * twist * twist
-    limit = math.exp(memory[i, LOG_F]) * share
+    limit = math.exp(row.log_f) * share
     return limit, determinant > 1e-12 * a * c and numerator * TRUSTED <= determinant
 
 
 @loop
-def limits(memory, contact_length, limit, trusted):
+def limits(rows, contact_length, limit, trusted):
     """`effort_limit` of every vehicle, (N,) each."""
-    for i in range(memory.shape[0]):
-        limit[i], trusted[i] = effort_limit(memory, i, contact_length)
+    for i in range(rows.shape[0]):
+        limit[i], trusted[i] = effort_limit(rows[i], contact_length)

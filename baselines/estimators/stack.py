@@ -1,4 +1,4 @@
-"""All estimators together: from observations to what is known of vehicle and soil.
+"""All estimators together: from observations to the parameters of vehicle and soil.
 
     observation -> reader -> measurement -> slip observer (UKF)        pose, velocities, slips
                                          -> steady side slip           1/m         (with m mu_t)
@@ -8,24 +8,15 @@
                                          -> actuators (gains, lag), and those that are
                                             registered, where they are asked for
 The regressions get the filtered velocities: they need no more of them than signs. Names and
-features follow from what each estimator declares (`estimate.Estimator`); those of a registered one
+features follow from what each estimator declares (`measurement.Estimator`); those of a registered one
 come after all others, so that the columns of an agent trained without it stay where they are.
 
+An estimator answers with bare arrays; an `Estimate` is made of them when it is read. A policy that
+needs two numbers of each answer does not pay for the rest.
+
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.
-
-What is known after a control step, and how an agent is shown it.
-
-An estimator answers with bare arrays; an `Estimate` is made of them when it is read. A policy
-that needs two numbers of each answer does not pay for the rest.
-
-What passes between the estimators of the stack, as kernels: times and bad input.
-
-The time of the slip filter is that of the drive samples, which move it. Where the pose is late
-too, what it knows is that old, and `advance` brings it to the present; where the pose is newer
-than the drive, the filter has already been pulled there.
 """
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Literal
@@ -33,37 +24,35 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.estimators import late_pose
 from baselines.estimators.actuators import COMMANDS, ActuatorEstimator
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import (
-    COLUMN,
     NEEDS,
-    POSE,
-    AnsweringEstimator,
+    BatchEstimator,
     DataSheet,
     Estimate,
     Estimator,
-    ObservationReader,
+    Measurement,
     Pair,
     Quantity,
     Reading,
     Setting,
     Status,
     WiderMeasurement,
-    attitude_of,
+    arrays_of,
+)
+from baselines.estimators.motion_filter import (
+    MotionFilter,
+    check_finite,
+    put_velocity,
+    restore_arrays,
 )
 from baselines.estimators.sideslip import SideslipRow
 from baselines.estimators.slip_observer import Motion, SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
 from tracked_env import observation as layout
-from tracked_env.observation import INDEX, SIZE
-from tracked_env.physics.elementary import rotation
-from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
-from tracked_env.physics.rigid_body import heading_rate, incline_of, on_map
-from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.sensors import CHANNELS
 
 ESTIMATORS = ("longitudinal", "turning", "slip", "soil")  # of every stack
@@ -223,68 +212,6 @@ def features(
     return out
 
 
-_AFTER_SENSORS = INDEX["reference_speed"]  # from here on: reference, action, ages
-_V_X, _A_X, _BEND = COLUMN["v_x"], COLUMN["acceleration_x"], COLUMN["yaw_acceleration"]
-
-
-@loop
-def inspect(observation, start):
-    """(row, column, starts): the first reference, action or age of observation (N, >= SIZE) that
-    is not finite, or (-1, -1), and whether any row of start (N,) is marked. Sensors may be NaN:
-    those samples are skipped."""
-    starts = False
-    for i in range(observation.shape[0]):
-        starts = starts or start[i]
-        for column in range(_AFTER_SENSORS, SIZE):
-            if not math.isfinite(observation[i, column]):
-                return i, column, starts
-    return -1, -1, starts
-
-
-@loop
-def date(age, delay, behind):
-    """Ages (N, 3) [s] of the pose become those at the time of the filter.
-
-    delay (N,) [s] of the drive. behind (N,) [s] out: how old what the filter knows is.
-    """
-    for i in range(age.shape[0]):
-        behind[i] = min(age[i, POSE], delay[i])
-        age[i, POSE] -= behind[i]
-
-
-@loop
-def put_velocity(motion, values):
-    """The filtered v_x and v_y of motion (N, 6) in place of those of values (N, CHANNELS)."""
-    for i in range(motion.shape[0]):
-        values[i, _V_X], values[i, _V_X + 1] = motion[i, 3], motion[i, 4]
-
-
-@loop
-def advance(motion, behind, felt, attitude):
-    """Move a motion, (N, 6), that is `behind` (N,) [s], to the present, in place.
-
-    Acceleration and yaw acceleration, felt (N, CHANNELS) at that time, stay what they are; what the
-    accelerometer feels of gravity, by the attitude (N, 3), moves nothing.
-    """
-    for i in range(motion.shape[0]):
-        time = behind[i]
-        if time > 0.0:
-            yaw, v_x, v_y, yaw_rate = motion[i, 2], motion[i, 3], motion[i, 4], motion[i, 5]
-            incline = incline_of(attitude[i, 1], attitude[i, 0])
-            turn, carried = heading_rate(incline, attitude[i, 2])
-            forward = felt[i, _A_X] + GRAVITY * incline.down_x + yaw_rate * v_y
-            bend = felt[i, _BEND]
-            gain_x = forward * time if math.isfinite(forward) else 0.0
-            gain_w = bend * time if math.isfinite(bend) else 0.0
-            along, across = on_map(time * (v_x + 0.5 * gain_x), time * v_y, incline)
-            c, s = rotation(yaw + 0.5 * time * (turn * (yaw_rate + 0.25 * gain_w) + carried))
-            motion[i, 0] += c * along - s * across
-            motion[i, 1] += s * along + c * across
-            motion[i, 2] += time * (turn * (yaw_rate + 0.5 * gain_w) + carried)
-            motion[i, 3] += gain_x
-            motion[i, 5] += gain_w
-
-
 Memories = tuple[NDArray[np.float64], ...]
 Factory = Callable[[Setting], Estimator]
 
@@ -314,13 +241,17 @@ class IdentificationStack:
 
     parameters: nominal ones; the start of every estimate. control_period [s]: between two
     observations. data_sheet: noise of the sensors (default: `rtk`). lateral: lateral model of the
-    nominal model. regression: "coupled" (default), "paper" or "printed" least squares, see
-    two_parameters. slip: "batched" or "filterpy", the same filter, slower, one vehicle after the
+    nominal model. slip: "batched" or "filterpy", the same filter, slower, one vehicle after the
     other. further: registered estimators that run after the others, in this order. attitude: True
     where roll, pitch and rate of pitch are observed; else the ground counts as level.
     Raises ValueError for arguments that make no sense, and for an estimator that needs what
     neither a sensor nor an estimator before it gives.
     """
+
+    # Other regressions, and whether the equation of the side slip goes with them.
+    longitudinal_kind: type[LongitudinalEstimator] = LongitudinalEstimator
+    turning_kind: type[TurningEstimator] = TurningEstimator
+    uses_sideslip = True
 
     def __init__(
         self,
@@ -329,7 +260,6 @@ class IdentificationStack:
         data_sheet: DataSheet | None = None,
         count: int = 1,
         lateral: str = "sliding",
-        regression: str = "coupled",
         slip: Literal["batched", "filterpy"] = "batched",
         further: Sequence[str] = (),
         attitude: bool = False,
@@ -340,18 +270,18 @@ class IdentificationStack:
         sheet = DataSheet() if data_sheet is None else data_sheet
         self.parameters, self.data_sheet = p, sheet
         self.control_period, self.lateral = float(control_period), lateral
-        self.reader = ObservationReader(control_period, count, sheet.pose_delay)
-        setting = Setting(
-            p, self.control_period, sheet, int(count), lateral, regression, bool(attitude)
-        )  # fmt: skip
-        slip_observer = SlipObserver
+        observer = SlipObserver
         if slip == "filterpy":
             from baselines.estimators.slip_filterpy import FilterpySlipObserver
 
-            slip_observer = FilterpySlipObserver
-        self.longitudinal = LongitudinalEstimator.for_stack(setting)
-        self.turning = TurningEstimator.for_stack(setting)
-        self.slip = slip_observer.for_stack(setting)
+            observer = FilterpySlipObserver
+        self._filter = MotionFilter(p, control_period, sheet, count, lateral, attitude, observer)
+        self.reader, self.slip = self._filter.reader, self._filter.slip
+        setting = Setting(
+            p, self.control_period, sheet, int(count), lateral, bool(attitude)
+        )
+        self.longitudinal = self.longitudinal_kind.for_stack(setting)
+        self.turning = self.turning_kind.for_stack(setting)
         self.soil = SoilEstimator.for_stack(setting)
         own: tuple[Estimator, ...] = (self.longitudinal, self.turning, self.slip, self.soil)
         self.parts: dict[str, Estimator] = dict(zip(ESTIMATORS, own, strict=True))
@@ -362,8 +292,8 @@ class IdentificationStack:
                     f"{sorted(REGISTERED)}"
                 )
             self.parts[name] = REGISTERED[name](setting)
-        own_law = regression == "coupled" and lateral == "sliding"
-        self._sideslip = SideslipRow(setting) if own_law else None
+        sliding = self.uses_sideslip and lateral == "sliding"
+        self._sideslip = SideslipRow(setting) if sliding else None
         # The filter comes first: its velocities are what the regressions see.
         self._after = [(name, part) for name, part in self.parts.items() if name != "slip"]
         self._of_commands = {
@@ -380,29 +310,28 @@ class IdentificationStack:
         self._from = [(name, places[name], scales[name]) for name in self._added]
         self._shape = (self.reader.memory.shape[0], layout.SIZE + len(behind))
         self._none = np.zeros(self._shape[0], dtype=bool)
-        self._behind = np.empty(self._shape[0])
         apart = () if self._sideslip is None else (self._sideslip,)
-        self._remembering: tuple[Any, ...] = (self.reader, *self.parts.values(), *apart)
+        self._parts_with_state: tuple[Any, ...] = (self.reader, *self.parts.values(), *apart)
 
     def _check_needs(self, order: Sequence[str]) -> None:
         """Raise ValueError unless all that an estimator needs is there when it runs."""
         shown = {field.name for group in layout.GROUPS.values() for field in group.fields}
         registered = shown - set(layout.NAMES)
         beside = registered | set(COMMANDS)
-        given = set(CHANNELS) | beside
+        available = set(CHANNELS) | beside
         for name in order:
             part = self.parts[name]
             own = {quantity.name for quantity in part.provides}
-            if lacking := sorted(set(part.needs) - given):
+            if lacking := sorted(set(part.needs) - available):
                 raise ValueError(
                     f"estimator {name!r} needs {lacking}; that is no sensor channel, no command, "
                     "no registered field of the observation, and no estimator before it provides "
-                    f"it. Given are {sorted(given)}"
+                    f"it. Given are {sorted(available)}"
                 )
             self._added += [need for need in part.needs if need in beside - {*self._added}]
-            if twice := sorted(own & given):
+            if twice := sorted(own & available):
                 raise ValueError(f"estimator {name!r} provides {twice}, which is known already")
-            given |= own
+            available |= own
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -425,30 +354,24 @@ class IdentificationStack:
         """Number of vehicles."""
         return len(self.reader.memory)
 
+    def _arrays(self) -> list[NDArray[np.float64]]:
+        """The whole state."""
+        return [array for part in self._parts_with_state for array in arrays_of(part)]
+
     def memories(self) -> Memories:
-        """A copy of everything that is remembered; `restore` puts it back."""
-        return tuple(part.memory.copy() for part in self._remembering)
+        """A copy of the whole state; `restore` puts it back."""
+        return tuple(array.copy() for array in self._arrays())
 
     def restore(self, memories: Memories, rows: NDArray[np.bool_] | None = None) -> None:
         """Go on from what `memories` returned, in the rows marked (N,) or in all.
 
         Raises ValueError for the state of another stack.
         """
-        for part, memory in zip(self._remembering, memories, strict=True):
-            if len(memory) != self.count:
-                raise ValueError(f"state of {len(memory)} vehicles; must be of {self.count}")
-            if memory.shape != part.memory.shape:
-                raise ValueError(
-                    f"state with {memory.shape[1]} columns; must have {part.memory.shape[1]}. "
-                    "Is it of a stack with another control period?"
-                )
-        for part, memory in zip(self._remembering, memories, strict=True):
-            where = slice(None) if rows is None else rows
-            part.memory[where] = memory[where]
+        restore_arrays(self._arrays(), memories, rows)
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
-        for part in self._remembering:
+        for part in self._parts_with_state:
             part.reset(rows)
 
     def update(
@@ -458,72 +381,64 @@ class IdentificationStack:
 
         observation: (N, SIZE), then a column for each registered field of `needs`, as
         `observation.View` gives it. NaN of a sensor is skipped. Raises ValueError for a wrong
-        shape, and for a reference, action or age that is not finite; then nothing has been
-        remembered.
+        shape, and for a reference, action or age that is not finite; the state is then unchanged.
         """
         start = self._none if start is None else start
         if self._check(observation, start):
             self.reset(start)
-        reading = self.reader.take(observation, start)
-        moment = late_pose.moment_of(self.reader, reading)
-        latest, paired, present = moment.samples, moment.paired, reading.paired
-        if self._added:
-            added = self._samples(observation)
-            latest, paired, present = (
-                WiderMeasurement.of(one, added) for one in (latest, paired, present)
-            )
+        reading, moment = self._filter.read(observation, start)
+        latest, paired, present = self._widened(
+            observation, moment.samples, moment.paired, reading.paired
+        )
         if self._sideslip is not None:
             self._sideslip.compute(latest, self.longitudinal, self.turning)
-        date(latest.age, moment.drive_delay, self._behind)
+        motion, answer = self._filter.filter(latest, paired, moment)
         estimates = Estimates()
-        answer = late_pose.filtered(self.slip, latest, moment.held)
         estimates.add("slip", answer, self.slip.estimate)
-        motion = self.slip.motion_rows()
-        put_velocity(motion, paired.values)
-        advance(motion, self._behind, paired.values, attitude_of(latest))
-        late_pose.to_present(motion, self.reader, self.slip, moment, attitude_of(latest))
         if self.reader.lag > 0:
             put_velocity(motion, present.values)
-            now = late_pose.estimate_now(
-                self.slip, answer, motion, reading.latest.values, moment.steps
-            )  # fmt: skip
-            estimates.show("slip", now)
+            values = reading.latest.values
+            estimates.show("slip", self._filter.estimate_now(answer, motion, moment, values))
         for name, part in self._after:
             part.take_over(self.parts, estimates)
             measurement = paired if part.paired else latest
             if name in self._of_commands:  # they are those of now
                 measurement = present
-            if isinstance(part, AnsweringEstimator):
+            if isinstance(part, BatchEstimator):
                 estimates.add(name, part.compute(measurement), part.estimate)
             else:
                 estimates.add_made(name, part.update(measurement))
         soil = estimates.answers["soil"][0]
         # In an outage the filter itself allows for a soil that changes.
-        self.slip.take_ground(soil, self.soil.fitted, estimates.answers["turning"][:, 1].copy())
-        return Identification(reading, motion, estimates, self.quantities, self.soil.limit_known)
+        friction = estimates.answers["turning"]["value_2"].copy()
+        self.slip.take_ground(soil, self.soil.fitted, friction)
+        determined = self.soil.limit_determined
+        return Identification(reading, motion, estimates, self.quantities, determined)
 
     def compile_kernels(self) -> None:
-        """Compile what `update` calls, the last estimators first; what is known then is no matter.
+        """Compile what `update` calls, the last estimators first; the state is then meaningless.
 
         A process that does this beside one that drives meets it half way.
         """
         nothing = np.zeros(self._shape, dtype=np.float32)
-        reading = self.reader.take(nothing, ~self._none)
-        latest, paired = reading.latest, reading.paired
-        if self._added:
-            added = self._samples(nothing)
-            latest, paired = (WiderMeasurement.of(one, added) for one in (latest, paired))
+        reading = self.reader.take(nothing)
+        latest, paired = self._widened(nothing, reading.latest, reading.paired)
         for _, part in reversed(self._after):
             measurement = paired if part.paired else latest
-            compute = part.compute if isinstance(part, AnsweringEstimator) else part.update
+            compute = part.compute if isinstance(part, BatchEstimator) else part.update
             compute(measurement)
 
-    def _samples(self, observation: NDArray[np.float32]) -> Mapping[str, NDArray[np.float64]]:
-        """The fields besides sensors by name, (N,) SI."""
-        return {
+    def _widened(
+        self, observation: NDArray[np.float32], *measurements: Measurement
+    ) -> list[Measurement]:
+        """The measurements with the fields besides sensors, (N,) SI by name, if there are any."""
+        if not self._added:
+            return list(measurements)
+        added = {
             name: observation[:, column].astype(np.float64) * scale
             for name, column, scale in self._from
         }
+        return [WiderMeasurement.of(measurement, added) for measurement in measurements]
 
     def _check(self, observation: NDArray[np.float32], start: NDArray[np.bool_]) -> bool:
         """Whether any row starts. Raises ValueError for what `update` cannot take."""
@@ -534,13 +449,7 @@ class IdentificationStack:
                 f"observation has shape {observation.shape}; must be {self._shape}{behind}. "
                 "Is the stack made for another count?"
             )
-        row, column, starts = inspect(observation, start)
-        if row >= 0:
-            raise ValueError(
-                f"observation[{row}]: {layout.NAMES[column]} = {observation[row, column]}; must be "
-                "finite. Only sensors may be NaN. Did a wrapper divide by zero?"
-            )
-        return bool(starts)
+        return check_finite(observation, start)
 
 
 __all__ = [

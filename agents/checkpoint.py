@@ -48,7 +48,6 @@ from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from agents.state_file import read_state, write_state
 from agents.vector_envs import AgentVectorEnv, JoinedVecEnv, TruthfulVectorEnv
 from tracked_env import arrays as b
-from tracked_env.engine.simulation import Simulation
 from tracked_env.events import KINDS
 from tracked_env.physics.parameters import PARAMETER_ROWS
 from tracked_env.sb3 import TrackedVehicleVecEnv
@@ -282,20 +281,6 @@ def _named(holder: Any, names: tuple[str, ...]) -> dict[str, Any]:
     return {name: getattr(holder, name) for name in names}
 
 
-def _of_simulation(simulation: Simulation) -> dict[str, Any]:
-    """What a simulation remembers, as plain data."""
-    state = simulation.snapshot()
-    composer = state["composer"]
-    return {**state, "composer": None if composer is None else composer.snapshot()}
-
-
-def _resume_simulation(simulation: Simulation, state: dict[str, Any]) -> None:
-    composer = simulation.composer
-    if composer is not None:
-        composer.resume(state["composer"])
-    simulation.resume({**state, "composer": composer})
-
-
 def capture_environment(env: VecEnv | None) -> list[Any]:
     """What each layer remembers, None where it is nothing; in the order of `layers`."""
     states: list[Any] = []
@@ -312,7 +297,7 @@ def capture_environment(env: VecEnv | None) -> list[Any]:
         elif isinstance(layer, TruthfulVectorEnv):
             states.append((layer.augmentation.present, layer.augmentation.last))
         elif isinstance(layer, TrackedVehicleVecEnv):
-            states.append(_of_simulation(layer.env.unwrapped.simulation))
+            states.append(layer.env.unwrapped.simulation.snapshot())
         else:
             states.append(None)
     return states
@@ -348,7 +333,7 @@ def _put_back(env: VecEnv | None, states: list[Any]) -> None:
         elif isinstance(layer, TruthfulVectorEnv):
             layer.augmentation.present, layer.augmentation.last = state
         elif isinstance(layer, TrackedVehicleVecEnv):
-            _resume_simulation(layer.env.unwrapped.simulation, state)
+            layer.env.unwrapped.simulation.resume(state)
 
 
 _MODEL = (  # attributes of a model that change while it learns

@@ -35,7 +35,6 @@ import numpy as np
 
 from benchmarks import speed_against, speed_rows
 from tracked_env import TORQUE_ID as TORQUE
-from tracked_env.arrays import bytes_per_vehicle
 from tracked_env.benchmark.files import replace_block
 
 PASSES = 7
@@ -163,7 +162,7 @@ def markdown(rows: list[Row], begun: tuple[float, float] | None) -> str:
             f"| {ratio:.2f} | {row.peer} | {ends} |"
         )
     env: Any = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
-    memory = bytes_per_vehicle(env.simulation.batch) / 1024
+    memory = sum(array.nbytes for array in env.simulation.batch) // env.num_envs / 1024
     first_step = learner = ""
     if begun:
         first_step = (

@@ -26,7 +26,7 @@ SECTIONS = (
     Section("environments", "Environments", "The single and the vector environment, their rewards "
             "and the changes inside an episode.",
             ("tracked_env", "tracked_env.env", "tracked_env.vector_env", "tracked_env.step",
-             "tracked_env.events", "tracked_env.engine.noise", "tracked_env.validation")),
+             "tracked_env.events", "tracked_env.streams", "tracked_env.validation")),
     Section("wrappers", "Wrappers and observations", "What an agent sees: groups of fields, "
             "sensors with their errors, and what an observer appends.",
             ("tracked_env.wrappers", "tracked_env.observation", "tracked_env.observation",

@@ -14,7 +14,7 @@ import gymnasium
 from docs.api_pages import write_changed
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import RANGES
-from tracked_env.plants import PLANTS
+from tracked_env.plants import find
 
 IDS = {
     "torque_v0": "tracked_env/Torque-v0",
@@ -114,7 +114,7 @@ def _arguments(text: str, given: dict[str, Any]) -> str:
 
 def _options(given: dict[str, Any]) -> str:
     """Options of the plant of this id."""
-    plant = PLANTS[given.get("plant", "lumped")]
+    plant = find(given.get("plant", "lumped"))
     if not plant.options:
         return f"\n\nThe plant `{plant.name}` has no `plant_options`."
     listed = ", ".join(

@@ -62,7 +62,7 @@ from baselines.lyapunov.slippage_aware import (
 )
 from baselines.registry import POLICIES, Context
 from tracked_env import observation as layout
-from tracked_env.observation import NAMES, joined
+from tracked_env.observation import NAMES, append_features
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 Floats = NDArray[np.float32]
@@ -527,7 +527,7 @@ class Augmentation(Protocol):
 
 def seen(observation: Floats, features: Floats) -> Floats:
     """What the network sees: observation (N, SIZE) and features, 0 for what is not measured."""
-    return np.nan_to_num(joined(observation, features), copy=False)
+    return np.nan_to_num(append_features(observation, features), copy=False)
 
 
 def make_augmentation(

@@ -55,13 +55,9 @@ from baselines.linearizing.linearizing_policy import FeedbackLinearizingControll
 from baselines.lyapunov import lyapunov_laws
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
+from baselines.lyapunov.pose_filter import shows_attitude
 from baselines.lyapunov.replanning import ReplanningPolicy
-from baselines.lyapunov.slippage_aware import (
-    SlippageAwarePolicy,
-    UnicyclePolicy,
-    shows_attitude,
-    tuned_gains,
-)
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy, tuned_gains
 from baselines.predictive.predictive_control import (
     NominalPredictivePolicy,
     PredictiveOraclePolicy,
@@ -171,7 +167,7 @@ def _arguments(context: Context) -> dict[str, Any]:
     }
 
 
-@tunable(adaptive_policy.TUNABLE, INTEGRAL_GAINS)
+@tunable(adaptive_policy.INTEGRAL_TUNABLE, INTEGRAL_GAINS)
 def integral(context: Context, **settings: float) -> IntegralPolicy:
     """The controller with nominal parameters, the filter and integral action."""
     gains = INTEGRAL_GAINS._replace(**settings)

@@ -96,7 +96,7 @@ def driven(
     rows: list[tuple[Floats, ...]] = []
     for _ in range(env.simulation.settings.max_steps):
         action, state = policy.predict(observation, state)
-        known = policy.known
+        known = policy.identification
         told, status, excitation = known.estimates(), known.status(), known.excitation()
         rows.append((
             np.stack([told[p][0] for p in names], axis=1),

@@ -36,7 +36,7 @@ def episode(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         path = np.array([arrays.column(f"reference_{n}")[0] for n in ("x", "y")])
         missing = arrays.counters[0, b.STEP] < arrays.counters[0, b.OUTAGE_UNTIL]
         action, state = policy.predict(observation, state)
-        known = getattr(policy, "_policy", policy).known
+        known = getattr(policy, "_policy", policy).identification
         value, covariance = known.parts.answers["slip"][:2]
         error = value[0, :2] - known.reading.reference[0, :2] - (true - path)
         rows.append((np.hypot(*error), 3.0 * np.sqrt(np.trace(covariance[0, :2, :2])), missing))

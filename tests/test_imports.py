@@ -24,6 +24,7 @@ ALLOWED = {
         "tracked_env.validation",
         "baselines",
     ),
+    "baselines.identify": ("tracked_env", "baselines"),  # commands of the command line
     "agents": ("tracked_env", "baselines", "agents"),
     "reproduce": ("tracked_env", "baselines", "reproduce"),
     # train.py names itself, as the processes that train import it

@@ -17,6 +17,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.estimators import least_squares as ls
 from baselines.estimators import two_parameters as im
@@ -194,3 +195,18 @@ class LongitudinalEstimator(TwoParameterEstimator):
     def known(self) -> tuple[Any, ...]:
         """Constants of the equation."""
         return (self._known,)
+
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """(low, high) between which each parameter is sought, by name."""
+        p = self.prior
+        return {
+            "mass": (1.0 / p.high_1, 1.0 / p.low_1),
+            "longitudinal_resistance": (p.low_2, p.high_2),
+        }
+
+    def residual(self, values: NDArray[np.float64], mass: float, resistance: float) -> float:
+        """Residual of one vehicle's sample (1, 13) on level ground with these parameters, over its
+        standard deviation; NaN where the sample says nothing."""
+        sample, usable = equation(values, 0, self._known, 1.0)
+        error = sample.y - sample.phi_1 * (1.0 / mass) - sample.phi_2 * resistance
+        return error / math.sqrt(sample.variance) if usable else math.nan

@@ -482,6 +482,11 @@ class TwoParameterEstimator(AnsweringEstimator):
         """What the kernel needs besides the measurement."""
         return ()
 
+    def expect_constants(self) -> None:
+        """From now on nothing is forgotten, and no parameter is expected to change."""
+        self.table = self.table[:0]
+        self.prior = self.prior._replace(forgetting=1.0)
+
     def compute(self, measurement: Measurement) -> NDArray[np.float64]:
         """Take one sample; returns the bare answer (N, ANSWER), which is kept in `answer` too."""
         self.answer = out = np.empty((len(self.memory), ANSWER))

@@ -33,12 +33,8 @@ from baselines.lyapunov import lyapunov_laws as kinematics
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
 from baselines.lyapunov.lyapunov_laws import Array, Geometry
-from baselines.lyapunov.slippage_aware import (
-    NEEDS,
-    LyapunovState,
-    SlippageAwarePolicy,
-    shows_attitude,
-)
+from baselines.lyapunov.pose_filter import shows_attitude
+from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
 from baselines.predictive import stages
 from baselines.predictive.predictive_control import Work, checked_settings, make_work, shift
 from baselines.predictive.stages import PredictiveSettings, set_costs

@@ -13,9 +13,8 @@ from baselines.lyapunov.lyapunov_laws import (
     NoSlip,
     PoseError,
     PseudoKinematicModel,
-    Spiral,
 )
-from tests.baselines.lyapunov.lyapunov_function import pose_error
+from tests.baselines.lyapunov.lyapunov_function import Spiral, pose_error
 from tracked_env.physics.parameters import plant_parameters
 
 MAXXII = plant_parameters()._replace(

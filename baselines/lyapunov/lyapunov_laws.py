@@ -50,8 +50,9 @@ import math
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from baselines.slip.slip_models import Array, NoSlip, SlipModel
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
@@ -60,8 +61,6 @@ HALF_COSINE_FLOOR = 0.25  # [-] cos(eps / 2) there: 151 deg; the gain 1 / cos st
 MAXIMUM_SLIP_ANGLE = 1.0  # [rad] |alpha| is bounded here: cos(alpha) stays away from 0
 SLOW = 0.05  # [m/s] below this speed alpha fades out: at standstill it has no sign and no use
 DRIFT_TIME = 1.0  # [s] over which an error of dead reckoning keeps its sign
-
-Array = NDArray[np.float64]
 
 
 class LyapunovGains(NamedTuple):
@@ -221,28 +220,12 @@ def lyapunov_value(error, reference_slip, gains):
     return gains.k_y * square / (1.0 + share) + 1.0 - cosine
 
 
-class SlipModel(Protocol):
-    """Steady slip of a vehicle as a function of its sprocket speeds."""
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-
-
 @runtime_checkable
 class SlopeAwareSlipModel(Protocol):
     """The same on any slope."""
 
     def on(self, grade: Array) -> SlipModel:
         """The slip model of vehicles that feel grades (N, 2), see `slip.slope_models`."""
-
-
-class NoSlip:
-    """The slip model of a unicycle: none."""
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """Three arrays of zeros, (N,)."""
-        none = np.zeros(np.shape(sprocket_left))
-        return none, none.copy(), none.copy()
 
 
 class Geometry(NamedTuple):

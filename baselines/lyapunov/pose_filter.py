@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from baselines.estimators import pose_outages as inertial
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov.lyapunov_laws import Array, steady_gain
+from baselines.lyapunov.lyapunov_laws import steady_gain
+from baselines.slip.slip_models import Array
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import wrap_angle
 from tracked_env.physics.jit import formula, loop

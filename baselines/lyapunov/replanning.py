@@ -45,12 +45,12 @@ from baselines.batch_policy import BatchPolicy
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, AdaptiveSlipState
-from baselines.lyapunov.lyapunov_laws import LyapunovGains, NoSlip
+from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pose_filter import PATH, POSE
 from baselines.lyapunov.slippage_aware import NEEDS, SlippageAwarePolicy
 from baselines.planners.optimal import optimal
 from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits, hand_over
-from baselines.slip.slip_models import Array, FrictionSlipModel
+from baselines.slip.slip_models import Array, FrictionSlipModel, NoSlip
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import loop

@@ -32,14 +32,7 @@ from numpy.typing import NDArray
 from baselines.batch_policy import BatchPolicy
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov.lyapunov_laws import (
-    Array,
-    Geometry,
-    LyapunovGains,
-    NoSlip,
-    SlipModel,
-    SlopeAwareSlipModel,
-)
+from baselines.lyapunov.lyapunov_laws import Geometry, LyapunovGains, SlopeAwareSlipModel
 from baselines.lyapunov.pose_filter import (
     ATTITUDE,
     GYRO,
@@ -53,7 +46,7 @@ from baselines.lyapunov.pose_filter import (
     locate,
     shows_attitude,
 )
-from baselines.slip.slip_models import grades
+from baselines.slip.slip_models import Array, NoSlip, SlipModel, grades
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, checked_number

@@ -38,7 +38,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from baselines.lyapunov.lyapunov_laws import NoSlip, PseudoKinematicModel
+from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.planners import speed_along_path
 from baselines.planners.curves import Path, clothoid
@@ -49,7 +49,7 @@ from baselines.planners.planning_problem import Bounds, Task, make_work
 from baselines.planners.slip_surface import surface_of
 from baselines.planners.speed_along_path import driven
 from baselines.planners.trajectory import Limits, Trajectory, hand_over
-from baselines.slip.slip_models import ExponentialSlipModel, SlipModel
+from baselines.slip.slip_models import ExponentialSlipModel, NoSlip, SlipModel
 from baselines.slip.slip_regression import fit_exponential
 from baselines.slip.slip_sweep import identified_slip, sweep
 from reproduce.focchi2025.control import follow, patches

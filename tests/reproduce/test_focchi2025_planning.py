@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.lyapunov.lyapunov_laws import NoSlip
+from baselines.slip.slip_models import NoSlip
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import planning
 from reproduce.focchi2025.claims import SLC_SLP, UC_DP, UC_SLP, near

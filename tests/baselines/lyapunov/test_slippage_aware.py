@@ -7,8 +7,9 @@ import pytest
 
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws
-from baselines.lyapunov.lyapunov_laws import LyapunovGains, NoSlip, PseudoKinematicModel
+from baselines.lyapunov.lyapunov_laws import LyapunovGains, PseudoKinematicModel
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.slip.slip_models import NoSlip
 from tests.baselines.lyapunov.lyapunov_function import Spiral, pose_error
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import plant_parameters

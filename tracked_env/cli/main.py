@@ -25,11 +25,11 @@ COMMANDS = {
     "envs": ("tracked_env.cli.listing", "list the environments and their evaluation sets"),
     "render": (
         "tracked_env.cli.render_command",
-        "write a GIF, MP4 or PNG of policies on an evaluation set",
+        "write a GIF, MP4 or PNG of a policy on an evaluation set",
     ),
     "drive": (
         "tracked_env.cli.drive_command",
-        "drive by keyboard or gamepad, with an observer's estimates beside",
+        "drive by keyboard, with an observer's estimates beside",
     ),
     "plan": (
         "tracked_env.cli.plan_command",

@@ -178,7 +178,9 @@ def draw(file: Path, plan: Any, points: NDArray[Any], circles: Sequence[Any]) ->
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
         figure = Figure(figsize=(11.0, 6.6), dpi=DPI)
         margins = {"left": 0.06, "right": 0.99, "top": 0.93, "bottom": 0.08}
-        grid = figure.add_gridspec(5, 2, (1.15, 1.0), hspace=0.22, wspace=0.17, **margins)
+        grid = figure.add_gridspec(
+            5, 2, width_ratios=(1.15, 1.0), hspace=0.22, wspace=0.17, **margins
+        )
         _draw_path(figure.add_subplot(grid[:, 0]), plan, points, circles)
         first = figure.add_subplot(grid[0, 1])
         others = [figure.add_subplot(grid[i, 1], sharex=first) for i in range(1, 5)]

@@ -165,7 +165,7 @@ def test_an_allowed_import_is_not_reported(file: str, line: str, tmp_path: Path)
 
 
 def test_importing_the_package_loads_no_heavy_optional_dependency(repository: Path) -> None:
-    heavy = ("torch", "stable_baselines3", "matplotlib", "pygame", "moviepy", "tyro")
+    heavy = ("torch", "stable_baselines3", "matplotlib", "pygame", "moviepy")
     code = f"import sys, tracked_env; print(*[m for m in {heavy} if m in sys.modules])"
     result = subprocess.run(
         [sys.executable, "-c", code], cwd=repository, capture_output=True, text=True, check=True

@@ -6,9 +6,9 @@ is in it, and each track has its own resistance: `coupled`, exact in curves too.
 accelerometer feels dv_x/dt - w v_y - g sin(pitch), gravity with the opposite sign, and m times that
 is what traction and resistance add up to. So gravity stays in a_x, where it excites the mass; the
 normal load alone changes, g cos(pitch) cos(roll) for g. S 7.1.2 assumes
-longitudinal motion: `paper` and `printed` take dv_x/dt for a_x and s_L = s_R = sign(v_x).
+longitudinal motion: its regression takes dv_x/dt for a_x and s_L = s_R = sign(v_x).
 Variance of the equation: accelerometer and torque sensors. Tracks slower than SLOWEST are left
-out: there s is not yet +-1. `printed` leaves nothing out and weighs all samples alike.
+out: there s is not yet +-1.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.2, its suggestion in 8.3.1.
 """
@@ -24,14 +24,12 @@ from baselines.estimators import two_parameters as im
 from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, DataSheet, Quantity, Setting
 from baselines.estimators.two_parameters import (
     HOLDING,
-    PLAIN,
     REJECTED,
     SLOWEST,
     TORQUE_MARGIN,
     TwoParameterEstimator,
     answer,
-    as_printed,
-    chosen_forgetting,
+    checked_forgetting,
     take,
 )
 from tracked_env.physics import terramechanics as soil
@@ -128,8 +126,7 @@ def update_all(z, fresh, attitude, memory, prior, table, known, out):
 class LongitudinalEstimator(TwoParameterEstimator):
     """Estimates [1/m, mu_l] of N vehicles; see the head of the file.
 
-    regression: "coupled" (default), "paper" or "printed", see two_parameters. forgetting: factor
-    per sample; None takes the default of the regression, 0.998 for "paper" and "printed".
+    forgetting: factor per sample.
     separated: whether the equation of the side slip, which tells load and soil apart, goes with it;
     without it a slow trend is taken for one of the soil.
     """
@@ -148,12 +145,11 @@ class LongitudinalEstimator(TwoParameterEstimator):
         control_period: float = 0.02,
         data_sheet: DataSheet | None = None,
         count: int = 1,
-        regression: str = "coupled",
-        forgetting: float | None = None,
+        forgetting: float = FORGETTING,
         separated: bool = True,
     ) -> None:
         control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        forgetting = chosen_forgetting(regression, forgetting, FORGETTING)
+        forgetting = checked_forgetting("forgetting", forgetting)
         nominal = 1.0 / parameters.mass
         bounds = RANGES["longitudinal_resistance"]
         prior = ls.Prior(
@@ -162,12 +158,10 @@ class LongitudinalEstimator(TwoParameterEstimator):
             nominal / MASS_FACTOR, bounds.low, nominal * MASS_FACTOR, bounds.high,
             forgetting,
         )  # fmt: skip
-        printed = regression == "printed"
-        coupled = regression == "coupled"
         walks = WALKS if separated else {**WALKS, im.ALARMED: OF_THE_SOIL}
         super().__init__(
-            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior,
-            im.table(walks, TREND_GATE, RESISTANCE_SIGMA, control_period) if coupled else PLAIN,
+            parameters, control_period, data_sheet, count, prior,
+            im.table(walks, TREND_GATE, RESISTANCE_SIGMA, control_period),
         )  # fmt: skip
         sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius
@@ -175,11 +169,11 @@ class LongitudinalEstimator(TwoParameterEstimator):
             1.0 / p.sprocket_radius,
             0.5 * p.track_gauge,
             nominal,
-            1.0 if printed else sheet.acceleration_noise**2 + MODEL_NOISE**2,
-            0.0 if printed else 2.0 * effort * effort,
-            math.inf if printed else TORQUE_MARGIN * p.torque_limit,
-            -1.0 if printed else SLOWEST,
-            coupled,
+            sheet.acceleration_noise**2 + MODEL_NOISE**2,
+            2.0 * effort * effort,
+            TORQUE_MARGIN * p.torque_limit,
+            SLOWEST,
+            True,
         )
 
     @classmethod
@@ -187,7 +181,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
         """As a part of the identification stack."""
         s = setting
         part = cls(
-            s.parameters, s.control_period, s.data_sheet, s.count, s.regression,
+            s.parameters, s.control_period, s.data_sheet, s.count,
             separated=s.lateral == "sliding",
         )  # fmt: skip
         return part.on_slopes() if s.attitude else part

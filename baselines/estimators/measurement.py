@@ -228,7 +228,6 @@ class Setting:
     data_sheet: DataSheet  # noise of the sensors
     count: int  # vehicles
     lateral: str = "sliding"  # lateral model of the nominal model
-    regression: str = "coupled"
     attitude: bool = False  # whether roll, pitch and pitch rate are measured; else level ground
 
 

@@ -314,13 +314,17 @@ class IdentificationStack:
 
     parameters: nominal ones; the start of every estimate. control_period [s]: between two
     observations. data_sheet: noise of the sensors (default: `rtk`). lateral: lateral model of the
-    nominal model. regression: "coupled" (default), "paper" or "printed" least squares, see
-    two_parameters. slip: "batched" or "filterpy", the same filter, slower, one vehicle after the
+    nominal model. slip: "batched" or "filterpy", the same filter, slower, one vehicle after the
     other. further: registered estimators that run after the others, in this order. attitude: True
     where roll, pitch and rate of pitch are observed; else the ground counts as level.
     Raises ValueError for arguments that make no sense, and for an estimator that needs what
     neither a sensor nor an estimator before it gives.
     """
+
+    # Other regressions, and whether the equation of the side slip goes with them.
+    longitudinal_kind: type[LongitudinalEstimator] = LongitudinalEstimator
+    turning_kind: type[TurningEstimator] = TurningEstimator
+    uses_sideslip = True
 
     def __init__(
         self,
@@ -329,7 +333,6 @@ class IdentificationStack:
         data_sheet: DataSheet | None = None,
         count: int = 1,
         lateral: str = "sliding",
-        regression: str = "coupled",
         slip: Literal["batched", "filterpy"] = "batched",
         further: Sequence[str] = (),
         attitude: bool = False,
@@ -342,15 +345,15 @@ class IdentificationStack:
         self.control_period, self.lateral = float(control_period), lateral
         self.reader = ObservationReader(control_period, count, sheet.pose_delay)
         setting = Setting(
-            p, self.control_period, sheet, int(count), lateral, regression, bool(attitude)
+            p, self.control_period, sheet, int(count), lateral, bool(attitude)
         )  # fmt: skip
         slip_observer = SlipObserver
         if slip == "filterpy":
             from baselines.estimators.slip_filterpy import FilterpySlipObserver
 
             slip_observer = FilterpySlipObserver
-        self.longitudinal = LongitudinalEstimator.for_stack(setting)
-        self.turning = TurningEstimator.for_stack(setting)
+        self.longitudinal = self.longitudinal_kind.for_stack(setting)
+        self.turning = self.turning_kind.for_stack(setting)
         self.slip = slip_observer.for_stack(setting)
         self.soil = SoilEstimator.for_stack(setting)
         own: tuple[Estimator, ...] = (self.longitudinal, self.turning, self.slip, self.soil)
@@ -362,8 +365,8 @@ class IdentificationStack:
                     f"{sorted(REGISTERED)}"
                 )
             self.parts[name] = REGISTERED[name](setting)
-        own_law = regression == "coupled" and lateral == "sliding"
-        self._sideslip = SideslipRow(setting) if own_law else None
+        sliding = self.uses_sideslip and lateral == "sliding"
+        self._sideslip = SideslipRow(setting) if sliding else None
         # The filter comes first: its velocities are what the regressions see.
         self._after = [(name, part) for name, part in self.parts.items() if name != "slip"]
         self._of_commands = {

@@ -46,7 +46,6 @@ from baselines.estimators.two_parameters import (
     P_11,
     P_12,
     P_22,
-    PLAIN,
     REJECTED,
     SLOWEST,
     TORQUE_MARGIN,
@@ -54,8 +53,7 @@ from baselines.estimators.two_parameters import (
     VALUE_2,
     TwoParameterEstimator,
     answer,
-    as_printed,
-    chosen_forgetting,
+    checked_forgetting,
     take,
 )
 from tracked_env.physics import terramechanics as soil
@@ -77,7 +75,6 @@ FRICTION_SIGMA = 0.4  # [-] of the nominal m mu_t
 INERTIA_FACTOR = 6.0  # [-] inertia is sought between nominal / factor and nominal * factor
 MODEL_NOISE = 20.0  # [N m] of the equation itself
 SHARE_TIME = 15.0  # [s] of turning over which the slip share is averaged
-SAME_WEIGHT = 1e6  # [N^2 m^2] variance of every sample, regression "printed": any number will do
 
 _V_X, _A_Y, _TORQUE = COLUMN["v_x"], COLUMN["acceleration_y"], COLUMN["torque_left"]
 _W, _SPROCKET = COLUMN["yaw_rate"], COLUMN["sprocket_speed_left"]
@@ -203,8 +200,7 @@ class TurningEstimator(TwoParameterEstimator):
 
     mass, mass_variance, resistance: arrays (N,) that the owner keeps up to date; they start
     at the nominal values with variance 0. lateral: lateral model, "sliding" or "constrained".
-    forgetting: factor per sample; None takes the default of the regression, 0.998 for "paper" and
-    "printed". "printed" has the constrained lateral model alone.
+    forgetting: factor per sample.
     """
 
     names = ("inertia", "lateral_resistance")
@@ -226,19 +222,12 @@ class TurningEstimator(TwoParameterEstimator):
         data_sheet: DataSheet | None = None,
         count: int = 1,
         lateral: str = "sliding",
-        regression: str = "coupled",
-        forgetting: float | None = None,
+        forgetting: float = FORGETTING,
     ) -> None:
         if lateral not in ("sliding", "constrained"):
             raise ValueError(f"lateral = {lateral!r}; must be 'sliding' or 'constrained'")
-        printed = regression == "printed"
-        if printed and lateral != "constrained":
-            raise ValueError(
-                f"regression = 'printed' with lateral = {lateral!r}; must be 'constrained': "
-                "S 7.1.2 knows no lateral motion but that of a fixed ICR"
-            )
         control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        forgetting = chosen_forgetting(regression, forgetting, FORGETTING)
+        forgetting = checked_forgetting("forgetting", forgetting)
         inertia = parameters.inertia
         friction = parameters.mass * parameters.lateral_resistance
         limit = RANGES["lateral_resistance"].high
@@ -249,9 +238,8 @@ class TurningEstimator(TwoParameterEstimator):
             forgetting,
         )  # fmt: skip
         super().__init__(
-            parameters, control_period, data_sheet, count, as_printed(prior) if printed else prior,
-            im.table(WALKS, TREND_GATE, FRICTION_SIGMA, control_period)
-            if regression == "coupled" else PLAIN,
+            parameters, control_period, data_sheet, count, prior,
+            im.table(WALKS, TREND_GATE, FRICTION_SIGMA, control_period),
         )  # fmt: skip
         sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius
@@ -261,18 +249,18 @@ class TurningEstimator(TwoParameterEstimator):
             p.contact_length,
             p.turning_resistance_factor,
             p.icr_forward,
-            SAME_WEIGHT if printed else 2.0 * (0.5 * p.track_gauge * effort) ** 2 + MODEL_NOISE**2,
-            0.0 if printed else sheet.yaw_acceleration_noise**2,
-            0.0 if printed else sheet.gyro_noise**2 + sheet.gyro_bias**2 + 1e-8,
+            2.0 * (0.5 * p.track_gauge * effort) ** 2 + MODEL_NOISE**2,
+            sheet.yaw_acceleration_noise**2,
+            sheet.gyro_noise**2 + sheet.gyro_bias**2 + 1e-8,
             sheet.acceleration_noise,
             soil.YAW_FRICTION_REGULARISATION
             if lateral == "constrained"
             else 2.0 * soil.LATERAL_FRICTION_REGULARISATION / p.contact_length,
-            -1.0 if printed else SLOWEST,
-            math.inf if printed else TORQUE_MARGIN * p.torque_limit,
+            SLOWEST,
+            TORQUE_MARGIN * p.torque_limit,
             lateral == "constrained",
-            -math.inf if printed else 0.0,
-            math.inf if printed else limit,
+            0.0,
+            limit,
             min(control_period / SHARE_TIME, 1.0),
         )
         self.mass = np.full(count, p.mass)
@@ -283,7 +271,7 @@ class TurningEstimator(TwoParameterEstimator):
     def for_stack(cls, setting: Setting) -> "TurningEstimator":
         """As a part of the identification stack."""
         s = setting
-        part = cls(s.parameters, s.control_period, s.data_sheet, s.count, s.lateral, s.regression)
+        part = cls(s.parameters, s.control_period, s.data_sheet, s.count, s.lateral)
         return part.on_slopes() if s.attitude else part
 
     def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:

@@ -2,13 +2,8 @@
 
 A regression turns a measurement into one equation per vehicle; least_squares takes it from
 there. A sample that cannot be used (stale, standstill) holds, one with NaN is counted.
-
-    coupled  this project's: interacting models of how the parameters change
-    paper    equations and forgetting factor of S, kept bounded: with the prior, the bounds, the
-             gates and the compensation of torque noise of least_squares. Not what S prints
-    printed  the same equations in the recursion that S 7.1.1 prints: no prior, bounds, gates or
-             compensation, all samples of one weight, in whose units its covariance is. Only yaw
-             rates below the regularisation of the friction stay out, where sign(w) is not +-1
+The parameters change by interacting models; with the table PLAIN there are none, as in the
+regressions that are printed in S (`reproduce`).
 
 Interacting models: least squares for two parameters that may rest, walk, or jump.
 
@@ -361,9 +356,6 @@ def step(memory, i, sample, prior, table):
     return status, nis
 
 
-PAPER_FORGETTING = 0.998  # [-] S 8.3.1
-REGRESSIONS = ("coupled", "paper", "printed")
-WIDE = 1e3  # [-] times the prior's standard deviations, regression "printed": no prior to speak of
 CONVERGING, HOLDING, REJECTED = 0, 1, 2  # of estimate.Status, as plain numbers for kernels
 TORQUE_MARGIN = 1.5  # [-] of the drives' limit: a larger torque is not one, and would weigh much
 SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing about it
@@ -372,7 +364,7 @@ SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing ab
     VALUE_1, VALUE_2, P_11, P_12, P_22, EXCITATION, CONDITION, STATUS, NIS, SKIPPED,
 ) = range(10)  # fmt: skip
 ANSWER = 10
-PLAIN = np.empty((0, 4))  # no table of models: regressions "paper" and "printed"
+PLAIN = np.empty((0, 4))  # no table of models
 
 
 @formula
@@ -411,25 +403,6 @@ def checked_forgetting(name: str, value: float) -> float:
             "kept per sample: 0.998 remembers about 500 samples. Did you pass 1 - lambda?"
         )
     return float(value)
-
-
-def chosen_forgetting(regression: str, forgetting: float | None, own: float) -> float:
-    """The forgetting factor: None takes `own`, or with regression "paper" or "printed" that of S.
-
-    Raises ValueError for an unknown regression and a forgetting factor that makes no sense.
-    """
-    if regression not in REGRESSIONS:
-        raise ValueError(f"regression = {regression!r}; must be one of {', '.join(REGRESSIONS)}")
-    default = own if regression == "coupled" else PAPER_FORGETTING
-    return checked_forgetting("forgetting", default if forgetting is None else forgetting)
-
-
-def as_printed(prior: ls.Prior) -> ls.Prior:
-    """The prior with which the kernel is the recursion of S 7.1.1: wide, and without bounds."""
-    return prior._replace(
-        sigma_1=WIDE * prior.sigma_1, sigma_2=WIDE * prior.sigma_2,
-        low_1=-math.inf, low_2=-math.inf, high_1=math.inf, high_2=math.inf,
-    )  # fmt: skip
 
 
 class TwoParameterEstimator(AnsweringEstimator):

@@ -164,7 +164,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
     sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller,
     TUNED_GAINS by default.
-    regression: "coupled", "paper" or "printed", slip: "batched" or "filterpy", see the stack.
+    slip: "batched" or "filterpy", see the stack.
     filtered: True gives the controller the filtered motion, False the measured one; None =
     True unless the data sheet has no noise at all.
     uses_soil: whether the estimated traction limits are used. S does not.
@@ -173,6 +173,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     controller or an estimator needs.
     """
 
+    stack_kind: type[IdentificationStack] = IdentificationStack
+
     def __init__(
         self,
         parameters: PlantParameters | None = None,
@@ -180,7 +182,6 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         data_sheet: DataSheet | None = None,
         lateral: str = "sliding",
         gains: Gains | None = None,
-        regression: str = "coupled",
         slip: str = "batched",
         filtered: bool | None = None,
         uses_soil: bool = True,
@@ -196,8 +197,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         # Without the commands that were sent nothing can be said of the drives.
         self._commanded = all(name in observation for name in COMMANDS)
         further = ("actuators",) if self._commanded else ()
-        self._options: dict[str, Any] = {"regression": regression, "slip": slip}
-        self._options |= {"attitude": sloped, "further": further}
+        self._options: dict[str, Any] = {"slip": slip, "attitude": sloped, "further": further}
         # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates; NaN
         # where the estimate is used all the same.
         self.given_parameters: NDArray[np.float64] | None = None
@@ -223,9 +223,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             self.controller.control_period,
             self.controller.lateral,
         )
-        self.stack = IdentificationStack(
-            p, period, self.data_sheet, count, lateral, **self._options
-        )
+        self.stack = self.stack_kind(p, period, self.data_sheet, count, lateral, **self._options)
         self._nominal = np.array(p, dtype=np.float64)
         self._base = float(p.track_width * p.contact_length)
         self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)

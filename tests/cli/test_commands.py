@@ -241,7 +241,6 @@ def test_every_command_has_a_help(
 
 
 def test_the_training_which_replaces_the_process_has_a_help(repository: Path) -> None:
-    pytest.importorskip("tyro", reason="train.py needs the extra `cli`")
     pytest.importorskip("torch", reason="train.py needs the extra `rl`")
     environment = {**os.environ, "PYTHONPATH": str(repository), "COLUMNS": "100"}
     done = subprocess.run(

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from baselines.lyapunov.lyapunov_laws import LyapunovGains, PoseError
 from reproduce.focchi2025 import load_models as loads
-from reproduce.focchi2025.runs import vehicle
+from reproduce.focchi2025.control import vehicle
 from tests.baselines.lyapunov.lyapunov_function import unicycle_law
 from tracked_env.physics.rigid_body import in_body_plane
 from tracked_env.physics.terramechanics import GRAVITY

@@ -264,7 +264,6 @@ def test_wrong_shapes_and_foreign_states_are_refused(recorded):
     ("options", "says"),
     [
         ({"slip": "ekf"}, "slip = 'ekf'; must be 'batched' or 'filterpy'"),
-        ({"regression": "ols"}, "regression = 'ols'; must be one of coupled, paper, printed"),
         ({"lateral": "skid"}, "lateral = 'skid'; must be one of"),
         (
             {"control_period": 50.0},

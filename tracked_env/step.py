@@ -120,11 +120,11 @@ class Pace(NamedTuple):
 
 # --- before the motion ------------------------------------------------------------------------
 @formula
-def _refused(rows):
+def _refused(actions, chosen, start, stop):
     """The first chosen row with a non-finite action, or CALM."""
-    for j in range(rows.start, rows.stop):
-        i = rows.chosen[j]
-        if not math.isfinite(rows.actions[i, 0]) or not math.isfinite(rows.actions[i, 1]):
+    for j in range(start, stop):
+        i = chosen[j]
+        if not math.isfinite(actions[i, 0]) or not math.isfinite(actions[i, 1]):
             return i
     return CALM
 
@@ -142,32 +142,31 @@ def _refresh(batch, i, count, time):
 
 
 @formula
-def _begin(derive, batch, rows, clock, i, period):
+def _begin(derive, batch, clock, actions, i, moving, period):
     """Take the action of vehicle i, and bring its parameters up to date."""
     floats = batch.floats
-    if rows.moving:
+    if moving:
         for side in range(2):
-            action = min(max(np.float64(rows.actions[i, side]), -1.0), 1.0)
+            action = min(max(np.float64(actions[i, side]), -1.0), 1.0)
             floats[i, b.LAST_ACTION + side] = floats[i, b.ACTION + side]
             floats[i, b.ACTION + side] = action
     count = batch.counters[i, b.EVENT_COUNT]
     if count > 0:
         _refresh(batch, i, count, batch.counters[i, b.STEP] * period)
-    if count > 0 or not rows.moving:
+    if count > 0 or not moving:
         derive(floats, i, clock.substep)
 
 
 @formula
-def _expect(batch, i, period):
-    """Fetch what `_observe` reads of vehicle i after the coming step: its noise and its reference.
+def _expect(counters, profile, noise, i, period):
+    """Fetch what is read of vehicle i after the coming step: its noise and its reference.
 
     Vehicles that are not in step read these from scattered places, and would wait for each.
     """
-    counters, profile = batch.counters, batch.profile
     cursor = counters[i, b.NOISE_CURSOR] + 1
     run, place = cursor // b.NOISE_RUN, cursor % b.NOISE_RUN
-    prefetch(batch.noise, (run, i, place, 0))
-    prefetch(batch.noise, (run, i, place, sensors.NOISE_COUNT - 1))
+    prefetch(noise, (run, i, place, 0))
+    prefetch(noise, (run, i, place, sensors.NOISE_COUNT - 1))
     if profile.shape[2] != reference_profile.UNIFORM_COLUMNS:
         return
     last = profile.shape[0] - 1
@@ -180,12 +179,12 @@ def _expect(batch, i, period):
 
 # --- after the motion: reference and sensors ----------------------------------------------------
 @formula
-def _advance_reference(batch, i, period):
+def _advance_reference(floats, counters, profile, i, period):
     """Move the reference pose of vehicle i on by one control step."""
-    floats, step = batch.floats, batch.counters[i, b.STEP]
+    step = counters[i, b.STEP]
     x, y, yaw = floats[i, b.REFERENCE_X], floats[i, b.REFERENCE_Y], floats[i, b.REFERENCE_YAW]
     cosine, sine = floats[i, b.REFERENCE_COSINE], floats[i, b.REFERENCE_COSINE + 1]
-    its, begin, end = batch.profile[:, i], step * period, (step + 1) * period
+    its, begin, end = profile[:, i], step * period, (step + 1) * period
     x, y, cosine, sine, yaw = reference_profile.advance(
         its, begin, end, period, x, y, cosine, sine, yaw
     )
@@ -194,9 +193,9 @@ def _advance_reference(batch, i, period):
 
 
 @formula
-def _reference_rates(batch, i, time):
+def _reference_rates(floats, profile, i, time):
     """Reference rates of vehicle i at `time` [s] and ahead, into their columns."""
-    floats, its = batch.floats, batch.profile[:, i]
+    its = profile[:, i]
     rates = reference_profile.rates_at(its, time)
     for row in range(5):
         floats[i, b.REFERENCE_MOTION + row] = rates[row]
@@ -231,9 +230,8 @@ def outage(floats, counters, noise, i, step, run, place):
 
 
 @formula
-def _sample_sensors(batch, i, step):
+def _sample_sensors(floats, counters, noise, i, step):
     """Take this step's samples of vehicle i; `step` counts control steps since reset."""
-    floats, counters, noise = batch.floats, batch.counters, batch.noise
     cursor = counters[i, b.NOISE_CURSOR]
     run, place = cursor // b.NOISE_RUN, cursor % b.NOISE_RUN
     radius, coupling = floats[i, _RADIUS], floats[i, b.CROSS_COUPLING]
@@ -251,12 +249,11 @@ def _sample_sensors(batch, i, step):
 
 
 @formula
-def _deliver(batch, i, step):
+def _deliver(floats, counters, history, i, step):
     """Pass on the samples of vehicle i that have arrived after each group's delay.
 
     Returns the column where they start.
     """
-    floats, history = batch.floats, batch.history
     slots = history.shape[1]
     if slots == 1:  # no sensor of this batch is delayed
         return b.SAMPLE
@@ -264,7 +261,7 @@ def _deliver(batch, i, step):
     for row in range(b.DELIVERED_COUNT):
         history[i, slot, row] = floats[i, b.SAMPLE + row]
     for g in range(b.GROUP_COUNT):
-        past = max(step - batch.counters[i, b.DELAY + g], 0) % slots
+        past = max(step - counters[i, b.DELAY + g], 0) % slots
         for c in range(GROUP_START[g], GROUP_START[g + 1]):
             floats[i, b.DELIVERED + c] = history[i, past, c]
         row = CHANNEL_COUNT + g
@@ -318,21 +315,6 @@ def _write_observation(floats, i, step, control_period, arrived, out):
         obs.store(out, i, _AGE[g], (step - taken) * control_period)
 
 
-@formula
-def _observe(batch, i, period, observations, diverged):
-    """Reference, tracking error, sensors and observation of vehicle i; period [s] of a step.
-
-    diverged: its state is not finite; then the sensors keep their last samples.
-    """
-    step = batch.counters[i, b.STEP]
-    _reference_rates(batch, i, step * period)
-    _tracking_error(batch.floats, i)
-    if not diverged:
-        _sample_sensors(batch, i, step)
-    arrived = _deliver(batch, i, step)
-    _write_observation(batch.floats, i, step, period, arrived, observations)
-
-
 # --- reward and ending ------------------------------------------------------------------------
 @formula
 def _closeness(error, scale):
@@ -382,17 +364,23 @@ def _reward_and_ending(floats, counters, i, error_limit, diverged):
 
 
 @formula
-def _finish(batch, rows, clock, i, period):
+def _finish(batch, observations, i, moving, period, error_limit):
     """All that follows the motion of vehicle i; returns CALM or SOME_ENDED."""
     floats, counters = batch.floats, batch.counters
-    if rows.moving:
-        _advance_reference(batch, i, period)
+    if moving:
+        _advance_reference(floats, counters, batch.profile, i, period)
         counters[i, b.STEP] += 1
         counters[i, b.NOISE_CURSOR] += 1
-    diverged = rows.moving and not _is_finite(floats, i)
-    _observe(batch, i, period, rows.observations, diverged)
-    if rows.moving:
-        _reward_and_ending(floats, counters, i, clock.error_limit, diverged)
+    diverged = moving and not _is_finite(floats, i)
+    step = counters[i, b.STEP]
+    _reference_rates(floats, batch.profile, i, step * period)
+    _tracking_error(floats, i)
+    if not diverged:  # else the sensors keep their last samples
+        _sample_sensors(floats, counters, batch.noise, i, step)
+    arrived = _deliver(floats, counters, batch.history, i, step)
+    _write_observation(floats, i, step, period, arrived, observations)
+    if moving:
+        _reward_and_ending(floats, counters, i, error_limit, diverged)
         if counters[i, b.TERMINATED] + counters[i, b.TRUNCATED] > 0:
             return SOME_ENDED
     return CALM
@@ -409,21 +397,24 @@ def advance_blocks(derive, move, lane_limit, scratch, batch, rows, clock, option
     Returns CALM or SOME_ENDED, or the first row with a non-finite action: then no vehicle has
     moved.
     """
-    result = _refused(rows) if rows.moving else CALM
+    chosen, actions, observations = rows.chosen, rows.actions, rows.observations
+    start, stop, moving = rows.start, rows.stop, rows.moving
+    result = _refused(actions, chosen, start, stop) if moving else CALM
     if result != CALM:
         return result
     period = clock.substeps * clock.substep
-    pace = Pace(clock.substeps if rows.moving else 0, clock.substep, period)
-    for first in range(rows.start, rows.stop, lane_limit):
-        lanes = min(lane_limit, rows.stop - first)
+    pace = Pace(clock.substeps if moving else 0, clock.substep, period)
+    for first in range(start, stop, lane_limit):
+        lanes = min(lane_limit, stop - first)
         for lane in range(lanes):
-            _begin(derive, batch, rows, clock, rows.chosen[first + lane], period)
+            _begin(derive, batch, clock, actions, chosen[first + lane], moving, period)
         for lane in range(lanes):
-            _expect(batch, rows.chosen[first + lane], period)
-        move(batch, scratch, Block(rows.chosen, first, lanes), pace, options)
+            i = chosen[first + lane]
+            _expect(batch.counters, batch.profile, batch.noise, i, period)
+        move(batch, scratch, Block(chosen, first, lanes), pace, options)
         for lane in range(lanes):
-            ended = _finish(batch, rows, clock, rows.chosen[first + lane], period)
-            result = min(result, ended)
+            i = chosen[first + lane]
+            result = min(result, _finish(batch, observations, i, moving, period, clock.error_limit))
     return result
 
 

@@ -86,14 +86,14 @@ def checked(source: str, values: Mapping[str, Any], name: str, count: int) -> Va
 
 
 @loop
-def _deliver(batch, rows, table, errors, noise, blocks, past, delivered):
+def _deliver(arrays, rows, table, errors, noise, blocks, past, delivered):
     """Sample the channels of `rows` (n,), and pass on what has arrived: delivered (n, C).
 
-    table (2, C): sampling group, place in ATTITUDE or -1. delivered holds the true values where
+    arrays: floats, counters. table (2, C): sampling group, place in ATTITUDE or -1. delivered holds the true values where
     that is -1. errors (N, 3, C): sigma, signed bias, latest sample; noise (N, C, NOISE_BLOCK) of
     block number `blocks` (N,); past (N, slots, C). Returns how many vehicles need new noise.
     """
-    floats, counters = batch.floats, batch.counters
+    floats, counters = arrays
     needed, slots = 0, past.shape[1]
     for k in range(rows.size):
         i = rows[k]
@@ -126,12 +126,12 @@ def _place(floats, rows, points, x, y):
 
 
 @loop
-def _measure(batch, rows, heights, latest, states, noisy, shown):
+def _measure(arrays, rows, heights, latest, states, noisy, shown):
     """Readings shown (n, M) [m] where the ground has these heights (n, M) [m].
 
-    latest (N, M): the last readings; states (N, streams.STATE) and noisy (N,): of the streams.
+    arrays: floats, counters. latest (N, M): the last readings; states (N, streams.STATE) and noisy (N,): of the streams.
     """
-    count = heights.shape[1]
+    (floats, counters), count = arrays, heights.shape[1]
     normal = np.zeros(2 * count, dtype=np.float32)
     for k in range(rows.size):
         i = rows[k]
@@ -139,29 +139,30 @@ def _measure(batch, rows, heights, latest, states, noisy, shown):
             streams.fill_normal(states[i], normal)
         else:
             normal[:] = 0.0
-        started = batch.counters[i, b.STEP] > 0
+        started = counters[i, b.STEP] > 0
         for m in range(count):
-            value = heights[k, m] - batch.floats[i, b.STATE + s.Z] + NOISE * normal[m]
+            value = heights[k, m] - floats[i, b.STATE + s.Z] + NOISE * normal[m]
             if not (started and (normal[count + m] < _LOST or not math.isfinite(value))):
                 latest[i, m] = value
             shown[k, m] = latest[i, m]
 
 
 @loop
-def _read_goal(batch, rows, pose, period, shown):
+def _read_goal(arrays, rows, pose, period, shown):
     """Goals of the vehicles `rows` into shown (n, 5).
 
-    pose: column of the delivered samples; period [s]: of a control step.
+    arrays: floats, counters, profile. pose: column of the delivered samples; period [s]: of a
+    control step.
     """
-    floats = batch.floats
+    floats, counters, profile = arrays
     for k in range(rows.size):
         i = rows[k]
-        x, y, yaw, time = goal_of(batch.profile[:, i])
+        x, y, yaw, time = goal_of(profile[:, i])
         dx, dy = x - floats[i, pose + _X], y - floats[i, pose + _Y]
         cosine, sine = rotation(floats[i, pose + _YAW])
         shown[k, 0], shown[k, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
         shown[k, 2], shown[k, 3] = rotation(yaw - floats[i, pose + _YAW])
-        shown[k, 4] = max(time - batch.counters[i, b.STEP] * period, 0.0)
+        shown[k, 4] = max(time - counters[i, b.STEP] * period, 0.0)
 
 
 @loop
@@ -238,9 +239,8 @@ class AddedChannels:
             of_truth = ADDED[name].truth
             assert of_truth is not None
             delivered[:, c] = checked("truth", {name: of_truth(truth)}, name, rows.size)
-        needed = _deliver(
-            batch, rows, self._table, self.errors, self.noise, self.blocks, self.past, delivered
-        )
+        changing = (self.errors, self.noise, self.blocks, self.past)
+        needed = _deliver(batch[:2], rows, self._table, *changing, delivered)
         if needed:
             blocks = (batch.counters[rows, b.STEP] + 1) // NOISE_BLOCK
             for i, block in zip(rows.tolist(), blocks.tolist(), strict=True):
@@ -274,7 +274,7 @@ class HeightScan:
         if ground is not None:
             _place(batch.floats, rows, self._points, x, y)
             heights = ground.heights(batch.floats, rows, x, y)
-        _measure(batch, rows, heights, self.latest, self.states, self.noisy, shown)
+        _measure(batch[:2], rows, heights, self.latest, self.states, self.noisy, shown)
 
 
 class Composer:
@@ -355,7 +355,7 @@ class Composer:
                 self._scans[group.name].read(batch, rows, self._ground, shown)
             elif group.goal:
                 pose = b.SAMPLE if batch.history.shape[1] == 1 else b.DELIVERED
-                _read_goal(batch, rows, pose, self._period, shown)
+                _read_goal(batch[:3], rows, pose, self._period, shown)
             elif group.compiled is not None:
                 read = np.empty((rows.size, reads.size))
                 _gather(self.written, delivered, rows, reads, obs.SCALE, read)

@@ -27,7 +27,7 @@ from tracked_env.engine.episode import (
 )
 from tracked_env.events import encode_schedule
 from tracked_env.physics import parameters as s
-from tracked_env.physics.jit import copy_entries, formula, loop
+from tracked_env.physics.jit import bound, copy_entries, formula, loop
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
     PARAMETER_NAMES,
@@ -213,6 +213,7 @@ class EpisodeLoader:
         self._constants = LoadConstants(length, settings.relief_column, settings.terrains)
         self._known: list[np.random.Generator | None] = [None] * count
         self._addresses = np.zeros(count, dtype=np.int64)  # of those that are known
+        self._kernel: Callable[..., int] | None = None  # `_load`, bound
 
     def load(
         self,
@@ -384,7 +385,10 @@ class EpisodeLoader:
             if one.replaced is not None:
                 _write_profile(batch, origins, i, one.replaced)
             drawn.fixed_starts[i] = one.overrides.start
-        most: int = _load(addresses, chosen, drawn, fresh, self._constants, running, batch)
+        call = (addresses, chosen, drawn, fresh, self._constants, running, batch)
+        if self._kernel is None:  # the types are those of every call
+            self._kernel = bound(_load, call)
+        most: int = self._kernel(*call)
         drawn.fixed_starts[chosen[list(special)]] = np.nan
         return most
 

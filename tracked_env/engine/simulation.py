@@ -188,7 +188,7 @@ class Simulation(b.Readings):
         before any vehicle is touched, so a wrong option loses nothing, no random number either.
         Raises ValueError as `EpisodeLoader.load` does, and for a vehicle without a random stream.
         """
-        chosen = np.asarray(chosen, dtype=np.int64)
+        chosen = np.ascontiguousarray(chosen, dtype=np.int64)
         rngs = []
         for i in chosen.tolist():
             rng = self.rngs[i]
@@ -260,7 +260,8 @@ class Simulation(b.Readings):
 
     def _advance_chosen(self, chosen: NDArray[np.int64], refill: bool) -> int:
         """Some of the vehicles, on one thread or several, with new noise where it is due."""
-        size, its = chosen.size, self.running
+        chosen, its = np.ascontiguousarray(chosen, dtype=np.int64), self.running
+        size = chosen.size
         left = [] if refill else [self._until_refill]
 
         def run(first: int, last: int) -> int:

@@ -70,7 +70,7 @@ from tracked_env.validation import checked_number
 LARGEST_CORRECTION = 1.0  # [-] of the torque limit, by the loop of a drive
 ERROR_RATE = 1.0  # [1/s] a of its predictor: its share exp(-a dt) is 0.98 at 50 Hz
 READING_ERROR = 0.05  # [-] of the torque limit, well above the noise of a torque sensor
-# Columns of a drive: torque given, whether it was measured, Estimate.
+# Columns of a drive: torque delivered, whether it was measured, Estimate.
 _TORQUE, _MEASURED, _ESTIMATE, DRIVE_COLUMNS = 0, 1, 2, 5
 # Columns of a row of the adaptation: both drives, the measured motion, whether there is one; then
 # those of the adaptation, from CHANNEL_COLUMN on.

@@ -267,20 +267,20 @@ def _place(
 ) -> int | None:
     """Where a column is; None where it is not. Raises ValueError for a wrong mapping, and for a
     name of the header that stands there twice."""
-    wanted = mapping.get(column.name)
-    if wanted is None:
+    chosen = mapping.get(column.name)
+    if chosen is None:
         names = [name for name in (column.name, *column.synonyms.split()) if name in header][:1]
-    elif wanted.lower() in header:
-        names = [wanted.lower()]
-    elif wanted.isdigit() and 1 <= int(wanted) <= width:
-        return int(wanted) - 1
-    elif wanted.isdigit():
+    elif chosen.lower() in header:
+        names = [chosen.lower()]
+    elif chosen.isdigit() and 1 <= int(chosen) <= width:
+        return int(chosen) - 1
+    elif chosen.isdigit():
         raise ValueError(
-            f"--columns {column.name}={wanted}: {path} has {width} columns; must be in "
+            f"--columns {column.name}={chosen}: {path} has {width} columns; must be in "
             f"[1, {width}]. Positions are counted from 1"
         )
     else:
-        raise unknown(f"column of {path}", wanted, header or ["(it has no header)"])
+        raise unknown(f"column of {path}", chosen, header or ["(it has no header)"])
     places = [k for k, one in enumerate(header) if [one] == names]
     if len(places) > 1:
         raise ValueError(
@@ -373,12 +373,12 @@ def read(
                 f"{len(order) or 'named'}{': ' + ', '.join(order) if order else ''}"
             )
         mapping = {name: str(place + 1) for place, name in enumerate(order)}
-    known = [name for name, _ in header]
-    places = {c.name: _place(c, known, mapping, width, path) for c in columns}
+    titles = [name for name, _ in header]
+    places = {c.name: _place(c, titles, mapping, width, path) for c in columns}
     lacking = [c.name for c in columns if c.needed and places[c.name] is None]
     if lacking:
         raise ValueError(
-            f"{path} lacks {', '.join(lacking)}; its columns are {', '.join(known) or width}. Map "
+            f"{path} lacks {', '.join(lacking)}; its columns are {', '.join(titles) or width}. Map "
             f"them with --columns {lacking[0]}=NAME, a name of its header or a position from 1"
         )
     user: dict[int, str] = {}

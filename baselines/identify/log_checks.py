@@ -128,9 +128,9 @@ def check_agreement(values: Columns, vehicle: PlantParameters) -> None:
     elif np.median(np.abs(driven)) > 10.0 * max(MOVING, float(np.median(way))):
         ratio = float(np.median(np.abs(driven)) / max(np.median(way), 1e-6))
         _check_way(ratio, ratio)
-    known = np.isfinite(values.get("v_y", [math.nan]))
-    if known.any():
-        stated = np.interp(marks, time[known], values["v_y"][known])
+    valid = np.isfinite(values.get("v_y", [math.nan]))
+    if valid.any():
+        stated = np.interp(marks, time[valid], values["v_y"][valid])
         if len(drift) >= 20 and _opposed(drift, 0.5 * (stated[1:] + stated[:-1]), 0.4):
             raise ValueError(
                 "v_y is negative where x, y go to the left of yaw; must be positive to the "
@@ -302,17 +302,17 @@ def check_accelerations(values: Columns, period: float) -> None:
         )
         for name, other in expected:
             if name in values:
-                felt = means(values[name])
-                felt = felt[1:-1] if other is lateral else np.convolve(felt, slow, "valid")
-                use = np.isfinite(felt + other)
+                column = means(values[name])
+                column = column[1:-1] if other is lateral else np.convolve(column, slow, "valid")
+                use = np.isfinite(column + other)
                 if use.sum() >= 10:
-                    _check_same(name, felt[use], other[use])
+                    _check_same(name, column[use], other[use])
 
 
-def _check_same(name: str, felt: Floats, other: Floats) -> None:
+def _check_same(name: str, column: Floats, other: Floats) -> None:
     """One acceleration against what speeds say of it, (K,) each."""
     unit = "rad/s^2" if name == "yaw_acceleration" else "m/s^2"
-    mean = float(np.median(felt))
+    mean = float(np.median(column))
     if abs(mean) > 5.0 and unit == "m/s^2":
         raise ValueError(
             f"{name} is {mean:.3g} m/s^2 in the median; must be near 0. Is it the vertical "
@@ -320,10 +320,11 @@ def _check_same(name: str, felt: Floats, other: Floats) -> None:
         )
     if float(np.std(other)) < CLEAR:
         return
-    felt, other = felt - felt.mean(), other - other.mean()
-    ratio = float(felt @ other / (other @ other))
+    column, other = column - column.mean(), other - other.mean()
+    ratio = float(column @ other / (other @ other))
     # Gravity on slopes comes on top: then the ratio is as uncertain as that makes it.
-    doubt = 4.0 * float(np.std(felt - ratio * other) / np.std(other)) / math.sqrt(0.5 * len(felt))
+    doubt = 4.0 * float(np.std(column - ratio * other) / np.std(other))
+    doubt /= math.sqrt(0.5 * len(column))
     if 1.0 / SAME - doubt <= ratio <= SAME + doubt:
         return
     axis = "forward" if name == "acceleration_x" else "to the left"

@@ -132,8 +132,8 @@ def check_torques(values: Columns, period: float, vehicle: PlantParameters) -> l
             )
         ]
     _check_signs(fits)
-    own = fits[False, 1, 1]
-    for of, what in zip(own, ("sum", "difference"), strict=True):
+    logged = fits[False, 1, 1]
+    for of, what in zip(logged, ("sum", "difference"), strict=True):
         if of is not None and of.explained < EXPLAINED:
             raise ValueError(
                 f"accelerations and turns explain {of.explained:.0%} of the square of the "
@@ -141,8 +141,8 @@ def check_torques(values: Columns, period: float, vehicle: PlantParameters) -> l
                 "another log or another time, zero, demands that the drives did not follow, or "
                 "has one side the wrong sign or unit?"
             )
-    _check_delay(values, period, vehicle, [of is not None for of in own])
-    return _check_sizes(own, vehicle)
+    _check_delay(values, period, vehicle, [of is not None for of in logged])
+    return _check_sizes(logged, vehicle)
 
 
 def _check_delay(values: Columns, period: float, vehicle: PlantParameters, present: Any) -> None:
@@ -202,10 +202,10 @@ def _check_sides(forces: list[Floats], equations: Any, vehicle: PlantParameters)
         matrix = np.column_stack([0.5 * straight, turn * turning[:, :2] / vehicle.track_gauge])
         sides.append(_fit(matrix * (np.sign(matrix.T @ force) + (matrix.T @ force == 0.0)), force))
     left, right = sides
-    told = (np.maximum(left.errors, right.errors) < CERTAIN) & (left.values * right.values > 0.0)
-    if not told.any():
+    certain = (np.maximum(left.errors, right.errors) < CERTAIN) & (left.values * right.values > 0.0)
+    if not certain.any():
         return
-    ratio = float(np.exp(np.median(np.log(left.values[told] / right.values[told]))))
+    ratio = float(np.exp(np.median(np.log(left.values[certain] / right.values[certain]))))
     if not 1.0 / ALIKE <= ratio <= ALIKE:
         raise ValueError(
             f"for the same motion torque_left is {ratio:.3g} times torque_right; must "
@@ -222,9 +222,9 @@ def _check_signs(fits: dict[tuple[bool, int, int], list[Fit | None]]) -> None:
         rest = [1.0 - of.explained + LEFT for of in fits[way] if of is not None]
         return math.exp(sum(map(math.log, rest)) / max(len(rest), 1)) if rest else 1.0
 
-    own = (False, 1, 1)
-    best = min(fits, key=lambda way: (left(way), way != own))
-    if left(best) > BETTER * left(own):
+    logged = (False, 1, 1)
+    best = min(fits, key=lambda way: (left(way), way != logged))
+    if left(best) > BETTER * left(logged):
         return
     swapped, *signs = best
     sides = SIDES[::-1] if swapped else SIDES
@@ -239,15 +239,15 @@ def _check_signs(fits: dict[tuple[bool, int, int], list[Fit | None]]) -> None:
     raise ValueError(
         f"the torques contradict accelerations and turns: {' and '.join(faults)}. Then "
         f"{max(1.0 - left(best), 0.0):.0%} of their square is explained, as they are "
-        f"{max(1.0 - left(own), 0.0):.0%}; a torque that drives forward must be positive on both "
-        f"sides. Please {' and '.join(advice)}"
+        f"{max(1.0 - left(logged), 0.0):.0%}; a torque that drives forward must be positive on "
+        f"both sides. Please {' and '.join(advice)}"
     )
 
 
-def _check_sizes(own: list[Fit | None], vehicle: PlantParameters) -> list[str]:
+def _check_sizes(fits: list[Fit | None], vehicle: PlantParameters) -> list[str]:
     """Doubts. Refuse torques of a size that moves another vehicle."""
     doubts = []
-    for fit, name, unit in zip(own, ("mass", "inertia"), ("kg", "kg m^2"), strict=True):
+    for fit, name, unit in zip(fits, ("mass", "inertia"), ("kg", "kg m^2"), strict=True):
         if fit is None or not fit.errors[0] < CERTAIN:
             continue
         value, nominal = float(fit.values[0]), float(getattr(vehicle, name))

@@ -107,22 +107,22 @@ def _determined(identified: Identified) -> list[str]:
 
 def parameter_set(identified: Identified) -> dict[str, Any]:
     """The set as JSON has it; without "make" and ranges where the log contradicts the model."""
-    parameters, known = identified.parameters, _determined(identified)
+    parameters, determined = identified.parameters, _determined(identified)
     vehicle = {name: float(value) for name, value in identified.nominal._asdict().items()}
     ranges = {}
-    for name in known:
+    for name in determined:
         if name != "effort_maximum":
             of = parameters[name]
             vehicle[name] = _in_range(name, of.value)
             ranges[name] = [_in_range(name, end) for end in (of.low, of.high)]
-    if "effort_maximum" in known:
+    if "effort_maximum" in determined:
         vehicle |= _soil(identified, vehicle["mass"])
     usable: dict[str, Any] = {"make": {"vehicle": vehicle}, "ranges": ranges}
     if against := contradictions(identified):
         usable = {"contradictions": against}
-    shown = ("value", "deviation", "low", "high", "verdict", "changed")
+    columns = ("value", "deviation", "low", "high", "verdict", "changed")
     rows = {
-        name: {"unit": NAMES[name][1], **{key: getattr(of, key) for key in shown}}
+        name: {"unit": NAMES[name][1], **{key: getattr(of, key) for key in columns}}
         for name, of in parameters.items()
     }
     return {**usable, "parameters": rows, "not_told": limitations(identified)}

@@ -186,7 +186,7 @@ def _rows_as_runs(
         )
     names = (*ORDER[:2], *(ORDER[2:] if slips else MOTIONS[1]))
     rows = np.stack([values[name] for name in names], axis=1)
-    seen: dict[tuple[float, ...], str] = {}
+    first_run: dict[tuple[float, ...], str] = {}
     largest = LARGEST * float(np.nanpercentile(np.abs(rows[:, :2]), 90.0))
     for number, row in enumerate(rows):
         name = f"{path.stem} row {number + 1}"
@@ -196,8 +196,8 @@ def _rows_as_runs(
                 n for n, value in zip(names, row, strict=True) if not np.isfinite(value)
             ]:
                 raise Fault(f"no number for {', '.join(lacking)}")
-            if key in seen and any(key):
-                raise Fault(f"the same motion as {seen[key]}, to the last digit")
+            if key in first_run and any(key):
+                raise Fault(f"the same motion as {first_run[key]}, to the last digit")
             if fastest > largest:
                 raise Fault(f"a sprocket speed of {fastest:.4g} rad/s")
             motion = _motion_of(row, vehicle) if slips else row[2:]
@@ -205,7 +205,7 @@ def _rows_as_runs(
         except Fault as fault:
             refused.append(Refused(name, str(fault)))
         else:
-            seen[key] = name
+            first_run[key] = name
             samples.append((float(row[0]), float(row[1]), motion, name))
 
 

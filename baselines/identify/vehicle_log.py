@@ -130,9 +130,9 @@ def read_log(
     with _named(path):
         values["yaw"] = unwrapped(values["yaw"], values["time"], values["yaw_rate"])
         check_agreement(values, vehicle)
-        period, grid, seen = _on_grid(values, step, notes)
+        period, grid, present = _on_grid(values, step, notes)
         check_accelerations(grid, period)
-    log = _complete(period, grid, seen, sensors, notes)
+    log = _complete(period, grid, present, sensors, notes)
     with _named(path):
         # Torques and accelerations of the same moments, before the first of either is repeated.
         faults += check_torques(log.values, period, vehicle)
@@ -176,13 +176,13 @@ def _at_the_sprocket(
 def _in_order(values: Columns) -> tuple[Columns, int]:
     """Rows whose time rises, and how many were left out."""
     time = values["time"]
-    known = np.isfinite(time)
-    latest = np.maximum.accumulate(np.where(known, time, -math.inf))
+    stamped = np.isfinite(time)
+    latest = np.maximum.accumulate(np.where(stamped, time, -math.inf))
     late = time > np.concatenate([[-math.inf], latest[:-1]])
     # One row ahead of all others would leave out the others: then it is that row.
-    earliest = np.minimum.accumulate(np.where(known, time, math.inf)[::-1])[::-1]
+    earliest = np.minimum.accumulate(np.where(stamped, time, math.inf)[::-1])[::-1]
     early = time < np.concatenate([earliest[1:], [math.inf]])
-    rows = np.flatnonzero(known & (late if late.sum() >= early.sum() else early))
+    rows = np.flatnonzero(stamped & (late if late.sum() >= early.sum() else early))
     dropped = len(time) - len(rows)
     if dropped > LOST * len(time):
         raise ValueError(
@@ -224,27 +224,27 @@ def _on_grid(
     even = np.mean(np.abs(gaps / period - steps) > EVEN) < 0.01
     place = np.concatenate([[0.0], np.cumsum(steps)]).astype(np.int64)
     count = int(place[-1]) + 1 if even else int(time[-1] / period) + 1
-    seen, grid = np.zeros(count, dtype=bool), {}
+    present, grid = np.zeros(count, dtype=bool), {}
     at = period * np.arange(count)
     if even:
-        seen[place] = True
+        present[place] = True
     else:
         nearest = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
-        seen = time[nearest] - time[nearest - 1] < 2.5 * period
+        present = time[nearest] - time[nearest - 1] < 2.5 * period
     for name, column in values.items():
         if name != "time":
             grid[name] = np.full(count, math.nan)
             if even:
                 grid[name][place] = column
             else:
-                grid[name][seen] = np.interp(at, time, column)[seen]
-    lost = int(count - seen.sum())
+                grid[name][present] = np.interp(at, time, column)[present]
+    lost = int(count - present.sum())
     notes.append(
         f"{count} steps of {1e3 * period:.4g} ms, {'as logged' if even else 'resampled'}"
         + (f", {lost} of them without a row" if lost else "")
         + ("." if even else ": rows are unevenly spaced, and were interpolated linearly.")
     )
-    return period, grid, seen
+    return period, grid, present
 
 
 # --- channels that are derived --------------------------------------------------------------
@@ -269,15 +269,15 @@ def averages(values: Floats, samples: int) -> Floats:
 
 def _filled(column: Floats) -> Floats:
     """A column without gaps, for slopes: what is missing lies between its neighbours."""
-    known = np.flatnonzero(np.isfinite(column))
-    if not len(known):
+    rows = np.flatnonzero(np.isfinite(column))
+    if not len(rows):
         raise ValueError("a column of the log has no number at all; leave it out or map another")
-    return np.interp(np.arange(len(column)), known, column[known])
+    return np.interp(np.arange(len(column)), rows, column[rows])
 
 
-def _is_new(columns: list[Floats], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _is_new(columns: list[Floats], present: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Where a group has a new sample: all columns finite, and not just those of before."""
-    new = seen & np.all([np.isfinite(column) for column in columns], axis=0)
+    new = present & np.all([np.isfinite(column) for column in columns], axis=0)
     places = np.flatnonzero(np.all([np.isfinite(column) for column in columns], axis=0))
     same = np.all([np.diff(column[places]) == 0.0 for column in columns], axis=0)
     new[places[1:][same]] = False
@@ -285,7 +285,7 @@ def _is_new(columns: list[Floats], seen: NDArray[np.bool_]) -> NDArray[np.bool_]
 
 
 def _complete(
-    period: float, grid: Columns, seen: NDArray[np.bool_], sensors: Sensors, notes: list[str]
+    period: float, grid: Columns, present: NDArray[np.bool_], sensors: Sensors, notes: list[str]
 ) -> Log:
     """The log with derived channels, freshness and ages."""
     values, changes = dict(grid), dict[str, Any]()
@@ -325,12 +325,12 @@ def _complete(
                 values[name] = np.where(np.isfinite(grid[name]), mean, math.nan)
     if attitude := {"roll", "pitch"} <= grid.keys():
         values["pitch_rate"] = slopes(filled["pitch"], period, samples)
-    inertial = seen & np.isfinite(values["yaw_rate"] + values["acceleration_x"])
+    inertial = present & np.isfinite(values["yaw_rate"] + values["acceleration_x"])
     if derived:  # slopes of one stretch each, so that their errors are independent
-        inertial &= np.arange(len(seen)) % samples == 0
+        inertial &= np.arange(len(present)) % samples == 0
     drives = [values[f"{name}_{side}"] for name in ("sprocket_speed", "torque") for side in SIDES]
-    pose = _is_new([grid["x"], grid["y"], grid["yaw"]], seen)
-    fresh = np.stack([pose, inertial, seen & np.all(np.isfinite(drives), axis=0)], axis=1)
+    pose = _is_new([grid["x"], grid["y"], grid["yaw"]], present)
+    fresh = np.stack([pose, inertial, present & np.all(np.isfinite(drives), axis=0)], axis=1)
     # Each group at its latest sample, from the step on at which all have one.
     steps = np.arange(len(fresh))
     last = np.maximum.accumulate(np.where(fresh, steps[:, None], -1), axis=0)
@@ -348,7 +348,7 @@ def _complete(
         for name in (*CHANNELS[GROUP_START[k] : GROUP_START[k + 1]], *extra[group]):
             column = values.get(name, np.full(len(steps), math.nan))
             latest[name] = column[np.maximum(last[:, k], 0)][first:]
-    age: Floats = (period * (steps[:, None] - last))[first:]
+    age = np.asarray(period * (steps[:, None] - last), dtype=np.float64)[first:]
     fresh = fresh[first:]
     shares = ", ".join(f"{g} {s:.0%}" for g, s in zip(GROUPS, fresh.mean(axis=0), strict=True))
     notes.append(f"Steps with a new sample: {shares}.")

@@ -325,8 +325,8 @@ def turns_first(turning, speed, heading_error, demand, gains):
     if abs(heading_error) < TURN_BEHIND:
         return 0.0
     error_x, _error_y = bounded_error(demand, gains.bound)
-    wanted = demand.velocity_x + gains.k_p / gains.k_v * error_x
-    excess = abs(speed) - max(signed(wanted, wanted * speed), LEAST_TURNING_SPEED)
+    demanded = demand.velocity_x + gains.k_p / gains.k_v * error_x
+    excess = abs(speed) - max(signed(demanded, demanded * speed), LEAST_TURNING_SPEED)
     if excess >= 0.0:
         return 1.0
     return turning if excess > -RESERVE_SPEED else 0.0

@@ -4,13 +4,14 @@ Besides what that command does, it opens archives of Stable-Baselines3 (`--trust
 `agents`) and runs the experiments of papers again (`--paper`, with the package `reproduce`).
 """
 
+import os
+import signal
 import sys
 
-from agents.folder import stop_at_once
-
-if __name__ == "__main__":
+if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     # Finished chunks are on disk, and what else a kill leaves is removed by the next run.
-    stop_at_once("\nevaluate.py: interrupted; finished episodes are kept, run it again")
+    LINE = b"\nevaluate.py: interrupted; finished episodes are kept, run it again\n"
+    signal.signal(signal.SIGINT, lambda *_: (os.write(2, LINE), os._exit(130)))
 
 from pathlib import Path
 

@@ -11,29 +11,22 @@ Several trainings, on the processors of this machine or of others:
     python train.py --seeds 0:5 --workers 2
 """
 
-import io
 import os
-import platform
+import signal
 import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+
+if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    # The imports take seconds, and an exception in the middle of one would be lost or replaced.
+    LINE = b"train.py: interrupted before the training began\n"
+    signal.signal(signal.SIGINT, lambda *_: (os.write(2, LINE), os._exit(130)))
+
+import io
+import platform
 import threading
 import time
-
-from agents.folder import (
-    INTERRUPTED,
-    Refused,
-    failed,
-    interrupted,
-    raise_again,
-    refusing,
-    stop_at_once,
-)
-
-if __name__ == "__main__":
-    stop_at_once("train.py: interrupted before the training began")  # the imports take seconds
-
-from collections.abc import Iterable, Sequence
-from contextlib import ExitStack, redirect_stdout, suppress
-from dataclasses import fields, make_dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -41,61 +34,74 @@ from typing import Any
 try:
     import gymnasium
     import torch
-    import tyro
     from tqdm import tqdm
 
-    from agents import checkpoint as checkpoints
-    from agents import sweep as several
-    from agents.environments import make_held_out
-    from agents.folder import AlreadyFinished, begin, finish, going_on
-    from agents.options import (
-        REGISTRY,
-        Options,
-        check_given,
-        check_names,
-        in_words,
-        options_of_train,
+    from agents import checkpoint, sweep
+    from agents.folder import (
+        AlreadyFinished,
+        Diverged,
+        Learner,
+        Progress,
+        begin,
+        finish,
+        going_on,
+        make_held_out,
     )
-    from agents.progress import Diverged, Learner, Progress
-    from agents.run import Run, chosen_settings, resolve
-    from agents.sweep import compared
+    from agents.learners import make_learner
+    from agents.options import Options, Several, options_of_train, parse
+    from agents.run import Run, resolve
 except ImportError as error:
-    sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl,cli]'")
+    sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl]'")
 
 from baselines.learned.agent_archive import read_recipe
 from tracked_env.benchmark.files import locked
 
-LINGERS = 150.0  # [s] for which a training that was given up on may still hold its folder
-FREE = ("resume", "overwrite", "output", "tensorboard", "quiet", "trust")  # may differ
-WRONG = (ValueError, OSError, gymnasium.error.Error)  # what wrong settings raise
+INTERRUPTED, REFUSED = 130, 2  # exit status
+RELEASE_TIME = 150.0  # [s] for which a training that was given up on may still hold its folder
+SETTING_ERRORS = (ValueError, OSError, gymnasium.error.Error)  # what wrong settings raise
 
 
-def progress_bar(total: int, done: int, quiet: bool) -> "tqdm[Any]":
-    """The progress bar of a training of which so many steps are done."""
-    return tqdm(
-        total=total, initial=done, unit=" steps", unit_scale=True, disable=quiet,
-        dynamic_ncols=True, mininterval=0.1 if sys.stderr.isatty() else 30.0,  # [s]
-    )  # fmt: skip
+class Refused(Exception):
+    """What is asked for cannot be trained; nothing has been written."""
 
 
-def made(run: Run, captured: Any) -> tuple[Learner, Progress]:
+@contextmanager
+def refusing(*errors: type[Exception]) -> Iterator[None]:
+    """Turn the errors of wrong settings into Refused."""
+    try:
+        yield
+    except errors as error:
+        raise Refused(error) from error
+    except MemoryError as error:
+        raise Refused(f"{error}. Lower vehicles, n_steps or the sizes of buffers") from error
+
+
+def failed(text: object) -> int:
+    """Say in one line what is wrong; returns the exit status."""
+    print("train.py:", " ".join(str(text).split()), file=sys.stderr)
+    return REFUSED
+
+
+def untrained(run: Run, captured: Any) -> tuple[Learner, Progress]:
     """What learns and its progress, untrained or as a checkpoint has it. Raises ValueError."""
-    learner = run.algorithm.learner(run)
+    learner = make_learner(run)
     progress = Progress(run, learner, make_held_out(run))
     if captured is not None:
-        checkpoints.put_back(captured, learner, progress)
+        checkpoint.put_back(captured, learner, progress)
     return learner, progress
 
 
 def train(options: Options) -> None:
     """Train and save. Raises Refused, AlreadyFinished, Diverged and OSError."""
-    with refusing(*WRONG):
+    with refusing(*SETTING_ERRORS):
         run = resolve(options)
-        config = run.recipe["config"]
-        captured = going_on(run.folder, config, FREE, options.resume, options.overwrite)
-        learner, progress = made(run, captured)
+        learner, progress = untrained(run, going_on(run))
     begin(run.folder, progress.recipe, learner.steps)
-    with progress_bar(run.schedule.total, learner.steps, options.quiet) as bar:
+    with tqdm(
+        total=run.schedule.total, initial=learner.steps, unit=" steps", unit_scale=True,
+        disable=options.quiet, dynamic_ncols=True,
+        mininterval=0.1 if sys.stderr.isatty() else 30.0,  # [s]
+    ) as bar:  # fmt: skip
         progress.count = bar.update
         progress.on_text = lambda text: bar.set_postfix_str(text, refresh=False)
         learner.learn(progress)
@@ -107,14 +113,13 @@ def train(options: Options) -> None:
     )
 
 
-def diverged(error: Diverged, options: Options) -> str:
+def advice(error: Diverged, options: Options) -> str:
     """What to do about a training that diverged."""
-    name, settings = chosen_settings(options)
-    rate = getattr(settings, "learning_rate", None)
-    hint = "" if rate is None else f"Lower --{name}.learning-rate (now {rate:g}) and train"
+    rate = getattr(options.settings, "learning_rate", None)
+    lower = f"Lower --{options.learns}.learning-rate (now {rate:g}) and train" if rate else "Train"
     return (
-        f"{error}. {hint or 'Train'} anew with --overwrite; {options.folder} keeps the agent and "
-        "the checkpoint of before"
+        f"{error}. {lower} anew with --overwrite; {options.folder} keeps the agent and the "
+        "checkpoint of before"
     )
 
 
@@ -122,19 +127,22 @@ def main(options: Options) -> int:
     """Train and save, alone in the folder; returns the exit status."""
     folder = options.folder
     torch.set_num_threads(options.threads)
-    with ExitStack() as held:
+    with ExitStack() as stack:
         try:
             with refusing(ValueError):
-                held.enter_context(locked(folder, "a training"))
+                stack.enter_context(locked(folder, "a training"))
             train(options)
         except AlreadyFinished as notice:
             print(notice)
         except KeyboardInterrupt:
-            return interrupted(folder, checkpoints.exist(folder))
+            way = "no checkpoint yet, begin anew with --overwrite"
+            way = "go on with --resume" if checkpoint.exist(folder) else way
+            print(f"interrupted; {way} --output {folder}", file=sys.stderr)
+            return INTERRUPTED
         except Refused as error:
             return failed(error)
         except Diverged as error:
-            return failed(diverged(error, options))
+            return failed(advice(error, options))
         except OSError as error:
             return failed(
                 f"--output {folder} cannot be written ({error}). Make room or choose another "
@@ -143,42 +151,45 @@ def main(options: Options) -> int:
     return 0
 
 
-def train_one(place: several.Place, job: several.Job) -> several.Trained:
+# Several trainings
+
+
+def train_one(place: sweep.Place, job: sweep.Job) -> sweep.Ended:
     """One training of several, in a process of its own: begun, or gone on with."""
     options = options_of_train()(**job.options)
     folder = options.folder
     sys.argv = list(place.command)  # the recipe says what the user asked for
     if not Path(place.folder, folder).is_dir():
-        return several.Trained(
+        return sweep.Ended(
             f"{Path(place.folder, folder)} is not there on {platform.node()}; --output must be on "
-            "a disk that all nodes share, and the working directory too", failed=True,
-        )  # fmt: skip
+            "a disk that all nodes share, and the working directory too",
+            failed=True,
+        )
     os.chdir(place.folder)
     torch.set_num_threads(options.threads)
     tqdm.set_lock(threading.RLock())  # the usual one is a semaphore, which a kill would leave
-    with ExitStack() as held, redirect_stdout(io.StringIO()):
+    with ExitStack() as stack, redirect_stdout(io.StringIO()):
         try:
             with refusing(ValueError):
-                hold(held, folder)
+                wait_for_lock(stack, folder)
             train(options)
         except AlreadyFinished:
             pass
         except (Refused, OSError) as error:
-            return several.Trained(" ".join(str(error).split()), failed=True)
+            return sweep.Ended(" ".join(str(error).split()), failed=True)
         except Diverged as error:
-            return several.Trained(diverged(error, options), failed=True)
-    recipe = read_recipe(folder / "agent.zip") or {}
-    best = recipe.get("held_out_rmse")
+            return sweep.Ended(advice(error, options), failed=True)
+    best = (read_recipe(folder / "agent.zip") or {}).get("held_out_rmse")
     score = "" if best is None else f", best {best:.4f} m held out"
-    return several.Trained(f"done{score}; {folder / 'agent.zip'}", failed=False)
+    return sweep.Ended(f"done{score}; {folder / 'agent.zip'}", failed=False)
 
 
-def hold(held: ExitStack, folder: Path) -> None:
+def wait_for_lock(stack: ExitStack, folder: Path) -> None:
     """Lock a folder, when a process that was given up on has let go of it. Raises ValueError."""
-    until = time.monotonic() + LINGERS
+    until = time.monotonic() + RELEASE_TIME
     while True:
         try:
-            held.enter_context(locked(folder, "a training"))
+            stack.enter_context(locked(folder, "a training"))
             return
         except ValueError:
             if time.monotonic() > until:
@@ -188,20 +199,19 @@ def hold(held: ExitStack, folder: Path) -> None:
 
 def check_all(trainings: Iterable[Options]) -> None:
     """Refuse what cannot be trained, before anything is written. Raises Refused."""
-    known: set[str] = set()
-    with refusing(*WRONG):
+    seen: set[str] = set()
+    with refusing(*SETTING_ERRORS):
         for options in trainings:
             run = resolve(options)
-            config, again = run.recipe["config"], (options.resume, options.overwrite)
             with suppress(AlreadyFinished):
-                going_on(run.folder, config, FREE, *again)
+                going_on(run)
             alike = repr(replace(options, seed=0, output=None))
-            if alike not in known:  # of trainings that differ in their seed, one is made
-                made(run, None)
-            known.add(alike)
+            if alike not in seen:  # of trainings that differ in their seed, one is made
+                untrained(run, None)
+            seen.add(alike)
 
 
-def prepared(options: Options) -> None:
+def prepare(options: Options) -> None:
     """Make the folder of a training, emptied if that is asked for."""
     options.folder.mkdir(parents=True, exist_ok=True)
     if options.overwrite:
@@ -210,26 +220,26 @@ def prepared(options: Options) -> None:
             begin(run.folder, run.recipe, 0)
 
 
-def main_of_several(options: Any, kind: type[Options]) -> int:
+def main_of_several(options: Options, several: Several) -> int:
     """Several trainings, then the table of a sweep; returns the exit status."""
     try:
         with refusing(ValueError):
-            executor, shard = several.executor_of(options)
-            trainings, plan = several.planned(options, kind)
-            trainings = several.part_of(trainings, shard)
+            executor, shard = sweep.executor_of(several)
+            trainings, plan = sweep.planned(options, several)
+            if shard is not None:
+                trainings = dict(shard.of(list(trainings.items())))
         check_all(trainings.values())
         with refusing(ValueError):
             for each in trainings.values():
-                prepared(each)
+                prepare(each)
         # By the name of this module, which other processes can import.
-        failures = several.train_all(
-            trainings, executor, import_module("train").train_one, options.quiet
-        )
+        task = import_module("train").train_one
+        failures = sweep.train_all(trainings, executor, task, options.quiet)
         if plan is not None and shard is None:
             with refusing(ValueError):
-                print(f"\n{compared(plan, executor)}")
+                print(f"\n{sweep.compared(plan, executor)}")
     except KeyboardInterrupt:
-        again = "run it again" if options.sweep else "go on with --resume"
+        again = "run it again" if several.sweep else "go on with --resume"
         print(f"interrupted; checkpoints are kept, {again}", file=sys.stderr)
         return INTERRUPTED
     except (Refused, OSError) as error:
@@ -242,28 +252,15 @@ def command(arguments: Sequence[str] | None = None) -> int:
 
     It has the algorithms that are registered when it is called.
     """
-    kind = options_of_train()
-    named: list[Any] = [
-        (each.name, in_words(each.type), each.default)
-        for of in (kind, several.Several)
-        for each in fields(of)
-        if in_words(each.type) is not each.type
-    ]
-    both: Any = make_dataclass("Config", named, bases=(several.Several, kind), frozen=True)
-    both.__doc__ = kind.__doc__
-    given = sys.argv[1:] if arguments is None else arguments
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        check_names(given)
-        options: Any = tyro.cli(both, args=given, description=__doc__, registry=REGISTRY)
-        check_given(given, options)
+        options, several = parse(words, options_of_train(), __doc__ or "")
+        more = sweep.asked(several)
     except ValueError as error:
         return failed(error)
-    raise_again()
-    try:
-        more = several.asked(options)
-    except ValueError as error:
-        return failed(error)
-    return main_of_several(options, kind) if more else main(several.one(options, kind))
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    return main_of_several(options, several) if more else main(options)
 
 
 if __name__ == "__main__":

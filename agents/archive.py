@@ -1,17 +1,12 @@
-"""Writing the file of a trained agent (`baselines.learned.agent_archive`), and its network in
-PyTorch, for what learns on from it.
-
-The network of a training as plain data: its architecture for JSON, its weights for an npz file.
+"""Networks of agents in PyTorch, and the files that hold them.
 
     {"inputs": 31, "hidden": [64, 64], "activation": "tanh", "lstm_hidden": null}
-The policy of Stable-Baselines3 is built from the architecture, then given the weights: nothing is
-unpickled. Weights are those of the action alone; values, which only learning needs, are left out.
+is the architecture in the recipe of an archive (`baselines.learned.agent_archive`); its weights are
+plain arrays. The policy of Stable-Baselines3 is built from the architecture, then given the
+weights: nothing is unpickled. Weights are those of the action alone; values, which only learning
+needs, are left out.
 
-The network of a student while it learns: in PyTorch, beside the network of its teacher.
-
-What an archive of train.py says of its training, and archives of strangers as policies.
-
-Archives of train.py are plain data and need neither PyTorch nor this package
+Archives of train.py need neither PyTorch nor this package to drive
 (`baselines.learned.trained_agent`). Those of `model.save` of Stable-Baselines3, and of train.py of
 the version before, hold pickled objects: opening one runs whatever its author put there, so it
 takes `trust`. One without a recipe, of any of the algorithms on the plain environment, is loaded as
@@ -24,7 +19,6 @@ import sys
 import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
-from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -74,23 +68,31 @@ from tracked_env.benchmark import PolicyEntry
 from tracked_env.benchmark.policies import archive_entry
 from tracked_env.benchmark.store import write_atomically
 
+Floats = NDArray[np.float32]
+State = tuple[torch.Tensor, torch.Tensor]  # hidden and cell values of an LSTM
+
+PACKAGE = Path(__file__).resolve().parent
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": Tanh, "relu": nn.ReLU}
 # Prefixes of parameters that only learning needs: values, their targets, the target of the action.
 _VALUES = (
     "value_net.", "mlp_extractor.value_net.", "critic.", "critic_target.", "actor_target.",
     "lstm_critic.",
 )  # fmt: skip
+# Order in which an archive without a recipe is tried: who is the pickiest comes first.
+_TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
 
 
-def network_of(policy: BasePolicy) -> dict[str, Any]:
+# Networks
+
+
+def network_of(policy: Any) -> dict[str, Any]:
     """The architecture of a policy of train.py."""
-    made: Any = policy
     names: dict[Any, str] = {nn.Tanh: "tanh", **{kind: n for n, kind in ACTIVATIONS.items()}}
     return {
-        "inputs": int(policy.observation_space.shape[0]),  # type: ignore[index]
-        "hidden": list(made.net_arch),
-        "activation": names[made.activation_fn],
-        "lstm_hidden": getattr(getattr(made, "lstm_actor", None), "hidden_size", None),
+        "inputs": int(policy.observation_space.shape[0]),
+        "hidden": list(policy.net_arch),
+        "activation": names[policy.activation_fn],
+        "lstm_hidden": getattr(getattr(policy, "lstm_actor", None), "hidden_size", None),
     }
 
 
@@ -104,80 +106,35 @@ def weights_of(policy: BasePolicy) -> Arrays:
 
 
 def build(algorithm: str, network: Mapping[str, Any], weights: Mapping[str, Any]) -> BasePolicy:
-    """The policy with this architecture and these weights. Raises ValueError where they differ.
+    """The policy with this architecture and these weights.
 
-    Draws nothing from the random stream of PyTorch.
+    Draws nothing from the random stream of PyTorch. Raises ValueError for weights of other names or
+    shapes, and for one that is not finite.
     """
-    made: Any = ALGORITHMS[algorithm][0].policy_aliases.get("MlpPolicy")
+    kind: Any = ALGORITHMS[algorithm].model.policy_aliases.get("MlpPolicy")
     more: dict[str, Any] = {}
     if algorithm == RECURRENT:
-        made, more = BypassedLstmPolicy, {"lstm_hidden_size": network["lstm_hidden"]}
-    seen = Box(-np.inf, np.inf, (network["inputs"],), np.float32)
-    act = Box(-1.0, 1.0, (2,), np.float32)
-    activation = ACTIVATIONS[network["activation"]]
+        kind, more = BypassedLstmPolicy, {"lstm_hidden_size": network["lstm_hidden"]}
+    more.update(net_arch=list(network["hidden"]), activation_fn=ACTIVATIONS[network["activation"]])
+    inputs = Box(-np.inf, np.inf, (network["inputs"],), np.float32)
+    actions = Box(-1.0, 1.0, (2,), np.float32)
     with torch.random.fork_rng(devices=[]):
-        policy: BasePolicy = made(
-            seen, act, lambda _: 0.0, net_arch=list(network["hidden"]), activation_fn=activation,
-            **more,
-        )  # fmt: skip
-    fill(policy, weights, weights_of(policy))
+        policy: BasePolicy = kind(inputs, actions, lambda _: 0.0, **more)
+    check_weights(weights, {name: value.shape for name, value in weights_of(policy).items()})
+    state = {name: torch.from_numpy(np.array(value)) for name, value in weights.items()}
+    policy.load_state_dict(state, strict=False)
     policy.set_training_mode(False)
     return policy
 
 
-def fill(module: nn.Module, weights: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-    """Put weights into a network; expected: arrays as they must be, in name and shape.
-
-    Raises ValueError for others, and for one that is not finite.
-    """
-    check_weights(weights, {name: value.shape for name, value in expected.items()})
-    state = {name: torch.from_numpy(np.array(value)) for name, value in weights.items()}
-    module.load_state_dict(state, strict=False)
-
-
-def to_npz(weights: Mapping[str, NDArray[Any]]) -> bytes:
+def to_npz(weights: Mapping[str, Any]) -> bytes:
     """Arrays as the content of an npz file."""
     buffer = io.BytesIO()
-    arrays: Any = weights
-    np.savez(buffer, **arrays)
+    np.savez(buffer, **weights)
     return buffer.getvalue()
 
 
-def save_agent(
-    path: Path,
-    model: BaseAlgorithm | BasePolicy,
-    recipe: Mapping[str, Any],
-    files: Mapping[str, bytes] | None = None,
-) -> None:
-    """Write recipe, network and further files as one archive, whole or not at all."""
-    policy: BasePolicy = model.policy if isinstance(model, BaseAlgorithm) else model
-    recorded = {**recipe, "format": FORMAT, "network": network_of(policy)}
-    buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(RECIPE, json.dumps(recorded, indent=1))
-        archive.writestr(WEIGHTS, to_npz(weights_of(policy)))
-        for name, content in (files or {}).items():
-            archive.writestr(name, content)
-    write_atomically(path, buffer.getvalue())
-
-
-def load_network(path: Path, recipe: Mapping[str, Any]) -> BasePolicy:
-    """The network in an archive, as the policy of Stable-Baselines3. recipe: of `read_recipe`.
-
-    Raises ValueError for an archive of the version before, and for weights that are damaged, not
-    finite, or not those of the architecture.
-    """
-    if recipe["format"] == PICKLED:
-        raise ValueError(untrusted(path, "is of a former version of train.py"))
-    try:
-        weights = from_npz(read_entry(path, WEIGHTS), WEIGHTS)
-        return build(recipe["algorithm"], recipe["network"], weights)
-    except ValueError as error:
-        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
-
-
-Floats = NDArray[np.float32]
-Carried = tuple[torch.Tensor, torch.Tensor]  # hidden and cell values of an LSTM
+# Students: the network of their teacher, and one that infers what the teacher sees
 
 
 def make_inference(
@@ -216,18 +173,18 @@ class RecurrentInference(nn.Module):
             self.lstm.bias_ih[lstm_hidden : 2 * lstm_hidden] += 2.0
 
     def forward(
-        self, inputs: torch.Tensor, start: torch.Tensor, carried: Carried
-    ) -> tuple[torch.Tensor, Carried]:
-        """Outputs (T, N, F) of inputs (T, N, D), and what is carried on; start (T, N, 1)."""
-        remembered = []
-        for seen, begins in zip(inputs, start, strict=True):
-            kept = 1.0 - begins
-            carried = self.lstm(seen, (carried[0] * kept, carried[1] * kept))
-            remembered.append(carried[0])
-        return self.layers(torch.cat([torch.stack(remembered), inputs], dim=-1)), carried
+        self, inputs: torch.Tensor, start: torch.Tensor, state: State
+    ) -> tuple[torch.Tensor, State]:
+        """Outputs (T, N, F) of inputs (T, N, D), and the state after them; start (T, N, 1)."""
+        memory = []
+        for row, begins in zip(inputs, start, strict=True):
+            goes_on = 1.0 - begins
+            state = self.lstm(row, (state[0] * goes_on, state[1] * goes_on))
+            memory.append(state[0])
+        return self.layers(torch.cat([torch.stack(memory), inputs], dim=-1)), state
 
-    def blank(self, count: int) -> Carried:
-        """What `count` rows carry before anything was seen."""
+    def blank(self, count: int) -> State:
+        """The state of `count` rows before anything was seen."""
         return torch.zeros(count, self.lstm.hidden_size), torch.zeros(count, self.lstm.hidden_size)
 
 
@@ -235,21 +192,25 @@ class RecurrentStudentModel(RecurrentStudent):
     """A recurrent student whose inference is a network of PyTorch; the others as there."""
 
     def __init__(
-        self, inference: RecurrentInference, teacher: Predictor,
-        normalisation: Normalisation | None, names: Sequence[str], features: str = "reckoned",
-    ) -> None:  # fmt: skip
+        self,
+        inference: RecurrentInference,
+        teacher: Predictor,
+        normalisation: Normalisation | None,
+        names: Sequence[str],
+        features: str = "reckoned",
+    ) -> None:
         super().__init__(self._inferred, teacher, normalisation, names, features)
         self.inference = inference
 
-    def _inferred(self, inputs: Floats, carried: Any, start: Any) -> tuple[Floats, Any]:
-        """One step; carried: arrays (N, H) of hidden and cell values, or None."""
-        known = self.inference.blank(len(inputs))
-        if carried is not None:
-            known = torch.from_numpy(carried[0]), torch.from_numpy(carried[1])
+    def _inferred(self, inputs: Floats, memory: Any, start: Any) -> tuple[Floats, Any]:
+        """One step; memory: arrays (N, H) of hidden and cell values, or None."""
+        state = self.inference.blank(len(inputs))
+        if memory is not None:
+            state = torch.from_numpy(memory[0]), torch.from_numpy(memory[1])
         begins = torch.from_numpy(np.asarray(start, np.float32)[None, :, None])
         with torch.no_grad():
-            found, known = self.inference(torch.from_numpy(inputs)[None], begins, known)
-        return found[0].numpy(), (known[0].numpy(), known[1].numpy())
+            output, state = self.inference(torch.from_numpy(inputs)[None], begins, state)
+        return output[0].numpy(), (state[0].numpy(), state[1].numpy())
 
 
 class StudentModel(Student):
@@ -267,11 +228,11 @@ class StudentModel(Student):
 
     def _inferred(self, observation: Floats) -> Floats:
         with torch.no_grad():
-            found: Floats = self.inference(torch.from_numpy(observation)).numpy()
-        return found
+            output: Floats = self.inference(torch.from_numpy(observation)).numpy()
+        return output
 
 
-def weights(inference: nn.Module) -> bytes:
+def inference_weights(inference: nn.Module) -> bytes:
     """The parameters of an inference network as an npz file."""
     values = {
         name + ("_l0" if name.startswith(MEMORY) else ""): value.numpy()
@@ -280,13 +241,44 @@ def weights(inference: nn.Module) -> bytes:
     return to_npz({"format": np.array(INFERENCE_FORMAT), **values})
 
 
-PACKAGE = Path(__file__).resolve().parent
-# Order in which an archive without a recipe is tried: who is the pickiest comes first.
-_TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
+# Archives
+
+
+def save_agent(
+    path: Path,
+    model: BaseAlgorithm | BasePolicy,
+    recipe: Mapping[str, Any],
+    files: Mapping[str, bytes] | None = None,
+) -> None:
+    """Write recipe, network and further files as one archive, whole or not at all."""
+    policy: BasePolicy = model.policy if isinstance(model, BaseAlgorithm) else model
+    whole = {**recipe, "format": FORMAT, "network": network_of(policy)}
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(RECIPE, json.dumps(whole, indent=1))
+        archive.writestr(WEIGHTS, to_npz(weights_of(policy)))
+        for name, content in (files or {}).items():
+            archive.writestr(name, content)
+    write_atomically(path, buffer.getvalue())
+
+
+def load_network(path: Path, recipe: Mapping[str, Any]) -> BasePolicy:
+    """The network in an archive, as the policy of Stable-Baselines3. recipe: of `read_recipe`.
+
+    Raises ValueError for an archive of the version before, and for weights that are damaged, not
+    finite, or not those of the architecture.
+    """
+    if recipe["format"] == PICKLED:
+        raise ValueError(untrusted(path, "is of a former version of train.py"))
+    try:
+        weights = from_npz(read_entry(path, WEIGHTS), WEIGHTS)
+        return build(recipe["algorithm"], recipe["network"], weights)
+    except ValueError as error:
+        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
 
 
 def unpickled(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
-    """The model in an archive of Stable-Baselines3, of the first of `algorithms` that can load it.
+    """The model in an archive of Stable-Baselines3, by the first of `algorithms` that can load it.
 
     Runs whatever code is in the archive. Raises ValueError where none can.
     """
@@ -297,14 +289,15 @@ def unpickled(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
             ignored = r"`n_steps=\d+` is ignored because a custom `replay_buffer_class`"
             warnings.filterwarnings("ignore", ignored, UserWarning)
             try:
-                return ALGORITHMS[name][0].load(path, device="cpu")
+                model: BaseAlgorithm = ALGORITHMS[name].model.load(path, device="cpu")
+                return model
             except Exception as error:  # SB3 raises what happens to go wrong
                 errors.append(f"{name}: {type(error).__name__}: {str(error)[:200]}")
     raise ValueError(f"agent {path} cannot be loaded as {'; '.join(errors)}")
 
 
-def load_teacher(path: Path | None, trust: bool = False) -> tuple[Any, dict[str, Any]]:
-    """Network and recipe of a teacher, to learn from; trust: as `open_trusted`.
+def load_teacher(path: Path | None, trust: bool = False) -> tuple[BasePolicy, dict[str, Any]]:
+    """Network and recipe of a teacher, to learn from; trust: as `agent_entry`.
 
     Raises ValueError.
     """
@@ -333,11 +326,8 @@ def _check_plain(path: Path) -> None:
                 "--normalise, which puts it into the archive, or pass a policy that normalises "
                 "as module:attribute"
             )
-    print(
-        f"agent {path} has no recipe of train.py: taken as a blind agent, observations not "
-        "normalised",
-        file=sys.stderr,
-    )
+    text = f"agent {path} has no recipe of train.py: taken as a blind agent, observations not "
+    print(f"{text}normalised", file=sys.stderr)
 
 
 def open_trusted(path: Path) -> TrainedAgent:
@@ -350,8 +340,7 @@ def open_trusted(path: Path) -> TrainedAgent:
     recipe = read_recipe(path)
     if recipe is not None and recipe["format"] != PICKLED:
         return open_agent(path)
-    algorithms = _TRIED if recipe is None else (recipe["algorithm"],)
-    model = unpickled(path, algorithms).policy
+    model = unpickled(path, _TRIED if recipe is None else (recipe["algorithm"],)).policy
     shown = getattr(model.observation_space, "shape", None)
     if recipe is not None:
         opened = agent_of(path, recipe, model, shown)

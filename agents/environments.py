@@ -1,24 +1,297 @@
-"""The vehicles of a training, as its agent sees them, and those of the held-out episodes."""
+"""The vehicles of a training, as its agent sees them, and those of the held-out episodes.
 
-from collections.abc import Sequence
+    TrackedVehicleVectorEnv   of one kind of sensors
+    TruthfulVectorEnv         a teacher, and who learns from one, is told the truth (`Privileged`)
+    TrainingReward            reward' = reward + 1 / (1 + (d / precision)^2) - smoothness * c
+    AgentVectorEnv            observations widened by the augmentation, commands from actions
+    JoinedVecEnv              one part for each kind of sensors
+    VecMonitor, ScaledReward  rewards times 1 - gamma, where the algorithm asks for it
+d: true distance to the reference [m]; c: mean square of the change of the command from one control
+step to the next [-]. The environment's own position term, with a scale of 0.5 m for a contact
+length of 2 m, is worth 0.7 per cent at 5 cm, less than what exploring costs; with 0.15 m it is 10
+per cent. Near the path the added term falls with d^2, so its sum over an episode ranks policies as
+the RMSE does. The environment's own action-rate penalty, 0.0125 c, is negligible beside that: an
+agent that answers the noise of each sample with torque loses a thousandth by it. Scaled by
+1 - gamma, values are of order one whatever the horizon: a value of 100 or 200, as a sum over the
+horizon is, takes a fresh network longer to reach than driving takes to learn.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import gymnasium
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from agents.held_out import HeldOut
-from agents.options import Part
-from agents.reward import ScaledReward, TrainingReward
-from agents.run import Run
-from agents.vector_envs import AgentVectorEnv, JoinedVecEnv, Privileged, TruthfulVectorEnv
-from baselines.learned.agent_policy import TEACHER
-from baselines.learned.augmentation import Augmentation, make_augmentation
+from agents.algorithms import SMOOTHNESS
+from agents.run import Part, Run
+from baselines.learned.agent_policy import PRIVILEGED, TEACHER, privileged, true_motion
+from baselines.learned.augmentation import Augmentation, Blind, make_augmentation
 from baselines.learned.student import widened_by
-from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.sb3 import make_vec_env
+from tracked_env.step import WEIGHTS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
+from tracked_env.wrappers import IdentifiedVectorObservation
 
+Floats = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Step = tuple[Any, NDArray[np.float64], Bools, Bools, Any]
 Vehicles = gymnasium.vector.VectorEnv[Any, Any, Any]
+
+MEAN_SQUARE = 4.0 / WEIGHTS["smoothness"]  # the environment's term is over its largest value, 4
+
+
+class AgentVectorEnv(IdentifiedVectorObservation):
+    """A vector env as the agent lives in it: widened observations, its own actions."""
+
+    observer: Augmentation
+
+    def step(self, actions: Floats) -> Step:
+        """Advance all rows by the commands that follow from the agent's actions (N, 2)."""
+        commands = self.observer.command(np.asarray(actions, np.float32), self._features)
+        observation, reward, terminated, truncated, info = super().step(commands)
+        for last in info.get("final_obs", ()):
+            if last is not None:
+                np.nan_to_num(last, copy=False)
+        return np.nan_to_num(observation, copy=False), reward, terminated, truncated, info
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Start episodes on all rows, or on those of `options["reset_mask"]`."""
+        observation, info = super().reset(seed=seed, options=options)
+        return np.nan_to_num(observation, copy=False), info
+
+    def snapshot(self) -> Any:
+        """All that is remembered, to go on from later."""
+        return self.observer.memories(), self._features.copy(), self._over.copy()
+
+    def resume(self, snapshot: Any) -> None:
+        """Go on from what `snapshot` returned."""
+        memories, self._features, self._over = snapshot
+        self.observer.restore(memories)
+
+
+class Privileged(Blind):
+    """An augmentation that a `TruthfulVectorEnv` tells the truth before each `observe`.
+
+    count, control_period: as Blind.
+    nominal: the vehicle and the soil that the inputs are ratios to and differences from.
+    `present` (N, F) belongs to the observation that the environment shows. `last` is the same
+    except in rows that have just ended, where it belongs to the last observation of the episode.
+    """
+
+    feature_names = PRIVILEGED
+
+    def __init__(self, count: int, control_period: float, nominal: PlantParameters) -> None:
+        super().__init__(count, control_period)
+        self.nominal = nominal
+        self.present: Floats = np.zeros((count, len(PRIVILEGED)), dtype=np.float32)
+        self.last = self.present
+        self.simulation: Any = None  # of the environment that fills it in
+
+    @classmethod
+    def of(cls, part: Part) -> "Privileged":
+        """What a teacher sees of a part's vehicles."""
+        context = part.context
+        return cls(part.rows, context.control_period, VEHICLES[context.vehicle])
+
+    def motion(self) -> Floats:
+        """The true MOTION (N, 6) now, as an ideal observation shows it."""
+        column = self.simulation.column
+        reference = [column(f"reference_{name}") for name in ("x", "y", "yaw")]
+        return true_motion(self.simulation.truth(), reference)
+
+    def observe(self, observation: Floats, start: Bools) -> Floats:
+        """The privileged inputs (N, F); rows with `start` begin an episode."""
+        return np.where(start[:, None], self.present, self.last)
+
+
+class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
+    """Tells a `Privileged` the truth after each step. env: with `expose_truth`.
+
+    Raises ValueError for an environment that does not expose the truth, or of another vehicle.
+    """
+
+    def __init__(self, env: Vehicles, augmentation: Privileged) -> None:
+        super().__init__(env)
+        core: Any = env.unwrapped
+        if not getattr(core, "expose_truth", False):
+            raise ValueError("a teacher needs an environment made with expose_truth = True")
+        if core.simulation.solver.nominal != augmentation.nominal:
+            raise ValueError(
+                "the environment and the augmentation have different nominal vehicles; a teacher "
+                "needs `tracked_env.physics.parameters.VEHICLES` of the environment's `vehicle`"
+            )
+        self.augmentation = augmentation
+        augmentation.simulation = core.simulation
+
+    def _tell(self, info: Mapping[str, Any]) -> None:
+        augmentation = self.augmentation
+        augmentation.present = privileged(info["truth"], augmentation.nominal)
+        augmentation.last = augmentation.present
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start episodes."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._tell(info)
+        return observation, info
+
+    def step(self, actions: Floats) -> Step:
+        """Advance all rows by one control period; actions (N, 2)."""
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        self._tell(info)
+        if "final_info" in info:  # the row shows its next episode already
+            augmentation = self.augmentation
+            final = privileged(info["final_info"]["truth"], augmentation.nominal)
+            ended = info["_final_info"][:, None]
+            augmentation.last = np.where(ended, final, augmentation.present)
+        return observation, reward, terminated, truncated, info
+
+
+class TrainingReward(gymnasium.vector.VectorWrapper):
+    """Adds both terms to every row's reward, at the end of an episode too.
+
+    precision [m], smoothness [-]: see above; 0 leaves a term out. It remembers nothing: the change
+    of the command is read from the environment's own term.
+    Raises ValueError for a negative or infinite value.
+    """
+
+    def __init__(self, env: Vehicles, precision: float, smoothness: float = SMOOTHNESS) -> None:
+        super().__init__(env)
+        for name, value, unit in (("precision", precision, " m"), ("smoothness", smoothness, "")):
+            if not 0.0 <= value < np.inf:
+                text = f"{name} = {value}{unit}; must be at least 0, which omits the term"
+                raise ValueError(text)
+        self.precision, self.smoothness = precision, smoothness
+
+    def _added(self, info: Mapping[str, Any]) -> NDArray[np.float64]:
+        """Both terms (N,)."""
+        added = np.zeros(self.num_envs)
+        if self.precision:
+            added += 1.0 / (1.0 + (info["tracking_error"][:, 0] / self.precision) ** 2)
+        if self.smoothness:
+            added -= self.smoothness * MEAN_SQUARE * info["reward_smoothness"]
+        return np.nan_to_num(added)
+
+    def step(self, actions: Floats) -> Step:
+        """Advance all rows by one control period; actions (N, 2)."""
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        added = self._added(info)
+        if "final_info" in info:  # the row shows its next episode already
+            added = np.where(info["_final_info"], self._added(info["final_info"]), added)
+        return observation, reward + added, terminated, truncated, info
+
+
+class ScaledReward(VecEnvWrapper):
+    """Rewards times 1 - gamma, so that a discounted sum of them is their weighted mean.
+
+    gamma: discount per control step, in [0, 1). Raises ValueError for another one.
+    """
+
+    def __init__(self, venv: VecEnv, gamma: float) -> None:
+        super().__init__(venv)
+        if not 0.0 <= gamma < 1.0:
+            raise ValueError(f"gamma = {gamma}; must be in [0, 1)")
+        self.scale = np.float32(1.0 - gamma)
+
+    def reset(self) -> Any:
+        """Start all rows."""
+        return self.venv.reset()
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Advance all rows by one control period."""
+        observations, rewards, dones, infos = self.venv.step_wait()
+        return observations, self.scale * rewards, dones, infos
+
+
+class JoinedVecEnv(VecEnv):
+    """The rows of all `parts` in their order; each does what it does alone, bit for bit.
+
+    An environment of this project has one kind of sensors, and the augmentations that weigh
+    measurements have one data sheet: an agent that is to cope with several gets a part for each.
+    Row i of all is seeded seed + i. Raises ValueError for parts with different spaces.
+    """
+
+    def __init__(self, parts: Sequence[VecEnv]) -> None:
+        self.parts = list(parts)
+        first = self.parts[0]
+        spaces = first.observation_space, first.action_space
+        if any((part.observation_space, part.action_space) != spaces for part in self.parts):
+            raise ValueError("parts with different spaces cannot be joined")
+        edges = np.cumsum([0, *[part.num_envs for part in self.parts]])
+        rows = [slice(int(low), int(high)) for low, high in pairwise(edges)]
+        self._rows = list(zip(self.parts, rows, strict=True))
+        self.render_mode = first.render_mode
+        super().__init__(int(edges[-1]), *spaces)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed row i with seed + i at the next reset; None draws one."""
+        first = int(np.random.randint(2**31)) if seed is None else seed  # noqa: NPY002, as SB3
+        return [each for part, rows in self._rows for each in part.seed(first + rows.start)]
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Options of the next reset, the same for all rows or one for each."""
+        for part, rows in self._rows:
+            part.set_options(options[rows] if isinstance(options, list) else options)
+
+    def reset(self) -> NDArray[np.float32]:
+        """Start all rows."""
+        observations = [np.asarray(part.reset()) for part in self.parts]
+        self.reset_infos = [info for part in self.parts for info in part.reset_infos]
+        return np.concatenate(observations)
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Pass each part its actions (N, 2) for `step_wait`."""
+        for part, rows in self._rows:
+            part.step_async(actions[rows])
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Advance all rows by one control period."""
+        steps: Any = zip(*(part.step_wait() for part in self.parts), strict=True)
+        *arrays, infos = steps
+        observations, rewards, dones = (np.concatenate(array) for array in arrays)
+        return observations, rewards, dones, [info for part in infos for info in part]
+
+    def close(self) -> None:
+        """Release what the parts hold."""
+        for part in self.parts:
+            part.close()
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """One RGB array per row."""
+        return [image for part in self.parts for image in part.get_images()]
+
+    def _each(self, name: str, indices: VecEnvIndices, *arguments: Any, **more: Any) -> list[Any]:
+        """What the method of its part returns for each of the rows asked for."""
+        where = [(part, row) for part in self.parts for row in range(part.num_envs)]
+        rows = [where[i] for i in self._get_indices(indices)]
+        return [getattr(part, name)(*arguments, indices=row, **more) for part, row in rows]
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """The attribute of each row's environment."""
+        return [value for (value,) in self._each("get_attr", indices, attr_name)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """As the parts do."""
+        self._each("set_attr", indices, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **more: Any
+    ) -> list[Any]:
+        """As the parts do."""
+        values = self._each("env_method", indices, method_name, *method_args, **more)
+        return [value for (value,) in values]
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
+        """As the parts do."""
+        return [value for (value,) in self._each("env_is_wrapped", indices, wrapper_class)]
 
 
 def joined(parts: Sequence[VecEnv], seed: int) -> VecEnv:
@@ -28,18 +301,12 @@ def joined(parts: Sequence[VecEnv], seed: int) -> VecEnv:
     return env
 
 
-def make_privileged(part: Part) -> Privileged:
-    """What a teacher sees of a part's vehicles."""
-    context = part.context
-    return Privileged(part.rows, context.control_period, VEHICLES[context.vehicle])
-
-
 def make_part(run: Run, part: Part) -> VecEnv:
     """The vehicles of one kind of sensors as the agent sees them. Raises ValueError."""
     augmentation: Augmentation
     arguments, (kind, options) = part.arguments, run.augmentation
     if kind == TEACHER:
-        augmentation = make_privileged(part)
+        augmentation = Privileged.of(part)
         arguments = {**arguments, "expose_truth": True}
     else:
         augmentation = make_augmentation(kind, options, part.context, part.rows)
@@ -48,10 +315,10 @@ def make_part(run: Run, part: Part) -> VecEnv:
         if isinstance(augmentation, Privileged):
             env = TruthfulVectorEnv(env, augmentation)
         precision = run.reward.precision * VEHICLES[part.context.vehicle].contact_length
-        rewarded = TrainingReward(env, precision, run.reward.smoothness)
-        return AgentVectorEnv(rewarded, augmentation)
+        return AgentVectorEnv(TrainingReward(env, precision, run.reward.smoothness), augmentation)
 
-    return make_vec_env(run.env, part.rows, None, arguments, False, wrapper, run.staggered)
+    staggered = run.options.staggered
+    return make_vec_env(run.env, part.rows, None, arguments, False, wrapper, staggered)
 
 
 def make_environment(run: Run) -> VecEnv:
@@ -60,7 +327,7 @@ def make_environment(run: Run) -> VecEnv:
     env: VecEnv = VecMonitor(joined(parts, run.seed), info_keywords=("is_success",))
     if run.algorithm.scaled:
         env = ScaledReward(env, run.settings.gamma)
-    return VecNormalize(env, norm_reward=False) if run.normalise else env
+    return VecNormalize(env, norm_reward=False) if run.options.normalise else env
 
 
 def make_taught(run: Run) -> tuple[VecEnv, list[Privileged]]:
@@ -68,9 +335,9 @@ def make_taught(run: Run) -> tuple[VecEnv, list[Privileged]]:
 
     Raises ValueError.
     """
-    made, truths = [], []
+    parts, truths = [], []
     for part in run.parts:
-        truth = make_privileged(part)
+        truth = Privileged.of(part)
         widening = widened_by(run.augmentation.options)
         memory = make_augmentation(*widening, part.context, part.rows)
 
@@ -80,9 +347,9 @@ def make_taught(run: Run) -> tuple[VecEnv, list[Privileged]]:
             return AgentVectorEnv(TruthfulVectorEnv(env, truth), memory)
 
         arguments = {**part.arguments, "expose_truth": True}
-        made.append(make_vec_env(run.env, part.rows, None, arguments, False, wrapper))
+        parts.append(make_vec_env(run.env, part.rows, None, arguments, False, wrapper))
         truths.append(truth)
-    return joined(made, run.seed), truths
+    return joined(parts, run.seed), truths
 
 
 def make_vehicles(run: Run, part: Part, **more: Any) -> TrackedVehicleVectorEnv:
@@ -92,19 +359,3 @@ def make_vehicles(run: Run, part: Part, **more: Any) -> TrackedVehicleVectorEnv:
     )
     vehicles: TrackedVehicleVectorEnv = env.unwrapped
     return vehicles
-
-
-def make_held_out(run: Run) -> list[HeldOut]:
-    """The vehicles of the held-out episodes, none where there are to be none.
-
-    Only a teacher's show the truth. Raises ValueError.
-    """
-    truth = run.augmentation.kind == TEACHER
-    return [
-        HeldOut(
-            make_vehicles(run, part, expose_truth=truth, autoreset_mode="Disabled"),
-            part.context,
-            part.first,
-        )
-        for part in run.held_out
-    ]

@@ -1,10 +1,4 @@
-"""How train.py and evaluate.py end early: in one line, with the exit status that a shell expects.
-
-    130   interrupted with Ctrl-C
-    2     wrong settings, a training that diverged, a folder that cannot be written
-It imports nothing that takes time, so that Ctrl-C has an answer while everything else is imported.
-
-The folder of one training, and whether a training may begin or go on there.
+"""The folder of one training and its progress: curve, held-out episodes, best agent, checkpoints.
 
 config.json                     the recipe; `"finished": true` when the training has ended
 agent.zip, last.zip, curve.csv  of the training that config.json describes
@@ -12,90 +6,65 @@ checkpoint*.zip                 of `agents.checkpoint`, until it has ended
 A file of one of these names that no training has written is never replaced or deleted: training
 there is refused. Each is recognised by its content, a checkpoint also by an unfinished training
 beside it, since a damaged one must give way.
+
+A learner calls `Progress.between` at the moments at which its state is smallest: what is due then
+is done. Held-out episodes tell how far from its path an agent is on vehicles that it is not trained
+on. They are seeded from HELD_OUT_SEED on; trainings (`agents.run.random_seed`) and the benchmark's
+episodes have other seeds. They are driven in one batch, with the policy in its benchmark form, and
+draw nothing from the training's random streams: evaluating more often does not change the agent.
 """
 
 import json
+import math
 import os
-import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.policies import BasePolicy
+from torch import nn
 
 from agents import checkpoint
+from agents.archive import save_agent
+from agents.environments import make_vehicles
+from agents.run import Run
 from baselines.learned.agent_archive import current, read_recipe
+from baselines.learned.agent_policy import TEACHER
+from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.policy_interface import Policy, needs_truth
+from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.benchmark.store import write_atomically
+from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-INTERRUPTED = 130
-REFUSED = 2
+Floats = NDArray[np.float64]
 
-
-class Refused(Exception):
-    """What is asked for cannot be trained; nothing has been written."""
-
-
-def stop_at_once(line: str) -> None:
-    """From now on Ctrl-C prints `line` and ends the process without unwinding.
-
-    An exception in the middle of an import or a compilation would be lost or replaced. What is to
-    be kept must be whole on the disk at any time. A process in the background, for which the shell
-    has switched Ctrl-C off, stays as it is.
-    """
-
-    def stop(*_: object) -> None:
-        with suppress(Exception):
-            sys.stdout.flush()
-        os.write(2, f"{line}\n".encode())
-        os._exit(INTERRUPTED)
-
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, stop)
-
-
-def raise_again() -> None:
-    """Undo `stop_at_once`: Ctrl-C raises KeyboardInterrupt."""
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@contextmanager
-def refusing(*errors: type[Exception]) -> Iterator[None]:
-    """Turn the errors of wrong settings into Refused."""
-    try:
-        yield
-    except errors as error:
-        raise Refused(error) from error
-    except MemoryError as error:
-        raise Refused(f"{error}. Lower vehicles, n_steps or the sizes of buffers") from error
-
-
-def failed(text: object) -> int:
-    """Say in one line what is wrong; returns the exit status."""
-    print("train.py:", " ".join(str(text).split()), file=sys.stderr)
-    return REFUSED
-
-
-def interrupted(folder: object, resumable: bool) -> int:
-    """Say in one line how to go on; returns the exit status."""
-    way = "go on with --resume" if resumable else "no checkpoint yet, begin anew with --overwrite"
-    print(f"interrupted; {way} --output {folder}", file=sys.stderr)
-    return INTERRUPTED
-
-
-CONFIG = "config.json"
+CONFIG, CURVE = "config.json", "curve.csv"
 ARCHIVES = ("agent.zip", "last.zip")
-CURVE = "curve.csv"
 PRODUCTS = (*ARCHIVES, CURVE)
 _COLUMNS = b"steps,seconds,"  # how a learning curve begins, a student's too
 _RECIPE = (  # entries of every config.json that a training has written
     "algorithm", "augmentation", "augmentation_options", "control_period", "environment",
     "config", "versions", "command",
 )  # fmt: skip
+MAY_DIFFER = ("resume", "overwrite", "output", "tensorboard", "quiet", "trust")  # of a resumed one
+HELD_OUT_SEED = 1_000_000
+CURVE_ROWS = 200  # of a whole training, about
+_STATE = {  # what a checkpoint holds of the progress
+    "curve": None, "best": 0.0, "evaluated": 0, "saved": 0, "drawn": 0, "evaluating": 0.0,
+    "spent": 0.0, "worked": 0.0,
+}  # fmt: skip
 
 
 class AlreadyFinished(Exception):
     """The training that is asked for has ended; its text says where the agent is."""
+
+
+# What lies in the folder
 
 
 def _lies(path: Path) -> bool:
@@ -124,7 +93,6 @@ def _is_archive(path: Path) -> bool:
 
 
 def _is_curve(path: Path) -> bool:
-    """Whether a file is a learning curve."""
     try:
         with path.open("rb") as file:
             return file.read(len(_COLUMNS)) == _COLUMNS
@@ -162,9 +130,9 @@ def _recorded(folder: Path) -> dict[str, Any]:
     return recipe or {}
 
 
-def _compare(then: Mapping[str, Any], now: Mapping[str, Any], free: Sequence[str]) -> None:
-    """Raises ValueError for configurations that differ in more than the entries `free`."""
-    changed = [name for name in now if name not in free and then.get(name) != now[name]]
+def _compare(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Raises ValueError for configurations that differ in more than MAY_DIFFER."""
+    changed = [name for name in now if name not in MAY_DIFFER and then.get(name) != now[name]]
     if changed:
         raise ValueError(
             "--resume goes on with the same configuration, but different are "
@@ -173,7 +141,7 @@ def _compare(then: Mapping[str, Any], now: Mapping[str, Any], free: Sequence[str
         )
 
 
-def _check_free(folder: Path, finished: bool) -> None:
+def _check_unused(folder: Path, finished: bool) -> None:
     """Raises ValueError where a training that begins would overwrite another one."""
     otherwise = "choose another --output, or give --overwrite to train anew"
     if finished:
@@ -186,27 +154,26 @@ def _check_free(folder: Path, finished: bool) -> None:
         raise ValueError(f"{folder} holds an agent: {otherwise}")
 
 
-def going_on(
-    folder: Path, config: Mapping[str, Any], free: Sequence[str], resume: bool, overwrite: bool
-) -> dict[str, Any] | None:
-    """The checkpoint that a training with `config` goes on from, None where it begins.
+def going_on(run: Run) -> dict[str, Any] | None:
+    """The checkpoint that a training goes on from, None where it begins.
 
-    free: entries of the configuration that may have changed. Raises AlreadyFinished where that
-    training has ended, and ValueError where it would overwrite one or is another one.
+    Raises AlreadyFinished where that training has ended, and ValueError where it would overwrite
+    one or is another one.
     """
-    if resume and overwrite:
+    folder, config, resume = run.folder, run.recipe["config"], run.options.resume
+    if resume and run.options.overwrite:
         raise ValueError("--resume goes on and --overwrite trains anew: choose one of them")
     if _lies(folder) and not folder.is_dir():
         raise ValueError(f"--output {folder} is a file; must be a folder, or not yet there")
     recorded = _recorded(folder)
-    if overwrite:
+    if run.options.overwrite:
         return None
     finished = recorded.get("finished") is True
     if not resume:
-        _check_free(folder, finished)
+        _check_unused(folder, finished)
         return None
     if finished:
-        _compare(recorded["config"], config, free)
+        _compare(recorded["config"], config)
         agent = folder / ARCHIVES[0]
         if not agent.exists():
             raise ValueError(
@@ -219,16 +186,12 @@ def going_on(
     for notice in notices:
         print(f"{notice}; going on from the one before", file=sys.stderr)
     if captured is None:
-        _check_free(folder, finished)  # an agent without a checkpoint, of an older version
+        _check_unused(folder, finished)  # an agent without a checkpoint, of an older version
     else:
         recorded = current(captured["recipe"])
     if "config" in recorded:
-        _compare(recorded["config"], config, free)
+        _compare(recorded["config"], config)
     return captured
-
-
-def _bytes(recipe: Mapping[str, Any]) -> bytes:
-    return json.dumps(recipe, indent=2).encode()
 
 
 def begin(folder: Path, recipe: Mapping[str, Any], done: int) -> None:
@@ -237,13 +200,14 @@ def begin(folder: Path, recipe: Mapping[str, Any], done: int) -> None:
     Nothing is deleted before the new configuration is on the disk. Raises OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    content = json.dumps(recipe, indent=2).encode()
     if done:
         print(f"going on after {done:,} steps")
-        write_atomically(folder / CONFIG, _bytes(recipe))
+        write_atomically(folder / CONFIG, content)
         return
     written = folder / f".{CONFIG}.new"
     try:
-        written.write_bytes(_bytes(recipe))
+        written.write_bytes(content)
         checkpoint.remove(folder)
         for name in (CONFIG, *PRODUCTS):
             (folder / name).unlink(missing_ok=True)
@@ -255,5 +219,252 @@ def begin(folder: Path, recipe: Mapping[str, Any], done: int) -> None:
 
 def finish(folder: Path, recipe: Mapping[str, Any]) -> None:
     """Say in the folder that its training has ended, and delete its checkpoints."""
-    write_atomically(folder / CONFIG, _bytes({**recipe, "finished": True}))
+    content = json.dumps({**recipe, "finished": True}, indent=2).encode()
+    write_atomically(folder / CONFIG, content)
     checkpoint.remove(folder)
+
+
+# What learns
+
+
+class Trained(NamedTuple):
+    """What an archive holds of an agent as it is now."""
+
+    network: BasePolicy
+    recipe: Mapping[str, Any]  # entries beside those of the run: its normalisation
+    files: Mapping[str, bytes]  # beside its network
+
+
+class Learner(Protocol):
+    """An agent that learns, in its own environment, whatever library it comes from.
+
+    After `capture`, `resume` of a fresh learner of the same run and `learn`, it is the agent that
+    learning on would have made, bit for bit: all random streams are part of the state.
+    """
+
+    column: str  # name of the number that it reports to `Progress`, a column of curve.csv
+    recipe: Mapping[str, Any]  # entries of every archive and of config.json that the run lacks
+
+    @property
+    def steps(self) -> int:
+        """Environment steps done, over all vehicles."""
+        ...
+
+    def learn(self, progress: "Progress") -> None:
+        """Learn until `progress.schedule.total` steps are done.
+
+        Calls `progress.count` after each step of all vehicles, `progress.between` between an
+        update and the next samples, and `progress.finish` at the end. Raises Diverged for a
+        network or a loss that is not finite, before anything of it is kept.
+        """
+        ...
+
+    def policy(self, context: PolicyContext) -> Policy:
+        """The agent as it is now, as a policy of the benchmark."""
+        ...
+
+    def trained(self) -> Trained:
+        """The agent as it is now, for an archive."""
+        ...
+
+    def capture(self) -> dict[str, Any]:
+        """Everything that the next step depends on, as `agents.state_file` can write."""
+        ...
+
+    def resume(self, captured: Mapping[str, Any]) -> None:
+        """Put back what `capture` took into a fresh learner of the same run.
+
+        Raises any exception where it does not fit.
+        """
+        ...
+
+
+class Diverged(Exception):
+    """A network or a loss is not finite any more; the text says which one and when."""
+
+
+def check_finite(network: nn.Module, losses: Mapping[str, Any], steps: int) -> None:
+    """Raises Diverged for a parameter or a loss that is NaN or infinite. steps: done so far."""
+    with torch.no_grad():
+        named = dict(network.named_parameters())
+        sums = torch.stack([value.abs().max() for value in named.values()])
+        wrong = [name for name, sure in zip(named, torch.isfinite(sums), strict=True) if not sure]
+    wrong += [name for name, value in losses.items() if not math.isfinite(value)]
+    if wrong:
+        raise Diverged(f"the training diverged at {steps:,} steps: {wrong[0]} is not finite")
+
+
+# Held-out episodes
+
+
+class HeldOut(NamedTuple):
+    """Held-out episodes of one kind of sensors."""
+
+    env: TrackedVehicleVectorEnv  # in DISABLED mode, one row per episode
+    context: PolicyContext
+    first: int  # episodes before them, which their seeds go on from
+
+
+def make_held_out(run: Run) -> list[HeldOut]:
+    """The vehicles of the held-out episodes, none where there are to be none.
+
+    Only a teacher's show the truth. Raises ValueError.
+    """
+    more = {"expose_truth": run.augmentation.kind == TEACHER, "autoreset_mode": "Disabled"}
+    return [
+        HeldOut(make_vehicles(run, part, **more), part.context, part.first) for part in run.held_out
+    ]
+
+
+def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> Floats:
+    """RMSE of the distance [m] of each held-out episode, (N,); row i is seeded seed + i.
+
+    env: a batch in DISABLED mode, one row per episode. Steps after a vehicle has left its path
+    count as the error at which it left, so leaving early is never the better score.
+    """
+    simulation = env.simulation
+    steps, limit = simulation.settings.max_steps, simulation.solver.error_limit
+    observation, info = env.reset(seed=seed)
+    state, start = None, np.ones(env.num_envs, dtype=bool)
+    squares = np.zeros(env.num_envs)
+    gone = np.zeros(env.num_envs, dtype=bool)
+    for _ in range(steps):
+        observation[gone] = np.nan_to_num(observation[gone])  # one may have diverged
+        if needs_truth(policy):
+            policy.observe_truth(info["truth"])  # type: ignore[attr-defined]
+        action, state = policy.predict(observation, state, start)
+        start = np.zeros_like(start)
+        observation, _, terminated, truncated, info = env.step(action)
+        gone |= terminated
+        distance = np.where(gone, limit, info["tracking_error"][:, 0])
+        squares += distance**2
+        if (terminated | truncated).all() and not truncated.any():
+            squares += (steps - simulation.steps.max()) * limit**2
+            break
+    errors: Floats = np.sqrt(squares / steps)
+    return errors
+
+
+def held_out_rmse(policy: Callable[[PolicyContext], Policy], held_out: Sequence[HeldOut]) -> float:
+    """Interquartile mean of the RMSE of held-out episodes [m]; mean over the kinds of sensors.
+
+    policy: makes that of a context. Of all episodes together the interquartile mean would leave
+    out whole kinds of sensors, the best and the worst. NaN without episodes.
+    """
+    means = [
+        interquartile_mean(
+            held_out_errors(policy(part.context), part.env, HELD_OUT_SEED + part.first)
+        )
+        for part in held_out
+    ]
+    return float(np.mean(means)) if means else float("nan")
+
+
+def write_curve(folder: Path, column: str, curve: Sequence[Sequence[float]]) -> None:
+    """Write a learning curve; its first column are steps. column: name of the fourth one."""
+    names = ("steps", "seconds", "cpu_seconds", column, "held_out_rmse")
+    rows = [
+        ",".join(f"{value:g}" if i else f"{value:.0f}" for i, value in enumerate(row))
+        for row in curve
+    ]
+    write_atomically(folder / CURVE, "\n".join([",".join(names), *rows]).encode())
+
+
+class Progress:
+    """Evaluates, saves and writes checkpoints between updates; counts steps in between.
+
+    held_out: of each kind of sensors; without, it evaluates never. A learner calls `count` with the
+    steps that it has done, which a progress bar may replace, as `on_text`, which gets a line to
+    show. After the training: `best` [m].
+    """
+
+    count: Callable[[int], object] = staticmethod(lambda steps: None)
+    on_text: Callable[[str], object] = staticmethod(lambda text: None)
+
+    def __init__(self, run: Run, learner: Learner, held_out: Sequence[HeldOut] = ()) -> None:
+        self.folder, self.schedule = run.folder, run.schedule
+        self.recipe = {**run.recipe, **learner.recipe}
+        self.learner, self.held_out = learner, held_out
+        self.curve: list[tuple[float, ...]] = []
+        self.best, self.evaluated, self.saved, self.drawn = float("inf"), 0, 0, 0
+        self.spent, self.evaluating = 0.0, 0.0  # [s] before this process, and in evaluations
+        self.worked = 0.0  # [s] of processor time before this process
+        self._began, self._started = time.perf_counter(), time.process_time()
+
+    @property
+    def seconds(self) -> float:
+        """Time spent on this training so far, in all processes [s]."""
+        return self.spent + time.perf_counter() - self._began
+
+    @property
+    def cpu_seconds(self) -> float:
+        """Processor time of this training so far [s]: of one thread, its time on a free machine."""
+        return self.worked + time.process_time() - self._started
+
+    @property
+    def throughput(self) -> float:
+        """Environment steps per second of learning; held-out episodes not counted."""
+        return self.learner.steps / max(self.seconds - self.evaluating, 1e-9)
+
+    def between(self, value: float) -> None:
+        """Do what is due after an update. value: of the learner's column in the curve."""
+        done, schedule = self.learner.steps, self.schedule
+        if done - self.drawn >= schedule.total // CURVE_ROWS and done > self.drawn:
+            self._note(value, float("nan"))
+        if done - self.evaluated >= schedule.evaluate_every:
+            self.evaluate(value)
+        if done > self.saved and done - self.saved >= schedule.checkpoint_every:
+            self.saved = done
+            state = {"recipe": self.recipe, "progress": self.capture()}
+            checkpoint.write(self.folder, {**state, "learner": self.learner.capture()})
+
+    def finish(self, value: float) -> None:
+        """Evaluate and keep the last agent, unless `between` has just done so. value: as there."""
+        if self.evaluated < self.learner.steps:
+            self.evaluate(value)
+
+    def evaluate(self, value: float) -> None:
+        """Drive the held-out episodes, keep the agent, and apart from it the best one."""
+        self.evaluated = self.learner.steps
+        began = time.perf_counter()
+        rmse = held_out_rmse(self.learner.policy, self.held_out)
+        self.evaluating += time.perf_counter() - began
+        better = rmse < self.best or not self.held_out
+        self.best = rmse if rmse < self.best else self.best
+        self._note(value, rmse)
+        network, entries, files = self.learner.trained()
+        recipe = {
+            **self.recipe,
+            **entries,
+            "steps": self.learner.steps,
+            "seconds": round(self.seconds, 1),
+            "held_out_rmse": rmse if rmse == rmse else None,
+        }
+        best, last = (self.folder / name for name in ARCHIVES)
+        save_agent(last, network, recipe, files)
+        if better:
+            write_atomically(best, last.read_bytes())
+        write_curve(self.folder, self.learner.column, self.curve)
+
+    def _note(self, value: float, rmse: float) -> None:
+        """Add a row to the learning curve."""
+        self.drawn = self.learner.steps
+        times = round(self.seconds, 2), round(self.cpu_seconds, 2)
+        self.curve.append((self.drawn, *times, value, rmse))
+        name = self.learner.column.rpartition("_")[2]
+        best = f", held out {self.best:.3f} m" if self.best < 1e9 else ""
+        self.on_text(f"{name} {value:.4g}{best}")
+
+    def capture(self) -> dict[str, Any]:
+        """What a checkpoint holds of it."""
+        state = {name: getattr(self, name) for name in _STATE}
+        return {**state, "spent": self.seconds, "worked": self.cpu_seconds}
+
+    def resume(self, captured: Mapping[str, Any]) -> None:
+        """Put back what `capture` took. Raises ValueError where it is something else."""
+        checkpoint.check(_STATE, captured, "progress")
+        checkpoint.check([], captured["curve"][:0], "curve")
+        for row in captured["curve"]:
+            checkpoint.check((0, 0.0, 0.0, np.nan, np.nan), row, "curve")
+        for name, value in captured.items():
+            setattr(self, name, value)

@@ -1,20 +1,15 @@
-"""The algorithms of Stable-Baselines3 and sb3-contrib as learners.
+"""What learns: the algorithms of Stable-Baselines3, and students of a privileged teacher.
 
-The training of a student of a privileged teacher (`agents.archive`, `agents.vector_envs`).
-
-The student drives from the first step on; what it meets, with the true inputs beside, goes into a
-buffer on which the inference is regressed (DAgger [1]: the samples are those of the student's own
-driving, not of the teacher's; as the adaptation module of RMA [2]). Truth is needed for that
-regression alone; the policy that is evaluated and saved is an `AgentPolicy` with a history.
+A student drives from the first step on; what it meets, with the true inputs beside, goes into a
+buffer on which the inference of the hidden parameters is regressed (DAgger [1]: the samples are
+those of the student's own driving, not of the teacher's; as the adaptation module of RMA [2]).
+Truth is needed for that regression alone; the policy that is evaluated and saved is an
+`AgentPolicy` with a history. With an LSTM (`baselines.learned.student`) samples go into
+the buffer in blocks of `n_steps`, with the state of the LSTM when the block began; the inference is
+regressed on sequences of that length by back-propagation through time. That state comes from
+earlier blocks, so that the memory reaches further back than a block does.
 
 References: [1] Ross et al., arXiv:1011.0686. [2] Kumar et al., arXiv:2107.04034.
-
-The training of a student with an LSTM (`baselines.learned.student`).
-
-As every student it drives from the first step on. What it meets goes into the buffer in blocks of
-`n_steps`, with what the LSTM carried when the block began; the inference is regressed on sequences
-of that length by back-propagation through time. What was carried comes from earlier blocks, so that
-the memory reaches further back than a block does.
 """
 
 import traceback
@@ -27,22 +22,26 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import nn
 
-from agents import checkpoint
 from agents.algorithms import FallingRate, check_budget, check_buffer, make_model
 from agents.archive import (
     RecurrentInference,
     RecurrentStudentModel,
     StudentModel,
+    inference_weights,
     load_teacher,
     make_inference,
-    weights,
 )
-from agents.checkpoint import capture_environment, resume_environment
+from agents.checkpoint import (
+    capture_environment,
+    capture_model,
+    check,
+    resume_environment,
+    resume_model,
+)
 from agents.environments import make_environment, make_taught
-from agents.options import control_period, driven
-from agents.progress import Diverged, Progress, Trained, check_finite
-from agents.run import Run
-from baselines.learned.agent_archive import INFERENCE, groups_of, normalisation_of
+from agents.folder import Diverged, Learner, Progress, Trained, check_finite
+from agents.run import EnvId, Run
+from baselines.learned.agent_archive import INFERENCE, STUDENT, groups_of, normalisation_of
 from baselines.learned.agent_policy import (
     PRIVILEGED,
     AgentPolicy,
@@ -53,7 +52,17 @@ from baselines.learned.agent_policy import (
 from baselines.learned.student import OUTPUTS, features_of, widened_by
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark import PolicyContext
-from tracked_env.engine.env_config import EnvConfig
+
+LARGEST_GRADIENT = 1.0  # [-] norm that a gradient is shortened to
+
+
+def make_learner(run: Run) -> Learner:
+    """What learns in a run, untrained. Raises ValueError."""
+    if run.name == STUDENT:
+        kind = RecurrentStudentLearner if run.settings.lstm_hidden else StudentLearner
+        return kind(run)
+    learner: Learner = (run.algorithm.learner or Sb3Learner)(run)
+    return learner
 
 
 def normalisation(model: BaseAlgorithm) -> Normalisation | None:
@@ -61,10 +70,8 @@ def normalisation(model: BaseAlgorithm) -> Normalisation | None:
     layer = model.get_vec_normalize_env()
     if layer is None:
         return None
-    statistics: Any = layer.obs_rms
-    return Normalisation(
-        statistics.mean.copy(), statistics.var.copy(), layer.epsilon, layer.clip_obs
-    )
+    rms: Any = layer.obs_rms
+    return Normalisation(rms.mean.copy(), rms.var.copy(), layer.epsilon, layer.clip_obs)
 
 
 class Sb3Learner:
@@ -76,7 +83,7 @@ class Sb3Learner:
     def __init__(self, run: Run) -> None:
         self.augmentation, self.groups = run.augmentation, run.groups
         env = make_environment(run)
-        log = str(run.folder) if run.tensorboard else None
+        log = str(run.folder) if run.options.tensorboard else None
         self.model = make_model(run.name, run.settings, env, run.seed, log)
         check_budget(run.settings, run.schedule.total)
 
@@ -132,23 +139,21 @@ class Sb3Learner:
         """The agent as it is now, for an archive."""
         statistics, stored = normalisation(self.model), None
         if statistics is not None:
-            stored = {
-                "mean": statistics.mean.tolist(), "variance": statistics.variance.tolist(),
-                "epsilon": statistics.epsilon, "clip": statistics.clip,
-            }  # fmt: skip
+            mean, variance = statistics.mean.tolist(), statistics.variance.tolist()
+            stored = {**statistics._asdict(), "mean": mean, "variance": variance}
         return Trained(self.model.policy, {"normalisation": stored}, {})
 
     def capture(self) -> dict[str, Any]:
         """Everything that the next rollout depends on."""
-        return checkpoint.capture(self.model)
+        return capture_model(self.model)
 
     def resume(self, captured: Mapping[str, Any]) -> None:
         """Put back what `capture` took. Raises any exception where it does not fit."""
-        checkpoint.resume(self.model, captured)
+        resume_model(self.model, captured)
 
 
 class RolloutCallback(BaseCallback):
-    """Hands the progress of a training what Stable-Baselines3 says between rollouts and steps."""
+    """Tells the progress of a training what Stable-Baselines3 says between rollouts and steps."""
 
     def __init__(self, learner: Sb3Learner, progress: Progress) -> None:
         super().__init__()
@@ -174,9 +179,6 @@ class RolloutCallback(BaseCallback):
         self.progress.finish(self.learner.mean_return)
 
 
-_CHANGING = ("_filled", "_observation", "_state", "_start", "steps")  # while it learns
-
-
 class StudentLearner:
     """A student of the teacher of a run.
 
@@ -186,26 +188,26 @@ class StudentLearner:
     column = "loss"
     outputs = len(PRIVILEGED)  # of the inference
     recipe: Mapping[str, Any]
+    _CHANGING = ("_filled", "_observation", "_state", "_start", "steps")  # while it learns
 
     def __init__(self, run: Run) -> None:
-        self.teacher, recipe = load_teacher(run.teacher, run.trust)
+        self.teacher, recipe = load_teacher(run.options.teacher, run.options.trust)
         check_teacher(run, recipe)
         self.settings = settings = run.settings
-        check_buffer(settings, run.vehicles)
-        self.options = run.augmentation.options
-        self.groups = run.groups
+        check_buffer(settings, run.options.vehicles)
+        self.options, self.groups = run.augmentation.options, run.groups
         names = ("algorithm", "normalisation")
         self.recipe = {**{name: recipe[name] for name in names}, "teacher": recipe}
-        env, self.truths = make_taught(run)
-        self.env = env
+        self.env, self.truths = make_taught(run)
+        env = self.env
         torch.manual_seed(run.seed)
         self.model = self._model(normalisation_of(recipe))
         self.optimiser = torch.optim.Adam(self.model.inference.parameters(), fused=True)
         size = max(settings.buffer_size // env.num_envs, settings.n_steps)
         self._rows = size - size % settings.n_steps
-        shown = env.observation_space.shape
-        assert shown is not None
-        self._seen = torch.zeros(self._rows, env.num_envs, *shown)
+        shape = env.observation_space.shape
+        assert shape is not None
+        self._seen = torch.zeros(self._rows, env.num_envs, *shape)
         self._true = torch.zeros(self._rows, env.num_envs, self.outputs)
         self._filled = 0  # rows of the buffer ever written
         self._random = np.random.default_rng(run.seed)
@@ -223,7 +225,7 @@ class StudentLearner:
 
     @property
     def truth(self) -> Any:
-        """What the teacher would see beside the present observation, (N, F) of all rows."""
+        """What the inference should say of the present observation, (N, F) of all rows."""
         return self.model.privileged(np.concatenate([truth.present for truth in self.truths]))
 
     def policy(self, context: PolicyContext) -> AgentPolicy:
@@ -231,35 +233,51 @@ class StudentLearner:
         return AgentPolicy(self.model, *widened_by(self.options), context, groups=self.groups)
 
     def collect(self) -> float:
-        """Drive `n_steps`; returns the mean square of how wrong the inference was meanwhile."""
+        """Drive `n_steps`; returns the mean error of the inference meanwhile."""
         errors = 0.0
         for _ in range(self.settings.n_steps):
-            row = self._filled % len(self._seen)
+            row = self._filled % self._rows
             self._seen[row] = torch.from_numpy(self._observation)
             truth = self.truth
             self._true[row] = torch.from_numpy(truth)
-            found = self.model.infer(self._observation)
-            errors += float(np.mean((found - truth) ** 2))
-            action, self._state = self.model.predict(
-                self._observation, self._state, self._start, deterministic=True
-            )
-            self._observation, _, self._start, _ = self.env.step(action)
+            errors += self._drive(row, truth)
             self._filled += 1
         self.steps += self.settings.n_steps * self.env.num_envs
         return errors / self.settings.n_steps
 
+    def _drive(self, row: int, truth: Any) -> float:
+        """One step; returns the mean square error of the inference before it."""
+        inferred = self.model.infer(self._observation)
+        error = float(np.mean((inferred - truth) ** 2))
+        self._step()
+        return error
+
+    def _step(self) -> None:
+        action, self._state = self.model.predict(
+            self._observation, self._state, self._start, deterministic=True
+        )
+        self._observation, _, self._start, _ = self.env.step(action)
+
     def regress(self, rate: float) -> None:
         """Gradient steps on samples of the buffer. rate: learning rate."""
-        count = min(self._filled, len(self._seen)) * self.env.num_envs
-        seen, true = self._seen.flatten(0, 1), self._true.flatten(0, 1)
         for group in self.optimiser.param_groups:
             group["lr"] = rate
-        for _ in range(self.settings.gradient_steps):
-            rows = torch.from_numpy(self._random.integers(count, size=self.settings.batch_size))
-            loss = nn.functional.mse_loss(self.model.inference(seen[rows]), true[rows])
+        for loss in self._losses():
             self.optimiser.zero_grad()
             loss.backward()
+            self._shorten()
             self.optimiser.step()
+
+    def _losses(self) -> Any:
+        """The loss of each gradient step."""
+        count = min(self._filled, self._rows) * self.env.num_envs
+        seen, true = self._seen.flatten(0, 1), self._true.flatten(0, 1)
+        for _ in range(self.settings.gradient_steps):
+            rows = torch.from_numpy(self._random.integers(count, size=self.settings.batch_size))
+            yield nn.functional.mse_loss(self.model.inference(seen[rows]), true[rows])
+
+    def _shorten(self) -> None:
+        """Limit the gradient: here it is not."""
 
     def learn(self, progress: Progress) -> None:
         """Learn to the end of the schedule.
@@ -278,13 +296,13 @@ class StudentLearner:
 
     def trained(self) -> Trained:
         """The network of the teacher, and what infers its inputs."""
-        return Trained(self.teacher, {}, {INFERENCE: weights(self.model.inference)})
+        return Trained(self.teacher, {}, {INFERENCE: inference_weights(self.model.inference)})
 
     def capture(self) -> dict[str, Any]:
         """Everything that the next samples and regressions depend on."""
-        filled = min(self._filled, len(self._seen))
+        filled = min(self._filled, self._rows)
         return {
-            **{name: getattr(self, name) for name in _CHANGING},
+            **{name: getattr(self, name) for name in self._CHANGING},
             "inference": self.model.inference.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "buffer": (self._seen[:filled].numpy(), self._true[:filled].numpy()),
@@ -295,8 +313,8 @@ class StudentLearner:
     def resume(self, captured: Mapping[str, Any]) -> None:
         """Put back what `capture` took. Raises any exception where it does not fit."""
         for name in ("_filled", "_observation", "_start", "steps"):
-            checkpoint.check(getattr(self, name), captured[name], name)
-        for name in _CHANGING:
+            check(getattr(self, name), captured[name], name)
+        for name in self._CHANGING:
             setattr(self, name, captured[name])
         self.model.inference.load_state_dict(captured["inference"])
         self.optimiser.load_state_dict(captured["optimiser"])
@@ -304,37 +322,6 @@ class StudentLearner:
             buffer[: len(stored)] = torch.from_numpy(stored)
         self._random.bit_generator.state = captured["random"]
         resume_environment(self.env, captured["environment"])
-
-
-def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
-    """Raises ValueError for a teacher of another control period, drive, vehicle or observation.
-
-    Its privileged inputs would be ratios to other values, its actions other commands, and its
-    network would see other fields.
-    """
-    environment = recipe.get("environment", {})
-    theirs = driven(environment.get("id", TORQUE_ID), environment)
-    ours = driven(run.env, run.arguments)
-    pairs: dict[str, tuple[Any, Any]] = {}
-    pairs["control_period"] = (recipe["control_period"], control_period(run.env, run.arguments))
-    for name in ("drive", "vehicle"):
-        usual = EnvConfig._field_defaults[name]
-        pairs[name] = theirs.get(name, usual), ours.get(name, usual)
-    for name, (of_teacher, of_student) in pairs.items():
-        if of_teacher != of_student:
-            raise ValueError(
-                f"teacher {run.teacher} was trained with {name} = {of_teacher}; its student "
-                f"would have {of_student}. Is --env or --env-args another one?"
-            )
-    groups = groups_of(recipe)
-    if list(groups.items()) != list(run.groups.items()):
-        raise ValueError(
-            f"teacher {run.teacher} was trained with observation = {[*groups]}; its student would "
-            f"have {[*run.groups]}. Give both the same groups, in one order, in --env-args"
-        )
-
-
-LARGEST_GRADIENT = 1.0  # [-] norm that a gradient is shortened to
 
 
 class RecurrentStudentLearner(StudentLearner):
@@ -349,16 +336,14 @@ class RecurrentStudentLearner(StudentLearner):
     def __init__(self, run: Run) -> None:
         features_of(run.augmentation.options, run.parts[0].context.drive)  # refuses some
         super().__init__(run)
-        rows, count = self._rows, self.env.num_envs
-        self._began = torch.zeros(rows, count, 1)
-        blocks = rows // self.settings.n_steps
+        count, blocks = self.env.num_envs, self._rows // self.settings.n_steps
+        self._began = torch.zeros(self._rows, count, 1)
         self._carried = torch.zeros(2, blocks, count, self.settings.lstm_hidden)
 
     def _model(self, scaling: Normalisation | None) -> RecurrentStudentModel:
-        shown = self.env.observation_space.shape
-        assert shown is not None
-        settings = self.settings
-        inference = RecurrentInference(shown[0], settings.hidden, settings.lstm_hidden)
+        shape, settings = self.env.observation_space.shape, self.settings
+        assert shape is not None
+        inference = RecurrentInference(shape[0], settings.hidden, settings.lstm_hidden)
         names = [field for of_group in self.groups.values() for field in of_group]
         return RecurrentStudentModel(inference, self.teacher, scaling, names, settings.features)
 
@@ -372,53 +357,38 @@ class RecurrentStudentLearner(StudentLearner):
     def collect(self) -> float:
         """Drive one block; returns how wrong the inference was meanwhile, as `_loss`."""
         block = self._filled % self._rows // self.settings.n_steps
-        carried = None if self._state is None else self._state[0]
-        for kept, values in zip(self._carried[:, block], carried or (0.0, 0.0), strict=True):
-            kept[:] = torch.as_tensor(values)
-        losses = 0.0
-        for _ in range(self.settings.n_steps):
-            row = self._filled % self._rows
-            self._seen[row] = torch.from_numpy(self._observation)
-            self._true[row] = torch.from_numpy(self.truth)
-            self._began[row, :, 0] = torch.from_numpy(self._start.astype(np.float32))
-            action, self._state = self.model.predict(
-                self._observation, self._state, self._start, deterministic=True
-            )
-            losses += float(_loss(torch.from_numpy(self.model.found), self._true[row]))
-            self._observation, _, self._start, _ = self.env.step(action)
-            self._filled += 1
-        self.steps += self.settings.n_steps * self.env.num_envs
-        return losses / self.settings.n_steps
+        state = None if self._state is None else self._state[0]
+        for rows, values in zip(self._carried[:, block], state or (0.0, 0.0), strict=True):
+            rows[:] = torch.as_tensor(values)
+        return super().collect()
 
-    def regress(self, rate: float) -> None:
-        """Gradient steps on sequences of the buffer. rate: learning rate."""
+    def _drive(self, row: int, truth: Any) -> float:
+        self._began[row, :, 0] = torch.from_numpy(self._start.astype(np.float32))
+        self._step()
+        return float(_loss(torch.from_numpy(self.model.found), self._true[row]))
+
+    def _losses(self) -> Any:
+        """Of sequences of the buffer."""
         length, count = self.settings.n_steps, self.env.num_envs
         blocks = min(self._filled, self._rows) // length
         size = max(self.settings.batch_size // length, 1)
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
-        seen, true, began = (
-            values.view(-1, length, *values.shape[1:])
-            for values in (self._seen, self._true, self._began)
-        )
-        network = self.model.inference
+        buffers = (self._seen, self._began, self._true)
+        parts = [values.view(-1, length, *values.shape[1:]) for values in buffers]
         for _ in range(self.settings.gradient_steps):
             block, row = (
                 torch.from_numpy(self._random.integers(most, size=size)) for most in (blocks, count)
             )
-            of_time = [values[block, :, row].transpose(0, 1) for values in (seen, began, true)]
-            carried = self._carried[0, block, row], self._carried[1, block, row]
-            loss = _loss(network(of_time[0], of_time[1], carried)[0], of_time[2])
-            self.optimiser.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), LARGEST_GRADIENT)
-            self.optimiser.step()
+            seen, began, true = (values[block, :, row].transpose(0, 1) for values in parts)
+            state = self._carried[0, block, row], self._carried[1, block, row]
+            yield _loss(self.model.inference(seen, began, state)[0], true)
+
+    def _shorten(self) -> None:
+        nn.utils.clip_grad_norm_(self.model.inference.parameters(), LARGEST_GRADIENT)
 
     def capture(self) -> dict[str, Any]:
         """Everything that the next samples and regressions depend on."""
-        return {
-            **super().capture(), "began": self._began.numpy(), "carried": self._carried.numpy()
-        }  # fmt: skip
+        own = {"began": self._began.numpy(), "carried": self._carried.numpy()}
+        return {**super().capture(), **own}
 
     def resume(self, captured: Mapping[str, Any]) -> None:
         """Put back what `capture` took. Raises any exception where it does not fit."""
@@ -427,7 +397,34 @@ class RecurrentStudentLearner(StudentLearner):
         self._carried[:] = torch.from_numpy(captured["carried"])
 
 
-def _loss(found: torch.Tensor, true: torch.Tensor) -> torch.Tensor:
+def _loss(inferred: torch.Tensor, true: torch.Tensor) -> torch.Tensor:
     """Mean of the squared error / 2 below 1, of its magnitude - 1/2 above: a vehicle far off its
     path counts, but does not outweigh all others."""
-    return nn.functional.smooth_l1_loss(found, true)
+    return nn.functional.smooth_l1_loss(inferred, true)
+
+
+def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
+    """Raises ValueError for a teacher of another control period, drive, vehicle or observation.
+
+    Its privileged inputs would be ratios to other values, its actions other commands, and its
+    network would see other fields.
+    """
+    environment = recipe.get("environment", {})
+    theirs = EnvId.of(environment.get("id", TORQUE_ID), environment).arguments
+    ours = EnvId.of(run.env, run.arguments)
+    pairs = {"control_period": (recipe["control_period"], ours.control_period)}
+    for name in ("drive", "vehicle"):
+        pairs[name] = theirs[name], ours.arguments[name]
+    teacher = run.options.teacher
+    for name, (of_teacher, of_student) in pairs.items():
+        if of_teacher != of_student:
+            raise ValueError(
+                f"teacher {teacher} was trained with {name} = {of_teacher}; its student would have "
+                f"{of_student}. Is --env or --env-args another one?"
+            )
+    groups = groups_of(recipe)
+    if list(groups.items()) != list(run.groups.items()):
+        raise ValueError(
+            f"teacher {teacher} was trained with observation = {[*groups]}; its student would "
+            f"have {[*run.groups]}. Give both the same groups, in one order, in --env-args"
+        )

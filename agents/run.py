@@ -1,38 +1,72 @@
 """A training resolved from its options, once: everything that its parts are made of.
 
 `resolve` turns the options of train.py into a `Run`; what makes environments, learners, archives
-and checkpoints reads the run alone.
+and checkpoints reads the run alone. Several entries of `sensors` are a list; each gets its part of
+the vehicles (`agents.environments.JoinedVecEnv`) and of the held-out episodes.
 """
 
 import json
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium
+from gymnasium.envs.registration import load_env_creator
+
 from agents.algorithms import ALGORITHMS, STUDENT_ALGORITHM, Algorithm
-from agents.options import (
-    Options,
-    Part,
-    check_read,
-    control_period,
-    driven,
-    environment_arguments,
-    layout_of,
-    parts_of,
-)
-from agents.reward import PRECISION
+from agents.options import Options, check_read
 from baselines.learned.agent_archive import STUDENT, Driven
 from baselines.learned.agent_policy import STUDENT_FEATURES, Groups, groups_in
 from baselines.learned.augmentation import BASE, LAGS, RESIDUAL_SCALE
 from baselines.linearizing.linearizing_law import TUNED_GAINS
 from baselines.lyapunov.slippage_aware import tuned_gains
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.store import machine, versions
-from tracked_env.engine.env_config import EnvConfig
+from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
+from tracked_env.observation import Layout, make_layout
+from tracked_env.sensors import make_sensors
+from tracked_env.validation import checked_keys, name_or_json
+from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 FIRST_SEED, ROWS, TRAININGS = 2**24, 2**16, 2**15  # of trainings, and how far apart they are
+PRECISION = 0.075  # [-] over the contact length: distance at which the reward term is 1/2
+# `mixture` of uncertainty: everything that the benchmark calls in distribution, weak drives and
+# faults among it. Out of distribution stays out, and so do slow motors and the distributed plant.
+MIXTURE = {
+    TORQUE_ID: (
+        "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
+        "mixed", "alternating-soils", "weak-actuator", "actuator-fault", "alternating-gains",
+    ),
+    SPEED_ID: (
+        "friction", "friction-step", "friction-drift", "floor-mixed", "alternating-floors",
+    ),
+    TERRAIN_ID: ("slope", "hills", "slope-step", "soft-patches", "slope-payload"),
+}  # fmt: skip
+Entry = str | Mapping[str, Any]  # of a set, sensors, reference: a name or an object of JSON
+# `mixture` of sensors: good ones, and what asks for the past, outages of the pose among it.
+_INDOORS: tuple[Entry, ...] = (
+    "mocap",
+    {"preset": "mocap", "pose_delay": 0.1},
+    {"preset": "mocap", "position_noise": 0.05},
+    {"preset": "mocap", "velocity_measured": 0.0},
+    "mocap-outages",
+    {"preset": "mocap", "pose_rate": 1.0},
+)
+_OUTDOORS: tuple[Entry, ...] = (
+    "rtk",
+    {"preset": "rtk", "pose_delay": 0.2},
+    "strawa",
+    {"preset": "rtk", "velocity_measured": 0.0},
+    "rtk-outages",
+    {"preset": "rtk", "pose_rate": 1.0},
+)
+SENSOR_MIXTURE = {TORQUE_ID: _OUTDOORS, SPEED_ID: _INDOORS, TERRAIN_ID: _INDOORS}
+_OPTIONS = ("uncertainty", "sensors", "reference", "duration", "lateral")  # of train.py
 
 
 class Schedule(NamedTuple):
@@ -57,34 +91,163 @@ class Reward(NamedTuple):
     smoothness: float  # [-] action-rate penalty
 
 
+class Part(NamedTuple):
+    """The rows of one kind of sensors."""
+
+    arguments: dict[str, Any]  # of their environment
+    context: PolicyContext  # what a policy may know of it
+    rows: int
+    first: int  # rows before them
+
+
 @dataclass(frozen=True)
 class Run:
     """One training. Row i of its vehicles is seeded `seed` + i."""
 
+    options: Options
     name: str  # of the algorithm, with which the options of its settings begin
     algorithm: Algorithm
     settings: Any  # of the algorithm's class of settings
     seed: int  # of everything random
-    env: str  # id of the environment
     arguments: Mapping[str, Any]  # of the environment; `sensors` is a list where there are several
     groups: Groups  # of the observation, with their fields
     parts: tuple[Part, ...]  # the vehicles by kind of sensors
     held_out: tuple[Part, ...]  # the held-out episodes by kind of sensors, none without them
-    staggered: bool
     augmentation: Augmentation
     reward: Reward
-    normalise: bool  # whether observations are normalised by their running statistics
     schedule: Schedule
-    teacher: Path | None  # of a student
-    trust: bool  # whether pickled objects in the teacher's archive are loaded
-    folder: Path
-    tensorboard: bool
     recipe: Mapping[str, Any]  # what every archive of this training says of it
 
     @property
-    def vehicles(self) -> int:
-        """Rows of all parts."""
-        return sum(part.rows for part in self.parts)
+    def folder(self) -> Path:
+        """Where everything goes."""
+        return self.options.folder
+
+    @property
+    def env(self) -> str:
+        """Id of the environment."""
+        return self.options.env
+
+
+# The environment
+
+
+class EnvId(NamedTuple):
+    """An environment id with arguments, over what it is registered with."""
+
+    arguments: dict[str, Any]
+
+    @classmethod
+    def of(cls, env: str, arguments: Mapping[str, Any]) -> "EnvId":
+        """Those of the id, which `arguments` replace."""
+        return cls({**EnvConfig._field_defaults, **gymnasium.spec(env).kwargs, **arguments})
+
+    @property
+    def layout(self) -> Layout:
+        """What it shows. Raises ValueError for an unknown group."""
+        return make_layout(self.arguments["observation"])
+
+    @property
+    def control_period(self) -> float:
+        """[s]. Raises ValueError for arguments that are wrong."""
+        known = {name: self.arguments[name] for name in EnvConfig._fields if name in self.arguments}
+        return make_solver(EnvConfig(**known)).control_period
+
+    @property
+    def driven(self) -> dict[str, Any]:
+        """Drive and vehicle, written out: an archive is read where the id may not be registered."""
+        return {name: self.arguments[name] for name in Driven._fields}
+
+
+def _entries(
+    texts: Sequence[str] | None, what: str, env: str, mixtures: Mapping[str, tuple[Entry, ...]]
+) -> Any:
+    """One entry, or a list; None where nothing is named. Raises ValueError."""
+    if texts is None:
+        return None
+    if not texts:
+        raise ValueError(f"--{what} needs at least one entry")
+    if "mixture" in texts and env not in mixtures:
+        raise ValueError(f"no mixture for {env}; name the entries one by one")
+    parts = [
+        part
+        for text in texts
+        for part in (mixtures[env] if text == "mixture" else (name_or_json(text, what),))
+    ]
+    return parts[0] if len(parts) == 1 else parts
+
+
+def check_environment(env: str) -> None:
+    """Raises ValueError for an id that is unknown, or not of an environment of this project."""
+    try:
+        kind: Any = gymnasium.spec(env).vector_entry_point
+        kind = load_env_creator(kind) if isinstance(kind, str) else kind
+    except (gymnasium.error.Error, ImportError) as error:
+        raise ValueError(f"--env {env}: {error}") from error
+    if not (isinstance(kind, type) and issubclass(kind, TrackedVehicleVectorEnv)):
+        raise ValueError(
+            f"--env {env} is not an environment of tracked vehicles; must be {TORQUE_ID}, "
+            f"{SPEED_ID}, {TERRAIN_ID}, or an id registered with their vector_entry_point"
+        )
+
+
+def environment_arguments(options: Options) -> dict[str, Any]:
+    """Arguments of the environment; `sensors` is a list where there are several.
+
+    What the command line leaves open is as the environment id is registered. Raises ValueError.
+    """
+    env = options.env
+    check_environment(env)
+    usual = EnvId.of(env, {}).arguments
+    chosen = {
+        "uncertainty": _entries(options.uncertainty, "uncertainty", env, MIXTURE),
+        "sensors": _entries(options.sensors, "sensors", env, SENSOR_MIXTURE),
+        "reference": name_or_json(options.reference, "reference"),
+    }
+    chosen = {key: usual[key] if value is None else value for key, value in chosen.items()}
+    further = name_or_json(options.env_args, "env-args")
+    for name in _OPTIONS:
+        if isinstance(further, Mapping) and name in further:
+            raise ValueError(f"--env-args: {name} has an option of its own, --{name}")
+    allowed = sorted({*EnvConfig._fields} - {*_OPTIONS, *SHOWN})
+    further = checked_keys("--env-args", further, allowed)
+    try:
+        made = EnvId.of(env, further)
+        _ = made.layout, made.control_period
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"--env-args {options.env_args}: {error}") from error
+    return {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
+
+
+def shares(count: int, parts: int) -> list[int]:
+    """`count` rows over `parts` environments as evenly as it goes, the first ones get one more.
+
+    Raises ValueError where there are fewer rows than parts.
+    """
+    if count < parts:
+        raise ValueError(
+            f"{count} vehicles or held-out episodes for {parts} kinds of sensors; must be one each"
+        )
+    return [count // parts + (part < count % parts) for part in range(parts)]
+
+
+def parts_of(env: str, arguments: Mapping[str, Any], count: int) -> tuple[Part, ...]:
+    """`count` rows, shared among the kinds of sensors. Raises ValueError."""
+    sensors, made = arguments["sensors"], EnvId.of(env, arguments)
+    known = {**made.driven, "observation": made.layout.names}
+    kinds = sensors if isinstance(sensors, list) else [sensors]
+    rows = shares(count, len(kinds))
+    return tuple(
+        Part(
+            {**arguments, "sensors": kind},
+            PolicyContext(made.control_period, arguments["lateral"], make_sensors(kind), **known),
+            *where,
+        )
+        for kind, *where in zip(kinds, rows, accumulate(rows[:-1], initial=0), strict=True)
+    )
+
+
+# The training
 
 
 def random_seed(seed: int) -> int:
@@ -98,99 +261,69 @@ def random_seed(seed: int) -> int:
     return FIRST_SEED + ROWS * seed
 
 
-def chosen_settings(options: Options) -> tuple[str, Any]:
-    """Name and settings of what learns: the chosen algorithm, or a student."""
-    name = STUDENT if options.augmentation == STUDENT else options.algorithm
-    return name, getattr(options, name.replace("-", "_"))
+def _or(value: Any, default: Any) -> Any:
+    return default if value is None else value
 
 
-def _algorithm(options: Options) -> tuple[str, Algorithm, Any]:
-    """Name, record and settings of what learns."""
-    name, settings = chosen_settings(options)
-    return name, STUDENT_ALGORITHM if name == STUDENT else ALGORITHMS[name], settings
+def _algorithm(options: Options) -> Algorithm:
+    """The record of what learns."""
+    return STUDENT_ALGORITHM if options.learns == STUDENT else ALGORITHMS[options.algorithm]
 
 
-def _schedule(options: Options, algorithm: Algorithm) -> Schedule:
-    total = algorithm.steps if options.steps is None else options.steps
-    every, checkpoint = options.evaluate_every, options.checkpoint_every
+def _schedule(options: Options) -> Schedule:
+    algorithm = _algorithm(options)
+    total = _or(options.steps, algorithm.steps)
     return Schedule(
         total,
-        max(total // 10, 1) if every is None else every,
-        algorithm.checkpoint_every if checkpoint is None else checkpoint,
+        _or(options.evaluate_every, max(total // 10, 1)),
+        _or(options.checkpoint_every, algorithm.checkpoint_every),
     )
 
 
 def _reward(options: Options) -> Reward:
-    precision, smoothness = options.precision, options.smoothness
     usual = ALGORITHMS[options.algorithm].smoothness
-    return Reward(
-        PRECISION if precision is None else precision,
-        float(usual if smoothness is None else smoothness),
-    )
+    return Reward(_or(options.precision, PRECISION), float(_or(options.smoothness, usual)))
 
 
-def _lags(options: Options) -> tuple[int, ...]:
-    return LAGS if options.lags is None else options.lags
-
-
-def _residual_scale(options: Options) -> float:
-    return RESIDUAL_SCALE if options.residual_scale is None else options.residual_scale
-
-
-def _commands_torques(options: Options) -> bool:
-    return bool(_driven(options.env, environment_arguments(options))["drive"] == "torque")
-
-
-def _residual(options: Options) -> dict[str, Any]:
-    """Options of a residual agent, with the gains of the controller that it corrects."""
-    residual: dict[str, Any] = {"scale": _residual_scale(options)}
-    torques = _commands_torques(options)
-    if options.base not in (None, BASE) or (options.base == BASE and not torques):
-        return {**residual, "base": options.base}  # refused where the drives take speeds
-    if torques:
-        return {**residual, "gains": list(TUNED_GAINS)}
-    shown = layout_of(options.env, environment_arguments(options)).names
-    return {**residual, "gains": list(tuned_gains(shown))}
-
-
-def _augmentation(options: Options) -> Augmentation:
-    lags = list(_lags(options))
-    residual = _residual(options) if options.augmentation == "residual" else {}
-    student = options.student
-    inferred: dict[str, Any] = {"lags": lags, "hidden": list(student.hidden)}
-    if student.lstm_hidden:
-        inferred = {"hidden": list(student.hidden), "lstm_hidden": student.lstm_hidden}
-        if student.features != STUDENT_FEATURES[0]:
-            inferred["features"] = student.features
-    known = {"history": {"lags": lags}, "residual": residual, STUDENT: inferred}
+def _augmentation(options: Options, made: EnvId) -> Augmentation:
+    """With the gains of the controller that a residual agent corrects."""
+    lags, student = list(_or(options.lags, LAGS)), options.student
+    own: dict[str, Any] = {}
+    if options.augmentation == "history":
+        own = {"lags": lags}
+    elif options.augmentation == "residual":
+        own = {"scale": _or(options.residual_scale, RESIDUAL_SCALE)}
+        torques = made.driven["drive"] == "torque"
+        if options.base not in (None, BASE) or (options.base == BASE and not torques):
+            own["base"] = options.base  # refused where the drives take speeds
+        else:
+            own["gains"] = list(TUNED_GAINS if torques else tuned_gains(made.layout.names))
+    elif options.augmentation == STUDENT:
+        own = {"lags": lags, "hidden": list(student.hidden)}
+        if student.lstm_hidden:
+            own = {"hidden": list(student.hidden), "lstm_hidden": student.lstm_hidden}
+            if student.features != STUDENT_FEATURES[0]:
+                own["features"] = student.features
     sheet = {"data_sheet": True} if options.data_sheet else {}
-    return Augmentation(options.augmentation, {**known.get(options.augmentation, {}), **sheet})
+    return Augmentation(options.augmentation, {**own, **sheet})
 
 
 def configuration(options: Options) -> dict[str, Any]:
     """Options as JSON has them, with the defaults in force, without settings that are not read."""
-    name, algorithm, _ = _algorithm(options)
     others = {other.replace("-", "_") for other in (*ALGORITHMS, STUDENT)}
-    others -= {name.replace("-", "_")}
-    kept = {key: value for key, value in asdict(options).items() if key not in others}
-    schedule = _schedule(options, algorithm)
-    reward = _reward(options)  # a student does not read it
-    kept.update(
+    others -= {options.learns.replace("-", "_")}
+    chosen = {key: value for key, value in asdict(options).items() if key not in others}
+    schedule, reward = _schedule(options), _reward(options)  # a student does not read the reward
+    chosen.update(
         agent=options.algorithm, steps=schedule.total, evaluate_every=schedule.evaluate_every,
-        precision=reward.precision, smoothness=reward.smoothness, lags=_lags(options),
-        residual_scale=_residual_scale(options),
+        precision=reward.precision, smoothness=reward.smoothness, lags=_or(options.lags, LAGS),
+        residual_scale=_or(options.residual_scale, RESIDUAL_SCALE),
     )  # fmt: skip
-    if name == STUDENT and options.student.lstm_hidden is None:
-        kept[STUDENT].pop("lstm_hidden")
-    if name == STUDENT and options.student.features == STUDENT_FEATURES[0]:
-        kept[STUDENT].pop("features")
-    return dict(json.loads(json.dumps(kept, default=str)))
-
-
-def _driven(env: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Drive and vehicle, written out: an archive is read where the id may not be registered."""
-    usual = {name: EnvConfig._field_defaults[name] for name in Driven._fields}
-    return {**usual, **driven(env, arguments)}
+    if options.learns == STUDENT and options.student.lstm_hidden is None:
+        chosen[STUDENT].pop("lstm_hidden")
+    if options.learns == STUDENT and options.student.features == STUDENT_FEATURES[0]:
+        chosen[STUDENT].pop("features")
+    return dict(json.loads(json.dumps(chosen, default=str)))
 
 
 def resolve(options: Options) -> Run:
@@ -199,40 +332,25 @@ def resolve(options: Options) -> Run:
     Raises ValueError, for options without effect too, and errors of gymnasium.
     """
     check_read(options)
-    name, algorithm, settings = _algorithm(options)
     arguments = environment_arguments(options)
-    augmentation = _augmentation(options)
-    groups = groups_in(layout_of(options.env, arguments))
+    made = EnvId.of(options.env, arguments)
+    augmentation = _augmentation(options, made)
+    groups = groups_in(made.layout)
     recipe = {
         "algorithm": ALGORITHMS[options.algorithm].network,
         "augmentation": augmentation.kind,
         "augmentation_options": augmentation.options,
         "observation": groups,
-        "control_period": control_period(options.env, arguments),
-        "environment": {"id": options.env, **_driven(options.env, arguments), **arguments},
+        "control_period": made.control_period,
+        "environment": {"id": options.env, **made.driven, **arguments},
         "config": configuration(options),
         "versions": versions(),
         "machine": machine(),
         "command": shlex.join(["python", *sys.argv]),
     }
     return Run(
-        name=name,
-        algorithm=algorithm,
-        settings=settings,
-        seed=random_seed(options.seed),
-        env=options.env,
-        arguments=arguments,
-        groups=groups,
-        parts=parts_of(options.env, arguments, options.vehicles),
-        held_out=parts_of(options.env, arguments, options.held_out) if options.held_out else (),
-        staggered=options.staggered,
-        augmentation=augmentation,
-        reward=_reward(options),
-        normalise=options.normalise,
-        schedule=_schedule(options, algorithm),
-        teacher=options.teacher,
-        trust=options.trust,
-        folder=options.folder,
-        tensorboard=options.tensorboard,
-        recipe=recipe,
-    )
+        options, options.learns, _algorithm(options), options.settings, random_seed(options.seed),
+        arguments, groups, parts_of(options.env, arguments, options.vehicles),
+        parts_of(options.env, arguments, options.held_out) if options.held_out else (),
+        augmentation, _reward(options), _schedule(options), recipe,
+    )  # fmt: skip

@@ -11,6 +11,7 @@ import json
 import zipfile
 from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +19,25 @@ import numpy as np
 import torch
 from numpy.lib import format as npy
 from numpy.typing import NDArray
-from sb3_contrib.common.recurrent.type_aliases import RNNStates
 
-from baselines.linearizing.adaptive_policy import AdaptiveState
-from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipState
-from baselines.lyapunov.slippage_aware import LyapunovState
-from tracked_env.arrays import Batch
-from tracked_env.engine.episode import Episode, SensorDraw
-from tracked_env.engine.reset import Running
-from tracked_env.physics.parameters import PlantParameters, VehicleState
-from tracked_env.references import ReferenceProfile
 from tracked_env.validation import check_unpacked
 
-# What the state of a training consists of. An augmentation with a named tuple of
-# its own adds it here.
-TYPES: dict[str, Any] = {
-    made.__name__: made
-    for made in (
-        AdaptiveSlipState, AdaptiveState, Batch, Episode, LyapunovState, PlantParameters,
-        ReferenceProfile, RNNStates, Running, SensorDraw, VehicleState,
-    )
-}  # fmt: skip
-GENERATORS: dict[str, Any] = {made.__name__: made for made in (np.random.PCG64, np.random.SFC64)}
+# Named tuples that the state of a training consists of, by name: the module where it stands. An
+# augmentation with one of its own adds it.
+TYPES = {
+    "AdaptiveSlipState": "baselines.lyapunov.adaptive_slippage_aware",
+    "AdaptiveState": "baselines.linearizing.adaptive_policy",
+    "Batch": "tracked_env.arrays",
+    "Episode": "tracked_env.engine.episode",
+    "LyapunovState": "baselines.lyapunov.slippage_aware",
+    "PlantParameters": "tracked_env.physics.parameters",
+    "ReferenceProfile": "tracked_env.references.catalogue",
+    "RNNStates": "sb3_contrib.common.recurrent.type_aliases",
+    "Running": "tracked_env.engine.reset",
+    "SensorDraw": "tracked_env.engine.episode",
+    "VehicleState": "tracked_env.physics.parameters",
+}
+GENERATORS: dict[str, Any] = {kind.__name__: kind for kind in (np.random.PCG64, np.random.SFC64)}
 STATE = "state.json"
 _NUMERIC = "biufc"  # kinds of arrays: whole and real numbers, no objects
 
@@ -49,28 +47,23 @@ class _Writer:
 
     def __init__(self) -> None:
         self.table: list[list[Any]] = []
-        self._pools: dict[str, list[NDArray[Any]]] = {}
+        self.pools: dict[str, list[NDArray[Any]]] = {}
         self._sizes: dict[str, int] = {}
-        self._known: dict[int, tuple[int, Any]] = {}  # by identity; holds them, so that it lasts
-
-    def pools(self) -> dict[str, NDArray[Any]]:
-        """All elements of each type of arrays."""
-        return {kind: np.concatenate(parts) for kind, parts in self._pools.items()}
+        self._numbers: dict[int, tuple[int, Any]] = {}  # by identity; holds the arrays themselves
 
     def _array(self, value: NDArray[Any]) -> int:
         """Its number in the table."""
-        if id(value) in self._known:
-            return self._known[id(value)][0]
-        if value.dtype.kind not in _NUMERIC:
-            raise TypeError(f"an array of {value.dtype} cannot be written")
-        turned = value.flags.f_contiguous and not value.flags.c_contiguous
-        kind = value.dtype.str
-        first = self._sizes.get(kind, 0)
-        self._pools.setdefault(kind, []).append((value.T if turned else value).ravel())
-        self._sizes[kind] = first + value.size
-        self.table.append([kind, first, list(value.shape), turned])
-        self._known[id(value)] = len(self.table) - 1, value
-        return len(self.table) - 1
+        if id(value) not in self._numbers:
+            if value.dtype.kind not in _NUMERIC:
+                raise TypeError(f"an array of {value.dtype} cannot be written")
+            turned = value.flags.f_contiguous and not value.flags.c_contiguous
+            kind = value.dtype.str
+            first = self._sizes.get(kind, 0)
+            self.pools.setdefault(kind, []).append((value.T if turned else value).ravel())
+            self._sizes[kind] = first + value.size
+            self._numbers[id(value)] = len(self.table), value
+            self.table.append([kind, first, list(value.shape), turned])
+        return self._numbers[id(value)][0]
 
     def tree(self, value: Any) -> Any:
         """A value as JSON knows it. Raises TypeError for a type that is not written."""
@@ -78,30 +71,30 @@ class _Writer:
             return value
         if type(value) is list:
             return [self.tree(part) for part in value]
-        return self._tagged(value)
+        return dict([self._tagged(value)])
 
-    def _tagged(self, value: Any) -> dict[str, Any]:
+    def _tagged(self, value: Any) -> tuple[str, Any]:
         if isinstance(value, np.generic) and value.dtype.kind in _NUMERIC:
-            return {"number": [value.dtype.str, self.tree(value.item())]}
+            return "number", [value.dtype.str, self.tree(value.item())]
         if isinstance(value, np.ndarray):
-            return {"array": self._array(value)}
+            return "array", self._array(value)
         if isinstance(value, torch.Tensor):
-            return {"tensor": self._array(value.detach().cpu().numpy())}
+            return "tensor", self._array(value.detach().cpu().numpy())
         if type(value) in (dict, OrderedDict):
-            return {"dict": [[self.tree(key), self.tree(part)] for key, part in value.items()]}
+            return "dict", [[self.tree(key), self.tree(part)] for key, part in value.items()]
         if type(value) is deque:
-            return {"deque": [value.maxlen, self.tree(list(value))]}
+            return "deque", [value.maxlen, self.tree(list(value))]
         if isinstance(value, np.random.Generator):
             state = value.bit_generator.state
             if state["bit_generator"] in GENERATORS:
-                return {"generator": self.tree(state)}
+                return "generator", self.tree(state)
         if type(value) is tuple:
-            return {"tuple": self.tree(list(value))}
-        if TYPES.get(type(value).__name__) is type(value):
-            return {"named": [type(value).__name__, self.tree(list(value))]}
+            return "tuple", self.tree(list(value))
+        name = type(value).__name__
+        if TYPES.get(name) == type(value).__module__:
+            return "named", [name, self.tree(list(value))]
         raise TypeError(
-            f"a {type(value).__name__} cannot be written; a named tuple has to stand in "
-            "agents.state_file.TYPES"
+            f"a {name} cannot be written; a named tuple has to stand in agents.state_file.TYPES"
         )
 
 
@@ -112,13 +105,15 @@ class _Reader:
         self._table, self._pools = table, pools
         self._arrays: dict[int, NDArray[Any]] = {}
         self._tags: dict[str, Callable[[Any], Any]] = {
-            "number": self._number, "array": self._array, "tensor": self._tensor,
-            "dict": lambda given: {self.value(key): self.value(part) for key, part in given},
-            "deque": lambda given: deque(self.value(given[1]), given[0]),
+            "number": self._number,
+            "array": self._array,
+            "tensor": lambda number: torch.from_numpy(self._array(number)),
+            "dict": lambda pairs: {self.value(key): self.value(part) for key, part in pairs},
+            "deque": lambda content: deque(self.value(content[1]), content[0]),
             "generator": self._generator,
-            "tuple": lambda given: tuple(self.value(given)),
-            "named": lambda given: TYPES[given[0]](*self.value(given[1])),
-        }  # fmt: skip
+            "tuple": lambda parts: tuple(self.value(parts)),
+            "named": self._named,
+        }
 
     def value(self, tree: Any) -> Any:
         """What a tree stands for."""
@@ -126,8 +121,8 @@ class _Reader:
             return [self.value(part) for part in tree]
         if not isinstance(tree, dict):
             return tree
-        ((tag, given),) = tree.items()
-        return self._tags[tag](given)
+        ((tag, content),) = tree.items()
+        return self._tags[tag](content)
 
     def _array(self, number: int) -> NDArray[Any]:
         if number not in self._arrays:
@@ -140,20 +135,21 @@ class _Reader:
             self._arrays[number] = array
         return self._arrays[number]
 
-    def _tensor(self, number: int) -> torch.Tensor:
-        return torch.from_numpy(self._array(number))
-
-    def _number(self, given: Any) -> Any:
-        kind = np.dtype(given[0])
+    def _number(self, content: Any) -> Any:
+        kind = np.dtype(content[0])
         if kind.kind not in _NUMERIC:
             raise ValueError(f"a number of type {kind}")
-        return kind.type(self.value(given[1]))
+        return kind.type(self.value(content[1]))
 
-    def _generator(self, given: Any) -> np.random.Generator:
-        state = self.value(given)
-        made = GENERATORS[state["bit_generator"]]()
-        made.state = state
-        return np.random.Generator(made)
+    def _named(self, content: Any) -> Any:
+        name, parts = content
+        return getattr(import_module(TYPES[name]), name)(*self.value(parts))
+
+    def _generator(self, content: Any) -> np.random.Generator:
+        state = self.value(content)
+        generator = GENERATORS[state["bit_generator"]]()
+        generator.state = state
+        return np.random.Generator(generator)
 
 
 def write_state(path: Path, state: Mapping[str, Any]) -> None:
@@ -163,9 +159,9 @@ def write_state(path: Path, state: Mapping[str, Any]) -> None:
     content = json.dumps({"arrays": writer.table, "state": tree})
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
         archive.writestr(STATE, content)
-        for kind, elements in writer.pools().items():
+        for kind, parts in writer.pools.items():
             with archive.open(f"{kind}.npy", "w", force_zip64=True) as file:
-                npy.write_array(file, elements, allow_pickle=False)
+                npy.write_array(file, np.concatenate(parts), allow_pickle=False)
 
 
 def read_state(path: Path) -> dict[str, Any]:

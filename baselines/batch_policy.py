@@ -53,12 +53,12 @@ class BatchPolicy(Generic[State]):
         count = len(batch)
         start = np.ones(count, dtype=bool) if state is None else np.zeros(count, dtype=bool)
         if episode_start is not None:
-            given = np.asarray(episode_start, dtype=bool)
-            if given.shape not in ((), (1,), (count,)):
-                raise ValueError(f"episode_start has shape {given.shape}; must be ({count},)")
-            start |= given
-        action, carried = self.act(batch, state, start)
-        return (action[0] if np.ndim(observation) == 1 else action), carried
+            begins = np.asarray(episode_start, dtype=bool)
+            if begins.shape not in ((), (1,), (count,)):
+                raise ValueError(f"episode_start has shape {begins.shape}; must be ({count},)")
+            start |= begins
+        action, state = self.act(batch, state, start)
+        return (action[0] if np.ndim(observation) == 1 else action), state
 
     def act(
         self, observation: NDArray[np.float32], state: State | None, start: NDArray[np.bool_]
@@ -70,9 +70,8 @@ class BatchPolicy(Generic[State]):
         """
         raise NotImplementedError
 
-    def same_count(self, known: int, count: int) -> None:
-        """Raises ValueError where a state of `known` vehicles comes with `count` observations."""
-        if known != count:
-            raise ValueError(
-                f"state of {known} vehicles for {count} observations. Is it that of another batch?"
-            )
+    def same_count(self, vehicles: int, count: int) -> None:
+        """Raises ValueError where a state of `vehicles` comes with `count` observations."""
+        if vehicles != count:
+            text = f"state of {vehicles} vehicles for {count} observations"
+            raise ValueError(f"{text}. Is it that of another batch?")

@@ -25,10 +25,8 @@ A factory takes a context with `control_period` [s], `lateral` (its model), `sen
 the noise of the sensors, which every policy may use), `drive`, `vehicle`, and `observation` (names
 of its fields). `register` adds a controller.
 
-The agents that come with this package: of an environment, name -> archives, one per seed.
-
-The source distribution leaves the archives out; an installation that was built from it has the
-names, and an empty list for each.
+Beside them are the trained agents that come with this package, one archive per seed. The source
+distribution leaves the archives out; an installation that was built from it has their names alone.
 """
 
 import json
@@ -38,30 +36,30 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
+from baselines.augmented import L1Policy, L1Settings, MracPolicy, MracSettings
 from baselines.augmented import l1 as l1_policy
 from baselines.augmented import mrac as mrac_policy
-from baselines.augmented.l1 import L1Policy, L1Settings
-from baselines.augmented.mrac import MracPolicy, MracSettings
 from baselines.estimators.measurement import DataSheet
-from baselines.linearizing import adaptive_policy, linearizing_law
-from baselines.linearizing.adaptive_policy import (
-    INTEGRAL_GAINS,
+from baselines.linearizing import (
+    TUNED_GAINS,
     AdaptivePolicy,
+    FeedbackLinearizingController,
     IntegralPolicy,
     OraclePolicy,
+    linearizing_law,
 )
-from baselines.linearizing.linearizing_law import TUNED_GAINS
-from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
-from baselines.lyapunov import lyapunov_laws
-from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
-from baselines.lyapunov.lyapunov_laws import LyapunovGains
-from baselines.lyapunov.replanning import ReplanningPolicy
-from baselines.lyapunov.slippage_aware import (
+from baselines.linearizing.adaptive_policy import INTEGRAL_GAINS, INTEGRAL_TUNABLE
+from baselines.lyapunov import (
+    AdaptiveSlipPolicy,
+    LyapunovGains,
+    OracleSlipPolicy,
     SlippageAwarePolicy,
     UnicyclePolicy,
-    shows_attitude,
-    tuned_gains,
+    lyapunov_laws,
 )
+from baselines.lyapunov.pose_filter import shows_attitude
+from baselines.lyapunov.replanning import ReplanningPolicy
+from baselines.lyapunov.slippage_aware import tuned_gains
 from baselines.predictive.predictive_control import (
     NominalPredictivePolicy,
     PredictiveOraclePolicy,
@@ -76,9 +74,9 @@ from baselines.predictive.sprocket_control import (
 from baselines.predictive.stages import TUNABLE as PREDICTIVE_TUNABLE
 from baselines.predictive.stages import PredictiveSettings
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip
-from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.parameters import VEHICLES
 
-PRETRAINED = Path(__file__).resolve().parent / "pretrained"
+PRETRAINED = Path(__file__).resolve().parent / "learned" / "pretrained"
 SCORES = "scores.json"  # per environment: {"seeds": {name: ...}}, of every shipped agent
 FOLDERS = {"torque": "Torque-v0", "speed": "Speed-v0"}
 
@@ -87,15 +85,15 @@ _SEEDED = re.compile(r"(.+)-seed(\d+)")
 
 def shipped_agents(env: str) -> dict[str, list[Path]]:
     """Archives of PRETRAINED for an environment, its id or a drive, by the name of the agent."""
-    found: dict[str, list[Path]] = {}
+    archives: dict[str, list[Path]] = {}
     folder = PRETRAINED / FOLDERS.get(env, env.rpartition("/")[2])
     for path in sorted(folder.glob("*/agent.zip")):
         match = _SEEDED.fullmatch(path.parent.name)
-        found.setdefault(match[1] if match else path.parent.name, []).append(path)
+        archives.setdefault(match[1] if match else path.parent.name, []).append(path)
     scores = folder / SCORES
-    if not found and scores.is_file():
+    if not archives and scores.is_file():
         return {name: [] for name in json.loads(scores.read_text(encoding="utf-8"))["seeds"]}
-    return found
+    return archives
 
 
 class Context(Protocol):
@@ -126,14 +124,21 @@ class Context(Protocol):
         """Names of the fields that the environment shows."""
 
 
-def _vehicle(context: Context, drive: str) -> PlantParameters:
-    """Nominal parameters for a policy that commands `drive`. Raises ValueError for another."""
+def _arguments(context: Context, drive: str) -> dict[str, Any]:
+    """Arguments of a policy that commands `drive`. Raises ValueError in an environment of another
+    drive."""
     if context.drive != drive:
         raise ValueError(
             f"this policy commands each sprocket's {drive}, the environment takes its "
             f"{context.drive}; policies for that are {', '.join(BY_DRIVE[context.drive])}"
         )
-    return VEHICLES[context.vehicle]
+    lateral: dict[str, Any] = {"lateral": context.lateral} if drive == "torque" else {}
+    return lateral | {
+        "parameters": VEHICLES[context.vehicle],
+        "control_period": context.control_period,
+        "data_sheet": DataSheet.of(context.sensors),
+        "observation": context.observation,
+    }
 
 
 def tunable(ranges: Mapping[str, tuple[float, float, bool]], settings: Any) -> Any:
@@ -154,62 +159,40 @@ def tunable(ranges: Mapping[str, tuple[float, float, bool]], settings: Any) -> A
 @tunable(linearizing_law.TUNABLE, TUNED_GAINS)
 def nominal(context: Context, **settings: float) -> FeedbackLinearizingController:
     """The controller that trusts the nominal parameters."""
-    return FeedbackLinearizingController(
-        _vehicle(context, "torque"), control_period=context.control_period,
-        gains=TUNED_GAINS._replace(**settings), lateral=context.lateral,
-        observation=context.observation,
-    )  # fmt: skip
+    arguments = _arguments(context, "torque")
+    del arguments["data_sheet"]  # it filters nothing
+    return FeedbackLinearizingController(**arguments, gains=TUNED_GAINS._replace(**settings))
 
 
-def _arguments(context: Context) -> dict[str, Any]:
-    return {
-        "parameters": _vehicle(context, "torque"),
-        "control_period": context.control_period,
-        "data_sheet": DataSheet.of(context.sensors),
-        "lateral": context.lateral,
-        "observation": context.observation,
-    }
-
-
-@tunable(adaptive_policy.TUNABLE, INTEGRAL_GAINS)
+@tunable(INTEGRAL_TUNABLE, INTEGRAL_GAINS)
 def integral(context: Context, **settings: float) -> IntegralPolicy:
     """The controller with nominal parameters, the filter and integral action."""
     gains = INTEGRAL_GAINS._replace(**settings)
-    return IntegralPolicy(**_arguments(context), gains=gains)
+    return IntegralPolicy(**_arguments(context, "torque"), gains=gains)
 
 
 @tunable(l1_policy.TUNABLE, L1Settings())
 def l1(context: Context, **settings: float) -> L1Policy:
     """The controller with L1 adaptive augmentation."""
-    return L1Policy(**_arguments(context), settings=L1Settings(**settings))
+    return L1Policy(**_arguments(context, "torque"), settings=L1Settings(**settings))
 
 
 @tunable(mrac_policy.TUNABLE, MracSettings())
 def mrac(context: Context, **settings: float) -> MracPolicy:
     """The controller with model-reference adaptive augmentation."""
-    return MracPolicy(**_arguments(context), settings=MracSettings(**settings))
+    return MracPolicy(**_arguments(context, "torque"), settings=MracSettings(**settings))
 
 
 @tunable(linearizing_law.TUNABLE, TUNED_GAINS)
 def adaptive(context: Context, **settings: float) -> AdaptivePolicy:
     """The controller that identifies vehicle and soil under way."""
-    return AdaptivePolicy(**_arguments(context), gains=TUNED_GAINS._replace(**settings))
+    return AdaptivePolicy(**_arguments(context, "torque"), gains=TUNED_GAINS._replace(**settings))
 
 
 @tunable(linearizing_law.TUNABLE, TUNED_GAINS)
 def oracle(context: Context, **settings: float) -> OraclePolicy:
     """The controller that knows the true parameters."""
-    return OraclePolicy(**_arguments(context), gains=TUNED_GAINS._replace(**settings))
-
-
-def _speed_arguments(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
-    return {
-        "gains": lyapunov_gains(context)._replace(**settings),
-        "parameters": _vehicle(context, "speed"),
-        "control_period": context.control_period,
-        "data_sheet": DataSheet.of(context.sensors),
-        "observation": context.observation,
-    }
+    return OraclePolicy(**_arguments(context, "torque"), gains=TUNED_GAINS._replace(**settings))
 
 
 def lyapunov_gains(context: Context) -> LyapunovGains:
@@ -217,10 +200,15 @@ def lyapunov_gains(context: Context) -> LyapunovGains:
     return tuned_gains(context.observation)
 
 
+def _with_gains(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
+    gains = lyapunov_gains(context)._replace(**settings)
+    return {"gains": gains, **_arguments(context, "speed")}
+
+
 @tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
 def uc(context: Context, **settings: float) -> UnicyclePolicy:
     """The controller of a unicycle without slip."""
-    return UnicyclePolicy(**_speed_arguments(context, settings))
+    return UnicyclePolicy(**_with_gains(context, settings))
 
 
 @tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
@@ -228,7 +216,7 @@ def slc(context: Context, **settings: float) -> SlippageAwarePolicy:
     """The slippage-aware controller that trusts the slip of the nominal soil."""
     if not shows_attitude(context.observation):
         return slc_flat(context, **settings)
-    arguments = _speed_arguments(context, settings)
+    arguments = _with_gains(context, settings)
     return SlippageAwarePolicy(
         slip_model=identified_slope_slip(arguments["parameters"]), **arguments
     )
@@ -237,43 +225,35 @@ def slc(context: Context, **settings: float) -> SlippageAwarePolicy:
 @tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
 def slc_flat(context: Context, **settings: float) -> SlippageAwarePolicy:
     """The slippage-aware controller that trusts the slip of the nominal soil on level ground."""
-    arguments = _speed_arguments(context, settings)
+    arguments = _with_gains(context, settings)
     return SlippageAwarePolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
 
 
 @tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
 def slc_adaptive(context: Context, **settings: float) -> AdaptiveSlipPolicy:
     """The slippage-aware controller that identifies the friction under way."""
-    return AdaptiveSlipPolicy(**_speed_arguments(context, settings))
+    return AdaptiveSlipPolicy(**_with_gains(context, settings))
 
 
 @tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
 def slc_oracle(context: Context, **settings: float) -> OracleSlipPolicy:
     """The slippage-aware controller that knows the true soil."""
-    return OracleSlipPolicy(**_speed_arguments(context, settings))
-
-
-def _ungained_arguments(context: Context) -> dict[str, Any]:
-    arguments = _speed_arguments(context, {})
-    del arguments["gains"]  # its own
-    return arguments
+    return OracleSlipPolicy(**_with_gains(context, settings))
 
 
 def slc_replan(context: Context) -> ReplanningPolicy:
     """The slippage-aware controller that plans to the goal again every second."""
-    return ReplanningPolicy(**_ungained_arguments(context))
+    return ReplanningPolicy(**_arguments(context, "speed"))
 
 
 def slc_once(context: Context) -> ReplanningPolicy:
     """The same controller with one plan, made at the start."""
-    return ReplanningPolicy(**_ungained_arguments(context), replan_period=math.inf)
+    return ReplanningPolicy(**_arguments(context, "speed"), replan_period=math.inf)
 
 
 def _predictive(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
-    given = predictive_settings(context)._replace(**settings)
-    if context.drive == "torque":
-        return {**_arguments(context), "settings": given}
-    return {**_ungained_arguments(context), "settings": given}
+    chosen = predictive_settings(context)._replace(**settings)
+    return {**_arguments(context, context.drive), "settings": chosen}
 
 
 def predictive_settings(context: Context) -> PredictiveSettings:

@@ -8,7 +8,10 @@ pass down), and comes with its ratio to a peer. What the rows are stands in spee
 is asserted: timings are for reading. `--output` also writes the table as Markdown, `--publish`
 into docs/speed.md.
 
-`--against` times another checkout as well, each row in alternation with this one, and prints both.
+`--against` times another checkout as well and prints both. Each checkout has a process of its own,
+in which its modules are imported; the rows are those of this checkout. A pass of the one is
+followed by a pass of the other, and the best of each counts: other work on the machine meets both
+alike.
 
 The row of a training runs train.py as it stands, with its default settings. It needs the extras
 `rl` and `cli`; without them it is left out, and that is said. `--training-steps 0` leaves it out.
@@ -17,6 +20,7 @@ The row of a training runs train.py as it stands, with its default settings. It 
 import argparse
 import csv
 import io
+import json
 import os
 import platform
 import re
@@ -24,7 +28,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
@@ -32,14 +36,15 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
+import speed_rows
 
-from benchmarks import speed_against, speed_rows
 from tracked_env import TORQUE_ID as TORQUE
-from tracked_env.arrays import bytes_per_vehicle
 from tracked_env.benchmark.files import replace_block
 
 PASSES = 7
 TRAININGS = 3  # of which the fastest counts
+SLOWER = 1.03  # ratio from which on a row is marked; minima of the same code differ by less
+SERVE = "serve"  # first argument of a process that times rows for another one
 FREE_SHARE = 0.9  # of a core that a training uses on a free machine
 TRAINING = "PPO, 64 vehicles, with learner"
 TRAINING_PEER = "Torque-v0 vector, 64, calm"
@@ -65,67 +70,50 @@ def start_up() -> tuple[float, float]:
         "env.reset(seed=0); env.step(np.zeros(2, np.float32))\n"
         "print(time.perf_counter() - t)"
     )
+    command, times = [sys.executable, "-c", code], list[float]()
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
-        times = [
-            float(
-                subprocess.run(
-                    [sys.executable, "-c", code],
-                    env=environment, check=True, capture_output=True, text=True,
-                ).stdout
-            )
-            for _ in range(3)
-        ]  # fmt: skip
+        for _ in range(3):
+            done = subprocess.check_output(command, env=environment, text=True)
+            times.append(float(done))
     return times[0], min(times[1:])
 
 
-def training_seconds(steps: int) -> float:
-    """Seconds per environment step of train.py, learner and checkpoints included.
-
-    The best of TRAININGS of about `steps` steps (whole rollouts), without held-out episodes, after
-    a short one that loads what the first step needs. The clock of a training starts when its
-    environment and networks are there. Says so where other work held it up. Raises ImportError
-    where the extras are missing.
+def training_rows(steps: int) -> list[Row]:
+    """The row of train.py, learner and checkpoints included, of about `steps` steps (whole
+    rollouts), without held-out episodes: the best of TRAININGS, after a short one that loads what
+    the first step needs. The clock of a training starts when its environment and networks are
+    there. None where `steps` is 0, or with a note where the extras are missing; says so where other
+    work held it up.
     """
+    if steps <= 0:
+        return []
     sys.path.insert(0, str(ROOT))
     try:
         import train
         from agents.options import options_of_train
     except SystemExit as reason:  # train.py says what is missing and how to get it
-        raise ImportError(str(reason)) from None
+        print(f"no row of a training: {reason}", file=sys.stderr)
+        return []
     finally:
         sys.path.remove(str(ROOT))
     best, share = np.inf, 0.0
-    for turn in range(TRAININGS + 1):
+    for asked in (1, *[steps] * TRAININGS):
         began, worked = time.perf_counter(), time.process_time()
         with tempfile.TemporaryDirectory() as output, redirect_stdout(io.StringIO()):
-            asked = steps if turn else 1
-            config = options_of_train()(
-                steps=asked, held_out=0, quiet=True, output=Path(output, "ppo")
-            )
+            folder = Path(output, "ppo")
+            config = options_of_train()(steps=asked, held_out=0, quiet=True, output=folder)
             if train.main(config) != 0:
                 raise RuntimeError("train.py failed; its message stands above")
             with open(config.folder / "curve.csv", newline="") as file:
                 last = list(csv.DictReader(file))[-1]
-        if turn:
+        if asked == steps:
             best = min(best, float(last["seconds"]) / float(last["steps"]))
             core = (time.process_time() - worked) / (time.perf_counter() - began)
             share = max(share, core)
     if share < FREE_SHARE:
         print(f"trainings had {share:.0%} of a core; repeat on a free machine", file=sys.stderr)
-    return float(best)
-
-
-def training_rows(steps: int) -> list[Row]:
-    """The row of a training; none, with a note, where the extras are missing or `steps` is 0."""
-    if steps <= 0:
-        return []
-    try:
-        seconds = training_seconds(steps)
-    except ImportError as error:
-        print(f"no row of a training: {error}", file=sys.stderr)
-        return []
-    return [Row(TRAINING, 1e6 * seconds, steps, TRAINING_PEER)]
+    return [Row(TRAINING, 1e6 * float(best), steps, TRAINING_PEER)]
 
 
 def measure(chosen: Sequence[speed_rows.Row], seconds: float) -> list[Row]:
@@ -141,10 +129,10 @@ def measure(chosen: Sequence[speed_rows.Row], seconds: float) -> list[Row]:
 
 def with_peers(every: Sequence[speed_rows.Row], pattern: str) -> list[speed_rows.Row]:
     """Rows whose name contains `pattern` (a regular expression), and their peers."""
-    found = [row for row in every if re.search(pattern, row.name)]
-    needed = {row.name for row in found} | {row.peer for row in found}
-    chain = {row.name: row.peer for row in every}
-    needed |= {chain[name] for name in needed}
+    matching = [row for row in every if re.search(pattern, row.name)]
+    peers = {row.name: row.peer for row in every}
+    needed = {row.name for row in matching} | {row.peer for row in matching}
+    needed |= {peers[name] for name in needed}
     return [row for row in every if row.name in needed]
 
 
@@ -163,7 +151,7 @@ def markdown(rows: list[Row], begun: tuple[float, float] | None) -> str:
             f"| {ratio:.2f} | {row.peer} | {ends} |"
         )
     env: Any = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
-    memory = bytes_per_vehicle(env.simulation.batch) / 1024
+    memory = sum(array.nbytes for array in env.simulation.batch) // env.num_envs / 1024
     first_step = learner = ""
     if begun:
         first_step = (
@@ -186,27 +174,137 @@ def markdown(rows: list[Row], begun: tuple[float, float] | None) -> str:
     return "\n".join(lines)
 
 
+class Pair(NamedTuple):
+    """Best times of a row [us per step]; NaN where a checkout has no such row."""
+
+    name: str
+    ours: float
+    theirs: float
+    reason: str = ""  # why there is none
+
+    @property
+    def ratio(self) -> float:
+        """Ours over theirs."""
+        return self.ours / self.theirs
+
+
+class Worker:
+    """A process that times rows with the modules of a checkout."""
+
+    def __init__(self, checkout: Path, registered: Sequence[tuple[str, str]]) -> None:
+        """Raises ValueError for a folder without the package."""
+        self.checkout = checkout.resolve()
+        if not (self.checkout / "tracked_env" / "__init__.py").is_file():
+            raise ValueError(f"--against {checkout}: no package tracked_env there; must be a clone")
+        paths = [str(self.checkout), os.environ.get("PYTHONPATH", "")]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+        command = [sys.executable, __file__, SERVE, str(self.checkout), json.dumps(registered)]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        self._process = subprocess.Popen(command, cwd=self.checkout, env=environment, **pipes)
+
+    def ask(self, **request: Any) -> Mapping[str, Any]:
+        """What the process answers. Raises RuntimeError when it has ended."""
+        requests, answers = self._process.stdin, self._process.stdout
+        assert requests is not None and answers is not None
+        try:
+            print(json.dumps(request), file=requests, flush=True)
+            answer = answers.readline()
+        except BrokenPipeError:
+            answer = ""
+        if not answer:
+            raise RuntimeError(f"the process of {self.checkout} has ended; its message is above")
+        return dict(json.loads(answer))
+
+    def close(self) -> None:
+        """End the process."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+
+def compared(
+    names: Iterable[tuple[str, int]], ours: Worker, theirs: Worker, seconds: float, passes: int
+) -> Iterator[Pair]:
+    """Rows (name, steps of a call), each with `passes` passes of both checkouts."""
+    for name, steps in names:
+        answers = [worker.ask(row=name, seconds=seconds) for worker in (ours, theirs)]
+        reasons = [str(answer["error"]) for answer in answers if "error" in answer]
+        best = [float("nan" if "error" in answer else "inf") for answer in answers]
+        calls = max(int(answer.get("calls", 0)) for answer in answers)
+        for _ in range(passes):
+            for k, worker in enumerate((ours, theirs)):
+                if "error" not in answers[k]:
+                    best[k] = min(best[k], float(worker.ask(calls=calls)["seconds"]))
+        yield Pair(name, 1e6 * best[0] / steps, 1e6 * best[1] / steps, "; ".join(reasons))
+
+
+def line(pair: Pair) -> str:
+    """One line of the table."""
+    note = " slower" if pair.ratio > SLOWER else ""
+    note += f" {pair.reason}" if pair.reason else ""
+    return f"| {pair.name} | {pair.ours:.3f} | {pair.theirs:.3f} | {pair.ratio:.3f}{note} |"
+
+
+def compare(
+    ours: Path, theirs: Path, chosen: Sequence[speed_rows.Row], seconds: float, passes: int
+) -> list[Pair]:
+    """Time rows of both checkouts and print the table line by line. Raises ValueError."""
+    registered = speed_rows.controllers()
+    workers: list[Worker] = []
+    pairs = []
+    try:
+        workers += [Worker(checkout, registered) for checkout in (ours, theirs)]
+        print("| what | us per step | there | time over that there |\n|--|--|--|--|", flush=True)
+        names = [(row.name, row.steps) for row in chosen]
+        for pair in compared(names, workers[0], workers[1], seconds, passes):
+            pairs.append(pair)
+            print(line(pair), flush=True)
+    finally:
+        for worker in workers:
+            worker.close()
+    return pairs
+
+
+def serve(checkout: Path, registered: Sequence[tuple[str, str]]) -> None:
+    """Answer requests, one JSON object a line: make a row, or time a pass of it."""
+    import tracked_env
+
+    if checkout not in Path(tracked_env.__file__).resolve().parents:
+        raise SystemExit(f"{checkout}: another tracked_env was imported, {tracked_env.__file__}")
+    by_name = {row.name: row for row in speed_rows.rows(registered)}
+    answers, sys.stdout = sys.stdout, sys.stderr  # what rows print does not get in between
+    load = speed_rows.Load(lambda: None)
+    for text in sys.stdin:
+        request = json.loads(text)
+        answer: dict[str, Any] = {}
+        if "row" in request:
+            try:
+                load = by_name[request["row"]].make()
+                answer["calls"] = speed_rows.calls_of_a_pass(load, request["seconds"])
+            except Exception as error:  # of another version, whatever it says
+                answer["error"] = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        else:
+            answer["seconds"] = speed_rows.time_of_a_pass(load, request["calls"])
+        print(json.dumps(answer), file=answers, flush=True)
+
+
 def options() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seconds", type=float, default=2.0, help="time spent per figure [s]")
-    parser.add_argument(
-        "--rows", default="", metavar="REGEX", help="only rows whose name matches, and their peers"
-    )
-    parser.add_argument(
-        "--against", type=Path, metavar="PATH", help="compare with another checkout, row by row"
-    )
-    parser.add_argument(
-        "--training-steps", type=int, default=100_000, help="of each training; 0 leaves its row out"
-    )
+    text = "only rows whose name matches, and their peers"
+    parser.add_argument("--rows", default="", metavar="REGEX", help=text)
+    text = "compare with another checkout, row by row"
+    parser.add_argument("--against", type=Path, metavar="PATH", help=text)
+    text = "of each training; 0 leaves its row out"
+    parser.add_argument("--training-steps", type=int, default=100_000, help=text)
     parser.add_argument("--output", type=Path, help="also write the Markdown table to this file")
-    parser.add_argument(
-        "--publish", action="store_true", help="also renew the table in docs/speed.md"
-    )
-    given = parser.parse_args()
-    if given.publish and (given.rows or given.against):
+    text = "also renew the table in docs/speed.md"
+    parser.add_argument("--publish", action="store_true", help=text)
+    arguments = parser.parse_args()
+    if arguments.publish and (arguments.rows or arguments.against):
         parser.error("--publish needs all rows: leave out --rows and --against")
-    return given
+    return arguments
 
 
 def main() -> None:
@@ -215,17 +313,16 @@ def main() -> None:
     every = speed_rows.rows(speed_rows.controllers())
     chosen = with_peers(every, arguments.rows) if arguments.rows else every
     if not chosen:
-        raise SystemExit(f"--rows {arguments.rows}: no such row; there are\n" + "\n".join(
-            f"  {row.name}" for row in every
-        ))  # fmt: skip
+        names = "\n".join(f"  {row.name}" for row in every)
+        raise SystemExit(f"--rows {arguments.rows}: no such row; there are\n{names}")
     if arguments.against:
         try:
             seconds = arguments.seconds / PASSES
-            pairs = speed_against.compare(ROOT, arguments.against, chosen, seconds, PASSES)
+            pairs = compare(ROOT, arguments.against, chosen, seconds, PASSES)
         except (ValueError, RuntimeError) as error:
             raise SystemExit(str(error)) from error
         if arguments.output:
-            arguments.output.write_text("\n".join(map(speed_against.line, pairs)) + "\n")
+            arguments.output.write_text("\n".join(map(line, pairs)) + "\n")
         return
     begun = None if arguments.rows else start_up()
     rows = measure(chosen, arguments.seconds)
@@ -240,4 +337,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:2] == [SERVE]:
+        serve(Path(sys.argv[2]), json.loads(sys.argv[3]))
+    else:
+        main()

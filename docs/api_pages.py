@@ -14,49 +14,63 @@ from typing import Any, NamedTuple
 
 
 class Section(NamedTuple):
-    """One page: its file, its title, a sentence, and the modules; a package brings all of its."""
+    """One page: its file and title, a sentence, and the modules; a package brings all of its."""
 
     file: str
     title: str
     sentence: str
-    modules: tuple[str, ...]
+    modules: list[str]
 
 
-SECTIONS = (
-    Section("environments", "Environments", "The single and the vector environment, their rewards "
-            "and the changes inside an episode.",
-            ("tracked_env", "tracked_env.env", "tracked_env.vector_env", "tracked_env.step",
-             "tracked_env.events", "tracked_env.engine.noise", "tracked_env.validation")),
-    Section("wrappers", "Wrappers and observations", "What an agent sees: groups of fields, "
-            "sensors with their errors, and what an observer appends.",
-            ("tracked_env.wrappers", "tracked_env.observation", "tracked_env.observation",
-             "tracked_env.sensors", "tracked_env.engine.episode")),
-    Section("episodes", "References, uncertainty and ground", "What an episode is made of: the "
-            "motion to follow, the laws of what is unknown, and the terrain.",
-            ("tracked_env.references", "tracked_env.uncertainty", "tracked_env.terrain")),
-    Section("plants", "Plants", "The equations of motion as the engine takes them, one file for "
-            "each plant.", ("tracked_env.plants",)),
-    Section("physics", "Physics", "Pure formulas: terramechanics, contact, rigid bodies and "
-            "integration.", ("tracked_env.physics",)),
-    Section("benchmark", "Benchmark", "Frozen sets, policies, metrics, statistics and the "
-            "leaderboard.", ("tracked_env.benchmark",)),
-    Section("controllers", "Controllers", "Feedback linearization, its adaptive augmentations, "
-            "model predictive and Lyapunov control.",
-            ("baselines.registry", "baselines.batch_policy", "baselines.linearizing",
-             "baselines.augmented", "baselines.predictive", "baselines.lyapunov")),
-    Section("estimators", "Estimators", "Identification of vehicle, soil and drives from what the "
-            "sensors show.", ("baselines.estimators",)),
-    Section("slip", "Slip models", "Slip of the tracks, identified by driving and on line.",
-            ("baselines.slip",)),
-    Section("planners", "Planners", "Motions to a pose: Dubins, Reeds-Shepp, clothoids and least "
-            "time with slip.", ("baselines.planners",)),
-    Section("learned", "Trained agents", "Archives of agents, and how they drive with NumPy alone.",
-            ("baselines.learned",)),
-    Section("rendering", "Rendering", "Pictures, films and pages that replay an episode.",
-            ("tracked_env.rendering",)),
-    Section("libraries", "Other libraries", "Stable-Baselines3, RLlib and Minari.",
-            ("tracked_env.sb3", "tracked_env.rllib", "tracked_env.datasets")),
-)  # fmt: skip
+_SECTIONS = """\
+environments | Environments
+The single and the vector environment, their rewards and the changes inside an episode.
+tracked_env tracked_env.env tracked_env.vector_env tracked_env.step tracked_env.events \
+tracked_env.streams tracked_env.validation
+wrappers | Wrappers and observations
+What an agent sees: groups of fields, sensors with their errors, and what an observer appends.
+tracked_env.wrappers tracked_env.observation tracked_env.sensors tracked_env.engine.episode
+episodes | References, uncertainty and ground
+What an episode is made of: the motion to follow, the laws of what is unknown, and the terrain.
+tracked_env.references tracked_env.uncertainty tracked_env.terrain
+plants | Plants
+The equations of motion as the engine takes them, one file for each plant.
+tracked_env.plants
+physics | Physics
+Pure formulas: terramechanics, contact, rigid bodies and integration.
+tracked_env.physics
+benchmark | Benchmark
+Frozen sets, policies, metrics, statistics and the leaderboard.
+tracked_env.benchmark
+controllers | Controllers
+Feedback linearization, its adaptive augmentations, model predictive and Lyapunov control.
+baselines.registry baselines.batch_policy baselines.linearizing baselines.augmented \
+baselines.predictive baselines.lyapunov
+estimators | Estimators
+Identification of vehicle, soil and drives from what the sensors show.
+baselines.estimators
+slip | Slip models
+Slip of the tracks, identified by driving and on line.
+baselines.slip
+planners | Planners
+Motions to a pose: Dubins, Reeds-Shepp, clothoids and least time with slip.
+baselines.planners
+learned | Trained agents
+Archives of agents, and how they drive with NumPy alone.
+baselines.learned
+identify | Your own logs
+Identification of a vehicle and of its slip from logs and runs of its user.
+baselines.identify
+rendering | Rendering
+Pictures, films and pages that replay an episode.
+tracked_env.rendering
+libraries | Other libraries
+Stable-Baselines3, RLlib and Minari.
+tracked_env.sb3 tracked_env.rllib tracked_env.datasets""".splitlines()
+SECTIONS = [
+    Section(*head.split(" | "), sentence, modules.split())
+    for head, sentence, modules in zip(*(_SECTIONS[k::3] for k in range(3)), strict=True)
+]
 _FIELD = re.compile(r"^    (\w+): (.+?)  # (.+)$", re.MULTILINE)
 _ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
 _ITEM = re.compile(r"[*-] ")
@@ -67,32 +81,28 @@ def modules_of(name: str) -> Iterator[str]:
     yield name
     module = importlib.import_module(name)
     if name.count(".") and hasattr(module, "__path__"):
-        for found in sorted(one.name for one in pkgutil.iter_modules(module.__path__, f"{name}.")):
-            yield from modules_of(found)
+        for below in sorted(one.name for one in pkgutil.iter_modules(module.__path__, f"{name}.")):
+            yield from modules_of(below)
 
 
 def write_api_pages(folder: Path) -> None:
     """One Markdown page for each section, and `index.md` with a table of them."""
     folder.mkdir(parents=True, exist_ok=True)
-    rows = [f"| [{s.title}]({s.file}.md) | {s.sentence} |" for s in SECTIONS]
+    rows = "\n".join(f"| [{s.title}]({s.file}.md) | {s.sentence} |" for s in SECTIONS)
     tree = "\n".join(section.file for section in SECTIONS)
-    write_changed(
-        folder / "index.md",
+    index = (
         "# API reference\n\nMade of the docstrings of all public modules. Arrays have their shape, "
         "numbers their unit in brackets. Names and symbols: NOTATION.md of the repository.\n\n"
-        "| section | content |\n|--|--|\n" + "\n".join(rows)
-        + f"\n\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n",
-    )  # fmt: skip
+        f"| section | content |\n|--|--|\n{rows}\n\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
+    )
+    write_changed(folder / "index.md", index)
     for section in SECTIONS:
-        names = [name for module in section.modules for name in modules_of(module)]
-        blocks = [
-            f"## `{name}`\n\n```{{eval-rst}}\n.. automodule:: {name}\n```\n"
-            for name in names
-            if inspect.getdoc(importlib.import_module(name))
-        ]
-        write_changed(folder / f"{section.file}.md", "\n".join(
-            [f"# {section.title}\n\n{section.sentence}\n", *blocks]
-        ))  # fmt: skip
+        blocks = [f"# {section.title}\n\n{section.sentence}\n"]
+        for name in (name for module in section.modules for name in modules_of(module)):
+            if inspect.getdoc(importlib.import_module(name)):
+                block = f"## `{name}`\n\n```{{eval-rst}}\n.. automodule:: {name}\n```\n"
+                blocks.append(block)
+        write_changed(folder / f"{section.file}.md", "\n".join(blocks))
 
 
 def write_changed(path: Path, text: str) -> None:
@@ -103,16 +113,15 @@ def write_changed(path: Path, text: str) -> None:
 
 def restructured(text: str) -> str:
     """A docstring of this project as reStructuredText."""
-    found: list[str] = []
+    blocks: list[str] = []
     for block in re.split(r"\n\s*\n", text):
         for kind, lines in _runs(block.split("\n")):
             if kind == "shown":
-                found.append(
-                    "\n".join([".. code-block:: text", "", *(f"   {one}" for one in lines)])
-                )
+                lines = [".. code-block:: text", "", *(f"   {line}" for line in lines)]
+                blocks.append("\n".join(lines))
             else:
-                found.append(_escaped("\n".join(lines), kind == "item"))
-    return "\n\n".join(found)
+                blocks.append(_escaped("\n".join(lines), kind == "item"))
+    return "\n\n".join(blocks)
 
 
 def _runs(lines: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
@@ -169,15 +178,11 @@ def convert_docstring(
 
 def shorten_signature(
     app: Any, what: str, name: str, thing: Any, options: Any, signature: Any, returns: Any
-) -> tuple[Any, Any]:
+) -> tuple[Any, ...]:
     """Hook of autodoc: arrays by the name that the code uses, NDArray[float64]."""
-    short = [one and _ARRAY.sub(r"NDArray[\1]", one) for one in (signature, returns)]
-    return short[0], short[1]
+    return tuple(one and _ARRAY.sub(r"NDArray[\1]", one) for one in (signature, returns))
 
 
-def skip_member(
-    app: Any, what: str, name: str, thing: Any, skip: bool, options: Any
-) -> bool | None:
+def skip_member(app: Any, what: str, name: str, thing: Any, skip: bool, options: Any) -> Any:
     """Hook of autodoc: leave out what says nothing, as 'Alias for field number 0'."""
-    document = getattr(thing, "__doc__", None) or ""
-    return True if document.startswith("Alias for field number") else None
+    return (getattr(thing, "__doc__", None) or "").startswith("Alias for field number") or None

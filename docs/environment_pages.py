@@ -14,7 +14,7 @@ import gymnasium
 from docs.api_pages import write_changed
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import RANGES
-from tracked_env.plants import PLANTS
+from tracked_env.plants import find
 
 IDS = {
     "torque_v0": "tracked_env/Torque-v0",
@@ -38,12 +38,12 @@ def reference(env_id: str) -> str:
     _, _, _, _, info = env.step(env.action_space.sample())
     core: Any = env.unwrapped
     env.close()
-    given = gymnasium.spec(env_id).kwargs
+    options = gymnasium.spec(env_id).kwargs
     parts = sections(inspect.getdoc(TrackedVehicleEnv) or "")
-    own = {
+    tables = {
         "Action Space": _actions(core),
         "Observation Space": _observations(core),
-        "Arguments": _arguments(parts["Arguments"], given) + _options(given),
+        "Arguments": _arguments(parts["Arguments"], options) + _options(options),
         "Info": _info(parts["Info"], info),
     }
     head = (
@@ -55,7 +55,7 @@ def reference(env_id: str) -> str:
         "Hz, or until the vehicle is too far from the reference |\n"
         '| Pictures | `render_mode="human"` or `"rgb_array"` |\n'
     )
-    texts = [f"## {title}\n\n{own.get(title, text)}\n" for title, text in parts.items()]
+    texts = [f"## {title}\n\n{tables.get(title, text)}\n" for title, text in parts.items()]
     return _linked("\n".join([head, *texts]))
 
 
@@ -98,13 +98,13 @@ def _observations(core: Any) -> str:
     )
 
 
-def _arguments(text: str, given: dict[str, Any]) -> str:
+def _arguments(text: str, options: dict[str, Any]) -> str:
     """The table of arguments with the defaults of this id."""
     lines = []
     for line in text.split("\n"):
         row = re.match(r"\| `(\w+)` \| (.+?) \| (.+) \|$", line)
-        if row and row[1] in given:
-            value = given[row[1]]
+        if row and row[1] in options:
+            value = options[row[1]]
             shown = f'`"{value}"`' if isinstance(value, str) else f"`{value!r}`"
             line = f"| `{row[1]}` | {shown} | {row[3]} |"
         lines.append(line)
@@ -112,9 +112,9 @@ def _arguments(text: str, given: dict[str, Any]) -> str:
     return "\n".join(lines).replace(first, "All but a function can be written as JSON.", 1)
 
 
-def _options(given: dict[str, Any]) -> str:
+def _options(options: dict[str, Any]) -> str:
     """Options of the plant of this id."""
-    plant = PLANTS[given.get("plant", "lumped")]
+    plant = find(options.get("plant", "lumped"))
     if not plant.options:
         return f"\n\nThe plant `{plant.name}` has no `plant_options`."
     listed = ", ".join(

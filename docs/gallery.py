@@ -9,8 +9,13 @@ whole of it, and of an agent with several trainings the first one drives.
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from PIL import Image
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import BenchmarkConfig, default_sets
@@ -26,9 +31,8 @@ from tracked_env.terrain.height_field import KINDS
 
 FOLDER = Path(__file__).resolve().parent / "_static" / "gallery"
 REPLAY = "replay.html"
-STEPS = 15  # control steps from one picture to the next; of a clip one in CLIP_SHARE is kept
-CLIP_SHARE = 2
-BEHIND_STEPS = 50  # the same for a still from behind the vehicle, where a picture takes longer
+STEPS, BEHIND_STEPS = 15, 50  # control steps between pictures; for a still from behind the vehicle
+CLIP_SHARE = 2  # of the pictures of a clip one in so many is kept
 CLIP_RATE = 8.0  # [1/s] pictures of a clip
 CLIP_WIDTH, STILL_WIDTH = 600, 480  # [px]
 CLIP_QUALITY, STILL_QUALITY = 40, 65  # of WebP
@@ -53,42 +57,49 @@ class Shown(NamedTuple):
         view = "" if self.view == "top" else f" --view {self.view}"
         return f"tracked-env render {self.policy}{env} --set {self.set}{view}"
 
+    def prepared(self) -> tuple[BenchmarkConfig, PolicyEntry]:
+        """What the benchmark needs, as `tracked-env render` makes it."""
+        registry, trained = by_name(registered_policies(), self.env)
+        entry = load_policies([self.policy], registry, trained, open_archive)[0]
+        return BenchmarkConfig(sets=(self.set,), episodes=1), entry
 
-# What drives on every set of an environment, and the set on which every policy is shown.
-BASELINES = {TORQUE_ID: "adaptive", SPEED_ID: "slc-adaptive", TERRAIN_ID: "slc"}
-VIEWS = {TORQUE_ID: "top", SPEED_ID: "top", TERRAIN_ID: "3d"}
+
+# What drives on every set of an environment, and how it is seen.
+BASELINES = {
+    TORQUE_ID: ("adaptive", "top"),
+    SPEED_ID: ("slc-adaptive", "top"),
+    TERRAIN_ID: ("slc", "3d"),
+}
+# A clip of each plant, which are those of the pages on the ids too: file, title, episode, view.
+PLANTS = [
+    Shown(*row, moving=True)
+    for row in (
+        ("policy-adaptive", "`lumped`: closed-form traction and friction", TORQUE_ID, "adaptive",
+         "payload", "top"),
+        ("plant-distributed", "`distributed`: patches under the tracks", TORQUE_ID, "adaptive",
+         "distributed", "top"),
+        ("policy-slc-adaptive", "`distributed`, driven by sprocket speeds", SPEED_ID,
+         "slc-adaptive", "friction-step", "top"),
+        ("policy-slc-on-hills", "`terrain`: six degrees of freedom", TERRAIN_ID, "slc",
+         "hills-noisy", "3d"),
+    )
+]  # fmt: skip
 # Kinds of terrain that need more than their name.
+HILLS = [[0.0, 0.1, 0.3, 0.4], [0.1, 0.4, 0.5, 0.3], [0.0, 0.3, 0.2, 0.0]]
 TERRAINS: dict[str, dict[str, Any]] = {
     "plane": {"slope_x": 0.2, "slope_y": 0.1},
     "ramp": {"slope": 0.3, "start": 0.0},
     "step": {"height": 0.2, "start": 0.3},
     "waves": {"waves": [[0.15, 0.8, 0.3, 0.0], [0.08, -0.5, 1.6, 1.0]]},
-    "map": {
-        "heights": [[0.0, 0.1, 0.3, 0.4], [0.1, 0.4, 0.5, 0.3], [0.0, 0.3, 0.2, 0.0]],
-        "cell": 6.0, "interpolation": "bicubic",
-    },
-}  # fmt: skip
-
-
-def plants() -> list[Shown]:
-    """A clip of each plant, which are those of the pages on the ids too."""
-    return [
-        Shown("policy-adaptive", "`lumped`: closed-form traction and friction", TORQUE_ID,
-              "adaptive", "payload", moving=True),
-        Shown("plant-distributed", "`distributed`: patches under the tracks", TORQUE_ID,
-              "adaptive", "distributed", moving=True),
-        Shown("policy-slc-adaptive", "`distributed`, driven by sprocket speeds", SPEED_ID,
-              "slc-adaptive", "friction-step", moving=True),
-        Shown("policy-slc-on-hills", "`terrain`: six degrees of freedom", TERRAIN_ID, "slc",
-              "hills-noisy", "3d", moving=True),
-    ]  # fmt: skip
+    "map": {"heights": HILLS, "cell": 6.0, "interpolation": "bicubic"},
+}
 
 
 def sets(env: str) -> list[Shown]:
     """The end of the first episode of each set of the leaderboard."""
-    policy, track = BASELINES[env], env.partition("/")[2].lower()
+    (policy, view), track = BASELINES[env], env.partition("/")[2].lower()
     return [
-        Shown(f"set-{track}-{name}", f"`{name}`", env, policy, name, VIEWS[env])
+        Shown(f"set-{track}-{name}", f"`{name}`", env, policy, name, view)
         for name in default_sets(env)
     ]
 
@@ -100,31 +111,24 @@ def policies(env: str) -> list[Shown]:
     return [Shown(f"driver-{track}-{name}", f"`{name}`", env, name, first) for name in names]
 
 
-def prepared(shown: Shown) -> tuple[BenchmarkConfig, PolicyEntry]:
-    """What the benchmark needs, as `tracked-env render` makes it."""
-    config = BenchmarkConfig(sets=(shown.set,), episodes=1)
-    registry, trained = by_name(registered_policies(), shown.env)
-    return config, load_policies([shown.policy], registry, trained, open_archive)[0]
+def _resized(image: Image.Image, width: int) -> Image.Image:
+    return image.resize((width, round(width * image.height / image.width)))
 
 
 def draw(shown: Shown, path: Path) -> None:
     """Write the picture, or the clip, as WebP."""
-    from PIL import Image
-
     from tracked_env.benchmark import video
 
-    width = CLIP_WIDTH if shown.moving else STILL_WIDTH
-    config, entry = prepared(shown)
     steps = STEPS if shown.moving or shown.view == "top" else BEHIND_STEPS
+    config, entry = shown.prepared()
     drawn = video.pictures(config, entry, shown.set, 0, steps, shown.view)
     images = [Image.fromarray(picture) for picture in drawn]
-    kept = images[::CLIP_SHARE] if shown.moving else images[-1:]
-    small = [one.resize((width, round(width * one.height / one.width))) for one in kept]
-    if shown.moving:
-        small[0].save(path, save_all=True, append_images=small[1:], loop=0, method=4,
-                      duration=round(1000.0 / CLIP_RATE), quality=CLIP_QUALITY)  # fmt: skip
-    else:
-        small[0].save(path, quality=STILL_QUALITY)
+    if not shown.moving:
+        _resized(images[-1], STILL_WIDTH).save(path, quality=STILL_QUALITY)
+        return
+    first, *others = (_resized(image, CLIP_WIDTH) for image in images[::CLIP_SHARE])
+    clip = {"save_all": True, "append_images": others, "duration": round(1000.0 / CLIP_RATE)}
+    first.save(path, loop=0, method=4, quality=CLIP_QUALITY, **clip)
 
 
 def terrain(kind: str) -> dict[str, Any]:
@@ -134,10 +138,6 @@ def terrain(kind: str) -> dict[str, Any]:
 
 def draw_terrain(kind: str, path: Path) -> None:
     """A vehicle on a kind of terrain, after GROUND_STEPS straight on from the start of seed 0."""
-    import gymnasium
-    import numpy as np
-    from PIL import Image
-
     from tracked_env.rendering import Renderer, source_of
 
     env = gymnasium.make(TERRAIN_ID, uncertainty="nominal", terrain=terrain(kind))
@@ -148,10 +148,7 @@ def draw_terrain(kind: str, path: Path) -> None:
     renderer = Renderer("rgb_array", 50, view="3d", terrain=source_of(simulation, 0))
     picture = renderer.draw(simulation, 0)
     assert picture is not None
-    image = Image.fromarray(picture)
-    image.resize((STILL_WIDTH, round(STILL_WIDTH * image.height / image.width))).save(
-        path, quality=STILL_QUALITY
-    )
+    _resized(Image.fromarray(picture), STILL_WIDTH).save(path, quality=STILL_QUALITY)
     env.close()
 
 
@@ -160,16 +157,19 @@ def write_replay(shown: Shown, path: Path) -> None:
     from tracked_env.benchmark import video
     from tracked_env.rendering import viewer
 
-    config, entry = prepared(shown)
-    viewer.write_html(video.record_episode(config, entry, shown.set, 0), path)
+    viewer.write_html(video.record_episode(*shown.prepared(), shown.set, 0), path)
 
 
 def page() -> str:
     """The gallery as Markdown, below its head."""
-    replayed, _, _ = plants()[-1].command.partition(" --view")
+    replayed, _, _ = PLANTS[-1].command.partition(" --view")
+    grounds = [
+        card(f"terrain-{kind}", f"Terrain {kind}", f"`{kind}`", f"terrain={terrain(kind)}")
+        for kind in KINDS
+    ]
     parts = [
         "## Plants",
-        cards(plants()),
+        cards(PLANTS),
         "## Replay in three dimensions",
         f'```{{raw}} html\n<iframe class="replay" src="{REPLAY}" loading="lazy" '
         'title="Replay of an episode on hills"></iframe>\n'
@@ -178,12 +178,9 @@ def page() -> str:
         f"`{replayed} --html {REPLAY}`",
         "## Terrains",
         "Each kind of `terrain`, with the vehicle after 2 s straight on.",
-        "{.cards}\n" + "\n".join(
-            card(f"terrain-{kind}", f"Terrain {kind}", f"`{kind}`", f"terrain={terrain(kind)}")
-            for kind in KINDS
-        ),
-    ]  # fmt: skip
-    for env, policy in BASELINES.items():
+        "{.cards}\n" + "\n".join(grounds),
+    ]
+    for env, (policy, _) in BASELINES.items():
         track = env.partition("/")[2]
         parts += [
             f"## Sets of {track}",
@@ -200,10 +197,9 @@ def page() -> str:
 
 def cards(shown: list[Shown]) -> str:
     """A list that the style sheet shows as cards."""
-    return "{.cards}\n" + "\n".join(
-        card(one.name, f"{one.policy} on the set {one.set}", one.title, one.command)
-        for one in shown
-    )
+    texts = [(one.name, f"{one.policy} on the set {one.set}", one.title) for one in shown]
+    lines = [card(*text, one.command) for text, one in zip(texts, shown, strict=True)]
+    return "{.cards}\n" + "\n".join(lines)
 
 
 def card(name: str, alternative: str, title: str, code: str) -> str:
@@ -213,14 +209,13 @@ def card(name: str, alternative: str, title: str, code: str) -> str:
     return f"- {picture}\n\n  {title}\n\n  `{code}`"
 
 
-def pictures() -> dict[str, tuple[Callable[[Any, Path], None], Any, str]]:
-    """Name -> what draws it, of what, and the file."""
-    jobs: dict[str, Any] = {one.name: (draw, one, f"{one.name}.webp") for one in plants()}
-    jobs["replay"] = (write_replay, plants()[-1], REPLAY)
-    jobs |= {f"terrain-{kind}": (draw_terrain, kind, f"terrain-{kind}.webp") for kind in KINDS}
-    for env in BASELINES:
-        shown = (*sets(env), *policies(env))
-        jobs |= {one.name: (draw, one, f"{one.name}.webp") for one in shown}
+def pictures() -> dict[str, tuple[str, Callable[[Path], None]]]:
+    """Name -> the file, and what draws it."""
+    shown = [*PLANTS, *(one for env in BASELINES for one in (*sets(env), *policies(env)))]
+    jobs = {one.name: (f"{one.name}.webp", partial(draw, one)) for one in shown}
+    jobs["replay"] = REPLAY, partial(write_replay, PLANTS[-1])
+    for kind in KINDS:
+        jobs[f"terrain-{kind}"] = f"terrain-{kind}.webp", partial(draw_terrain, kind)
     return jobs
 
 
@@ -228,15 +223,13 @@ def main(names: list[str]) -> int:
     """Draw those that are named, or all that are missing; returns the exit status."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     jobs = pictures()
-    for name in names:
-        if name not in jobs:
-            print(
-                f"{name}: no picture of the gallery; known are {', '.join(jobs)}", file=sys.stderr
-            )
-            return 2
-    for name in names or [name for name, job in jobs.items() if not (FOLDER / job[2]).exists()]:
-        make, what, file = jobs[name]
-        make(what, FOLDER / file)
+    if unknown := [name for name in names if name not in jobs]:
+        known = ", ".join(jobs)
+        print(f"{unknown[0]}: no picture of the gallery; known are {known}", file=sys.stderr)
+        return 2
+    for name in names or [name for name, (file, _) in jobs.items() if not (FOLDER / file).exists()]:
+        file, make = jobs[name]
+        make(FOLDER / file)
         print(f"{FOLDER / file}: {(FOLDER / file).stat().st_size / 1e3:.0f} kB", flush=True)
     return 0
 

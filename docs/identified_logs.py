@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines.identify.csv_log import record_logs
 from baselines.identify.identify_log import SOIL, identify
 from baselines.identify.vehicle_log import Drivetrain, read_log
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
+from tracked_env.cli.record_command import record_logs
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -47,7 +47,7 @@ def intervals(logs: Logs) -> Intervals:
     found: Intervals = {name: [] for name in (*KNOWN, *SOIL)}
     for path, truth in logs:
         log = read_log(path, {}, {}, Drivetrain(), VEHICLES["strawa"], PRESETS["rtk"])
-        for name, of in identify(log, VEHICLES["strawa"]).found.items():
+        for name, of in identify(log, VEHICLES["strawa"]).parameters.items():
             if name in KNOWN or of.verdict != "not determined":
                 inside = of.low <= truth[name] <= of.high
                 found[name].append((inside, 0.5 * (of.high - of.low), of.value))

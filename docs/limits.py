@@ -171,37 +171,33 @@ def limits_table():
     level, braked = icr_of_load_transfer(braking=0.0), icr_of_load_transfer()
     weight = 1e-3 * VEHICLE.mass * G * math.sin(SLOPE)
     power = 2e-3 * VEHICLE.torque_limit * VEHICLE.sprocket_speed_limit
-    rows = [
-        ("combined slip", f"locked tracks, {ASIDE:g} m/s aside: lateral force {lumped:.1f} kN; "
-         f"isotropic friction {isotropic:.2f} kN", "measured; derived", "no",
-         f"yes, {patches:.1f} kN"),
-        ("lateral shear builds up", f"turning moment {100 * (left - 1):.0f} %", "derived", "no",
-         f"yes, {100 * (left_measured - 1):.0f} % without slip, {slipping[0]:.0f} % at 2 %, "
-         f"{slipping[1]:.0f} % at 5 % slip"),
-        ("slope of 10 deg", f"{weight:.1f} kN downhill", "derived", "no", "no"),
-        ("power limit", f"up to {power:.0f} kW at full torque and top speed", "derived", "no",
-         "no; torque fades in the last tenth of the top speed"),
-        ("load transfer", f"x_ICR {level:.2f} m, {braked:.2f} m when braking by {BRAKING:g} m/s^2",
-         "estimated", "no", "no"),
-        ("rotating inertia", f"{100 * rotating_share():.0f} % of the mass", "derived", "no",
-         "yes, driven by torque"),
-        ("sinkage", f"{100 * sinkage():.1f} cm on dry sand", "estimated", "no", "no"),
-    ]  # fmt: skip
-    head = ["effect", "size", "how known", "lumped plant", "distributed plant"]
-    lines = ["| " + " | ".join(row) + " |" for row in [head, ["--"] * 5, *rows]]
-    return "\n".join(lines)
+    rows = (
+        f"combined slip | locked tracks, {ASIDE:g} m/s aside: lateral force {lumped:.1f} kN; "
+        f"isotropic friction {isotropic:.2f} kN | measured; derived | no | yes, {patches:.1f} kN",
+        f"lateral shear builds up | turning moment {100 * (left - 1):.0f} % | derived | no | "
+        f"yes, {100 * (left_measured - 1):.0f} % without slip, {slipping[0]:.0f} % at 2 %, "
+        f"{slipping[1]:.0f} % at 5 % slip",
+        f"slope of 10 deg | {weight:.1f} kN downhill | derived | no | no",
+        f"power limit | up to {power:.0f} kW at full torque and top speed | derived | no | "
+        "no; torque fades in the last tenth of the top speed",
+        f"load transfer | x_ICR {level:.2f} m, {braked:.2f} m when braking by {BRAKING:g} m/s^2 | "
+        "estimated | no | no",
+        f"rotating inertia | {100 * rotating_share():.0f} % of the mass | derived | no | "
+        "yes, driven by torque",
+        f"sinkage | {100 * sinkage():.1f} cm on dry sand | estimated | no | no",
+    )
+    head = "effect | size | how known | lumped plant | distributed plant", "-- | -- | -- | -- | --"
+    return "\n".join(f"| {row} |" for row in (*head, *rows))
 
 
 def turns_table():
     """The table of distributed.md, as Markdown."""
-    head = ["soil", "mu_l", *(f"R = {radius:g} m" for radius in RADII)]
-    rows = [head, ["--"] * 2 + ["--:"] * len(RADII)]
+    rows = [["soil", "mu_l", *(f"R = {radius:g} m" for radius in RADII)]]
+    rows.append(["--"] * 2 + ["--:"] * len(RADII))
     for soil, resistance in TURN_SOILS.items():
         p = ground(soil, resistance)
-        cells = [
-            f"{1e-3 * steady_turn(p, radius)[0]:.1f} / {matching_resistance(p, radius):.2f}"
-            for radius in RADII
-        ]
+        moments = [(steady_turn(p, radius)[0], matching_resistance(p, radius)) for radius in RADII]
+        cells = [f"{1e-3 * moment:.1f} / {mu:.2f}" for moment, mu in moments]
         rows.append([f"`{soil}`", f"{resistance:g}", *cells])
     lumped = [f"{1e-3 * lumped_moment(VEHICLE, radius):.1f} / 0.80" for radius in RADII]
     rows.append(["lumped plant, mu_t = 0.8", "any", *lumped])

@@ -1,34 +1,21 @@
-"""How the trajectory of the torque plant depends on the sub-step: the table of docs/numerics.md.
+"""How the trajectory of each plant depends on the step: tables of three pages.
 
-    python -m docs.step_halving        prints the Markdown table
+    python -m docs.step_halving [lumped | patches | terrain]        prints the Markdown tables
 
-Each manoeuvre lasts 5 s under a 50 Hz control law (torque = feedforward + gain * speed error)
-and is repeated with ever shorter sub-steps. Its error is the largest distance, and the largest
-heading difference, to the same manoeuvre with a sub-step of 0.05 ms, over all control instants. A
-second table has random torques: median and worst over 40 runs.
-The loop is the one a simulation runs around `rk4_step`, for one vehicle.
-
-How the trajectory of the distributed plant depends on the step: the table of distributed.md.
-
-    python -m docs.step_halving        prints the Markdown table
-
-Each manoeuvre is repeated with ever shorter steps of both integrators. Its error is the largest
-distance, and the largest heading difference, to the same manoeuvre with steps of 0.01 ms of the
-Rosenbrock method, over all instants 20 ms apart. Belts are driven by speeds that change every
-20 ms only, so that all steps see the same commands. A second table has the heavy vehicle driven by
-random torques, on the soils of `step_halving`, against steps of 0.05 ms: median and worst.
-
-Print the tables of docs/terrain.md: step halving of the plant on terrain, patches, and cost.
-
-    python -m docs.step_halving
-
-Errors are the largest distance [mm] and the largest rotation [mrad] to the same manoeuvre with
-steps of 0.05 ms, light vehicle, from rest. Cost is the process time of one step in microseconds,
-the least of several runs.
+The pages are numerics.md, distributed.md and terrain.md. Each manoeuvre is repeated with ever
+shorter steps. Its error is the largest distance, and the largest rotation, to the same manoeuvre
+with a far shorter step, over all control instants.
+    lumped   5 s under a 50 Hz law (torque = feedforward + gain * speed error), the loop that a
+             simulation runs around `rk4_step`; then random torques on three soils
+    patches  belts driven by speeds that change every 20 ms, with both integrators; then random
+             torques of the heavy vehicle on the same soils
+    terrain  the light vehicle from rest; the number of patches
 """
 
 import math
-from time import process_time
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -59,20 +46,23 @@ from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patche
 from tracked_env.plants.standalone import TerrainRig
 from tracked_env.uncertainty import SOILS
 
-PERIOD = 0.02
-
-
-CONTROL_PERIOD = 0.02  # [s] one torque demand
-DURATION = 5.0  # [s] of one manoeuvre
-STEPS = int(DURATION / CONTROL_PERIOD)
+CONTROL_PERIOD = 0.02  # [s] one command
+STEPS = 250  # control periods of one manoeuvre: 5 s
 SUBSTEPS = (2, 4, 8, 16, 32)  # per control period: 10, 5, 2.5, 1.25, 0.625 ms
 REFERENCE_SUBSTEPS = 400  # 0.05 ms
+LENGTHS = (5e-3, 2.5e-3, 1e-3, 0.5e-3)  # [s] of a step on patches
+PATCH_REFERENCE, TORQUE_REFERENCE = 1e-5, 5e-5  # [s] driven by speeds, by torques
+TERRAIN_LENGTHS = (5e-3, 2.5e-3, 2e-3, 1e-3, 0.5e-3)  # [s]
+TERRAIN_REFERENCE = 5e-5  # [s]
 REST = Motion(0.0, 0.0, 0.0)
 SANDY_LOAM = SoilParameters(cohesion=9.65e3, friction_angle=math.radians(35.0))
+RANDOM_SOILS = {"heavy_clay": 0.6, "sandy_loam": 0.3, "lete_sand": 0.13}  # and their mu_l [-]
+RANDOM_RUNS, RANDOM_PATCH_RUNS = 40, 16  # of each soil
+PATCHES = make_patches()
 
 
 class Command(NamedTuple):
-    """What the control law wants, per control period."""
+    """What the control law of the lumped plant wants, per control period."""
 
     torque: np.ndarray  # (n, 2) [N m] feedforward, left and right
     speed: np.ndarray  # (n, 2) [m/s, rad/s] forward speed and yaw rate
@@ -84,14 +74,9 @@ class Command(NamedTuple):
 def substep(constrained, motion, torque, demand, decay, k, drive, h):
     """One sub-step: traction limits, torque at the three stage times, RK4."""
     limits = traction_limits(motion, k.half_gauge, drive)
-    middle = (
-        demand[0] + decay * (torque[0] - demand[0]),
-        demand[1] + decay * (torque[1] - demand[1]),
-    )
-    end = (
-        demand[0] + decay * (middle[0] - demand[0]),
-        demand[1] + decay * (middle[1] - demand[1]),
-    )
+    (left, right), (aim_left, aim_right) = torque, demand
+    middle = aim_left + decay * (left - aim_left), aim_right + decay * (right - aim_right)
+    end = aim_left + decay * (middle[0] - aim_left), aim_right + decay * (middle[1] - aim_right)
     if constrained:
         moved = rk4_step(constrained_accelerations, motion, torque, middle, end, k, limits, h)
     else:
@@ -100,16 +85,13 @@ def substep(constrained, motion, torque, demand, decay, k, drive, h):
 
 
 @njit(cache=False, error_model="numpy")
-def drive_vehicle(
-    p, constrained, start, torque, speed, speed_gain, yaw_rate_gain, period, substeps
-):
+def drive_vehicle(p, constrained, start, command, period, substeps):
     """Trajectory (n + 1, 8): x, y [m], yaw [rad], v_x, v_y, yaw rate, torque left, right.
 
-    torque, speed: (n, 2) as in Command; period [s] of one control step, cut into `substeps`.
-    The vehicle starts at the origin, heading along x, with the velocities `start`; the motors
-    start at the first demand.
+    period [s] of one control step, cut into `substeps`. The vehicle starts at the origin, heading
+    along x, with the velocities `start`; the motors start at the first demand.
     """
-    steps = torque.shape[0]
+    steps, bound = command.torque.shape[0], p.torque_limit
     trajectory = np.zeros((steps + 1, 8))
     k, drive = coefficients(p, constrained), drive_limits(p)
     h = period / substeps
@@ -117,21 +99,19 @@ def drive_vehicle(
     motion, x, y, yaw, cosine, sine = start, 0.0, 0.0, 0.0, 1.0, 0.0
     motor = (0.0, 0.0)
     for n in range(steps + 1):
-        row = min(n, steps - 1)
-        push = speed_gain * (speed[row, 0] - motion.v_x)
-        turn = yaw_rate_gain * (speed[row, 1] - motion.yaw_rate)
-        bound = p.torque_limit
-        demand = (
-            min(max(torque[row, 0] + push - turn, -bound), bound),
-            min(max(torque[row, 1] + push + turn, -bound), bound),
-        )
-        motor = demand if n == 0 else motor
+        left, right = command.torque[min(n, steps - 1)]
+        speed, yaw_rate = command.speed[min(n, steps - 1)]
+        push = command.speed_gain * (speed - motion.v_x)
+        turn = command.yaw_rate_gain * (yaw_rate - motion.yaw_rate)
+        left = min(max(left + push - turn, -bound), bound)
+        right = min(max(right + push + turn, -bound), bound)
+        motor = (left, right) if n == 0 else motor
         trajectory[n, :3] = x, y, yaw
         trajectory[n, 3:] = motion.v_x, motion.v_y, motion.yaw_rate, motor[0], motor[1]
         if n == steps:
             break
         for _ in range(substeps):
-            moved, motor = substep(constrained, motion, motor, demand, decay, k, drive, h)
+            moved, motor = substep(constrained, motion, motor, (left, right), decay, k, drive, h)
             motion = moved[0]
             x += cosine * moved[1] - sine * moved[2]
             y += sine * moved[1] + cosine * moved[2]
@@ -143,17 +123,14 @@ def drive_vehicle(
 
 def run(command, substeps, p=None, constrained=False, start=REST, period=CONTROL_PERIOD):
     """`drive_vehicle` under a Command; heavy clay unless `p` (PlantParameters) is given."""
-    p = plant_parameters() if p is None else p
-    return drive_vehicle(
-        p, constrained, start, command.torque, command.speed,
-        command.speed_gain, command.yaw_rate_gain, period, substeps,
-    )  # fmt: skip
+    return drive_vehicle(p or plant_parameters(), constrained, start, command, period, substeps)
 
 
 def constant(left, right, forward=0.0, yaw_rate=0.0, gains=(0.0, 0.0), steps=STEPS):
     """A Command that never changes."""
     torque = np.tile((float(left), float(right)), (steps, 1))
-    return Command(torque, np.tile((float(forward), float(yaw_rate)), (steps, 1)), *gains)
+    speed = np.tile((float(forward), float(yaw_rate)), (steps, 1))
+    return Command(torque, speed, *map(float, gains))
 
 
 def circle_entry():
@@ -173,24 +150,16 @@ def reversal():
     return command
 
 
+_CLAY, _LOAM = plant_parameters(), plant_parameters(soil=SANDY_LOAM)
+_BRAKING = constant(0, 0, gains=(8000.0, 0.0))
 MANOEUVRES: dict[str, tuple[Command, PlantParameters, Motion]] = {
-    "circle entry, R = 10 m at 2 m/s": (circle_entry(), plant_parameters(), REST),
-    "pivot turn from rest, ±2500 N m": (constant(-2500, 2500), plant_parameters(), REST),
-    "hard braking from 4 m/s": (
-        constant(0, 0, gains=(8000.0, 0.0)), plant_parameters(), Motion(4.0, 0.0, 0.0)
-    ),
-    "full torque on the right track, sandy loam": (
-        constant(0, 8000), plant_parameters(soil=SANDY_LOAM), REST
-    ),
-    "full torque to top speed, heavy clay": (constant(8000, 8000), plant_parameters(), REST),
-    "2.5 m/s, into reverse at top speed, pivot": (
-        reversal(), plant_parameters(), Motion(2.5, 0.0, 0.0)
-    ),
-}  # fmt: skip
-
-
-RANDOM_RUNS = 40  # of each soil
-RANDOM_SOILS = {"heavy_clay": 0.6, "sandy_loam": 0.3, "lete_sand": 0.13}  # and their mu_l [-]
+    "circle entry, R = 10 m at 2 m/s": (circle_entry(), _CLAY, REST),
+    "pivot turn from rest, ±2500 N m": (constant(-2500, 2500), _CLAY, REST),
+    "hard braking from 4 m/s": (_BRAKING, _CLAY, Motion(4.0, 0.0, 0.0)),
+    "full torque on the right track, sandy loam": (constant(0, 8000), _LOAM, REST),
+    "full torque to top speed, heavy clay": (constant(8000, 8000), _CLAY, REST),
+    "2.5 m/s, into reverse at top speed, pivot": (reversal(), _CLAY, Motion(2.5, 0.0, 0.0)),
+}
 
 
 def random_torques(seed, steps=STEPS):
@@ -202,118 +171,61 @@ def random_torques(seed, steps=STEPS):
     return Command(torque, np.zeros((steps, 2)))
 
 
-def random_errors(soil, resistance, substeps, runs=RANDOM_RUNS):
-    """(runs, 2): position error [m] and heading error [rad] of every random run."""
-    p = plant_parameters(soil=SOILS[soil]._replace(longitudinal_resistance=resistance))
-    start = Motion(2.0, 0.0, 0.0)
-    return np.array(
-        [errors(random_torques(seed), p, start, counts=(substeps,))[0] for seed in range(runs)]
-    )
+def error(poses, truth):
+    """(largest distance [m], largest heading difference [rad]) of poses (n, 3 or more)."""
+    gap = poses - truth
+    return np.hypot(gap[:, 0], gap[:, 1]).max(), np.abs(gap[:, 2]).max()
 
 
 def errors(command, p, start, constrained=False, counts=SUBSTEPS):
     """[(position error [m], heading error [rad]) for each of `counts` sub-steps]."""
     truth = run(command, REFERENCE_SUBSTEPS, p, constrained, start)
-    found = []
-    for substeps in counts:
-        gap = run(command, substeps, p, constrained, start) - truth
-        found.append((np.hypot(gap[:, 0], gap[:, 1]).max(), np.abs(gap[:, 2]).max()))
-    return found
+    return [error(run(command, count, p, constrained, start), truth) for count in counts]
 
 
-def main():
-    """Print the table: position error in mm / heading error in mrad."""
-    lengths = [f"{1e3 * CONTROL_PERIOD / n:g} ms" for n in SUBSTEPS]
-    print("| manoeuvre | lateral model | " + " | ".join(lengths) + " |")
-    print("|---|---" + "|---:" * len(lengths) + "|")
-    for name, (command, p, start) in MANOEUVRES.items():
-        for constrained in (False, True):
-            found = errors(command, p, start, constrained)
-            cells = [f"{1e3 * distance:.2g} / {1e3 * turn:.2g}" for distance, turn in found]
-            lateral_model = "constrained" if constrained else "sliding"
-            print(f"| {name} | {lateral_model} | " + " | ".join(cells) + " |")
-    print(f"\n| {RANDOM_RUNS} random runs | " + " | ".join(lengths) + " |")
-    print("|---" + "|---:" * len(lengths) + "|")
-    for soil, resistance in RANDOM_SOILS.items():
-        cells = []
-        for substeps in SUBSTEPS:
-            found = 1e3 * random_errors(soil, resistance, substeps)
-            middle, worst = np.median(found, axis=0), found.max(axis=0)
-            cells.append(f"{middle[0]:.2g}, {middle[1]:.2g} / {worst[0]:.2g}, {worst[1]:.2g}")
-        print(f"| {soil.replace('_', ' ')} | " + " | ".join(cells) + " |")
-
-
-if __name__ == "__main__":
-    main()
-
-
-# [s] one command
-LENGTHS = (5e-3, 2.5e-3, 1e-3, 0.5e-3)  # [s] of a step
-REFERENCE = 1e-5  # [s]
-FRICTIONS = (0.1, 0.4, 0.8)  # [-]
-PATCHES = make_patches()
+def random_errors(soil, resistance, substeps, runs=RANDOM_RUNS):
+    """(runs, 2): position error [m] and heading error [rad] of every random run."""
+    p = plant_parameters(soil=SOILS[soil]._replace(longitudinal_resistance=resistance))
+    start, counts = Motion(2.0, 0.0, 0.0), (substeps,)
+    return np.array([errors(random_torques(k), p, start, counts=counts)[0] for k in range(runs)])
 
 
 def commanded(forward, yaw_rate, vehicle=FOCCHI_VEHICLE):
     """Sprocket speeds (n, 2) [rad/s] of forward speeds [m/s] and yaw rates [rad/s]."""
     turn = 0.5 * vehicle.track_gauge * np.asarray(yaw_rate)
-    belts = np.stack([forward - turn, forward + turn], axis=1)
-    return belts / vehicle.sprocket_radius
+    return np.stack([forward - turn, forward + turn], axis=1) / vehicle.sprocket_radius
 
 
-def chicane():
+def _chicane():
     """F (53): v = 0.2 t for 2 s, then 0.2 m/s in turns of +-0.3 rad/s; 20 s."""
-    t = PERIOD * np.arange(int(20.0 / PERIOD))
-    return commanded(
-        np.minimum(0.2 * t, 0.2), np.where(t < 2.0, 0.0, np.where(t < 12.0, 0.3, -0.3))
-    )
+    t = CONTROL_PERIOD * np.arange(int(20.0 / CONTROL_PERIOD))
+    turns = np.where(t < 2.0, 0.0, np.where(t < 12.0, 0.3, -0.3))
+    return commanded(np.minimum(0.2 * t, 0.2), turns)
 
 
-def constant_step_halving_patches(left, right, duration=5.0):
-    """The same sprocket speeds [rad/s] all the time, from rest."""
-    return np.tile((left, right), (int(duration / PERIOD), 1))
-
-
-def random_commands(duration=10.0):
-    """A new pair of sprocket speeds within 10 rad/s every half second, from a fixed seed."""
-    hold = int(0.5 / PERIOD)
-    drawn = np.random.default_rng(0).uniform(-10.0, 10.0, (int(duration / PERIOD) // hold, 2))
-    return np.repeat(drawn, hold, axis=0)
-
-
-MANOEUVRES_STEP_HALVING_PATCHES = {
-    "turn, 4 and 6 rad/s": constant_step_halving_patches(4.0, 6.0),
-    "turn about one belt, 0 and 5 rad/s": constant_step_halving_patches(0.0, 5.0),
-    "pivot, ±8 rad/s": constant_step_halving_patches(-8.0, 8.0),
-    "chicane, 20 s": chicane(),
-    "random commands, 10 s": random_commands(),
+_DRAWN = np.random.default_rng(0).uniform(-10.0, 10.0, (20, 2))  # a new pair every half second
+PATCH_MANOEUVRES = {  # sprocket speeds (n, 2) [rad/s], from rest
+    "turn, 4 and 6 rad/s": np.tile((4.0, 6.0), (STEPS, 1)),
+    "turn about one belt, 0 and 5 rad/s": np.tile((0.0, 5.0), (STEPS, 1)),
+    "pivot, ±8 rad/s": np.tile((-8.0, 8.0), (STEPS, 1)),
+    "chicane, 20 s": _chicane(),
+    "random commands, 10 s": np.repeat(_DRAWN, 25, axis=0),
 }
 
 
-def run_step_halving_patches(speeds, h, euler, p, patches=PATCHES):
-    """Poses (n + 1, 3) every PERIOD, from rest, with steps of h [s]."""
-    state, loads = np.zeros((1, 6)), np.zeros((1, 6))
-    table = np.array([p], dtype=float)
-    poses = np.zeros((len(speeds) + 1, 3))
+def run_patches(speeds, h, euler, p, patches=PATCHES):
+    """Poses (n + 1, 3) every CONTROL_PERIOD, from rest, with steps of h [s]."""
+    state, loads, table = np.zeros((1, 6)), np.zeros((1, 6)), np.array([p], dtype=float)
+    poses, steps = np.zeros((len(speeds) + 1, 3)), round(CONTROL_PERIOD / h)
     for n, row in enumerate(speeds):
-        hold_speeds(state, row[None].copy(), table, patches, round(PERIOD / h), h, euler, loads)
+        hold_speeds(state, row[None].copy(), table, patches, steps, h, euler, loads)
         poses[n + 1] = state[0, :3]
     return poses
 
 
-def error(found, truth):
-    """(largest distance [m], largest heading difference [rad])."""
-    gap = found - truth
-    return np.hypot(gap[:, 0], gap[:, 1]).max(), np.abs(gap[:, 2]).max()
-
-
-RANDOM_RUNS_STEP_HALVING_PATCHES = 16  # of each soil
-TORQUE_LENGTHS = (5e-3, 2.5e-3, 1e-3, 0.5e-3)  # [s]
-TORQUE_REFERENCE = 5e-5  # [s]
-
-
-def driven_by_torque(h, soil, resistance):
-    """Poses (n, RANDOM_RUNS, 3) every PERIOD of the strawa vehicle under `random_torques`."""
+def driven_by_torque(soil, resistance, h):
+    """Poses (n, RANDOM_PATCH_RUNS, 3) every CONTROL_PERIOD of the strawa vehicle under
+    `random_torques`."""
     config = EnvConfig(
         uncertainty="nominal",
         sensors="ideal",
@@ -322,66 +234,25 @@ def driven_by_torque(h, soil, resistance):
         time_step=h,
         error_limit=1e6,
     )
-    simulation = Simulation(RANDOM_RUNS_STEP_HALVING_PATCHES, config)
-    simulation.rngs = [np.random.default_rng(i) for i in range(RANDOM_RUNS_STEP_HALVING_PATCHES)]
+    simulation = Simulation(RANDOM_PATCH_RUNS, config)
+    simulation.rngs = [np.random.default_rng(i) for i in range(RANDOM_PATCH_RUNS)]
     ground = SOILS[soil]._replace(longitudinal_resistance=resistance)._asdict()
     del ground["lateral_resistance"], ground["ground_stiffness_factor"]  # it reads neither
-    simulation.reset(simulation.all, [{"soil": ground}] * RANDOM_RUNS_STEP_HALVING_PATCHES)
-    limit = simulation.solver.nominal.torque_limit
-    demands = np.stack(
-        [random_torques(i).torque / limit for i in range(RANDOM_RUNS_STEP_HALVING_PATCHES)], axis=1
-    )
+    simulation.reset(simulation.all, [{"soil": ground}] * RANDOM_PATCH_RUNS)
+    limit, runs = simulation.solver.nominal.torque_limit, range(RANDOM_PATCH_RUNS)
     poses = []
-    for action in demands.astype(np.float32):
-        simulation.step(action)
+    for action in np.stack([random_torques(i).torque / limit for i in runs], axis=1):
+        simulation.step(action.astype(np.float32))
         poses.append(simulation.batch.floats[:, :3].copy())
     return np.array(poses)
 
 
-def torque_errors(h, soil, resistance):
-    """(RANDOM_RUNS, 2): largest distance [m] and heading difference [rad] of every run."""
-    gap = driven_by_torque(h, soil, resistance)
-    gap -= driven_by_torque(TORQUE_REFERENCE, soil, resistance)
-    distance = np.hypot(gap[..., 0], gap[..., 1]).max(axis=0)
-    return np.stack([distance, np.abs(gap[..., 2]).max(axis=0)], axis=1)
+def torque_errors(soil, resistance, h):
+    """(RANDOM_PATCH_RUNS, 2): largest distance [m] and heading difference [rad] of every run."""
+    poses, truth = (driven_by_torque(soil, resistance, x) for x in (h, TORQUE_REFERENCE))
+    return np.array([error(poses[:, k], truth[:, k]) for k in range(RANDOM_PATCH_RUNS)])
 
 
-def main_step_halving_patches():
-    """Print the tables: position error in mm / heading error in mrad."""
-    lengths = " | ".join(f"{1e3 * h:g} ms" for h in LENGTHS)
-    print(f"| manoeuvre | friction | integrator | {lengths} |")
-    print("|---|---|---" + "|---:" * len(LENGTHS) + "|")
-    for name, speeds in MANOEUVRES_STEP_HALVING_PATCHES.items():
-        for mu in FRICTIONS:
-            floor = FIRM_FLOOR._replace(friction_angle=math.atan(mu))
-            p = plant_parameters(FOCCHI_VEHICLE, floor)
-            truth = run_step_halving_patches(speeds, REFERENCE, False, p)
-            for euler in (True, False):
-                cells = []
-                for h in LENGTHS:
-                    distance, turn = error(run_step_halving_patches(speeds, h, euler, p), truth)
-                    cells.append(f"{1e3 * distance:.2g} / {1e3 * turn:.2g}")
-                integrator = "Euler" if euler else "Rosenbrock"
-                print(f"| {name} | {mu} | {integrator} | " + " | ".join(cells) + " |")
-    lengths = " | ".join(f"{1e3 * h:g} ms" for h in TORQUE_LENGTHS)
-    print(f"\n| {RANDOM_RUNS_STEP_HALVING_PATCHES} random runs | {lengths} |")
-    print("|---" + "|---:" * len(TORQUE_LENGTHS) + "|")
-    for soil, resistance in RANDOM_SOILS.items():
-        cells = []
-        for h in TORQUE_LENGTHS:
-            found = 1e3 * torque_errors(h, soil, resistance)
-            middle, worst = np.median(found, axis=0), found.max(axis=0)
-            cells.append(f"{middle[0]:.2g}, {middle[1]:.2g} / {worst[0]:.2g}, {worst[1]:.2g}")
-        print(f"| {soil.replace('_', ' ')} | " + " | ".join(cells) + " |")
-
-
-if __name__ == "__main__":
-    main_step_halving_patches()
-
-
-LENGTHS_STEP_HALVING_TERRAIN = (5e-3, 2.5e-3, 2e-3, 1e-3, 0.5e-3)  # [s]
-REFERENCE_STEP_HALVING_TERRAIN = 5e-5  # [s]
-# [s] between the poses that are compared
 FLOOR = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
 WAVES = [
     [0.06, 1.1, 0.4, 0.3], [0.05, -0.5, 1.2, 1.0], [0.04, 1.7, -0.9, 2.1], [0.03, 0.8, 2.2, 0.7],
@@ -392,99 +263,141 @@ UP, ACROSS = {"kind": "plane", "slope_x": 0.176}, {"kind": "plane", "slope_y": 0
 DOWN = {"kind": "plane", "slope_x": -0.364}
 STEP = {"kind": "step", "height": 0.1, "start": 0.8, "length": 0.6}
 RAMP = {"kind": "ramp", "slope": 0.3, "start": 0.8, "length": 1.0}
-# Name: (terrain, load, mu, further options, sprocket speeds [rad/s] at whole seconds).
-MANOEUVRES_STEP_HALVING_TERRAIN = {
-    "up 10 deg": (UP, "nonuniform", 0.4, {}, [(0, 0), (5, 5), (5, 5), (5, 5), (5, 5)]),
-    "down 20 deg, turning": (DOWN, "nonuniform", 0.5, {}, [(0, 0), (4, 6), (4, 6), (4, 6)]),
-    "across 17 deg": (ACROSS, "uniform", 0.6, {}, [(0, 0), (6, 3), (6, 3), (5, 5), (5, 5)]),
-    "eight waves": (FIELD, "nonuniform", 0.6, {}, [(0, 0), (5, 5), (3, 6), (6, 3), (5, 5)]),
-    "eight waves, uniform": (FIELD, "uniform", 0.6, {}, [(0, 0), (5, 5), (3, 6), (6, 3), (5, 5)]),
-    "reverse on waves": (FIELD, "nonuniform", 0.5, {}, [(0, 0), (-5, -5), (-3, -6), (-5, -4)]),
-    "over a step": (STEP, "nonuniform", 0.6, {}, [(0, 0), (5, 5), (5, 5), (4, 5), (5, 5)]),
-    "over a step, uniform": (STEP, "uniform", 0.6, {}, [(0, 0), (5, 5), (5, 5), (4, 5), (5, 5)]),
-    "ramp, stiffening": (
-        RAMP, "nonuniform", 0.6, {"stiffening": 5.5}, [(0, 0), (5, 5), (5, 6), (5, 5), (5, 6)],
-    ),
-    "pivots, belts through zero": (
-        ACROSS, "nonuniform", 0.4, {}, [(0, 0), (4, -4), (-4, 4), (0, 0), (0, 3)],
-    ),
-}  # fmt: skip
-TERRAINS = {
-    "plane": UP, "ramp": RAMP, "eight waves": FIELD,
-    "map, bilinear": {"kind": "map", "heights": np.zeros((401, 401)), "cell": 0.1},
-    "map, bicubic": {
-        "kind": "map", "heights": np.zeros((401, 401)), "cell": 0.1, "interpolation": "bicubic",
-    },
-}  # fmt: skip
+EVEN, UNEVEN, STIFF = {"load": "uniform"}, {"load": "nonuniform"}, {"stiffening": 5.5}
+# Name: (terrain, mu, options of the plant, sprocket speeds [rad/s] at whole seconds).
+TERRAIN_MANOEUVRES = {
+    "up 10 deg": (UP, 0.4, UNEVEN, [(0, 0), (5, 5), (5, 5), (5, 5), (5, 5)]),
+    "down 20 deg, turning": (DOWN, 0.5, UNEVEN, [(0, 0), (4, 6), (4, 6), (4, 6)]),
+    "across 17 deg": (ACROSS, 0.6, EVEN, [(0, 0), (6, 3), (6, 3), (5, 5), (5, 5)]),
+    "eight waves": (FIELD, 0.6, UNEVEN, [(0, 0), (5, 5), (3, 6), (6, 3), (5, 5)]),
+    "eight waves, uniform": (FIELD, 0.6, EVEN, [(0, 0), (5, 5), (3, 6), (6, 3), (5, 5)]),
+    "reverse on waves": (FIELD, 0.5, UNEVEN, [(0, 0), (-5, -5), (-3, -6), (-5, -4)]),
+    "over a step": (STEP, 0.6, UNEVEN, [(0, 0), (5, 5), (5, 5), (4, 5), (5, 5)]),
+    "over a step, uniform": (STEP, 0.6, EVEN, [(0, 0), (5, 5), (5, 5), (4, 5), (5, 5)]),
+    "ramp, stiffening": (RAMP, 0.6, UNEVEN | STIFF, [(0, 0), (5, 5), (5, 6), (5, 5), (5, 6)]),
+    "pivots, belts through zero": (ACROSS, 0.4, UNEVEN, [(0, 0), (4, -4), (-4, 4), (0, 0), (0, 3)]),
+}
 
 
-def run_step_halving_terrain(terrain, load, mu, options, speeds, step, patches=(10, 4)):
-    """Positions (n, 3) and quaternions (n, 4) every PERIOD."""
+def run_terrain(terrain, mu, options, speeds, step, patches=(10, 4)):
+    """Positions (n, 3) and quaternions (n, 4) every CONTROL_PERIOD, side by side."""
     parameters = FLOOR._replace(friction_angle=math.atan(mu))
-    given = {"terrain": terrain, "load": load, "patches": patches, **options}
-    rig = TerrainRig(parameters, given, step=step)
-    times = PERIOD * np.arange(round((len(speeds) - 1) / PERIOD) + 1)
+    rig = TerrainRig(parameters, {"terrain": terrain, "patches": patches, **options}, step=step)
+    times = CONTROL_PERIOD * np.arange(round((len(speeds) - 1) / CONTROL_PERIOD) + 1)
     sides = np.array(speeds, dtype=float).T
     commands = np.stack([np.interp(times, np.arange(len(speeds)), side) for side in sides], axis=1)
     poses = []
     for k in range(len(times) - 1):
-        rig.advance(commands[k : k + 1], PERIOD, to=commands[k + 1 : k + 2])
+        rig.advance(commands[k : k + 1], CONTROL_PERIOD, to=commands[k + 1 : k + 2])
         poses.append(np.concatenate([rig.positions[0], rig.quaternions[0]]))
     return np.array(poses)
 
 
-def error_step_halving_terrain(found, truth):
-    """(largest distance [mm], largest rotation [mrad])."""
-    distance = np.linalg.norm(found[:, :3] - truth[:, :3], axis=1).max()
-    cosine = np.minimum(np.abs((found[:, 3:] * truth[:, 3:]).sum(axis=1)), 1.0)
-    return 1e3 * distance, 2e3 * np.sqrt(1.0 - cosine**2).max()
+def error_in_space(poses, truth):
+    """(largest distance [m], largest rotation [rad])."""
+    distance = np.linalg.norm(poses[:, :3] - truth[:, :3], axis=1).max()
+    cosine = np.minimum(np.abs((poses[:, 3:] * truth[:, 3:]).sum(axis=1)), 1.0)
+    return distance, 2.0 * np.sqrt(1.0 - cosine**2).max()
 
 
-def cost(terrain, load, count):
-    """[us] process time of one step of 1 ms and vehicle, 2 x 40 patches."""
-    rig = TerrainRig(FLOOR, {"terrain": terrain, "load": load}, count, step=1e-3)
-    command = np.full((count, 2), 5.0)
-    rig.advance(command, 1.0)
-    steps = max(2000 // count, 100)
-    least = math.inf
-    for _ in range(15):
-        start = process_time()
-        rig.advance(command, 1e-3 * steps)
-        least = min(least, process_time() - start)
-    return 1e6 * least / (steps * count)
+def cell(found):
+    """Errors (distance [m], rotation [rad]) in mm / mrad."""
+    distance, rotation = found
+    return f"{1e3 * distance:.2g} / {1e3 * rotation:.2g}"
 
 
-def main_step_halving_terrain():
-    """Print the tables."""
-    print(
-        "| manoeuvre | load | "
-        + " | ".join(f"{1e3 * h:g} ms" for h in LENGTHS_STEP_HALVING_TERRAIN)
-        + " |"
-    )
-    print("|---|---" + "|---:" * len(LENGTHS_STEP_HALVING_TERRAIN) + "|")
-    for name, given in MANOEUVRES_STEP_HALVING_TERRAIN.items():
-        truth = run_step_halving_terrain(*given, REFERENCE_STEP_HALVING_TERRAIN)
-        cells = [
-            "{:.2g} / {:.2g}".format(
-                *error_step_halving_terrain(run_step_halving_terrain(*given, h), truth)
-            )
-            for h in LENGTHS_STEP_HALVING_TERRAIN
-        ]
-        print(f"| {name} | {given[1]} | " + " | ".join(cells) + " |")
-    print("\n| patches | error |\n|---|---:|")
-    given = MANOEUVRES_STEP_HALVING_TERRAIN["eight waves"]
-    truth = run_step_halving_terrain(*given, 1e-3, (80, 8))
+def random_cell(found):
+    """Errors (runs, 2) of random runs: median / worst."""
+    middle, worst = 1e3 * np.median(found, axis=0), 1e3 * found.max(axis=0)
+    return f"{middle[0]:.2g}, {middle[1]:.2g} / {worst[0]:.2g}, {worst[1]:.2g}"
+
+
+Rows = Iterator[tuple[tuple[str, ...], list[str]]]  # labels, a cell per length
+
+
+def lumped_rows() -> Rows:
+    """Of numerics.md: manoeuvres."""
+    for name, (command, p, start) in MANOEUVRES.items():
+        for constrained, lateral in ((False, "sliding"), (True, "constrained")):
+            found = errors(command, p, start, constrained)
+            yield (name, lateral), [cell(each) for each in found]
+
+
+def patch_rows() -> Rows:
+    """Of distributed.md: manoeuvres of the light vehicle."""
+    for name, speeds in PATCH_MANOEUVRES.items():
+        for mu in (0.1, 0.4, 0.8):
+            floor = FIRM_FLOOR._replace(friction_angle=math.atan(mu))
+            p = plant_parameters(FOCCHI_VEHICLE, floor)
+            truth = run_patches(speeds, PATCH_REFERENCE, False, p)
+            for euler, integrator in ((True, "Euler"), (False, "Rosenbrock")):
+                found = [error(run_patches(speeds, h, euler, p), truth) for h in LENGTHS]
+                yield (name, f"{mu}", integrator), [cell(each) for each in found]
+
+
+def terrain_rows() -> Rows:
+    """Of terrain.md: manoeuvres."""
+    for name, case in TERRAIN_MANOEUVRES.items():
+        truth = run_terrain(*case, TERRAIN_REFERENCE)
+        found = [error_in_space(run_terrain(*case, h), truth) for h in TERRAIN_LENGTHS]
+        yield (name, case[2]["load"]), [cell(each) for each in found]
+
+
+def random_rows(errors_of: Callable[..., np.ndarray], steps: Sequence[float]) -> Rows:
+    """Of random torques; errors_of: `random_errors` or `torque_errors`."""
+    for soil, resistance in RANDOM_SOILS.items():
+        found = [errors_of(soil, resistance, step) for step in steps]
+        yield (soil.replace("_", " "),), [random_cell(each) for each in found]
+
+
+def patch_count_rows() -> Rows:
+    """Of terrain.md: eight waves on fewer patches."""
+    case = TERRAIN_MANOEUVRES["eight waves"]
+    truth = run_terrain(*case, 1e-3, (80, 8))
     for patches in ((5, 2), (10, 4), (20, 4), (40, 4), (40, 8)):
-        distance, rotation = error_step_halving_terrain(
-            run_step_halving_terrain(*given, 1e-3, patches), truth
-        )
-        print(f"| {patches[0]} x {patches[1]} | {distance:.2g} / {rotation:.2g} |")
-    print("\n| terrain | load | one vehicle | each of 64 |\n|---|---|---:|---:|")
-    for name, terrain in TERRAINS.items():
-        for load in ("nonuniform", "uniform"):
-            one, many = cost(terrain, load, 1), cost(terrain, load, 64)
-            print(f"| {name} | {load} | {one:.2f} | {many:.2f} |")
+        found = error_in_space(run_terrain(*case, 1e-3, patches), truth)
+        yield ("{} x {}".format(*patches),), [cell(found)]
+
+
+def _lengths(seconds: Sequence[float]) -> list[str]:
+    return [f"{1e3 * h:g} ms" for h in seconds]
+
+
+_SUBSTEP_HEADS = _lengths([CONTROL_PERIOD / n for n in SUBSTEPS])
+# Labels of the rows, heads of the cells, and what makes the rows.
+TABLES: dict[str, list[tuple[tuple[str, ...], list[str], Callable[[], Rows]]]] = {
+    "lumped": [
+        (("manoeuvre", "lateral model"), _SUBSTEP_HEADS, lumped_rows),
+        (
+            (f"{RANDOM_RUNS} random runs",),
+            _SUBSTEP_HEADS,
+            partial(random_rows, random_errors, SUBSTEPS),
+        ),
+    ],
+    "patches": [
+        (("manoeuvre", "friction", "integrator"), _lengths(LENGTHS), patch_rows),
+        (
+            (f"{RANDOM_PATCH_RUNS} random runs",),
+            _lengths(LENGTHS),
+            partial(random_rows, torque_errors, LENGTHS),
+        ),
+    ],
+    "terrain": [
+        (("manoeuvre", "load"), _lengths(TERRAIN_LENGTHS), terrain_rows),
+        (("patches",), ["error"], patch_count_rows),
+    ],
+}
+
+
+def main(plants: Sequence[str]) -> None:
+    """Print the tables: distance in mm / rotation in mrad."""
+    for labels, heads, rows in (table for plant in plants or TABLES for table in TABLES[plant]):
+        print(f"| {' | '.join([*labels, *heads])} |")
+        print("|---" * len(labels) + "|---:" * len(heads) + "|")
+        for names, cells in rows():
+            print(f"| {' | '.join([*names, *cells])} |", flush=True)
+        print()
 
 
 if __name__ == "__main__":
-    main_step_halving_terrain()
+    main(sys.argv[1:])

@@ -213,6 +213,6 @@ def test_the_class_docstring_of_the_environment_is_markdown_without_indentation(
 
 def test_the_gallery_has_a_picture_of_every_plant_terrain_set_and_policy_and_no_other() -> None:
     drawn = {path.name for path in FOLDER.iterdir()}
-    expected = {file for _, _, file in pictures().values()}
+    expected = {file for file, _ in pictures().values()}
     assert drawn == expected, "python -m docs.gallery draws what is missing"
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 6e6

@@ -18,7 +18,7 @@ from tracked_env.uncertainty import SOILS, UNCERTAINTY_SETS
 
 ROOT = Path(__file__).resolve().parent.parent
 # Examples that need what is not installed beside this package (tests/tools), or what the commands
-# between them have written (tests/cli/test_user_logs.py).
+# between them have written (tests/baselines/identify/test_user_logs.py).
 BESIDE = ("tools.md", "your_data.md")
 PAGES = [
     str(path.relative_to(ROOT))

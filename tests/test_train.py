@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.agents.agent_cases import same_parameters
+from train import command as command_of_train
 
 SHORT = [
     "--quiet", "--vehicles", "8", "--held-out", "2", "--duration", "2", "--uncertainty", "payload",
@@ -105,7 +106,7 @@ def test_the_help_lists_what_there_is(repository):
         "--normalise", "--sac.gradient-steps", "--tqc.tau", "horizon of one second",
         "--overwrite", "--env-args", "1 000 000 for recurrent PPO", "a tenth of all",
     ):  # fmt: skip
-        assert name in result.stdout
+        assert name in " ".join(result.stdout.split())
     assert "{None" not in result.stdout and "INTEGER" in result.stdout
     assert not re.search(r"\b(INT|FLOAT|STR)\b", result.stdout)
 
@@ -132,13 +133,8 @@ def test_the_help_lists_what_there_is(repository):
     ],
 )
 def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, tmp_path, capsys):
-    import tyro
-
-    from train import main, options_of_train
-
     output = tmp_path / "none"
-    config = tyro.cli(options_of_train(), args=[*SHORT, "--output", str(output), *arguments])
-    assert main(config) == 2
+    assert command_of_train([*SHORT, "--output", str(output), *arguments]) == 2
     shown = capsys.readouterr().err
     assert message in shown and shown.count("\n") == 1
     assert not output.exists()
@@ -153,17 +149,11 @@ def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, t
         (("--ppo.batch-size", "0"), "ppo: batch_size = 0; must be in [2, 1e8]"),
         (("--ppo.learning-rate", "1e30"), "ppo: learning_rate = 1e+30; must be in (0, 1]"),
         (("--teacher", "a.zip"), "only a student has"),
-        (("--output", ""), "--output is empty"),
+        (("--output", ""), "--output: is empty"),
         (("--sac.n-steps", "0"), "sac: n_steps = 0; must be in [1, 1000000]"),
     ],
 )
 def test_a_number_outside_its_limits_is_a_clear_error(arguments, message, tmp_path, capsys):
-    import tyro
-
-    from train import options_of_train
-
-    with pytest.raises(SystemExit) as ended:
-        tyro.cli(options_of_train(), args=[*BUDGET, "--output", str(tmp_path / "none"), *arguments])
-    assert ended.value.code == 2
-    shown = capsys.readouterr()
-    assert message in shown.err and "Traceback" not in shown.err
+    assert command_of_train([*BUDGET, "--output", str(tmp_path / "none"), *arguments]) == 2
+    shown = capsys.readouterr().err
+    assert message in shown and shown.count("\n") == 1

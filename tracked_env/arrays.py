@@ -1,19 +1,9 @@
-"""The arrays of a batch of N vehicles, and the names of their columns.
+"""The arrays of a batch of N vehicles, the names of their columns, and what is read of them.
 
-Everything the kernels touch lives in a few arrays, one vehicle per row:
-    floats    (N, PLANT + own)     state, parameters, reference, sensors, bookkeeping, the plant's
-    counters  (N, COUNTER_COLUMNS) integers: clocks and flags
-    profile   (S, N, 12 or more)   reference: polynomials of speed (6) and of yaw rate (6), and
-                                   its knots where it has its own, see `physics.reference_knots`
-    events    (N, E, EVENT_FIELDS) what changes inside the episode
-    noise     (NOISE_BLOCK / NOISE_RUN, N, NOISE_RUN, NOISE_COUNT) float32 normal numbers
-              drawn ahead; NOISE_RUN steps lie together because writing is scattered too
-    history   (N, H, DELIVERED_COUNT) past samples, for delayed sensors
-Profile and noise have the time first: vehicles that run in step then read one stream of memory.
-A column is an offset, so that a kernel takes one array instead of a hundred. Offsets are for
-kernels; outside them a column has a name (`COLUMN`, `Batch.column`, `Batch.counter`).
-
-What can be read of N vehicles between their steps: copies, by name, in SI units.
+Everything the kernels touch lives in a few arrays, one vehicle per row, see `Batch`. A column is an
+offset, so that a kernel takes one array instead of a hundred. Offsets are for kernels; outside them
+a column has a name (`COLUMN`, `Batch.column`, `Batch.counter`). Profile and noise have the time
+first: vehicles that run in step then read one stream of memory.
 """
 
 from collections.abc import Iterable
@@ -29,13 +19,14 @@ from tracked_env.physics.reference_profile import UNIFORM_COLUMNS
 from tracked_env.sensors import CHANNEL_COUNT, GROUPS, NOISE_COUNT
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle
-NOISE_RUN = 8  # [steps] of it that are neighbours in memory
+NOISE_RUN = 8  # [steps] of it that are neighbours in memory: writing is scattered too
 EVENT_FIELDS = 8
 AHEAD = len(LOOK_AHEAD)
 GROUP_COUNT = len(GROUPS)
 COEFFICIENT_COUNT = len(Coefficients._fields)
 DRIVE_COUNT = len(DriveLimits._fields)
 DELIVERED_COUNT = CHANNEL_COUNT + GROUP_COUNT  # samples, and the step at which each was taken
+SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
 
 
 class RewardTerms(NamedTuple):
@@ -88,37 +79,25 @@ COLUMN = {
     **{name: STATE + row for row, name in enumerate(STATE_NAMES)},
     **{name: PARAMETERS + row for row, name in enumerate(PARAMETER_NAMES)},
     **{name: DRIVE + row for row, name in enumerate(DriveLimits._fields)},
-    "reference_x": REFERENCE_X,
-    "reference_y": REFERENCE_Y,
-    "reference_yaw": REFERENCE_YAW,
-    "reference_speed": REFERENCE_MOTION,
-    "reference_yaw_rate": REFERENCE_MOTION + 3,
-    "distance": ERROR_DISTANCE,
-    "heading_error": ERROR_YAW,
-    "reward": REWARD,
+    **{"reference_x": REFERENCE_X, "reference_y": REFERENCE_Y, "reference_yaw": REFERENCE_YAW},
+    **{"reference_speed": REFERENCE_MOTION, "reference_yaw_rate": REFERENCE_MOTION + 3},
+    **{"distance": ERROR_DISTANCE, "heading_error": ERROR_YAW, "reward": REWARD},
     **{f"reward_{name}": TERMS + row for row, name in enumerate(REWARD_TERMS)},
     "squared_error_sum": SQUARED_ERROR_SUM,
-    "action_left": ACTION,
-    "action_right": ACTION + 1,
+    **{"action_left": ACTION, "action_right": ACTION + 1},
 }
 
 # --- columns of `counters` -----------------------------------------------------------------
-STEP = 0  # control steps since reset
-NOISE_CURSOR = 1  # next unused row of the noise block
-TERMINATED = 2
-TRUNCATED = 3
-EVENT_COUNT = 4
-MAX_STEP = 5  # [control steps] of the episode
-PERIOD = 6  # per group, [control steps] between samples
+STEP, NOISE_CURSOR, TERMINATED, TRUNCATED, EVENT_COUNT, MAX_STEP = range(6)
+COUNTER = {  # names, as above: control steps since reset, next row of the noise block, flags, ...
+    **{"step": STEP, "noise_cursor": NOISE_CURSOR, "event_count": EVENT_COUNT},
+    **{"terminated": TERMINATED, "truncated": TRUNCATED, "max_step": MAX_STEP},
+}
+PERIOD = len(COUNTER)  # per group, [control steps] between samples
 DELAY = PERIOD + GROUP_COUNT  # per group, [control steps]
 OUTAGE_FROM = DELAY + GROUP_COUNT  # step at which the next outage of the pose begins; -1: never
 OUTAGE_UNTIL = OUTAGE_FROM + 1  # step at which the last one ends or has ended
 COUNTER_COLUMNS = OUTAGE_UNTIL + 1
-
-COUNTER = {
-    "step": STEP, "noise_cursor": NOISE_CURSOR, "terminated": TERMINATED, "truncated": TRUNCATED,
-    "event_count": EVENT_COUNT, "max_step": MAX_STEP,
-}  # fmt: skip
 
 
 class Report(NamedTuple):
@@ -140,12 +119,14 @@ class RowReport(NamedTuple):
 class Batch(NamedTuple):
     """The arrays of N vehicles."""
 
-    floats: NDArray[np.float64]
-    counters: NDArray[np.int64]
+    floats: NDArray[np.float64]  # (N, PLANT + those of the plant) state, parameters, sensors, ..
+    counters: NDArray[np.int64]  # (N, COUNTER_COLUMNS) clocks and flags
+    # (S, N, 12 or more) reference: polynomials of speed (6) and of yaw rate (6), and its knots
+    # where it has its own, see `physics.reference_profile`
     profile: NDArray[np.float64]
-    events: NDArray[np.float64]
-    noise: NDArray[np.float32]
-    history: NDArray[np.float64]
+    events: NDArray[np.float64]  # (N, E, EVENT_FIELDS) what changes inside the episode
+    noise: NDArray[np.float32]  # (NOISE_BLOCK / NOISE_RUN, N, NOISE_RUN, NOISE_COUNT) drawn ahead
+    history: NDArray[np.float64]  # (N, H, DELIVERED_COUNT) past samples, for delayed sensors
 
     def column(self, name: str) -> NDArray[np.float64]:
         """A view (N,) of one column of the floats."""
@@ -167,70 +148,25 @@ class Batch(NamedTuple):
         """A view (N, PARAMETER_ROWS) of the parameters at the start of the episode."""
         return self.floats[:, BASE : BASE + PARAMETER_ROWS]
 
-    def report(self) -> Report:
-        """A copy of what the last step reports."""
-        values = self.floats.T[ERROR_DISTANCE : TERMS + len(REWARD_TERMS)].copy()
-        return Report(values[:2].T, values[2], RewardTerms(*values[3:]))
-
     def row_report(self, i: int) -> RowReport:
         """Views of what the last step reports of vehicle i."""
-        row = self.floats[i]
-        return RowReport(
-            row[ERROR_DISTANCE : ERROR_YAW + 1],
-            row[REWARD : TERMS + len(REWARD_TERMS)],
-            self.counters[i, TERMINATED : TRUNCATED + 1],
-        )
-
-
-def columns(names: Iterable[str]) -> list[int]:
-    """Columns of `floats` of these names."""
-    return [COLUMN[name] for name in names]
-
-
-def allocate(
-    count: int, segments: int, own_columns: int = 0, events: int = 1, history: int = 1,
-    reference_columns: int = UNIFORM_COLUMNS,
-) -> Batch:  # fmt: skip
-    """Zeroed arrays for `count` vehicles, of a plant with so many columns of its own."""
-    return Batch(
-        np.zeros((count, PLANT + own_columns)),
-        np.zeros((count, COUNTER_COLUMNS), dtype=np.int64),
-        np.zeros((segments, count, reference_columns)),
-        np.zeros((count, events, EVENT_FIELDS)),
-        np.zeros((NOISE_BLOCK // NOISE_RUN, count, NOISE_RUN, NOISE_COUNT), dtype=np.float32),
-        np.zeros((count, history, DELIVERED_COUNT)),
-    )
-
-
-def bytes_per_vehicle(batch: Batch) -> int:
-    """Memory of one vehicle [bytes]."""
-    return sum(array.nbytes for array in batch) // batch.floats.shape[0]
-
-
-SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
-
-
-def ending_flags(failures: tuple[str, ...]) -> list[str]:
-    """Names of the flags of `info` for a plant that can fail so, `Plant.failures`."""
-    return [f"ended_{name}" for name in ("off_path", *failures)]
+        row, flags = self.floats[i], self.counters[i, TERMINATED : TRUNCATED + 1]
+        return RowReport(row[ERROR_DISTANCE:REWARD], row[REWARD:SQUARED_ERROR_SUM], flags)
 
 
 class Readings:
-    """Of the arrays `batch`, one row per vehicle."""
+    """What can be read of the vehicles of `batch` between their steps: copies, in SI units."""
 
     batch: Batch
-    # Which episodes have ended, looked up when it is asked for after a step in which one did:
-    _ended: NDArray[np.bool_]
-    _ended_known: bool
-    _some_resting: bool
 
     def column(self, name: str) -> NDArray[np.float64]:
-        """A copy (N,) of one column of the floats; names: `columns.COLUMN`."""
+        """A copy (N,) of one column of the floats; names: `COLUMN`."""
         return self.batch.column(name).copy()
 
     def report(self) -> Report:
         """A copy of tracking error, reward and its terms."""
-        return self.batch.report()
+        values = self.batch.floats.T[ERROR_DISTANCE:SQUARED_ERROR_SUM].copy()
+        return Report(values[:2].T, values[2], RewardTerms(*values[3:]))
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -246,25 +182,6 @@ class Readings:
     def truncated(self) -> NDArray[np.bool_]:
         """(N,) out of time."""
         return self.batch.counter("truncated") != 0
-
-    @property
-    def ended(self) -> NDArray[np.bool_]:
-        """(N,) the episode has ended, and none was started since; such rows are not to be stepped.
-
-        The array itself, which a reset changes.
-        """
-        if not self._ended_known:
-            counters = self.batch.counters
-            self._ended = (counters[:, TERMINATED] | counters[:, TRUNCATED]) != 0
-            self._ended_known = True
-        return self._ended
-
-    def resting(self) -> NDArray[np.bool_] | None:
-        """A copy of `ended`, or None where no episode has ended."""
-        if not self._some_resting:
-            return None
-        self._some_resting = bool(self.ended.any())
-        return self.ended.copy() if self._some_resting else None
 
     @property
     def rmse(self) -> NDArray[np.float64]:
@@ -296,3 +213,27 @@ class Readings:
     def truth(self) -> dict[str, NDArray[np.float64]]:
         """True state and parameters in force, by name; each (N,)."""
         return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}
+
+
+def ending_flags(failures: tuple[str, ...]) -> list[str]:
+    """Names of the flags of `info` for a plant that can fail so, `Plant.failures`."""
+    return [f"ended_{name}" for name in ("off_path", *failures)]
+
+
+def columns(names: Iterable[str]) -> list[int]:
+    """Columns of `floats` of these names."""
+    return [COLUMN[name] for name in names]
+
+
+def allocate(
+    count: int, segments: int, plant_columns: int = 0, reference_columns: int = UNIFORM_COLUMNS
+) -> Batch:
+    """Zeroed arrays for `count` vehicles, of a plant with so many columns of its own."""
+    return Batch(
+        np.zeros((count, PLANT + plant_columns)),
+        np.zeros((count, COUNTER_COLUMNS), dtype=np.int64),
+        np.zeros((segments, count, reference_columns)),
+        np.zeros((count, 1, EVENT_FIELDS)),
+        np.zeros((NOISE_BLOCK // NOISE_RUN, count, NOISE_RUN, NOISE_COUNT), dtype=np.float32),
+        np.zeros((count, 1, DELIVERED_COUNT)),
+    )

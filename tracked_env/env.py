@@ -172,11 +172,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         finite real numbers.
         """
         simulation = self.simulation
-        if (
-            type(action) is not np.ndarray
-            or action.shape != _ACTION_SHAPE
-            or action.dtype.kind != "f"
-        ):
+        plain = type(action) is np.ndarray and action.dtype.kind == "f"
+        if not plain or action.shape != _ACTION_SHAPE:
             action = checked_actions(action, _ACTION_SHAPE)
         simulation.actions[0] = action
         simulation.advance()

@@ -1,7 +1,12 @@
-"""Schedules: what changes inside an episode, from readable dicts to the kernels' rows.
+"""How a parameter changes inside an episode: ramps in time, regions and waves in space.
 
-One entry of a schedule changes one parameter, from its value at the start of the episode (or
-from the entry before it) to `target`; the formulas are in `tracked_env.events`:
+An event changes one parameter, from its value at the start of the episode (or from the event before
+it) towards a target. With w in [0, 1] its weight:
+    ramp, region, line:  value <- value + w (target - value)
+    wave:                value <- target + a X cos(k_x X + k_y Y + phase) exp(-decay Y), in
+                         [WAVE_LOW, WAVE_HIGH]: resistance coefficients only
+The wave form contains S (44) and (45), the resistance maps of S section 8.2.2.
+A schedule lists events as dicts:
     {"parameter": "mass", "kind": "ramp", "target": 2000.0, "start": 10.0, "duration": 0.0}
     {"parameter": "cohesion", "kind": "region", "target": 9650.0,
      "x": 5.0, "y": 0.0, "radius": 3.0, "edge": 0.5}
@@ -9,15 +14,7 @@ from the entry before it) to `target`; the formulas are in `tracked_env.events`:
      "x": 5.0, "y": 0.0, "direction": 0.0, "edge": 1.0}      beyond it, looking along direction
     {"parameter": "longitudinal_resistance", "kind": "wave", "target": 0.7,
      "amplitude": 0.02, "k_x": 0.0, "k_y": 0.3, "phase": 0.0, "decay": 0.0}
-
-How a parameter changes inside an episode: ramps in time, regions and waves in space.
-
-An event changes one parameter. With w in [0, 1] its weight:
-    ramp, region, line:  value <- value + w (target - value)
-    wave:                value <- target + a X cos(k_x X + k_y Y + phase) exp(-decay Y), in
-                         [WAVE_LOW, WAVE_HIGH]: resistance coefficients only
-The wave form contains S (44) and (45), the resistance maps of S section 8.2.2.
-An event is one row of eight numbers: kind, parameter index, target, then five more:
+For kernels an event is one row of eight numbers: kind, parameter index, target, then five more:
     RAMP    start [s], duration [s] (0 = step)
     REGION  x [m], y [m], radius [m], width of the edge [m]: inside a disc
     LINE    x [m], y [m], cos, sin of the normal, width [m]: beyond a straight line
@@ -44,6 +41,38 @@ FAR = 1e100  # [m] its square is finite, and so is its product with every field 
 EXPONENT_LIMIT = 700.0  # [-] exp of it, and of its negative, are finite and not 0
 RAMP, REGION, LINE, WAVE = range(4)
 KINDS = {"ramp": RAMP, "region": REGION, "line": LINE, "wave": WAVE}
+Event = dict[str, Any]
+
+_PLACE = Range(-1e6, 1e6, "m", "It is a world coordinate.")
+_WAVE = Range(-100.0, 100.0, "-", "Wave numbers are in rad/m, the phase in rad.")
+_EDGE = ("edge", 0.5, Range(1e-3, 1e3, "m", "It is the width of the transition, not 0."))
+_X, _Y = ("x", None, _PLACE), ("y", None, _PLACE)
+# For each kind, its fields in the order of the kernel's row: (name, default, range).
+_FIELDS: dict[str, tuple[tuple[str, float | None, Range], ...]] = {
+    "ramp": (
+        ("start", None, Range(0.0, 1e6, "s", "It is the time since reset.")),
+        ("duration", 0.0, Range(0.0, 1e6, "s", "0 makes it a step.")),
+    ),
+    "region": (
+        _X,
+        _Y,
+        ("radius", None, Range(0.0, 1e6, "m", "It is the radius of a disc.")),
+        _EDGE,
+    ),
+    "line": (
+        _X,
+        _Y,
+        ("direction", None, Range(-100.0, 100.0, "rad", "Did you pass degrees?")),
+        _EDGE,
+    ),
+    "wave": (
+        ("amplitude", None, Range(-10.0, 10.0, "1/m", "It multiplies X.")),
+        *((name, 0.0, _WAVE) for name in ("k_x", "k_y", "phase")),
+        ("decay", 0.0, Range(0.0, 10.0, "1/m", "It damps towards positive Y.")),
+    ),
+}
+_NAMES = {number: kind for kind, number in KINDS.items()}
+CHANGEABLE = tuple(name for name in PARAMETER_NAMES if name != "torque_limit")
 
 
 @formula
@@ -82,40 +111,6 @@ def changed_value(value, events, i, e, time, x, y):
     return value + weight * (target - value)
 
 
-Event = dict[str, Any]
-
-_PLACE = Range(-1e6, 1e6, "m", "It is a world coordinate.")
-_WAVE = Range(-100.0, 100.0, "-", "Wave numbers are in rad/m, the phase in rad.")
-# For each kind, its fields in the order of the kernel's row: (name, default, range).
-_FIELDS: dict[str, tuple[tuple[str, float | None, Range], ...]] = {
-    "ramp": (
-        ("start", None, Range(0.0, 1e6, "s", "It is the time since reset.")),
-        ("duration", 0.0, Range(0.0, 1e6, "s", "0 makes it a step.")),
-    ),
-    "region": (
-        ("x", None, _PLACE),
-        ("y", None, _PLACE),
-        ("radius", None, Range(0.0, 1e6, "m", "It is the radius of a disc.")),
-        ("edge", 0.5, Range(1e-3, 1e3, "m", "It is the width of the transition, not 0.")),
-    ),
-    "line": (
-        ("x", None, _PLACE),
-        ("y", None, _PLACE),
-        ("direction", None, Range(-100.0, 100.0, "rad", "Did you pass degrees?")),
-        ("edge", 0.5, Range(1e-3, 1e3, "m", "It is the width of the transition, not 0.")),
-    ),
-    "wave": (
-        ("amplitude", None, Range(-10.0, 10.0, "1/m", "It multiplies X.")),
-        ("k_x", 0.0, _WAVE),
-        ("k_y", 0.0, _WAVE),
-        ("phase", 0.0, _WAVE),
-        ("decay", 0.0, Range(0.0, 10.0, "1/m", "It damps towards positive Y.")),
-    ),
-}
-_NAMES = {number: kind for kind, number in KINDS.items()}
-CHANGEABLE = tuple(name for name in PARAMETER_NAMES if name != "torque_limit")
-
-
 def encode_event(event: object) -> list[float]:
     """One row of eight numbers for the kernel. Raises ValueError for anything not understood.
 
@@ -131,13 +126,12 @@ def encode_event(event: object) -> list[float]:
     target = checked_number(f"target of {parameter}", event.get("target"), RANGES[parameter])
     values = []
     for name, default, allowed_range in fields:
-        given = event.get(name, default)
-        if given is None:
+        value = event.get(name, default)
+        if value is None:
             raise ValueError(f"schedule entry of kind '{kind}' for {parameter} lacks '{name}'")
-        values.append(checked_number(f"{name} of a {kind}", given, allowed_range))
+        values.append(checked_number(f"{name} of a {kind}", value, allowed_range))
     if kind == "line":
-        x, y, direction, edge = values
-        values = [x, y, math.cos(direction), math.sin(direction), edge]
+        values[2:3] = math.cos(values[2]), math.sin(values[2])
     if kind == "wave" and not parameter.endswith("_resistance"):
         raise ValueError(f"a wave of {parameter} is not modelled; only of resistance coefficients")
     row = [float(KINDS[kind]), float(PARAMETER_NAMES.index(parameter)), target, *values]
@@ -149,14 +143,11 @@ def decode_event(row: Sequence[float]) -> Event:
 
     With it `encode_event` gives back the row, to the bit.
     """
-    kind, parameter, target = _NAMES[int(row[0])], PARAMETER_NAMES[int(row[1])], row[2]
-    values = list(row[3:8])
+    kind, parameter, values = _NAMES[int(row[0])], PARAMETER_NAMES[int(row[1])], list(row[3:8])
     if kind == "line":
-        x, y, cosine, sine, edge = values
-        direction = row[8] if len(row) > 8 else math.atan2(sine, cosine)
-        values = [x, y, direction, edge]
+        values[2:4] = [row[8] if len(row) > 8 else math.atan2(values[3], values[2])]
     fields = zip((name for name, _, _ in _FIELDS[kind]), values, strict=False)
-    return {"parameter": parameter, "kind": kind, "target": target, **dict(fields)}
+    return {"parameter": parameter, "kind": kind, "target": row[2], **dict(fields)}
 
 
 def encode_schedule(schedule: Sequence[Mapping[str, Any]]) -> NDArray[np.float64]:
@@ -168,23 +159,18 @@ def encode_schedule(schedule: Sequence[Mapping[str, Any]]) -> NDArray[np.float64
 
 def ramp_events(targets: Mapping[str, float], start: float, duration: float) -> list[Event]:
     """Several parameters that change together in time; start, duration [s]."""
+    times = {"start": start, "duration": duration}
     return [
-        {"parameter": name, "kind": "ramp", "target": target, "start": start, "duration": duration}
+        {"parameter": name, "kind": "ramp", "target": target, **times}
         for name, target in targets.items()
     ]
 
 
-def wave(
-    parameter: str,
-    mean: float,
-    amplitude: float,
-    k_x: float = 0.0,
-    k_y: float = 0.0,
-    phase: float = 0.0,
-    decay: float = 0.0,
-) -> Event:
-    """A parameter that varies in the plane: mean + amplitude X cos(k_x X + k_y Y + phase) ..."""
-    return {
-        "parameter": parameter, "kind": "wave", "target": mean, "amplitude": amplitude,
-        "k_x": k_x, "k_y": k_y, "phase": phase, "decay": decay,
-    }  # fmt: skip
+def wave(parameter: str, mean: float, amplitude: float, **shape: float) -> Event:
+    """A parameter that varies in the plane: mean + amplitude X cos(k_x X + k_y Y + phase) ...
+
+    shape: k_x, k_y, phase, decay; 0 where they are not named.
+    """
+    zero = dict.fromkeys(("k_x", "k_y", "phase", "decay"), 0.0)
+    event = {"parameter": parameter, "kind": "wave", "target": mean, "amplitude": amplitude}
+    return {**event, **zero, **shape}

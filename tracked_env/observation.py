@@ -1,4 +1,4 @@
-"""What an agent sees: the layouts that are made of groups of fields, see `observation_fields`.
+"""What an agent sees: named fields in named groups, and the layouts that are made of groups.
 
 The observation is a float32 vector of dimensionless numbers: each quantity in SI units divided by
 its scale (so that a network sees values of order one) and clipped to its bound. Only sensors and
@@ -8,11 +8,6 @@ A `Layout` is a sequence of groups; an environment is made with one: `observatio
 names of the groups. `register` adds a group. Columns are looked up by the name of their field, so
 that a policy drives wherever the fields that it needs are shown: `columns`, `View`.
 The compiled loops write the fields of `V0` and nothing else; see `tracked_env.engine.extra_groups`.
-
-The fields that an observation can be made of, in named groups: names, units, scales and bounds.
-
-The groups of `VERSIONS` are written by the compiled loops; `tracked_env.observation.register` adds
-one. Left/right and signs follow NOTATION.md.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,9 +22,9 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.rigid_body import in_body_plane
 from tracked_env.validation import checked_choice, unknown
 
+FEATURE_BOUND = 10.0  # [-] features that are appended are clipped to this; they are of order one
 LOOK_AHEAD = (0.25, 0.5, 1.0, 2.0)  # [s] times at which the coming reference is shown
-
-Known = Mapping[str, NDArray[np.float64]]
+Values = Mapping[str, NDArray[np.float64]]
 
 
 class Field(NamedTuple):
@@ -50,7 +45,7 @@ class Group(NamedTuple):
     What its fields are is computed from what an agent may know, the fields of `V0` and the samples
     of `channels` in SI units, in one of two forms:
         values     by name, {field: (n,)} from {name: (n,)}, in Python
-        compiled   a function of numba (known (n, K), shown (n, F)) that writes the fields from
+        compiled   a function of numba (read (n, K), shown (n, F)) that writes the fields from
                    those named in `reads`; a tenth of the time. It has to be compiled with `nogil`,
                    as by `physics.jit.loop`, for threads to run side by side
     With neither, each field is the channel of its name. A group with `scan` shows heights of the
@@ -60,68 +55,95 @@ class Group(NamedTuple):
     name: str
     fields: tuple[Field, ...]
     channels: tuple[str, ...] = ()  # registered sensor channels that it reads
-    values: Callable[[Known], Known] | None = None
+    values: Callable[[Values], Values] | None = None
     scan: tuple[tuple[float, float], ...] = ()  # [contact lengths] (ahead, left) of each field
     compiled: Callable[[NDArray[np.float64], NDArray[np.float64]], None] | None = None
-    reads: tuple[str, ...] = ()  # by `compiled`, in the order of the columns of `known`
-    goal: bool = False  # its fields are those of `engine.goal_reading`
+    reads: tuple[str, ...] = ()  # by `compiled`, in the order of the columns of `read`
+    goal: bool = False  # its fields are those of the goal, see `engine.extra_groups`
 
 
-def _ahead(kind: str, unit: str, scale: float, bound: float, mirrored: bool) -> tuple[Field, ...]:
-    return tuple(
-        Field(
-            f"reference_{kind}_ahead_{time:g}",
-            unit,
-            scale,
-            bound,
-            f"reference {kind.replace('_', ' ')} {time:g} s ahead",
-            mirrored,
-        )
-        for time in LOOK_AHEAD
-    )
+@loop
+def _in_plane(read, shown):
+    """The measured pose error in the plane of the vehicle, by the measured roll and pitch."""
+    for k in range(read.shape[0]):
+        ahead, left, turn = read[k, 0], read[k, 1], read[k, 2]
+        roll, pitch = rotation(read[k, 3]), rotation(read[k, 4])
+        shown[k, 0], shown[k, 1], shown[k, 2] = in_body_plane(ahead, left, turn, pitch, roll)
 
 
+def _scanned(ahead: float, left: float) -> Field:
+    """The field of a point of the scan."""
+    name = f"height_{'behind' if ahead < 0.0 else 'ahead'}_{abs(ahead):g}"
+    name += f"_{'left' if left > 0.0 else 'right'}_{abs(left):g}" if left else ""
+    meaning = f"ground {ahead:g} l ahead, {left:g} l to the left, less the vehicle's height"
+    return Field(name, "m", 0.25, 5.0, meaning, bool(left))
+
+
+# Name, unit, scale, bound, meaning, mirrored, signed
 _POSE_ERROR = (
     Field("position_error_x", "m", 1.0, 20.0, "reference ahead of the measured position", False),
     Field("position_error_y", "m", 1.0, 20.0, "reference to the left of it", True),
     Field("heading_error", "rad", 0.5, 4.0, "reference heading minus measured yaw", True),
 )
-_MOTION = (
-    Field("v_x", "m/s", 2.0, 40.0, "measured forward velocity", False),
-    Field("v_y", "m/s", 0.5, 40.0, "measured lateral velocity", True),
-    Field("yaw_rate", "rad/s", 0.5, 20.0, "gyro", True),
-    Field("acceleration_x", "m/s^2", 2.0, 200.0, "forward accelerometer", False),
-    Field("acceleration_y", "m/s^2", 2.0, 200.0, "lateral accelerometer", True),
-    Field("yaw_acceleration", "rad/s^2", 2.0, 400.0, "from two accelerometers", True),
-)
-_DRIVE = (
-    Field("sprocket_speed_left", "rad/s", 6.0, 200.0, "left sprocket encoder", True),
-    Field("sprocket_speed_right", "rad/s", 6.0, 200.0, "right sprocket encoder", True),
-    Field("torque_left", "N m", 4000.0, 40000.0, "torque transmitted at the left sprocket", True),
-    Field("torque_right", "N m", 4000.0, 40000.0, "torque transmitted at the right sprocket", True),
-)
-_REFERENCE = (
-    Field("reference_speed", "m/s", 2.0, 40.0, "reference speed v, signed", False),
-    Field("reference_acceleration", "m/s^2", 2.0, 100.0, "dv/dt of the reference", False),
-    Field("reference_jerk", "m/s^3", 4.0, 400.0, "d2v/dt2 of the reference", False),
-    Field("reference_yaw_rate", "rad/s", 0.5, 20.0, "reference yaw rate w", True),
-    Field("reference_yaw_acceleration", "rad/s^2", 1.0, 100.0, "dw/dt of the reference", True),
-)
-_LOOK_AHEAD = (
-    *_ahead("speed", "m/s", 2.0, 40.0, False),
-    *_ahead("yaw_rate", "rad/s", 0.5, 20.0, True),
-)
-_ACTION = (
-    Field("previous_action_left", "-", 1.0, 1.0, "left action of the step before", True),
-    Field("previous_action_right", "-", 1.0, 1.0, "right action of the step before", True),
-)
-_AGES = {
-    "pose_age": "age of position, heading and velocity",
-    "inertial_age": "age of accelerations, yaw rate, yaw acceleration",
-    "drive_age": "age of sprocket speeds and torques",
+_COMPILED = {  # the groups of V0, which the kernels write
+    "pose_error": _POSE_ERROR,
+    "motion": (
+        Field("v_x", "m/s", 2.0, 40.0, "measured forward velocity", False),
+        Field("v_y", "m/s", 0.5, 40.0, "measured lateral velocity", True),
+        Field("yaw_rate", "rad/s", 0.5, 20.0, "gyro", True),
+        Field("acceleration_x", "m/s^2", 2.0, 200.0, "forward accelerometer", False),
+        Field("acceleration_y", "m/s^2", 2.0, 200.0, "lateral accelerometer", True),
+        Field("yaw_acceleration", "rad/s^2", 2.0, 400.0, "from two accelerometers", True),
+    ),
+    "drive": (
+        Field("sprocket_speed_left", "rad/s", 6.0, 200.0, "left sprocket encoder", True),
+        Field("sprocket_speed_right", "rad/s", 6.0, 200.0, "right sprocket encoder", True),
+        *(
+            Field(
+                f"torque_{side}",
+                "N m",
+                4e3,
+                4e4,
+                f"torque transmitted at the {side} sprocket",
+                True,
+            )
+            for side in ("left", "right")
+        ),
+    ),
+    "reference": (
+        Field("reference_speed", "m/s", 2.0, 40.0, "reference speed v, signed", False),
+        Field("reference_acceleration", "m/s^2", 2.0, 100.0, "dv/dt of the reference", False),
+        Field("reference_jerk", "m/s^3", 4.0, 400.0, "d2v/dt2 of the reference", False),
+        Field("reference_yaw_rate", "rad/s", 0.5, 20.0, "reference yaw rate w", True),
+        Field("reference_yaw_acceleration", "rad/s^2", 1.0, 100.0, "dw/dt of the reference", True),
+    ),
+    "look_ahead": tuple(
+        Field(
+            f"reference_{kind}_ahead_{time:g}",
+            unit,
+            *sizes,
+            f"reference {words} {time:g} s ahead",
+            m,
+        )
+        for kind, words, unit, sizes, m in (
+            ("speed", "speed", "m/s", (2.0, 40.0), False),
+            ("yaw_rate", "yaw rate", "rad/s", (0.5, 20.0), True),
+        )
+        for time in LOOK_AHEAD
+    ),
+    "action": tuple(
+        Field(f"previous_action_{side}", "-", 1.0, 1.0, f"{side} action of the step before", True)
+        for side in ("left", "right")
+    ),
+    "age": (
+        Field("pose_age", "s", 1.0, 60.0, "age of position, heading and velocity", False, False),
+        Field(
+            *("inertial_age", "s", 1.0, 60.0, "age of accelerations, yaw rate, yaw acceleration"),
+            signed=False,
+        ),
+        Field("drive_age", "s", 1.0, 60.0, "age of sprocket speeds and torques", False, False),
+    ),
 }
-_AGE = tuple(Field(name, "s", 1.0, 60.0, of, signed=False) for name, of in _AGES.items())
-
 # On slopes; the third gyro and two axes of the specific force are in the group `motion`.
 _ATTITUDE = (
     Field("roll", "rad", 0.5, 4.0, "roll of the IMU, left side up", True),
@@ -135,72 +157,33 @@ _TANGENT_ERROR = (
     Field("tangent_error_y", "m", 1.0, 20.0, "reference to the left, in that plane", True),
     Field("tangent_heading_error", "rad", 0.5, 4.0, "heading error about its normal", True),
 )
-
-
-# Of references of the kind "plan"; see `engine.goal_reading`.
-_GOAL = (
+_GOAL = (  # of references of the kind "plan"
     Field("goal_x", "m", 2.0, 200.0, "goal ahead of the measured position", False),
     Field("goal_y", "m", 2.0, 200.0, "goal to the left of it", True),
     Field("goal_cosine", "-", 1.0, 1.0, "cosine of the goal's heading less the yaw", False),
     Field("goal_sine", "-", 1.0, 1.0, "sine of the same", True),
     Field("goal_time", "s", 10.0, 3600.0, "until the plan arrives", signed=False),
 )
-
-
-def _scanned(ahead: float, left: float) -> str:
-    """Name of the field of a point of the scan."""
-    name = f"height_{'behind' if ahead < 0.0 else 'ahead'}_{abs(ahead):g}"
-    return name + (f"_{'left' if left > 0.0 else 'right'}_{abs(left):g}" if left else "")
-
-
 _SCAN = tuple(
     (ahead, left)
     for ahead in (-1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
     for left in (-1.0, -0.5, 0.0, 0.5, 1.0)
 )
-_HEIGHTS = tuple(
-    Field(
-        _scanned(*point), "m", 0.25, 5.0,
-        f"ground {point[0]:g} l ahead, {point[1]:g} l to the left, less the vehicle's height",
-        bool(point[1]),
-    )
-    for point in _SCAN
-)  # fmt: skip
-
-
-@loop
-def _in_plane(known, shown):
-    """The measured pose error in the plane of the vehicle, by the measured roll and pitch."""
-    for k in range(known.shape[0]):
-        ahead, left, turn = known[k, 0], known[k, 1], known[k, 2]
-        roll, pitch = rotation(known[k, 3]), rotation(known[k, 4])
-        shown[k, 0], shown[k, 1], shown[k, 2] = in_body_plane(ahead, left, turn, pitch, roll)
-
-
-_COMPILED: dict[str, Group] = {
-    name: Group(name, fields)
-    for name, fields in {
-        "pose_error": _POSE_ERROR, "motion": _MOTION, "drive": _DRIVE, "reference": _REFERENCE,
-        "look_ahead": _LOOK_AHEAD, "action": _ACTION, "age": _AGE,
-    }.items()
-}  # fmt: skip
-GROUPS: dict[str, Group] = {
-    **_COMPILED,
-    "attitude": Group("attitude", _ATTITUDE, tuple(field.name for field in _ATTITUDE)),
-    "tangent_error": Group(
-        "tangent_error", _TANGENT_ERROR, ("roll", "pitch"), compiled=_in_plane,
+_ADDED = (
+    Group("attitude", _ATTITUDE, tuple(field.name for field in _ATTITUDE)),
+    Group(
+        *("tangent_error", _TANGENT_ERROR, ("roll", "pitch")),
+        compiled=_in_plane,
         reads=(*(field.name for field in _POSE_ERROR), "roll", "pitch"),
     ),
-    "height_scan": Group("height_scan", _HEIGHTS, scan=_SCAN),
-    "goal": Group("goal", _GOAL, goal=True),
-}  # fmt: skip
+    Group("height_scan", tuple(_scanned(*point) for point in _SCAN), scan=_SCAN),
+    Group("goal", _GOAL, goal=True),
+)
+GROUPS: dict[str, Group] = {
+    **{name: Group(name, fields) for name, fields in _COMPILED.items()},
+    **{group.name: group for group in _ADDED},
+}
 VERSIONS = {"v0": tuple(_COMPILED)}  # layouts by name; what a name stands for never changes
-
-
-# of groups to be registered
-
-
-FEATURE_BOUND = 10.0  # [-] features that are appended are clipped to this; they are of order one
 
 
 class Layout:
@@ -219,11 +202,9 @@ class Layout:
         self.inverse_scale: NDArray[np.float64] = 1.0 / self.scale
         bound = [field.bound / field.scale for field in self.fields]
         self.bound: NDArray[np.float32] = np.array(bound, dtype=np.float32)
-        self.low: NDArray[np.float32] = np.where(
-            [field.signed for field in self.fields], -self.bound, 0.0
-        ).astype(np.float32)
-        self.high = self.bound
-        self.limits = (self.low, self.high)
+        signed = [field.signed for field in self.fields]
+        low: NDArray[np.float32] = np.where(signed, -self.bound, 0.0).astype(np.float32)
+        self.low, self.high = self.limits = (low, self.bound)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled by the names of its groups."""
@@ -261,34 +242,39 @@ class Layout:
                 f"observation has shape {observation.shape}; its last axis must be {self.size} "
                 "long. Did a wrapper stack or append to it?"
             )
-        values = np.moveaxis(observation * self.scale, -1, 0)
-        return dict(zip(self.names, values, strict=True))
+        return dict(zip(self.names, np.moveaxis(observation * self.scale, -1, 0), strict=True))
 
     def mirror(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The same situation with left and right exchanged; shape (..., size)."""
         mirrored = np.array(observation, copy=True)
         for column, field in enumerate(self.fields):
-            left, right = "_left" in field.name, "_right" in field.name
-            if field.mirrored and not left and not right:
+            if "_left" in field.name or "_right" in field.name:
+                other = self.index[_other_side(field.name)]
+                mirrored[..., column] = observation[..., other]
+            elif field.mirrored:
                 mirrored[..., column] *= -1.0
-            elif left or right:
-                sides = ("_left", "_right") if left else ("_right", "_left")
-                mirrored[..., column] = observation[..., self.index[field.name.replace(*sides)]]
         return mirrored
 
     def markdown_table(self) -> str:
         """The layout as a Markdown table, for the documentation."""
-        lines = [
-            "| index | group | name | unit | shown as 1 | clipped at | meaning |",
-            "|--|--|--|--|--|--|--|",
-        ]
-        rows = [(group.name, field) for group in self.parts for field in group.fields]
-        for index, (group, f) in enumerate(rows):
-            lines.append(
-                f"| {index} | `{group}` | `{f.name}` | {f.unit} | {f.scale:g} | {f.bound:g} | "
-                f"{f.meaning} |"
-            )
-        return "\n".join(lines)
+        rows = [(group.name, f) for group in self.parts for f in group.fields]
+        return "\n".join(
+            [
+                "| index | group | name | unit | shown as 1 | clipped at | meaning |",
+                "|--|--|--|--|--|--|--|",
+                *(
+                    f"| {index} | `{group}` | `{f.name}` | {f.unit} | {f.scale:g} | {f.bound:g} | "
+                    f"{f.meaning} |"
+                    for index, (group, f) in enumerate(rows)
+                ),
+            ]
+        )
+
+
+def _other_side(name: str) -> str:
+    """The name of the field on the other side."""
+    sides = ("_left", "_right") if "_left" in name else ("_right", "_left")
+    return name.replace(*sides)
 
 
 @lru_cache(maxsize=64)
@@ -316,7 +302,7 @@ def register(group: Group) -> Group:
 
     Its channels are registered beforehand, with `tracked_env.sensors.register`. Raises ValueError
     for a name that is taken, a field without a positive scale and bound, and for a left field
-    without its right one.
+    without its right one, and where a compiled group is not complete, or has another form as well.
     """
     own = [field.name for field in group.fields]
     taken = {field.name: other.name for other in GROUPS.values() for field in other.fields}
@@ -328,18 +314,9 @@ def register(group: Group) -> Group:
             raise ValueError(f"observation field {field.name!r} is in the group {where!r} already")
         if not (field.scale > 0.0 and field.bound > 0.0):  # NaN is refused
             raise ValueError(f"field {field.name!r}: scale and bound must be positive")
-        for sides in (("_left", "_right"), ("_right", "_left")):
-            if sides[0] in field.name and field.name.replace(*sides) not in own:
-                raise ValueError(f"field {field.name!r} is without its {sides[1][1:]} one")
-    made = group.values is not None or group.compiled is not None
-    _check_reads(group)
-    channels = group.channels if made else tuple(own)
-    GROUPS[group.name] = group._replace(channels=channels)
-    return GROUPS[group.name]
-
-
-def _check_reads(group: Group) -> None:
-    """Raise ValueError where a compiled group is not complete, or has another form as well."""
+        for side, other in (("_left", "right"), ("_right", "left")):
+            if side in field.name and _other_side(field.name) not in own:
+                raise ValueError(f"field {field.name!r} is without its {other} one")
     if (group.compiled is None) != (not group.reads) or (group.compiled and group.values):
         raise ValueError(
             f"observation group {group.name!r} must have `compiled` with `reads`, or `values`, or "
@@ -348,6 +325,9 @@ def _check_reads(group: Group) -> None:
     for name in group.reads:
         if name not in (*NAMES, *group.channels):
             raise unknown(f"field that {group.name!r} reads", name, (*NAMES, *group.channels))
+    computed = group.values is not None or group.compiled is not None
+    GROUPS[group.name] = group._replace(channels=group.channels if computed else tuple(own))
+    return GROUPS[group.name]
 
 
 def columns(names: Sequence[str], wanted: Sequence[str]) -> NDArray[np.int64]:
@@ -356,21 +336,19 @@ def columns(names: Sequence[str], wanted: Sequence[str]) -> NDArray[np.int64]:
     Raises ValueError, which names the missing group.
     """
     place = {name: column for column, name in enumerate(names)}
-    lacking = [name for name in wanted if name not in place]
-    if lacking:
-        groups = {f.name: group.name for group in GROUPS.values() for f in group.fields}
-        for name in lacking:
+    groups = {f.name: group.name for group in GROUPS.values() for f in group.fields}
+    missing: dict[str, list[str]] = {}
+    for name in wanted:
+        if name not in place:
             if name not in groups:
                 raise unknown("observation field", name, groups)
-        missing: dict[str, list[str]] = {}
-        for name in lacking:
             missing.setdefault(groups[name], []).append(name)
+    if missing:
         parts = [f"group {group} ({', '.join(names)})" for group, names in missing.items()]
         shown = list(dict.fromkeys(groups[name] for name in names if name in groups))
-        enough = list(dict.fromkeys((*shown, *missing)))
         raise ValueError(
             f"the observation lacks {' and '.join(parts)}; it shows {shown}. Make the environment "
-            f"with observation={enough}"
+            f"with observation={list(dict.fromkeys((*shown, *missing)))}"
         )
     return np.array([place[name] for name in wanted], dtype=np.int64)
 
@@ -391,7 +369,9 @@ def store(out, row, column, value):
     out[row, column] = min(max(scaled, -bound), bound)
 
 
-def joined(observation: NDArray[np.float32], features: NDArray[np.float32]) -> NDArray[np.float32]:
+def append_features(
+    observation: NDArray[np.float32], features: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Observation (..., D) and features (..., F), those finite and clipped, as one."""
     bounded = np.clip(np.nan_to_num(features), -FEATURE_BOUND, FEATURE_BOUND)
     return np.concatenate([observation, bounded], axis=-1, dtype=np.float32)
@@ -413,11 +393,10 @@ class View:
         self.size, self.hint = len(names), hint
         added = [name for name in dict.fromkeys(needs) if name not in INDEX]
         self.same = tuple(names) == NAMES and not added
-        shown = [name for name in NAMES if name in names or name in needs]
-        given = (*NAMES, *added)
-        self._from = columns(names, (*shown, *added))
-        self._to = columns(given, (*shown, *added))
-        self._width = len(given)
+        shown = [*(name for name in NAMES if name in names or name in needs), *added]
+        self._from = columns(names, shown)
+        self._to = columns((*NAMES, *added), shown)
+        self._width = SIZE + len(added)
 
     def __call__(self, observation: NDArray[np.floating]) -> NDArray[np.float32]:
         """(N, SIZE + registered fields) float32, from (size,) or (N, size); the array itself where

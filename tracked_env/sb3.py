@@ -5,7 +5,7 @@ environment per vehicle. Ended rows restart in the same step, as SB3 expects; th
 observation is in `infos[i]["terminal_observation"]`. Needs the extra `rl`.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -89,7 +89,7 @@ class TrackedVehicleVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of the one environment that all rows share, once per row."""
-        return [getattr(self.env, attr_name) for _ in self._indices(indices)]
+        return [getattr(self.env, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Refused: rows share one environment, an attribute cannot differ between them."""
@@ -97,26 +97,13 @@ class TrackedVehicleVecEnv(VecEnv):
             f"rows of this VecEnv share one environment; build another one to change {attr_name!r}"
         )
 
-    def env_method(
-        self,
-        method_name: str,
-        *method_args: Any,
-        indices: VecEnvIndices = None,
-        **method_kwargs: Any,
-    ) -> list[Any]:
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> Any:
         """Refused: rows are not environments of their own."""
         raise NotImplementedError(f"rows of this VecEnv share one environment: {method_name!r}")
 
-    def env_is_wrapped(
-        self,
-        wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]],
-        indices: VecEnvIndices = None,
-    ) -> list[bool]:
+    def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
         """No row is wrapped by itself."""
-        return [False for _ in self._indices(indices)]
-
-    def _indices(self, indices: VecEnvIndices) -> Iterable[int]:
-        return self._get_indices(indices)
+        return [False for _ in self._get_indices(indices)]
 
 
 def make_vec_env(
@@ -143,8 +130,7 @@ def make_vec_env(
         vectorization_mode="vector_entry_point",
         **{**(env_kwargs or {}), "autoreset_mode": AutoresetMode.SAME_STEP},
     )
-    env = env if wrapper is None else wrapper(env)
-    vec_env: VecEnv = TrackedVehicleVecEnv(env, staggered)
+    vec_env: VecEnv = TrackedVehicleVecEnv(env if wrapper is None else wrapper(env), staggered)
     if seed is not None:
         vec_env.seed(seed)
     return VecMonitor(vec_env, info_keywords=("is_success",)) if monitor else vec_env

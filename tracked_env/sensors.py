@@ -1,18 +1,4 @@
-"""What the sensors of a vehicle are: data sheets, presets, registered channels.
-
-Three groups share a sampling clock each: `pose` (INS/GNSS), `inertial` (IMU), `drive`
-(sprocket encoders and torque sensors); the channels and error model are in
-`tracked_env.sensors`. Presets:
-    ideal   no error at all
-    rtk     RTK-GNSS and a tactical IMU, the default
-    strawa  the low-cost set of Strawa et al. (2021), section 5.2
-    mocap   motion capture and encoders indoors, the default of Speed-v0
-    rtk-outages, mocap-outages      the same, with outages of the pose
-In an outage position, heading and velocity are missing; inertial and drive group go on.
-The draw of an episode is in `tracked_env.engine.episode`.
-`register` adds a channel: its noise and bias are then fields of the presets like the others.
-
-Sensors of the vehicle: what they measure and how they err.
+"""Sensors of the vehicle: what they measure, how they err, data sheets and presets.
 
 Channels, in the order of `CHANNELS`, in three groups that share a sampling clock:
     pose      INS/GNSS: position (world), yaw, body velocity          white noise
@@ -24,8 +10,17 @@ Accelerometers feel the specific force, f = a - g_vec in body axes: on a slope a
 and two lateral ones a distance apart also W_x W_y; on level ground f_x, f_y are the accelerations.
 Model of one channel: measured = true + coupling (other axis) + bias + sigma n, n ~ N(0, 1).
 `TABLE` and `ATTITUDE` say all of a channel but its true value, which `signals` and
-`attitude_signals` compute. Channels that are registered (`tracked_env.sensors.register`) carry
-their true value as a function.
+`attitude_signals` compute. `register` adds a channel, which carries its true value as a function;
+its noise and bias are then fields of the presets like the others.
+
+Presets of the data sheet, `Sensors`:
+    ideal   no error at all
+    rtk     RTK-GNSS and a tactical IMU, the default
+    strawa  the low-cost set of Strawa et al. (2021), section 5.2
+    mocap   motion capture and encoders indoors, the default of Speed-v0
+    rtk-outages, mocap-outages      the same, with outages of the pose
+In an outage position, heading and velocity are missing; inertial and drive group go on.
+What is drawn of it for an episode is in `tracked_env.engine.episode`.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187, section 5.2.
 """
@@ -36,7 +31,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracked_env.physics import parameters as rows
+from tracked_env.physics import parameters as s
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import Range
@@ -49,7 +44,13 @@ from tracked_env.validation import (
     checked_number,
 )
 
+DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
+PERIOD_LIMIT = 10.0  # [s] longest sampling period
+OUTAGE_LIMIT = 3600.0  # [s] longest outage of the pose, and time between two
+UNMEASURED = 1e3  # [m/s] velocity noise that a data sheet states where nothing is measured
 
+
+# --- channels -------------------------------------------------------------------------------
 class Channel(NamedTuple):
     """One sensor channel: what it measures, when, and how it errs."""
 
@@ -67,23 +68,18 @@ class Channel(NamedTuple):
 
 
 GROUPS = ("pose", "inertial", "drive")
+_ACCELERATION = ("inertial", "m/s^2", "acceleration_noise", "acceleration_bias")
+_GYRO = ("inertial", "rad/s", "gyro_noise", "gyro_bias")
 TABLE = (
     Channel("x", "pose", "m", "position_noise"),
     Channel("y", "pose", "m", "position_noise"),
     Channel("yaw", "pose", "rad", "yaw_noise"),
     Channel("v_x", "pose", "m/s", "velocity_noise", switch="velocity_measured"),
     Channel("v_y", "pose", "m/s", "velocity_noise", switch="velocity_measured"),
-    Channel("acceleration_x", "inertial", "m/s^2", "acceleration_noise", "acceleration_bias"),
-    Channel("acceleration_y", "inertial", "m/s^2", "acceleration_noise", "acceleration_bias"),
-    Channel("yaw_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias"),
-    Channel(
-        "yaw_acceleration",
-        "inertial",
-        "rad/s^2",
-        "acceleration_noise",
-        "acceleration_bias",
-        differential=True,
-    ),
+    Channel("acceleration_x", *_ACCELERATION),
+    Channel("acceleration_y", *_ACCELERATION),
+    Channel("yaw_rate", *_GYRO),
+    Channel("yaw_acceleration", "inertial", "rad/s^2", *_ACCELERATION[2:], differential=True),
     Channel("sprocket_speed_left", "drive", "rad/s", "sprocket_speed_noise"),
     Channel("sprocket_speed_right", "drive", "rad/s", "sprocket_speed_noise"),
     Channel("torque_left", "drive", "N m", "torque_noise"),
@@ -94,18 +90,16 @@ TABLE = (
 ATTITUDE = (
     Channel("roll", "inertial", "rad", "yaw_noise"),
     Channel("pitch", "inertial", "rad", "yaw_noise"),
-    Channel("roll_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias"),
-    Channel("pitch_rate", "inertial", "rad/s", "gyro_noise", "gyro_bias"),
-    Channel("specific_force_z", "inertial", "m/s^2", "acceleration_noise", "acceleration_bias"),
+    Channel("roll_rate", *_GYRO),
+    Channel("pitch_rate", *_GYRO),
+    Channel("specific_force_z", *_ACCELERATION),
 )
 CHANNELS = tuple(channel.name for channel in TABLE)
 CHANNEL_COUNT = len(CHANNELS)
 # Channels of group g: GROUP_START[g] .. GROUP_START[g + 1]; the table is sorted by group.
-GROUP_START = (
-    *([channel.group for channel in TABLE].index(group) for group in GROUPS),
-    CHANNEL_COUNT,
-)
+GROUP_START = (*([c.group for c in TABLE].index(group) for group in GROUPS), CHANNEL_COUNT)
 NOISE_COUNT = CHANNEL_COUNT + len(GROUPS)  # normal numbers per step: channels, then dropouts
+ADDED = {channel.name: channel for channel in ATTITUDE}  # sampled where shown, and registered
 
 
 @formula
@@ -119,28 +113,28 @@ def signals(state, i, sprocket_radius, cross_coupling, velocity):
     and track have no inertia, and it is all that the drive can give. In the distributed plant
     driven by torque they have `sprocket_inertia`: what speeds them up is not in the reading.
     """
-    forward, lateral = state[i, rows.ACCELERATION_X], state[i, rows.ACCELERATION_Y]
-    turning = state[i, rows.YAW_ACCELERATION]
-    pitch, roll = state[i, rows.PITCH], state[i, rows.ROLL]
+    forward, lateral = state[i, s.ACCELERATION_X], state[i, s.ACCELERATION_Y]
+    turning = state[i, s.YAW_ACCELERATION]
+    pitch, roll = state[i, s.PITCH], state[i, s.ROLL]
     if pitch != 0.0 or roll != 0.0:
         c_pitch, s_pitch = rotation(pitch)
         forward -= GRAVITY * s_pitch
         lateral += GRAVITY * c_pitch * rotation(roll)[1]
-        turning += state[i, rows.ROLL_RATE] * state[i, rows.PITCH_RATE]
+        turning += state[i, s.ROLL_RATE] * state[i, s.PITCH_RATE]
     return (
-        state[i, rows.X],
-        state[i, rows.Y],
-        state[i, rows.YAW],
-        velocity * state[i, rows.V_X],
-        velocity * state[i, rows.V_Y],
+        state[i, s.X],
+        state[i, s.Y],
+        state[i, s.YAW],
+        velocity * state[i, s.V_X],
+        velocity * state[i, s.V_Y],
         forward + cross_coupling * lateral,
         lateral + cross_coupling * forward,
-        state[i, rows.YAW_RATE],
+        state[i, s.YAW_RATE],
         turning,
-        state[i, rows.SPROCKET_SPEED_LEFT],
-        state[i, rows.SPROCKET_SPEED_RIGHT],
-        state[i, rows.EFFORT_LEFT] * sprocket_radius,
-        state[i, rows.EFFORT_RIGHT] * sprocket_radius,
+        state[i, s.SPROCKET_SPEED_LEFT],
+        state[i, s.SPROCKET_SPEED_RIGHT],
+        state[i, s.EFFORT_LEFT] * sprocket_radius,
+        state[i, s.EFFORT_RIGHT] * sprocket_radius,
     )
 
 
@@ -150,23 +144,12 @@ def attitude_signals(state, i):
 
     state: as of `signals`. The vertical accelerometer feels f_z = a_z + g cos(pitch) cos(roll).
     """
-    pitch, roll = state[i, rows.PITCH], state[i, rows.ROLL]
-    upright = rotation(pitch)[0] * rotation(roll)[0]
-    return (
-        roll,
-        pitch,
-        state[i, rows.ROLL_RATE],
-        state[i, rows.PITCH_RATE],
-        state[i, rows.ACCELERATION_Z] + GRAVITY * upright,
-    )
+    pitch, roll = state[i, s.PITCH], state[i, s.ROLL]
+    force = state[i, s.ACCELERATION_Z] + GRAVITY * (rotation(pitch)[0] * rotation(roll)[0])
+    return roll, pitch, state[i, s.ROLL_RATE], state[i, s.PITCH_RATE], force
 
 
-DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
-PERIOD_LIMIT = 10.0  # [s] longest sampling period
-OUTAGE_LIMIT = 3600.0  # [s] longest outage of the pose, and time between two
-UNMEASURED = 1e3  # [m/s] velocity noise that a data sheet states where nothing is measured
-
-
+# --- data sheets ----------------------------------------------------------------------------
 class Sensors(NamedTuple):
     """Errors of all sensors; defaults are the ideal ones.
 
@@ -232,54 +215,28 @@ STRAWA = Sensors(
 )
 # Focchi et al. (2025), section 4.1: marker-based motion capture at 200 Hz, differentiated and
 # filtered, encoders, and an IMU; they state no noise: values of such a system's data sheet.
-MOCAP = Sensors(
-    position_noise=0.001,
-    yaw_noise=float(np.radians(0.1)),
-    velocity_noise=0.01,
-    acceleration_noise=0.05,
-    acceleration_bias=0.02,
-    cross_coupling=0.001,
-    gyro_noise=0.002,
-    gyro_bias=0.001,
-    sprocket_speed_noise=0.02,
-    torque_noise=0.1,
+MOCAP = RTK._replace(
+    position_noise=0.001, yaw_noise=float(np.radians(0.1)), velocity_noise=0.01, torque_noise=0.1
 )
-
-
-def _with_outages(sensors: Sensors) -> Sensors:
-    """Behind trees or a wall without satellites, behind an obstacle without markers."""
-    return sensors._replace(pose_outage_gap=(5.0, 10.0), pose_outage_length=(3.0, 10.0))
-
-
+# Behind trees or a wall without satellites, behind an obstacle without markers.
+_OUTAGES = {"pose_outage_gap": (5.0, 10.0), "pose_outage_length": (3.0, 10.0)}
 PRESETS = {
-    "ideal": IDEAL,
-    "rtk": RTK,
-    "strawa": STRAWA,
-    "mocap": MOCAP,
-    "rtk-outages": _with_outages(RTK),
-    "mocap-outages": _with_outages(MOCAP),
+    **{"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA, "mocap": MOCAP},
+    **{"rtk-outages": RTK._replace(**_OUTAGES), "mocap-outages": MOCAP._replace(**_OUTAGES)},
 }
-
+_OF_A_GROUP = {
+    "rate": Range(0.0, 1e4, "Hz", "0 means every control step."),
+    "delay": Range(0.0, DELAY_LIMIT, "s", "Did you pass milliseconds?"),
+    "dropout": Range(0.0, 1.0, "-", "It is a probability, not a percentage."),
+}
 _RANGES = {
-    **{name: SIGMA for name in Sensors._fields if name.endswith(("_noise", "_bias"))},
     "cross_coupling": Range(0.0, 1.0, "-", "Did you pass a percentage?"),
     "accelerometer_distance": Range(0.01, 10.0, "m", "Did you pass millimetres?"),
-    **{f"{group}_rate": Range(0.0, 1e4, "Hz", "0 means every control step.") for group in GROUPS},
-    **{
-        f"{group}_delay": Range(0.0, DELAY_LIMIT, "s", "Did you pass milliseconds?")
-        for group in GROUPS
-    },
-    **{
-        f"{group}_dropout": Range(0.0, 1.0, "-", "It is a probability, not a percentage.")
-        for group in GROUPS
-    },
+    **{f"{group}_{of}": allowed for group in GROUPS for of, allowed in _OF_A_GROUP.items()},
     "velocity_measured": Range(0.0, 1.0, "-", "It is 1, measured, or 0, not measured."),
-}
-
+}  # all others: SIGMA
 _OUTAGE = Range(0.0, OUTAGE_LIMIT, "s", "Did you pass control steps?")
-_INTERVALS = {"pose_outage_gap": _OUTAGE, "pose_outage_length": _OUTAGE}
 _FIELDS = tuple(name for name in Sensors._fields if name != "further")
-ADDED = {channel.name: channel for channel in ATTITUDE}  # sampled where shown, and registered
 
 
 def register(channel: Channel) -> Channel:
@@ -325,8 +282,8 @@ def _preset(name: str) -> Sensors:
 
 def _checked(name: str, value: Any) -> Any:
     """A field inside its range. Raises ValueError."""
-    if name in _INTERVALS:
-        return checked_interval(name, value, _INTERVALS[name])
+    if name.startswith("pose_outage"):
+        return checked_interval(name, value, _OUTAGE)
     return checked_number(name, value, _RANGES.get(name, SIGMA))
 
 
@@ -335,13 +292,9 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
 
     Without "preset" the fields override `base`. Where the velocity is not measured the result
     says so twice: velocity_measured is 0, and velocity_noise is UNMEASURED, so that an estimator
-    which weighs by the data sheet is right without knowing of it. Raises ValueError for an unknown
-    preset or field and for a value outside its range.
+    which weighs by the data sheet is right without knowing of it. Outages need both a length and a
+    gap. Raises ValueError for an unknown preset or field and for a value outside its range.
     """
-    if isinstance(spec, Sensors):
-        fields = {name: _checked(name, getattr(spec, name)) for name in _FIELDS}
-        registered = ((name, checked_number(name, value, SIGMA)) for name, value in spec.further)
-        return _stated(Sensors(**fields, further=tuple(registered)))
     if spec is None:
         raise ValueError(
             "sensors = None; must be a preset by name or a dict. "
@@ -350,32 +303,30 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
     if isinstance(spec, str):
         return _preset(spec)
     added = _added_fields()
-    # As `Sensors._asdict()` has it, the fields of registered channels may stand together.
-    given = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields, *added)))
-    given = {**checked_keys("sensors", dict(given.pop("further", ())), added), **given}
-    if "preset" in given:
-        base = _preset(given.pop("preset"))
-    checked = {name: _checked(name, value) for name, value in given.items()}
+    if isinstance(spec, Sensors):
+        fields: dict[str, Any] = {name: getattr(spec, name) for name in _FIELDS}
+        base, fields = Sensors(), {**fields, **dict(spec.further)}
+        added = {**added, **{name: {} for name, _ in spec.further}}
+    else:
+        # As `Sensors._asdict()` has it, the fields of registered channels may stand together.
+        fields = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields, *added)))
+        fields = {**checked_keys("sensors", dict(fields.pop("further", ())), added), **fields}
+        if "preset" in fields:
+            base = _preset(fields.pop("preset"))
+    checked = {name: _checked(name, value) for name, value in fields.items()}
     values = {name: value for name, value in checked.items() if name in _FIELDS}
-    own = {name: value for name, value in checked.items() if name in added}
     again = values.get("velocity_measured", 0.0) > base.velocity_measured
     if again and "velocity_noise" not in values:
         raise ValueError("velocity_measured = 1 again; name its velocity_noise [m/s] as well")
-    further = tuple({**dict(base.further), **own}.items())
-    return _stated(base._replace(**values, further=further))
-
-
-def _stated(sensors: Sensors) -> Sensors:
-    """Sensors whose data sheet is true where the velocity is not measured, and whose outages, if
-    there are any, have a length and a gap. Raises ValueError."""
+    own = {name: value for name, value in checked.items() if name in added}
+    sensors = base._replace(**values, further=tuple({**dict(base.further), **own}.items()))
     gap, length = sensors.pose_outage_gap, sensors.pose_outage_length
     if (gap[1] > 0.0) != (length[1] > 0.0):
         raise ValueError(
             f"pose_outage_gap = {list(gap)} s and pose_outage_length = {list(length)} s; outages "
             "need both, and [0, 0] of both means none. Did you forget one?"
         )
-    if sensors.velocity_measured == 0.0:
-        return sensors._replace(velocity_noise=UNMEASURED)
-    if sensors.velocity_measured != 1.0:
+    if sensors.velocity_measured not in (0.0, 1.0):
         raise ValueError(f"velocity_measured = {sensors.velocity_measured!r}; must be 0 or 1")
-    return sensors
+    unmeasured = sensors.velocity_measured == 0.0
+    return sensors._replace(velocity_noise=UNMEASURED) if unmeasured else sensors

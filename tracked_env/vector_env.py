@@ -17,12 +17,7 @@ from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType
 from tracked_env.physics.parameters import Range
 from tracked_env.step import INFO_KEYS
-from tracked_env.validation import (
-    checked_choice,
-    checked_flag,
-    checked_keys,
-    checked_whole,
-)
+from tracked_env.validation import checked_choice, checked_flag, checked_keys, checked_whole
 
 Bools = NDArray[np.bool_]
 _STEPS = Range(1, 10**9, "-", "It counts control steps. Did you pass seconds?")
@@ -111,20 +106,19 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         staggered = checked_flag("options['staggered']", common.pop("staggered", False))
         chosen = np.flatnonzero(mask)
         self._seed(chosen, seed)
-        given = [{**common, **rows[i]} for i in chosen]
-        self._start(chosen, given)
+        own = [{**common, **(rows[i] if rows else {})} for i in chosen] if common or rows else None
+        self._start(chosen, own)
         if staggered:
             share = np.arange(1, len(chosen) + 1) / len(chosen)
             limits = self.simulation.batch.counter("max_step")
             limits[chosen] = np.ceil(share * limits[chosen])
-        return self.simulation.observations.copy(), self._info(
-            mask, self.simulation.report(), self._success(self.simulation.truncated)
-        )
+        success = self._success(self.simulation.truncated)
+        return self.simulation.observations.copy(), self._info(mask, success)
 
     def _start(
-        self, chosen: NDArray[np.int64], given: Sequence[dict[str, Any]] | None = None
+        self, chosen: NDArray[np.int64], options: Sequence[Mapping[str, Any]] | None = None
     ) -> None:
-        self.simulation.reset(chosen, given)
+        self.simulation.reset(chosen, options)
         if self._max_steps is not None:
             limits = self.simulation.batch.counter("max_step")
             limits[chosen] = np.minimum(limits[chosen], self._max_steps)
@@ -148,9 +142,9 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         return mask
 
     def _rows(self, rows: Any) -> list[Mapping[str, Any]]:
-        """Options of every row."""
+        """Options of every row, empty where no row has its own."""
         if rows is None:
-            return [{}] * self.num_envs
+            return []
         listed = isinstance(rows, (list, tuple, np.ndarray)) and len(rows) == self.num_envs
         if not listed or not all(row is None or isinstance(row, Mapping) for row in rows):
             raise ValueError(f"options['rows'] must be a list of {self.num_envs} dicts or None")
@@ -172,10 +166,9 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries; must have {self.num_envs}")
         for i in chosen:
-            if seeds[i] is not None:
-                self.simulation.rngs[i] = seeding.np_random(int(seeds[i]))[0]
-            elif self.simulation.rngs[i] is None:
-                self.simulation.rngs[i] = seeding.np_random()[0]
+            if seeds[i] is not None or self.simulation.rngs[i] is None:
+                value = None if seeds[i] is None else int(seeds[i])
+                self.simulation.rngs[i] = seeding.np_random(value)[0]
 
     def step(
         self, actions: ObsType
@@ -195,46 +188,39 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
                 self._start(resting)  # with flags and rewards of 0
                 resting = None
-        report = simulation.report()
+        report, final = simulation.report(), dict[str, Any]()
         rewards = report.reward
-        final: dict[str, Any] = {}
         if resting is None and not simulation.some_ended:  # nearly always: nothing to look up
             terminated, truncated, success = np.zeros((3, self.num_envs), dtype=np.bool_)
         else:
             terminated, truncated = simulation.terminated, simulation.truncated
+            success = self._success(truncated)
             if self.autoreset_mode is AutoresetMode.SAME_STEP:
-                final = self._final(terminated | truncated)
+                final = self._final(terminated | truncated, success)
                 report = simulation.report()
+                success = np.zeros_like(success)
             elif resting is not None:
                 rewards[resting] = 0.0
-            success = self._success(simulation.truncated if final else truncated)
-        info = self._info(self._every, report, success)
-        info.update(final)
+        info = {**self._info(self._every, success, report), **final}
         return simulation.observations.copy(), rewards, terminated, truncated, info
 
-    def _final(self, over: Bools) -> dict[str, Any]:
+    def _final(self, over: Bools, success: Bools) -> dict[str, Any]:
         """Last observation and info of the ended rows, of which SAME_STEP then starts others."""
         chosen = np.flatnonzero(over)
         final_obs = np.full(self.num_envs, None, dtype=object)
         for i, last in zip(chosen, self.simulation.observations[chosen], strict=True):
             final_obs[i] = last
-        success = self._success(self.simulation.truncated)
-        final_info = self._info(over, self.simulation.report(), success)
+        final_info = self._info(over, success)
         self._start(chosen)
-        return {
-            "final_obs": final_obs,
-            "_final_obs": over,
-            "final_info": final_info,
-            "_final_info": over,
-        }
+        observations = {"final_obs": final_obs, "_final_obs": over}
+        return {**observations, "final_info": final_info, "_final_info": over}
 
-    def _info(self, mask: Bools, report: Report, success: Bools) -> dict[str, Any]:
+    def _info(self, mask: Bools, success: Bools, report: Report | None = None) -> dict[str, Any]:
         """Info of every row as arrays, each with its mask `_name`, as Gymnasium has it."""
+        report = self.simulation.report() if report is None else report
         info: dict[str, Any] = {
-            "tracking_error": report.tracking_error,
-            "_tracking_error": mask,
-            "is_success": success,
-            "_is_success": mask,
+            **{"tracking_error": report.tracking_error, "_tracking_error": mask},
+            **{"is_success": success, "_is_success": mask},
         }
         for (name, masked), value in zip(_REWARD_KEYS, report.terms, strict=True):
             info[name], info[masked] = value, mask

@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from tracked_env.observation import FEATURE_BOUND, NAMES, View, joined
+from tracked_env.observation import FEATURE_BOUND, NAMES, View, append_features
 
 Observations = NDArray[np.float32]
 
@@ -67,9 +67,8 @@ def _checked(env: Any, count: int, observer: Observer) -> tuple[Any, View]:
         )
     space = getattr(env, "single_observation_space", env.observation_space)
     bound = np.full(len(observer.feature_names), FEATURE_BOUND, dtype=np.float32)
-    widened = gymnasium.spaces.Box(
-        np.concatenate([space.low, -bound]), np.concatenate([space.high, bound]), dtype=np.float32
-    )
+    low, high = np.concatenate([space.low, -bound]), np.concatenate([space.high, bound])
+    widened = gymnasium.spaces.Box(low, high, dtype=np.float32)
     return widened, View(simulation.layout.names, getattr(observer, "needs", NAMES))
 
 
@@ -100,7 +99,7 @@ class IdentifiedObservation(
         """Observation and features, (D + F,)."""
         features = self.observer.observe(self._view(observation), np.array([self._start]))
         self._start = False
-        return joined(observation, features[0])
+        return append_features(observation, features[0])
 
 
 class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
@@ -116,23 +115,19 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
         self.observer = observer
         self._mode = AutoresetMode(env.metadata["autoreset_mode"])
         self._over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
-        self._features: Observations = np.zeros(
-            (env.num_envs, len(observer.feature_names)), dtype=np.float32
-        )
+        shape = (env.num_envs, len(observer.feature_names))
+        self._features: Observations = np.zeros(shape, dtype=np.float32)
 
     def reset(
-        self,
-        *,
-        seed: Any = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
         """Start episodes; with `options["reset_mask"]` only the rows marked."""
         observation, info = self.env.reset(seed=seed, options=options)
         mask = (options or {}).get("reset_mask")
         started = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
-        self._features = self._only(started, observation, started)
+        self._observe(observation, started, started)
         self._over[started] = False
-        return joined(observation, self._features), info
+        return append_features(observation, self._features), info
 
     def step(
         self, actions: NDArray[np.float32]
@@ -140,32 +135,35 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
         """Advance all rows; an ended row's features come before those of its next episode."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
         ended = terminated | truncated
-        resting = self._over
-        if self._mode is AutoresetMode.SAME_STEP and ended.any():
-            last = observation.copy()
-            for i in np.flatnonzero(ended):
-                last[i] = info["final_obs"][i]
-            features = self.observer.observe(self._view(last), np.zeros_like(ended))
-            for i in np.flatnonzero(ended):
-                info["final_obs"][i] = joined(last[i], features[i])
-            self._features = features
-            self._features = self._only(ended, observation, ended)
+        every, none = np.ones_like(ended), np.zeros_like(ended)
+        if self._mode is AutoresetMode.SAME_STEP:
+            if ended.any():
+                rows, last = np.flatnonzero(ended), observation.copy()
+                for i in rows:
+                    last[i] = info["final_obs"][i]
+                self._observe(last, every, none)
+                for i in rows:
+                    info["final_obs"][i] = append_features(last[i], self._features[i])
+                self._observe(observation, ended, ended)
+            else:
+                self._observe(observation, every, none)
         elif self._mode is AutoresetMode.NEXT_STEP:
-            self._features = self.observer.observe(self._view(observation), resting)
+            self._observe(observation, every, self._over)
             self._over = ended
-        elif resting.any():  # DISABLED: ended rows wait for a reset
-            self._features = self._only(~resting, observation, np.zeros_like(ended))
-            self._over = resting | ended
-        else:
-            self._features = self.observer.observe(self._view(observation), np.zeros_like(ended))
-            self._over = ended if self._mode is AutoresetMode.DISABLED else resting
-        return joined(observation, self._features), reward, terminated, truncated, info
+        else:  # DISABLED: ended rows wait for a reset
+            self._observe(observation, ~self._over, none)
+            self._over = self._over | ended
+        features = append_features(observation, self._features)
+        return features, reward, terminated, truncated, info
 
-    def _only(
-        self, rows: NDArray[np.bool_], observation: Observations, start: NDArray[np.bool_]
-    ) -> Observations:
+    def _observe(
+        self, observation: Observations, rows: NDArray[np.bool_], start: NDArray[np.bool_]
+    ) -> None:
         """Features after an observation of the rows marked; the others keep theirs."""
+        if rows.all():
+            self._features = self.observer.observe(self._view(observation), start)
+            return
         before = self.observer.memories()
         features = self.observer.observe(self._view(observation), start)
         self.observer.restore(before, ~rows)
-        return np.where(rows[:, None], features, self._features)
+        self._features = np.where(rows[:, None], features, self._features)

@@ -1,4 +1,4 @@
-"""What the augmented policies share: filter, nominal law, and a kernel that adapts between them.
+"""Adaptive augmentation of the linearizing law: filter, nominal law, and a kernel between them.
 
     observation -> reader and slip observer -> filtered motion -> adaptation -> law -> efforts
 The motion is that of the adaptive policy's filter; no parameter is identified. The adaptation sees
@@ -6,10 +6,14 @@ the filtered forward speed and yaw rate and the commands that were sent, nothing
 the law is to cancel or which parameters it is to use. Its state is one row per vehicle: what the
 drives give, the last measured motion, then the numbers of the adaptation.
 
-L1 adaptive augmentation of one channel: predictor, piecewise-constant adaptation, filter.
+The last control period in the two channels of the vehicle, each over the nominal mass or inertia:
+    v_x' = thrust - resistance + pull,    w' = twist - turning + carried
+from the measured motion and the efforts that the drives have given. Loads of the ground, those of
+the lumped plant, are the mean of both ends of the period. v_y is that of a steady turn with the
+measured speed and yaw rate: the measured one is noisier than it is informative.
 
-Channel, with x measured, f the acceleration of the nominal model under the input that was applied,
-s what the model lacks (the matched uncertainty; it contains the unknown input gain):
+L1 adaptive loop of one channel (`sampled`), with x measured, f the acceleration of the nominal
+model under the input that was applied, s what it lacks (matched, with the unknown input gain):
     x'  = f + s                                     the vehicle
     p'  = f + s^ - a (p - x)                        state predictor, error e = p - x
     e'  = -a e + s^ - s
@@ -17,41 +21,28 @@ s what the model lacks (the matched uncertainty; it contains the unknown input g
     d'  = w (s^ - d)                                low-pass filter C(s) = w / (s + w)
 The law demands u - d where it demanded u. Over a period the error equation is integrated exactly
 for x that is linear in time and f that is its mean, so that what was saturated or is delayed in the
-drive is in f and nothing winds up.
+drive is in f and nothing winds up. For constant s, e settles at -P s within one period, of order T;
+s^ at exp(-a T) s, so that d tends to s with a and T to 0. d is kept within +-bound: the projection
+of this scheme. With x' = b f_u + .., b the true over the assumed gain, the loop of estimate and
+control is stable for |b - 1| < 1 at any bandwidth (small gain, |C| <= 1); beyond that only as far
+as drive and sensors are fast against w. See docs/augmented.md.
 
-Properties, for constant s: e settles at -P s within one period, of order T; s^ at exp(-a T) s, so
-that d tends to s with a and T to 0. d is kept within +-bound: the projection of this scheme.
-Input gain: with x' = b f_u + .., b the true over the assumed gain, s holds (b - 1) f_u, and the
-loop of estimate and control is stable for |b - 1| < 1 at any bandwidth (small gain, |C| <= 1);
-beyond that only as far as drive and sensors are fast against w. See docs/augmented.md.
-
-References: [1] Hovakimyan, Cao, L1 Adaptive Control Theory (SIAM 2010), sections 2.1 and 3.3.
-
-L1 adaptive loop around each drive: weak and slow ones answer as the nominal drive does.
-
+The same loop around each drive lets weak and slow ones answer as the nominal drive does:
     h(n+1) = h(n) + (1 - a) (u(n) - h(n)) + s         h torque over its limit, u command,
     u      = u_d - d                                  a = exp(-dt / T) of the nominal drive
-The channel of `matched_uncertainty` with the measured torque for x, in units of the command: s of a
-drive with gain g and lag T_1 is (1 - a_1) (g u - h) - (1 - a) (u - h). Its input gain,
+s of a drive with gain g and lag T_1 is (1 - a_1) (g u - h) - (1 - a) (u - h). Its input gain,
 b = g (1 - a_1) / (1 - a), is in (0, 1] for weak and slow drives, so the small-gain condition holds
 at any bandwidth w; the estimate settles at the rate b w, so a drive six times as slow asks for a
 bandwidth near the rate of control, and amplifies the noise of the torque like the lead that it is.
 A torque that was not measured in this period, or that no drive could have reached from the last
 one (|h(n+1) - h(n)| > |u| + |h(n)|, a wrong reading), leaves the estimate as it was.
 
-What the nominal model says of the last control period, in the two channels of the vehicle.
-
-    v_x' = thrust - resistance + pull               each over the nominal mass
-    w'   = twist - turning + carried                each over the nominal inertia
-from the measured motion and the efforts that the drives have given: the torques measured at the
-sprockets, with the loop of `drive_loop` around each drive. Loads of the ground,
-those of `lumped_forces`, are the mean of both ends of the period. v_y is that of a steady turn with
-the measured speed and yaw rate: the measured one is noisier than it is informative.
+References: [1] Hovakimyan, Cao, L1 Adaptive Control Theory (SIAM 2010), sections 2.1 and 3.3.
 """
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,24 +52,38 @@ from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.measurement import ATTITUDE, COLUMN, DRIVE, DataSheet, Measurement
 from baselines.estimators.motion_filter import MotionFilter
 from baselines.linearizing import linearizing_law as law
-from baselines.linearizing.adaptive_policy import show
+from baselines.linearizing.adaptive_policy import put_motion
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
-    incline_seen,
+    measured_incline,
     shows_attitude,
 )
 from tracked_env import observation as layout
-from tracked_env.observation import INDEX, SCALE
-from tracked_env.physics import lumped
+from tracked_env.physics import lumped as plant
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters, plant_parameters
+from tracked_env.physics.parameters import PlantParameters, Range, plant_parameters
+from tracked_env.validation import checked_number
+
+LARGEST_CORRECTION = 1.0  # [-] of the torque limit, by the loop of a drive
+ERROR_RATE = 1.0  # [1/s] a of its predictor: its share exp(-a dt) is 0.98 at 50 Hz
+READING_ERROR = 0.05  # [-] of the torque limit, well above the noise of a torque sensor
+# Columns of a drive: torque delivered, whether it was measured, Estimate.
+_TORQUE, _MEASURED, _ESTIMATE, DRIVE_COLUMNS = 0, 1, 2, 5
+# Columns of a row of the adaptation: both drives, the measured motion, whether there is one; then
+# those of the adaptation, from CHANNEL_COLUMN on.
+SPEED = 2 * DRIVE_COLUMNS
+YAW_RATE, MEASURED, CHANNEL_COLUMN = SPEED + 1, SPEED + 2, SPEED + 3
+_V_X, _W, _COMMAND = (layout.INDEX[n] for n in ("v_x", "yaw_rate", "previous_action_left"))
+_UNLIMITED = plant.TractionLimits(-1e30, 1e30, -1e30, 1e30)
+_TORQUES = [COLUMN["torque_left"], COLUMN["torque_right"]]
+_ALLOWED = Range(0.0, 1e6, "SI", "Gains, rates, bandwidths and bounds are not negative.")
 
 
 class Estimate(NamedTuple):
-    """What one channel remembers, in the unit of its acceleration but for the first."""
+    """What one L1 channel remembers, in the unit of its acceleration but for the first."""
 
     error: float  # e = p - x, prediction less measurement [of x]
     uncertainty: float  # s^, held since the last sample
@@ -93,60 +98,67 @@ def predictor_gains(rate, period):
 
 
 @formula
-def sampled(known, change, modelled, rate, bandwidth, bound, period):
-    """Estimate after one period [s]; known: before it.
+def sampled(before, change, modelled, rate, bandwidth, bound, period):
+    """Estimate after one period [s]; before: that at its start.
 
     change: of the measured x over it. modelled: mean of f over it. rate a and bandwidth w [1/s];
     w = inf passes s^ on as it is. bound: of d, >= 0.
     """
     decay, hold = predictor_gains(rate, period)
-    error = decay * known.error + hold * (known.uncertainty + modelled - change / period)
+    error = decay * before.error + hold * (before.uncertainty + modelled - change / period)
     uncertainty = -decay * error / hold
     share = 1.0 - math.exp(-bandwidth * period)
-    cancelled = known.cancelled + share * (uncertainty - known.cancelled)
+    cancelled = before.cancelled + share * (uncertainty - before.cancelled)
     return Estimate(error, uncertainty, min(max(cancelled, -bound), bound))
 
 
-LARGEST_CORRECTION = 1.0  # [-] of the torque limit
-ERROR_RATE = 1.0  # [1/s] a of the predictor: its share exp(-a dt) is 0.98 at 50 Hz
-READING_ERROR = 0.05  # [-] of the torque limit, well above the noise of a torque sensor
-# Columns of a row: torque given, whether it was measured, Estimate.
-_TORQUE, _KNOWN, _ESTIMATE, DRIVE_COLUMNS = 0, 1, 2, 5
+# --- the drives -----------------------------------------------------------------------------
+
+
+class DriveLoop(NamedTuple):
+    """The nominal drive, and the loop around it."""
+
+    lag: float  # [s] T
+    decay: float  # [-] exp(-period / T)
+    bandwidth: float  # [1/s] w
+    period: float  # [s]
 
 
 @formula
-def mean_of(before, now, decay, lag, period):
-    """Mean over one period [s] of h' = (u - h) / T from `before` to `now`, u constant;
-    decay = exp(-period / T)."""
-    command = (now - decay * before) / (1.0 - decay)
-    return command + (before - command) * (1.0 - decay) * lag / period
+def mean_of(before, now, drive):
+    """Mean over one period of h' = (u - h) / T from `before` to `now`, u constant."""
+    command = (now - drive.decay * before) / (1.0 - drive.decay)
+    return command + (before - command) * (1.0 - drive.decay) * drive.lag / drive.period
 
 
 @formula
-def drive_period(memory, i, at, sent, torque, decay, lag, bandwidth, period):
+def drive_period(memory, i, at, sent, torque, drive):
     """Mean torque [-] that the drive gave since the last call, all torques over the limit.
 
     memory (N, ..): row i holds the drive in columns `at` and following, brought up to now. sent:
-    command of the period. torque: measured now, NaN where it is not. decay, lag T [s]: nominal.
+    command of the period. torque: measured now, NaN where it is not. drive: DriveLoop.
     """
-    before = memory[i, at + _TORQUE]
-    e = at + _ESTIMATE
-    known = Estimate(memory[i, e], memory[i, e + 1], memory[i, e + 2])
-    nominal = (1.0 - decay) * (sent - before)
-    now = torque
+    before, e, decay = memory[i, at + _TORQUE], at + _ESTIMATE, drive.decay
+    estimate = Estimate(memory[i, e], memory[i, e + 1], memory[i, e + 2])
+    nominal, now = (1.0 - decay) * (sent - before), torque
     reach = abs(sent) + abs(before) + READING_ERROR
     measured = math.isfinite(torque) and abs(torque - before) <= reach
     if not measured:
-        now = before + nominal + (1.0 - decay) * known.cancelled
-    elif memory[i, at + _KNOWN] > 0.0:
-        unit = (1.0 - decay) / period  # of a change per second, in commands
-        later = sampled(
-            known, (now - before) / unit, nominal / (1.0 - decay), ERROR_RATE, bandwidth,
-            LARGEST_CORRECTION, period,
-        )  # fmt: skip
-        memory[i, e], memory[i, e + 1], memory[i, e + 2] = later
-    memory[i, at + _TORQUE], memory[i, at + _KNOWN] = now, 1.0 if measured else 0.0
-    return mean_of(before, now, decay, lag, period)
+        now = before + nominal + (1.0 - decay) * estimate.cancelled
+    elif memory[i, at + _MEASURED] > 0.0:
+        unit = (1.0 - decay) / drive.period  # of a change per second, in commands
+        change, modelled = (now - before) / unit, nominal / (1.0 - decay)
+        memory[i, e], memory[i, e + 1], memory[i, e + 2] = sampled(
+            estimate,
+            change,
+            modelled,
+            ERROR_RATE,
+            drive.bandwidth,
+            LARGEST_CORRECTION,
+            drive.period,
+        )
+    memory[i, at + _TORQUE], memory[i, at + _MEASURED] = now, 1.0 if measured else 0.0
+    return mean_of(before, now, drive)
 
 
 @loop
@@ -154,16 +166,11 @@ def correct_all(memory, at, action):
     """Actions (N, 2) in and out: less what the drives are known to add, within [-1, 1]."""
     for i in range(action.shape[0]):
         for side in range(2):
-            known = memory[i, at + side * DRIVE_COLUMNS + _ESTIMATE + 2]
-            action[i, side] = min(max(action[i, side] - known, -1.0), 1.0)
+            cancelled = memory[i, at + side * DRIVE_COLUMNS + _ESTIMATE + 2]
+            action[i, side] = min(max(action[i, side] - cancelled, -1.0), 1.0)
 
 
-# Columns of a row of the adaptation: both drives, the measured motion, whether there is one; then
-# those of the adaptation.
-SPEED = 2 * DRIVE_COLUMNS
-YAW_RATE, MEASURED, OWN = SPEED + 1, SPEED + 2, SPEED + 3
-_V_X, _W, _COMMAND = INDEX["v_x"], INDEX["yaw_rate"], INDEX["previous_action_left"]
-_FREE = lumped.TractionLimits(-1e30, 1e30, -1e30, 1e30)
+# --- the last control period ----------------------------------------------------------------
 
 
 class Channels(NamedTuple):
@@ -178,16 +185,16 @@ class Channels(NamedTuple):
 
 
 @formula
-def channels_of(v_x, yaw_rate, torque_left, torque_right, k, constrained, incline):
-    """Channels at a measured motion under these torques [N m] with the nominal Coefficients."""
+def channels_of(v_x, yaw_rate, torques, k, constrained, incline):
+    """Channels at a measured motion under torques (left, right) [N m], nominal Coefficients."""
     across = soil.GRAVITY * incline.down_y
     v_y = law.steady_lateral_velocity(v_x, yaw_rate, k, across)
     v_y = -k.icr_forward * yaw_rate if constrained else v_y
-    motion = lumped.Motion(v_x, v_y, yaw_rate)
+    motion = plant.Motion(v_x, v_y, yaw_rate)
     if constrained:
-        f = lumped.constrained_loads(motion, torque_left, torque_right, k, _FREE)
+        f = plant.constrained_loads(motion, torques[0], torques[1], k, _UNLIMITED)
     else:
-        f = lumped.sliding_loads(motion, torque_left, torque_right, k, _FREE)
+        f = plant.sliding_loads(motion, torques[0], torques[1], k, _UNLIMITED)
     arm = k.icr_forward if constrained else 0.0
     uneven = k.half_gauge * (f.resistance_right - f.resistance_left)
     return Channels(
@@ -197,20 +204,7 @@ def channels_of(v_x, yaw_rate, torque_left, torque_right, k, constrained, inclin
         k.half_gauge * (f.effort_right - f.effort_left) * k.inverse_inertia,
         (uneven - f.turning_moment + arm * f.lateral_force) * k.inverse_inertia,
         arm * yaw_rate * v_x * k.inverse_inertia / k.inverse_mass,
-    )  # fmt: skip
-
-
-@formula
-def _mean(first, second):
-    """Mean of the Channels at both ends of a period."""
-    return Channels(
-        0.5 * (first.thrust + second.thrust),
-        0.5 * (first.resistance + second.resistance),
-        0.5 * (first.pull + second.pull),
-        0.5 * (first.twist + second.twist),
-        0.5 * (first.turning + second.turning),
-        0.5 * (first.carried + second.carried),
-    )  # fmt: skip
+    )
 
 
 class Period(NamedTuple):
@@ -219,37 +213,51 @@ class Period(NamedTuple):
     mean: Channels
     speed_change: float  # [m/s] of v_x
     yaw_rate_change: float  # [rad/s]
-    known: bool  # False in the first call of an episode
+    begun: bool  # False in the first call of an episode
+
+
+class Setting(NamedTuple):
+    """What the kernels know of the policy."""
+
+    nominal: PlantParameters
+    drive_bandwidth: float  # [1/s]
+    period: float  # [s]
+    constrained: bool  # the lateral model
+    sloped: bool  # whether the observation shows the attitude
 
 
 @formula
-def last_period(observation, i, torques, memory, p, drive_bandwidth, period, constrained, sloped):
-    """Period of vehicle i since the last call; its row of memory (N, >= OWN) is brought up to now.
+def last_period(observation, i, torques, memory, setting):
+    """Period of vehicle i since the last call; its row of memory is brought up to now.
 
-    observation (N, >= SIZE) filtered; torques (N, 2) [N m] measured or NaN; p: nominal.
+    observation (N, >= SIZE) filtered; torques (N, 2) [N m] measured or NaN; memory
+    (N, >= CHANNEL_COLUMN).
     """
-    incline = incline_seen(observation, i, sloped)
-    k = law.pressed(lumped.coefficients(p, constrained), incline.press)
-    lag, limit = p.drive_time_constant, p.torque_limit
-    decay = lumped.torque_decay(period, lag)
-    left = limit * drive_period(
-        memory, i, 0, observation[i, _COMMAND], torques[i, 0] / limit, decay, lag,
-        drive_bandwidth, period,
-    )  # fmt: skip
-    right = limit * drive_period(
-        memory, i, DRIVE_COLUMNS, observation[i, _COMMAND + 1], torques[i, 1] / limit, decay, lag,
-        drive_bandwidth, period,
-    )  # fmt: skip
-    v_x, yaw_rate = observation[i, _V_X] * SCALE[_V_X], observation[i, _W] * SCALE[_W]
-    before_v, before_w = memory[i, SPEED], memory[i, YAW_RATE]
-    first = channels_of(before_v, before_w, left, right, k, constrained, incline)
-    second = channels_of(v_x, yaw_rate, left, right, k, constrained, incline)
-    known = memory[i, MEASURED] > 0.0
+    p, bandwidth, period, constrained, sloped = setting
+    incline = measured_incline(observation, i, sloped)
+    k = law.pressed(plant.coefficients(p, constrained), incline.press)
+    lag, limit, at = p.drive_time_constant, p.torque_limit, DRIVE_COLUMNS
+    drive = DriveLoop(lag, plant.torque_decay(period, lag), bandwidth, period)
+    sent_left, sent_right = observation[i, _COMMAND], observation[i, _COMMAND + 1]
+    left = limit * drive_period(memory, i, 0, sent_left, torques[i, 0] / limit, drive)
+    right = limit * drive_period(memory, i, at, sent_right, torques[i, 1] / limit, drive)
+    v_x, yaw_rate = observation[i, _V_X] * layout.SCALE[_V_X], observation[i, _W] * layout.SCALE[_W]
+    before_v, before_w, begun = memory[i, SPEED], memory[i, YAW_RATE], memory[i, MEASURED] > 0.0
+    first = channels_of(before_v, before_w, (left, right), k, constrained, incline)
+    second = channels_of(v_x, yaw_rate, (left, right), k, constrained, incline)
+    mean = Channels(
+        0.5 * (first.thrust + second.thrust),
+        0.5 * (first.resistance + second.resistance),
+        0.5 * (first.pull + second.pull),
+        0.5 * (first.twist + second.twist),
+        0.5 * (first.turning + second.turning),
+        0.5 * (first.carried + second.carried),
+    )
     memory[i, SPEED], memory[i, YAW_RATE], memory[i, MEASURED] = v_x, yaw_rate, 1.0
-    return Period(_mean(first, second), v_x - before_v, yaw_rate - before_w, known)
+    return Period(mean, v_x - before_v, yaw_rate - before_w, begun)
 
 
-_TORQUES = [COLUMN["torque_left"], COLUMN["torque_right"]]
+# --- the policy -----------------------------------------------------------------------------
 
 
 class AugmentedState(NamedTuple):
@@ -258,6 +266,15 @@ class AugmentedState(NamedTuple):
     controller: NDArray[np.float64]  # (N, STATE) of the law
     memories: tuple[NDArray[np.float64], ...]  # of the filter
     adaptation: NDArray[np.float64]  # (N, columns)
+
+
+def checked_settings(settings: Any, lowest: dict[str, float]) -> Any:
+    """A NamedTuple of settings as floats. Raises ValueError for one that is not a number, negative
+    or below what `lowest` says of names with that ending."""
+    for name, value in settings._asdict().items():
+        least = max((low for end, low in lowest.items() if name.endswith(end)), default=0.0)
+        checked_number(name, value, _ALLOWED._replace(low=least))
+    return type(settings)(*(float(value) for value in settings))
 
 
 class AugmentedPolicy(BatchPolicy[AugmentedState]):
@@ -271,7 +288,8 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
     law, the filter or the adaptation needs, the commands that were sent among it.
     """
 
-    first = np.zeros(OWN)  # row of the adaptation with which an episode begins
+    first = np.zeros(CHANNEL_COLUMN)  # row of the adaptation with which an episode begins
+    settings: Any
 
     def __init__(
         self,
@@ -283,44 +301,50 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         filtered: bool | None = None,
         observation: Sequence[str] = layout.NAMES,
     ) -> None:
+        s = self.settings
+        gains = Gains(s.k_p, s.k_v, s.k_a, s.bound) if gains is None else gains
         self.parameters = plant_parameters() if parameters is None else parameters
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
         self.sloped = shows_attitude(observation)
-        self.constrained = lateral == "constrained"
-        shown = (*layout.NAMES, *ATTITUDE) if self.sloped else layout.NAMES
+        fields = (*layout.NAMES, *ATTITUDE) if self.sloped else layout.NAMES
         self.controller = FeedbackLinearizingController(
-            self.parameters, control_period, gains, lateral, shown
+            self.parameters, control_period, gains, lateral, fields
+        )
+        self._setting = Setting(
+            self.parameters,
+            s.drive_bandwidth,
+            control_period,
+            lateral == "constrained",
+            self.sloped,
         )
         noisy = max(self.data_sheet[:3]) > 0.0
         self.filtered = noisy if filtered is None else bool(filtered)
-        self._given: AugmentedState | None = None
+        self._last: AugmentedState | None = None  # the state that the filter is in
         self._build(1)
         needs = (*NEEDS, *COMMANDS, *self.filter.needs)
         self._view = layout.View(observation, tuple(dict.fromkeys(needs)))
 
     def _build(self, count: int) -> None:
         """Filter and law of `count` vehicles."""
-        controller = self.controller
-        self.filter = MotionFilter(
-            self.parameters, controller.control_period, self.data_sheet, count, controller.lateral,
-            self.sloped,
-        )  # fmt: skip
+        controller, sheet = self.controller, self.data_sheet
+        period, lateral = controller.control_period, controller.lateral
+        self.filter = MotionFilter(self.parameters, period, sheet, count, lateral, self.sloped)
         nominal = np.array(self.parameters, dtype=np.float64)
         controller.parameters = np.repeat(nominal[:, None], count, axis=1)
         controller.lacking = np.zeros((count, 2))
         self._frozen: NDArray[np.bool_] | None = None  # rows that learn no more
-        self._held = self._learned(count)
+        self._frozen_rows = self._learned(count)
         self.count = count
 
     def _learned(self, count: int) -> tuple[NDArray[np.float64], ...]:
         """Copies of the rows of the adaptation, of `lacking` and of the parameters, by vehicle."""
-        given = np.tile(self.first, (count, 1)) if self._given is None else self._given.adaptation
-        return given.copy(), self.controller.lacking.copy(), self.controller.parameters.T.copy()
+        rows = np.tile(self.first, (count, 1)) if self._last is None else self._last.adaptation
+        return rows.copy(), self.controller.lacking.copy(), self.controller.parameters.T.copy()
 
     def freeze(self, rows: NDArray[np.bool_]) -> None:
         """Keep what is cancelled, the parameters and the corrections of the drives as they are in
         these rows (N,), until they start anew; the filter of the motion goes on."""
-        self._held = self._learned(self.count)
+        self._frozen_rows = self._learned(self.count)
         self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
 
     def adapt(
@@ -343,38 +367,34 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         """Sprocket torques over their limit, and the new state; one call per control step.
 
         A NaN in a sensor field is skipped. Raises ValueError for a state of another number of
-        vehicles, or a reference that is not finite; then the state given is still good.
+        vehicles, or a reference that is not finite; then the state passed in is still good.
         """
-        count = len(observation)
+        count, controller = len(observation), self.controller
         if state is not None:
             self.same_count(len(state.controller), count)
         if count != self.count:
-            self._given = None
+            self._last = None
             self._build(count)
-        if state is not None and state is not self._given:
+        if state is not None and state is not self._last:
             self.filter.restore(state.memories)
-        self._given = None  # until this call has ended well, the filter is in no known state
-        known = self.filter.update(observation, start)
-        _value, _covariance, summary, status = known.answer
-        show(
-            observation, known.reference, known.rows, known.latest.values, known.latest.age,
-            summary, status, 0.5 * self.controller.control_period, self.filtered,
-        )  # fmt: skip
-        fresh = np.zeros((count, len(self.first))) if state is None else state.adaptation.copy()
-        fresh[start] = self.first
-        self.adapt(observation, self._torques(known.latest), fresh)
+        self._last = None  # until this call has ended well, the filter is in no known state
+        step, stale = self.filter.update(observation, start), 0.5 * controller.control_period
+        latest = step.latest
+        samples, answer = (latest.values, latest.age), step.answer[2:]
+        put_motion(observation, step.reference, step.rows, samples, answer, stale, self.filtered)
+        rows = np.zeros((count, len(self.first))) if state is None else state.adaptation.copy()
+        rows[start] = self.first
+        self.adapt(observation, self._torques(latest), rows)
         if self._frozen is not None:
             self._frozen &= ~start
-            for now, kept in zip(
-                (fresh, self.controller.lacking, self.controller.parameters.T), self._held,
-                strict=True,
-            ):  # fmt: skip
-                now[self._frozen] = kept[self._frozen]
-        held = None if state is None else state.controller
-        action, held = self.controller.act(observation, held, start)
-        correct_all(fresh, 0, action)
-        self._given = AugmentedState(held, tuple(self.filter.memories()), fresh)
-        return action, self._given
+            learned = (rows, controller.lacking, controller.parameters.T)
+            for now, frozen in zip(learned, self._frozen_rows, strict=True):
+                now[self._frozen] = frozen[self._frozen]
+        memory = None if state is None else state.controller
+        action, memory = controller.act(observation, memory, start)
+        correct_all(rows, 0, action)
+        self._last = AugmentedState(memory, tuple(self.filter.memories()), rows)
+        return action, self._last
 
     def _torques(self, latest: Measurement) -> NDArray[np.float64]:
         """(N, 2) torques of samples that are new and not late, else NaN."""

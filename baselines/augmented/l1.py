@@ -1,6 +1,6 @@
 """L1 adaptive augmentation of the linearizing law with nominal parameters.
 
-Forward speed and yaw rate are one channel each (`matched_uncertainty`); what their predictors find
+Forward speed and yaw rate are one channel each (`augmented_policy`); what their predictors find
 that the nominal model lacks, low-passed, is cancelled by the efforts:
     net force m_0 (u_1 - d_1 - w v_y),   moment I_0 (u_2 - d_2) - f M_0
 Position and heading are no channels: what acts on them is not matched, and the outer loop of the
@@ -14,17 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.augmented.augmented_policy import (
-    OWN,
+    CHANNEL_COLUMN,
     AugmentedPolicy,
     Estimate,
+    checked_settings,
     last_period,
     sampled,
 )
 from baselines.linearizing import linearizing_law as law
-from baselines.linearizing.linearizing_law import Gains
 from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import PlantParameters, Range, plant_parameters
-from tracked_env.validation import checked_number
+from tracked_env.physics.parameters import PlantParameters, plant_parameters
 
 
 class L1Settings(NamedTuple):
@@ -54,33 +53,44 @@ TUNABLE = {
     "turning_bandwidth": (5.0, 100.0, True),
     "drive_bandwidth": (30.0, 300.0, True),
 }
-_ALLOWED = Range(0.0, 1e6, "SI", "Bandwidths, rates and bounds are not negative.")
+_FORWARD, _TURNING = CHANNEL_COLUMN, CHANNEL_COLUMN + 3  # columns of the Estimates
 
 
 @loop
-def adapt_all(observation, torques, p, period, constrained, sloped, settings, memory, lacking):
+def adapt_all(observation, torques, setting, settings, memory, lacking):
     """One step of all vehicles: observation (N, >= SIZE) filtered, torques (N, 2) [N m] measured or
-    NaN, p nominal, memory (N, OWN + 6) in and out, lacking (N, 2) [m/s^2, rad/s^2] out."""
-    s = settings
+    NaN, memory (N, CHANNEL_COLUMN + 6) in and out, lacking (N, 2) [m/s^2, rad/s^2] out."""
+    s, period, a, b = settings, setting.period, _FORWARD, _TURNING
     for i in range(observation.shape[0]):
-        last = last_period(
-            observation, i, torques, memory, p, s.drive_bandwidth, period, constrained, sloped
-        )
+        last = last_period(observation, i, torques, memory, setting)
         mean = last.mean
-        if last.known:
-            forward = Estimate(memory[i, OWN], memory[i, OWN + 1], memory[i, OWN + 2])
-            turning = Estimate(memory[i, OWN + 3], memory[i, OWN + 4], memory[i, OWN + 5])
-            forward = sampled(
-                forward, last.speed_change, mean.thrust - mean.resistance + mean.pull,
-                s.forward_rate, s.forward_bandwidth, s.forward_bound, period,
-            )  # fmt: skip
-            turning = sampled(
-                turning, last.yaw_rate_change, mean.twist - mean.turning + mean.carried,
-                s.turning_rate, s.turning_bandwidth, s.turning_bound, period,
-            )  # fmt: skip
-            memory[i, OWN], memory[i, OWN + 1], memory[i, OWN + 2] = forward
-            memory[i, OWN + 3], memory[i, OWN + 4], memory[i, OWN + 5] = turning
-        lacking[i, 0], lacking[i, 1] = memory[i, OWN + 2], memory[i, OWN + 5]
+        if last.begun:
+            forward = Estimate(memory[i, a], memory[i, a + 1], memory[i, a + 2])
+            turning = Estimate(memory[i, b], memory[i, b + 1], memory[i, b + 2])
+            net = mean.thrust - mean.resistance + mean.pull
+            moment, rates = (
+                mean.twist - mean.turning + mean.carried,
+                (s.forward_rate, s.turning_rate),
+            )
+            memory[i, a], memory[i, a + 1], memory[i, a + 2] = sampled(
+                forward,
+                last.speed_change,
+                net,
+                rates[0],
+                s.forward_bandwidth,
+                s.forward_bound,
+                period,
+            )
+            memory[i, b], memory[i, b + 1], memory[i, b + 2] = sampled(
+                turning,
+                last.yaw_rate_change,
+                moment,
+                rates[1],
+                s.turning_bandwidth,
+                s.turning_bound,
+                period,
+            )
+        lacking[i, 0], lacking[i, 1] = memory[i, a + 2], memory[i, b + 2]
 
 
 class L1Policy(AugmentedPolicy):
@@ -89,7 +99,7 @@ class L1Policy(AugmentedPolicy):
     Raises ValueError for a setting that is negative or not a number.
     """
 
-    first = np.zeros(OWN + 6)
+    first = np.zeros(CHANNEL_COLUMN + 6)
 
     def __init__(
         self,
@@ -98,11 +108,7 @@ class L1Policy(AugmentedPolicy):
         settings: L1Settings | None = None,
         **options: Any,
     ) -> None:
-        given = L1Settings() if settings is None else settings
-        for name, value in given._asdict().items():
-            least = 0.1 if name.endswith("_factor") else 0.0
-            checked_number(name, value, _ALLOWED._replace(low=least))
-        self.settings = s = L1Settings(*(float(value) for value in given))
+        self.settings = s = checked_settings(settings or L1Settings(), {"_factor": 0.1})
         p = plant_parameters() if parameters is None else parameters
         assumed = p._replace(  # with the resistances of the nominal vehicle
             mass=p.mass * s.mass_factor,
@@ -110,13 +116,9 @@ class L1Policy(AugmentedPolicy):
             longitudinal_resistance=p.longitudinal_resistance / s.mass_factor,
             lateral_resistance=p.lateral_resistance / s.mass_factor,
         )
-        options.setdefault("gains", Gains(s.k_p, s.k_v, s.k_a, s.bound))
         super().__init__(assumed, *arguments, **options)
 
     def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:
         """As AugmentedPolicy.adapt."""
-        controller = self.controller
-        adapt_all(
-            observation, torques, self.parameters, controller.control_period, self.constrained,
-            self.sloped, self.settings, adaptation, controller.lacking,
-        )  # fmt: skip
+        lacking = self.controller.lacking
+        adapt_all(observation, torques, self._setting, self.settings, adaptation, lacking)

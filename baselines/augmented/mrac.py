@@ -1,6 +1,15 @@
-"""Model-reference adaptation of one channel with three parameters, by a Lyapunov update law.
+"""Model-reference adaptive augmentation of the linearizing law.
 
-Channel: thrust h (over the nominal mass or inertia) moves x against the parts r and 1 of the load,
+The law keeps its form; mass, motion resistance, inertia and turning resistance in it are adapted,
+one channel each for forward speed and yaw rate, with what is left as a constant force and moment.
+Parameters are ratios to the nominal ones:
+    thrust = p_1 (v_x' - w v_y) + p_2 R_0 / m_0 + p_3       [m/s^2]
+    twist  = q_1 w' + q_2 M_0 / I_0 + q_3                   [rad/s^2]
+    m = p_1 m_0,  mu_l = mu_l0 p_2 / p_1,  I = q_1 I_0,  mu_t = mu_t0 q_2 / p_1
+They make the prediction right, and are not claimed to be those of the vehicle.
+
+Adaptation of one channel by a Lyapunov update law: thrust h (over the nominal mass or inertia)
+moves x against the parts r and 1 of the load,
     h   = q_1 x' + q_2 r + q_3                      the vehicle, q unknown, q_1 > 0
     h   = p_1 a + p_2 r + p_3                       the law: a is what it asks of its parameters p
     x_m'= a + l (x - x_m)                           reference model, fed with the error e = x - x_m
@@ -18,18 +27,6 @@ is hedged in the reference model), so that a saturated drive teaches nothing wro
 References: [1] Lavretsky, Wise, Robust and Adaptive Control (2013), chapters 9 to 11. [2] Gibson,
 Annaswamy, Lavretsky, IEEE Access 1 (2013), closed-loop reference models. [3] Johnson, Calise,
 J. Guidance 26 (2003), pseudo-control hedging.
-
-Model-reference adaptive augmentation of the linearizing law.
-
-The law keeps its form; mass, motion resistance, inertia and turning resistance in it are adapted by
-`parameter_adaptation`, one channel each for forward speed and yaw rate, with what is left as a
-constant force and moment. Parameters are ratios to the nominal ones:
-    thrust = p_1 (v_x' - w v_y) + p_2 R_0 / m_0 + p_3       [m/s^2]
-    twist  = q_1 w' + q_2 M_0 / I_0 + q_3                   [rad/s^2]
-    m = p_1 m_0,  mu_l = mu_l0 p_2 / p_1,  I = q_1 I_0,  mu_t = mu_t0 q_2 / p_1
-They make the prediction right, and are not claimed to be those of the vehicle.
-
-References: [1] Lavretsky, Wise, Robust and Adaptive Control (2013).
 """
 
 import math
@@ -37,12 +34,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.augmented.augmented_policy import OWN, AugmentedPolicy, last_period
+from baselines.augmented.augmented_policy import (
+    CHANNEL_COLUMN,
+    AugmentedPolicy,
+    checked_settings,
+    last_period,
+)
 from baselines.linearizing import linearizing_law as law
-from baselines.linearizing.linearizing_law import Gains
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PARAMETER_INDEX, Range
-from tracked_env.validation import checked_number
+from tracked_env.physics.parameters import PARAMETER_INDEX
 
 
 class Load(NamedTuple):
@@ -51,6 +51,14 @@ class Load(NamedTuple):
     inertial: float  # of x'
     resisting: float  # of r
     constant: float  # of 1
+
+
+class Sample(NamedTuple):
+    """What a channel saw in one period."""
+
+    change: float  # of the measured x
+    thrust: float  # mean of h
+    resisting: float  # mean of r
 
 
 class Adaptation(NamedTuple):
@@ -65,68 +73,10 @@ class Adaptation(NamedTuple):
     dead_zone: float  # [of x] z
 
 
-@formula
-def demanded(parameters, thrust, resisting):
-    """a: the x' that `thrust` gives by the parameters."""
-    p = parameters
-    return (thrust - p.resisting * resisting - p.constant) / p.inertial
-
-
-@formula
-def beyond(error, dead_zone):
-    """What of an error exceeds the dead zone; odd."""
-    return error - min(max(error, -dead_zone), dead_zone)
-
-
-@formula
-def within(value, low, high):
-    """value in [low, high]."""
-    return min(max(value, low), high)
-
-
-@formula
-def _moved(p, middle, error, change, thrust, resisting, law, period):
-    """(Load, error e) after one period, with a of the parameters `middle` all through it."""
-    a = demanded(middle, thrust, resisting)
-    decay = math.exp(-law.rate * period)
-    later = decay * error + (1.0 - decay) / law.rate * (change / period - a)
-    g = law.gain
-    size = a * a * g.inertial + resisting * resisting * g.resisting + g.constant
-    effect = beyond(0.5 * (error + later), law.dead_zone)
-    keep = math.exp(-law.leak * period)
-    held_for = (1.0 - keep) / law.leak if law.leak > 0.0 else period
-    step = -held_for * effect / (1.0 + size / (law.rate * law.rate))
-    low, high, at = law.low, law.high, law.nominal
-    inertial = at.inertial + keep * (p.inertial - at.inertial) + step * g.inertial * a
-    held = at.resisting + keep * (p.resisting - at.resisting) + step * g.resisting * resisting
-    constant = at.constant + keep * (p.constant - at.constant) + step * g.constant
-    moved = Load(
-        within(inertial, low.inertial, high.inertial),
-        within(held, low.resisting, high.resisting),
-        within(constant, low.constant, high.constant),
-    )
-    return moved, later
-
-
-@formula
-def adapted(p, error, change, thrust, resisting, law, period):
-    """(Load p, error e) after one period [s].
-
-    change: of the measured x over it; thrust, resisting: means over it; law: Adaptation. Of second
-    order in the period (midpoint rule): e by its exact solution for constant a, p by the mean of e.
-    """
-    ahead, _error = _moved(p, p, error, change, thrust, resisting, law, period)
-    middle = Load(
-        0.5 * (p.inertial + ahead.inertial),
-        0.5 * (p.resisting + ahead.resisting),
-        0.5 * (p.constant + ahead.constant),
-    )
-    return _moved(p, middle, error, change, thrust, resisting, law, period)
-
-
 _ROW = PARAMETER_INDEX
 _MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
 _INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
+_FORWARD, _TURNING = CHANNEL_COLUMN, CHANNEL_COLUMN + 4  # columns of Load and error
 # Projection bounds, ratios to the nominal values; constants [m/s^2, rad/s^2].
 LOW, HIGH = Load(0.4, 0.05, -3.0), Load(2.5, 3.0, 3.0)
 NOMINAL = Load(1.0, 1.0, 0.0)
@@ -170,42 +120,94 @@ TUNABLE = {
     "turning_dead_zone": (0.0, 0.01, False),
     "drive_bandwidth": (30.0, 300.0, True),
 }
-_ALLOWED = Range(0.0, 1e6, "SI", "Gains, rates and dead zones are not negative.")
+
+
+@formula
+def demanded(parameters, thrust, resisting):
+    """a: the x' that `thrust` gives by the parameters."""
+    p = parameters
+    return (thrust - p.resisting * resisting - p.constant) / p.inertial
+
+
+@formula
+def beyond(error, dead_zone):
+    """What of an error exceeds the dead zone; odd."""
+    return error - min(max(error, -dead_zone), dead_zone)
+
+
+@formula
+def within(value, low, high):
+    """value in [low, high]."""
+    return min(max(value, low), high)
+
+
+@formula
+def _moved(p, middle, error, sample, law, period):
+    """(Load, error e) after one period, with a of the parameters `middle` all through it."""
+    a, resisting = demanded(middle, sample.thrust, sample.resisting), sample.resisting
+    decay = math.exp(-law.rate * period)
+    later = decay * error + (1.0 - decay) / law.rate * (sample.change / period - a)
+    g, low, high, at = law.gain, law.low, law.high, law.nominal
+    size = a * a * g.inertial + resisting * resisting * g.resisting + g.constant
+    effect = beyond(0.5 * (error + later), law.dead_zone)
+    keep = math.exp(-law.leak * period)
+    lasting = (1.0 - keep) / law.leak if law.leak > 0.0 else period
+    step = -lasting * effect / (1.0 + size / (law.rate * law.rate))
+    inertial = at.inertial + keep * (p.inertial - at.inertial) + step * g.inertial * a
+    resistance = at.resisting + keep * (p.resisting - at.resisting) + step * g.resisting * resisting
+    constant = at.constant + keep * (p.constant - at.constant) + step * g.constant
+    moved = Load(
+        within(inertial, low.inertial, high.inertial),
+        within(resistance, low.resisting, high.resisting),
+        within(constant, low.constant, high.constant),
+    )
+    return moved, later
+
+
+@formula
+def adapted(p, error, sample, law, period):
+    """(Load p, error e) after one period [s].
+
+    sample: Sample over it; law: Adaptation. Of second order in the period (midpoint rule): e by its
+    exact solution for constant a, p by the mean of e.
+    """
+    ahead, _error = _moved(p, p, error, sample, law, period)
+    middle = Load(
+        0.5 * (p.inertial + ahead.inertial),
+        0.5 * (p.resisting + ahead.resisting),
+        0.5 * (p.constant + ahead.constant),
+    )
+    return _moved(p, middle, error, sample, law, period)
+
+
+@formula
+def _channel(memory, i, at, sample, law, setting):
+    """Adapt Load and error of vehicle i in columns `at` and following, in and out."""
+    p = Load(memory[i, at], memory[i, at + 1], memory[i, at + 2])
+    p, memory[i, at + 3] = adapted(p, memory[i, at + 3], sample, law, setting.period)
+    memory[i, at], memory[i, at + 1], memory[i, at + 2] = p
 
 
 @loop
-def adapt_all(
-    observation, torques, p, period, constrained, sloped, ahead, aside, drive_bandwidth, memory,
-    parameters, lacking,
-):  # fmt: skip
+def adapt_all(observation, torques, setting, laws, memory, parameters, lacking):
     """One step of all vehicles: observation (N, >= SIZE) filtered, torques (N, 2) [N m] measured or
-    NaN, p nominal, ahead and aside: Adaptation of both channels, memory (N, OWN + 8) in and out,
-    parameters (PARAMETER_ROWS, N) and lacking (N, 2) [m/s^2, rad/s^2] out."""
+    NaN, laws: Adaptation of both channels, memory (N, CHANNEL_COLUMN + 8) in and out, parameters
+    (PARAMETER_ROWS, N) and lacking (N, 2) [m/s^2, rad/s^2] out."""
+    p, period, a, b = setting.nominal, setting.period, _FORWARD, _TURNING
     for i in range(observation.shape[0]):
-        last = last_period(
-            observation, i, torques, memory, p, drive_bandwidth, period, constrained, sloped
-        )
-        mean, at = last.mean, OWN + 4
-        forward = Load(memory[i, OWN], memory[i, OWN + 1], memory[i, OWN + 2])
-        turning = Load(memory[i, at], memory[i, at + 1], memory[i, at + 2])
-        if last.known:
-            forward, memory[i, OWN + 3] = adapted(
-                forward, memory[i, OWN + 3], last.speed_change - period * mean.pull, mean.thrust,
-                mean.resistance, ahead, period,
-            )  # fmt: skip
-            turning, memory[i, at + 3] = adapted(
-                turning, memory[i, at + 3], last.yaw_rate_change - period * mean.carried,
-                mean.twist, mean.turning, aside, period,
-            )  # fmt: skip
-            memory[i, OWN], memory[i, OWN + 1], memory[i, OWN + 2] = forward
-            memory[i, at], memory[i, at + 1], memory[i, at + 2] = turning
-        mass = forward.inertial
+        last = last_period(observation, i, torques, memory, setting)
+        mean = last.mean
+        if last.begun:
+            speed = last.speed_change - period * mean.pull
+            turn = last.yaw_rate_change - period * mean.carried
+            _channel(memory, i, a, Sample(speed, mean.thrust, mean.resistance), laws[0], setting)
+            _channel(memory, i, b, Sample(turn, mean.twist, mean.turning), laws[1], setting)
+        mass, inertia = memory[i, a], memory[i, b]
         parameters[_MASS, i] = p.mass * mass
-        parameters[_RESISTANCE, i] = p.longitudinal_resistance * forward.resisting / mass
-        parameters[_INERTIA, i] = p.inertia * turning.inertial
-        parameters[_FRICTION, i] = p.lateral_resistance * turning.resisting / mass
-        lacking[i, 0] = -forward.constant / mass
-        lacking[i, 1] = -turning.constant / turning.inertial
+        parameters[_RESISTANCE, i] = p.longitudinal_resistance * memory[i, a + 1] / mass
+        parameters[_INERTIA, i] = p.inertia * inertia
+        parameters[_FRICTION, i] = p.lateral_resistance * memory[i, b + 1] / mass
+        lacking[i, 0], lacking[i, 1] = -memory[i, a + 2] / mass, -memory[i, b + 2] / inertia
 
 
 class MracPolicy(AugmentedPolicy):
@@ -214,32 +216,24 @@ class MracPolicy(AugmentedPolicy):
     Raises ValueError for a setting that is negative or not a number, or a rate that is zero.
     """
 
-    first = np.array([*np.zeros(OWN), *NOMINAL, 0.0, *NOMINAL, 0.0])
+    first = np.array([*np.zeros(CHANNEL_COLUMN), *NOMINAL, 0.0, *NOMINAL, 0.0])
 
     def __init__(
         self, *arguments: Any, settings: MracSettings | None = None, **options: Any
     ) -> None:
-        given = MracSettings() if settings is None else settings
-        for name, value in given._asdict().items():
-            least = 1e-3 if name.endswith("_rate") else 0.0
-            checked_number(name, value, _ALLOWED._replace(low=least))
-        self.settings = s = MracSettings(*(float(value) for value in given))
-        options.setdefault("gains", Gains(s.k_p, s.k_v, s.k_a, s.bound))
+        self.settings = s = checked_settings(settings or MracSettings(), {"_rate": 1e-3})
         super().__init__(*arguments, **options)
-        self._ahead = Adaptation(
-            Load(s.forward_inertial, s.forward_resisting, s.forward_constant),
-            LOW, HIGH, NOMINAL, s.forward_rate, s.leak, s.forward_dead_zone,
-        )  # fmt: skip
-        self._aside = Adaptation(
-            Load(s.turning_inertial, s.turning_resisting, s.turning_constant),
-            LOW, HIGH, NOMINAL, s.turning_rate, s.leak, s.turning_dead_zone,
-        )  # fmt: skip
+        bounds = (LOW, HIGH, NOMINAL)
+        forward = Load(s.forward_inertial, s.forward_resisting, s.forward_constant)
+        turning = Load(s.turning_inertial, s.turning_resisting, s.turning_constant)
+        self._laws = (
+            Adaptation(forward, *bounds, s.forward_rate, s.leak, s.forward_dead_zone),
+            Adaptation(turning, *bounds, s.turning_rate, s.leak, s.turning_dead_zone),
+        )
 
     def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:
         """As AugmentedPolicy.adapt."""
-        controller = self.controller
+        law, laws = self.controller, self._laws
         adapt_all(
-            observation, torques, self.parameters, controller.control_period, self.constrained,
-            self.sloped, self._ahead, self._aside, self.settings.drive_bandwidth, adaptation,
-            controller.parameters, controller.lacking,
-        )  # fmt: skip
+            observation, torques, self._setting, laws, adaptation, law.parameters, law.lacking
+        )

@@ -1,7 +1,8 @@
-"""Steady runs that contradict both belts: a hull frame turned round, sides swapped, a dead encoder.
+"""The slip of a vehicle fitted to its runs: corrupt ones out, a table, R^2 on runs not seen.
 
-With the belts' mean m and half their difference d [m/s], a vehicle that is the same to the left and
-right, front and back, obeys
+Steady runs are corrupt that contradict both belts: a hull frame turned round, sides swapped, a dead
+encoder. With the belts' mean m and half their difference d [m/s], a vehicle that is the same to the
+left and right, front and back, obeys
     v_x = sgn(m) f(|m|, |d|),  w B/2 = sgn(d) h(|m|, |d|),  v_y = sgn(m d) g(|m|, |d|)
 so that all runs lie on three surfaces over a quarter of the belt speeds, and a corrupt one beside
 them, where a mirror image of another drive belongs: with the hull frame turned by 180 degrees v_x
@@ -10,29 +11,33 @@ friction knows directions and no speeds, so to first order the surfaces are of d
     f = |m| (1, q, q^2, s) c_f,  h = |d| (..) c_h,  g = sqrt(|m d|) (..) c_g,
     q = |d| / (|m| + |d|),  s = (|m| + |d|) / its median
 Tracks with unlike grip, or a load off the middle, add the terms d to v_x, m to w B/2, d to v_y.
-The coefficients minimise the sum of absolute errors, which a minority of corrupt runs hardly moves;
-the surfaces that are fitted to the slip afterwards have no part in it. With D the robust deviations
-by which a run is beside the surfaces (D^2 is summed over its samples), and D' those with a fault of
-a kind put right, the logarithm of the likelihood ratio is (D^2 - D'^2) / 2. A run is corrupt where
-it is above CERTAIN and D > NEARER D', or above LIKELIER and that kind occurs SEVERAL times.
+The coefficients minimise the sum of absolute errors, which a minority of corrupt runs hardly moves.
+With D the robust deviations by which a run is beside the surfaces (D^2 is summed over its samples),
+and D' those with a fault of a kind put right, the logarithm of the likelihood ratio is
+(D^2 - D'^2) / 2. A run is corrupt where it is above CERTAIN and D > NEARER D', or above LIKELIER
+and that kind occurs SEVERAL times.
 
-The slip of a vehicle fitted to its runs: corrupt ones out, a table, R^2 on runs not seen.
-
-The surfaces are those of `baselines.slip`: thin plate splines through beta_left, beta_right and
-v_y over both sprocket speeds, then a table. Held out are whole runs, in FOLDS parts, each of which
-is predicted by the fit of the others. What `corrupt_runs` finds is left out before, and R^2 is told
-of all runs as well; how well a run is fitted has no influence.
+The slip that is fitted afterwards is that of `baselines.slip`: thin plate splines through both slip
+velocities and v_y over both sprocket speeds, then a table. Held out are whole runs, in FOLDS parts,
+each of which is predicted by the fit of the others; how well a run is fitted has no influence on
+whether it is left out.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.identify.csv_log import Floats
-from baselines.identify.slip_runs import Refused, Runs
-from tracked_env.benchmark.policies import command_function
+from baselines.identify.slip_runs import Runs
+from baselines.slip.slip_models import TableSlipModel
+from baselines.slip.slip_regression import Scores, scores
+from baselines.slip.slip_sweep import SlipData, make_table, slip_data, upsample
+from tracked_env.benchmark.figures import PALETTE, STYLE, inline_svg, new_figure, svg_text
+from tracked_env.benchmark.leaderboard_page import Drawing, Section, page_text
+from tracked_env.benchmark.text_tables import plain_table
 from tracked_env.physics.parameters import PlantParameters
 
 CERTAIN = 18.0  # [-] logarithm of a likelihood ratio: 6 deviations that a fault explains wholly
@@ -47,53 +52,64 @@ ROUNDS = 60  # of the reweighted least squares
 TINY = 1e-4  # [-] of the residuals, whose weight grows no further
 # Signs of v_x, w, v_y in the measured run where they are those of the true one under a fault.
 KINDS = {
-    "turned": ((-1.0, 1.0, -1.0), "as if its hull frame were turned by 180 degrees"),
-    "swapped": ((1.0, -1.0, -1.0), "as if left and right were swapped"),
-    "yaw": ((1.0, -1.0, 1.0), "as if the sign of its yaw were another"),
+    "as if its hull frame were turned by 180 degrees": (-1.0, 1.0, -1.0),
+    "as if left and right were swapped": (1.0, -1.0, -1.0),
+    "as if the sign of its yaw were another": (1.0, -1.0, 1.0),
+}
+LEAST_RUNS = 12
+FOLDS = 5
+NODES = 120  # of the grid along the wider side, at most
+FINEST = 0.1  # [rad/s] between them at least
+LABELS = ("beta left [m/s]", "beta right [m/s]", "alpha [rad]")
+FILES = {
+    "slip.npz": "the model, for `baselines.slip.slip_models.load` and the policies `slc`",
+    "slip.csv": "every sample with its prediction by a fit that has not seen its run",
 }
 
 
+# --- corrupt runs ---------------------------------------------------------------------------
+
+
 def _belts(left: Floats, right: Floats, radius: float) -> tuple[Floats, Floats]:
+    """Mean and half the difference [m/s] of belts at sprocket speeds [rad/s]."""
     return 0.5 * radius * (left + right), 0.5 * radius * (right - left)
-
-
-def _forms(mean: Floats, half: Floats, median: float) -> tuple[Floats, Floats]:
-    """Regressors (3, N, 5) of v_x, w B/2, v_y, and the sum |m| + |d| (N,) [m/s]."""
-    total = np.abs(mean) + np.abs(half)
-    q = np.abs(half) / np.maximum(total, 1e-12)
-    shape = np.stack([np.ones_like(q), q, q * q, total / median], axis=1)
-    product = mean * half
-    sizes = (mean, half, np.sign(product) * np.sqrt(np.abs(product)))
-    others = (half, mean, half)
-    rows = [np.column_stack([a[:, None] * shape, b]) for a, b in zip(sizes, others, strict=True)]
-    return np.stack(rows), total
 
 
 def _least_absolute(rows: Floats, values: Floats) -> Floats:
     """Coefficients c that minimise sum |rows c - values|, by reweighted least squares."""
-    found: Floats = np.zeros(rows.shape[1])
+    coefficients: Floats = np.zeros(rows.shape[1])
     weights = np.ones(len(values))
     scale = float(np.abs(values).max()) or 1.0
     for _ in range(ROUNDS):
-        solved = np.linalg.lstsq(weights[:, None] * rows, weights * values, rcond=None)[0]
-        found = np.asarray(solved, dtype=np.float64)
-        weights = 1.0 / np.sqrt(np.maximum(np.abs(rows @ found - values), TINY * scale))
-    return found
+        solution = np.linalg.lstsq(weights[:, None] * rows, weights * values, rcond=None)[0]
+        coefficients = np.asarray(solution, dtype=np.float64)
+        errors = np.abs(rows @ coefficients - values)
+        weights = 1.0 / np.sqrt(np.maximum(errors, TINY * scale))
+    return coefficients
 
 
 class _Surfaces:
-    """The three surfaces, and how far runs are beside them."""
+    """The three surfaces, and how far runs are beside them; mean, half: see `_belts`."""
 
     def __init__(self, mean: Floats, half: Floats, measured: Floats) -> None:
-        self.median = max(float(np.median(np.abs(mean) + np.abs(half))), 1e-9)
-        rows, total = _forms(mean, half, self.median)
-        self.coefficients = np.stack(
-            [_least_absolute(r, v) for r, v in zip(rows, measured, strict=True)]
-        )
+        total = np.abs(mean) + np.abs(half)
+        self.median = max(float(np.median(total)), 1e-9)
+        forms = zip(self._forms(mean, half), measured, strict=True)
+        self.coefficients = np.stack([_least_absolute(rows, values) for rows, values in forms])
         errors = np.abs(self.predicted(mean, half) - measured) / self._size(total)
         # As many runs as coefficients lie on a surface of least absolute errors: they say nothing.
         errors = np.sort(errors, axis=1)[:, self.coefficients.shape[1] :]
         self.deviation = np.maximum(1.4826 * np.median(errors, axis=1), 1e-3 * self.median)
+
+    def _forms(self, mean: Floats, half: Floats) -> Floats:
+        """Regressors (3, N, 5) of v_x, w B/2, v_y."""
+        total = np.abs(mean) + np.abs(half)
+        q = np.abs(half) / np.maximum(total, 1e-12)
+        shape = np.stack([np.ones_like(q), q, q * q, total / self.median], axis=1)
+        product = mean * half
+        both = np.sign(product) * np.sqrt(np.abs(product))
+        pairs = ((mean, half), (half, mean), (both, half))
+        return np.stack([np.column_stack([a[:, None] * shape, b]) for a, b in pairs])
 
     def _size(self, total: Floats) -> Floats:
         """(N,) how errors grow with the belts' speed: not below its median, where noise remains."""
@@ -101,32 +117,30 @@ class _Surfaces:
 
     def predicted(self, mean: Floats, half: Floats) -> Floats:
         """(3, N) v_x, w B/2, v_y [m/s]."""
-        rows, _ = _forms(mean, half, self.median)
-        return np.einsum("cnk,ck->cn", rows, self.coefficients)
+        return np.einsum("cnk,ck->cn", self._forms(mean, half), self.coefficients)
 
     def beside(self, mean: Floats, half: Floats, measured: Floats) -> Floats:
         """(N,) robust deviations by which measured v_x, w B/2, v_y (3, N) are beside them."""
-        total = np.abs(mean) + np.abs(half)
         errors = (self.predicted(mean, half) - measured) / self.deviation[:, None]
-        return np.sqrt((errors * errors).sum(axis=0)) / self._size(total)
+        return np.sqrt((errors * errors).sum(axis=0)) / self._size(np.abs(mean) + np.abs(half))
 
 
 def _alternatives(
-    surfaces: _Surfaces, left: Floats, right: Floats, measured: Floats, radius: float
+    surfaces: _Surfaces, runs: Runs, measured: Floats, radius: float
 ) -> Iterator[tuple[str, Floats, NDArray[np.bool_]]]:
     """Of each kind: its words, how far beside the surfaces runs are without it, and which may."""
-    mean, half = _belts(left, right, radius)
+    left, right = runs.sprocket_left, runs.sprocket_right
     everywhere = np.ones(len(left), dtype=np.bool_)
-    for signs, words in KINDS.values():
-        yield words, surfaces.beside(mean, half, np.array(signs)[:, None] * measured), everywhere
+    for words, signs in KINDS.items():
+        put_right = np.array(signs)[:, None] * measured
+        yield words, surfaces.beside(*_belts(left, right, radius), put_right), everywhere
     fastest = max(np.abs(left).max(), np.abs(right).max())
     for side, belt in (("left", left), ("right", right)):
         nearest = np.full(len(left), np.inf)
         for speed in np.linspace(-fastest, fastest, SPEEDS):
             other = np.full(len(belt), speed)
-            pair = (other, right) if side == "left" else (left, other)
-            mean, half = _belts(pair[0], pair[1], radius)
-            nearest = np.minimum(nearest, surfaces.beside(mean, half, measured))
+            one, two = (other, right) if side == "left" else (left, other)
+            nearest = np.minimum(nearest, surfaces.beside(*_belts(one, two, radius), measured))
         yield f"as if its {side} encoder were dead", nearest, np.abs(belt) <= STANDS * fastest
 
 
@@ -135,104 +149,80 @@ def corrupt(runs: Runs, vehicle: PlantParameters) -> dict[int, str]:
 
     Raises ValueError where most runs contradict their belts.
     """
-    left, right, motion = runs.sprocket_left, runs.sprocket_right, runs.motion
-    mean, half = _belts(left, right, vehicle.sprocket_radius)
+    motion, radius = runs.motion, vehicle.sprocket_radius
+    mean, half = _belts(runs.sprocket_left, runs.sprocket_right, radius)
     measured = np.stack([motion[:, 0], 0.5 * vehicle.track_gauge * motion[:, 2], motion[:, 1]])
     surfaces = _Surfaces(mean, half, measured)
-    _check_most(surfaces, mean, half)
+    predicted = surfaces.predicted(mean, half)
+    if np.median(np.sign(mean) * predicted[0]) < 0.0:
+        raise ValueError(
+            "most runs go backward where their belts run forward: is the hull frame turned by 180 "
+            "degrees, or do both sprocket speeds have another sign?"
+        )
+    if np.median(np.sign(half) * predicted[1]) < 0.0:
+        raise ValueError(
+            "most runs turn right where the right belt is the faster one: are left and right "
+            "swapped, or is yaw positive to the right?"
+        )
     beside = surfaces.beside(mean, half, measured)
     _, run = np.unique(runs.run, return_inverse=True)
     square = np.bincount(run, beside**2)
-    found: dict[int, str] = {}
-    for words, without, possible in _alternatives(
-        surfaces, left, right, measured, vehicle.sprocket_radius
-    ):
+    reasons: dict[int, str] = {}
+    for words, without, possible in _alternatives(surfaces, runs, measured, radius):
         explained = np.bincount(run, without**2)
         likelier = 0.5 * (square - explained) * (np.bincount(run, ~possible) == 0)
         clear = (likelier > CERTAIN) & (square > NEARER**2 * explained)
         if clear.sum() >= SEVERAL:
             clear = likelier > LIKELIER
         for k in np.flatnonzero(clear[run]).tolist():
-            found.setdefault(k, f"moves {words}: {_moves(mean, half, measured, k)}")
-    error = np.abs(surfaces.predicted(mean, half) - measured).max(axis=0)
+            reasons.setdefault(k, words)
+    error = np.abs(predicted - measured).max(axis=0)
     gross = (beside > UNLIKE) & (error > UNLIKE_SHARE * (np.abs(mean) + np.abs(half)))
     for k in np.flatnonzero(gross).tolist():
-        found.setdefault(k, f"moves unlike all others: {_moves(mean, half, measured, k)}")
-    return dict(sorted(found.items()))
-
-
-def _check_most(surfaces: _Surfaces, mean: Floats, half: Floats) -> None:
-    """Raise ValueError where v_x or w have the wrong sign in most runs."""
-    forward, turning, _ = surfaces.predicted(mean, half)
-    if np.median(np.sign(mean) * forward) < 0.0:
-        raise ValueError(
-            "most runs go backward where their belts run forward: is the hull frame turned by 180 "
-            "degrees, or do both sprocket speeds have another sign?"
-        )
-    if np.median(np.sign(half) * turning) < 0.0:
-        raise ValueError(
-            "most runs turn right where the right belt is the faster one: are left and right "
-            "swapped, or is yaw positive to the right?"
-        )
-
-
-def _moves(mean: Floats, half: Floats, measured: Floats, k: int) -> str:
-    return (
-        f"belts at {mean[k] - half[k]:.3g} and {mean[k] + half[k]:.3g} m/s, tracks at "
-        f"{measured[0, k] - measured[1, k]:.3g} and {measured[0, k] + measured[1, k]:.3g} m/s, "
-        f"v_y {measured[2, k]:.3g} m/s"
+        reasons.setdefault(k, "unlike all others")
+    belts, tracks = (
+        (mean - half, mean + half),
+        (measured[0] - measured[1], measured[0] + measured[1]),
     )
+    return {
+        k: f"moves {reasons[k]}: belts at {belts[0][k]:.3g} and {belts[1][k]:.3g} m/s, tracks at "
+        f"{tracks[0][k]:.3g} and {tracks[1][k]:.3g} m/s, v_y {measured[2, k]:.3g} m/s"
+        for k in sorted(reasons)
+    }
 
 
-LEAST_RUNS = 12
-FOLDS = 5
-NODES = 120  # of the grid along the wider side, at most
-FINEST = 0.1  # [rad/s] between them at least
+# --- the fit --------------------------------------------------------------------------------
 
 
 class Fitted(NamedTuple):
     """A model and how good it is."""
 
-    model: Any  # TableSlipModel of baselines.slip
-    data: Any  # SlipData of the samples used
+    model: TableSlipModel
+    data: SlipData  # the samples used
     runs: Runs
     predicted: Floats  # (3, N) beta_left, beta_right, alpha, each sample by a fit without its run
-    scores: Any  # Scores: R^2 on those
-    outliers: int  # samples that `corrupt_runs` found, left out
-    scores_of_all: Any  # Scores with these among those fitted and predicted
+    scores: Scores  # R^2 on those
+    outliers: int  # samples of corrupt runs, left out
+    scores_of_all: Scores  # with these among those fitted and predicted
 
 
-def _folds(run: Any) -> Any:
-    """(N,) number of the fold of each sample; samples of a run share theirs."""
-    names, place = np.unique(run, return_inverse=True)
-    return (np.random.default_rng(0).permutation(len(names)) % FOLDS)[place]
-
-
-def _fit(tools: Any, data: Any, vehicle: PlantParameters) -> Any:
+def _fit(data: SlipData, vehicle: PlantParameters) -> TableSlipModel:
     """The table of some samples."""
     reach = max(np.ptp(data.sprocket_left), np.ptp(data.sprocket_right))
-    dense, grid = tools.upsample(data, vehicle, max(FINEST, float(reach) / NODES))
-    return tools.make_table(dense, grid, vehicle)
+    dense, grid = upsample(data, vehicle, max(FINEST, float(reach) / NODES))
+    return make_table(dense, grid, vehicle)
 
 
-def _held_out(tools: Any, data: Any, run: Any, vehicle: PlantParameters) -> Floats:
-    """(3, N) predictions of each sample by the fit of the other folds."""
-    fold, found = _folds(run), np.empty((3, len(run)))
-    for k in range(FOLDS):
-        test = fold == k
-        if test.any():
-            model = _fit(tools, data.rows(~test), vehicle)
-            found[:, test] = model.slip(data.sprocket_left[test], data.sprocket_right[test])
-    return found
+def _predicted(runs: Runs, vehicle: PlantParameters) -> tuple[SlipData, Floats]:
+    """The samples, and (3, N) predictions of each by the fit of the other folds.
 
-
-def _enough(runs: Runs) -> None:
-    """Raise ValueError for too few runs, or runs along one line."""
-    count = len(np.unique(runs.run))
-    if count < LEAST_RUNS:
+    Raises ValueError for too few runs, or runs along one line.
+    """
+    names, place = np.unique(runs.run, return_inverse=True)
+    if len(names) < LEAST_RUNS:
         raise ValueError(
-            f"{count} usable runs, {len(runs.refused)} refused; needs {LEAST_RUNS} or more, of "
-            "different sprocket speeds: straight, left and right turns at several speeds each. "
+            f"{len(names)} usable runs, {len(runs.refused)} refused; needs {LEAST_RUNS} or more, "
+            "of different sprocket speeds: straight, left and right turns at several speeds each. "
             + "; ".join(f"{r.run}: {r.reason}" for r in runs.refused[:3])
         )
     points = np.stack([runs.sprocket_left, runs.sprocket_right], axis=1)
@@ -242,28 +232,138 @@ def _enough(runs: Runs) -> None:
             "all runs lie on one line of sprocket speeds; needs straight driving and turns, with "
             "left and right speeds that differ by several amounts. Are both columns the same?"
         )
+    data = slip_data(vehicle, runs.sprocket_left, runs.sprocket_right, runs.motion)
+    fold = (np.random.default_rng(0).permutation(len(names)) % FOLDS)[place]  # runs stay whole
+    predicted = np.empty((3, len(fold)))
+    for k in range(FOLDS):
+        test = fold == k
+        if test.any():
+            model = _fit(data.rows(~test), vehicle)
+            predicted[:, test] = model.slip(data.sprocket_left[test], data.sprocket_right[test])
+    return data, predicted
 
 
 def fit(runs: Runs, vehicle: PlantParameters) -> Fitted:
     """Fit. Raises ValueError for too few runs, and for runs that contradict their belts."""
-    tools: Any = command_function("slip")
-    scores = command_function("slip-scores")
-
-    def held_out(part: Runs) -> tuple[Any, Floats]:
-        data = tools.slip_data(vehicle, part.sprocket_left, part.sprocket_right, part.motion)
-        return data, _held_out(tools, data, part.run, vehicle)
-
-    _enough(runs)
-    reasons = corrupt(runs, vehicle)
-    data, predicted = held_out(runs)
-    scores_of_all = scores(predicted, data)
+    data, predicted = _predicted(runs, vehicle)
+    reasons, scores_of_all = corrupt(runs, vehicle), scores(predicted, data)
     if reasons:
-        marked = np.zeros(len(runs.run), dtype=bool)
-        marked[[*reasons]] = True
-        runs = runs.without(marked, [Refused(str(runs.run[k]), of) for k, of in reasons.items()])
-        _enough(runs)
-        data, predicted = held_out(runs)
-    model = _fit(tools, data, vehicle)
-    return Fitted(
-        model, data, runs, predicted, scores(predicted, data), len(reasons), scores_of_all
+        runs = runs.without(reasons)
+        data, predicted = _predicted(runs, vehicle)
+    fitted = _fit(data, vehicle), data, runs, predicted, scores(predicted, data)
+    return Fitted(*fitted, len(reasons), scores_of_all)
+
+
+# --- the page -------------------------------------------------------------------------------
+
+
+def score_rows(fitted: Fitted) -> list[list[str]]:
+    """Rows of cells, the header first: R^2 and errors on runs not seen.
+
+    Where runs were left out as corrupt, R^2 with them stands beside the one without.
+    """
+    data, (left, right, alpha) = fitted.data, fitted.predicted
+    rows = [["quantity", "unit", "samples", "R^2, runs not seen", "rms error", "largest slip"]]
+    if fitted.outliers:
+        rows[0].insert(4, "with those left out")
+    every = np.ones(len(left), dtype=bool)
+    parts = (
+        ("beta_left", "m/s", data.beta_left, left, every),
+        ("beta_right", "m/s", data.beta_right, right, every),
+        ("alpha, forward", "rad", data.alpha, alpha, data.v_x > 0.05),
+        ("alpha, in reverse", "rad", data.alpha, alpha, data.v_x < -0.05),
     )
+    both = zip(fitted.scores, fitted.scores_of_all, parts, strict=True)
+    for score, of_all, (label, unit, true, predicted, chosen) in both:
+        with_all = [_score(of_all)] if fitted.outliers else []
+        cells = ["0", "-", *with_all, "-", "-"]
+        if chosen.any():
+            error = np.sqrt(np.mean((true[chosen] - predicted[chosen]) ** 2))
+            largest = f"{np.abs(true[chosen]).max():.3f}"
+            cells = [f"{chosen.sum()}", _score(score), *with_all, f"{error:.4f}", largest]
+        rows.append([label, unit, *cells])
+    return rows
+
+
+def _score(score: float) -> str:
+    return f"{score:.3f}" if score == score else "-"
+
+
+def page(fitted: Fitted, subject: str, facts: Mapping[str, str], draw: bool = True) -> str:
+    """The report: tables and figures on one page."""
+    runs, refused = fitted.runs, fitted.runs.refused
+    explanation = (
+        "Each run is predicted by a fit of other runs: R^2 is 1 where all of it is explained and 0 "
+        "where the mean says as much"
+    )
+    used = plain_table(explanation, score_rows(fitted), (0,), [])
+    rows = [["run", "reason"], *([r.run, r.reason] for r in refused)]
+    unused = plain_table("Runs that are not used", rows, (0,), [])
+    for row in unused.rows:
+        row[1] = row[1]._replace(kind="name")
+    figures = _drawings(fitted) if draw else []
+    sections = [
+        Section("R^2 on runs not seen", "scores", [used], figures[:1]),
+        Section("Surfaces", "surfaces", figures=figures[1:]),
+        Section("Runs left out", "refused", [unused] if refused else ()),
+        Section("Provenance", "provenance", facts=facts),
+        Section("Files", "files", links=FILES),
+    ]
+    introduction = [
+        f"{len(fitted.data.alpha)} samples of {len(np.unique(runs.run))} runs are used; "
+        f"{len(refused)} runs or samples are not, {fitted.outliers} of them because they "
+        f"contradict both belts. In the runs that are used {runs.rows_left_out} rows are left out."
+    ]
+    filled = [section for section in sections if any(section[2:])]
+    return page_text("Slip", subject, introduction, filled, "run or reason")
+
+
+def _drawings(fitted: Fitted) -> list[Drawing]:
+    data = fitted.data
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        true = (data.beta_left, data.beta_right, data.alpha)
+        figures = {
+            "Predicted and measured": (
+                "Each sample by a fit that has not seen its run; on the dashed line the "
+                "prediction is exact.",
+                _scatter(true, fitted.predicted),
+            ),
+            "Slip over the sprocket speeds": (
+                "Colour: the model; circles: samples in the same colours.",
+                _surface_maps(true, fitted),
+            ),
+        }
+        return [
+            Drawing(title, text, inline_svg(svg_text(figure, title), title))
+            for title, (text, figure) in figures.items()
+        ]
+
+
+def _scatter(measured: tuple[Floats, ...], predicted: Floats) -> Any:
+    figure, panels = new_figure((2.6, 2.4), 1, 3, gap=(0.75, 0.4))
+    for axes, label, *pair in zip(panels[0], LABELS, measured, predicted, strict=True):
+        both = np.concatenate(pair)
+        ends = [both.min(), both.max()]
+        axes.plot(ends, ends, "--", color="0.5", linewidth=1.0)
+        axes.plot(*pair, "o", color=PALETTE[1], markersize=2.5, alpha=0.7)
+        axes.set_title(label, loc="left", fontsize=9)
+        axes.set_xlabel("measured")
+    panels[0, 0].set_ylabel("predicted")
+    return figure
+
+
+def _surface_maps(measured: tuple[Floats, ...], fitted: Fitted) -> Any:
+    figure, panels = new_figure((2.6, 2.4), 1, 3, gap=(0.75, 0.4), sharex=True, sharey=True)
+    speeds = fitted.data.sprocket_left, fitted.data.sprocket_right
+    left, right = np.meshgrid(*(np.linspace(of.min(), of.max(), 40) for of in speeds))
+    surfaces = fitted.model.slip(left.ravel(), right.ravel())
+    for axes, label, surface, true in zip(panels[0], LABELS, surfaces, measured, strict=True):
+        reach = float(np.percentile(np.abs(true), 98.0)) + 1e-6
+        levels, bounded = np.linspace(-reach, reach, 15), np.clip(surface, -reach, reach)
+        axes.contourf(left, right, bounded.reshape(left.shape), levels, cmap="RdBu_r")
+        colours = {"vmin": -reach, "vmax": reach, "cmap": "RdBu_r"}
+        axes.scatter(*speeds, c=true, s=9.0, edgecolors="0.2", linewidths=0.3, **colours)
+        axes.set_title(f"{label}, +-{reach:.2g}", loc="left", fontsize=9)
+        axes.set_xlabel("left sprocket [rad/s]")
+    panels[0, 0].set_ylabel("right sprocket [rad/s]")
+    return figure

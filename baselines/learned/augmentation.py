@@ -50,19 +50,19 @@ from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import NEEDS as CONTROLLER_NEEDS
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from baselines.lyapunov.lyapunov_laws import LyapunovGains, PseudoKinematicModel
-from baselines.lyapunov.slippage_aware import (
+from baselines.lyapunov.pose_filter import (
     ATTITUDE,
     GYRO,
     PATH,
     POSE,
-    filter_of,
-    gyro_noise_of,
+    PoseFilter,
+    PoseMemory,
     locate,
     shows_attitude,
 )
 from baselines.registry import POLICIES, Context
 from tracked_env import observation as layout
-from tracked_env.observation import NAMES, joined
+from tracked_env.observation import NAMES, append_features
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 Floats = NDArray[np.float32]
@@ -231,9 +231,8 @@ class Reckoned(Blind):
         self, count: int, control_period: float, vehicle: PlantParameters, sheet: DataSheet
     ) -> None:
         super().__init__(count, control_period)
-        self._measured, self._gains = filter_of(sheet, control_period)
+        self._filter = PoseFilter.of(sheet, control_period, True)
         self._belts = PseudoKinematicModel(vehicle)
-        self._gyro_noise = gyro_noise_of(sheet, True)
         # error (N, 3), age (N,) of the pose, mean motion (N, 3), what is known of the gyro,
         # whether a pose has come (N,)
         self._memories = (
@@ -247,12 +246,9 @@ class Reckoned(Blind):
             values[start] = 0
         sprockets = observation[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]
         motion, alpha = self._belts.motion(np.nan_to_num(sprockets))
-        error, age, mean, gyro, located = self._memories
-        locate(
-            observation, motion, alpha, self._measured, self._gains, self._gyro_noise,
-            self.control_period, error, age, mean, gyro, located, np.empty((self.count, 4)),
-        )  # fmt: skip
-        return (np.column_stack([-error, motion[:, 0]]) / _SCALE).astype(np.float32)
+        memory = PoseMemory(*self._memories)
+        locate(observation, motion, alpha, self._filter, memory, np.empty((self.count, 4)))
+        return (np.column_stack([-memory.error, motion[:, 0]]) / _SCALE).astype(np.float32)
 
     def memories(self) -> Any:
         """A copy of all that is remembered."""
@@ -470,9 +466,9 @@ class Residual(HeldState):
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """Action of the adaptive policy, then the features of its estimates, (N, F)."""
         action, self._state = self.policy.predict(observation, self._state, start)
-        assert self.policy.known is not None
+        assert self.policy.identification is not None
         known = known_features_torque_augmentation(
-            observation, self.policy.known, self.policy.parameters
+            observation, self.policy.identification, self.policy.parameters
         )
         return np.concatenate([action, known], axis=1)
 
@@ -527,7 +523,7 @@ class Augmentation(Protocol):
 
 def seen(observation: Floats, features: Floats) -> Floats:
     """What the network sees: observation (N, SIZE) and features, 0 for what is not measured."""
-    return np.nan_to_num(joined(observation, features), copy=False)
+    return np.nan_to_num(append_features(observation, features), copy=False)
 
 
 def make_augmentation(

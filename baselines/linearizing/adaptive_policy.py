@@ -5,27 +5,23 @@ Certainty equivalence: at every control step the controller uses the estimates a
     gains and lag of the drives   where the observation shows the commands that were sent; commands
                                   lead a lag that is longer than the nominal one
     F_max, K                      where the data determine the traction limit, else nominal
-and uses the filtered pose and velocity instead of the measured ones. It starts from its nominal
-parameters in every episode, uses observations only, and no true parameter.
+It starts from its nominal parameters in every episode and uses observations only.
 
-References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
+The filtered motion stands in the observation in place of what the sensors measured; a controller
+reads it as it would read the sensors. Pose errors are those of the filtered pose to the same
+reference; the yaw rate is the gyro while its sample is new and the filter has not refused it. What
+the controller does not use is 0 where it is missing.
 
-The filtered motion in an observation, in place of what the sensors measured.
-
-A controller reads the observation as it would read the sensors. Pose errors are those of the
-filtered pose to the same reference; the yaw rate is the gyro while its sample is new and the filter
-has not refused it. What the controller does not use is 0 where it is missing.
-
-The adaptive policy with parameters that it does not identify.
-
+The same policy with parameters that it does not identify:
     OraclePolicy     the true parameters at every step: what perfect identification would reach.
                      Where the plant has no lateral resistance, as the shear of the soil takes up
                      its turns, inertia and lateral resistance of the controller's model have no
                      true values, and are identified together
     IntegralPolicy   the nominal parameters, right or wrong; integral action removes the constant
                      part of the error that they cause
-Both filter what the sensors give as the adaptive policy does, with the ground that they know or
-trust, and estimate no parameter.
+Both filter with the ground that they know or trust, and estimate no parameter.
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
 
 import math
@@ -48,10 +44,9 @@ from baselines.linearizing.linearizing_policy import (
     shows_attitude,
 )
 from tracked_env import observation as layout
-from tracked_env.physics import lumped
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.lumped import torque_decay
+from tracked_env.physics.lumped import drive_limits, torque_decay
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
     PARAMETER_NAMES,
@@ -59,6 +54,13 @@ from tracked_env.physics.parameters import (
     plant_parameters,
     row_parameters,
 )
+
+_ROW = PARAMETER_INDEX
+_MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
+_INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
+_COHESION, _ANGLE = _ROW["cohesion"], _ROW["friction_angle"]
+_MODULUS, _LAG = _ROW["shear_deformation_modulus"], _ROW["drive_time_constant"]
+_GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"]
 
 _I, _SIZE = layout.INDEX, layout.SIZE
 _X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
@@ -69,58 +71,9 @@ WILD_GYRO = 1.0  # [rad/s] from the yaw rate of the belts: a refused gyro beyond
 _UNUSED = np.array(
     [_I[name] for name in layout.NAMES if name.startswith(("acc", "yaw_acc", "sprocket", "torque"))]
 )
-
-
-@formula
-def _show(observation, i, column, value, always):
-    """Write an SI value in place of what was measured: always, or where that is missing."""
-    if always or not np.isfinite(observation[i, column]):
-        layout.store(observation, i, column, value)
-
-
-@formula
-def _yaw_rate(i, yaw_rate, values, age, summary, status, stale):
-    """The gyro [rad/s] where its sample is new and the filter has not refused it, else yaw_rate."""
-    gyro = values[i, _GYRO]
-    wild = abs(gyro - yaw_rate) > WILD_GYRO
-    outlier = status[i] == _REJECTED and np.isfinite(summary[i, 2]) and wild
-    usable = np.isfinite(gyro) and not (age[i, INERTIAL] > stale or outlier)
-    return gyro if usable else yaw_rate
-
-
-@loop
-def show(observation, reference, motion, values, age, summary, status, stale, filtered):
-    """Put the filtered motion (N, 6) into observation (N, >= SIZE), in one frame with reference
-    (N, 3); not filtered: only where NaN. A missing attitude counts as level.
-
-    values, age: of the latest samples; stale [s]: an older gyro is not used. summary, status: of
-    the slip observer's answer.
-    """
-    for i in range(observation.shape[0]):
-        c, s = rotation(motion[i, 2])
-        e_x, e_y = reference[i, 0] - motion[i, 0], reference[i, 1] - motion[i, 1]
-        turn = wrap_angle(reference[i, 2] - motion[i, 2])
-        yaw_rate = _yaw_rate(i, motion[i, 5], values, age, summary, status, stale)
-        _show(observation, i, _X, c * e_x + s * e_y, filtered)
-        _show(observation, i, _Y, c * e_y - s * e_x, filtered)
-        _show(observation, i, _YAW, turn, filtered)
-        _show(observation, i, _V_X, motion[i, 3], filtered)
-        _show(observation, i, _V_Y, motion[i, 4], filtered)
-        _show(observation, i, _W, yaw_rate, filtered)
-        for k in range(_UNUSED.shape[0]):
-            _show(observation, i, _UNUSED[k], 0.0, False)
-        for column in range(_SIZE, observation.shape[1]):
-            if not np.isfinite(observation[i, column]):
-                observation[i, column] = 0.0
-
-
-_ROW = PARAMETER_INDEX
-_MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
-_INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
-_COHESION, _ANGLE = _ROW["cohesion"], _ROW["friction_angle"]
-_MODULUS = _ROW["shear_deformation_modulus"]
-_LAG = _ROW["drive_time_constant"]
-_GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"]
+EFFECTIVE = ("inertia", "lateral_resistance")  # what one regression of the turns answers
+INTEGRAL_GAINS = Gains(200.0, 120.0, 20.0, 0.5, 100.0)  # tuned, docs/tuning.md
+INTEGRAL_TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
 
 
 class AdaptiveState(NamedTuple):
@@ -128,17 +81,55 @@ class AdaptiveState(NamedTuple):
 
     controller: NDArray[np.float64]  # state of the controller, (N, STATE) of the linearizing one
     memories: Memories  # of the estimators
-    given: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `drive_lead`
+    delivered: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `lead_all`
+
+
+@formula
+def _put(observation, i, column, value, always):
+    """Write an SI value in place of what was measured: always, or where that is missing."""
+    if always or not np.isfinite(observation[i, column]):
+        layout.store(observation, i, column, value)
 
 
 @loop
-def hand_over(parameters, longitudinal, turning, actuators, soil, known, nominal, base, period):
+def put_motion(observation, reference, motion, latest, answer, stale, filtered):
+    """Put the filtered motion (N, 6) into observation (N, >= SIZE), in one frame with reference
+    (N, 3); not filtered: only where NaN. A missing attitude counts as level.
+
+    latest: values and age of the latest samples; stale [s]: an older gyro is not used. answer:
+    summary and status of the slip observer's.
+    """
+    (values, age), (summary, status) = latest, answer
+    for i in range(observation.shape[0]):
+        c, s = rotation(motion[i, 2])
+        e_x, e_y = reference[i, 0] - motion[i, 0], reference[i, 1] - motion[i, 1]
+        yaw_rate, gyro = motion[i, 5], values[i, _GYRO]
+        wild = abs(gyro - yaw_rate) > WILD_GYRO
+        outlier = status[i] == _REJECTED and np.isfinite(summary[i, 2]) and wild
+        if np.isfinite(gyro) and not (age[i, INERTIAL] > stale or outlier):
+            yaw_rate = gyro
+        _put(observation, i, _X, c * e_x + s * e_y, filtered)
+        _put(observation, i, _Y, c * e_y - s * e_x, filtered)
+        _put(observation, i, _YAW, wrap_angle(reference[i, 2] - motion[i, 2]), filtered)
+        _put(observation, i, _V_X, motion[i, 3], filtered)
+        _put(observation, i, _V_Y, motion[i, 4], filtered)
+        _put(observation, i, _W, yaw_rate, filtered)
+        for k in range(_UNUSED.shape[0]):
+            _put(observation, i, _UNUSED[k], 0.0, False)
+        for column in range(_SIZE, observation.shape[1]):
+            if not np.isfinite(observation[i, column]):
+                observation[i, column] = 0.0
+
+
+@loop
+def use_estimates(parameters, regressions, soil, determined, nominal, base, period):
     """Estimates into the controller's parameters (PARAMETER_ROWS, N).
 
-    longitudinal (N, >= 2) 1/m, mu_l; turning (N, >= 2) I, mu_t; actuators (N, >= 3) g_L, g_R, a;
-    soil (N, 2) F_max, K, where known (N,) and else nominal (PARAMETER_ROWS,). base [m^2] of a
+    regressions: (N, >= 2) 1/m, mu_l; (N, >= 2) I, mu_t; (N, >= 3) g_L, g_R, a of the drives. soil
+    (N, 2) F_max, K, where determined (N,) and else nominal (PARAMETER_ROWS,). base [m^2] of a
     track. period [s] of the control.
     """
+    longitudinal, turning, actuators = regressions
     for i in range(parameters.shape[1]):
         parameters[_MASS, i] = 1.0 / longitudinal[i, 0]
         parameters[_RESISTANCE, i] = longitudinal[i, 1]
@@ -147,9 +138,9 @@ def hand_over(parameters, longitudinal, turning, actuators, soil, known, nominal
         parameters[_GAIN_RIGHT, i] = actuators[i, 1]
         parameters[_LAG, i] = -period / math.log(actuators[i, 2])
         # F_max as cohesion alone: the controller needs no more than the product.
-        parameters[_COHESION, i] = soil[i, 0] / base if known[i] else nominal[_COHESION]
-        parameters[_ANGLE, i] = 0.0 if known[i] else nominal[_ANGLE]
-        parameters[_MODULUS, i] = soil[i, 1] if known[i] else nominal[_MODULUS]
+        parameters[_COHESION, i] = soil[i, 0] / base if determined[i] else nominal[_COHESION]
+        parameters[_ANGLE, i] = 0.0 if determined[i] else nominal[_ANGLE]
+        parameters[_MODULUS, i] = soil[i, 1] if determined[i] else nominal[_MODULUS]
 
 
 @loop
@@ -157,14 +148,14 @@ def ground_of(parameters, soil, friction):
     """F_max, K (N, 2) and mu_t (N,) of parameters (PARAMETER_ROWS, N)."""
     for i in range(parameters.shape[1]):
         p = row_parameters(parameters.T, i, 0)
-        soil[i, 0] = lumped.drive_limits(p).effort_maximum
+        soil[i, 0] = drive_limits(p).effort_maximum
         soil[i, 1] = p.shear_deformation_modulus
         friction[i] = p.lateral_resistance
 
 
-def _whole(given: NDArray[np.float64]) -> bool:
-    """Whether every parameter is given; else the filter keeps the ground that it identifies."""
-    return not np.isnan(given).any()
+def _complete(parameters: NDArray[np.float64] | None) -> bool:
+    """Whether no parameter is to be identified; else the filter keeps the ground that it finds."""
+    return parameters is not None and not np.isnan(parameters).any()
 
 
 class AdaptivePolicy(BatchPolicy[AdaptiveState]):
@@ -173,7 +164,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
     sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller,
     TUNED_GAINS by default.
-    regression: "coupled", "paper" or "printed", slip: "batched" or "filterpy", see the stack.
+    slip: "batched" or "filterpy", see the stack.
     filtered: True gives the controller the filtered motion, False the measured one; None =
     True unless the data sheet has no noise at all.
     uses_soil: whether the estimated traction limits are used. S does not.
@@ -182,6 +173,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     controller or an estimator needs.
     """
 
+    stack_kind: type[IdentificationStack] = IdentificationStack
+
     def __init__(
         self,
         parameters: PlantParameters | None = None,
@@ -189,7 +182,6 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         data_sheet: DataSheet | None = None,
         lateral: str = "sliding",
         gains: Gains | None = None,
-        regression: str = "coupled",
         slip: str = "batched",
         filtered: bool | None = None,
         uses_soil: bool = True,
@@ -198,47 +190,47 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self.parameters = plant_parameters() if parameters is None else parameters
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
         sloped = shows_attitude(observation)
-        self.controller: Any = self._made(control_period, gains, lateral, sloped)
+        self.controller: Any = self._make_controller(control_period, gains, lateral, sloped)
         noisy = max(self.data_sheet[:3]) > 0.0
         self.filtered = noisy if filtered is None else bool(filtered)
         self.uses_soil = bool(uses_soil)
         # Without the commands that were sent nothing can be said of the drives.
         self._commanded = all(name in observation for name in COMMANDS)
-        self._options: dict[str, Any] = {
-            "regression": regression, "slip": slip, "attitude": sloped,
-            "further": ("actuators",) if self._commanded else (),
-        }  # fmt: skip
+        further = ("actuators",) if self._commanded else ()
+        self._options: dict[str, Any] = {"slip": slip, "attitude": sloped, "further": further}
         # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates; NaN
         # where the estimate is used all the same.
         self.given_parameters: NDArray[np.float64] | None = None
-        self._given: AdaptiveState | None = None
-        self.known: Identification | None = None
+        self._last: AdaptiveState | None = None  # the state that the estimators are in
+        self.identification: Identification | None = None  # of the last call
         self._build(1)
         self._view = layout.View(observation, tuple(dict.fromkeys((*NEEDS, *self.stack.needs))))
 
-    def _made(
+    def _make_controller(
         self, control_period: float, settings: Any, lateral: str, sloped: bool
     ) -> FeedbackLinearizingController:
         """The controller that the estimates are for; another policy may have another one."""
+        gains = TUNED_GAINS if settings is None else settings
+        fields = (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES
         return FeedbackLinearizingController(
-            self.parameters, control_period, TUNED_GAINS if settings is None else settings, lateral,
-            (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES,
-        )  # fmt: skip
+            self.parameters, control_period, gains, lateral, fields
+        )
 
     def _build(self, count: int) -> None:
         """Estimators and parameters of `count` vehicles, all at their nominal values."""
-        self.stack = IdentificationStack(
-            self.parameters, self.controller.control_period, self.data_sheet, count,
-            self.controller.lateral, **self._options,
-        )  # fmt: skip
-        p = self.parameters
+        p, period, lateral = (
+            self.parameters,
+            self.controller.control_period,
+            self.controller.lateral,
+        )
+        self.stack = self.stack_kind(p, period, self.data_sheet, count, lateral, **self._options)
         self._nominal = np.array(p, dtype=np.float64)
         self._base = float(p.track_width * p.contact_length)
         self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
-        self._nothing_known = np.zeros(count, dtype=bool)
+        self._undetermined = np.zeros(count, dtype=bool)
         self._frozen: NDArray[np.bool_] | None = None  # rows whose parameters are held
-        self._held = self.controller.parameters
-        decay = torque_decay(self.controller.control_period, self._nominal[_LAG])
+        self._frozen_parameters = self.controller.parameters
+        decay = torque_decay(period, self._nominal[_LAG])
         drives = (p.actuator_gain_left, p.actuator_gain_right, max(decay, LEAST_DECAY))
         self._nominal_drives = np.tile(np.array(drives, dtype=np.float64), (count, 1))
 
@@ -252,111 +244,117 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
 
         Rows that start do so from the nominal parameters. A NaN in a sensor field is skipped.
         Raises ValueError for a state of another number of vehicles, or a reference that is not
-        finite; then the state given is still good.
+        finite; then the state passed in is still good.
         """
         count = len(observation)
         if count != self.stack.count:
             self._build(count)
-            self._given = None
-        if state is not None and state is not self._given:
+            self._last = None
+        if state is not None and state is not self._last:
             self.stack.restore(state.memories)
-        self._given = None  # until this call has ended well, `stack` is in no known state
-        if self.given_parameters is not None and _whole(self.given_parameters):
-            self._give_ground(self.given_parameters)
-        known = self.stack.update(observation, start)
-        self._adapt(known)
+        self._last = None  # until this call has ended well, `stack` is in no known state
+        self._use_ground()
+        step = self.stack.update(observation, start)
+        self._adapt(step)
         if self._frozen is not None:
             self._frozen &= ~start
-            self.controller.parameters[:, self._frozen] = self._held[:, self._frozen]
-        latest, answers = known.reading.latest, known.parts.answers
-        _value, _covariance, summary, status = answers["slip"]
-        show(
-            observation, known.reading.reference, known.motion_rows, latest.values, latest.age,
-            summary, status, 0.5 * self.controller.control_period, self.filtered,
-        )  # fmt: skip
-        held = None if state is None else state.controller
-        given = np.zeros((count, 2)) if state is None else state.given.copy()
-        action, held = self._drive(observation, start, held, given)
-        self.known = known
-        self._given = AdaptiveState(held, self.stack.memories(), given)
-        return action, self._given
+            self.controller.parameters[:, self._frozen] = self._frozen_parameters[:, self._frozen]
+        latest = step.reading.latest
+        put_motion(
+            observation,
+            step.reading.reference,
+            step.motion_rows,
+            (latest.values, latest.age),
+            step.parts.answers["slip"][2:],
+            0.5 * self.controller.control_period,
+            self.filtered,
+        )
+        memory = None if state is None else state.controller
+        delivered = np.zeros((count, 2)) if state is None else state.delivered.copy()
+        action, memory = self._drive(observation, start, memory, delivered)
+        self.identification = step
+        self._last = AdaptiveState(memory, self.stack.memories(), delivered)
+        return action, self._last
 
     def _drive(
-        self, observation: NDArray[np.float32], start: NDArray[np.bool_], memory: Any,
-        given: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float32], Any]:  # fmt: skip
-        """Actions of the controller and what it remembers; given (N, 2) in and out."""
-        action, memory = self.controller.act(observation, memory, start)
+        self,
+        observation: NDArray[np.float32],
+        start: NDArray[np.bool_],
+        memory: Any,
+        delivered: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Actions of the controller and its memory; delivered (N, 2) in and out."""
+        controller = self.controller
+        action, memory = controller.act(observation, memory, start)
         if self._commanded:
-            lead_all(
-                observation, start, self.controller.parameters, self._nominal[_LAG],
-                self.controller.control_period, given, action,
-            )  # fmt: skip
+            lag, period = self._nominal[_LAG], controller.control_period
+            lead_all(observation, start, controller.parameters, lag, period, delivered, action)
         return action, memory
 
     def compile_kernels(self) -> None:
         """Compile most of what `predict` calls, the last first, see `stack.compile_kernels`."""
         self._build(1)
-        shown = self._view(np.zeros(self._view.size, dtype=np.float32))
-        self._drive(shown, np.ones(1, dtype=bool), None, np.zeros((1, 2)))
+        fields = self._view(np.zeros(self._view.size, dtype=np.float32))
+        self._drive(fields, np.ones(1, dtype=bool), None, np.zeros((1, 2)))
         self.stack.compile_kernels()
         self._build(1)
-        self._given = None
+        self._last = None
 
     def freeze(self, rows: NDArray[np.bool_]) -> None:
         """Keep the controller's present parameters in these rows (N,), until they start anew.
 
         The filter of the motion goes on, with the ground that the estimators go on to identify.
         """
-        self._held = self.controller.parameters.copy()
+        self._frozen_parameters = self.controller.parameters.copy()
         self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
 
-    def _give_ground(self, parameters: NDArray[np.float64]) -> None:
-        """The ground of given parameters (PARAMETER_ROWS, N) for the filter, certain."""
-        count = parameters.shape[1]
-        soil, friction = np.empty((count, 2)), np.empty(count)
-        ground_of(parameters, soil, friction)
-        self.stack.slip.take_ground(soil, np.zeros((count, 2, 2)), friction)
+    def _use_ground(self) -> None:
+        """Let the filter take the ground of given parameters for certain, if all are given."""
+        parameters = self.given_parameters
+        if parameters is not None and _complete(parameters):
+            count = parameters.shape[1]
+            soil, friction = np.empty((count, 2)), np.empty(count)
+            ground_of(parameters, soil, friction)
+            self.stack.slip.take_ground(soil, np.zeros((count, 2, 2)), friction)
 
-    def _adapt(self, known: Identification) -> None:
+    def _adapt(self, step: Identification) -> None:
         """Pass the estimates to the controller, or the parameters given in their place."""
-        given = self.given_parameters
-        if given is not None and _whole(given):
-            self.controller.parameters = given
+        parameters = self.given_parameters
+        if parameters is not None and _complete(parameters):
+            self.controller.parameters = parameters
             return
-        answers = known.parts.answers
-        hand_over(
-            self.controller.parameters, answers["longitudinal"], answers["turning"],
-            answers.get("actuators", self._nominal_drives), answers["soil"][0],
-            known.traction_known if self.uses_soil else self._nothing_known,
-            self._nominal, self._base, self.controller.control_period,
-        )  # fmt: skip
-        if given is not None:
+        answers = step.parts.answers
+        drives = answers.get("actuators", self._nominal_drives)
+        use_estimates(
+            self.controller.parameters,
+            (answers["longitudinal"], answers["turning"], drives),
+            answers["soil"][0],
+            step.traction_known if self.uses_soil else self._undetermined,
+            self._nominal,
+            self._base,
+            self.controller.control_period,
+        )
+        if parameters is not None:
             identified = self.controller.parameters
-            self.controller.parameters = np.where(np.isnan(given), identified, given)
+            self.controller.parameters = np.where(np.isnan(parameters), identified, parameters)
 
     def estimates(self) -> Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """(value, standard deviation) by name after the last call, each (N,), SI."""
-        return {} if self.known is None else self.known.estimates()
+        return {} if self.identification is None else self.identification.estimates()
 
     def excited(self) -> Mapping[str, NDArray[np.bool_]]:
         """Whether the data determine the parameter, by name, (N,)."""
-        if self.known is None:
+        if self.identification is None:
             return {}
         return {
             quantity: status == Status.CONVERGING
-            for name, status in self.known.status().items()
-            for quantity in self.known.provided[name]
+            for name, status in self.identification.status().items()
+            for quantity in self.identification.provided[name]
         }
 
     def nis(self) -> Mapping[str, NDArray[np.float64]]:
         """Normalised innovation squared of each estimator in the last call, (N,)."""
-        return {} if self.known is None else self.known.nis()
-
-
-EFFECTIVE = ("inertia", "lateral_resistance")  # what one regression of the turns answers
-INTEGRAL_GAINS = Gains(200.0, 120.0, 20.0, 0.5, 100.0)  # tuned, docs/tuning.md
-TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
+        return {} if self.identification is None else self.identification.nis()
 
 
 class KnownParametersPolicy:
@@ -380,7 +378,11 @@ class KnownParametersPolicy:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], AdaptiveState]:
         """As AdaptivePolicy.predict."""
+        self._give_parameters(len(observation) if np.ndim(observation) == 2 else 1)
         return self._policy.predict(observation, state, episode_start, deterministic)
+
+    def _give_parameters(self, count: int) -> None:
+        """Set `given_parameters` of the policy for `count` vehicles, unless they are set."""
 
 
 class OraclePolicy(KnownParametersPolicy):
@@ -395,11 +397,9 @@ class OraclePolicy(KnownParametersPolicy):
 
     def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
-        self._policy.given_parameters = np.stack(
-            [np.atleast_1d(truth[name]) for name in PARAMETER_NAMES]
-        )
-        for name in self._effective:
-            self._policy.given_parameters[PARAMETER_INDEX[name]] = np.nan
+        parameters = np.stack([np.atleast_1d(truth[name]) for name in PARAMETER_NAMES])
+        parameters[[PARAMETER_INDEX[name] for name in self._effective]] = np.nan
+        self._policy.given_parameters = parameters
 
 
 class IntegralPolicy(KnownParametersPolicy):
@@ -412,14 +412,5 @@ class IntegralPolicy(KnownParametersPolicy):
         super().__init__(*arguments, gains=gains, **options)
         self._nominal = np.array(self._policy.parameters, dtype=np.float64)[:, np.newaxis]
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], AdaptiveState]:
-        """As AdaptivePolicy.predict."""
-        count = len(observation) if np.ndim(observation) == 2 else 1
+    def _give_parameters(self, count: int) -> None:
         self._policy.given_parameters = np.repeat(self._nominal, count, axis=1)
-        return super().predict(observation, state, episode_start, deterministic)

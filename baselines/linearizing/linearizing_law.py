@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.physics import lumped
+from tracked_env.physics import lumped as vehicle
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import saturated_sign, signed
 from tracked_env.physics.jit import formula
@@ -40,8 +40,10 @@ from tracked_env.physics.rigid_body import in_plane_above
 
 MINIMUM_SPEED = 0.1  # [m/s] below it 1 / v_1 fades to 0; three sigma of a 0.03 m/s sensor
 PROBE_SPEED = 1e-3  # [m/s] lateral speed at which the slope of the friction is taken
-HELD_YAW_RATE = 1e-5  # [rad/s] below both, the soil is left to hold the heading: the demand is
-HELD_YAW_ACCELERATION = 2e-5  # [rad/s^2] rounding (1 um off the path), and its sign means nothing
+# Below both the soil is left to hold the heading: the demand is rounding (1 um off the path), and
+# its sign means nothing.
+RESTING_YAW_RATE = 1e-5  # [rad/s]
+RESTING_YAW_ACCELERATION = 2e-5  # [rad/s^2]
 TRACTION = 0.995  # [-] share of F_limit to be used: at all of it a belt slips by i = 1
 TURN_BEHIND = 0.3  # [rad] heading error from which on steering may come before speed
 LEAST_TURNING_SPEED = 0.8  # [m/s] slower, the sum of the efforts always comes first
@@ -77,6 +79,26 @@ TUNABLE = {  # lowest, highest, whether on a logarithmic scale
     "k_a": (6.0, 40.0, True),
     "bound": (0.1, 2.0, True),
 }
+
+
+def checked_gains(gains: Gains) -> Gains:
+    """The gains as floats. Raises ValueError for those with which the tracking error grows."""
+    gains = Gains(*(float(gain) for gain in gains))
+    k_p, k_v, k_a, bound, k_i = gains
+    if not (all(0.0 < gain < math.inf for gain in (k_p, k_v, k_a)) and bound > 0.0):
+        raise ValueError(f"{gains}: all gains must be positive, and finite but for the bound")
+    if k_a * k_v <= k_p:
+        raise ValueError(
+            f"{gains}: k_a k_v = {k_a * k_v:g} must exceed k_p = {k_p:g}, or the "
+            "tracking error grows (not Hurwitz). Did you change the order of the gains?"
+        )
+    most = k_p * (k_a * k_v - k_p) / (k_a * k_a)
+    if not 0.0 <= k_i < most:
+        raise ValueError(
+            f"{gains}: k_i = {k_i:g} 1/s^4; must be in [0, {most:g}), below k_p (k_a k_v - k_p) / "
+            "k_a^2, or the tracking error grows (not Hurwitz). Is the integral action too strong?"
+        )
+    return gains
 
 
 class Integral(NamedTuple):
@@ -121,24 +143,28 @@ def inverse_speed(speed):
 @formula
 def pressed(k, press):
     """Coefficients whose resistances are those of a normal load of `press` times the weight."""
-    return lumped.Coefficients(
-        k.inverse_mass, k.inverse_inertia, k.half_gauge, k.contact_length, k.inverse_radius,
-        k.resistance * press, k.friction_intensity * press, k.turning_resistance_factor,
+    return vehicle.Coefficients(
+        k.inverse_mass,
+        k.inverse_inertia,
+        k.half_gauge,
+        k.contact_length,
+        k.inverse_radius,
+        k.resistance * press,
+        k.friction_intensity * press,
+        k.turning_resistance_factor,
         k.icr_forward,
-    )  # fmt: skip
+    )
 
 
 @formula
 def lifted(demand, incline):
     """A demand given on the map, in the vehicle's plane above it."""
-    error = in_plane_above(demand.error_x, demand.error_y, incline)
-    velocity = in_plane_above(demand.velocity_x, demand.velocity_y, incline)
-    acceleration = in_plane_above(demand.acceleration_x, demand.acceleration_y, incline)
-    jerk = in_plane_above(demand.jerk_x, demand.jerk_y, incline)
     return Demand(
-        error[0], error[1], velocity[0], velocity[1],
-        acceleration[0], acceleration[1], jerk[0], jerk[1],
-    )  # fmt: skip
+        *in_plane_above(demand.error_x, demand.error_y, incline),
+        *in_plane_above(demand.velocity_x, demand.velocity_y, incline),
+        *in_plane_above(demand.acceleration_x, demand.acceleration_y, incline),
+        *in_plane_above(demand.jerk_x, demand.jerk_y, incline),
+    )
 
 
 @formula
@@ -262,17 +288,15 @@ def turning_moment(motion, u_2, p, k, constrained):
         )
         return p.inertia * u_2 - k.turning_resistance_factor * moment
     d = k.icr_forward
-    none = lumped.TractionLimits(0.0, 0.0, 0.0, 0.0)
-    loads = lumped.constrained_loads(motion, 0.0, 0.0, k, none)
-    turning = lumped.Motion(0.0, 0.0, 2.0 * soil.YAW_FRICTION_REGULARISATION)
-    magnitude = -lumped.constrained_loads(turning, 0.0, 0.0, k, none).turning_moment
+    none = vehicle.TractionLimits(0.0, 0.0, 0.0, 0.0)
+    loads = vehicle.constrained_loads(motion, 0.0, 0.0, k, none)
+    turning = vehicle.Motion(0.0, 0.0, 2.0 * soil.YAW_FRICTION_REGULARISATION)
+    magnitude = -vehicle.constrained_loads(turning, 0.0, 0.0, k, none).turning_moment
     inertial = u_2 / k.inverse_inertia - d * motion.yaw_rate * motion.v_x / k.inverse_mass
-    inverse_width = 1.0 / soil.YAW_FRICTION_REGULARISATION
-    held = abs(motion.yaw_rate) < HELD_YAW_RATE and abs(u_2) < HELD_YAW_ACCELERATION
-    moment = against_resistance(
-        inertial + d * loads.lateral_force, motion.yaw_rate, magnitude, inverse_width
-    )
-    return 0.0 if held else moment
+    if abs(motion.yaw_rate) < RESTING_YAW_RATE and abs(u_2) < RESTING_YAW_ACCELERATION:
+        return 0.0
+    net, inverse_width = inertial + d * loads.lateral_force, 1.0 / soil.YAW_FRICTION_REGULARISATION
+    return against_resistance(net, motion.yaw_rate, magnitude, inverse_width)
 
 
 @formula
@@ -283,7 +307,7 @@ def track_efforts(motion, u_1, u_2, p, k, constrained, pull=0.0):
     """
     force = (u_1 - motion.yaw_rate * motion.v_y - pull) / k.inverse_mass
     turn = 0.5 * turning_moment(motion, u_2, p, k, constrained) / k.half_gauge
-    left, right = lumped.track_speeds(motion, k.half_gauge)
+    left, right = vehicle.track_speeds(motion, k.half_gauge)
     inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
     return (
         against_resistance(0.5 * force - turn, left, k.resistance, inverse_width),
@@ -301,8 +325,8 @@ def turns_first(turning, speed, heading_error, demand, gains):
     if abs(heading_error) < TURN_BEHIND:
         return 0.0
     error_x, _error_y = bounded_error(demand, gains.bound)
-    wanted = demand.velocity_x + gains.k_p / gains.k_v * error_x
-    excess = abs(speed) - max(signed(wanted, wanted * speed), LEAST_TURNING_SPEED)
+    demanded = demand.velocity_x + gains.k_p / gains.k_v * error_x
+    excess = abs(speed) - max(signed(demanded, demanded * speed), LEAST_TURNING_SPEED)
     if excess >= 0.0:
         return 1.0
     return turning if excess > -RESERVE_SPEED else 0.0
@@ -316,7 +340,7 @@ def turning_reserve(motion, u_2, p, k, constrained, limit):
     0 where a track carries a steady turn at constant speed within its `limit` [N].
     """
     rate = signed(max(abs(motion.yaw_rate), RESERVE_YAW_RATE), u_2)
-    turning = lumped.Motion(motion.v_x, motion.v_y, rate)
+    turning = vehicle.Motion(motion.v_x, motion.v_y, rate)
     steady = abs(turning_moment(turning, 0.0, p, k, constrained))
     if 0.5 * steady / k.half_gauge + k.resistance <= limit:
         return 0.0
@@ -333,10 +357,10 @@ def within_limits(left, right, limit_left, limit_right, reserve=0.0):
     both = 0.5 * (limit_left + limit_right)
     mean = min(max(0.5 * (left + right), -both), both)
     turn = 0.5 * (right - left)
-    kept = min(abs(turn), reserve, both)
-    if kept > 0.0:
+    reserved = min(abs(turn), reserve, both)
+    if reserved > 0.0:
         slower, faster = (limit_left, limit_right) if turn > 0.0 else (limit_right, limit_left)
-        mean = min(max(mean, kept - slower), faster - kept)
+        mean = min(max(mean, reserved - slower), faster - reserved)
     low = max(mean - limit_left, -limit_right - mean)
     high = min(mean + limit_left, limit_right - mean)
     turn = min(max(turn, low), high)

@@ -5,25 +5,25 @@ keeps the efforts within what drive and soil give, and holds the compensator xi 
 j of the position error as the state of the policy.
     F_limit = min(g torque limit / r, F(i = 1))          nominal, S (7), g: gain of the drive
     action  = F r / (g torque limit)
-    xi+     = xi + dt eta_1 + (F_given - F_demanded) / m        anti-windup, F over both tracks
+    xi+     = xi + dt eta_1 + (F_limited - F_demanded) / m      anti-windup, F over both tracks
     j+      = j + dt e   along axes in which the limits leave room for it       anti-windup
 Where the observation shows ATTITUDE, the law drives in the plane that they give, with gravity
 in it; where it does not, the ground counts as level.
 A batch is one loop over vehicles; a single vehicle is a batch of one.
 
-References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
-
-Commands that make slow drives answer as fast as the nominal ones.
-
-A drive of lag T follows its command by h(n+1) = a h(n) + (1 - a) u, a = exp(-dt / T); a nominal one
-would reach a_0 h(n) + (1 - a_0) u_d. Both are the same for
+Lead of slow drives (`lead_all`): a drive of lag T follows its command u by
+h(n+1) = a h(n) + (1 - a) u with a = exp(-dt / T), where a nominal one would reach
+a_0 h(n) + (1 - a_0) u_d. Both are the same for
     u = h + (u_d - h) b,    b = (1 - a_0) / (1 - a), at most LARGEST_LEAD, and 1 where T <= T_0
 with h what the drive gives now, in units of the command and of its gain: a model that follows the
 commands that were sent. Noise of the demand is amplified by b as well; the action stays in [-1, 1].
+
+References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
 """
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,12 +33,10 @@ from baselines.estimators.measurement import ATTITUDE
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env import observation as layout
-from tracked_env.observation import INDEX
-from tracked_env.physics import lumped
+from tracked_env.physics import lumped as vehicle
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import signed
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.lumped import torque_decay
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
     PARAMETER_NAMES,
@@ -52,20 +50,27 @@ from tracked_env.validation import CONTROL_PERIOD, checked_number, unknown
 LATERAL_MODELS = ("sliding", "constrained")
 STATE = 4  # xi [m/s^2], j [m s] along body x and y, whether steering comes first (law.turns_first)
 ROUNDING = 1e-9  # [-] of the limit of an effort: a shortage below it is none
+LARGEST_LEAD = 6.0  # [-] a lag of 0.3 s as fast as one of 0.05 s takes 5.1 at 50 Hz
 
 # Fields of the observation that the law reads.
-NEEDS = (
-    "position_error_x", "position_error_y", "heading_error", "v_x", "yaw_rate",
-    "reference_speed", "reference_acceleration", "reference_jerk",
-    "reference_yaw_rate", "reference_yaw_acceleration",
-)  # fmt: skip
-(
-    _ERROR_X, _ERROR_Y, _HEADING_ERROR, _V_X, _YAW_RATE,
-    _SPEED, _ACCELERATION, _JERK, _TURN, _TURN_ACCELERATION,
-) = (layout.INDEX[name] for name in NEEDS)  # fmt: skip
+_POSE, _REFERENCE = (layout.make_layout([group]).names for group in ("pose_error", "reference"))
+NEEDS = (*_POSE, "v_x", "yaw_rate", *_REFERENCE)
+_ERROR_X, _ERROR_Y, _HEADING_ERROR, _V_X, _YAW_RATE = (layout.INDEX[name] for name in NEEDS[:5])
+_SPEED, _ACCELERATION, _JERK, _TURN, _TURN_ACCELERATION = (layout.INDEX[n] for n in _REFERENCE)
 _SCALE = layout.SCALE
 _ROLL, _PITCH = layout.SIZE, layout.SIZE + 1  # ATTITUDE stands behind the fields of v0
 _ROLL_SCALE, _PITCH_SCALE = layout.make_layout(["attitude"]).scale[:2]
+_COMMAND = layout.INDEX["previous_action_left"]
+_LAG = PARAMETER_INDEX["drive_time_constant"]
+
+
+class Setting(NamedTuple):
+    """What the kernels need to know of the controller."""
+
+    gains: Gains
+    period: float  # [s]
+    constrained: bool  # the lateral model
+    sloped: bool  # whether ATTITUDE stands behind the fields of v0
 
 
 def shows_attitude(observation: Sequence[str]) -> bool:
@@ -74,17 +79,11 @@ def shows_attitude(observation: Sequence[str]) -> bool:
 
 
 @formula
-def incline_seen(observation, i, sloped):
+def measured_incline(observation, i, sloped):
     """Incline of vehicle i as measured, or LEVEL."""
     if not sloped:
         return LEVEL
     return incline_of(observation[i, _PITCH] * _PITCH_SCALE, observation[i, _ROLL] * _ROLL_SCALE)
-
-
-@formula
-def _parameters_of(parameters, i):
-    """PlantParameters of vehicle i from (PARAMETER_ROWS, N)."""
-    return row_parameters(parameters.T, i, 0)
 
 
 @formula
@@ -94,31 +93,39 @@ def _si(observation, i, column):
 
 
 @formula
-def _shortage(demanded, given, limit):
-    """Demanded less given [N]; 0 where the difference is rounding."""
-    lack = demanded - given
+def _shortage(demanded, limited, limit):
+    """Demanded less limited effort [N]; 0 where the difference is rounding."""
+    lack = demanded - limited
     return lack if abs(lack) > ROUNDING * limit else 0.0
 
 
 @formula
-def control(observation, i, p, lacking, xi, integral, turning, gains, period, constrained, sloped):
-    """(action left, action right [-], next xi [m/s^2], next Integral) of vehicle i with p.
-
-    lacking: (forward [m/s^2], turning [rad/s^2]) that the model lacks, cancelled by the efforts.
-    """
-    incline = incline_seen(observation, i, sloped)
-    k = law.pressed(lumped.coefficients(p, constrained), incline.press)
-    heading_error = _si(observation, i, _HEADING_ERROR)
-    # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
-    faces_back = abs(heading_error) > 0.5 * math.pi
-    facing = -1.0 if faces_back else 1.0
-    ref = law.Reference(
+def _reference(observation, i, facing):
+    """Reference of vehicle i; facing: -1 where it follows the path backwards."""
+    return law.Reference(
         facing * _si(observation, i, _SPEED),
         facing * _si(observation, i, _ACCELERATION),
         facing * _si(observation, i, _JERK),
         _si(observation, i, _TURN),
         _si(observation, i, _TURN_ACCELERATION),
     )
+
+
+@formula
+def control(observation, i, p, lacking, memory, setting):
+    """(action left, action right [-]) of vehicle i with PlantParameters p.
+
+    lacking: (forward [m/s^2], turning [rad/s^2]) that the model lacks, cancelled by the efforts.
+    memory (N, STATE): row i in and out.
+    """
+    gains, period, constrained, sloped = setting
+    xi, integral = memory[i, 0], law.Integral(memory[i, 1], memory[i, 2])
+    incline = measured_incline(observation, i, sloped)
+    k = law.pressed(vehicle.coefficients(p, constrained), incline.press)
+    heading_error = _si(observation, i, _HEADING_ERROR)
+    # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
+    faces_back = abs(heading_error) > 0.5 * math.pi
+    ref = _reference(observation, i, -1.0 if faces_back else 1.0)
     d, v_x, yaw_rate = p.icr_forward, _si(observation, i, _V_X), _si(observation, i, _YAW_RATE)
     lateral = -d * ref.yaw_rate
     if not constrained:
@@ -126,45 +133,40 @@ def control(observation, i, p, lacking, xi, integral, turning, gains, period, co
         lateral = law.steady_lateral_velocity(ref.speed, ref.yaw_rate, k, pull)
     sigma = lateral + d * ref.yaw_rate
     heading_error -= signed(math.pi, heading_error) if faces_back else 0.0
-    demand = law.demanded_motion(
-        _si(observation, i, _ERROR_X), _si(observation, i, _ERROR_Y), heading_error,
-        ref, lateral, d, constrained,
-    )  # fmt: skip
+    error_x, error_y = _si(observation, i, _ERROR_X), _si(observation, i, _ERROR_Y)
+    demand = law.demanded_motion(error_x, error_y, heading_error, ref, lateral, d, constrained)
     demand = law.lifted(demand, incline)
     eta_1, u_2 = law.linearizing_inputs(demand, v_x, yaw_rate, sigma, xi, gains, integral)
     xi += period * eta_1
-    motion = lumped.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
+    motion = vehicle.Motion(v_x, -d * yaw_rate if constrained else lateral, yaw_rate)
     pull = soil.GRAVITY * incline.down_x
-    left, right = law.track_efforts(
-        motion, xi - lacking[0], u_2 - lacking[1], p, k, constrained, pull
-    )
+    u_1, u_2 = xi - lacking[0], u_2 - lacking[1]
+    left, right = law.track_efforts(motion, u_1, u_2, p, k, constrained, pull)
     limit = p.torque_limit * k.inverse_radius
     limit_left, limit_right = p.actuator_gain_left * limit, p.actuator_gain_right * limit
     if not sloped:
-        carried = law.TRACTION * lumped.drive_limits(p).effort_limit
-        limit_left, limit_right = min(limit_left, carried), min(limit_right, carried)
-    turning = law.turns_first(turning, v_x, heading_error, demand, gains)
+        traction = law.TRACTION * vehicle.drive_limits(p).effort_limit
+        limit_left, limit_right = min(limit_left, traction), min(limit_right, traction)
+    turning = memory[i, 3] = law.turns_first(memory[i, 3], v_x, heading_error, demand, gains)
     weaker = min(limit_left, limit_right)
-    reserve = turning * law.turning_reserve(motion, u_2 - lacking[1], p, k, constrained, weaker)
-    given_left, given_right = law.within_limits(left, right, limit_left, limit_right, reserve)
+    reserve = turning * law.turning_reserve(motion, u_2, p, k, constrained, weaker)
+    most_left, most_right = law.within_limits(left, right, limit_left, limit_right, reserve)
     # Anti-windup: xi is the acceleration that the limited efforts give.
-    xi += ((given_left - left) + (given_right - right)) * k.inverse_mass
+    memory[i, 0] = xi + ((most_left - left) + (most_right - right)) * k.inverse_mass
+    short = _shortage(left + right, most_left + most_right, limit)
+    turning_short = _shortage(right - left, most_right - most_left, limit)
     error_x, error_y = law.bounded_error(demand, gains.bound)
-    short = _shortage(left + right, given_left + given_right, limit)
-    turning_short = _shortage(right - left, given_right - given_left, limit)
     integral = law.integrated(integral, error_x, error_y, short, turning_short * v_x, period)
+    memory[i, 1], memory[i, 2] = integral.x, integral.y
     unit = p.sprocket_radius / p.torque_limit
-    left, right = given_left * unit, given_right * unit
-    return left / p.actuator_gain_left, right / p.actuator_gain_right, xi, integral, turning
+    return most_left * unit / p.actuator_gain_left, most_right * unit / p.actuator_gain_right
 
 
 @loop
-def control_all(
-    observation, parameters, lacking, state, gains, period, constrained, sloped, action
-):  # fmt: skip
+def control_all(observation, parameters, lacking, memory, setting, action):
     """Control of all vehicles: observation (N, D), parameters (rows, N or 1), lacking (N or 1, 2),
-    state (N, STATE) in and out, action (N, 2) out; sloped: ATTITUDE stands behind v0. Returns the
-    first row that is not finite, or -1."""
+    memory (N, STATE) in and out, action (N, 2) out. Returns the first row that is not finite, or
+    -1."""
     shared, alike = parameters.shape[1] == 1, lacking.shape[0] == 1
     for i in range(observation.shape[0]):
         check = 0.0
@@ -172,16 +174,49 @@ def control_all(
             check += observation[i, column] * 0.0
         if check != 0.0:
             return i
-        p = _parameters_of(parameters, 0 if shared else i)
-        integral, n = law.Integral(state[i, 1], state[i, 2]), 0 if alike else i
-        left, right, state[i, 0], integral, state[i, 3] = control(
-            observation, i, p, (lacking[n, 0], lacking[n, 1]), state[i, 0], integral, state[i, 3],
-            gains, period, constrained, sloped,
-        )  # fmt: skip
-        state[i, 1], state[i, 2] = integral.x, integral.y
+        p, n = row_parameters(parameters.T, 0 if shared else i, 0), 0 if alike else i
+        left, right = control(observation, i, p, (lacking[n, 0], lacking[n, 1]), memory, setting)
         action[i, 0] = min(max(left, -1.0), 1.0)
         action[i, 1] = min(max(right, -1.0), 1.0)
     return -1
+
+
+@formula
+def _reached(observation, i, side, start, decay, delivered):
+    """What a drive gives now [-], of what it gave one period ago and the command sent since."""
+    sent = observation[i, _COMMAND + side]
+    reached = decay * delivered[i, side] + (1.0 - decay) * sent
+    return 0.0 if start[i] else reached
+
+
+@loop
+def reached_all(observation, start, parameters, period, delivered):
+    """Bring delivered (N, 2) to the present; arguments as `lead_all`."""
+    shared = parameters.shape[1] == 1
+    for i in range(delivered.shape[0]):
+        decay = vehicle.torque_decay(period, parameters[_LAG, 0 if shared else i])
+        for side in range(2):
+            delivered[i, side] = _reached(observation, i, side, start, decay, delivered)
+
+
+@loop
+def lead_all(observation, start, parameters, nominal_lag, period, delivered, action):
+    """Actions (N, 2) in and out; delivered (N, 2) [-] what the drives give, in and out.
+
+    observation (N, >= SIZE); start (N,): rows that begin, at rest; parameters (PARAMETER_ROWS, N or
+    1) with the lag; nominal_lag T_0 and period dt [s].
+    """
+    nominal = vehicle.torque_decay(period, nominal_lag)
+    shared = parameters.shape[1] == 1
+    for i in range(action.shape[0]):
+        decay = vehicle.torque_decay(period, parameters[_LAG, 0 if shared else i])
+        factor = 1.0
+        if decay > nominal:
+            factor = min((1.0 - nominal) / (1.0 - decay), LARGEST_LEAD)
+        for side in range(2):
+            now = delivered[i, side] = _reached(observation, i, side, start, decay, delivered)
+            if factor > 1.0:
+                action[i, side] = min(max(now + (action[i, side] - now) * factor, -1.0), 1.0)
 
 
 def _checked(name: str, value: ArrayLike) -> NDArray[np.float64]:
@@ -195,26 +230,6 @@ def _checked(name: str, value: ArrayLike) -> NDArray[np.float64]:
     for number in array[~inside].reshape(-1):
         checked_number(f"nominal {name}", number, RANGES[name])
     return array
-
-
-def checked_gains(gains: Gains) -> Gains:
-    """The gains as floats. Raises ValueError for those with which the tracking error grows."""
-    gains = Gains(*(float(gain) for gain in gains))
-    k_p, k_v, k_a, bound, k_i = gains
-    if not (all(0.0 < gain < math.inf for gain in (k_p, k_v, k_a)) and bound > 0.0):
-        raise ValueError(f"{gains}: all gains must be positive, and finite but for the bound")
-    if k_a * k_v <= k_p:
-        raise ValueError(
-            f"{gains}: k_a k_v = {k_a * k_v:g} must exceed k_p = {k_p:g}, or the "
-            "tracking error grows (not Hurwitz). Did you change the order of the gains?"
-        )
-    most = k_p * (k_a * k_v - k_p) / (k_a * k_a)
-    if not 0.0 <= k_i < most:
-        raise ValueError(
-            f"{gains}: k_i = {k_i:g} 1/s^4; must be in [0, {most:g}), below k_p (k_a k_v - k_p) / "
-            "k_a^2, or the tracking error grows (not Hurwitz). Is the integral action too strong?"
-        )
-    return gains
 
 
 class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
@@ -242,14 +257,15 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         lateral: str = "sliding",
         observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        self.gains = checked_gains(Gains() if gains is None else gains)
+        self.gains = law.checked_gains(Gains() if gains is None else gains)
         if lateral not in LATERAL_MODELS:
             raise ValueError(f"lateral = {lateral!r}; must be one of {LATERAL_MODELS}")
         self.sloped = shows_attitude(observation)
         self._view = layout.View(observation, (*NEEDS, *ATTITUDE) if self.sloped else NEEDS)
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.lateral = lateral
-        self._constrained = lateral == "constrained"
+        constrained = lateral == "constrained"
+        self._setting = Setting(self.gains, self.control_period, constrained, self.sloped)
         self.parameters = np.empty((len(PARAMETER_NAMES), 1))
         self.lacking = np.zeros((1, 2))
         self.set_parameters(**parameters._asdict())
@@ -285,63 +301,14 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         Raises ValueError for a state or parameters of another number of vehicles, or an
         observation that is not finite.
         """
-        count = len(observation)
-        if self.parameters.shape[1] not in (1, count):
-            raise ValueError(
-                f"{count} observations but parameters of {self.parameters.shape[1]} vehicles"
-            )
-        kept = np.zeros((count, STATE)) if state is None else np.array(state, dtype=np.float64)
-        self.same_count(len(kept), count)
-        kept[start] = 0.0
+        count, columns = len(observation), self.parameters.shape[1]
+        if columns not in (1, count):
+            raise ValueError(f"{count} observations but parameters of {columns} vehicles")
+        memory = np.zeros((count, STATE)) if state is None else np.array(state, dtype=np.float64)
+        self.same_count(len(memory), count)
+        memory[start] = 0.0
         action = np.empty((count, 2), dtype=np.float32)
-        bad = control_all(
-            observation, self.parameters, self.lacking, kept, self.gains, self.control_period,
-            self._constrained, self.sloped, action,
-        )  # fmt: skip
+        bad = control_all(observation, self.parameters, self.lacking, memory, self._setting, action)
         if bad >= 0:
             raise not_finite(observation, bad)
-        return action, kept
-
-
-LARGEST_LEAD = 6.0  # [-] a lag of 0.3 s as fast as one of 0.05 s takes 5.1 at 50 Hz
-_LAG = PARAMETER_INDEX["drive_time_constant"]
-_COMMAND = INDEX["previous_action_left"]
-
-
-@formula
-def _reached(observation, i, side, start, decay, given):
-    """What a drive gives now [-], of what it gave one period ago and the command sent since."""
-    sent = observation[i, _COMMAND + side]
-    reached = decay * given[i, side] + (1.0 - decay) * sent
-    return 0.0 if start[i] else reached
-
-
-@loop
-def reached_all(observation, start, parameters, period, given):
-    """Bring given (N, 2) to the present; arguments as `lead_all`."""
-    shared = parameters.shape[1] == 1
-    for i in range(given.shape[0]):
-        decay = torque_decay(period, parameters[_LAG, 0 if shared else i])
-        for side in range(2):
-            given[i, side] = _reached(observation, i, side, start, decay, given)
-
-
-@loop
-def lead_all(observation, start, parameters, nominal_lag, period, given, action):
-    """Actions (N, 2) in and out; given (N, 2) [-] what the drives give, in and out.
-
-    observation (N, >= SIZE); start (N,): rows that begin, at rest; parameters (PARAMETER_ROWS, N or
-    1) with the lag; nominal_lag T_0 and period dt [s].
-    """
-    nominal = torque_decay(period, nominal_lag)
-    shared = parameters.shape[1] == 1
-    for i in range(action.shape[0]):
-        decay = torque_decay(period, parameters[_LAG, 0 if shared else i])
-        factor = 1.0
-        if decay > nominal:
-            factor = min((1.0 - nominal) / (1.0 - decay), LARGEST_LEAD)
-        for side in range(2):
-            given[i, side] = _reached(observation, i, side, start, decay, given)
-            if factor > 1.0:
-                led = given[i, side] + (action[i, side] - given[i, side]) * factor
-                action[i, side] = min(max(led, -1.0), 1.0)
+        return action, memory

@@ -17,13 +17,8 @@ from numpy.typing import NDArray
 from baselines.batch_policy import BatchPolicy
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
-from baselines.lyapunov.slippage_aware import (
-    ATTITUDE,
-    NEEDS,
-    LyapunovState,
-    SlippageAwarePolicy,
-    shows_attitude,
-)
+from baselines.lyapunov.pose_filter import ATTITUDE, shows_attitude
+from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
 from baselines.slip.friction_estimator import CURVE, PLACE, RecursiveSlipEstimator
 from baselines.slip.slip_models import (
     LEVEL,
@@ -46,7 +41,7 @@ MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that
 # low does more harm than one that is too high.
 LARGEST_SHARE = 0.5
 SLOPE_MODULI = (0.5, 8.0)  # the same on slopes, where slip on the straight is linear in K
-_SEEN = [layout.INDEX[n] for n in ("v_x", "v_y", "yaw_rate", "pose_age")]
+_MOTION = [layout.INDEX[n] for n in ("v_x", "v_y", "yaw_rate", "pose_age")]
 _SPROCKETS = [layout.INDEX[n] for n in ("sprocket_speed_left", "sprocket_speed_right")]
 
 
@@ -85,23 +80,23 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         self._slopes = shows_attitude(observation)
         self.needs = (*NEEDS, *ATTITUDE) if self._slopes else NEEDS
         self._view = layout.View(observation, self.needs)
-        self._made(1)
+        self._build(1)
+        fields = (*layout.NAMES, *ATTITUDE) if self._slopes else layout.NAMES
         self._policy = controller or SlippageAwarePolicy(
-            parameters, control_period, self.estimator, gains, data_sheet,
-            (*layout.NAMES, *ATTITUDE) if self._slopes else layout.NAMES,
-        )  # fmt: skip
+            parameters, control_period, self.estimator, gains, data_sheet, fields
+        )
 
-    def _made(self, count: int) -> None:
+    def _build(self, count: int) -> None:
         """An estimator for `count` vehicles."""
         self.estimator = RecursiveSlipEstimator(
             self.parameters, self.control_period, self._sheet, count, slopes=self._slopes
         )
         self._frozen: NDArray[np.bool_] | None = None  # rows whose friction is held
-        self._held = self.estimator.memory[:, LEARNED]
+        self._frozen_friction = self.estimator.memory[:, LEARNED]
 
     def freeze(self, rows: NDArray[np.bool_]) -> None:
         """Keep the friction that is known now in these rows (N,), until they start anew."""
-        self._held = self.estimator.memory[:, LEARNED].copy()
+        self._frozen_friction = self.estimator.memory[:, LEARNED].copy()
         self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
 
     def estimates(self) -> dict[str, tuple[Array, Array]]:
@@ -120,22 +115,20 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         if state is not None:
             self.same_count(len(state.memory), count)
         if len(self.estimator.memory) != count:
-            self._made(count)
+            self._build(count)
         if state is not None:
             self.estimator.memory[:] = state.memory
         self.estimator.reset(np.flatnonzero(start))
         batch = observation.astype(np.float64)
-        v_x, v_y, yaw_rate, age = (batch[:, _SEEN] * layout.SCALE[_SEEN]).T
-        known = age <= LATE
+        v_x, v_y, yaw_rate, age = (batch[:, _MOTION] * layout.SCALE[_MOTION]).T
         left, right = (batch[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]).T
-        self.estimator.update(
-            left, right, np.where(known, v_x, np.nan), np.where(known, v_y, np.nan), yaw_rate,
-            None if state is None else state.driving.attitude,
-        )  # fmt: skip
+        v_x, v_y = np.where(age <= LATE, (v_x, v_y), np.nan)
+        attitude = None if state is None else state.driving.attitude
+        self.estimator.update(left, right, v_x, v_y, yaw_rate, attitude)
         if self._frozen is not None:
             self._frozen &= ~start
             rows = np.flatnonzero(self._frozen)
-            self.estimator.memory[rows[:, None], LEARNED] = self._held[rows]
+            self.estimator.memory[rows[:, None], LEARNED] = self._frozen_friction[rows]
         # The friction is worked out once; the controller asks for the slip many times.
         friction = self.estimator.friction
         if state is not None:
@@ -181,10 +174,10 @@ class KnownSlip:
         for number, family in enumerate(self.families):
             share = np.maximum(1.0 - np.abs(place - number), 0.0)
             if share.any():
-                known: SlipModel = family.at(friction)
-                if isinstance(known, SlopeSlipModel):
-                    known = known.on(self.grade)
-                slip = known.slip(sprocket_left, sprocket_right)
+                model: SlipModel = family.at(friction)
+                if isinstance(model, SlopeSlipModel):
+                    model = model.on(self.grade)
+                slip = model.slip(sprocket_left, sprocket_right)
                 share = np.concatenate([share] * times)
                 for channel in range(3):
                     total[channel] += share * slip[channel]
@@ -205,8 +198,8 @@ class OracleSlipPolicy(SlippageAwarePolicy):
         gains: LyapunovGains | None = None,
         observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        known = KnownSlip(parameters, shows_attitude(observation))
-        super().__init__(parameters, control_period, known, gains, data_sheet, observation)
+        model = KnownSlip(parameters, shows_attitude(observation))
+        super().__init__(parameters, control_period, model, gains, data_sheet, observation)
 
     def observe_truth(self, truth: Mapping[str, Any]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""

@@ -24,14 +24,7 @@ The last term is missing in (48): it vanishes for alpha = alpha_d only. It is at
 |k_y v_d q (alpha - alpha_d)|, so a small error of the slip model costs accuracy; a large one
 that grows with the speed can cost convergence.
 
-Assumptions: the slip is in steady state; belts follow their demand. Validity: |eps| up to
-2 arccos(HALF_COSINE_FLOOR); beyond, v_d q is no longer cancelled (no bounded yaw rate can).
-
-References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
-Vehicles (2025), section 5.
-
-Pseudo-kinematic model of a tracked vehicle: a unicycle whose belts slip and which drifts.
-
+The model behind the laws is pseudo-kinematic: a unicycle whose belts slip and which drifts,
     x'   = v_x / cos(alpha) cos(yaw + alpha) = v_x (cos(yaw) - tan(alpha) sin(yaw))   (27)
     y'   = v_x / cos(alpha) sin(yaw + alpha) = v_x (sin(yaw) + tan(alpha) cos(yaw))
     yaw' = w
@@ -45,23 +38,29 @@ A slip model gives beta_L, beta_R and alpha from the two sprocket speeds, (32) a
 Within a step the sprocket speeds are held. Then yaw is linear in time, and fourth-order
 Runge-Kutta is Simpson's rule for the position.
 
-Assumption: slip in steady state; no inertia. Validity: |alpha| < pi / 2.
+Assumptions: the slip is in steady state, without inertia; belts follow their demand. Validity:
+|alpha| < pi / 2; |eps| up to 2 arccos(HALF_COSINE_FLOOR), beyond which v_d q is no longer cancelled
+(no bounded yaw rate can).
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
-Vehicles (2025), section 3.2.
+Vehicles (2025), sections 3.2 and 5.
 """
 
 import math
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from baselines.slip.slip_models import Array, NoSlip, SlipModel
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters
 
 HALF_COSINE_FLOOR = 0.25  # [-] cos(eps / 2) there: 151 deg; the gain 1 / cos stays below 4.4
+MAXIMUM_SLIP_ANGLE = 1.0  # [rad] |alpha| is bounded here: cos(alpha) stays away from 0
+SLOW = 0.05  # [m/s] below this speed alpha fades out: at standstill it has no sign and no use
+DRIFT_TIME = 1.0  # [s] over which an error of dead reckoning keeps its sign
 
 
 class LyapunovGains(NamedTuple):
@@ -77,8 +76,6 @@ class LyapunovGains(NamedTuple):
 # attitude is shown, of every policy.
 GAINS_ON_FLOORS = LyapunovGains(k_p=5.0, k_phi=3.0, k_y=40.0, reach=0.04)
 GAINS_ON_SLOPES = LyapunovGains(k_p=5.0, k_phi=3.0, k_y=40.0, reach=0.1)
-
-
 TUNABLE = {  # lowest, highest, whether on a logarithmic scale
     "k_p": (1.0, 40.0, True),
     "k_phi": (0.3, 12.0, True),
@@ -140,22 +137,11 @@ def distance_weight(x, y, gains):
 
 
 @formula
-def unicycle_law(error, speed, yaw_rate, gains):
-    """BodyMotion demanded by (40), (42), blind to slip; speed v_d [m/s], yaw_rate w_d [rad/s].
-
-    error: PoseError. No error: the reference itself. Odd in (e_y, e_h, w_d) to the left.
-    """
-    _cosine, sine = rotation(error.heading)
-    steering = speed * turn_towards(error.x, error.y, error.heading)
-    steering *= distance_weight(error.x, error.y, gains)
-    return BodyMotion(speed - gains.k_p * error.x, yaw_rate - steering - gains.k_phi * sine)
-
-
-@formula
 def slippage_aware_law(error, speed, yaw_rate, slip, gains):
     """BodyMotion demanded by (44), (47); speed v_d [m/s], yaw_rate w_d [rad/s], slip: Slip.
 
-    No slip: the unicycle law, to the bit. Rests at no position error and e_h = -alpha_d.
+    No error: the reference itself. Odd in (e_y, e_h, w_d) to the left. Rests at no position error
+    and e_h = -alpha_d.
     """
     cosine, sine = rotation(slip.alpha)
     along = error.x * cosine + error.y * sine
@@ -203,16 +189,13 @@ def within_speed_limit(left, right, limit):
 
 
 @loop
-def laws(error, reference, slip, aware, gains, motion):
-    """Either law for N vehicles: error (N, 3), reference (N, 2) v_d and w_d, slip (N, 3);
+def laws(error, reference, slip, gains, motion):
+    """The law for N vehicles: error (N, 3), reference (N, 2) v_d and w_d, slip (N, 3);
     motion (N, 2) out: v_x and w. Rows as PoseError, Slip, BodyMotion."""
     for i in range(error.shape[0]):
         e = PoseError(error[i, 0], error[i, 1], error[i, 2])
-        if aware:
-            s = Slip(slip[i, 0], slip[i, 1], slip[i, 2])
-            m = slippage_aware_law(e, reference[i, 0], reference[i, 1], s, gains)
-        else:
-            m = unicycle_law(e, reference[i, 0], reference[i, 1], gains)
+        s = Slip(slip[i, 0], slip[i, 1], slip[i, 2])
+        m = slippage_aware_law(e, reference[i, 0], reference[i, 1], s, gains)
         motion[i, 0], motion[i, 1] = m.speed, m.yaw_rate
 
 
@@ -223,23 +206,9 @@ def sprockets_for(motion, beta, half_gauge, radius, limit, sprockets):
     motion (N, 2), beta (N, 2) [m/s]; half_gauge, radius [m] and limit: (N,) each.
     """
     for i in range(motion.shape[0]):
-        left, right = belt_speeds(
-            BodyMotion(motion[i, 0], motion[i, 1]), beta[i, 0], beta[i, 1], half_gauge[i]
-        )
-        sprockets[i, 0], sprockets[i, 1] = within_speed_limit(
-            left / radius[i], right / radius[i], limit[i]
-        )
-
-
-@loop
-def motions_of(sprockets, beta, half_gauge, radius, motion):
-    """BodyMotion (N, 2) out of sprocket speeds (N, 2) [rad/s]; beta, B / 2, r as above."""
-    for i in range(motion.shape[0]):
-        r = radius[i]
-        m = body_motion(
-            sprockets[i, 0] * r, sprockets[i, 1] * r, beta[i, 0], beta[i, 1], half_gauge[i]
-        )
-        motion[i, 0], motion[i, 1] = m.speed, m.yaw_rate
+        demand, r = BodyMotion(motion[i, 0], motion[i, 1]), radius[i]
+        left, right = belt_speeds(demand, beta[i, 0], beta[i, 1], half_gauge[i])
+        sprockets[i, 0], sprockets[i, 1] = within_speed_limit(left / r, right / r, limit[i])
 
 
 @formula
@@ -251,37 +220,12 @@ def lyapunov_value(error, reference_slip, gains):
     return gains.k_y * square / (1.0 + share) + 1.0 - cosine
 
 
-MAXIMUM_SLIP_ANGLE = 1.0  # [rad] |alpha| is bounded here: cos(alpha) stays away from 0
-SLOW = 0.05  # [m/s] below this speed alpha fades out: at standstill it has no sign and no use
-DRIFT_TIME = 1.0  # [s] over which such an error keeps its sign
-SPIRAL_SPEED = 0.3  # [m/s] v_d of the spiral of F, figure 10
-SPIRAL_YAW_ACCELERATION = 0.05  # [rad/s^2] its yaw rate over t; F prints 4 t, see `Spiral`
-
-Array = NDArray[np.float64]
-
-
-class SlipModel(Protocol):
-    """Steady slip of a vehicle as a function of its sprocket speeds."""
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-
-
 @runtime_checkable
 class SlopeAwareSlipModel(Protocol):
     """The same on any slope."""
 
     def on(self, grade: Array) -> SlipModel:
         """The slip model of vehicles that feel grades (N, 2), see `slip.slope_models`."""
-
-
-class NoSlip:
-    """The slip model of a unicycle: none."""
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """Three arrays of zeros, (N,)."""
-        none = np.zeros(np.shape(sprocket_left))
-        return none, none.copy(), none.copy()
 
 
 class Geometry(NamedTuple):
@@ -300,19 +244,16 @@ class Geometry(NamedTuple):
         names = ("track_gauge", "sprocket_radius", "sprocket_speed_limit")
         arrays = [np.atleast_1d(np.asarray(getattr(parameters, n), dtype=float)) for n in names]
         for name, array in zip(names, arrays, strict=True):
-            low, high, unit, hint = RANGES[name]
-            inside = (array >= low) & (array <= high)  # NaN is outside
-            if not inside.all():
-                raise ValueError(
-                    f"{name} = {array[~inside][0]:g} {unit}; must be in [{low:g}, {high:g}] "
-                    f"{unit}. {hint}"
-                )
+            inside = (array >= RANGES[name].low) & (array <= RANGES[name].high)  # NaN is outside
+            for value in array[~inside]:
+                low, high, unit, hint = RANGES[name]
+                allowed = f"[{low:g}, {high:g}] {unit}"
+                raise ValueError(f"{name} = {value:g} {unit}; must be in {allowed}. {hint}")
         try:
             gauge, radius, limit = (np.array(a) for a in np.broadcast_arrays(*arrays))
         except ValueError as error:
-            raise ValueError(
-                f"{names} have lengths {[len(a) for a in arrays]}; must be 1 or one N"
-            ) from error
+            lengths = [len(array) for array in arrays]
+            raise ValueError(f"{names} have lengths {lengths}; must be 1 or one N") from error
         return cls(0.5 * gauge, radius, limit)
 
     def rows(self, count: int) -> "Geometry":
@@ -382,10 +323,8 @@ def faded(alpha, speed):
 def step_all(pose, motion, alpha, duration):
     """`pose_step` of N vehicles: pose (N, 3) in and out, motion (N, 2), alpha (N,)."""
     for i in range(pose.shape[0]):
-        pose[i, 0], pose[i, 1], pose[i, 2] = pose_step(
-            pose[i, 0], pose[i, 1], pose[i, 2],
-            BodyMotion(motion[i, 0], motion[i, 1]), alpha[i], duration,
-        )  # fmt: skip
+        m, (x, y, yaw) = BodyMotion(motion[i, 0], motion[i, 1]), pose[i, :3]
+        pose[i, 0], pose[i, 1], pose[i, 2] = pose_step(x, y, yaw, m, alpha[i], duration)
 
 
 @loop
@@ -395,10 +334,8 @@ def settle(sprockets, slip, half_gauge, radius, beta, alpha, motion):
     for i in range(sprockets.shape[0]):
         for side in range(2):
             beta[i, side] = slip[i, side] if math.isfinite(slip[i, side]) else 0.0
-        r = radius[i]
-        m = body_motion(
-            sprockets[i, 0] * r, sprockets[i, 1] * r, beta[i, 0], beta[i, 1], half_gauge[i]
-        )
+        left, right = sprockets[i, 0] * radius[i], sprockets[i, 1] * radius[i]
+        m = body_motion(left, right, beta[i, 0], beta[i, 1], half_gauge[i])
         motion[i, 0], motion[i, 1] = m.speed, m.yaw_rate
         alpha[i] = faded(slip[i, 2], m.speed)
 
@@ -427,11 +364,9 @@ class PseudoKinematicModel:
         """Motion (N, 2) of v_x [m/s] and w [rad/s], and alpha (N,), at sprockets (N, 2)."""
         geometry = self.geometry.rows(len(sprockets))
         left, right, alpha = self.slip_model.slip(sprockets[:, 0], sprockets[:, 1])
-        motion = np.empty((len(sprockets), 2))
-        motions_of(
-            sprockets, np.stack([left, right], axis=1), geometry.half_gauge, geometry.radius, motion
-        )
-        return motion, alpha
+        belts = sprockets * geometry.radius[:, None]
+        motion = body_motion(*belts.T, left, right, geometry.half_gauge)
+        return np.stack(motion, axis=1), alpha
 
     def step(self, pose: ArrayLike, sprockets: Array, duration: float) -> Array:
         """Pose (N, 3) after `duration` [s] at held sprocket speeds (N, 2) [rad/s].
@@ -444,29 +379,3 @@ class PseudoKinematicModel:
         motion, alpha = self.motion(sprockets)
         step_all(after, motion, alpha, duration)
         return after
-
-
-class Spiral(NamedTuple):
-    """The reference of F, figure 10: constant speed, yaw rate w_d = yaw_acceleration t.
-
-    F prints w_d = 4 t in no unit. In rad/s it needs sprockets of 10 rad/s, the end of F's own
-    data, after 0.5 s and a radius of 1 cm after 8 s. The default reaches 1 rad/s, a radius of
-    0.3 m, in 20 s.
-    """
-
-    speed: float = SPIRAL_SPEED  # [m/s] v_d
-    yaw_acceleration: float = SPIRAL_YAW_ACCELERATION  # [rad/s^2] dw_d / dt
-
-    def yaw_rate(self, time: float) -> float:
-        """w_d [rad/s] at `time` [s]."""
-        return self.yaw_acceleration * time
-
-    def advance(self, pose: Array, time: float, duration: float) -> Array:
-        """Reference pose (3,) at time + duration [s]; `pose` is that at `time`. RK4 of (35)."""
-        middle, end = time + 0.5 * duration, time + duration
-        start, bend = pose[2], 0.5 * self.yaw_acceleration
-        halfway = start + bend * (middle * middle - time * time)
-        final = start + bend * (end * end - time * time)
-        yaws = np.array([start, halfway, final])
-        weights = np.array([1.0, 4.0, 1.0]) * self.speed * duration / 6.0
-        return np.array([pose[0] + weights @ np.cos(yaws), pose[1] + weights @ np.sin(yaws), final])

@@ -25,15 +25,13 @@ With less than FINAL left the plan is driven to its end, where the vehicle has t
 for without speed there is no course, and rests after SETTLE. A vehicle without any plan stands,
 and asks again.
 
-References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
-Vehicles (2025), sections 5.2, 6.3.
-
-Plans that vehicles follow to their goals, and the error to them.
-
 Samples of a plan are in the frame of the goal, even in time and linear between. The error to the
 plan follows from the error to the goal: with that of the goal at (e_x, e_y, e_psi) in body axes
 and the plan at (x, y) with course chi,
     (e_x, e_y) - R(e_psi)^T (x, y)        e_psi - chi
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), sections 5.2, 6.3.
 """
 
 import math
@@ -47,11 +45,12 @@ from baselines.batch_policy import BatchPolicy
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, AdaptiveSlipState
-from baselines.lyapunov.lyapunov_laws import LyapunovGains, NoSlip
-from baselines.lyapunov.slippage_aware import NEEDS, PATH, POSE, SlippageAwarePolicy
+from baselines.lyapunov.lyapunov_laws import LyapunovGains
+from baselines.lyapunov.pose_filter import PATH, POSE
+from baselines.lyapunov.slippage_aware import NEEDS, SlippageAwarePolicy
 from baselines.planners.optimal import optimal
 from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits, hand_over
-from baselines.slip.slip_models import Array, FrictionSlipModel
+from baselines.slip.slip_models import Array, FrictionSlipModel, NoSlip
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import loop
@@ -78,9 +77,14 @@ class Plans(NamedTuple):
         """No plans yet."""
         zeros, counted = np.zeros(count), np.zeros(count, dtype=np.int64)
         return cls(
-            np.zeros((count, LAST + 1, 7)), zeros, zeros + math.nan, zeros + math.inf,
-            counted, counted.copy(), counted.copy(),
-        )  # fmt: skip
+            np.zeros((count, LAST + 1, 7)),
+            zeros,
+            zeros + math.nan,
+            zeros + math.inf,
+            counted,
+            counted.copy(),
+            counted.copy(),
+        )
 
     def begun(self, start: NDArray[np.bool_]) -> "Plans":
         """Those of vehicles whose episode starts are forgotten."""
@@ -153,18 +157,27 @@ class PlanFollower(SlippageAwarePolicy):
     """
 
     def __init__(
-        self, parameters: PlantParameters, control_period: float, gains: LyapunovGains,
-        data_sheet: DataSheet, limits: Limits, replan_period: float,
-    ) -> None:  # fmt: skip
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        gains: LyapunovGains,
+        data_sheet: DataSheet,
+        limits: Limits,
+        replan_period: float,
+    ) -> None:
         super().__init__(parameters, control_period, NoSlip(), gains, data_sheet)
         self._vehicle, self._limits, self._replan_period = parameters, limits, replan_period
         self._size = _size(parameters)
         self.plans = Plans.none(0)
 
-    def _followed(
-        self, observation: NDArray[np.float32], error: Array, reference: Array,
-        moving: NDArray[np.bool_], driven: Array,
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:  # fmt: skip
+    def _path_followed(
+        self,
+        observation: NDArray[np.float32],
+        error: Array,
+        reference: Array,
+        moving: NDArray[np.bool_],
+        driven: Array,
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Error to the plan and motion of the plan, of vehicles that have one."""
         period, soon = self.control_period, 0.5 * self.control_period  # the clock is a sum
         plans = self.plans._replace(
@@ -200,19 +213,19 @@ class PlanFollower(SlippageAwarePolicy):
         friction = np.broadcast_to(model.friction, len(error))
         for i in rows:
             on = model._replace(friction=friction[i : i + 1])
-            made = self._plan(error[i], belts[i], on)
+            plan = self._plan(error[i], belts[i], on)
             new.asked[i] = 0.0
-            if not made.converged:
+            if not plan.converged:
                 new.not_found[i] += 1
             elif (
-                off[i] < self._size * NEAR and made.length > plans.way_left(i) + self._size * DETOUR
+                off[i] < self._size * NEAR and plan.length > plans.way_left(i) + self._size * DETOUR
             ):
                 new.refused[i] += 1
             else:
                 new.followed[i] += 1
-                new.since[i], new.duration[i] = 0.0, made.duration
-                times = np.linspace(0.0, made.duration, LAST + 1)
-                x, y, course, speed, gain, turn, bend = hand_over(made, times, self._vehicle)
+                new.since[i], new.duration[i] = 0.0, plan.duration
+                times = np.linspace(0.0, plan.duration, LAST + 1)
+                x, y, course, speed, gain, turn, bend = hand_over(plan, times, self._vehicle)
                 new.samples[i] = np.stack([x, y, course, speed, turn, gain, bend], axis=1)
         return new
 
@@ -230,11 +243,11 @@ class PlanFollower(SlippageAwarePolicy):
         cosine, sine = math.cos(yaw), math.sin(yaw)
         place = cosine * ahead - sine * left, sine * ahead + cosine * left
         start = Start(*place, yaw, sprocket_left=belts[0], sprocket_right=belts[1])
-        made = optimal(
+        plan = optimal(
             start, (0.0, 0.0, 0.0), limits, self._vehicle, model, intervals=INTERVALS, stop=True
         )
-        assert isinstance(made, Trajectory)
-        return made
+        assert isinstance(plan, Trajectory)
+        return plan
 
 
 class ReplanningState(NamedTuple):
@@ -254,10 +267,15 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
     """
 
     def __init__(
-        self, parameters: PlantParameters, control_period: float, data_sheet: DataSheet,
-        gains: LyapunovGains = law.GAINS_ON_SLOPES, observation: Sequence[str] = layout.NAMES,
-        replan_period: float = REPLAN_PERIOD, limits: Limits | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        data_sheet: DataSheet,
+        gains: LyapunovGains = law.GAINS_ON_SLOPES,
+        observation: Sequence[str] = layout.NAMES,
+        replan_period: float = REPLAN_PERIOD,
+        limits: Limits | None = None,
+    ) -> None:
         self._view = layout.View(observation, (*_MEASURED, *GOAL))
         if not replan_period >= control_period:
             raise ValueError(
@@ -267,9 +285,14 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
         if limits is None:
             slowest, fastest = (_size(parameters) * speed for speed in (SLOWEST, FASTEST))
             limits = Limits.of(
-                parameters, reserve=RESERVE, sprocket_acceleration=SPROCKET_ACCELERATION,
-                v_min=slowest, v_max=fastest, acceleration=math.inf, lateral_acceleration=math.inf,
-            )  # fmt: skip
+                parameters,
+                reserve=RESERVE,
+                sprocket_acceleration=SPROCKET_ACCELERATION,
+                v_min=slowest,
+                v_max=fastest,
+                acceleration=math.inf,
+                lateral_acceleration=math.inf,
+            )
         checked_limits(limits, parameters)
         if limits.fixed or limits.sprocket_speed > parameters.sprocket_speed_limit:
             raise ValueError(
@@ -300,12 +323,9 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
         """
         if state is not None:
             self.same_count(len(state.plans.since), len(start))
-        known = Plans.none(len(start)) if state is None else state.plans.begun(start)
-        self._follower.plans = known
-        seen = to_goal(observation)
-        action, adaptive = self._adaptive.act(
-            seen, None if state is None else state.adaptive, start
-        )
+        self._follower.plans = Plans.none(len(start)) if state is None else state.plans.begun(start)
+        adaptive = None if state is None else state.adaptive
+        action, adaptive = self._adaptive.act(with_goal_as_reference(observation), adaptive, start)
         return action, ReplanningState(adaptive, self._follower.plans)
 
 
@@ -314,10 +334,10 @@ def _size(parameters: PlantParameters) -> float:
     return parameters.track_gauge / VEHICLES["focchi"].track_gauge
 
 
-def to_goal(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+def with_goal_as_reference(observation: NDArray[np.float32]) -> NDArray[np.float32]:
     """Observations (N, SIZE) whose reference stands at the goal; GOAL stands behind those given."""
     goal = observation[:, layout.SIZE :] * _GOAL_SCALE
-    made = observation[:, : layout.SIZE].copy()
+    referred = observation[:, : layout.SIZE].copy()
     error = np.column_stack([goal[:, 0], goal[:, 1], np.arctan2(goal[:, 3], goal[:, 2])])
-    made[:, _POSE], made[:, _PATH] = error / _SCALE[_POSE], 0.0
-    return made
+    referred[:, _POSE], referred[:, _PATH] = error / _SCALE[_POSE], 0.0
+    return referred

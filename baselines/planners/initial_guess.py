@@ -9,7 +9,7 @@ Samples of a plan with held belt speeds, and its end as the pseudo-kinematic mod
 
 From one sample to the next sprocket speeds, ground speed and yaw rate hold, and so does
 alpha = course - yaw: poses at the samples are exact. Derivatives are slopes between the middles of
-the intervals. The end is integrated by Runge-Kutta steps of the model (pseudo_kinematic), which
+the intervals. The end is integrated by Runge-Kutta steps of the model (lyapunov_laws), which
 share nothing with the arcs but the surface.
 """
 

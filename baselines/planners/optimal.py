@@ -41,7 +41,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.lyapunov.lyapunov_laws import SlipModel
 from baselines.planners.curves import (
     SIGNS,
     SNAP,
@@ -77,6 +76,7 @@ from baselines.planners.trajectory import (
     checked_starts,
     failed_plan,
 )
+from baselines.slip.slip_models import SlipModel
 from tracked_env.physics.jit import copy_table, formula, loop
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.validation import checked_number, checked_whole

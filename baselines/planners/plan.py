@@ -26,7 +26,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.lyapunov.lyapunov_laws import SlipModel
 from baselines.planners import legs, plan_on_slopes, speed_along_path
 from baselines.planners import optimal as gears
 from baselines.planners.clearance import MARGIN, Footprint, checked_footprint, checked_margin
@@ -43,6 +42,7 @@ from baselines.planners.trajectory import (
     checked_starts,
     failed_plan,
 )
+from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
 from tracked_env.validation import checked_choice, checked_flag, checked_number, checked_whole

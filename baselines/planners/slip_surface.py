@@ -32,10 +32,11 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.lyapunov.lyapunov_laws import NoSlip, SlipModel
 from baselines.slip.slip_models import (
     ExponentialSlipModel,
+    NoSlip,
     SlipFamily,
+    SlipModel,
     TableSlipModel,
     TreeSlipModel,
     layers,

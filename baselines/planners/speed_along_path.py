@@ -34,9 +34,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.lyapunov.lyapunov_laws import NoSlip, SlipModel
 from baselines.planners.curves import Path, end_errors, places
 from baselines.planners.trajectory import Limits, Trajectory, checked_sample_count
+from baselines.slip.slip_models import NoSlip, SlipModel
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
 

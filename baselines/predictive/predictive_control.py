@@ -306,7 +306,9 @@ class PredictivePolicy(AdaptivePolicy):
         needed = (*NEEDS, *COMMANDS, *self.stack.needs)
         self._view = layout.View(observation, tuple(dict.fromkeys(needed)))
 
-    def _made(self, control_period: float, settings: Any, lateral: str, sloped: bool) -> Any:
+    def _make_controller(
+        self, control_period: float, settings: Any, lateral: str, sloped: bool
+    ) -> Any:
         return PredictiveController(self.parameters, control_period, self._settings, sloped)
 
     def _drive(

@@ -29,16 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators.measurement import DataSheet
-from baselines.lyapunov import lyapunov_laws as kinematics
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
-from baselines.lyapunov.lyapunov_laws import Array, Geometry
-from baselines.lyapunov.slippage_aware import (
-    NEEDS,
-    LyapunovState,
-    SlippageAwarePolicy,
-    shows_attitude,
-)
+from baselines.lyapunov.lyapunov_laws import Geometry
+from baselines.lyapunov.pose_filter import shows_attitude
+from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
 from baselines.predictive import stages
 from baselines.predictive.predictive_control import Work, checked_settings, make_work, shift
 from baselines.predictive.stages import PredictiveSettings, set_costs
@@ -58,6 +53,7 @@ from baselines.predictive.tracked_prediction import (
     lay_path,
 )
 from baselines.predictive.tracked_prediction import NEEDS as PATH_NEEDS
+from baselines.slip.slip_models import Array, NoSlip
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
@@ -304,7 +300,7 @@ class PredictiveAdaptiveSlipPolicy(AdaptiveSlipPolicy):
     ) -> None:
         shown = observation if shows_attitude(observation) else layout.NAMES
         controller = PredictiveSlipPolicy(
-            parameters, control_period, kinematics.NoSlip(), None, data_sheet,
+            parameters, control_period, NoSlip(), None, data_sheet,
             observation=shown, settings=settings,
         )  # fmt: skip
         super().__init__(

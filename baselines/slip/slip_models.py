@@ -47,16 +47,31 @@ References: [F] Focchi et al. (2025), section 4.5.
 
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.lyapunov.lyapunov_laws import NoSlip, SlipModel
 from tracked_env.physics.jit import formula, loop
 from tracked_env.validation import plain_arrays
 
 Array = NDArray[np.float64]
+
+
+class SlipModel(Protocol):
+    """Steady slip of a vehicle as a function of its sprocket speeds."""
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+
+
+class NoSlip:
+    """The slip model of a unicycle: none."""
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
+        """Three arrays of zeros, (N,)."""
+        none = np.zeros(np.shape(sprocket_left))
+        return none, none.copy(), none.copy()
 
 
 SLOW = 0.005  # [m/s] e: below it alpha fades out; alpha is 1 % small at ten times this speed

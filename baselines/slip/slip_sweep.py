@@ -69,7 +69,14 @@ from tracked_env.physics.parameters import RANGES, PlantParameters, row_paramete
 from tracked_env.physics.patches_on_level_ground import Belts, Patches, hold_speeds, make_patches
 from tracked_env.physics.patches_on_terrain import Twist
 from tracked_env.physics.rigid_body import matrix_of, quaternion_of, turned
-from tracked_env.physics.terrain_motion import SCALED, Pose3, body_of, set_soil, sinkage_at_rest
+from tracked_env.physics.terrain_motion import (
+    SCALED,
+    BodyOptions,
+    Pose3,
+    body_of,
+    set_soil,
+    sinkage_at_rest,
+)
 from tracked_env.physics.terramechanics import GRAVITY
 
 STEP = 0.65  # [rad/s] between sprocket speeds, F 4.2
@@ -427,7 +434,7 @@ def steady_on_slopes(
     grade: ArrayLike,
     load: str = "nonuniform",
     patches: tuple[int, int] = PATCHES,
-    made: Array = SCALED,
+    made: BodyOptions = SCALED,
     tolerance: float = TOLERANCE,
 ) -> Array:
     """(N, 3) v_x, v_y [m/s], yaw rate [rad/s] at sprocket speeds (N, 2) [rad/s], left then right,
@@ -471,7 +478,7 @@ def slope_sweep(
     slope_step: float = SLOPE_STEP,
     load: str = "nonuniform",
     patches: tuple[int, int] = PATCHES,
-    made: Array = SCALED,
+    made: BodyOptions = SCALED,
 ) -> tuple[Array, NDArray[np.bool_], Grid]:
     """Steady motion (nodes, nodes, slopes, slopes, 3) over left and right speed, t_x and t_y;
     whether it is that of the node; and the grid of the speeds.

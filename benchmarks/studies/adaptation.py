@@ -1,38 +1,38 @@
 """What adapting to a change inside an episode is worth, from paired episodes.
 
-After the first abrupt change of an episode (see `changes`), until the next one or the end:
+    python -m benchmarks.studies.adaptation [--env Speed-v0] [--policies ..] [--sets ..]
+
+Every policy drives beside itself without learning from the first abrupt change of an episode on
+(`frozen`). After that change, until the next one or the end:
     regret    RMSE of a policy minus that of the ceiling, the best policy that reads the truth [m]
     recovery  time [s] until the distance stays small
-    worth     RMSE of the same policy that learns no more from the change on (`frozen`) over its own
+    worth     RMSE of the frozen policy over that of the same policy
 Where a border is met depends on the driver, so each policy counts from its own crossing. An episode
 that ends before the ceiling's change counts with the error at which it ended: to be lost early is
 never better. Means and ratios are over episodes and, of agents, seeds, with intervals of
 `reliability`. Up to the change the frozen policy drives as the other does, to the bit.
-
-`tracked-env adaptation`: every policy beside itself without learning from the change on.
 """
 
-import csv
-import io
-import shutil
+import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.benchmark import reliability as rel
-from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.executors import make_executor
-from tracked_env.benchmark.figures import STYLE, looks, new_figure, plain_ticks
-from tracked_env.benchmark.policies import (
-    by_name,
-    default_names,
-    load_policies,
-    open_archive,
-    registered_policies,
+from benchmarks.studies import (
+    Cells,
+    driven,
+    policies_of,
+    show,
+    study_parser,
+    write_csv,
+    write_figure,
 )
+from tracked_env.benchmark import reliability
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.figures import STYLE, looks, new_figure, plain_ticks
 from tracked_env.benchmark.policy_interface import (
     FROZEN_NAME,
     PolicyEntry,
@@ -40,22 +40,34 @@ from tracked_env.benchmark.policy_interface import (
     checked_policy,
     frozen,
 )
-from tracked_env.benchmark.progress_bar import progress_bar
-from tracked_env.benchmark.runner import pending, run
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Store, write_atomically
 from tracked_env.benchmark.summary import Row, agent_of, rows_of
-from tracked_env.benchmark.text_tables import aligned, folded, markdown_rows
+from tracked_env.benchmark.text_tables import markdown_rows
 from tracked_env.cli.evaluate_command import result_folder
-from tracked_env.cli.evaluate_options import add_options, config_of, env_of
-from tracked_env.cli.exit_status import Parser, reported
+from tracked_env.cli.evaluate_options import add_option, env_of
+from tracked_env.cli.exit_status import reported
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
+Floats = NDArray[np.float64]
+Trace = Mapping[str, NDArray[Any]]
 AROUND = (-1.0, 6.0)  # [s] of the change, what the figure shows
 GRID = 141  # times in it
+# Sets with a change inside the episode, by environment.
+CHANGING = {
+    "tracked_env/Torque-v0": ("alternating", "actuator-fault", "late-gains", "reversing-payload"),
+    "tracked_env/Speed-v0": ("friction-step", "floor-mixed", "floor-outages-alternating"),
+    "tracked_env/Terrain-v0": ("slope-payload", "slope-step-late", "slope-payload-outages"),
+}
+LEGEND = (
+    "After the first abrupt change of an episode, until the next one or the end. Regret: RMSE "
+    "minus that of the best policy\nthat reads the truth. Recovery: time until the distance stays "
+    "below 0.05 contact lengths. Worth: RMSE of the same policy\nthat learns no more from the "
+    "change on, over its own; 1: learning on is worth nothing; '-': it cannot be held.\nMeans, "
+    "with 95 % intervals over episodes and seeds."
+)
 
 
 class AdaptationScore(NamedTuple):
@@ -68,12 +80,7 @@ class AdaptationScore(NamedTuple):
     worth: Estimate | None  # [-] None of a policy without a frozen one
 
 
-def frozen_of(agent: str) -> str:
-    """The name of an agent that learns no more after a change."""
-    return f"{agent} {FROZEN_NAME}"
-
-
-def after_change(row: Row, agent: str) -> FloatArray:
+def after_change(row: Row, agent: str) -> Floats:
     """RMSE [m] after the change (S, N); an episode that ended early before any: its last error."""
     values = row.matrix(agent, "rmse_after_change")
     lost = np.isnan(values) & (row.matrix(agent, "terminated") > 0.5)
@@ -92,35 +99,33 @@ def scores(row: Row) -> dict[str, AdaptationScore]:
     for number, agent in enumerate(row.names):
         if agent.endswith(f" {FROZEN_NAME}"):
             continue
-        values = after_change(row, agent)
-        stopped = after_change(row, twin) if (twin := frozen_of(agent)) in row.names else None
-        known = ~np.isnan(anchor).any(axis=0) & ~np.isnan(values).any(axis=0)
+        values, twin = after_change(row, agent), f"{agent} {FROZEN_NAME}"
+        counted = ~np.isnan(anchor).any(axis=0) & ~np.isnan(values).any(axis=0)
+        stopped = after_change(row, twin) if twin in row.names else None
         if stopped is not None:
-            known &= ~np.isnan(stopped).any(axis=0)
-        if not known.any():
+            counted &= ~np.isnan(stopped).any(axis=0)
+        if not counted.any():
             continue
-        draws = rel.Redraws([int(known.sum())])
-        own, seeds = rel.redraw(values[:, known], draws, number), len(values)
+        draws = reliability.Redraws([int(counted.sum())])
+        whole, seeds = reliability.redraw(values[:, counted], draws, number), len(values)
         regret = worth = None
         if ceiling is not None:
-            gap = rel.redraw(values[:, known] - anchor[:, known].mean(axis=0), draws, number)
-            regret = rel.estimate(float(gap.values.mean()), gap.mean, seeds)
+            gap = values[:, counted] - anchor[:, counted].mean(axis=0)
+            apart = reliability.redraw(gap, draws, number)
+            regret = reliability.estimate(float(gap.mean()), apart.mean, seeds)
         if stopped is not None:
-            other = rel.redraw(stopped[:, known], draws, number)  # the same seeds and episodes
-            value = float(rel.ratio(other.values.mean(), own.values.mean()))
-            worth = rel.estimate(value, rel.ratio(other.mean, own.mean), seeds)
-        found[agent] = AdaptationScore(
-            int(known.sum()),
-            rel.estimate(float(own.values.mean()), own.mean, seeds),
-            regret,
-            float(np.nanmean(row.matrix(agent, "recovery_time"))),
-            worth,
-        )
+            other = reliability.redraw(stopped[:, counted], draws, number)  # the same episodes
+            value = float(reliability.ratio(other.values.mean(), whole.values.mean()))
+            ratio = reliability.ratio(other.mean, whole.mean)
+            worth = reliability.estimate(value, ratio, seeds)
+        rmse = reliability.estimate(float(whole.values.mean()), whole.mean, seeds)
+        recovery = float(np.nanmean(row.matrix(agent, "recovery_time")))
+        found[agent] = AdaptationScore(int(counted.sum()), rmse, regret, recovery, worth)
     return found
 
 
-def table(found: Mapping[str, Mapping[str, AdaptationScore]]) -> list[list[str]]:
-    """Rows of cells, the header first: one row per set and agent; found: by set."""
+def table(by_set: Mapping[str, Mapping[str, AdaptationScore]]) -> Cells:
+    """One row per set and agent."""
     cells = [["set", "policy", "episodes", "RMSE after [m]", "regret [m]", "recovery [s]", "worth"]]
 
     def text(e: Estimate | None, digits: int) -> str:
@@ -128,141 +133,94 @@ def table(found: Mapping[str, Mapping[str, AdaptationScore]]) -> list[list[str]]
             return "-"
         return f"{e.value:.{digits}f} [{e.low:.{digits}f}, {e.high:.{digits}f}]"
 
-    for name, by_agent in found.items():
-        for agent, of in by_agent.items():
-            cells.append(
-                [name, agent, f"{of.episodes}", text(of.rmse, 3), text(of.regret, 3),
-                 f"{of.recovery:.2f}", text(of.worth, 2)]
-            )  # fmt: skip
+    for name, by_agent in by_set.items():
+        for agent, score in by_agent.items():
+            errors = text(score.rmse, 3), text(score.regret, 3)
+            numbers = [*errors, f"{score.recovery:.2f}", text(score.worth, 2)]
+            cells.append([name, agent, f"{score.episodes}", *numbers])
     return cells
 
 
-LEGEND = (
-    "After the first abrupt change of an episode, until the next one or the end. Regret: RMSE "
-    "minus that of the best policy\nthat reads the truth. Recovery: time until the distance stays "
-    "below 0.05 contact lengths. Worth: RMSE of the same policy\nthat learns no more from the "
-    "change on, over its own; 1: learning on is worth nothing; '-': it cannot be held.\nMeans, "
-    "with 95 % intervals over episodes and seeds."
-)
-
-
-def aligned_errors(trace: Mapping[str, NDArray[Any]]) -> FloatArray:
+def aligned_errors(trace: Trace) -> Floats:
     """Errors [m] of a kept trace on the GRID times around the change: (episodes with one, GRID).
 
     NaN before the start and past the end.
     """
-    grid, time = np.linspace(*AROUND, GRID), trace["time"]
-    changed = np.flatnonzero(np.isfinite(trace["change"]))
+    grid, time, change = np.linspace(*AROUND, GRID), trace["time"], trace["change"]
     lines = [
-        np.interp(trace["change"][k] + grid, time, trace["error"][:, k], left=np.nan, right=np.nan)
-        for k in changed
+        np.interp(change[k] + grid, time, trace["error"][:, k], left=np.nan, right=np.nan)
+        for k in np.flatnonzero(np.isfinite(change))
     ]
     return np.array(lines, dtype=np.float64).reshape(len(lines), GRID)
 
 
-def figure(name: str, traces: Mapping[str, Sequence[Mapping[str, NDArray[Any]]]]) -> "Figure":
+def figure(name: str, traces: Mapping[str, Sequence[Trace]]) -> "Figure":
     """Median error around the change, a colour per agent, dashed where it learns no more.
 
     name: of the set. traces: of each agent, those of its seeds.
     """
-    import matplotlib
-
-    agents = [agent for agent in traces if not agent.endswith(f" {FROZEN_NAME}")]
-    style, grid = looks(agents), np.linspace(*AROUND, GRID)
+    style = looks([agent for agent in traces if not agent.endswith(f" {FROZEN_NAME}")])
+    grid = np.linspace(*AROUND, GRID)
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        drawn, axes = new_figure((6.5, 3.4))
+        drawn, panels = new_figure((6.5, 3.4))
+        axes = panels[0, 0]
         for agent, parts in traces.items():
             errors = np.concatenate([aligned_errors(part) for part in parts])
             if not len(errors):
                 continue
-            stopped = agent.endswith(f" {FROZEN_NAME}")
-            look = style[agent.removesuffix(f" {FROZEN_NAME}")]
-            known = np.isfinite(errors).mean(axis=0) > 0.5
-            median = np.nanmedian(errors[:, known], axis=0)
-            axes[0, 0].plot(
-                grid[known], median, "--" if stopped else "-", color=look.colour, label=agent,
-                linewidth=1.3, marker=None if stopped else look.marker, markevery=20,
-                markersize=4.0,
-            )  # fmt: skip
-        axes[0, 0].axvline(0.0, color="0.6", linewidth=1.0)
-        axes[0, 0].set_yscale("log")
-        plain_ticks(axes[0, 0].yaxis)
-        axes[0, 0].set_xlabel("time after the change [s]")
-        axes[0, 0].set_ylabel("median distance to the reference [m]")
-        axes[0, 0].set_title(f"Errors aligned at the first change: {name}", loc="left")
-        axes[0, 0].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+            look, stopped = style[agent.removesuffix(f" {FROZEN_NAME}")], agent not in style
+            shown = np.isfinite(errors).mean(axis=0) > 0.5
+            median = np.nanmedian(errors[:, shown], axis=0)
+            (line,) = axes.plot(grid[shown], median, color=look.colour, label=agent, linewidth=1.3)
+            if stopped:
+                line.set_linestyle("--")
+            else:
+                line.set(marker=look.marker, markevery=20, markersize=4.0)
+        axes.axvline(0.0, color="0.6", linewidth=1.0)
+        axes.set_yscale("log")
+        plain_ticks(axes.yaxis)
+        axes.set_xlabel("time after the change [s]")
+        axes.set_ylabel("median distance to the reference [m]")
+        axes.set_title(f"Errors aligned at the first change: {name}", loc="left")
+        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return drawn
 
 
-# Sets with a change inside the episode, by environment.
-CHANGING = {
-    "tracked_env/Torque-v0": ("alternating", "actuator-fault", "late-gains", "reversing-payload"),
-    "tracked_env/Speed-v0": ("friction-step", "floor-mixed", "floor-outages-alternating"),
-    "tracked_env/Terrain-v0": ("slope-payload", "slope-step-late", "slope-payload-outages"),
-}  # fmt: skip
-_FIXED = ("trust", "sensors", "reference", "duration", "lateral", "video", "paper", "shard",
-          "all", "sets_version")  # fmt: skip
-
-
-def both(entries: Sequence[PolicyEntry], config: BenchmarkConfig) -> list[PolicyEntry]:
-    """Each policy and, of those that can keep what they know, the frozen one behind it."""
-    context = config.context(config.sets[0])
-    found = list[PolicyEntry]()
+def with_frozen(entries: Sequence[PolicyEntry], config: BenchmarkConfig) -> list[PolicyEntry]:
+    """Each policy and, of those that can stop learning, the frozen one behind it."""
+    context, pairs = config.context(config.sets[0]), list[PolicyEntry]()
     for entry in entries:
-        found.append(entry)
-        if can_freeze(checked_policy(entry, context)):
-            found.append(frozen(entry))
-    return found
-
-
-def write(folder: Path, store: Store, cells: list[list[str]], sets: Sequence[str],
-          entries: Sequence[PolicyEntry], draw: bool) -> None:  # fmt: skip
-    """adaptation.csv, adaptation.md and a figure of every set."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(cells)
-    write_atomically(folder / "adaptation.csv", text.getvalue().encode())
-    page = f"{markdown_rows(cells, 2)}\n\n{LEGEND}\n"
-    write_atomically(folder / "adaptation.md", page.encode())
-    for name in sets if draw else ():
-        traces: dict[str, list[dict[str, NDArray[Any]]]] = {}
-        for entry in entries:
-            kept = store.load_trace(entry.name, name)
-            if kept is not None:
-                traces.setdefault(agent_of(entry.name), []).append(kept)
-        image = io.BytesIO()
-        figure(name, traces).savefig(image, format="png", bbox_inches="tight")
-        write_atomically(folder / f"adaptation-{name}.png", image.getvalue())
+        stops = can_freeze(checked_policy(entry, context))
+        pairs += [entry, frozen(entry)] if stops else [entry]
+    return pairs
 
 
 @reported
 def main(arguments: Sequence[str], program: str) -> int:
-    """Run what is missing, print the table, write it and the figures; returns the exit status."""
-    parser = Parser(
-        program,
-        "Compare each policy with itself where it learns no more from the first abrupt "
-        "change of an episode on, and with the best policy that reads the truth.",
-    )
-    add_options(parser, without=_FIXED)
-    config = config_of(parser.parse_args(arguments))
-    sets = config.sets or CHANGING[env_of(config.env, None)]
-    env_of(config.env, sets)
-    benchmark = BenchmarkConfig(sets, config.episodes_per_set, config.seed, chunk=config.chunk)
-    policies = registered_policies()
-    registry, trained = by_name(policies, benchmark.env)
-    specs = config.policies or default_names(policies, benchmark.env)
-    entries = both(load_policies(specs, registry, trained, open_archive), benchmark)
-    executor = make_executor(config.workers, config.ray, None)
-    store = Store(result_folder(config.output, benchmark), benchmark.identity())
-    tasks = pending(benchmark, entries, store, executor.workers if executor else 1)
-    steps = sum(len(t.episodes) * benchmark.max_steps(t.uncertainty_set) for t in tasks)
-    with progress_bar(steps, config.quiet) as progress:
-        records = run(benchmark, entries, store, progress, executor)
-    rows = rows_of(records)
-    found = {name: scores(rows[name]) for name in benchmark.sets}
-    cells = table(found)
-    write(store.folder, store, cells, benchmark.sets, entries, config.figures)
-    if not config.quiet:
-        width = shutil.get_terminal_size().columns
-        print(f"\n{aligned(cells, 2, width)}\n\n{folded(LEGEND, width)}\n")
-    print(f"adaptation.csv, adaptation.md and figures in {store.folder}")
+    """Run what is missing, print and write the table and a figure of every set."""
+    parser = study_parser(program, "Compare each policy with itself where it stops learning.", 100)
+    add_option(parser, "sets", "by default those of the environment with a change inside")
+    add_option(parser, "seed", "of the first episode")
+    options = parser.parse_args(arguments)
+    env = env_of(options.env, options.sets)
+    config = BenchmarkConfig(tuple(options.sets or CHANGING[env]), options.episodes, options.seed)
+    entries = with_frozen(policies_of(options, env), config)
+    store = Store(result_folder(options.output, config), config.identity())
+    rows = rows_of(driven(config, entries, store, options.workers))
+    cells = table({name: scores(rows[name]) for name in config.sets})
+    write_csv(store.folder / "adaptation.csv", cells)
+    page = f"{markdown_rows(cells, 2)}\n\n{LEGEND}\n"
+    write_atomically(store.folder / "adaptation.md", page.encode())
+    for name in config.sets:
+        traces: dict[str, list[Trace]] = {}
+        for entry in entries:
+            if (trace := store.load_trace(entry.name, name)) is not None:
+                traces.setdefault(agent_of(entry.name), []).append(trace)
+        write_figure(store.folder / f"adaptation-{name}.png", figure(name, traces))
+    show(cells, 2)
+    print(f"{LEGEND}\n\nadaptation.csv, adaptation.md and figures in {store.folder}")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:], "adaptation"))

@@ -1,25 +1,25 @@
-"""A closed loop around any plant: the pseudo-kinematic model (27), the patches with either
-integrator, or the plant on terrain, on any reference: all that `plants.standalone` calls `Driven`.
+"""Sections 5.2 and 7.1: the controllers on a spiral and on the chicane F (53), figures 10 to 14.
 
-Figure 10: unicycle and slippage-aware controller on the pseudo-kinematic model, on a spiral.
+Spiral, on the pseudo-kinematic model: F prints v_d = 0.3 m/s and w_d = 4 t, on a model without
+limits. In rad/s that takes the outer sprocket within half a second beyond the 10 rad/s up to which
+slip was identified (`beyond_after`). Here w_d = 0.05 t: a radius of 0.3 m after 20 s.
 
-F prints v_d = 0.3 m/s and w_d = 4 t, on a model without limits. In rad/s that takes the outer
-sprocket within half a second beyond the 10 rad/s up to which slip was identified (`beyond_after`).
-Here w_d = 0.05 t: a radius of 0.3 m after 20 s.
+Chicane, on the distributed model: as printed the speed starts at -2 v_max; read as a ramp v = v_max
+t it reaches 2 v_max at t_1 and jumps back. Chosen: that ramp, mu = 0.1, actuation noise as the
+standard deviation of the sprocket speeds, drawn anew at every control step, ideal sensors. The
+paper controls at 1 kHz in simulation and its vehicle at 200 Hz.
 
-Section 7.1: the chicane F (53) on the distributed model, figures 12 to 14.
-
-As printed the speed starts at -2 v_max; read as a ramp v = v_max t it reaches 2 v_max at t_1 and
-jumps back. Chosen: that ramp, mu = 0.1, actuation noise as the standard deviation of the sprocket
-speeds, drawn anew at every control step, ideal sensors. The paper controls at 1 kHz in simulation
-and its vehicle at 200 Hz.
+`Run` has the time histories of vehicles and their errors F (36), (37); `follow` closes the loop
+around any plant that `plants.standalone` calls `Driven`, on any reference.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
@@ -32,21 +32,120 @@ from baselines.lyapunov.lyapunov_laws import (
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_regression import fit_exponential, train_trees
-from baselines.slip.slip_sweep import identified_slip, sweep, upsample
-from reproduce.focchi2025.identification import MEASURED_LIMIT, within
-from reproduce.focchi2025.runs import FRICTION, LENGTHS, RESISTANCE, Floats, Numbers, Run, vehicle
+from baselines.slip.slip_sweep import SlipData, identified_slip, slip_data, sweep, upsample
 from tracked_env import observation as layout
 from tracked_env.arrays import columns
 from tracked_env.physics import parameters as s
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.rigid_body import in_body_plane
 from tracked_env.plants.standalone import Driven, Rig
-from tracked_env.references import make_reference
-from tracked_env.references.catalogue import ReferenceProfile, constant, knot_times, sample
+from tracked_env.references import ReferenceProfile, make_reference, sample
+from tracked_env.references.catalogue import constant, knot_times
 from tracked_env.sensors import PRESETS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
+Floats = NDArray[np.float64]
 Samples = Mapping[str, Floats]
+
+LENGTHS = (0.5, 0.7)  # [m] contact length: nearest to figure 13, and Table 2
+FRICTION = 0.1  # [-] mu of figures 6, 7, 9, 12 to 14
+RESISTANCE = 0.025  # [-] c_r of Table 2
+MEASURED_LIMIT = 4.6  # [rad/s] reach of the real sprockets, figure 9
+SLOWEST = 1e-3  # [m/s] a slower v_x has no alpha
+BEGUN = 3.0  # [s] from here on errors count: the start is 5.8 cm off
+SPIRAL_SPEED, SPIRAL_TIME, SPIRAL_RATE = 0.3, 20.0, 200.0  # [m/s] v_d, [s], [Hz] of control
+YAW_ACCELERATION, PRINTED_ACCELERATION = 0.05, 4.0  # [rad/s^2] w_d / t
+SPIRAL_START = (0.3, 0.3, 0.2)  # [m, m, rad]
+SPEED, TURN = 0.2, 0.3  # [m/s] v_max, [rad/s] w_max
+TURN_TIME, SWITCH_TIME, DURATION = 2.0, 12.0, 20.0  # [s] t_1, t_2, t_end
+START = (0.05, 0.03, 0.01)  # [m, m, rad]
+NOISE = 0.02  # [rad/s] sigma on the sprocket speeds
+SEEDS = 4  # vehicles per case
+RATES = (1000, 200, 50)  # [Hz]
+REFERENCE: dict[str, Any] = {
+    "kind": "chicane", "speed": SPEED, "yaw_rate": TURN, "turn_time": TURN_TIME,
+    "switch_time": SWITCH_TIME,
+}  # fmt: skip
+STATES = columns(("x", "y", "yaw", "v_x", "v_y", "yaw_rate"))
+SPROCKETS = columns(("sprocket_speed_left", "sprocket_speed_right"))
+REFERENCES = columns(("reference_x", "reference_y", "reference_yaw"))
+
+
+def vehicle(
+    length: float = LENGTHS[-1], friction: float = FRICTION, resistance: float = RESISTANCE
+) -> PlantParameters:
+    """Table 2 of F with a contact length [m], mu [-] and c_r [-]."""
+    soil = {"friction_angle": math.atan(friction), "longitudinal_resistance": resistance}
+    return VEHICLES["focchi"]._replace(contact_length=length, **soil)
+
+
+class Numbers(NamedTuple):
+    """Errors after BEGUN, mean and standard deviation over the vehicles of a run."""
+
+    largest: float  # [m] max Cartesian error
+    largest_spread: float  # [m]
+    rmse: float  # [m]
+    heading: float  # [rad] max heading error
+
+    @property
+    def text(self) -> str:
+        """The largest error in cm."""
+        return f"{100.0 * self.largest:.2f} ± {100.0 * self.largest_spread:.2f}"
+
+
+class Run(NamedTuple):
+    """Time histories of N vehicles over T control steps, at the beginning of each step."""
+
+    time: Floats  # (T,) [s]
+    state: Floats  # (T, 6 or 9, N) x, y [m], yaw [rad], v_x, v_y [m/s], yaw rate [rad/s], and of
+    # a plant that moves in space z [m], roll, pitch [rad]
+    sprockets: Floats  # (T, 2, N) [rad/s] in force before that time, left and right
+    reference: Floats  # (T, 3, N) x, y [m], yaw [rad]
+    belief: dict[str, Floats]  # (T, N) estimates by name, empty when the policy has none
+
+    @property
+    def distance(self) -> Floats:
+        """e_xy of F (37), (T, N) [m]."""
+        apart = self.state[:, :2] - self.reference[:, :2]
+        return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
+
+    @property
+    def heading(self) -> Floats:
+        """e_phi of F (36), (T, N) [rad] in [-pi, pi)."""
+        turned = self.state[:, 2] - self.reference[:, 2]
+        return np.asarray((turned + math.pi) % (2.0 * math.pi) - math.pi)
+
+    def numbers(self) -> Numbers:
+        """Errors after BEGUN."""
+        late = self.time >= BEGUN
+        distance = self.distance[late]
+        largest = distance.max(axis=0)
+        rmse, heading = np.sqrt(np.mean(distance**2)), np.abs(self.heading[late]).max()
+        return Numbers(float(largest.mean()), float(largest.std()), float(rmse), float(heading))
+
+    def only(self, rows: slice) -> "Run":
+        """Some of the vehicles."""
+        belief = {name: values[:, rows] for name, values in self.belief.items()}
+        state, sprockets, reference = (values[:, :, rows] for values in self[1:4])
+        return Run(self.time, state, sprockets, reference, belief)
+
+    def slip(self, parameters: PlantParameters) -> tuple[Floats, Floats, Floats]:
+        """Actual slip of the vehicles, (T, N): beta_left, beta_right [m/s] of F (31), alpha [rad]
+        of (28), nan where |v_x| is below SLOWEST."""
+        shape, (left, right) = self.state[:, 0].shape, self.sprockets.transpose(1, 0, 2)
+        motion = self.state[:, 3:6].transpose(0, 2, 1).reshape(-1, 3)
+        data = slip_data(parameters, left.ravel(), right.ravel(), motion)
+        alpha = np.where(np.abs(data.v_x) > SLOWEST, data.alpha, np.nan).reshape(shape)
+        return data.beta_left.reshape(shape), data.beta_right.reshape(shape), alpha
+
+
+def within(runs: SlipData, limit: float) -> SlipData:
+    """Runs with both sprockets within +-limit [rad/s]."""
+    fastest = np.maximum(np.abs(runs.sprocket_left), np.abs(runs.sprocket_right))
+    return runs.rows(fastest <= limit)
+
+
+# A closed loop around any plant
 
 
 def patches(parameters: PlantParameters, count: int, euler: bool, step: float = 1e-3) -> Rig:
@@ -116,8 +215,6 @@ def follow(
     start: tuple[float, float, float] | None,
     parameters: PlantParameters,
     rate: float,
-    noise: float = 0.0,
-    seed: int = 0,
     shown: layout.Layout = layout.V0,
     sprockets: Floats | None = None,
 ) -> Run:
@@ -125,14 +222,12 @@ def follow(
 
     reference: at the T control steps. start: None, from where and as the plant has them. rate
     [Hz] of control. shown: what the policy sees; with the attitude the run has z, roll and pitch
-    too. noise [rad/s]: sigma on the sprocket speeds, new at every control step. sprockets [rad/s]
-    (N, 2): in force before the first step, None at rest.
+    too. sprockets [rad/s] (N, 2): in force before the first step, None at rest.
     """
     steps, count = reference["x"].shape
     limit, period = parameters.sprocket_speed_limit, 1.0 / rate
     time = np.arange(steps, dtype=np.float64) * period
-    rng, memory = np.random.default_rng(seed), None
-    state = plant.states
+    state, memory = plant.states, None
     sprockets = np.zeros((count, 2)) if sprockets is None else sprockets
     kept = [*range(6), *((s.Z, s.ROLL, s.PITCH) if "attitude" in shown.groups else ())]
     if start is not None:
@@ -142,19 +237,13 @@ def follow(
         states[k], speeds[k] = state[:, kept].T, sprockets.T
         seen = _observations(shown, state, sprockets, reference, k)
         action, memory = policy.predict(seen, memory)
-        sprockets = limit * action.astype(np.float64) + noise * rng.standard_normal((count, 2))
-        sprockets = np.clip(sprockets, -limit, limit)
+        sprockets = np.clip(limit * action.astype(np.float64), -limit, limit)
         plant.advance(sprockets, period)
     goal = np.stack([reference[name] for name in ("x", "y", "yaw")], axis=1)
     return Run(time, states, speeds, goal, {})
 
 
-SPEED = 0.3  # [m/s] v_d
-YAW_ACCELERATION = 0.05  # [rad/s^2] w_d / t
-PRINTED = 4.0  # [rad/s^2]
-START = (0.3, 0.3, 0.2)  # [m, m, rad]
-DURATION = 20.0  # [s]
-RATE = 200.0  # [Hz]
+# Spiral
 
 
 class Spiral(NamedTuple):
@@ -169,36 +258,36 @@ class Spiral(NamedTuple):
         return float(np.max(self.value - np.minimum.accumulate(self.value)))
 
 
-def profile() -> ReferenceProfile:
+def spiral_profile() -> ReferenceProfile:
     """The reference of figure 10."""
-    starts = knot_times(DURATION)[:-1]
+    starts = knot_times(SPIRAL_TIME)[:-1]
     turn = constant(0.0, len(starts))
     turn[:, 0], turn[:, 1] = YAW_ACCELERATION * starts, YAW_ACCELERATION
-    return ReferenceProfile(constant(SPEED, len(starts)), turn)
+    return ReferenceProfile(constant(SPIRAL_SPEED, len(starts)), turn)
 
 
-def beyond_after(parameters: PlantParameters, slope: float = PRINTED) -> float:
+def beyond_after(parameters: PlantParameters, slope: float = PRINTED_ACCELERATION) -> float:
     """Time [s] at which w_d = slope t, without slip, takes the outer sprocket beyond its limit."""
     fastest = parameters.sprocket_radius * parameters.sprocket_speed_limit
-    return (fastest - SPEED) / (0.5 * parameters.track_gauge * slope)
+    return (fastest - SPIRAL_SPEED) / (0.5 * parameters.track_gauge * slope)
 
 
-def run_all(length: float = LENGTHS[-1], duration: float = DURATION) -> dict[str, Spiral]:
+def spirals(length: float = LENGTHS[-1], duration: float = SPIRAL_TIME) -> dict[str, Spiral]:
     """Both controllers, {"uc", "slc"}; the slippage-aware one knows the slip of the model."""
     parameters = vehicle(length)
     model = identified_slip(parameters)
-    sheet, period = DataSheet.of(PRESETS["ideal"]), 1.0 / RATE
+    sheet, period = DataSheet.of(PRESETS["ideal"]), 1.0 / SPIRAL_RATE
     aware = SlippageAwarePolicy(parameters, period, model, data_sheet=sheet)
     policies = {"uc": UnicyclePolicy(parameters, period, data_sheet=sheet), "slc": aware}
     found = {}
     for kind, policy in policies.items():
         plant = Kinematic(PseudoKinematicModel(parameters, model))
-        reference = sampled([profile()], RATE, duration)
-        run = follow(policy, plant, reference, START, parameters, RATE)
+        reference = sampled([spiral_profile()], SPIRAL_RATE, duration)
+        run = follow(policy, plant, reference, SPIRAL_START, parameters, SPIRAL_RATE)
         alpha: Floats = np.zeros(len(run.time))
         if policy is aware:
             rows = np.zeros((len(run.time), 4))
-            rows[:, 0], rows[:, 1] = SPEED, YAW_ACCELERATION * run.time
+            rows[:, 0], rows[:, 1] = SPIRAL_SPEED, YAW_ACCELERATION * run.time
             rows[:, 3] = YAW_ACCELERATION
             alpha = aware.reference_slip(rows)[0]
         errors = zip(run.distance[:, 0], run.heading[:, 0], alpha, strict=True)
@@ -210,22 +299,7 @@ def run_all(length: float = LENGTHS[-1], duration: float = DURATION) -> dict[str
     return found
 
 
-SPEED_CHICANE, TURN = 0.2, 0.3  # [m/s] v_max, [rad/s] w_max
-TURN_TIME, SWITCH_TIME, DURATION = 2.0, 12.0, 20.0  # [s] t_1, t_2, t_end
-START_CHICANE = (0.05, 0.03, 0.01)  # [m, m, rad]
-NOISE = 0.02  # [rad/s] sigma on the sprocket speeds
-SEEDS = 4  # vehicles per case
-RATES = (1000, 200, 50)  # [Hz]
-REFERENCE: dict[str, Any] = {
-    "kind": "chicane",
-    "speed": SPEED_CHICANE,
-    "yaw_rate": TURN,
-    "turn_time": TURN_TIME,
-    "switch_time": SWITCH_TIME,
-}
-_STATES = columns(("x", "y", "yaw", "v_x", "v_y", "yaw_rate"))
-_SPROCKETS = columns(("sprocket_speed_left", "sprocket_speed_right"))
-_GOAL = columns(("reference_x", "reference_y", "reference_yaw"))
+# Chicane
 
 
 class Case(NamedTuple):
@@ -297,20 +371,13 @@ def knowledge(case: Case) -> tuple[Any, ...]:
 def options(case: Case) -> dict[str, Any]:
     """Options of reset for a vehicle of a case."""
     true = vehicle(case.length, case.friction, case.resistance)
+    soil = ("friction_angle", "longitudinal_resistance")
+    offsets = dict(zip(("offset_x", "offset_y", "offset_yaw"), START, strict=True))
     return {
         "vehicle": {"contact_length": true.contact_length},
-        "soil": {
-            "friction_angle": true.friction_angle,
-            "longitudinal_resistance": true.longitudinal_resistance,
-        },
+        "soil": {name: getattr(true, name) for name in soil},
         "sensors": case.sensors,
-        "start": {
-            "offset_x": START_CHICANE[0],
-            "offset_y": START_CHICANE[1],
-            "offset_yaw": START_CHICANE[2],
-            "speed": 0.0,
-            "yaw_rate": 0.0,
-        },
+        "start": {**offsets, "speed": 0.0, "yaw_rate": 0.0},
     }
 
 
@@ -349,8 +416,8 @@ def _drive(cases: Sequence[Case], rate: int, seeds: int, duration: float) -> dic
     action = np.empty((count, 2), dtype=np.float32)
     for k in range(steps):
         floats = env.simulation.batch.floats
-        state[k], sprockets[k] = floats[:, _STATES].T, floats[:, _SPROCKETS].T
-        goal[k] = floats[:, _GOAL].T
+        state[k], sprockets[k] = floats[:, STATES].T, floats[:, SPROCKETS].T
+        goal[k] = floats[:, REFERENCES].T
         for i, (one, share) in enumerate(zip(policies, shares, strict=True)):
             action[share], memories[i] = one.predict(observation[share], memories[i])
             if hasattr(one, "estimates"):
@@ -381,7 +448,7 @@ def reading(name: str) -> ReferenceProfile:
     if name == "v_max t / t_1":
         speed[ramp] /= TURN_TIME
     elif name == "v_max (t - t_1)":
-        speed[ramp, 0] -= SPEED_CHICANE * TURN_TIME
+        speed[ramp, 0] -= SPEED * TURN_TIME
     return profile._replace(speed=speed)
 
 
@@ -399,7 +466,7 @@ def readings(
                 made = policy(case)
                 plant = patches(true, len(profiles), False, 2.5e-3)
                 reference = sampled(profiles, rate, DURATION)
-                run = follow(made, plant, reference, START_CHICANE, true, rate)
+                run = follow(made, plant, reference, START, true, rate)
                 for i, name in enumerate(READINGS):
                     found[name, length, resistance, kind] = run.only(slice(i, i + 1)).numbers()
     return found
@@ -421,5 +488,5 @@ def integrators(length: float = LENGTHS[-1]) -> dict[tuple[str, str], Run]:
             case = Case(kind, length)
             made, plant = policy(case), patches(true, 1, euler, step)
             reference = sampled([profile], case.rate, DURATION)
-            found[name, kind] = follow(made, plant, reference, START_CHICANE, true, case.rate)
+            found[name, kind] = follow(made, plant, reference, START, true, case.rate)
     return found

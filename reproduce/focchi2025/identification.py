@@ -29,7 +29,14 @@ from baselines.slip.slip_sweep import (
     sweep,
     upsample,
 )
-from reproduce.focchi2025.runs import FRICTION, LENGTHS, Floats, vehicle
+from reproduce.focchi2025.control import (
+    FRICTION,
+    LENGTHS,
+    MEASURED_LIMIT,
+    Floats,
+    vehicle,
+    within,
+)
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
 
@@ -37,7 +44,6 @@ from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patche
 MEASURED = Path(__file__).parents[3] / "shared" / "data" / "slip_real_indoor.csv"
 
 FRICTIONS = (0.1, 0.4, 0.6)  # [-] mu of figure 8
-MEASURED_LIMIT = 4.6  # [rad/s] reach of the real sprockets, figure 9
 HELD, AVERAGED = 2.0, 1.0  # [s] a pair of speeds is held, and the mean is over the end
 BRIEF_STEP = 0.005  # [s] integration step of the runs from rest
 SLOW = 0.05  # [m/s] |v_x| from which on alpha is compared
@@ -92,12 +98,6 @@ def agreement(predicted: tuple[Floats, Floats, Floats], runs: SlipData) -> Agree
         p, q = p[chosen], q[chosen]
         found.append((determination(q, p), np.corrcoef(p, q)[0, 1], (p @ q) / (p @ p)))
     return Agreement(*np.array(found).T)
-
-
-def within(runs: SlipData, limit: float) -> SlipData:
-    """Runs with both sprockets within +-limit [rad/s]."""
-    fastest = np.maximum(np.abs(runs.sprocket_left), np.abs(runs.sprocket_right))
-    return runs.rows(fastest <= limit)
 
 
 def identify(parameters: PlantParameters, runs: SlipData) -> tuple[Identified, str]:

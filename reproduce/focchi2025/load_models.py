@@ -26,7 +26,7 @@ from scipy.optimize import root
 
 from baselines.lyapunov.lyapunov_laws import sprockets_for
 from reproduce.focchi2025 import control
-from reproduce.focchi2025.runs import Floats, vehicle
+from reproduce.focchi2025.control import Floats, vehicle
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY

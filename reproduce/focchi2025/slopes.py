@@ -1,42 +1,33 @@
-"""Section 4.5: slip as a function of the sprocket speeds and of the direction of gravity, F (34).
+"""Sections 4.5 and 8 on slopes: grounds, slip over the direction of gravity, the chicane, all runs.
 
-mu = 0.6 and the vehicle of Table 2. The ramps of the paper have "inclinations from 0 to -0.3 rad in
-increments of 0.5"; here both directions of the slope are swept in steps of 0.05. `PROBES` are runs
-that no table has seen. On a side slope, driven straight and steadily, all forces along the ground
-balance: F_g + (F_t, F_y) = 0, whatever the slip.
-
-Reference: [1] Focchi et al. (2025), section 4.5.
-
-The grounds of section 8: the height map of the authors, and a seeded field with like slopes.
-
-F drives on a mesh that was drawn in Blender and is published with the authors' code. Its height
-map is not part of this project: `authors_map` reads it where it lies beside the project. `field` is
-for everyone. Nine tenths of the map are nearly level and the rest are hills, so that its slopes
-have a long tail: 90 % of them over the median is 10, where the heights of a Gaussian field (any
-`fractal`) give 1.8. Therefore
+Grounds. F drives on a mesh that was drawn in Blender and is published with the authors' code. Its
+height map is not part of this project: `authors_map` reads it where it lies beside the project.
+`field` is for everyone. Nine tenths of the map are nearly level and the rest are hills, so that its
+slopes have a long tail: 90 % of them over the median is 10, where the heights of a Gaussian field
+(any `fractal`) give 1.8. Therefore
     h = w ln(1 + exp((z - z_0) / w))
 with z a fractal: hills where z exceeds z_0, level ground where it does not. Amplitude, z_0 and w
-are fitted to the median, 90 % and 99 % of the slopes of the map; `slopes` computes them for both.
+are fitted to the median, 90 % and 99 % of the slopes of the map; `steepness` computes them.
 
-Reference: [1] Focchi et al. (2025), section 8.
+4.5: slip as a function of the sprocket speeds and of the direction of gravity, F (34). mu = 0.6 and
+the vehicle of Table 2. The ramps of the paper have "inclinations from 0 to -0.3 rad in increments
+of 0.5"; here both directions of the slope are swept in steps of 0.05. `PROBES` are runs that no
+table has seen. On a side slope, driven straight and steadily, all forces along the ground balance:
+F_g + (F_t, F_y) = 0, whatever the slip.
 
-Section 8.3: the chicane F (53) in closed loop on uneven ground, figures 22 and 23.
+8.3: the chicane F (53) in closed loop, figures 22 and 23. Both controllers take the pose error in
+the vehicle's plane, F (49) with the yaw counted once. The slippage-aware one has slip of level
+ground ("flat") or over the direction of gravity: that of the load that acts ("slope"), or that of
+uniform load whatever acts ("uniform"). c_0 = [15, 2, -2.9] m is read as a place and a heading: the
+mesh has no height of -2.9 m. mu = 0.6, 0.6 m/s and 0.4 rad/s; control at 200 Hz. As (53) prints it
+the speed reaches 1.2 m/s, 14 rad/s of the sprockets; the sweeps for this friction in the authors'
+code go to 18 rad/s, which is the limit here.
 
-Both controllers take the pose error in the vehicle's plane, F (49) with the yaw counted once. The
-slippage-aware one has slip of level ground ("flat") or over the direction of gravity: that of
-the load that acts ("slope"), or that of uniform load whatever acts ("uniform").
-c_0 = [15, 2, -2.9] m is read as a place and a heading: the mesh has no height of -2.9 m. mu = 0.6,
-0.6 m/s and 0.4 rad/s; control at 200 Hz. As (53) prints it the speed reaches 1.2 m/s, 14 rad/s of
-the sprockets; the sweeps for this friction in the authors' code go to 18 rad/s, which is the limit
-here.
-
-Reference: [1] Focchi et al. (2025), sections 5.3 and 8.3.
-
-All runs of sections 4.5 and 8, on the seeded field and, where it lies, on the authors' map.
+Reference: [1] Focchi et al. (2025), sections 4.5, 5.3 and 8.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -56,9 +47,9 @@ from baselines.slip.slip_sweep import (
 )
 from reproduce.focchi2025 import control
 from reproduce.focchi2025 import load_models as loads
-from reproduce.focchi2025.control import follow, sampled
+from reproduce.focchi2025.control import LENGTHS, Floats, Run, follow, sampled, vehicle
 from reproduce.focchi2025.load_models import DURATION, FRICTION, HEIGHT, LOADS, OpenLoop, Stiffening
-from reproduce.focchi2025.runs import LENGTHS, Floats, Run, vehicle
+from reproduce.paper_page import Say
 from tracked_env import TERRAIN
 from tracked_env.observation import make_layout
 from tracked_env.physics.parameters import PlantParameters
@@ -68,6 +59,15 @@ from tracked_env.references import ReferenceProfile, make_reference
 from tracked_env.sensors import PRESETS
 from tracked_env.terrain.height_field import HeightField, make_height_field
 
+# In a folder beside that of the project.
+MAP = Path(__file__).parents[3] / "shared" / "data" / "terrain_mesh" / "height_5cm.npz"
+FRACTAL: dict[str, Any] = {
+    "kind": "fractal", "height": 0.67, "seed": 2, "hurst": 1.0, "longest": 30.0, "shortest": 8.0,
+    "count": 32,
+}  # fmt: skip
+LEVEL, ROUNDING = 0.124, 0.112  # [m] z_0, w
+HALF_SIDE, CELL = 29.5, 0.1  # [m] of the field; that of the map is the same
+SHARES = (50.0, 90.0, 99.0)  # [%] of the slopes that are compared
 SPROCKET_LIMIT = 18.0  # [rad/s] of the sweeps for this friction in the authors' code
 SPEED_STEP = 2.25  # [rad/s]; slip is nearly linear between: 1.25 changes 8.3 by 0.1 mm
 FINE, COARSE = 0.0875, 0.21875  # [-] of the grade over mu: 0.05 and 0.13 in the grade
@@ -77,6 +77,50 @@ SLOW = 0.05  # [m/s] |v_x| from which on alpha is compared
 GRADES = np.linspace(0.05, 0.35, 7)  # [-] of the side slopes
 STRAIGHT = (2.0, 5.0, 10.0)  # [rad/s] both sprockets on them
 BEND = (4.0, 8.0)  # [rad/s] left, right of a left turn
+SPEED, TURN, RATE = 0.6, 0.4, 200.0  # [m/s], [rad/s], [Hz]
+HEADINGS = (-2.9, 0.0)  # [rad] c_0, and that of the authors' code
+KINDS = ("uc", "flat", "slope", "uniform")
+SHOWN = make_layout(TERRAIN["observation"])
+SIDE_SLOPE = 0.25  # [rad]
+STARTS, REACH = 16, 15.0  # vehicles of `spread`, [m] |x|, |y| of their starts at most
+TIMED, TIMINGS = 0.2, 5  # [s] of driving that is timed, how often
+
+
+class UnevenGround(NamedTuple):
+    """A ground of section 8."""
+
+    name: str
+    field: HeightField
+    start: tuple[float, float]  # [m] x, y of 8.3, on a flank that falls towards -x
+
+
+def authors_map(file: Path | None = None) -> tuple[UnevenGround | None, str]:
+    """The authors' map, None is MAP, and why it is missing ("": it is there)."""
+    file = MAP if file is None else file
+    if not file.exists():
+        return None, f"height map of the authors: no file {file}, left out; the seeded field is run"
+    spec = {"kind": "map", "file": str(file), "interpolation": "bilinear"}
+    return UnevenGround("authors' map", make_height_field(spec), (15.0, 2.0)), ""
+
+
+@lru_cache(maxsize=1)
+def field() -> UnevenGround:
+    """The seeded field: the same numbers everywhere."""
+    axis = np.linspace(-HALF_SIDE, HALF_SIDE, round(2.0 * HALF_SIDE / CELL) + 1)
+    z = make_height_field(FRACTAL).at(*np.meshgrid(axis, axis))[0]
+    heights = ROUNDING * np.logaddexp(0.0, (z - LEVEL) / ROUNDING)
+    made = make_height_field({"kind": "map", "heights": heights, "cell": CELL})
+    return UnevenGround("seeded field", made, (1.7, 10.4))
+
+
+def steepness(ground: UnevenGround) -> Floats:
+    """SHARES of the slopes |dz/dx, dz/dy| [-] over the whole of a ground."""
+    axis = np.arange(-HALF_SIDE + 0.5 * CELL, HALF_SIDE, CELL)
+    _, slope_x, slope_y = ground.field.at(*np.meshgrid(axis, axis))
+    return np.asarray(np.percentile(np.hypot(slope_x, slope_y), SHARES))
+
+
+# Section 4.5
 
 
 class SlopeIdentification(NamedTuple):
@@ -104,7 +148,7 @@ def probes() -> tuple[Floats, Floats]:
     return speeds, np.stack([size * np.cos(way), size * np.sin(way)], axis=1)
 
 
-def run_all() -> SlopeIdentification:
+def identify() -> SlopeIdentification:
     """Tables, probes and side slopes."""
     parameters = vehicle(friction=FRICTION)
     speeds, grade = probes()
@@ -136,7 +180,7 @@ def run_all() -> SlopeIdentification:
     slopes = np.array([[-STEEPEST, 0.0], [STEEPEST, 0.0]])
     both = np.full((2, 2), 5.0)
     belt = 5.0 * parameters.sprocket_radius
-    loads = {
+    slips = {
         load: belt - steady_on_slopes(parameters, both, slopes, load)[:, 0]
         for load in ("nonuniform", "uniform")
     }
@@ -144,57 +188,10 @@ def run_all() -> SlopeIdentification:
     bend = steady_on_slopes(parameters, np.tile(BEND, (3, 1)), along)[:, [2, 1]]
     turns = (left > 0.0) & (right > left + 1.0) & (np.abs(grade[:, 1]) > 0.15)
     uphill = float((true.v_y[turns] * grade[turns, 1] < 0.0).mean())
-    return SlopeIdentification(scores, len(left), np.array(side), loads, bend, uphill)
+    return SlopeIdentification(scores, len(left), np.array(side), slips, bend, uphill)
 
 
-# In a folder beside that of the project.
-MAP = Path(__file__).parents[3] / "shared" / "data" / "terrain_mesh" / "height_5cm.npz"
-FRACTAL: dict[str, Any] = {
-    "kind": "fractal", "height": 0.67, "seed": 2, "hurst": 1.0, "longest": 30.0, "shortest": 8.0,
-    "count": 32,
-}  # fmt: skip
-LEVEL, ROUNDING = 0.124, 0.112  # [m] z_0, w
-HALF_SIDE, CELL = 29.5, 0.1  # [m] of the field; that of the map is the same
-SHARES = (50.0, 90.0, 99.0)  # [%] of the slopes that are compared
-
-
-class UnevenGround(NamedTuple):
-    """A ground of section 8."""
-
-    name: str
-    field: HeightField
-    start: tuple[float, float]  # [m] x, y of 8.3, on a flank that falls towards -x
-
-
-def authors_map(file: Path | None = None) -> tuple[UnevenGround | None, str]:
-    """The authors' map, None is MAP, and why it is missing ("": it is there)."""
-    file = MAP if file is None else file
-    if not file.exists():
-        return None, f"height map of the authors: no file {file}, left out; the seeded field is run"
-    spec = {"kind": "map", "file": str(file), "interpolation": "bilinear"}
-    return UnevenGround("authors' map", make_height_field(spec), (15.0, 2.0)), ""
-
-
-@lru_cache(maxsize=1)
-def field() -> UnevenGround:
-    """The seeded field: the same numbers everywhere."""
-    axis = np.linspace(-HALF_SIDE, HALF_SIDE, round(2.0 * HALF_SIDE / CELL) + 1)
-    z = make_height_field(FRACTAL).at(*np.meshgrid(axis, axis))[0]
-    heights = ROUNDING * np.logaddexp(0.0, (z - LEVEL) / ROUNDING)
-    made = make_height_field({"kind": "map", "heights": heights, "cell": CELL})
-    return UnevenGround("seeded field", made, (1.7, 10.4))
-
-
-def slopes(ground: UnevenGround) -> Floats:
-    """SHARES of the slopes |dz/dx, dz/dy| [-] over the whole of a ground."""
-    axis = np.arange(-HALF_SIDE + 0.5 * CELL, HALF_SIDE, CELL)
-    _, slope_x, slope_y = ground.field.at(*np.meshgrid(axis, axis))
-    return np.asarray(np.percentile(np.hypot(slope_x, slope_y), SHARES))
-
-
-SPEED, TURN, RATE = 0.6, 0.4, 200.0  # [m/s], [rad/s], [Hz]
-HEADINGS = (-2.9, 0.0)  # [rad] c_0, and that of the authors' code
-KINDS = ("uc", "flat", "slope", "uniform")
+# Section 8.3
 
 
 class SlopeCase(NamedTuple):
@@ -215,9 +212,6 @@ class Tracking(NamedTuple):
     largest: float  # [m]
     heading: float  # [rad] largest, about the normal of the vehicle's plane
     pitch: tuple[float, float]  # [rad] least and largest, nose down
-
-
-SHOWN = make_layout(TERRAIN["observation"])
 
 
 def cases(grounds: Sequence[UnevenGround]) -> list[SlopeCase]:
@@ -288,7 +282,7 @@ def errors(run: Run) -> tuple[Floats, Floats]:
     cosine, sine = np.cos(state[:, 2]), np.sin(state[:, 2])
     apart_x, apart_y = goal[:, 0] - state[:, 0], goal[:, 1] - state[:, 1]
     angles = [(np.cos(state[:, k]), np.sin(state[:, k])) for k in (8, 7)]  # pitch, roll
-    ahead, left, turn = in_body_plane.py_func(
+    ahead, left, turn = in_body_plane(
         cosine * apart_x + sine * apart_y, cosine * apart_y - sine * apart_x,
         -run.heading[:, 0], *angles,
     )  # fmt: skip
@@ -305,9 +299,7 @@ def tracking(run: Run) -> Tracking:
     )  # fmt: skip
 
 
-SIDE_SLOPE = 0.25  # [rad]
-STARTS, REACH = 16, 15.0  # vehicles of `spread`, [m] |x|, |y| of their starts at most
-TIMED, TIMINGS = 0.2, 5  # [s] of driving that is timed, how often
+# All runs
 
 
 class Slopes(NamedTuple):
@@ -350,9 +342,7 @@ def cost(ground: UnevenGround) -> dict[str, float]:
     return found
 
 
-def run_all_slope_runs(
-    say: Callable[[str], None] = lambda text: None, file: Path | None = None
-) -> Slopes:
+def run_all(say: Say = lambda text: None, file: Path | None = None) -> Slopes:
     """Run everything; say(text) reports which runs come next. file: the map, None is MAP."""
     mapped, missing = authors_map(file)
     if missing:
@@ -387,7 +377,7 @@ def run_all_slope_runs(
     }
     timed = cost(grounds[0])
     say("section 4.5: slip on slopes")
-    found = run_all()
+    found = identify()
     say("section 8.3: chicane on slopes")
     closed = drive(grounds, cases(grounds))
     return Slopes(

@@ -1,16 +1,16 @@
-"""Sections 8.1 and 8.2 of Strawa et al. (2021) as scenarios that can be run again.
+"""Sections 8.1 and 8.2 of Strawa et al. (2021) as scenarios that can be run again, and figure 17.
 
 The paper states neither the radius, nor the speed, nor the place of its circle; chosen here: R =
 10 m around the origin of the maps, 2 m/s, start 1 m to the side at 0.3 m/s, ideal sensors, no motor
 lag, the lateral constraint of S (28). S (20) is run with the printed factor 2 and with 1, the
-factor of its integral.
+factor of its integral. Figure 17: the RMSE over a run is that of the distance to the vehicle whose
+controller knows mass and inertia; all grid points are one batch, a controller with its own
+parameters per vehicle, on the paths of 8.2.1 and the manoeuvre of 8.3.1.
 
-References: [1] Strawa et al., Electronics 10 (2021) 187.
+Row k of every history of `drive` belongs to the time k h, h the control period: the true state
+then, and the estimates of the policy after the observation of that time.
 
-A batch of vehicles driven by one policy, with the time histories that the figures need.
-
-Row k of every history belongs to the time k h, h the control period: the true state then, and the
-estimates of the policy after the observation of that time.
+References: [S] Strawa et al., Electronics 10 (2021) 187.
 """
 
 import math
@@ -24,6 +24,7 @@ from baselines.linearizing.linearizing_policy import FeedbackLinearizingControll
 from tracked_env.arrays import columns
 from tracked_env.benchmark.policy_interface import Policy
 from tracked_env.env import TrackedVehicleEnv
+from tracked_env.events import Event
 from tracked_env.physics.parameters import (
     PARAMETER_NAMES,
     PARAMETER_ROWS,
@@ -36,15 +37,115 @@ from tracked_env.physics.parameters import (
 from tracked_env.uncertainty import STRAWA_MAPS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
+Floats = NDArray[np.float64]
+
+CONTROL_RATE = 100.0  # [Hz] the paper's step is 0.01 s
+PERIOD = 1.0 / CONTROL_RATE  # [s]
 ICR_FORWARD = 0.2  # [m] d of the constrained runs; the paper names none
 SETTLED = 30.0  # [s] from here on a run counts as steady
+SIDES = ("left", "right")
+_REFERENCE = columns(("reference_x", "reference_y"))
+STRAIGHT = 7.0  # [s] length of the straight part of the manoeuvre
+SPEED = 2.0  # [m/s]
+FACTORS = np.linspace(0.5, 1.5, 11)  # [-] of the true value; the middle one is right
 
 PATHS: dict[str, dict[str, Any]] = {
     # A circle of 10 m around the origin, entered at its lowest point.
-    "circle": {"kind": "circle", "radius": 10.0, "speed": 2.0, "x": 0.0, "y": -10.0, "yaw": 0.0},
-    "straight": {"kind": "straight", "speed": 2.0},
+    "circle": {"kind": "circle", "radius": 10.0, "speed": SPEED, "x": 0.0, "y": -10.0, "yaw": 0.0},
+    "straight": {"kind": "straight", "speed": SPEED},
 }
 START = {"offset_x": 0.0, "offset_y": 1.0, "offset_yaw": 0.0, "speed": 0.3, "yaw_rate": 0.0}
+ON_PATH = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": SPEED}
+NO_LAG = {"drive_time_constant": 0.0}  # of the vehicle
+
+
+def manoeuvre(
+    speed: float = SPEED,
+    radius_end: float = 6.0,
+    amplitude: float = 0.2,
+    period: float = 4.0,
+    start: float | None = None,
+) -> Event:
+    """The reference of 8.3: along +Y, then a spiral to the left; the speed oscillates.
+
+    start [m/s]: speed at the beginning, `speed` unless given.
+    """
+    return {
+        "kind": "identification", "speed": speed,
+        "initial_speed": speed if start is None else start,
+        "straight_duration": STRAIGHT, "radius_end": radius_end,
+        "speed_amplitude": amplitude, "speed_period": period,
+        "x": 0.0, "y": 0.0, "yaw": 0.5 * math.pi,
+    }  # fmt: skip
+
+
+WAYS: dict[str, Any] = {**PATHS, "manoeuvre": manoeuvre()}
+
+
+class Drive(NamedTuple):
+    """Time histories of N vehicles over T control steps, SI units."""
+
+    time: Floats  # (T,)
+    truth: dict[str, Floats]  # (T, N) by name of state or parameter
+    reference: Floats  # (T, N, 2) [m]
+    error: Floats  # (T, N) distance to the reference [m]
+    belief: dict[str, Floats]  # (T, N) estimates by name, empty when the policy has none
+    observations: NDArray[np.float32]  # (T, N, SIZE), empty unless asked for
+
+    def rmse(self, start: float = 0.0) -> Floats:
+        """Root mean square distance to the reference from `start` [s] on, (N,) [m]."""
+        late = self.error[self.time >= start]
+        return np.asarray(np.sqrt(np.mean(late**2, axis=0)))
+
+
+def drive(
+    policy: Policy,
+    rows: Sequence[Mapping[str, Any]],
+    duration: float,
+    sensors: str | Mapping[str, Any] = "ideal",
+    lateral: str = "constrained",
+    seed: int = 0,
+    keep: bool = False,
+) -> Drive:
+    """Drive one vehicle per entry of `rows` (options of reset), all by `policy`.
+
+    policy: its `estimates`, where it has them, are kept. duration [s]. sensors: of all rows, which
+    their options may change. seed: row i has seed + i. keep: whether the observations are kept.
+    Raises ValueError for options that are unknown or out of range.
+    """
+    count, steps = len(rows), round(duration * CONTROL_RATE)
+    env = TrackedVehicleVectorEnv(
+        count, reference="straight", uncertainty="nominal", sensors=sensors,
+        duration=duration + 1.0, control_rate=CONTROL_RATE, lateral=lateral, error_limit=1e3,
+    )  # fmt: skip
+    observation, _ = env.reset(seed=seed, options={"rows": [dict(row) for row in rows]})
+    truth = np.empty((steps, STATE_ROWS + PARAMETER_ROWS, count))
+    reference = np.empty((steps, count, 2))
+    kept = np.empty((steps if keep else 0, *observation.shape), dtype=np.float32)
+    belief: dict[str, Floats] = {}
+    state: Any = None
+    for k in range(steps):
+        batch = env.simulation.batch
+        truth[k, :STATE_ROWS] = batch.state().T
+        truth[k, STATE_ROWS:] = batch.parameters().T
+        reference[k] = batch.floats[:, _REFERENCE]
+        if keep:
+            kept[k] = observation
+        action, state = policy.predict(observation, state)
+        if hasattr(policy, "estimates"):
+            for name, (value, _) in policy.estimates().items():
+                belief.setdefault(name, np.empty((steps, count)))[k] = value
+        observation = env.step(action)[0]
+    env.close()
+    by_name = dict(zip((*STATE_NAMES, *PARAMETER_NAMES), truth.transpose(1, 0, 2), strict=True))
+    error: Floats = np.hypot(reference[:, :, 0] - by_name["x"], reference[:, :, 1] - by_name["y"])
+    time: Floats = np.arange(steps, dtype=np.float64) * PERIOD
+    return Drive(time, by_name, reference, error, belief, kept)
+
+
+def rms(values: Floats) -> float:
+    """Root mean square of all values; nan of none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
 class Scenario(NamedTuple):
@@ -81,11 +182,11 @@ SCENARIOS: dict[str, Scenario] = {
 class Run(NamedTuple):
     """Time histories of one run; all shape (T,), SI units."""
 
-    time: NDArray[np.float64]
-    error: NDArray[np.float64]  # distance to the reference [m]
-    truth: dict[str, NDArray[np.float64]]
-    reference: NDArray[np.float64]  # (2, T) [m]
-    sprocket_torque: NDArray[np.float64]  # (2, T) demanded, left and right [N m]
+    time: Floats
+    error: Floats  # distance to the reference [m]
+    truth: dict[str, Floats]
+    reference: Floats  # (2, T) [m]
+    sprocket_torque: Floats  # (2, T) demanded, left and right [N m]
     settled_rms: float  # of the error after SETTLED [m]
     settled_max: float
 
@@ -107,57 +208,39 @@ def lateral_model_options(turning_factor: float, lateral: str) -> dict[str, floa
     return {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD}
 
 
-def run(
-    scenario: Scenario,
-    path: str,
-    turning_factor: float,
-    duration: float = 60.0,
-) -> Run:
+def run(scenario: Scenario, path: str, turning_factor: float, duration: float = 60.0) -> Run:
     """Drive one scenario on "circle" or "straight" for `duration` [s]."""
     env = TrackedVehicleEnv(
-        reference=PATHS[path],
-        uncertainty="nominal",
-        sensors="ideal",
-        duration=duration,
-        control_rate=100.0,
-        lateral=scenario.lateral,
-        error_limit=1e3,
-        expose_truth=True,
-    )
+        reference=PATHS[path], uncertainty="nominal", sensors="ideal", duration=duration,
+        control_rate=CONTROL_RATE, lateral=scenario.lateral, error_limit=1e3, expose_truth=True,
+    )  # fmt: skip
     options = {
         **scenario.options,
-        "vehicle": {"drive_time_constant": 0.0},
+        "vehicle": NO_LAG,
         "lateral_model": lateral_model_options(turning_factor, scenario.lateral),
         "start": START,
     }
-    policy = FeedbackLinearizingController(
-        believed_parameters(scenario, turning_factor), 0.01, lateral=scenario.lateral
-    )
-    observation, info = env.reset(seed=0, options=options)
+    believed = believed_parameters(scenario, turning_factor)
+    policy = FeedbackLinearizingController(believed, PERIOD, lateral=scenario.lateral)
+    observation, _ = env.reset(seed=0, options=options)
     state: Any = None
     rows, errors, references, demands = [], [], [], []
-    truncated = terminated = False
-    while not (truncated or terminated):
+    ended = False
+    while not ended:
         action, state = policy.predict(observation, state)
         observation, _, terminated, truncated, info = env.step(action)
-        truth = info["truth"]
+        truth, ended = info["truth"], terminated or truncated
         rows.append(list(truth.values()))
         errors.append(info["tracking_error"][0])
         demands.append(np.clip(action, -1.0, 1.0) * truth["torque_limit"])
         references.append(env.simulation.reference_position(0))
-    names = list(info["truth"])
     error = np.array(errors, dtype=np.float64)
-    time = np.array([0.01 * (k + 1) for k in range(len(errors))], dtype=np.float64)
+    time = np.array([PERIOD * (k + 1) for k in range(len(errors))], dtype=np.float64)
     late = error[time >= SETTLED]
     return Run(
-        time,
-        error,
-        dict(zip(names, np.array(rows).T, strict=True)),
-        np.array(references).T,
-        np.array(demands).T,
-        float(np.sqrt(np.mean(late**2))) if late.size else math.nan,
-        float(late.max()) if late.size else math.nan,
-    )
+        time, error, dict(zip(truth, np.array(rows).T, strict=True)), np.array(references).T,
+        np.array(demands).T, rms(late), float(late.max()) if late.size else math.nan,
+    )  # fmt: skip
 
 
 def run_all(duration: float = 60.0) -> dict[tuple[str, str, float], Run]:
@@ -170,97 +253,41 @@ def run_all(duration: float = 60.0) -> dict[tuple[str, str, float], Run]:
     }
 
 
-def table(runs: dict[tuple[str, str, float], Run]) -> list[list[str]]:
-    """One line per run, header first: errors after SETTLED, saturation, top slip."""
-    lines = [
-        ["section", "scenario", "path", "factor of (20)", "rms error [m]", "max error [m]",
-         "at the soil's limit", "max slip"],
-    ]  # fmt: skip
-    for (name, path, factor), result in runs.items():
-        truth, late = result.truth, result.time >= 1.0
-        limited = np.zeros(late.sum(), dtype=bool)
-        slip = 0.0
-        for row, side in enumerate(("left", "right")):
-            asked = np.abs(result.sprocket_torque[row])
-            given = np.abs(truth[f"effort_{side}"] * truth["sprocket_radius"])
-            limited |= (asked > given + 1.0)[late]
-            slip = max(slip, float(np.abs(truth[f"slip_{side}"][late]).max()))
-        lines.append(
-            [SCENARIOS[name].section, SCENARIOS[name].title, path, f"{factor:g}",
-             f"{result.settled_rms:.2g}", f"{result.settled_max:.2g}",
-             f"{100.0 * limited.mean():.0f} %", f"{100.0 * slip:.1f} %"],
-        )  # fmt: skip
-    return lines
+class Surface(NamedTuple):
+    """RMSE [m] over mass (rows) and inertia (columns): assumed by the controller over true."""
+
+    factors: Floats
+    rmse: Floats  # (F, F)
+
+    def along(self) -> tuple[float, float]:
+        """Largest RMSE with only the mass wrong, and with only the inertia wrong [m]."""
+        middle = len(self.factors) // 2
+        return float(self.rmse[:, middle].max()), float(self.rmse[middle].max())
 
 
-CONTROL_RATE = 100.0  # [Hz] the paper's step is 0.01 s
-_REFERENCE = columns(("reference_x", "reference_y"))
-PERIOD = 1.0 / CONTROL_RATE  # [s]
-
-Floats = NDArray[np.float64]
-
-
-class Drive(NamedTuple):
-    """Time histories of N vehicles over T control steps, SI units."""
-
-    time: Floats  # (T,)
-    truth: dict[str, Floats]  # (T, N) by name of state or parameter
-    reference: Floats  # (T, N, 2) [m]
-    error: Floats  # (T, N) distance to the reference [m]
-    belief: dict[str, Floats]  # (T, N) estimates by name, empty when the policy has none
-    observations: NDArray[np.float32]  # (T, N, SIZE), empty unless asked for
-
-    def rmse(self, start: float = 0.0) -> Floats:
-        """Root mean square distance to the reference from `start` [s] on, (N,) [m]."""
-        late = self.error[self.time >= start]
-        return np.asarray(np.sqrt(np.mean(late**2, axis=0)))
-
-
-def drive(
-    policy: Policy,
-    rows: Sequence[Mapping[str, Any]],
-    duration: float,
-    sensors: str | Mapping[str, Any] = "ideal",
-    lateral: str = "constrained",
-    seed: int = 0,
-    keep: bool = False,
-) -> Drive:
-    """Drive one vehicle per entry of `rows` (options of reset), all by `policy`.
-
-    policy: its `estimates`, where it has them, are kept. duration [s]. sensors: of all rows, which
-    their options may change. seed: row i has seed + i. keep: keep the observations.
-    Raises ValueError for options that are unknown or out of range.
-    """
-    count, steps = len(rows), round(duration * CONTROL_RATE)
-    env = TrackedVehicleVectorEnv(
-        count, reference="straight", uncertainty="nominal", sensors=sensors,
-        duration=duration + 1.0, control_rate=CONTROL_RATE, lateral=lateral, error_limit=1e3,
-    )  # fmt: skip
-    observation, _ = env.reset(seed=seed, options={"rows": [dict(row) for row in rows]})
-    truth = np.empty((steps, STATE_ROWS + PARAMETER_ROWS, count))
-    reference = np.empty((steps, count, 2))
-    kept = np.empty((steps if keep else 0, *observation.shape), dtype=np.float32)
-    belief: dict[str, Floats] = {}
-    state: Any = None
-    for k in range(steps):
-        batch = env.simulation.batch
-        truth[k, :STATE_ROWS] = batch.state().T
-        truth[k, STATE_ROWS:] = batch.parameters().T
-        reference[k] = batch.floats[:, _REFERENCE]
-        if keep:
-            kept[k] = observation
-        action, state = policy.predict(observation, state)
-        if hasattr(policy, "estimates"):
-            for name, (value, _) in policy.estimates().items():
-                belief.setdefault(name, np.empty((steps, count)))[k] = value
-        observation = env.step(action)[0]
-    env.close()
-    by_name = dict(zip((*STATE_NAMES, *PARAMETER_NAMES), truth.transpose(1, 0, 2), strict=True))
-    error: Floats = np.hypot(reference[:, :, 0] - by_name["x"], reference[:, :, 1] - by_name["y"])
-    time: Floats = np.arange(steps, dtype=np.float64) * PERIOD
-    return Drive(time, by_name, reference, error, belief, kept)
+def surface(
+    way: str, turning_factor: float, factors: Floats = FACTORS, duration: float = 30.0
+) -> Surface:
+    """The grid for one path. factors: odd in number, the middle one 1."""
+    believed = believed_parameters(SCENARIOS["exact"], turning_factor)
+    mass, inertia = (grid.ravel() for grid in np.meshgrid(factors, factors, indexing="ij"))
+    arrays: Any = {"mass": believed.mass * mass, "inertia": believed.inertia * inertia}
+    policy = FeedbackLinearizingController(
+        believed._replace(**arrays), PERIOD, lateral="constrained"
+    )
+    row = {
+        "reference": WAYS[way],
+        "vehicle": NO_LAG,
+        "lateral_model": {"turning_resistance_factor": turning_factor, "icr_forward": ICR_FORWARD},
+        "start": START,
+    }
+    truth = drive(policy, [row] * mass.size, duration).truth
+    right = mass.size // 2
+    square = sum((truth[name] - truth[name][:, [right]]) ** 2 for name in ("x", "y"))
+    rmse = np.sqrt(np.mean(square, axis=0))
+    return Surface(factors, rmse.reshape(len(factors), len(factors)))
 
 
-def rms(values: Floats) -> float:
-    """Root mean square of all values; nan of none."""
-    return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
+def sweep_all() -> dict[tuple[str, float], Surface]:
+    """Every path with both turning factors."""
+    return {(way, factor): surface(way, factor) for way in WAYS for factor in (2.0, 1.0)}

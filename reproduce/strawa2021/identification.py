@@ -6,12 +6,17 @@ the Y axis: at X = 0 the maps (44), (45) are constant. So the manoeuvre (figure 
 origin along +Y: 7 s straight, then a spiral. Speed, radius and excitation are not in the paper;
 chosen: 2 m/s +- 0.2 m/s with a period of 4 s, spiral down to R = 6 m at 30 s, start on the path
 at its speed. The controller begins with 55 % of the mass, 110 % of the inertia, mu_l = 0.6 and
-mu_t = 0.8 (8.2), lateral constraint and d as in 8.1.
+mu_t = 0.8 (8.2), lateral constraint and d as in 8.1. As in S it does not use the estimated soil.
 
-The policies of section 8.3: the controller behind the filter of its pose and slips.
-
-They differ in what they do about the parameters only: keep them, or identify them on line. As in
-S the estimated soil is not used by the controller.
+Four policies differ in what they do about the parameters only:
+    fixed    keeps them. Position noise of 1 m saturates the controller without a filter, so a
+             comparison has to have the same filter
+    printed  identifies by the recursion that S 7.1.1 prints: no prior, bounds, gates or
+             compensation, all samples of one weight, in whose units its covariance is. Only yaw
+             rates below the regularisation of the friction stay out, where sign(w) is not +-1
+    paper    the equations and forgetting factor of S, kept bounded: with prior, bounds, gates and
+             compensation of the torque noise. Its name on the page is "bounded"
+    coupled  by this project's regressions, interacting models of how the parameters change
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
@@ -22,18 +27,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from baselines.estimators import least_squares as ls
+from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import DataSheet
-from baselines.estimators.stack import Identification
+from baselines.estimators.stack import Identification, IdentificationStack
+from baselines.estimators.turning import TurningEstimator
+from baselines.estimators.two_parameters import PLAIN, TwoParameterEstimator
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from reproduce.strawa2021.control import (
+    NO_LAG,
+    ON_PATH,
     PERIOD,
     SCENARIOS,
+    STRAIGHT,
     Drive,
     Floats,
     believed_parameters,
     drive,
     lateral_model_options,
+    manoeuvre,
     rms,
 )
 from tracked_env.events import Event, ramp_events
@@ -41,55 +54,135 @@ from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import PRESETS, Sensors
 from tracked_env.uncertainty import STRAWA_MAPS
 
-
-class FilteringPolicy(AdaptivePolicy):
-    """The adaptive policy without adaptation: the controller keeps the parameters it was given.
-
-    Position noise of 1 m saturates the controller without a filter, so a comparison with the
-    adaptive policy has to have the same filter.
-    """
-
-    def _adapt(self, known: Identification) -> None:
-        """Keep the parameters."""
-
-
-def filtered_policy(
-    parameters: PlantParameters, sensors: Sensors, kind: str, lateral: str = "constrained"
-) -> AdaptivePolicy:
-    """The policy of one row of the tables, for any number of vehicles.
-
-    parameters: believed at the start. sensors: their noise is known to the filters. kind:
-    "printed", "paper" or "coupled" is the regression of mass, inertia and resistance, "fixed"
-    keeps the parameters.
-    """
-    made = FilteringPolicy if kind == "fixed" else AdaptivePolicy
-    return made(
-        parameters,
-        PERIOD,
-        DataSheet.of(sensors),
-        lateral,
-        Gains(),
-        regression="coupled" if kind == "fixed" else kind,
-        uses_soil=False,
-    )
-
-
 DURATION = 30.0  # [s]
-STRAIGHT = 7.0  # [s] length of the straight part
 BEGUN = 1.0  # [s] the first second is the start of the estimators
 SETTLED = 12.0  # [s] the spiral is 5 s old: the yaw equation has been excited
-SPEED = 2.0  # [m/s]
 SEEDS = 6  # vehicles per condition with noise
-# "printed": the recursion of 7.1.1 as it stands; "paper": the same equations and forgetting factor,
-# with prior, bounds, gates and compensation (its name in the page: "bounded"); "coupled": ours.
+FORGETTING = 0.998  # [-] S 8.3.1
+WIDE = 1e3  # [-] times the prior's standard deviations, as printed: no prior to speak of
+SAME_WEIGHT = 1e6  # [N^2 m^2] variance of every turning sample, as printed: any number will do
+# Of policies, and their names on the page.
 KINDS = ("fixed", "printed", "paper", "coupled")
 NAMES = {"fixed": "fixed", "printed": "printed", "paper": "bounded", "coupled": "coupled"}
+REGRESSIONS = KINDS[1:]
 
 # The coefficients at X = 0, everywhere: errors on this ground have other causes than the maps.
 UNIFORM: list[Event] = ramp_events(
     {"longitudinal_resistance": 0.7, "lateral_resistance": 0.6}, 0.0, 0.0
 )
 GROUNDS = {"maps": STRAWA_MAPS, "uniform": UNIFORM}
+
+
+# The regressions of S, in place of this project's
+
+
+def as_in_paper(estimator: TwoParameterEstimator) -> None:
+    """Equations and forgetting factor of S: no interacting models."""
+    estimator.table = PLAIN
+    estimator.prior = estimator.prior._replace(forgetting=FORGETTING)
+
+
+def as_printed(prior: ls.Prior) -> ls.Prior:
+    """The prior with which the kernel is the recursion of S 7.1.1: wide, and without bounds."""
+    return prior._replace(
+        sigma_1=WIDE * prior.sigma_1, sigma_2=WIDE * prior.sigma_2,
+        low_1=-math.inf, low_2=-math.inf, high_1=math.inf, high_2=math.inf,
+    )  # fmt: skip
+
+
+class PaperLongitudinal(LongitudinalEstimator):
+    """1/m and mu_l by the equations of S, kept bounded."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        as_in_paper(self)
+        self._known = self._known._replace(coupled=False)
+
+
+class PrintedLongitudinal(PaperLongitudinal):
+    """The same as S prints them."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.prior = as_printed(self.prior)
+        self._known = self._known._replace(
+            acceleration_variance=1.0, effort_variance=0.0, largest_torque=math.inf, slowest=-1.0
+        )
+
+
+class PaperTurning(TurningEstimator):
+    """I and mu_t by the equations of S, kept bounded."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        as_in_paper(self)
+
+
+class PrintedTurning(PaperTurning):
+    """The same as S prints them. Raises ValueError for another lateral model."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        if not self._known.constrained:
+            raise ValueError(
+                "regression as printed with lateral = 'sliding'; must be 'constrained': S 7.1.2 "
+                "knows no lateral motion but that of a fixed ICR"
+            )
+        self.prior = as_printed(self.prior)
+        self._known = self._known._replace(
+            moment_variance=SAME_WEIGHT, bend_variance=0.0, turn_variance=0.0, slowest=-1.0,
+            largest_torque=math.inf, low=-math.inf, high=math.inf,
+        )  # fmt: skip
+
+
+class PaperStack(IdentificationStack):
+    """The estimators of N vehicles with the regressions of S, kept bounded."""
+
+    longitudinal_kind, turning_kind, uses_sideslip = PaperLongitudinal, PaperTurning, False
+
+
+class PrintedStack(IdentificationStack):
+    """The same with the regressions as S prints them."""
+
+    longitudinal_kind, turning_kind, uses_sideslip = PrintedLongitudinal, PrintedTurning, False
+
+
+class FixedPolicy(AdaptivePolicy):
+    """The adaptive policy without adaptation: the controller keeps its parameters."""
+
+    def _adapt(self, known: Identification) -> None:
+        """Keep the parameters."""
+
+
+class PaperPolicy(AdaptivePolicy):
+    """The adaptive policy with the regressions of S, kept bounded."""
+
+    stack_kind = PaperStack
+
+
+class PrintedPolicy(AdaptivePolicy):
+    """The adaptive policy with the regressions as S prints them."""
+
+    stack_kind = PrintedStack
+
+
+POLICIES = {
+    "fixed": FixedPolicy, "printed": PrintedPolicy, "paper": PaperPolicy, "coupled": AdaptivePolicy,
+}  # fmt: skip
+
+
+def filtered_policy(
+    parameters: PlantParameters, sensors: Sensors, kind: str, lateral: str = "constrained"
+) -> AdaptivePolicy:
+    """The policy of one row of the tables, for any number of vehicles: one of KINDS.
+
+    parameters: believed at the start. sensors: their noise is known to the filters.
+    """
+    sheet = DataSheet.of(sensors)
+    return POLICIES[kind](parameters, PERIOD, sheet, lateral, Gains(), uses_soil=False)
+
+
+# The manoeuvre
 
 
 class Condition(NamedTuple):
@@ -113,40 +206,14 @@ def scaled(sensors: Sensors, factor: float) -> Sensors:
     )
 
 
-def manoeuvre(
-    speed: float = SPEED,
-    radius_end: float = 6.0,
-    amplitude: float = 0.2,
-    period: float = 4.0,
-    start: float | None = None,
-) -> Event:
-    """The reference: along +Y, then a spiral to the left; the speed oscillates.
-
-    start [m/s]: speed at the beginning, `speed` unless given.
-    """
-    return {
-        "kind": "identification", "speed": speed,
-        "initial_speed": speed if start is None else start,
-        "straight_duration": STRAIGHT, "radius_end": radius_end,
-        "speed_amplitude": amplitude, "speed_period": period,
-        "x": 0.0, "y": 0.0, "yaw": 0.5 * math.pi,
-    }  # fmt: skip
-
-
 def options(condition: Condition, reference: Event) -> dict[str, Any]:
     """Options of reset for one vehicle."""
     return {
         "reference": reference,
         "schedule": GROUNDS[condition.ground],
-        "vehicle": {"drive_time_constant": 0.0},
+        "vehicle": NO_LAG,
         "lateral_model": lateral_model_options(condition.factor, condition.lateral),
-        "start": {
-            "offset_x": 0.0,
-            "offset_y": 0.0,
-            "offset_yaw": 0.0,
-            "speed": reference["initial_speed"],
-            "yaw_rate": 0.0,
-        },
+        "start": {**ON_PATH, "speed": reference["initial_speed"], "yaw_rate": 0.0},
     }
 
 

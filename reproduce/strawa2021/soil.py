@@ -1,19 +1,24 @@
-"""Section 8.3.3: F_max and K of the soil, and their observability on firm ground.
+"""Sections 8.3.2 and 8.3.3: slip by an unscented Kalman filter, and F_max and K of the soil.
 
-The paper names neither soil nor path. Chosen: circle (R = 10 m, 2 m/s, steady) and manoeuvre
+Slip. The paper says that the filter is unbiased except on rapid changes of speed (figure 33), and
+states neither the path nor the rates of the sensors. Chosen: the manoeuvre of 8.3.1 with a gentle
+speed (2 +- 0.2 m/s, at most 0.3 m/s^2) and a brisk one (2 +- 1 m/s, up to 3.1 m/s^2), each on heavy
+clay, where the slip is a fraction of a percent, and on sandy loam; all sensors at 100 Hz, and the
+pose at lower rates as well. As in the paper, controller and filter receive noisy measurements; the
+controller has the true parameters. The measurement is z = [X, Y, yaw] as in the paper, or
+velocities and yaw rate as well.
+
+Soil. The paper names neither soil nor path. Chosen: circle (R = 10 m, 2 m/s, steady) and manoeuvre
 (8.3.1), turning factor 1, over three grounds that follow each other in time: sandy loam of 8.2.3,
 at 10 s a stiffer and stronger one, at 20 s a softer one; and over heavy clay (Table 2). Slips and
 torques are the true ones, as the accuracy of the paper suggests, or measured: torque with the
-noise of the sensors and slip from the UKF.
+noise of the sensors and slip from the UKF. The generalised Newton-Raphson method of 7.3 as it is
+printed, for one vehicle: for the last fifty control steps (`window`), both tracks, f = F_max g(K)
+- tau / r with g = 1 - K / (i l) (1 - exp(-i l / K)); (F_max, K) <- (F_max, K) - J^+ f, J the
+printed derivatives, J^+ the least-squares inverse, at most twenty times; not converged -> the last
+converged values. No weights, no damping, no prior: what the estimators of this project add.
 
-The generalised Newton-Raphson method of section 7.3 as it is printed, for one vehicle.
-
-For the last fifty control steps (`window`), both tracks, f = F_max g(K) - tau / r with
-g = 1 - K / (i l) (1 - exp(-i l / K)); (F_max, K) <- (F_max, K) - J^+ f, J the printed derivatives,
-J^+ the least-squares inverse, at most twenty times; not converged -> the last converged values.
-No weights, no damping, no prior: what the estimators of this project add.
-
-References: [1] Strawa et al., Electronics 10 (2021) 187, 7.3 and 8.3.3.
+References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7.3 and 8.3.
 """
 
 import math
@@ -24,17 +29,153 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators.measurement import DataSheet, ObservationReader
+from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SLIP_CORRELATION, SoilEstimator
-from reproduce.strawa2021.control import ICR_FORWARD, PATHS, PERIOD, SCENARIOS, Drive, drive, rms
-from reproduce.strawa2021.control import Floats as Floats_drive
-from reproduce.strawa2021.identification import SPEED, filtered_policy, manoeuvre
-from reproduce.strawa2021.slip import estimated_slips
+from reproduce.strawa2021.control import (
+    ICR_FORWARD,
+    NO_LAG,
+    ON_PATH,
+    PATHS,
+    PERIOD,
+    SCENARIOS,
+    SIDES,
+    Drive,
+    Floats,
+    drive,
+    manoeuvre,
+    rms,
+)
+from reproduce.strawa2021.identification import filtered_policy
 from tracked_env.events import Event, ramp_events
 from tracked_env.physics import terramechanics
 from tracked_env.physics.parameters import LateralModelParameters, PlantParameters, plant_parameters
-from tracked_env.sensors import PRESETS
+from tracked_env.sensors import PRESETS, Sensors
 
-Floats = NDArray[np.float64]
+DURATION = 30.0  # [s]
+LATERAL_MODEL = LateralModelParameters(turning_resistance_factor=1.0, icr_forward=ICR_FORWARD)
+LOAM: dict[str, float] = SCENARIOS["sandy-loam"].options["soil"]
+
+
+def driven(rows: list[dict[str, Any]], sensors: str, duration: float) -> Drive:
+    """Vehicles with the options of `rows`, from the path and without motor lag; the controller has
+    their true parameters behind the filter."""
+    common = {"vehicle": NO_LAG, "lateral_model": LATERAL_MODEL._asdict(), "start": ON_PATH}
+    believed = plant_parameters(lateral_model=LATERAL_MODEL)
+    policy = filtered_policy(believed, PRESETS[sensors], "fixed")
+    return drive(policy, [{**common, **row} for row in rows], duration, sensors, keep=True)
+
+
+# Slip
+
+BEGUN = 5.0  # [s] from here on the initial error of the filter has decayed
+STEADY, RAPID = 0.4, 2.0  # [m/s^2] of |dv/dt|: below steady, above rapid
+SEEDS = 8  # vehicles per case
+SPEEDS = {  # amplitude [m/s] and period [s] of the speed
+    "gentle": {"amplitude": 0.2, "period": 4.0},
+    "brisk": {"amplitude": 1.0, "period": 2.0},
+}
+SOILS: dict[str, dict[str, Any]] = {"heavy clay": {}, "sandy loam": LOAM}
+RATES = (100.0, 50.0, 20.0, 10.0)  # [Hz] of the pose
+MEASURED = {"pose": False, "pose and velocities": True}
+
+
+class SlipCase(NamedTuple):
+    """One vehicle on one soil with one rate of the pose."""
+
+    speed: str
+    soil: str
+    rate: float
+
+
+SLIP_CASES = [
+    *(SlipCase(speed, soil, RATES[0]) for speed in SPEEDS for soil in SOILS),
+    *(SlipCase("gentle", "sandy loam", rate) for rate in RATES[1:]),
+]
+
+
+class Slips(NamedTuple):
+    """Estimates of one batch: SEEDS vehicles per case, in the order of `cases`."""
+
+    cases: list[SlipCase]
+    seeds: int
+    result: Drive
+    estimate: dict[str, Floats]  # by MEASURED, (T, N, 2)
+    acceleration: Floats  # (T, N) dv/dt [m/s^2]
+
+
+def estimated_slips(
+    observations: NDArray[np.float32], parameters: PlantParameters, sensors: Sensors, velocity: bool
+) -> tuple[Floats, Floats]:
+    """Slips i_L, i_R of the filter and their variances, (T, N, 2) each.
+
+    observations: (T, N, SIZE). velocity: whether the filter measures velocities and yaw rate too;
+    without them z = [X, Y, yaw], as in the paper.
+    """
+    steps, count = observations.shape[:2]
+    reader = ObservationReader(PERIOD, count)
+    observer = SlipObserver(parameters, PERIOD, DataSheet.of(sensors), count, velocity=velocity)
+    slips, variances = np.empty((2, steps, count, 2))
+    for k, observation in enumerate(observations):
+        observer.update(reader.read(observation).latest)
+        slips[k], variances[k] = observer.slips, observer.slip_variances
+    return slips, variances
+
+
+def slip_runs(
+    cases: Sequence[SlipCase] = tuple(SLIP_CASES), seeds: int = SEEDS, duration: float = DURATION
+) -> Slips:
+    """Drive every case and filter what was observed."""
+    rows = [
+        {
+            "reference": manoeuvre(**SPEEDS[case.speed]),
+            "soil": SOILS[case.soil],
+            "sensors": {"pose_rate": case.rate},
+        }
+        for case in cases
+        for _ in range(seeds)
+    ]
+    result = driven(rows, "strawa", duration)
+    parameters, sensors = plant_parameters(lateral_model=LATERAL_MODEL), PRESETS["strawa"]
+    estimate = {
+        name: estimated_slips(result.observations, parameters, sensors, velocity)[0]
+        for name, velocity in MEASURED.items()
+    }
+    speed = result.truth["v_x"]
+    return Slips(list(cases), seeds, result, estimate, np.gradient(speed, PERIOD, axis=0))
+
+
+class SlipQuality(NamedTuple):
+    """Error of the slip of one track over all windows of one kind [-]."""
+
+    bias: float
+    uncertainty: float  # standard error of the bias, from the spread between the vehicles
+    rms: float
+    true: float  # mean of the true slip
+
+
+def windows(slips: Slips, case: int, rapid: bool) -> NDArray[np.bool_]:
+    """(T, seeds) whether the sample belongs to a window of rapid change, or of steady speed."""
+    part = slice(case * slips.seeds, (case + 1) * slips.seeds)
+    rate = np.abs(slips.acceleration[:, part])
+    inside = rate > RAPID if rapid else rate < STEADY
+    inside[slips.result.time < BEGUN] = False
+    return np.asarray(inside)
+
+
+def slip_quality(slips: Slips, case: int, measured: str, side: str, rapid: bool) -> SlipQuality:
+    """Numbers of one case; nan where it has no such window."""
+    part = slice(case * slips.seeds, (case + 1) * slips.seeds)
+    truth = slips.result.truth[f"slip_{side}"][:, part]
+    error = slips.estimate[measured][:, part, SIDES.index(side)] - truth
+    inside = windows(slips, case, rapid)
+    if not inside.any():
+        return SlipQuality(*(4 * [float("nan")]))
+    means = np.array([error[inside[:, k], k].mean() for k in range(slips.seeds)])
+    spread = float(means.std(ddof=1) / np.sqrt(slips.seeds)) if slips.seeds > 1 else 0.0
+    return SlipQuality(float(means.mean()), spread, rms(error[inside]), float(truth[inside].mean()))
+
+
+# The method of 7.3 as printed
 
 WINDOW = 50  # [control steps] 8.3.3
 ITERATIONS = 20  # at most, 8.3.3
@@ -63,15 +204,14 @@ def printed_gnr(
     """
     steps = len(slip)
     fit = Fit(np.empty(steps), np.empty(steps), np.zeros(steps), np.zeros(steps, dtype=bool))
-    known = first_guess
+    last = first_guess
     for k in range(steps):
         rows = slice(max(k + 1 - window, 0), k + 1)
         distance, force = np.abs(slip[rows].ravel()) * contact_length, effort[rows].ravel()
         used = (slip[rows].ravel() * force > 0.0) & (distance > 1e-12)
-        found, count, done = _newton(distance[used], np.abs(force[used]), known)
-        if done:
-            known = found
-        fit.effort_maximum[k], fit.modulus[k] = known
+        solution, count, done = _newton(distance[used], np.abs(force[used]), last)
+        last = solution if done else last
+        fit.effort_maximum[k], fit.modulus[k] = last
         fit.iterations[k], fit.converged[k] = count, done
     return fit
 
@@ -103,10 +243,10 @@ def _newton(
     return guess, ITERATIONS, False
 
 
-DURATION = 30.0  # [s]
+# Soil
+
 CHANGES = (10.0, 20.0)  # [s]
 RECOVERY = 1.0  # [s] after a change; the window of fifty samples takes 0.5 s
-LOAM: dict[str, float] = SCENARIOS["sandy-loam"].options["soil"]
 GROUNDS: dict[str, tuple[dict[str, float], list[Event]]] = {
     "changing": (
         LOAM,
@@ -139,38 +279,19 @@ class Soil(NamedTuple):
     """Estimates of one method in every case."""
 
     method: str
-    time: Floats_drive  # (T,)
-    true_effort: Floats_drive  # (T, N) [N]
-    true_modulus: Floats_drive  # (T, N) [m]
-    effort: Floats_drive  # (T, N) estimated
-    modulus: Floats_drive
-    iterations: Floats_drive  # (T, N)
+    time: Floats  # (T,)
+    true_effort: Floats  # (T, N) [N]
+    true_modulus: Floats  # (T, N) [m]
+    effort: Floats  # (T, N) estimated
+    modulus: Floats
+    iterations: Floats  # (T, N)
     converged: NDArray[np.bool_]
     ratio_only: NDArray[np.bool_]  # (T, N) only F_max / K is determined
-    slip: Floats_drive  # (T, N, 2) true
-    force: Floats_drive  # (T, N, 2) [N] true efforts
+    slip: Floats  # (T, N, 2) true
+    force: Floats  # (T, N, 2) [N] true efforts
 
 
-def _drive(sensors: str, cases: Sequence[Case], duration: float) -> Drive:
-    lateral_model = LateralModelParameters(turning_resistance_factor=1.0, icr_forward=ICR_FORWARD)
-    rows: list[dict[str, Any]] = [
-        {
-            "reference": WAYS[case.way],
-            "soil": GROUNDS[case.ground][0],
-            "schedule": GROUNDS[case.ground][1],
-            "vehicle": {"drive_time_constant": 0.0},
-            "lateral_model": lateral_model._asdict(),
-            "start": {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": SPEED},
-        }
-        for case in cases
-    ]
-    policy = filtered_policy(
-        plant_parameters(lateral_model=lateral_model), PRESETS[sensors], "fixed"
-    )
-    return drive(policy, rows, duration, sensors, keep=True)
-
-
-def true_maximum(result: Drive) -> Floats_drive:
+def true_maximum(result: Drive) -> Floats:
     """F_max of one track, (T, N) [N]."""
     truth, nominal = result.truth, plant_parameters()
     of_each: Any = np.vectorize(terramechanics.maximum_tractive_effort, otypes=[np.float64])
@@ -198,8 +319,8 @@ def parameters_of_guess() -> PlantParameters:
 
 
 def estimated_soil(
-    result: Drive, slips: Floats_drive, variances: Floats_drive, sensors: str
-) -> dict[str, Floats_drive]:
+    result: Drive, slips: Floats, variances: Floats, sensors: str
+) -> dict[str, Floats]:
     """Estimates of this project's estimator by name, (T, N): F_max [N], K [m], iterations, and the
     flags `converged` and `ratio_only`, 0 or 1.
 
@@ -216,7 +337,7 @@ def estimated_soil(
         residual="total",
         correlation_steps=1.0 if sensors == "ideal" else SLIP_CORRELATION,
     )
-    rows: list[dict[str, Floats_drive]] = []
+    rows: list[dict[str, Floats]] = []
     for observation, slip, variance in zip(result.observations, slips, variances, strict=True):
         soil.provide_slip(slip, variance)
         estimate = soil.update(reader.read(observation).latest)
@@ -231,28 +352,38 @@ def estimated_soil(
 
 def run_all(cases: Sequence[Case] = tuple(CASES), duration: float = DURATION) -> dict[str, Soil]:
     """Every method on every case; by name of the method."""
-    found = {}
+    methods = {}
     for sensors in SENSORS:
-        result = _drive(sensors, cases, duration)
-        slip = np.stack([result.truth["slip_left"], result.truth["slip_right"]], axis=-1)
-        force = np.stack([result.truth["effort_left"], result.truth["effort_right"]], axis=-1)
+        rows: list[dict[str, Any]] = [
+            {
+                "reference": WAYS[case.way],
+                "soil": GROUNDS[case.ground][0],
+                "schedule": GROUNDS[case.ground][1],
+            }
+            for case in cases
+        ]
+        result = driven(rows, sensors, duration)
+        slip, force = (
+            np.stack([result.truth[f"{name}_{side}"] for side in SIDES], axis=-1)
+            for name in ("slip", "effort")
+        )
         common = (result.time, true_maximum(result), result.truth["shear_deformation_modulus"])
         if sensors == "ideal":
             seen, variances = slip, np.zeros_like(slip)
         else:
-            seen, variances = estimated_slips(
-                result.observations, parameters_of_guess(), PRESETS[sensors], velocity=True
-            )
-        rows = estimated_soil(result, seen, variances, sensors)
-        found[sensors] = Soil(
-            sensors, *common, rows["effort_maximum"], rows["shear_deformation_modulus"],
-            rows["iterations"], rows["converged"] > 0.5, rows["ratio_only"] > 0.5, slip, force,
+            guess = parameters_of_guess()
+            seen, variances = estimated_slips(result.observations, guess, PRESETS[sensors], True)
+        found = estimated_soil(result, seen, variances, sensors)
+        methods[sensors] = Soil(
+            sensors, *common, found["effort_maximum"], found["shear_deformation_modulus"],
+            found["iterations"], found["converged"] > 0.5, found["ratio_only"] > 0.5, slip, force,
         )  # fmt: skip
-    found["printed"] = _printed(found["ideal"], range(len(cases)), found["ideal"].slip)
-    return found
+    exact = methods["ideal"]
+    methods["printed"] = _printed(exact, range(len(cases)), exact.slip)
+    return methods
 
 
-def _printed(exact: Soil, cases: Sequence[int], slip: Floats_drive, window: int = WINDOW) -> Soil:
+def _printed(exact: Soil, cases: Sequence[int], slip: Floats, window: int = WINDOW) -> Soil:
     """The method as printed on the true efforts of some cases and the slips given."""
     length, cases = plant_parameters().contact_length, list(cases)
     fits = [

@@ -4,7 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
-from agents import algorithms
+from agents.algorithms import (
+    PPOSettings,
+    RecurrentPPOSettings,
+    SACSettings,
+    TD3Settings,
+    TQCSettings,
+)
 from agents.options import Options, options_of_train
 from baselines.learned.agent_archive import WEIGHTS, from_npz, read_entry, read_recipe
 from baselines.learned.agent_policy import Actor
@@ -15,11 +21,11 @@ OFF_POLICY = {"buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "hid
 ON_POLICY = {"n_steps": 32, "batch_size": 128, "n_epochs": 2, "hidden": (16,)}
 
 SETTINGS = {
-    "ppo": algorithms.PPOSettings(**ON_POLICY),
-    "recurrent_ppo": algorithms.RecurrentPPOSettings(**ON_POLICY),
-    "sac": algorithms.SACSettings(**OFF_POLICY),
-    "td3": algorithms.TD3Settings(**OFF_POLICY),
-    "tqc": algorithms.TQCSettings(**OFF_POLICY),
+    "ppo": PPOSettings(**ON_POLICY),
+    "recurrent_ppo": RecurrentPPOSettings(**ON_POLICY),
+    "sac": SACSettings(**OFF_POLICY),
+    "td3": TD3Settings(**OFF_POLICY),
+    "tqc": TQCSettings(**OFF_POLICY),
 }
 
 

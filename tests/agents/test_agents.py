@@ -9,8 +9,8 @@ from gymnasium.vector import VectorWrapper
 
 from agents.algorithms import ALGORITHMS
 from agents.archive import agent_entry
-from agents.held_out import HELD_OUT_SEED
-from agents.vector_envs import AgentVectorEnv
+from agents.environments import AgentVectorEnv
+from agents.folder import HELD_OUT_SEED
 from baselines.learned.agent_archive import normalisation_of, read_recipe
 from baselines.learned.augmentation import KINDS, make_augmentation
 from baselines.linearizing.linearizing_law import TUNED_GAINS

@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 import train
-from agents import algorithms, checkpoint, folder
-from agents.algorithms import ALGORITHMS
-from agents.folder import PRODUCTS
+from agents import checkpoint
+from agents.algorithms import ALGORITHMS, LIMITS
+from agents.folder import PRODUCTS, Progress
 from agents.learners import RolloutCallback, Sb3Learner, StudentLearner
-from agents.progress import Progress
 from tests.agents.agent_cases import parameters, same_parameters, small
 from tests.agents.test_student import SETTINGS
 
@@ -31,7 +30,7 @@ def one_line(capsys):
 @pytest.fixture
 def any_rate(monkeypatch):
     """Learning rates that spoil a network at once are refused; here they are let through."""
-    monkeypatch.setitem(algorithms.LIMITS, "learning_rate", "(0, inf)")
+    monkeypatch.setitem(LIMITS, "learning_rate", "(0, inf)")
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -94,7 +93,7 @@ def test_an_error_of_the_program_is_not_taken_for_a_divergence(tmp_path, monkeyp
 
 def test_an_evaluation_without_a_number_does_not_replace_the_best_agent(tmp_path, monkeypatch):
     scores = iter([0.5, float("nan"), 0.7])
-    monkeypatch.setattr("agents.progress.held_out_rmse", lambda *_: next(scores))
+    monkeypatch.setattr("agents.folder.held_out_rmse", lambda *_: next(scores))
     assert train.main(small(tmp_path, evaluate_every=128, steps=384)) == 0
     assert not same_parameters(tmp_path / "agent.zip", tmp_path / "last.zip")
 
@@ -153,27 +152,10 @@ def test_an_interruption_later_says_how_to_go_on(tmp_path, capsys, monkeypatch):
     assert one_line(capsys) == f"interrupted; go on with --resume --output {tmp_path}\n"
 
 
-def test_ctrl_c_that_the_shell_has_switched_off_stays_so():
-    """As for a process in the background."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        folder.stop_at_once("never")
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-        folder.raise_again()
-        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        folder.stop_at_once("now")
-        assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-        folder.raise_again()
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 @pytest.mark.parametrize("delay", [0.1, 0.8, 1.8])
 def test_ctrl_c_while_everything_is_imported_is_one_line(delay, repository, tmp_path):
     began = time.perf_counter()
-    subprocess.run([sys.executable, "-c", "import agents.folder"], cwd=repository, check=True)
+    subprocess.run([sys.executable, "-c", "import contextlib"], cwd=repository, check=True)
     delay += 2.0 * (time.perf_counter() - began)  # the handler stands, however busy the machine is
     process = subprocess.Popen(
         [sys.executable, str(repository / "train.py"), "--output", str(tmp_path / "none")],

@@ -6,10 +6,14 @@ import pytest
 
 from agents.archive import agent_entry
 from agents.checkpoint import layers
-from agents.environments import make_environment, make_held_out, make_part, make_taught
-from agents.options import environment_arguments
-from agents.reward import PRECISION, TrainingReward
-from agents.run import Augmentation, resolve
+from agents.environments import (
+    TrainingReward,
+    make_environment,
+    make_part,
+    make_taught,
+)
+from agents.folder import make_held_out
+from agents.run import PRECISION, Augmentation, environment_arguments, resolve
 from baselines.learned.agent_archive import read_recipe
 from tests.agents.agent_cases import small
 from tracked_env import SPEED_ID

@@ -96,7 +96,9 @@ def test_a_rollout_and_its_update_are_those_of_stable_baselines(tmp_path):
     before = {name: value.clone() for name, value in ours.policy.state_dict().items()}
     for model in (ours, theirs):
         set_random_seed(7)  # making them has drawn from the streams that they share
-        model.learn(2 * given.n_steps * run.vehicles)  # an update, then a rollout that follows it
+        model.learn(
+            2 * given.n_steps * run.options.vehicles
+        )  # an update, then a rollout that follows it
     for name in ("observations", "actions", "values", "log_probs", "advantages"):
         one, other = (getattr(model.rollout_buffer, name) for model in (ours, theirs))
         np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-3, err_msg=name)

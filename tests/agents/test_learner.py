@@ -12,8 +12,8 @@ import pytest
 import train
 from agents.algorithms import ALGORITHMS, Algorithm, register
 from agents.archive import agent_entry
+from agents.folder import Diverged, Progress
 from agents.options import options_of_train
-from agents.progress import Diverged, Progress
 from baselines.learned.agent_archive import read_recipe
 from tests.agents.agent_cases import parameters, same_parameters
 from tests.test_documentation import python_blocks

@@ -6,8 +6,8 @@ import torch
 
 import train
 from agents.algorithms import ALGORITHMS, FallingRate, PPOSettings
+from agents.folder import Progress
 from agents.learners import Sb3Learner
-from agents.progress import Progress
 from agents.run import resolve
 from tests.agents.agent_cases import SETTINGS, small
 

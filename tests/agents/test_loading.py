@@ -67,7 +67,7 @@ def test_an_archive_of_sb3_beside_a_normalisation_is_refused(tmp_path):
 
 
 def test_loading_with_targets_of_several_rewards_is_quiet_of_that_alone(tmp_path, monkeypatch):
-    made = ALGORITHMS["sac"][0]
+    made = ALGORITHMS["sac"].model
     made("MlpPolicy", gymnasium.make(TORQUE_ID), n_steps=4, device="cpu").save(tmp_path / "a.zip")
     load = made.load
 

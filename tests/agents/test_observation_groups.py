@@ -202,9 +202,7 @@ def test_what_a_height_scan_and_an_attitude_remember_is_written_as_plain_data(
     actions = np.full((3, 2), 0.3, dtype=np.float32)
     for _ in range(20):
         env.step(actions)
-    composer, simulation = env.simulation.composer, env.simulation.snapshot()
-    write_state(tmp_path / "state.zip", {"composer": composer.snapshot()})
+    write_state(tmp_path / "state.zip", env.simulation.snapshot())
     going = np.array([env.step(actions)[0] for _ in range(60)])  # beyond a block of noise
-    composer.resume(read_state(tmp_path / "state.zip")["composer"])
-    env.simulation.resume({**simulation, "composer": composer})
+    env.simulation.resume(read_state(tmp_path / "state.zip"))
     assert np.array_equal([env.step(actions)[0] for _ in range(60)], going)

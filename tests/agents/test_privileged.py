@@ -7,10 +7,14 @@ import numpy as np
 import pytest
 
 from agents.checkpoint import layers
-from agents.environments import make_part, make_taught
-from agents.options import MIXTURE
-from agents.run import Augmentation, resolve
-from agents.vector_envs import AgentVectorEnv, Privileged, TruthfulVectorEnv
+from agents.environments import (
+    AgentVectorEnv,
+    Privileged,
+    TruthfulVectorEnv,
+    make_part,
+    make_taught,
+)
+from agents.run import MIXTURE, Augmentation, resolve
 from baselines.learned.agent_policy import PRIVILEGED, policy_of, privileged
 from tests.agents.agent_cases import small
 from tests.agents.test_agents import STEPS

@@ -7,19 +7,13 @@ import pytest
 import torch
 
 from agents.algorithms import StudentSettings
-from agents.archive import RecurrentInference, RecurrentStudentModel, agent_entry, weights
+from agents.archive import RecurrentInference, RecurrentStudentModel, agent_entry, inference_weights
+from agents.folder import Learner, Progress
 from agents.learners import RecurrentStudentLearner
-from agents.progress import Learner, Progress
 from agents.run import resolve
 from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
 from baselines.learned.agent_policy import MOTION, PRIVILEGED
-from baselines.learned.augmentation import (
-    FEATURES,
-    FILTERED,
-    KNOWN_TORQUE_AUGMENTATION,
-    RECKONED,
-    SHEET,
-)
+from baselines.learned.augmentation import FEATURES, FILTERED, KNOWN, RECKONED, SHEET
 from baselines.learned.student import OUTPUTS, features_of, read_recurrent_student
 from tests.agents.agent_cases import actor, same_parameters, small
 from tests.agents.test_agents import as_evaluated
@@ -119,10 +113,7 @@ def test_a_student_on_estimates_drives_as_in_training_from_an_archive_that_says_
     }  # fmt: skip
     assert recipe["config"]["student"]["features"] == "estimates"
     policy = agent_entry(tmp_path / "last.zip").make(resolve(config).parts[0].context)
-    assert policy.augmentation.feature_names == (
-        *KNOWN_TORQUE_AUGMENTATION,
-        *SHEET,
-    ) and not needs_truth(policy)
+    assert policy.augmentation.feature_names == (*KNOWN, *SHEET) and not needs_truth(policy)
     assert policy.augmentation.learned == FEATURES  # what is kept where it learns no more
     env = make_vec_env("tracked_env/Torque-v0", 2, 0, {"sensors": "rtk"})
     observation, state = env.reset(), None
@@ -234,7 +225,7 @@ def test_a_saved_student_acts_as_in_training_and_needs_no_truth(teacher, tmp_pat
     student = RecurrentStudentLearner(run)
     learner: Learner = student
     learner.learn(Progress(run, student))
-    content = weights(student.model.inference)
+    content = inference_weights(student.model.inference)
     options = dict(run.augmentation.options)
     names = [*obs.NAMES]
     alone = read_recurrent_student(content, options, WIDTH, actor(teacher), None, names)
@@ -313,7 +304,7 @@ def test_what_makes_no_recurrent_student_is_a_clear_error(teacher, tmp_path, cap
     assert "--student.features estimates has no effect" in capsys.readouterr().err
     with pytest.raises(ValueError, match="driven by its sprocket speed; must be reckoned"):
         features_of({"features": "estimates"}, "speed")
-    content = weights(RecurrentInference(WIDTH, (16,), 8))
+    content = inference_weights(RecurrentInference(WIDTH, (16,), 8))
     options = {"hidden": [16], "lstm_hidden": 9}
     with pytest.raises(ValueError, match="weights"):
         read_recurrent_student(content, options, WIDTH, None, None, [*obs.NAMES])

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.environments import make_environment
-from agents.reward import ScaledReward, TrainingReward
+from agents.environments import ScaledReward, TrainingReward, make_environment
 from agents.run import resolve
 from tests.agents.agent_cases import small
 from tracked_env.sb3 import make_vec_env

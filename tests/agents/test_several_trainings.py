@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import make_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ import pytest
 
 import train
 from agents.folder import CONFIG
-from agents.sweep import Place, parse_seeds, planned, read_sweep, train_all
+from agents.options import Several, parse
+from agents.sweep import Job, Place, parse_seeds, planned, read_sweep, train_all
 from tests.agents.agent_cases import Config, same_parameters, small
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.executors import WorkerPool
@@ -50,9 +51,8 @@ def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users
     assert sorted(path.name for path in Path("several").iterdir()) == [
         "ppo-blind-seed1", "ppo-blind-seed2",
     ]  # fmt: skip
-    options = train.tyro.cli(
-        Config, args=[*SMALL, "--steps", "512", "--seed", "2", "--output", "alone"]
-    )
+    words = [*SMALL, "--steps", "512", "--seed", "2", "--output", "alone"]
+    options, _ = parse(words, Config)
     assert train.main(options) == 0
     several = Path("several/ppo-blind-seed2")
     assert same_parameters(several / "agent.zip", Path("alone/agent.zip"))
@@ -68,7 +68,7 @@ def test_a_killed_worker_costs_a_training_what_it_did_since_its_checkpoint(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     options = replace(small(Path("killed")), steps=4096, evaluate_every=4096)
-    train.prepared(options)
+    train.prepare(options)
     jobs, killed = {"killed": options}, False
 
     def kill() -> None:
@@ -116,17 +116,11 @@ def test_a_sweep_trains_what_its_file_says_goes_on_and_ends_in_one_table(
 
 
 def test_a_folder_that_a_node_does_not_see_is_said(tmp_path: Path) -> None:
-    trainings, _ = planned(replace_several(seeds="1", output=Path("x")), Config)
+    trainings, _ = planned(Config(output=Path("x")), Several(seeds="1"))
     (name,) = trainings
-    job = train.several.Job(name, vars(trainings[name]))
+    job = Job(name, vars(trainings[name]))
     trained = train.train_one(Place(["train.py"], str(tmp_path)), job)
     assert trained.failed and "a disk that all nodes share" in trained.line
-
-
-def replace_several(**changes: Any) -> Any:
-    """Options of train.py with those of several trainings."""
-    both: Any = make_dataclass("Config", [], bases=(train.several.Several, Config), frozen=True)
-    return both(**changes)
 
 
 @pytest.mark.slow
@@ -137,7 +131,7 @@ def test_one_training_that_fails_is_said_and_the_others_go_on(
     bad = replace(small(Path("bad")), resume=True, sensors=("rtk", "nope"))
     swept = {"bad": bad, "good": good}
     for each in swept.values():
-        train.prepared(each)
+        train.prepare(each)
     assert train_all(swept, WorkerPool(1), train.train_one, quiet=True) == 1
     assert "bad: unknown sensor preset 'nope'" in capfd.readouterr().err
     assert Path("good/agent.zip").exists()
@@ -168,7 +162,7 @@ def test_seeds_that_are_none_are_a_clear_error(given: Any) -> None:
         ({"options": {"step": 3}}, "unknown options key 'step'"),
         ({"options": {"seed": 3}}, "unknown options key 'seed'"),
         ({"options": {"ppo": {"nsteps": 3}}}, "unknown ppo key 'nsteps'"),
-        ({"options": {"vehicles": "many"}}, "vehicles = 'many'; must be a int"),
+        ({"options": {"vehicles": "many"}}, "--vehicles: many; must be a whole number"),
         ({"options": {"vehicles": 0}}, "vehicles = 0; must be in [1, 65536]"),
         ({"seeds": "2:1"}, "seeds = '2:1'; must be FIRST:END"),
         ({"episodes": 0}, "episodes = 0; must be a whole number of at least 1"),
@@ -186,15 +180,15 @@ def test_a_wrong_sweep_file_is_one_line_that_names_it(
 
 
 def test_the_example_of_the_head_of_the_module_is_a_sweep() -> None:
-    from agents import sweep as sweep_file
+    from agents import sweep
 
-    assert sweep_file.__doc__ is not None
-    lines = sweep_file.__doc__.splitlines()
+    assert sweep.__doc__ is not None
+    lines = sweep.__doc__.splitlines()
     Path("sweep.toml").write_text("\n".join(line for line in lines if line.startswith("    ")))
-    sweep = read_sweep(Path("sweep.toml"), Config)
-    assert len(sweep.trainings) == 8
-    assert all(len(trainings) == 5 for trainings in sweep.trainings.values())
-    training = sweep.trainings["sac-history-drift-mixed"][3]
+    plan = read_sweep(Path("sweep.toml"), Config)
+    assert len(plan.trainings) == 8
+    assert all(len(trainings) == 5 for trainings in plan.trainings.values())
+    training = plan.trainings["sac-history-drift-mixed"][3]
     assert (training.agent, training.augmentation, training.seed) == ("sac", "history", 3)
     assert training.uncertainty == ("drift", "mixed") and training.steps == 200000
     assert training.folder == Path("runs/history/sac-history-drift-mixed-seed3")

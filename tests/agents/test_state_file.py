@@ -7,6 +7,7 @@ import random
 import zipfile
 from collections import deque
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from stable_baselines3.common.vec_env import VecMonitor
 import train
 from agents import checkpoint
 from agents.algorithms import make_model
-from agents.checkpoint import capture, capture_environment, layers
+from agents.checkpoint import capture_environment, capture_model, layers
 from agents.environments import make_environment
 from agents.run import resolve
 from agents.state_file import GENERATORS, STATE, TYPES, read_state, write_state
@@ -26,7 +27,8 @@ from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import small
 from tests.agents.test_archive import WRONG, Harm, branches, entries, packed, put
 from tests.agents.test_checkpoints import killed_after
-from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID, arrays
+from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
+from tracked_env import arrays as columns
 from tracked_env.physics.parameters import VehicleState
 from tracked_env.sb3 import TrackedVehicleVecEnv
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -96,7 +98,7 @@ def test_the_state_of_every_memory_comes_back_to_the_bit(augmentation, env, show
     config = small(tmp_path, augmentation=augmentation, env=env, normalise=True, env_args=shown)
     model = make_model("ppo", config.ppo, make_environment(resolve(config)), 0)
     model.learn(128)
-    state = capture(model)
+    state = capture_model(model)
     assert same(state, there_and_back(state, tmp_path))
 
 
@@ -139,7 +141,8 @@ def test_no_code_of_a_checkpoint_runs(tmp_path, capsys):
 
 
 def test_only_what_is_listed_is_ever_built():
-    assert all(issubclass(made, tuple) and made._fields for made in TYPES.values())
+    kinds = [getattr(import_module(module), name) for name, module in TYPES.items()]
+    assert all(issubclass(kind, tuple) and kind._fields for kind in kinds)
     assert set(GENERATORS) == {"PCG64", "SFC64"}
 
 
@@ -208,7 +211,7 @@ def test_places_outside_the_arrays_of_the_kernels_are_refused(
     config, _, _ = interrupted
     state = read_state(config.folder / checkpoint.FILE)
     counters = simulation_of(state)["batch"].counters
-    counters[0, getattr(arrays, column)] = -(10**6)
+    counters[0, getattr(columns, column)] = -(10**6)
     write_state(tmp_path / checkpoint.FILE, state)
     assert train.main(replace(config, output=tmp_path, resume=True)) == 2
     assert "Batch.counters" in capsys.readouterr().err
@@ -251,10 +254,10 @@ def test_an_attribute_that_another_version_of_the_library_lacks_ends_the_checkpo
     """It was left out, and the training went on from the checkpoint as another one."""
     model = PPO("MlpPolicy", vehicles(), n_steps=8, batch_size=8)
     model.learn(8)
-    assert name in capture(model)["attributes"]
+    assert name in capture_model(model)["attributes"]
     delattr(model, name)
     with pytest.raises(RuntimeError, match=f"has no attribute '{name}'.*constraints.txt"):
-        capture(model)
+        capture_model(model)
 
 
 def test_an_environment_whose_wrappers_lead_nowhere_ends_the_checkpoint(monkeypatch):

@@ -8,11 +8,11 @@ import pytest
 
 from agents import checkpoint
 from agents.algorithms import StudentSettings
-from agents.archive import StudentModel, agent_entry, make_inference, to_npz, weights
+from agents.archive import StudentModel, agent_entry, inference_weights, make_inference, to_npz
+from agents.environments import AgentVectorEnv, Privileged, TruthfulVectorEnv
+from agents.folder import Progress
 from agents.learners import RolloutCallback, StudentLearner
-from agents.progress import Progress
 from agents.run import resolve
-from agents.vector_envs import AgentVectorEnv, Privileged, TruthfulVectorEnv
 from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
 from baselines.learned.agent_policy import PRIVILEGED, Normalisation, privileged
 from baselines.learned.augmentation import History
@@ -198,7 +198,7 @@ def test_a_saved_student_acts_as_in_training(teacher, tmp_path):
     student.learn(Progress(run, student))
     inner = Recorded(vehicles())
     env = AgentVectorEnv(inner, History(3, 0.02))
-    content = weights(student.model.inference)
+    content = inference_weights(student.model.inference)
     model = read_student(
         content, dict(run.augmentation.options), actor(teacher), student.model.normalisation
     )

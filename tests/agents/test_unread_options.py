@@ -16,7 +16,7 @@ REFUSED = [
         "--agent sac, or leave it out",
     ),
     (("--sac.learning-rate", "1e-3"), "--sac.learning-rate has no effect"),  # the default value
-    (("--sac.learning_rate=1e-3",), "--sac.learning_rate has no effect"),
+    (("--sac.learning_rate=1e-3",), "--sac.learning-rate has no effect"),
     (("--agent", "tqc", "--ppo.gamma", "0.9"), "what learns is tqc. Give --agent ppo"),
     (("--agent", "ppo", "--recurrent-ppo.lstm-hidden", "8"), "setting of recurrent-ppo"),
     (("--student.n-steps", "64"), "setting of student, .*Give --augmentation student"),

@@ -5,7 +5,15 @@ import pytest
 
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import OraclePolicy, adaptive, nominal, oracle
-from docs.actuator_errors import DRIVES, GAINS, SEED, SOIL, alarms, driven, soil_errors
+from docs.observer_runs import (
+    DRIVES,
+    FAULT_SEED,
+    GAINS,
+    PARAMETERS,
+    alarms,
+    fault_run,
+    soil_errors,
+)
 from tracked_env import observation as layout
 from tracked_env.benchmark import BenchmarkConfig
 from tracked_env.benchmark.metrics import evaluate
@@ -21,7 +29,7 @@ def tracked(name, policy, sensors=None):
     config = BenchmarkConfig(sets=(name,), episodes=COUNT, duration=DURATION, sensors=sensors)
     built = FACTORIES[policy](config.context(name)) if isinstance(policy, str) else policy
     env = config.environment(name, COUNT, truth=isinstance(built, OraclePolicy))
-    trace, _ = drive(built, env, [SEED + i for i in range(COUNT)], lambda: None)
+    trace, _ = drive(built, env, [FAULT_SEED + i for i in range(COUNT)], lambda: None)
     found = evaluate(trace)
     return found["tracking_rmse"], found["settled_rmse"]
 
@@ -57,17 +65,17 @@ def test_a_slow_drive_is_led_as_well_by_the_estimate_as_by_the_truth():
 
 @pytest.mark.parametrize("name", ["weak-soil", "terrain-transition", "resistance-map"])
 def test_no_soil_is_taken_for_a_weak_drive(name):
-    found = alarms(driven(name, COUNT, DURATION))
+    found = alarms(fault_run(name, COUNT, DURATION))
     assert found["alarmed"] == 0.0
     assert found["median"] < 0.004 and found["largest"] < 0.05
     assert found["in_three_sigma"] > 0.99
 
 
 def test_no_weak_drive_is_taken_for_another_soil_or_load():
-    sound = soil_errors(driven("soil-and-mass", COUNT, DURATION))
+    sound = soil_errors(fault_run("soil-and-mass", COUNT, DURATION))
     for name in ("weak-actuator", "actuator-fault"):
-        found = soil_errors(driven(name, COUNT, DURATION))
-        for quantity in SOIL:
+        found = soil_errors(fault_run(name, COUNT, DURATION))
+        for quantity in PARAMETERS:
             assert found[quantity][0] < sound[quantity][0] + 0.005, (name, quantity)
             assert found[quantity][1] > 0.97, (name, quantity)
         for gain in GAINS:
@@ -79,7 +87,7 @@ def test_the_policy_works_with_bad_torques_and_lost_samples():
         """The adaptive policy behind a torque sensor with outliers and a drive that drops out."""
 
         def __init__(self):
-            self.policy, self.rng = AdaptivePolicy(), np.random.default_rng(SEED)
+            self.policy, self.rng = AdaptivePolicy(), np.random.default_rng(FAULT_SEED)
 
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             seen = np.array(observation)

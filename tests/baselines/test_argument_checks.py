@@ -10,9 +10,9 @@ from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
-from baselines.lyapunov.lyapunov_laws import NoSlip
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
+from baselines.slip.slip_models import NoSlip
 from tracked_env.physics.parameters import VEHICLES
 
 P = VEHICLES["focchi"]

@@ -1,4 +1,4 @@
-"""What adapting is worth: frozen policies, and the scores after a change."""
+"""Frozen policies: what was learned before a change is kept, and nothing is learned after it."""
 
 from pathlib import Path
 from typing import Any
@@ -7,17 +7,13 @@ import numpy as np
 import pytest
 
 from baselines.registry import POLICIES
-from benchmarks.studies import adaptation as ad
 from tests.benchmark.stub_policies import Constant, entry
-from tests.benchmark.test_report import EASY, records
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import SETS, BenchmarkConfig, Store, load_policy, run
 from tracked_env.benchmark.executors import received, sent
 from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry, frozen
 from tracked_env.benchmark.runner import drive
-from tracked_env.benchmark.store import READS_TRUTH
-from tracked_env.benchmark.summary import rows_of
 
 PAYLOAD = BenchmarkConfig(sets=("payload",), episodes=2, duration=6.0)
 
@@ -154,59 +150,3 @@ def test_the_frozen_one_is_a_policy_of_its_own_name_seed_by_seed_and_in_other_pr
     assert received(sent(config, [twin]), twin.name).frozen
     usual = load_policy("adaptive", POLICIES)._replace(source=None)
     assert not received(sent(config, [usual]), usual.name).frozen
-
-
-def after(uncertainty_set: str, **rmse: Any) -> Any:
-    """A row of one set with these RMSEs after the change; `oracle` reads the truth."""
-    given = records(uncertainty_set, **dict.fromkeys(rmse, EASY))
-    for record in given:
-        value = float(rmse[record["policy"]][record["episode"]])
-        lost = np.isnan(value) and record["policy"] == "x"
-        record |= {"rmse_after_change": None if np.isnan(value) else value, "max_error": 5.0,
-                   "terminated": float(lost), "recovery_time": 1.0}  # fmt: skip
-        if record["policy"] == "oracle":
-            record |= {READS_TRUTH: True, "tracking_rmse": 0.9 * record["tracking_rmse"]}
-    return rows_of(given)[uncertainty_set]
-
-
-def test_regret_is_to_the_ceiling_and_worth_to_the_frozen_one() -> None:
-    found = ad.scores(after("a", oracle=EASY, x=EASY + 0.01, **{"x frozen": 3.0 * (EASY + 0.01)}))
-    assert set(found) == {"oracle", "x"}
-    assert tuple(found["x"].regret or ()) == pytest.approx((0.01, 0.01, 0.01))
-    assert tuple(found["x"].worth or ()) == pytest.approx((3.0, 3.0, 3.0))
-    assert found["oracle"].worth is None
-    assert tuple(found["oracle"].regret or ()) == (0.0, 0.0, 0.0)
-    assert [len(row) for row in ad.table({"a": found})] == [7, 7, 7]
-
-
-def test_an_episode_that_is_lost_before_the_change_counts_with_the_error_where_it_ended() -> None:
-    early = np.where(np.arange(16) < 4, np.nan, EASY)
-    found = ad.scores(after("a", oracle=EASY, x=early))
-    assert found["x"].episodes == 16
-    assert found["x"].rmse.value == pytest.approx((4 * 5.0 + EASY[4:].sum()) / 16.0)
-    without = ad.scores(after("a", oracle=early, x=EASY))  # no change there: not counted
-    assert without["x"].episodes == 12
-
-
-def test_there_is_no_score_without_any_change_and_no_regret_without_a_ceiling() -> None:
-    assert ad.scores(after("a", oracle=np.nan * EASY, y=np.nan * EASY)) == {}
-    assert ad.scores(after("a", y=EASY))["y"].regret is None
-
-
-def test_errors_are_aligned_at_the_change_and_empty_beyond_the_episode(tmp_path: Path) -> None:
-    time = np.linspace(0.02, 10.0, 300)
-    changes = np.array([3.0, np.nan, 8.0])
-    error = np.stack([(time > 3.0) * 1.0, time, (time > 8.0) * 1.0], axis=1)
-    trace = {"time": time, "change": changes, "error": error}
-    grid, lines = np.linspace(*ad.AROUND, ad.GRID), ad.aligned_errors(trace)
-    assert lines.shape == (2, ad.GRID)
-    assert (lines[:, grid < -0.04] == 0.0).all()
-    assert (lines[0, grid > 0.04] == 1.0).all()
-    assert (
-        np.isnan(lines[1, grid > 2.01]).all() and (lines[1, (grid > 0.04) & (grid < 2)] == 1).all()
-    )
-    pytest.importorskip("matplotlib")
-    axes = ad.figure("a", {"x": [trace], "x frozen": [trace]}).axes[0]
-    solid, dashed = axes.get_lines()[:2]
-    assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
-    assert solid.get_color() == dashed.get_color()

@@ -11,7 +11,7 @@ from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.metrics import KNOWN, Recorder
 from tracked_env.benchmark.runner import drive
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.plants.lumped import LUMPED
+from tracked_env.plants.lumped import PLANT as LUMPED
 
 CONFIG = BenchmarkConfig(sets=("soil-and-mass",), episodes=3, duration=2.0)
 

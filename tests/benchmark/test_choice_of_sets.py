@@ -1,15 +1,20 @@
 """What a set separates, and how alike two sets are, on made-up numbers."""
 
+import json
+import re
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
+from benchmarks.studies import choice_of_sets as choosing
 from tests.benchmark.test_report import EASY, records
-from tracked_env.benchmark import choice_of_sets as choosing
-from tracked_env.benchmark.evaluation_sets import TORQUE_SETS
+from tracked_env import TERRAIN_ID, TORQUE_ID
+from tracked_env.benchmark import relative_errors
+from tracked_env.benchmark.evaluation_sets import DEVELOPMENT, SETS, TORQUE_SETS, UNLIKE_SETS
 from tracked_env.benchmark.store import READS_TRUTH
 from tracked_env.benchmark.summary import rows_of, summarise
 
@@ -80,8 +85,8 @@ def test_rank_correlations_are_those_of_an_independent_implementation_ties_inclu
         one, other = rng.integers(0, 6, 9) / 6.0, rng.normal(size=9)
         pair = [{f"p{i}": float(v) for i, v in enumerate(of)} for of in (one, other)]
         expected = spearmanr(one, other).statistic
-        assert choosing.rank_correlation(*pair) == pytest.approx(expected, abs=1e-12)
-    assert np.isnan(choosing.rank_correlation({"a": 1.0, "b": 1.0}, {"a": 1.0, "b": 2.0}))
+        assert relative_errors.rank_correlation(*pair) == pytest.approx(expected, abs=1e-12)
+    assert np.isnan(relative_errors.rank_correlation({"a": 1.0, "b": 1.0}, {"a": 1.0, "b": 2.0}))
 
 
 def test_two_chosen_sets_that_rank_the_policies_alike_are_named() -> None:
@@ -132,18 +137,20 @@ def test_of_two_sets_that_are_alike_the_chosen_one_stays() -> None:
 def test_the_verdict_says_how_many_sets_could_go_together() -> None:
     other = dict(zip(FACTORS, reversed(FACTORS.values()), strict=True))
     found = chosen(("alternating", FACTORS), ("late-gains", FACTORS), ("mine", other))
-    assert "of the 2 chosen sets at most 1 go together" in choosing.verdict(found)
-    assert "of the 3 candidates at most 2 go together" in choosing.verdict(found)
+    assert "of the 2 chosen sets at most 1 go together" in "\n".join(choosing.verdict(found))
+    assert "of the 3 candidates at most 2 go together" in "\n".join(choosing.verdict(found))
     all_chosen = chosen(("alternating", FACTORS), ("late-gains", other))
-    assert "of the 2 chosen sets at most 2" in choosing.verdict(all_chosen)
-    assert "candidates" not in choosing.verdict(all_chosen)  # which would say the same again
+    assert "of the 2 chosen sets at most 2" in "\n".join(choosing.verdict(all_chosen))
+    assert "candidates" not in "\n".join(
+        choosing.verdict(all_chosen)
+    )  # which would say the same again
 
 
 def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_long() -> None:
     """Without it both rank the others alike."""
     first = {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0, "e": 5.0}
     second = {**first, "a": 9.0}
-    assert choosing.rank_correlation(first, second) == pytest.approx(0.0)
+    assert relative_errors.rank_correlation(first, second) == pytest.approx(0.0)
     np.testing.assert_allclose(choosing.without_one([first, second]), 1.0)
     turned = dict(zip(first, reversed(first.values()), strict=True))
     np.testing.assert_allclose(choosing.without_one([first, turned])[0, 1], -1.0)
@@ -152,4 +159,86 @@ def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_l
     assert [each.name for each in found.most_unlike(found.sets)] == ["alternating", "mine"]
     assert [each.name for each in found.most_unlike(found.sets, lasting=True)] == ["alternating"]
     said = "of the 2 candidates at most 1 go together without a pair above 0.9, whichever policy"
-    assert said in choosing.verdict(found)
+    assert said in "\n".join(choosing.verdict(found))
+
+
+ARGUMENTS = ("--sets", "alternating", "payload", "--episodes", "2")
+
+
+def chunks() -> list[dict[str, object]]:
+    (file,) = Path("results").glob("choice-torque-v0/*/episodes.jsonl")
+    return [json.loads(line) for line in file.read_text().splitlines()[1:]]
+
+
+@pytest.mark.usefixtures("in_an_empty_folder")
+def test_the_choice_is_made_on_development_episodes_and_policies_can_be_added_later(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert choosing.main([*ARGUMENTS, "--policies", "integral", "adaptive"], "program") == 0
+    first = chunks()
+    assert {e["seed"] for chunk in first for e in chunk["episodes"]} == {  # type: ignore[attr-defined]
+        DEVELOPMENT,
+        DEVELOPMENT + 1,
+    }
+    page = Path("page.md")
+    page.write_text("<!-- choice for Torque-v0: begin -->\n<!-- choice for Torque-v0: end -->\n")
+    more = ["--policies", "integral", "adaptive", "oracle", "ppo-blind", "--page", str(page)]
+    assert choosing.main([*ARGUMENTS, *more], "program") == 0
+    assert chunks()[: len(first)] == first
+    assert [(c["policy"], c["set"]) for c in chunks()[len(first) :]] == [
+        (name, of) for of in ("alternating", "payload") for name in ("oracle", "ppo-blind@0")
+    ]
+    printed, written = capsys.readouterr().out, page.read_text()
+    assert "NOT met: 10 to 12 sets: 1" in printed
+    for text in ("alternating | identification", "payload | -", "| 1.00 |"):
+        assert text in written
+    assert re.search(r" adaptive \| [\d.]+ oracle \| ", written)  # the ceiling
+
+
+@pytest.mark.usefixtures("in_an_empty_folder")
+def test_a_page_without_a_place_for_the_table_is_one_line_on_stderr(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("page.md").write_text("nothing\n")
+    arguments = [*ARGUMENTS, "--policies", "integral", "--page", "page.md"]
+    assert choosing.main(arguments, "program") == 2
+    assert "has no block" in capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.usefixtures("in_an_empty_folder")
+def test_a_page_that_does_not_exist_is_told_before_anything_is_driven(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    arguments = [*ARGUMENTS, "--policies", "integral", "--page", "pag.md"]
+    assert choosing.main(arguments, "program") == 2
+    error = capsys.readouterr().err
+    assert "--page pag.md: no such file" in error and error.count("\n") == 1
+    assert not Path("results").exists()
+
+
+@pytest.mark.usefixtures("in_an_empty_folder")
+def test_candidates_are_all_sets_in_which_something_is_unknown_the_chosen_ones_first() -> None:
+    found = choosing.candidates_of(TORQUE_ID, TORQUE_SETS)
+    assert found[: len(TORQUE_SETS.sets)] == TORQUE_SETS.sets
+    assert set(found) == {n for n, s in SETS.items() if s.env == TORQUE_ID} - {"nominal"}
+    assert "level" not in choosing.candidates_of(TERRAIN_ID, None)
+    assert (
+        choosing.candidates_of(TORQUE_ID, UNLIKE_SETS)[: len(UNLIKE_SETS.sets)] == UNLIKE_SETS.sets
+    )
+
+
+@pytest.mark.usefixtures("in_an_empty_folder")
+def test_the_choice_of_another_version_is_judged_where_it_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    page = Path("page.md")
+    block = "choice for torque-unlike-v1"
+    page.write_text(f"<!-- {block}: begin -->\n<!-- {block}: end -->\n")
+    given = ["--sets", "alternating", "distributed-fast", "--episodes", "2"]
+    given += ["--policies", "integral", "adaptive", "--sets-version", "torque-unlike-v1"]
+    assert choosing.main([*given, "--page", str(page)], "program") == 0
+    text = page.read_text()
+    assert "| distributed-fast | out-of-distribution |" in text and "| alternating | - |" in text
+    assert choosing.main([*given[:-1], "v9"], "program") == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "v9" in error and "torque-unlike-v1" in error

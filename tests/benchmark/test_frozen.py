@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.studies.choice_of_sets import FEWEST, MOST
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, uncertainty
 from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
-from tracked_env.benchmark.choice_of_sets import FEWEST, MOST
 from tracked_env.benchmark.evaluation_sets import (
     EPISODES,
     GOAL_REACHING,

@@ -66,8 +66,6 @@ def test_a_wrong_argument_is_one_line_that_names_the_command(
     ("command", "option"),
     [
         (["evaluate", "--policies", "nominal"], "--sets"),
-        (["adaptation", "--policies", "nominal"], "--sets"),
-        (["choose-sets", "--policies", "nominal"], "--sets"),
         (["tune", "adaptive"], "--sets"),
         (["render", "nominal"], "--set"),
         (["record", "nominal"], "--set"),
@@ -114,8 +112,6 @@ def test_the_environment_is_that_of_the_sets_where_none_is_named() -> None:
         (["evaluat"], "did you mean evaluate?"),
         (["evaluate", "--episodes", "1.5"], "--episodes: 1.5; must be a whole number"),
         (["evaluate", "--duration", "3s"], "--duration: 3s; must be a number, with a point"),
-        (["choose-sets", "--seeds", "0"], "--seeds: 0; must be a whole number, at least 1"),
-        (["breaking-points", "--seeds", "-1"], "--seeds: -1; must be a whole number, at least 1"),
     ],
 )
 def test_a_wrong_argument_is_told_with_its_value_what_is_allowed_and_what_is_near(
@@ -245,7 +241,6 @@ def test_every_command_has_a_help(
 
 
 def test_the_training_which_replaces_the_process_has_a_help(repository: Path) -> None:
-    pytest.importorskip("tyro", reason="train.py needs the extra `cli`")
     pytest.importorskip("torch", reason="train.py needs the extra `rl`")
     environment = {**os.environ, "PYTHONPATH": str(repository), "COLUMNS": "100"}
     done = subprocess.run(

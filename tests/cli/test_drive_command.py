@@ -7,7 +7,7 @@ from typing import Any
 import pygame
 import pytest
 
-from tracked_env.cli.drive_command import DEAD_ZONE, REACH, Controls, of_stick
+from tracked_env.cli.drive_command import REACH, Controls
 from tracked_env.cli.main import main
 from tracked_env.rendering import Renderer
 
@@ -39,58 +39,6 @@ def test_keys_move_both_tracks_ahead_and_apart() -> None:
     assert after(1.0, controls) == pytest.approx([TURN - FULL, -FULL - TURN])
     controls.take([key(pygame.KEYDOWN, pygame.K_SPACE)])
     assert controls.action(PERIOD).tolist() == [0.0, 0.0]
-
-
-def axis(number: int, value: float, pad: int = 0) -> Any:
-    return pygame.event.Event(pygame.JOYAXISMOTION, axis=number, value=value, instance_id=pad)
-
-
-def test_a_stick_drives_in_proportion_and_rests_in_its_dead_zone() -> None:
-    controls = Controls("speed")
-    controls.take([axis(1, -0.55)])
-    assert after(1.0, controls) == pytest.approx([0.5 * FULL, 0.5 * FULL])
-    controls.take([axis(0, 1.0)])
-    assert after(1.0, controls) == pytest.approx([0.5 * FULL + TURN, 0.5 * FULL - TURN])
-    controls.take([axis(0, 0.05), axis(1, 0.05), axis(2, 1.0), axis(3, -1.0)])
-    assert after(1.0, controls) == [0.0, 0.0]  # the right stick and triggers do nothing
-    assert of_stick(DEAD_ZONE + 1e-3) == pytest.approx(1e-3 / (1.0 - DEAD_ZONE))  # no jump
-    assert (of_stick(-1.0), of_stick(1.0)) == (-1.0, 1.0)
-
-
-def test_a_gamepad_may_come_and_go_while_the_keys_go_on(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    class Pad:
-        def __init__(self, index: int) -> None:
-            if index > 0:
-                raise pygame.error("no such device")
-
-        def get_instance_id(self) -> int:
-            return 7
-
-        def get_name(self) -> str:
-            return "Some Pad"
-
-    monkeypatch.setattr(pygame.joystick, "Joystick", Pad)
-    controls = Controls("speed")
-    controls.take([key(pygame.KEYDOWN, pygame.K_UP)])
-    assert after(1.0, controls) == pytest.approx([FULL, FULL])  # without one
-    controls.take([pygame.event.Event(pygame.JOYDEVICEADDED, device_index=k) for k in (0, 1)])
-    controls.take([key(pygame.KEYUP, pygame.K_UP), axis(1, -1.0, pad=7)])
-    assert after(1.0, controls) == pytest.approx([FULL, FULL])
-    controls.take([pygame.event.Event(pygame.JOYDEVICEREMOVED, instance_id=7)])
-    assert after(1.0, controls) == [0.0, 0.0]  # not its last command for ever
-    controls.take([key(pygame.KEYDOWN, pygame.K_DOWN)])
-    assert after(1.0, controls) == pytest.approx([-FULL, -FULL])
-    assert capsys.readouterr().out == "gamepad: Some Pad\ngamepad unplugged; the keys drive\n"
-
-
-def test_the_start_button_of_a_gamepad_begins_a_new_episode() -> None:
-    controls = Controls("torque")
-    controls.take([pygame.event.Event(pygame.JOYBUTTONDOWN, button=0, instance_id=0)])
-    assert not controls.again
-    controls.take([pygame.event.Event(pygame.JOYBUTTONDOWN, button=7, instance_id=0)])
-    assert controls.again and not controls.quit
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """The command `tracked-env plan`: its table, its files, and what it refuses."""
 
 import csv
-import sys
 import time
 from pathlib import Path
 
@@ -77,7 +76,6 @@ def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(
 
 
 def test_plan_writes_a_figure_and_the_samples(capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("matplotlib", reason="figures need the extra `render`")
     assert main(["plan", *GOAL, "--output", "there", "--csv", "--via", "1", "1", "1",
                  "--obstacle-circle", "0.2", "2.4", "0.3"]) == 0  # fmt: skip
     assert Path("there/plan.png").read_bytes().startswith(b"\x89PNG")
@@ -163,16 +161,6 @@ def test_a_goal_that_no_plan_reaches_ends_with_status_1(capsys: pytest.CaptureFi
     assert printed(said.out)["converged"] == "no"
     assert said.err.startswith("tracked-env plan: no way around the obstacles was found: searched")
     assert "forwards only" in said.err and said.err.count("\n") == 1
-
-
-def test_without_matplotlib_the_table_is_printed_and_the_extra_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert main(list(QUICK[:-1])) == 1
-    said = capsys.readouterr()
-    assert printed(said.out)["converged"] == "yes"
-    assert "tracked-env[render]" in said.err and said.err.count("\n") == 1
 
 
 def test_a_planner_that_is_not_installed_is_one_line(

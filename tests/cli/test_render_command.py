@@ -118,45 +118,6 @@ def test_render_shows_the_same_episode_from_behind_the_vehicle() -> None:
         assert top.crop(scene).tobytes() != behind.crop(scene).tobytes()
 
 
-def test_render_shows_policies_side_by_side_on_the_same_episode() -> None:
-    pytest.importorskip("pygame", reason="pictures need the extra `render`")
-    image = pytest.importorskip("PIL.Image")
-    episode = ["--set", "payload", "--duration", "1", "--file"]
-    assert main(["render", "nominal,oracle", "adaptive", *episode, "three.png"]) == 0
-    assert main(["render", "oracle", *episode, "one.png"]) == 0
-    with image.open("three.png") as three, image.open("one.png") as one:
-        assert three.size == (2 * 960 + 4, 2 * (640 + 34 + 4))
-        right = three.crop((964, 34, 964 + 960, 34 + 640))
-        assert right.tobytes() == one.tobytes()
-        empty = three.crop((964, 34 + 640 + 8, 964 + 960, 2 * (640 + 34 + 4)))
-        assert len(empty.getcolors()) == 1  # a fourth policy would stand there
-        titles = [three.crop((x, 0, x + 960, 34)).tobytes() for x in (0, 964)]
-        assert titles[0] != titles[1]
-
-
-def test_a_film_of_two_policies_goes_on_until_the_last_of_them_ends() -> None:
-    pytest.importorskip("pygame", reason="pictures need the extra `render`")
-    image = pytest.importorskip("PIL.Image")
-    Path("spin.py").write_text(
-        "import numpy as np\n"
-        "class Spin:\n"
-        "    def predict(self, observation, state=None, episode_start=None, deterministic=True):\n"
-        "        return np.tile(np.float32([-1.0, -1.0]), (len(observation), 1)), state\n"
-    )
-    episode = ["--set", "outages-alternating", "--duration", "4", "--file"]
-    assert main(["render", "spin:Spin", *episode, "one.gif"]) == 0
-    assert main(["render", "spin:Spin", "oracle", *episode, "two.gif"]) == 0
-    with image.open("one.gif") as one, image.open("two.gif") as two:
-        assert one.n_frames < two.n_frames == 41
-        shown = {}
-        for frame in (1, one.n_frames + 2, 40):
-            two.seek(frame)
-            shown[frame] = np.asarray(two.convert("RGB").crop((0, 60, 600, 600)), float)
-        late, last = shown[one.n_frames + 2], shown[40]
-        assert np.abs(late - last).mean() < 0.5  # a film has a palette for each picture
-        assert np.abs(shown[1] - last).mean() > 5.0
-
-
 def test_render_writes_a_page_alone_unless_a_file_is_asked_for_too() -> None:
     pytest.importorskip("pygame", reason="pictures need the extra `render`")
     pytest.importorskip("viser", reason="pages need the extra `viewer`")
@@ -180,14 +141,11 @@ def test_without_viser_render_says_what_to_install(
     [
         (["nominal", "--file", "one.bmp"], "file one.bmp: must end in .mp4, .gif, .png"),
         (["nominal", "--html", "one.pdf"], "file one.pdf: must end in .html"),
-        (["nominal", "oracle", "--html", "one.html"], "2 policies in one page; must be one"),
-        (["nominal,oracle,l1,mrac,adaptive"], "5 policies in one picture; must be 1 to 4"),
         (["nominal", "--set", "mud"], "unknown evaluation set 'mud'"),
         (["uc"], "this policy commands each sprocket's speed"),
         (["nothing"], "unknown policy"),
         (["nominal", "--html", "a.html", "--at", "1"], "--at 1 changes nothing on a page"),
         (["nominal", "--html", "a.html", "--view", "3d"], "--view 3d changes nothing on a page"),
-        (["nominal", "--live", "70000"], "--live = 70000.0; must be a number in [1, 65535]"),
     ],
 )
 def test_what_cannot_be_rendered_is_one_line(

@@ -1,4 +1,4 @@
-"""New episodes: many at once in kernels, or each in Python, with the same bits."""
+"""New episodes: drawn in kernels, or in Python one by one, with the same bits."""
 
 import numpy as np
 import pytest
@@ -28,9 +28,9 @@ RANGES = {"mass": [1000.0, 2000.0], "cohesion": [1e3, 7e4], "inertia": [900.0, 9
 def simulation(in_kernels, **config):
     """A simulation with one generator each, whose episodes are loaded in one way or the other."""
     made = Simulation(COUNT, EnvConfig(**config))
-    assert made._batch_reset is not None
+    assert made._loader._law is not None
     if not in_kernels:
-        made._batch_reset = None
+        made._loader._law = made._loader._paths = None
     made.rngs = [np.random.default_rng(i) for i in range(COUNT)]
     return made
 
@@ -132,6 +132,15 @@ def test_a_drawn_reference_that_is_refused_loses_no_random_number_and_moves_no_v
         pytest.fail("no reference was refused")
     assert states == [rng.bit_generator.state for rng in ours.rngs]
     assert_equal(before, [*ours.batch, *ours.running])
+
+
+def test_options_that_say_nothing_leave_every_draw_as_it_is():
+    for config in ({}, {"reference": "mixed"}, {"uncertainty": "mixed", "sensors": "rtk-outages"}):
+        plain, asked = simulation(True, **config), simulation(True, **config)
+        plain.reset(plain.all)
+        asked.reset(asked.all, [{"vehicle": {}, "start": None}] * COUNT)
+        assert_equal(tuple(plain.batch), tuple(asked.batch))
+        assert_equal(list(plain.episodes), list(asked.episodes))
 
 
 def test_a_vehicle_without_a_stream_is_named():

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from docs.step_halving import (
-    MANOEUVRES_STEP_HALVING_PATCHES,
-    PERIOD,
-    commanded,
-    error,
-    torque_errors,
-)
-from docs.step_halving import run_step_halving_patches as drive
+from docs.step_halving import CONTROL_PERIOD, PATCH_MANOEUVRES, commanded, error, torque_errors
+from docs.step_halving import run_patches as drive
 from tests.physics.patch_cases import (
     EASY,
     FOCCHI,
@@ -112,7 +106,7 @@ def test_the_steps_solve_the_equations_that_an_independent_solver_solves(by_torq
 
 
 def test_the_default_step_stays_within_a_millimetre_in_the_tabulated_manoeuvres():
-    for name, speeds in MANOEUVRES_STEP_HALVING_PATCHES.items():
+    for name, speeds in PATCH_MANOEUVRES.items():
         truth = drive(speeds, 1e-4, False, FOCCHI)
         distance, turn = error(drive(speeds, 2.5e-3, False, FOCCHI), truth)
         assert distance < 1e-3, name
@@ -229,13 +223,13 @@ def test_commands_of_the_tables_are_those_of_the_kinematics():
     left, right = commanded(np.array([0.2]), np.array([0.3]))[0] * FOCCHI.sprocket_radius
     assert 0.5 * (left + right) == pytest.approx(0.2)
     assert (right - left) / FOCCHI.track_gauge == pytest.approx(0.3)
-    assert len(MANOEUVRES_STEP_HALVING_PATCHES["chicane, 20 s"]) * PERIOD == pytest.approx(20.0)
+    assert len(PATCH_MANOEUVRES["chicane, 20 s"]) * CONTROL_PERIOD == pytest.approx(20.0)
     assert PATCHES.columns.size == 10 and STRAWA.mass > FOCCHI.mass
 
 
 def test_random_torques_on_patches_cost_millimetres_in_the_median_and_centimetres_at_worst():
     # The error of the default step that docs/distributed.md states: neither better nor worse.
-    found = torque_errors(2.5e-3, "heavy_clay", 0.6)
+    found = torque_errors("heavy_clay", 0.6, 2.5e-3)
     assert 3e-3 < np.median(found[:, 0]) < 8e-3
     assert 0.015 < found[:, 0].max() < 0.035
     assert 2e-3 < found[:, 1].max() < 5e-3

@@ -6,6 +6,7 @@ import pytest
 from tests.test_env import run
 from tracked_env import arrays as b
 from tracked_env.engine.env_config import EnvConfig, make_solver
+from tracked_env.engine.reset import EpisodeLoader
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics import parameters as s
@@ -42,7 +43,8 @@ def motion(plant, changed=None):
     simulation.rngs = [np.random.default_rng(0)]
     # Past the check of the options, which is what this measurement is about.
     nominal = simulation.settings.nominal._replace(**(changed or {}))
-    simulation.settings = simulation.settings._replace(nominal=nominal)
+    settings = simulation.settings._replace(nominal=nominal)
+    simulation._loader = EpisodeLoader(settings, simulation.batch)
     simulation.reset(simulation.all, [{"start": {"offset_x": 0.0, "offset_y": 0.0}}])
     rows = []
     for action in ACTIONS:

@@ -11,7 +11,7 @@ from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.terrain_motion import HEIGHT_RATIO
 from tracked_env.plants.standalone import Rig, TerrainRig
 from tracked_env.plants.terrain import RELIEF
-from tracked_env.terrain.pool import RELIEF_COLUMNS
+from tracked_env.terrain.ground import RELIEF_COLUMNS
 
 FOCCHI = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
 GRAVITY, HEIGHT, HALF_LENGTH, RADIUS = 9.81, 0.25, 0.35, 0.0856
@@ -235,7 +235,7 @@ def test_height_and_inertias_are_scaled_with_the_vehicle_unless_they_are_given()
         length = VEHICLES[name].contact_length
         rig = TerrainRig(VEHICLES[name])
         sunk = rig._parameters.mass * GRAVITY / (
-            2.0 * rig._made[6] * length * VEHICLES[name].track_width
+            2.0 * rig._body.stiffness * length * VEHICLES[name].track_width
         )  # fmt: skip
         assert rig.positions[0, 2] == pytest.approx(HEIGHT_RATIO * length - sunk)
         assert rig.load[0] == pytest.approx(rig._parameters.mass * GRAVITY)

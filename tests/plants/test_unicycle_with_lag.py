@@ -11,7 +11,6 @@ from gymnasium.utils.env_checker import check_env
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID, TORQUE_ID, plants
 from tracked_env import arrays as b
-from tracked_env.arrays import Batch
 from tracked_env.benchmark import SETS, BenchmarkConfig, BenchmarkSet, Store, run
 from tracked_env.observation import unpack
 from tracked_env.physics import lumped
@@ -90,21 +89,15 @@ def move_held(batch, scratch, block, pace, options):
 
 
 @loop
-def advance(
-    floats, counters, profile, events, noise, history, chosen, actions, observations,
-    start, stop, moving, substeps, substep, error_limit,
-):  # fmt: skip
+def advance(batch, rows, clock, options):
     """Kernel of the control step."""
-    batch = Batch(floats, counters, profile, events, noise, history)
-    given = (chosen, actions, observations)
-    rest = (start, stop, moving, substeps, substep, error_limit)
-    return advance_blocks(derive, move, 1, np.empty((1, 1)), batch, given, rest)
+    return advance_blocks(derive, move, 1, np.empty((1, 1)), batch, rows, clock, options)
 
 
 @loop
-def hold(*call):
+def hold(batch, chosen, pace, options):
     """Kernel of the plant alone."""
-    return hold_blocks(derive, move_held, 1, np.empty((1, 1)), call)
+    hold_blocks(derive, move_held, 1, np.empty((1, 1)), batch, chosen, pace, options)
 
 
 @loop

@@ -10,8 +10,8 @@ from tests.rendering.picture_cases import CENTRED, Picture, driven, started
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
-from tracked_env.rendering import Renderer, canvas, scene, sizes, snapshot
-from tracked_env.rendering.scene import Memory
+from tracked_env.rendering import Renderer, canvas, scene, snapshot
+from tracked_env.rendering.renderer import History
 from tracked_env.uncertainty import UNCERTAINTY_SETS, Draw
 
 FLOOR = {"plant": "distributed", "drive": "speed"}
@@ -63,8 +63,8 @@ def test_a_zoom_that_does_not_suit_the_vehicle_is_refused_by_name() -> None:
 
 @pytest.mark.parametrize("zoom", [20, 50, 51, 100, 101, 114, 200, 201, 400])
 def test_scale_bar_and_grid_suit_every_zoom(zoom: int) -> None:
-    assert 40 <= sizes.scale_bar(zoom) * zoom <= 100
-    grid = sizes.grid_of(zoom)
+    assert 40 <= canvas.scale_bar(zoom) * zoom <= 100
+    grid = canvas.grid_of(zoom)
     assert 100 <= grid.side * zoom <= 500
     assert 20 <= grid.side * zoom / grid.parts <= 101
 
@@ -82,8 +82,8 @@ def test_the_grid_of_a_light_vehicle_has_lines_every_half_metre_and_labels_every
 
 
 def test_arrows_scale_with_what_the_usual_soil_resists(written: list[str]) -> None:
-    assert sizes.sizes_of(VEHICLES["strawa"]) == (2.0, 0.15e-3, 100.0, 5e3)
-    sample = sizes.sizes_of(VEHICLES["focchi"])
+    assert canvas.sizes_of(VEHICLES["strawa"]) == (2.0, 0.15e-3, 100.0, 5e3)
+    sample = canvas.sizes_of(VEHICLES["focchi"])
     assert (sample.length, sample.force_sample) == (0.7, 50.0)
     assert sample.force_shown == pytest.approx(100.0 * 62.0 * 0.425 / (1450.0 * 1.4))
     env = light()
@@ -184,11 +184,11 @@ def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistanc
 
 def test_trail_and_overview_follow_the_size_of_the_vehicle() -> None:
     env = light(reference={"kind": "straight", "speed": 0.3, "x": 0.0, "y": 0.0, "yaw": 1.5707963})
-    memory = Memory(snapshot.take(env.simulation, 0))
+    history = History(snapshot.take(env.simulation, 0))
     for _ in range(60):
         env.step(np.array([0.4, 0.4], dtype=np.float32))
-        memory.update(snapshot.take(env.simulation, 0))
-    steps = np.hypot(*np.diff(memory.trail, axis=0).T)
+        history.update(snapshot.take(env.simulation, 0))
+    steps = np.hypot(*np.diff(history.trail, axis=0).T)
     assert len(steps) > 20 and steps.max() < 0.02
     picture = env.render()
     assert picture is not None

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.rendering.terrain_cases import HEIGHT, WIDTH, board, bump, eye, grid, seen
+from tests.rendering.picture_cases import HEIGHT, WIDTH, board, bump, eye, grid, put, seen
 from tracked_env.rendering import raster
 from tracked_env.rendering.perspective import Landscape, Picture, resampled
 from tracked_env.rendering.snapshot import TerrainSource, level
@@ -64,10 +64,10 @@ def test_a_ridge_hides_what_is_behind_it_and_not_what_is_before_it() -> None:
 
     for x, visible in ((6.0, True), (16.0, False), (30.0, False)):
         picture = seen(ridge)
-        picture.quads(eye(), board(x, 0.0, 0.6), RED)
+        put(picture, board(x, 0.0, 0.6), RED)
         assert (count(picture) > 50) == visible and (count(picture) == 0) != visible
     picture = seen(level)
-    picture.quads(eye(), board(16.0, 0.0, 0.6), RED)
+    put(picture, board(16.0, 0.0, 0.6), RED)
     assert count(picture) == pytest.approx((200.0 * 0.6 / 16.0) ** 2, rel=0.2)
 
 
@@ -76,7 +76,7 @@ def test_what_stands_half_behind_a_crest_is_seen_in_its_upper_half() -> None:
         return 2.0 * (np.abs(x - 10.0) < 0.5)  # up to the eye: the horizon's row
 
     picture = seen(crest)
-    picture.quads(eye(), board(20.0, 0.0, 2.0, side=4.0), RED)
+    put(picture, board(20.0, 0.0, 2.0, side=4.0), RED)
     rows = np.flatnonzero((picture.colours == RED).all(axis=2).any(axis=1))
     assert (rows.min(), rows.max()) == (60, 79)
 
@@ -87,7 +87,7 @@ def test_the_nearer_of_two_polygons_is_seen_in_any_order() -> None:
     for order in ((near, far), (far, near)):
         picture = seen(level)
         for quad in order:
-            picture.quads(eye(), quad, RED if quad is near else (0, 0, 255))
+            put(picture, quad, RED if quad is near else (0, 0, 255))
         pictures.append(picture)
         assert count(picture) == pytest.approx((200.0 * 0.6 / 6.0) ** 2, rel=0.15)
     assert np.array_equal(pictures[0].colours, pictures[1].colours)
@@ -98,9 +98,9 @@ def test_a_path_is_hidden_behind_a_hill_and_drawn_before_it() -> None:
     rows = {}
     for name, height in (("level", 0.0), ("hill", 3.0)):
         terrain = TerrainSource(bump(10.0, 0.0, height))
-        landscape = Landscape(terrain, path, 1.0, 2.0)
+        landscape = Landscape.around(terrain, path, 1.0, 2.0)
         picture = Picture(WIDTH, HEIGHT)
-        picture.ground(landscape, eye())
+        picture.ground(landscape.grid, eye())
         before, after = resampled(path[path[:, 0] < 8.0], 0.1), resampled(path[30:], 0.1)
         for line, colour in ((before, (0, 0, 255)), (after, RED)):
             picture.line(eye(), landscape, line, colour)
@@ -113,7 +113,7 @@ def test_a_path_is_hidden_behind_a_hill_and_drawn_before_it() -> None:
 def test_only_opaque_polygons_enter_the_depth_buffer(opacity: float) -> None:
     picture = seen(level)
     before = picture.inverse.copy()
-    picture.quads(eye(), board(6.0, 0.0, 1.5), RED, opacity)
+    put(picture, board(6.0, 0.0, 1.5), RED, opacity)
     assert np.array_equal(before, picture.inverse) == (opacity < 1.0)
 
 
@@ -165,5 +165,5 @@ def test_a_polygon_that_reaches_behind_the_eye_is_left_out() -> None:
     picture = seen(level)
     before = picture.colours.copy()
     reaching = np.array([[(-2.0, -1.0, 0.5), (8.0, -1.0, 0.5), (8.0, 1.0, 0.5), (-2.0, 1.0, 0.5)]])
-    picture.quads(eye(), reaching, RED)
+    put(picture, reaching, RED)
     assert np.array_equal(picture.colours, before)

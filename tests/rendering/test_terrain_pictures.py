@@ -11,16 +11,26 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.rendering.picture_cases import SHAPE, driven, started
-from tests.rendering.terrain_cases import bump
+from tests.rendering.picture_cases import SHAPE, bump, driven, started
 from tracked_env import TERRAIN_ID
 from tracked_env.plants.terrain import LOAD_LEFT, LOAD_RIGHT
 from tracked_env.rendering import Renderer, TerrainSource, canvas, legend, soil_map, source_of
-from tracked_env.rendering.perspective import interval_around
 from tracked_env.rendering.snapshot import BodyPose
 
 ON_TERRAIN = (800, 960, 3)
 EXTENT = np.array([[-20.0, -20.0], [20.0, 20.0]])
+
+
+def shaded_map(
+    pixels: np.ndarray,
+    heights: np.ndarray,
+    cell: float,
+    interval: float,
+    light: Any = soil_map.LIGHT,
+) -> np.ndarray:
+    out = pixels.copy()
+    soil_map.draw_relief(out, heights, cell, interval, light)
+    return out
 
 
 def loads(simulation: Any, row: int) -> np.ndarray:
@@ -70,11 +80,11 @@ def test_a_reflection_of_terrain_and_light_reflects_the_map() -> None:
     x, y = np.meshgrid(np.linspace(-4.0, 4.0, 82), np.linspace(4.0, -4.0, 82))
     heights = bump(1.0, 1.5)(x, y)
     pixels = np.full((80, 80, 3), 180, dtype=np.uint8)
-    one = soil_map.shaded_map(pixels, heights, 0.1, 0.25)
+    one = shaded_map(pixels, heights, 0.1, 0.25)
     light = (-soil_map.LIGHT[0], *soil_map.LIGHT[1:])
-    other = soil_map.shaded_map(pixels, heights[:, ::-1].copy(), 0.1, 0.25, light)
+    other = shaded_map(pixels, heights[:, ::-1].copy(), 0.1, 0.25, light)
     assert np.array_equal(one, other[:, ::-1]) and not np.array_equal(one, other)
-    north_west_axis = soil_map.shaded_map(pixels, heights.T[::-1, ::-1].copy(), 0.1, 0.25)
+    north_west_axis = shaded_map(pixels, heights.T[::-1, ::-1].copy(), 0.1, 0.25)
     turned = one.transpose(1, 0, 2)[::-1, ::-1]
     assert np.abs(north_west_axis.astype(int) - turned).max() > 20  # the light has a direction
 
@@ -82,7 +92,7 @@ def test_a_reflection_of_terrain_and_light_reflects_the_map() -> None:
 def test_contour_lines_lie_where_the_height_is_a_multiple_of_the_interval() -> None:
     x = np.tile(np.linspace(-0.02, 8.0, 402), (12, 1))  # 50 px for a metre
     pixels = np.full((10, 400, 3), 250, dtype=np.uint8)
-    shown = soil_map.shaded_map(pixels, 0.3 * x, 0.02, 0.5)[5, :, 2].astype(int)
+    shown = shaded_map(pixels, 0.3 * x, 0.02, 0.5)[5, :, 2].astype(int)
     lines = np.flatnonzero((shown[1:-1] < shown[:-2]) & (shown[1:-1] <= shown[2:])) + 1
     places = 0.02 * lines
     assert places == pytest.approx(0.5 * np.arange(1, 5) / 0.3, abs=0.03)
@@ -96,7 +106,7 @@ def test_the_interval_is_a_round_number_that_gives_at_most_twelve_lines(
     height: float, interval: float
 ) -> None:
     terrain = TerrainSource(lambda x, y: height * (x - x.min()) / np.ptp(x))
-    assert interval_around(terrain, EXTENT, 2.0) == pytest.approx(interval)
+    assert soil_map.interval_around(terrain, EXTENT, 2.0) == pytest.approx(interval)
 
 
 def test_positive_pitch_is_nose_down_and_positive_roll_is_left_side_up() -> None:

@@ -3,9 +3,6 @@
 import math
 import re
 import sys
-import threading
-import time
-import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.rendering.picture_cases import CENTRED, driven, region, started
-from tests.rendering.terrain_cases import bump
+from tests.rendering.picture_cases import CENTRED, bump, driven, region, started
 from tracked_env.rendering import Recorder, TerrainSource, viewer
 from tracked_env.rendering.viewer import Recording
 
@@ -41,16 +37,16 @@ def test_a_recording_holds_times_poses_loads_and_the_ground_around_the_path() ->
     assert recording.poses[:, 2] == pytest.approx(0.4)
     assert recording.loads is not None
     assert recording.loads == pytest.approx(np.tile([8e3, 4e3], (6, 1)))
-    relief = recording.relief
-    x = relief.x + relief.cell * np.arange(relief.heights.shape[1])
-    y = relief.y + relief.cell * np.arange(relief.heights.shape[0])
-    row, column = np.unravel_index(np.argmax(relief.heights), relief.heights.shape)
-    assert (x[column], y[row]) == pytest.approx((5.0, 0.0), abs=relief.cell)
+    grid, cell = recording.ground.grid, recording.ground.cell
+    rows, columns = grid.heights.shape
+    x, y = grid.x + cell * np.arange(columns), grid.y + cell * np.arange(rows)
+    row, column = np.unravel_index(np.argmax(grid.heights), grid.heights.shape)
+    assert (x[column], y[row]) == pytest.approx((5.0, 0.0), abs=cell)
     assert x[0] < -10.0 and x[-1] > 70.0  # 60 m of path
 
 
 def test_the_picture_on_the_ground_has_the_north_in_its_first_row() -> None:
-    picture = recorded(10, TerrainSource(lambda x, y: np.where(y > 2.0, 5.0, 0.0))).relief.picture
+    picture = recorded(10, TerrainSource(lambda x, y: np.where(y > 2.0, 5.0, 0.0))).picture
     rows = picture.reshape(len(picture), -1).astype(float).std(axis=1) + np.abs(
         picture.mean(axis=(1, 2)) - np.median(picture)
     )
@@ -61,7 +57,7 @@ def test_soft_soil_in_the_north_is_in_the_upper_half_of_the_picture_on_the_groun
     env = started({"schedule": [region(0.0, 6.0)]})
     recorder = Recorder()
     recorder.add(env.simulation)
-    picture = recorder.finish().relief.picture
+    picture = recorder.finish().picture
     light = (picture != np.median(picture, axis=(0, 1))).any(axis=2)
     rows, columns = np.nonzero(light)
     assert rows.mean() / len(picture) == pytest.approx(0.25, abs=0.03)  # 6 of 12 m to the north
@@ -153,27 +149,3 @@ def test_the_reference_pose_lies_on_the_slope() -> None:
     assert position[2] == pytest.approx(2.0, abs=0.1)
     half = -0.5 * math.atan(0.5)  # nose up
     assert quaternion == pytest.approx([math.cos(half), 0.0, math.sin(half), 0.0])
-
-
-def test_the_live_page_is_served_at_the_own_machine_alone(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    pytest.importorskip("viser", reason="the live page needs the extra `viewer`")
-    done = threading.Event()
-    recording = recorded(20)
-    serving = threading.Thread(target=viewer.show, args=(recording, 8765, done.is_set))
-    serving.start()
-    try:
-        said = ""
-        for _ in range(200):
-            said += capsys.readouterr().out
-            if "127.0.0.1" in said:
-                break
-            time.sleep(0.1)
-        (address,) = re.findall(r"http://127\.0\.0\.1:\d+", said)
-        with urllib.request.urlopen(address, timeout=20) as answer:
-            assert answer.status == 200 and b"<html" in answer.read().lower()
-    finally:
-        done.set()
-        serving.join(timeout=30)
-    assert not serving.is_alive()

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from reproduce.focchi2025 import control
+from reproduce.focchi2025 import control, predicted_slip
 from reproduce.focchi2025.claims import prediction
-from reproduce.focchi2025.control import Case
-from reproduce.focchi2025.results import predicted_slip
-from reproduce.focchi2025.runs import LENGTHS, RESISTANCE, Run, vehicle
+from reproduce.focchi2025.control import LENGTHS, RESISTANCE, Case, Run, vehicle
 
 RATE = 50  # [Hz] of control
 
@@ -98,7 +96,7 @@ def test_the_closed_loop_on_patches_moves_as_the_environment_does():
     policy = control.policy(case)
     outside = control.follow(
         policy, control.patches(vehicle(), 1, False, 2.5e-3),
-        control.sampled([control.reading("v_max t")], 200.0, 4.0), control.START_CHICANE, vehicle(), 200.0,
+        control.sampled([control.reading("v_max t")], 200.0, 4.0), control.START, vehicle(), 200.0,
     )  # fmt: skip
     np.testing.assert_allclose(outside.reference, inside.reference, atol=1e-9)
     np.testing.assert_allclose(outside.state, inside.state, atol=1e-4)
@@ -138,7 +136,7 @@ def test_explicit_euler_with_1_ms_drives_the_same_chicane(monkeypatch):
 
 @pytest.fixture(scope="module")
 def spirals():
-    return control.run_all(duration=16.0)
+    return control.spirals(duration=16.0)
 
 
 def test_on_the_spiral_the_lyapunov_function_falls_for_the_slippage_aware_controller_only(spirals):
@@ -151,7 +149,7 @@ def test_on_the_spiral_the_lyapunov_function_falls_for_the_slippage_aware_contro
 
 def test_the_spiral_as_printed_is_too_fast_for_the_sprockets():
     assert control.beyond_after(vehicle()) == pytest.approx(0.459, abs=0.001)
-    assert control.beyond_after(vehicle(), control.YAW_ACCELERATION) > control.DURATION
+    assert control.beyond_after(vehicle(), control.YAW_ACCELERATION) > control.SPIRAL_TIME
 
 
 def test_the_vehicle_is_that_of_table_2():

@@ -8,7 +8,7 @@ import pytest
 from baselines.slip.slip_regression import fit_exponential, train_trees, validate
 from baselines.slip.slip_sweep import identified_slip, read_measured, sweep, upsample
 from reproduce.focchi2025 import identification as ident
-from reproduce.focchi2025.runs import vehicle
+from reproduce.focchi2025.control import vehicle, within
 
 COARSE = 1.3  # [rad/s]
 
@@ -46,9 +46,9 @@ def test_two_seconds_from_rest_are_enough_but_for_alpha_in_fast_turns(runs):
     found = ident.agreement((runs.beta_left, runs.beta_right, runs.alpha), brief)
     assert found.determination[:2].min() > 0.98
     assert found.determination[2] < 0.95 and 0.6 < found.slope[2] < 0.9
-    slow = ident.within(runs, ident.MEASURED_LIMIT)
+    slow = within(runs, ident.MEASURED_LIMIT)
     found = ident.agreement(
-        (slow.beta_left, slow.beta_right, slow.alpha), ident.within(brief, ident.MEASURED_LIMIT)
+        (slow.beta_left, slow.beta_right, slow.alpha), within(brief, ident.MEASURED_LIMIT)
     )
     assert found.determination.min() > 0.998
 

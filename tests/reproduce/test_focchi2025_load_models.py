@@ -5,7 +5,7 @@ import pytest
 
 from reproduce.focchi2025 import load_models as loads
 from reproduce.focchi2025 import slope_claims, slopes
-from reproduce.focchi2025.runs import vehicle
+from reproduce.focchi2025.control import vehicle
 from tracked_env.terrain.height_field import make_height_field
 
 MAP_SLOPES = (0.0277, 0.2788, 0.5300)  # [-] median, 90 %, 99 % of the authors' map
@@ -21,16 +21,16 @@ def mapped(reference_data):
 
 
 def test_the_seeded_field_has_the_slopes_of_the_authors_map():
-    np.testing.assert_allclose(slopes.slopes(slopes.field()), MAP_SLOPES, rtol=0.02)
+    np.testing.assert_allclose(slopes.steepness(slopes.field()), MAP_SLOPES, rtol=0.02)
 
 
 def test_the_authors_map_has_the_slopes_that_the_seeded_field_is_fitted_to(mapped):
-    np.testing.assert_allclose(slopes.slopes(mapped), MAP_SLOPES, rtol=0.001)
+    np.testing.assert_allclose(slopes.steepness(mapped), MAP_SLOPES, rtol=0.001)
 
 
 def test_a_fractal_alone_has_no_slopes_with_so_long_a_tail():
     plain = slopes.UnevenGround("fractal", make_height_field(slopes.FRACTAL), (0.0, 0.0))
-    median, most, _ = slopes.slopes(plain)
+    median, most, _ = slopes.steepness(plain)
     assert most / median < 2.5 < 10.0 < MAP_SLOPES[1] / MAP_SLOPES[0]
 
 
@@ -47,11 +47,11 @@ def test_without_the_map_its_file_is_named_and_the_seeded_field_is_run(tmp_path,
     monkeypatch.setattr(slopes, "SPEED_STEP", 6.0)
     monkeypatch.setattr(slopes, "PROBES", 40)
     said = []
-    found = slopes.run_all_slope_runs(said.append, tmp_path / "gone.npz")
+    found = slopes.run_all(said.append, tmp_path / "gone.npz")
     assert "gone.npz" in said[0] and "left out" in said[0] and found.missing == said[0]
     assert [one.name for one in found.grounds] == ["seeded field"]
-    made = slope_claims.slope_claims(found)
-    assert not any("authors' map:" in claim.ours for claim in made)
+    outcomes = slope_claims.outcomes(found)
+    assert not any(outcome.values.get("ground") == "authors' map" for outcome in outcomes)
 
 
 @pytest.mark.parametrize(("name", "rate"), [("Table 2", 425.0), ("as 8.1 prints", 4250.0)])

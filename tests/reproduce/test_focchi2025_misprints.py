@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from baselines.lyapunov.lyapunov_laws import LyapunovGains, PoseError, unicycle_law
+from baselines.lyapunov.lyapunov_laws import LyapunovGains, PoseError
 from reproduce.focchi2025 import load_models as loads
-from reproduce.focchi2025.runs import vehicle
+from reproduce.focchi2025.control import vehicle
+from tests.baselines.lyapunov.lyapunov_function import unicycle_law
 from tracked_env.physics.rigid_body import in_body_plane
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants.standalone import TerrainRig
@@ -50,6 +51,6 @@ def test_the_printed_error_in_the_body_depends_on_where_north_is(yaw):
     behind = (-0.1 * math.cos(yaw), -0.1 * math.sin(yaw))  # vehicle less reference
     level = ((1.0, 0.0), (1.0, 0.0))
     ahead, left, turn = in_body_plane.py_func(0.1, 0.0, 0.0, *level)
-    right = unicycle_law.py_func(PoseError(-ahead, -left, -turn), 0.0, 0.0, gains)
+    right = unicycle_law(PoseError(-ahead, -left, -turn), 0.0, 0.0, gains)
     assert right.speed == pytest.approx(0.1 * gains.k_p)
     assert printed_speed(behind, yaw, gains) == pytest.approx(right.speed * math.cos(yaw))

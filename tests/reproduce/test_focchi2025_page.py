@@ -1,25 +1,23 @@
 """The page of the paper: it is written, its links resolve, its verdicts follow the numbers."""
 
 import re
-import sys
 
 import numpy as np
 import pytest
 
-import reproduce
 from baselines.slip import slip_sweep
 from reproduce.focchi2025 import (
     PAGE,
+    Results,
     claims,
     control,
     identification,
     load_models,
-    planning,
-    results,
+    planning_loop,
+    run_everything,
     slopes,
 )
-from reproduce.focchi2025.results import Results
-from reproduce.focchi2025.runs import vehicle
+from reproduce.focchi2025.control import vehicle
 from reproduce.paper_page import claims_table, terminal
 
 pytestmark = pytest.mark.slow
@@ -60,16 +58,15 @@ def found(module_patch, tmp_path_factory):
         module_patch.setattr(module, "sweep", coarse_sweep)
     module_patch.setattr(control, "DURATION", LENGTH)
     module_patch.setattr(control, "drive", short_drive)
-    module_patch.setattr(control, "DURATION", LENGTH)
     for module in (load_models, slopes):
         module_patch.setattr(module, "DURATION", 1.0)
     module_patch.setattr(slopes, "RATE", 50.0)
-    module_patch.setattr(planning, "GOALS", 6)
-    module_patch.setattr(planning, "SOME", 2)
+    module_patch.setattr(planning_loop, "GOALS", 6)
+    module_patch.setattr(planning_loop, "SOME", 2)
     module_patch.setattr(slopes, "SPEED_STEP", 6.0)
     module_patch.setattr(slopes, "PROBES", 40)
     said = []
-    made = results.run_everything(said.append, file, file.with_name("no-map.npz"))
+    made = run_everything(said.append, file, file.with_name("no-map.npz"))
     assert len(said) >= 4 and any("no-map.npz" in line for line in said)
     return made
 
@@ -99,25 +96,16 @@ def test_without_figures_the_page_links_to_nothing(found, tmp_path):
     assert "](" not in (tmp_path / "page.md").read_text(encoding="utf-8")
 
 
-def test_without_matplotlib_the_missing_package_is_named(found, tmp_path, monkeypatch):
-    monkeypatch.delitem(sys.modules, "reproduce.paper_page", raising=False)
-    monkeypatch.delattr(reproduce, "paper_figures", raising=False)  # else it is not imported again
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(ImportError, match="matplotlib"):
-        PAGE.write(found, tmp_path)
-
-
 def test_every_table_is_rectangular_and_free_of_bars(found):
-    tables = [claims_table(claims.claims(found))]
-    tables += [table(found) for table, _ in PAGE.tables.values()]
+    tables = [claims_table(PAGE.claims(found))]
+    tables += [PAGE.table(key, found) for key in PAGE.tables]
     for rows in tables:
         assert len(rows) > 1 and {len(row) for row in rows} == {len(rows[0])}
         assert not any("|" in cell or "\n" in cell for row in rows for cell in row)
 
 
 def test_the_claims_cover_every_experiment_and_their_verdicts_are_known(found):
-    made = claims.claims(found)
+    made = PAGE.claims(found)
     places = " ".join(claim.place for claim in made)
     asked = ("fig. 8", "fig. 9", "fig. 10", "fig. 13", "fig. 14", "(54)", "figs 6, 7", "2.3",
              "fig. 16", "Table 4", "fig. 17", "fig. 18", "Table 5", "(29)",
@@ -129,12 +117,12 @@ def test_the_claims_cover_every_experiment_and_their_verdicts_are_known(found):
 
 
 def test_the_page_names_what_it_does_not_cover():
-    said = PAGE.head.split("Not covered: ")[1]
+    said = PAGE.words["head"].split("Not covered: ")[1]
     assert all(part in said for part in ("figure 15", "neural networks", "actual sprocket speeds"))
 
 
 def test_an_offset_of_the_markers_is_called_a_hypothesis_and_no_confirmation(found):
-    (claim,) = [c for c in claims.claims(found) if "only a qualitative match of alpha" in c.claim]
+    (claim,) = [c for c in PAGE.claims(found) if "only a qualitative match of alpha" in c.claim]
     assert "hypothesis" in claim.why and claim.agrees == "yes"
     each = found.identification.behind_each
     assert all(claims.cm(one) in claim.ours for one in each)
@@ -151,14 +139,14 @@ def test_without_scikit_learn_or_a_real_vehicle_the_claims_say_so(found):
         identification=reduced,
         chicane={case: run for case, run in found.chicane.items() if case.kind != "trees"},
     )
-    made = claims.claims(cut)
+    made = PAGE.claims(cut)
     assert any(c.ours == "not computed" and c.why == "needs a package" for c in made)
     assert not any("fig. 9" in claim.place for claim in made)
-    assert len(PAGE.markdown(cut, {})) > 5_000
+    assert len(PAGE.markdown(cut)) > 5_000
 
 
 def test_the_terminal_s_table_fits(found):
-    text = terminal(claims.claims(found), width=118)
+    text = terminal(PAGE.claims(found), width=118)
     assert max(map(len, text.splitlines())) <= 118
     assert "agrees?" in text and "fig. 13" in text
 

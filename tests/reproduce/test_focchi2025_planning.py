@@ -3,25 +3,25 @@
 import numpy as np
 import pytest
 
-from baselines.lyapunov.lyapunov_laws import NoSlip
+from baselines.slip.slip_models import NoSlip
 from baselines.slip.slip_sweep import identified_slip
-from reproduce.focchi2025 import planning
+from reproduce.focchi2025 import planning as coded
+from reproduce.focchi2025 import planning_loop as loop
 from reproduce.focchi2025.claims import SLC_SLP, UC_DP, UC_SLP, near
 from reproduce.focchi2025.planning import (
     FIGURE_16,
     AddedSlip,
     Ground,
-    Job,
-    Pair,
     durations,
     halton_goals,
     plans,
     seconds,
 )
+from reproduce.focchi2025.planning_loop import Job, Pair
 from tests.baselines.planners.pairs import published_targets
 
 GROUND = Ground()
-RIGHT, FLIPPED = planning.SIGNS
+RIGHT, FLIPPED = coded.SIGNS
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_clothoids_take_83_percent_longer_than_dubins_paths_and_optimal_plans_12
 
 
 def test_a_yaw_that_is_not_wrapped_winds_half_of_the_plans_a_whole_turn_more(goals):
-    found = planning.unwrapped(GROUND, goals)
+    found = coded.unwrapped(GROUND, goals)
     shortest = durations(plans(GROUND, "dubins", goals))
     kept = found.converged
     assert 45 <= np.sum(found.turns == 1.0) <= 60 and not np.any(found.turns < 0.0)
@@ -76,7 +76,7 @@ def test_a_yaw_that_is_not_wrapped_winds_half_of_the_plans_a_whole_turn_more(goa
 def test_plans_that_add_beta_end_farther_from_the_goal_than_plans_without_slip(goals):
     table = identified_slip(GROUND.vehicle)
     missed = {
-        name: planning.replayed(plans(GROUND, "optimal", goals, model), GROUND.vehicle, goals).mean()
+        name: coded.replayed(plans(GROUND, "optimal", goals, model), GROUND.vehicle, goals).mean()
         for name, model in (
             ("right", table), ("none", NoSlip()), ("added", AddedSlip(table)),
         )
@@ -87,28 +87,28 @@ def test_plans_that_add_beta_end_farther_from_the_goal_than_plans_without_slip(g
 
 
 def test_slip_makes_a_plan_faster_only_where_beta_is_added():
-    found = {key: made.duration for key, made in planning.levels(GROUND).items()}
-    added = [found[FLIPPED, level] for level in planning.LEVELS]
+    found = {key: made.duration for key, made in coded.levels(GROUND).items()}
+    added = [found[FLIPPED, level] for level in coded.LEVELS]
     assert added == sorted(added, reverse=True) and added[0] - added[-1] > 0.1
     assert found[RIGHT, "high"] > found[RIGHT, "normal"] + 0.1
-    soils = [made.duration for made in planning.soils(GROUND).values()]
+    soils = [made.duration for made in coded.soils(GROUND).values()]
     assert soils == sorted(soils) and soils[-1] - soils[0] > 0.2
 
 
 def test_from_a_matched_start_the_slippage_aware_pair_stays_within_15_mm(goals):
     ground = Ground(reserve=0.1)
-    found = planning.track(ground, "moving", (UC_SLP, SLC_SLP, planning.VARIABLE), goals[:40])
+    found = loop.track(ground, "moving", (UC_SLP, SLC_SLP, loop.VARIABLE), goals[:40])
     assert found[SLC_SLP].distance.mean() <= 0.015
     assert found[SLC_SLP].distance.mean() < 0.005  # with a continuous course
     assert found[SLC_SLP].heading.mean() < 0.02
     assert found[SLC_SLP].missed.mean() < 0.015
     assert found[UC_SLP].distance.mean() < 0.015
-    assert found[planning.VARIABLE].distance.mean() < 0.015
+    assert found[loop.VARIABLE].distance.mean() < 0.015
 
 
 def test_from_rest_the_start_is_most_of_the_error_and_the_exchanged_frame_misses_the_goal(goals):
-    pairs = (SLC_SLP, planning.VARIABLE, Pair("slc", "optimal", True))
-    own, variable, exchanged = planning.track(GROUND, "rest", pairs, goals[:20]).values()
+    pairs = (SLC_SLP, loop.VARIABLE, Pair("slc", "optimal", True))
+    own, variable, exchanged = loop.track(GROUND, "rest", pairs, goals[:20]).values()
     assert 0.03 < own.distance.mean() < 0.07
     assert variable.distance.mean() < 0.8 * own.distance.mean()
     assert exchanged.missed.mean() > 2.0 * own.missed.mean()
@@ -116,7 +116,7 @@ def test_from_rest_the_start_is_most_of_the_error_and_the_exchanged_frame_misses
 
 
 def test_plans_from_rest_to_rest_are_followed_from_rest_and_end_at_the_goal(goals):
-    found = planning.track(Ground(reserve=0.1), "rest", planning.REST, goals[:10])
+    found = loop.track(Ground(reserve=0.1), "rest", loop.REST, goals[:10])
     for one in found.values():
         assert one.distance.mean() < 0.01 and one.missed.mean() < 0.015
         assert one.turned.mean() < 0.015
@@ -124,16 +124,16 @@ def test_plans_from_rest_to_rest_are_followed_from_rest_and_end_at_the_goal(goal
 
 def test_a_moving_start_is_the_motion_and_the_sprockets_of_the_plan():
     (made,) = plans(GROUND, "optimal", np.array([FIGURE_16]))
-    state, sprockets = planning.begin(Job(SLC_SLP, 0, made), "moving", GROUND.vehicle)
+    state, sprockets = loop.begin(Job(SLC_SLP, 0, made), "moving", GROUND.vehicle)
     assert np.hypot(*state[3:5]) == pytest.approx(made.speed[0])
     assert state[5] == made.yaw_rate[0]
     assert tuple(sprockets) == (made.sprocket_left[0], made.sprocket_right[0])
-    assert not np.any(planning.begin(Job(SLC_SLP, 0, made), "rest", GROUND.vehicle)[0][3:])
+    assert not np.any(loop.begin(Job(SLC_SLP, 0, made), "rest", GROUND.vehicle)[0][3:])
 
 
 def test_blocks_keep_every_job_once_and_put_long_plans_apart(goals):
     jobs = [Job(UC_DP, i, made) for i, made in enumerate(plans(GROUND, "clothoid", goals))]
-    found = planning.blocks(jobs)
+    found = loop.blocks(jobs)
     assert sorted(job.number for block in found for job in block) == list(range(100))
     assert len(found) > 1 and len(found[0]) > len(found[-1])
     ends = [max(job.trajectory.duration for job in block) for block in found]
@@ -141,8 +141,8 @@ def test_blocks_keep_every_job_once_and_put_long_plans_apart(goals):
 
 
 def test_a_vehicle_s_errors_do_not_depend_on_the_others_of_its_block(goals):
-    found = planning.track(GROUND, "rest", (UC_SLP,), goals[:5])[UC_SLP]
-    alone = planning.track(GROUND, "rest", (UC_SLP,), goals[3:4])[UC_SLP]
+    found = loop.track(GROUND, "rest", (UC_SLP,), goals[:5])[UC_SLP]
+    alone = loop.track(GROUND, "rest", (UC_SLP,), goals[3:4])[UC_SLP]
     assert alone.distance[0] == pytest.approx(found.distance[3], rel=1e-6)
 
 

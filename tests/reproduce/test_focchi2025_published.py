@@ -10,7 +10,7 @@ import pytest
 
 from baselines.slip.slip_sweep import slip_data, steady_motion
 from reproduce.focchi2025 import identification as ident
-from reproduce.focchi2025.runs import vehicle
+from reproduce.focchi2025.control import vehicle
 
 # ident_wheels_sim_2d_0.1.csv: mu = 0.1, sprockets within 10 rad/s.
 SLIPPERY = np.array(

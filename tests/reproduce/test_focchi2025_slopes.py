@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from reproduce.focchi2025 import slope_claims, slopes
-from reproduce.focchi2025.runs import Run
+from reproduce.focchi2025.control import Run
 from reproduce.focchi2025.slopes import KINDS, SlopeCase
 
 
@@ -54,7 +54,7 @@ def test_errors_are_in_the_plane_of_the_vehicle():
 
 def test_without_the_direction_of_gravity_slip_on_slopes_is_not_known(monkeypatch):
     monkeypatch.setattr(slopes, "PROBES", 100)
-    found = slopes.run_all()
+    found = slopes.identify()
     assert found.steady == 100
     assert found.scores["steps of 0.05"].min() > 0.999
     assert found.scores["steps of 0.05"].min() >= found.scores["steps of 0.13"].min() > 0.99
@@ -67,6 +67,6 @@ def test_without_the_direction_of_gravity_slip_on_slopes_is_not_known(monkeypatc
 
 
 def test_slip_uphill_is_larger_than_downhill_with_uniform_load_and_smaller_with_nonuniform_load():
-    found = slopes.run_all().loads
+    found = slopes.identify().loads
     uphill, downhill = (np.abs(found["uniform"]), np.abs(found["nonuniform"]))
     assert uphill[0] > uphill[1] and downhill[0] < downhill[1]

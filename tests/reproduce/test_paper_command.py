@@ -7,23 +7,19 @@ import types
 import typing
 
 import pytest
+from matplotlib.figure import Figure
 
 import evaluate
 from reproduce import paper_page
-from reproduce.paper_page import Claim, PaperPage
+from reproduce.paper_page import Outcome, PaperPage
 from tracked_env.cli import evaluate_options
 
-PNG = b"\x89PNG"
-
-
-def save_figures(results, folder):
-    """One figure, drawn without matplotlib."""
-    (folder / "made-up-line.png").write_bytes(PNG)
-    return {"line": (folder / "made-up-line.png", "A line.")}
-
-
-def no_figures(results, folder):
-    raise ImportError("No module named 'matplotlib'")
+WORDS = {
+    "head": "# Made up\n",
+    "claims": {"one": {"place": "1", "claim": "two and one", "ours": "{count}", "why": "counted"}},
+    "tables": {"numbers": {"title": "Numbers", "text": "All.", "head": ["number"]}},
+    "figures": {"line": "A line."},
+}
 
 
 @pytest.fixture
@@ -35,14 +31,14 @@ def paper(monkeypatch):
         say("section 1: counting")
         return 3
 
-    def claims(results):
-        return [Claim("1", "two and one", f"{results}", "yes", "counted")]
-
-    def numbers(results):
-        return [["number"], [f"{results}"]]
-
     module.run_everything = run_everything
-    module.PAGE = PaperPage("# Made up\n", claims, {"Numbers": (numbers, "All.")}, save_figures)
+    module.PAGE = PaperPage(
+        "made-up",
+        WORDS,
+        lambda results: [Outcome("one", "yes", {"count": results})],
+        {"numbers": lambda results: [[f"{results}"]]},
+        (lambda results: {"line": Figure()},),
+    )
     monkeypatch.setitem(sys.modules, "reproduce.made_up", module)
     return module
 
@@ -55,7 +51,7 @@ def test_a_paper_is_run_its_claims_printed_and_its_page_written(paper, tmp_path,
     assert "| 1 | two and one | 3 | yes | counted |" in text
     assert text.startswith("# Made up\n")
     assert text.index("![line](made-up-line.png)") < text.index("### Numbers")
-    assert (tmp_path / "made_up" / "made-up-line.png").read_bytes() == PNG
+    assert (tmp_path / "made_up" / "made-up-line.png").stat().st_size > 0
 
 
 def test_without_figures_nothing_is_drawn(paper, tmp_path, capsys):
@@ -65,21 +61,9 @@ def test_without_figures_nothing_is_drawn(paper, tmp_path, capsys):
     assert "## Figures" not in (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
 
 
-def test_without_matplotlib_the_page_is_written_all_the_same_and_the_package_named(
-    paper, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.setattr(
-        paper, "PAGE", PaperPage(*(vars(paper.PAGE) | {"save_figures": no_figures}).values())
-    )
-    assert paper_page.main("made_up", tmp_path) == 0
-    said = capsys.readouterr()
-    assert "matplotlib" in said.err and "0 figures" in said.out
-    assert "two and one" in (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
-
-
 def test_evaluate_and_the_folders_offer_the_same_papers(repository):
     offered = evaluate_options.PAPERS
-    folders = {path.parent.name for path in (repository / "reproduce").glob("*/page.py")}
+    folders = {path.parent.name for path in (repository / "reproduce").glob("*/page.toml")}
     assert set(offered) - {"none"} == set(paper_page.PAPERS) == folders
 
 

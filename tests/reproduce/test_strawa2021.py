@@ -1,9 +1,12 @@
 """Strawa et al. (2021), sections 8.1 and 8.2, run again: what must come out."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from reproduce.strawa2021.control import SCENARIOS, SETTLED, run, table
+from reproduce.strawa2021.control import SCENARIOS, SETTLED, run
+from reproduce.strawa2021.page import control_rows
 
 
 @pytest.mark.parametrize("path", ["circle", "straight"])
@@ -43,6 +46,5 @@ def test_the_paper_s_lost_vehicle_on_sandy_loam_follows_from_the_printed_factor_
 
 def test_the_table_has_one_line_per_run():
     result = run(SCENARIOS["exact"], "circle", 1.0, duration=2.0)
-    lines = table({("exact", "circle", 1.0): result})
-    assert len(lines) == 2 and len(lines[0]) == len(lines[1])
-    assert lines[1][3] == "1" and lines[1][4] == "nan"
+    (line,) = control_rows(SimpleNamespace(control={("exact", "circle", 1.0): result}))
+    assert len(line) == 8 and line[3] == "1" and line[4] == "nan"

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from reproduce.strawa2021 import identification as ident
-from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
+from reproduce.strawa2021.control import surface
 from reproduce.strawa2021.identification import Condition
 from reproduce.strawa2021.soil import printed_gnr
-from reproduce.strawa2021.sweep import surface
 from tracked_env.physics import terramechanics
 
 PAPER = Condition("paper", 2.0, "strawa")
@@ -87,21 +86,21 @@ def test_a_wrong_mass_costs_more_than_a_wrong_inertia(way):
 
 @pytest.fixture(scope="module")
 def filtered():
-    cases = [slips.Case(speed, "sandy loam", 100.0) for speed in slips.SPEEDS]
-    return slips.run_all(cases, seeds=6, duration=25.0)
+    cases = [soils.SlipCase(speed, "sandy loam", 100.0) for speed in soils.SPEEDS]
+    return soils.slip_runs(cases, seeds=6, duration=25.0)
 
 
-@pytest.mark.parametrize("measured", slips.MEASURED)
-@pytest.mark.parametrize("side", slips.SIDES)
+@pytest.mark.parametrize("measured", soils.MEASURED)
+@pytest.mark.parametrize("side", soils.SIDES)
 def test_the_slip_is_unbiased_in_gentle_motion_and_not_on_rapid_changes_of_speed(
     filtered, measured, side
 ):
-    gentle = slips.quality(filtered, 0, measured, side, rapid=False)
+    gentle = soils.slip_quality(filtered, 0, measured, side, rapid=False)
     assert abs(gentle.bias) < 4.0 * gentle.uncertainty and abs(gentle.bias) < 0.006
     assert gentle.rms < 0.02
-    rapid = slips.quality(filtered, 1, measured, side, rapid=True)
+    rapid = soils.slip_quality(filtered, 1, measured, side, rapid=True)
     assert rapid.rms > (1.5 if side == "right" else 1.0) * gentle.rms
-    assert math.isnan(slips.quality(filtered, 0, measured, side, rapid=True).rms)
+    assert math.isnan(soils.slip_quality(filtered, 0, measured, side, rapid=True).rms)
 
 
 @pytest.fixture(scope="module")

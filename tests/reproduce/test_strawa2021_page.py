@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from reproduce.paper_page import claims_table, terminal, verdict
-from reproduce.strawa2021 import PAGE, claims, control, sweep, tables
+from reproduce.strawa2021 import PAGE, control, page
 from reproduce.strawa2021 import identification as ident
-from reproduce.strawa2021 import slip as slips
 from reproduce.strawa2021 import soil as soils
 from reproduce.strawa2021.control import PATHS, SCENARIOS, run
-from reproduce.strawa2021.results import REGRESSIONS, Results
+from reproduce.strawa2021.identification import REGRESSIONS
+from reproduce.strawa2021.page import Results
 
 pytestmark = pytest.mark.slow
 
@@ -22,7 +22,7 @@ LENGTH = 9.0  # [s] of the drives; numbers of so short ones mean little, the pag
 def results(module_patch):
     """All runs, short and few."""
     module_patch.setattr(control, "SETTLED", 5.0)
-    module_patch.setattr(claims, "SETTLED", 5.0)
+    module_patch.setattr(page, "SETTLED", 5.0)
     module_patch.setattr(ident, "SETTLED", 8.0)
     controlled = {
         (name, path, factor): run(scenario, path, factor, LENGTH)
@@ -31,8 +31,8 @@ def results(module_patch):
         for factor in (2.0, 1.0)
     }
     surfaces = {
-        (way, factor): sweep.surface(way, factor, np.array([0.5, 1.0, 1.5]), LENGTH)
-        for way in sweep.WAYS
+        (way, factor): control.surface(way, factor, np.array([0.5, 1.0, 1.5]), LENGTH)
+        for way in control.WAYS
         for factor in (2.0, 1.0)
     }
     identified = {
@@ -40,8 +40,8 @@ def results(module_patch):
         for condition in ident.conditions()
     }
     qualities = {(2.0, 6.0): ident.quality(next(iter(identified.values())))}
-    cases = [case for case in slips.CASES if case.rate == 100.0]
-    slip = slips.run_all(cases, seeds=2, duration=LENGTH)
+    cases = [case for case in soils.SLIP_CASES if case.rate == 100.0]
+    slip = soils.slip_runs(cases, seeds=2, duration=LENGTH)
     soil = soils.run_all(duration=LENGTH)
     noise = {ground: soils.with_noise(soil["ideal"], k) for k, ground in enumerate(soils.GROUNDS)}
     windows = soils.by_window(soil["ideal"], soils.CASES.index(soils.Case("manoeuvre", "changing")))
@@ -78,15 +78,15 @@ def test_without_figures_the_page_links_to_nothing(results, tmp_path):
 
 
 def test_every_table_is_rectangular_and_free_of_bars(results):
-    found = [claims_table(claims.claims(results))]
-    found += [table(results) for table, _ in PAGE.tables.values()]
+    found = [claims_table(PAGE.claims(results))]
+    found += [PAGE.table(key, results) for key in PAGE.tables]
     for rows in found:
         assert len(rows) > 1 and {len(row) for row in rows} == {len(rows[0])}
         assert not any("|" in cell or "\n" in cell for row in rows for cell in row)
 
 
 def test_the_claims_cover_every_section_and_their_verdicts_are_known(results):
-    found = claims.claims(results)
+    found = PAGE.claims(results)
     places = " ".join(claim.place for claim in found)
     assert all(
         section in places
@@ -98,13 +98,13 @@ def test_the_claims_cover_every_section_and_their_verdicts_are_known(results):
 
 
 def test_the_row_with_bounds_is_not_called_the_paper_s(results):
-    for table in (tables.identification_table, tables.path_table, tables.start_table):
-        cells = {cell for row in table(results) for cell in row}
+    for key in ("identification", "by_path", "by_start"):
+        cells = {cell for row in PAGE.table(key, results) for cell in row}
         assert {"printed", "bounded", "coupled"} <= cells and "paper" not in cells
 
 
 def test_the_page_names_what_it_does_not_cover(results):
-    assert "Not covered: " in PAGE.head
+    assert "Not covered: " in PAGE.words["head"]
 
 
 def test_a_verdict_is_yes_no_or_partly():
@@ -114,7 +114,7 @@ def test_a_verdict_is_yes_no_or_partly():
 
 
 def test_the_terminal_s_table_fits(results):
-    text = terminal(claims.claims(results), width=118)
+    text = terminal(PAGE.claims(results), width=118)
     assert max(map(len, text.splitlines())) <= 118
     assert "agrees?" in text and "fig. 28" in text
 
@@ -122,9 +122,9 @@ def test_the_terminal_s_table_fits(results):
 def test_a_vehicle_that_stands_and_goes_on_is_found():
     time = np.arange(0.0, 10.0, 0.1)
     speed = np.where((time > 3.95) & (time < 6.95), 0.0, 1.0)
-    assert claims.standstill(time, speed) == pytest.approx((4.0, 7.0))
-    assert np.isnan(claims.standstill(time, np.ones_like(time))).all()
+    assert page.standstill(time, speed) == pytest.approx((4.0, 7.0))
+    assert np.isnan(page.standstill(time, np.ones_like(time))).all()
 
 
 def test_a_time_that_never_comes_reads_never():
-    assert tables.seconds(float("nan")) == tables.seconds(float("inf")) == "never"
+    assert page.seconds(float("nan")) == page.seconds(float("inf")) == "never"

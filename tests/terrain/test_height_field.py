@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from tracked_env.terrain.height_field import KINDS, STEEPEST, make_height_field
+from tracked_env.terrain.ground import STEEPEST
+from tracked_env.terrain.height_field import KINDS, make_height_field
 from tracked_env.terrain.relief import fill_places
 
 RNG = np.random.default_rng(0)

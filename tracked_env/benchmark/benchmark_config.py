@@ -27,13 +27,10 @@ CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its ti
 # What a result's identity leaves out: files and folders of the package that draw, report or adapt
 # to other libraries. Everything else counts, so a new file counts until it is named here.
 WITHOUT_INFLUENCE = {
-    "studies/adaptation.py": "statistics and figures of records",
-    "studies/breaking_points.py": "which levels are run; each is part of the identity",
     "cli/": "command lines",
     "rendering/": "pictures of a state",
     "sb3.py": "another interface to the vector environment",
     "benchmark/figures.py": "figures from records",
-    "benchmark/choice_of_sets.py": "statistics of records",
     "benchmark/executors/": "where chunks of episodes run",
     "benchmark/files.py": "writes records",
     "benchmark/text_tables.py": "tables from cells",

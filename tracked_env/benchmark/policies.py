@@ -374,12 +374,9 @@ def open_archive(path: Path) -> PolicyEntry:
 
 
 def command_function(name: str) -> Callable[..., Any]:
-    """What a command of that name calls, or the module of it.
-
-    Raises ValueError where no package registers it.
-    """
-    for _, entry, found in _loaded(COMMANDS, _to_stderr):
+    """What a command of that name calls. Raises ValueError where no package registers it."""
+    for _, entry in declared(COMMANDS):
         if entry.name == name:
-            function: Callable[..., Any] = found
+            function: Callable[..., Any] = entry.load()
             return function
     raise ValueError(f"no installed package registers {name!r} in the group {COMMANDS!r}")

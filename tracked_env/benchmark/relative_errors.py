@@ -13,7 +13,7 @@ to a quarter of a set's episodes is cut off by its IQM; it shows in worst tenth 
 
 Is it the choice of the statistic that decides? Agents are ordered by OTHER ones as well, and the
 agreement with the order of the leaderboard is Kendall's tau. Is it that some sets say the same, and
-count twice? The same order is made of the most sets of which no two are alike (choice_of_sets).
+count twice? The same order is made of the most sets of which no two are alike.
 """
 
 import math
@@ -21,14 +21,49 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.stats import rankdata
 
 from tracked_env.benchmark import statistics as stats
-from tracked_env.benchmark.choice_of_sets import correlations, unlike
 from tracked_env.benchmark.reliability import SMALLEST, ratio, relative_error
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import Row
 
 LOST = 0.5  # [-] share of the episodes with success below which a set is lost
+ALIKE = 0.9  # [-] rank correlation above which one of two sets says what the other one says
+
+
+def rank_correlation(one: Mapping[str, float], other: Mapping[str, float]) -> float:
+    """Spearman's correlation [-] of two sets over their policies; NaN if all are equal."""
+    first, second = (rankdata([values[agent] for agent in one]) for values in (one, other))
+    if min(np.ptp(first), np.ptp(second)) == 0.0:
+        return math.nan
+    return float(np.corrcoef(first, second)[0, 1])
+
+
+def correlations(sets: Sequence[Mapping[str, float]]) -> NDArray[np.float64]:
+    """Rank correlations (S, S) of sets {policy: value} with one another."""
+    return np.array([[rank_correlation(one, other) for other in sets] for one in sets])
+
+
+def unlike(correlation: NDArray[np.float64], preferred: Sequence[int] = ()) -> list[int]:
+    """The most sets of which no two have a rank correlation above ALIKE: their places, rising.
+
+    correlation (S, S). Exact, by integer programming: x_i + x_j <= 1 for each pair that is alike.
+    preferred: places that are taken rather than others where the number is the same.
+    """
+    count = len(correlation)
+    if count == 0:
+        return []
+    gain, whole = np.ones(count), np.ones(count, dtype=np.int64)
+    gain[list(preferred)] += 0.5 / count
+    pairs = np.argwhere(np.triu(correlation > ALIKE, 1))
+    rows = np.zeros((len(pairs), count))
+    rows[np.arange(len(pairs))[:, None], pairs] = 1.0
+    limits = [LinearConstraint(rows, -np.inf, 1.0)] if len(pairs) else []
+    solution = milp(-gain, constraints=limits, integrality=whole, bounds=Bounds(0.0, 1.0))
+    return np.flatnonzero(np.asarray(solution.x) > 0.5).tolist()  # no set at all is a solution
 
 
 class RelativeError(NamedTuple):

@@ -1,6 +1,7 @@
 """`tracked-env COMMAND ...`: compare, list and draw policies; plan motions; train from a clone.
 
-Each command is a module with `main(arguments, program) -> exit status`, imported when it is run.
+Each command is a module with `main(arguments, program) -> exit status`, imported when it is run, or
+such a function that an installed package registers in the entry point group `tracked_env.commands`.
 """
 
 import argparse
@@ -9,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from tracked_env.cli.exit_status import Parser, end_at_interrupt
+from tracked_env.cli.exit_status import Parser, end_at_interrupt, reported
 
 COMMANDS = {
     "evaluate": (
@@ -24,11 +25,11 @@ COMMANDS = {
     "envs": ("tracked_env.cli.listing", "list the environments and their evaluation sets"),
     "render": (
         "tracked_env.cli.render_command",
-        "write a GIF, MP4 or PNG of policies on an evaluation set",
+        "write a GIF, MP4 or PNG of a policy on an evaluation set",
     ),
     "drive": (
         "tracked_env.cli.drive_command",
-        "drive by keyboard or gamepad, with an observer's estimates beside",
+        "drive by keyboard, with an observer's estimates beside",
     ),
     "plan": (
         "tracked_env.cli.plan_command",
@@ -42,19 +43,22 @@ COMMANDS = {
         "tracked_env.cli.record_command",
         "drive an episode and write the log of its sensors as CSV",
     ),
-    "identify": (
-        "baselines.identify.commands:identify_command",
-        "mass, inertia, resistance, slip, soil from your own log",
-    ),
-    "slip": (
-        "baselines.identify.commands:slip_command",
-        "slip over the sprocket speeds, from your own runs",
-    ),
+    "identify": ("", "mass, inertia, resistance, slip, soil from your own log"),
+    "slip": ("", "slip over the sprocket speeds, from your own runs"),
     "train": (
         "tracked_env.cli.evaluate_command:main_clone",
         "train an agent; needs a clone of the repository",
     ),
 }
+
+
+@reported
+def _registered(arguments: Sequence[str], program: str) -> int:
+    """Run a command of an installed package."""
+    from tracked_env.benchmark.policies import command_function
+
+    status: int = command_function(program.split()[-1])(arguments, program)
+    return status
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -78,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     end_at_interrupt(program)
     sys.path.insert(0, "")  # so that `module:attribute` finds modules of the current folder
     module, _, function = COMMANDS[given.command][0].partition(":")
-    command = getattr(import_module(module), function or "main")
+    command = getattr(import_module(module), function or "main") if module else _registered
     try:
         status: int = command(given.arguments, program)
         sys.stdout.flush()

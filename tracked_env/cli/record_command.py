@@ -1,15 +1,89 @@
-"""`tracked-env record`: the log of one episode as CSV, as `tracked-env identify` reads it."""
+"""`tracked-env record`: the log of one episode as CSV, as `tracked-env identify` reads it.
 
+Columns are what the sensors say, one row a control step. A sensor without a new sample leaves its
+cells empty; a delay is taken off, so that every row is of one moment.
+"""
+
+import csv
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from baselines.identify.csv_log import record_log
+import numpy as np
+
+from tracked_env import arrays
 from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
 from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_episode_options, config_of
 from tracked_env.cli.exit_status import Parser, explained, reported
+from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUP_START, GROUPS
+
+IDENTIFIED = (
+    *("mass", "inertia", "longitudinal_resistance", "lateral_resistance"),
+    *("effort_maximum", "shear_deformation_modulus"),
+)
+
+
+def record_log(
+    env: Any, policy: Any, path: Path | str, seed: int | None = None
+) -> dict[str, float]:
+    """Drive one episode and write its log; returns the true values at its end, SI by name.
+
+    env: an environment of this package, single or a vector of one, perhaps wrapped. policy: any
+    object with `predict(observation, state, episode_start)`, as Stable-Baselines3 has it.
+    Raises ValueError for a vector of several vehicles.
+    """
+    return record_logs(env, policy, [path], seed)[0]
+
+
+def record_logs(
+    env: Any, policy: Any, paths: Sequence[Path | str], seed: Any = None
+) -> list[dict[str, float]]:
+    """The same for each vehicle of a vector environment; seed: as its `reset` takes it.
+
+    Raises ValueError for another number of vehicles than of paths.
+    """
+    inner = env.unwrapped
+    batch, count = inner.simulation.batch, len(paths)
+    if len(batch.floats) != count:
+        raise ValueError(f"the environment has {len(batch.floats)} vehicles, for {count} logs")
+    observation, _ = env.reset(seed=seed)
+    period = inner.simulation.solver.control_period
+    rows = [[_row(batch, i, period)] for i in range(count)]
+    state, start, over = None, np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
+    while not over.all():
+        action, state = policy.predict(observation, state, start)
+        observation, _reward, terminated, truncated, _info = env.step(action)
+        for i in np.flatnonzero(~over).tolist():
+            rows[i].append(_row(batch, i, period))
+        over |= np.asarray(terminated) | np.asarray(truncated)
+        start = np.zeros(count, dtype=bool)
+    for path, log in zip(map(Path, paths), rows, strict=True):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time", *CHANNELS])
+            writer.writerows(log)
+    places = [arrays.COLUMN[name] for name in IDENTIFIED]
+    return [
+        dict(zip(IDENTIFIED, batch.floats[i, places].tolist(), strict=True)) for i in range(count)
+    ]
+
+
+def _row(batch: Any, i: int, period: float) -> list[str]:
+    """Time and samples of vehicle i; empty where a group has no new one."""
+    step = int(batch.counters[i, arrays.STEP])
+    samples = batch.floats[i, arrays.SAMPLE : arrays.SAMPLE + CHANNEL_COUNT]
+    taken = batch.floats[i, arrays.SAMPLE + CHANNEL_COUNT : arrays.SAMPLE + CHANNEL_COUNT + 3]
+    new = [
+        round(float(taken[group])) == step
+        for group in range(len(GROUPS))
+        for _ in range(GROUP_START[group + 1] - GROUP_START[group])
+    ]
+    cells = [f"{value:.9g}" if is_new else "" for value, is_new in zip(samples, new, strict=True)]
+    return [f"{step * period:.6f}", *cells]
 
 
 @reported

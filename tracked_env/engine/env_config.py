@@ -21,7 +21,7 @@ from tracked_env.physics.parameters import (
     Range,
     VehicleParameters,
 )
-from tracked_env.plants import DRIVES, PLANTS, Drive, Plant, Prepared, find, prepared
+from tracked_env.plants import DRIVES, Drive, Plant, Prepared, find, known_plants, prepared
 from tracked_env.sensors import Sensors
 from tracked_env.uncertainty import Spec
 from tracked_env.validation import (
@@ -34,6 +34,16 @@ from tracked_env.validation import (
 )
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
+SIZES = ("mass", "contact_length", "track_gauge")
+ANOTHER_SIZE = 0.3  # [-] of the base, from which on the rest of the base is unlikely to fit
+# What depends on the size of a vehicle; ratios, gains and offsets do not.
+SIZED = VehicleParameters._fields[: VehicleParameters._fields.index("centre_of_mass_x")]
+SHOWN = ("expose_truth", "render_mode")  # what is returned and drawn: nothing moves by them
+_RATE = Range(5.0, 1000.0, "Hz", "Did you pass the period?")
+_STEP = Range(1e-5, 0.005, "s", "Larger steps are unstable.")
+_LIMIT = Range(0.01, 1e6, "m", "It is a distance.")
+_THREADS = Range(1, 64, "-", "Number of threads.")
+_Constructor = Callable[..., None]
 
 
 class EnvConfig(NamedTuple):
@@ -60,14 +70,6 @@ class EnvConfig(NamedTuple):
     threads: int = 1  # an argument of the vector environment alone
 
 
-SIZES = ("mass", "contact_length", "track_gauge")
-ANOTHER_SIZE = 0.3  # [-] of the base, from which on the rest of the base is unlikely to fit
-# What depends on the size of a vehicle; ratios, gains and offsets do not.
-SIZED = VehicleParameters._fields[: VehicleParameters._fields.index("centre_of_mass_x")]
-SHOWN = ("expose_truth", "render_mode")  # what is returned and drawn: nothing moves by them
-_Constructor = Callable[..., None]
-
-
 def environment_arguments(constructor: _Constructor) -> _Constructor:
     """`constructor` with the arguments of `EnvConfig` in place of its parameter `config`.
 
@@ -76,16 +78,17 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
     """
     own = dict(inspect.signature(constructor).parameters)
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-    fields = {
-        name: inspect.Parameter(
-            name, kind, default=EnvConfig._field_defaults[name], annotation=annotation
-        )
-        for name, annotation in EnvConfig.__annotations__.items()
-        if name not in own and name != "threads"
-    }
+    defaults, types = EnvConfig._field_defaults, EnvConfig.__annotations__
+    fields = [name for name in types if name not in own and name != "threads"]
     listed: list[inspect.Parameter] = []
     for name, parameter in own.items():
-        listed += fields.values() if name == "config" else [parameter.replace(kind=kind)]
+        if name == "config":
+            listed += [
+                inspect.Parameter(field, kind, default=defaults[field], annotation=types[field])
+                for field in fields
+            ]
+        else:
+            listed.append(parameter.replace(kind=kind))
     signature = inspect.Signature(listed, return_annotation=None)
     names = [parameter.name for parameter in listed[1:]]
 
@@ -99,11 +102,11 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
                     f"{function}(): unexpected keyword argument {name!r}; {known(name, names)}"
                 )
         try:
-            given = signature.bind(self, *positional, **named).arguments
+            values = signature.bind(self, *positional, **named).arguments
         except TypeError as error:
             raise TypeError(f"{function}(): {error}") from None
-        config = EnvConfig(**{name: given.pop(name) for name in fields if name in given})
-        constructor(**given, config=config)
+        config = EnvConfig(**{name: values.pop(name) for name in fields if name in values})
+        constructor(**values, config=config)
 
     construct.__signature__ = signature  # type: ignore[attr-defined]
     construct.__annotations__ = {p.name: p.annotation for p in listed[1:]} | {"return": None}
@@ -149,18 +152,18 @@ def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
             raise ValueError(
                 "terrain is given as an argument and in plant_options; must be one of them"
             )
-    for other in PLANTS.values():
-        foreign = {k: v for k, v in arguments.items() if k in other.options.keys() - plant.options}
-        if foreign:
-            other.prepare(next(iter(other.reads)), {**other.options, **foreign})
-        for name, value in foreign.items():
-            default = EnvConfig._field_defaults[name]
-            if default is None or value != default:
-                raise ValueError(
-                    f'{name} = {_quoted(value)} with plant = "{plant.name}"; must be '
-                    f"{_quoted(default)}: this plant has no such option. Did you mean "
-                    f'plant = "{other.name}"?'
-                )
+    for name, value in arguments.items():
+        default = EnvConfig._field_defaults[name]
+        if name in plant.options or value is default:
+            continue
+        other = next(each for each in known_plants() if name in each.options)
+        other.prepare(next(iter(other.reads)), {**other.options, name: value})
+        if default is None or value != default:
+            raise ValueError(
+                f'{name} = {_quoted(value)} with plant = "{plant.name}"; must be '
+                f"{_quoted(default)}: this plant has no such option. Did you mean "
+                f'plant = "{other.name}"?'
+            )
     return {**{k: v for k, v in arguments.items() if k in plant.options}, **own}
 
 
@@ -177,12 +180,6 @@ def make_vehicle(spec: object, base: str = "strawa") -> PlantParameters:
     own = dict(checked_keys("vehicle", spec, ("base", *PlantParameters._fields)))
     base = checked_choice("vehicle base", own.pop("base", base), VEHICLES)
     values = {name: checked_parameter(name, value) for name, value in own.items()}
-    _check_size(values, base)
-    return VEHICLES[base]._replace(**values)
-
-
-def _check_size(values: Mapping[str, float], base: str) -> None:
-    """Warn where `values` are of a vehicle of another size than the base, and lack something."""
     other = VEHICLES[base]._asdict()
     far = [n for n in SIZES if abs(values.get(n, other[n]) / other[n] - 1.0) > ANOTHER_SIZE]
     lacking = [f"{n} = {other[n]:g} {RANGES[n].unit}" for n in SIZED if n not in values]
@@ -194,6 +191,7 @@ def _check_size(values: Mapping[str, float], base: str) -> None:
             'another "base".',
             stacklevel=2,
         )
+    return VEHICLES[base]._replace(**values)
 
 
 def make_solver(config: EnvConfig) -> Solver:
@@ -202,21 +200,13 @@ def make_solver(config: EnvConfig) -> Solver:
     Raises ValueError for a value outside its range, an unknown name, and for a drive that the plant
     does not accept.
     """
-    rate = checked_number(
-        "control_rate", config.control_rate, Range(5.0, 1000.0, "Hz", "Did you pass the period?")
-    )
-    longest = checked_number(
-        "time_step", config.time_step, Range(1e-5, 0.005, "s", "Larger steps are unstable.")
-    )
-    limit = checked_number(
-        "error_limit", config.error_limit, Range(0.01, 1e6, "m", "It is a distance.")
-    )
-    threads = checked_whole("threads", config.threads, Range(1, 64, "-", "Number of threads."))
+    rate = checked_number("control_rate", config.control_rate, _RATE)
+    longest = checked_number("time_step", config.time_step, _STEP)
+    limit = checked_number("error_limit", config.error_limit, _LIMIT)
+    threads = checked_whole("threads", config.threads, _THREADS)
     plant = find(config.plant)
     ready = prepared(plant, config.drive, plant_options(plant, config))
     substeps = int(np.ceil(1.0 / (rate * longest) - 1e-9))
-    substep = 1.0 / (rate * substeps)
-    return Solver(
-        1.0 / rate, substeps, substep, plant, DRIVES[config.drive], ready,
-        make_vehicle(config.vehicle, config.base_vehicle), limit, threads,
-    )  # fmt: skip
+    drive, vehicle = DRIVES[config.drive], make_vehicle(config.vehicle, config.base_vehicle)
+    clock = (1.0 / rate, substeps, 1.0 / (rate * substeps))
+    return Solver(*clock, plant, drive, ready, vehicle, limit, threads)

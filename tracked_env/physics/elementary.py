@@ -12,13 +12,14 @@ Reference: [1] J.-M. Muller, "Elementary Functions", 3rd ed., ch. 11 (range redu
 """
 
 import math
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numba import types
 from numba.extending import intrinsic
 
-from tracked_env.physics.jit import formula
+from tracked_env.physics.jit import COMPILED, formula
 
 LOG2_E = 1.4426950408889634  # [-] log2(e)
 LN2_HIGH = 6.93147180369123816490e-01  # [-] ln 2, upper 32 bits: k * LN2_HIGH is exact
@@ -32,21 +33,24 @@ HALF_PI_HIGH = 1.57079632673412561417e00  # [rad] pi/2, upper 33 bits: k * it is
 HALF_PI_MIDDLE = 6.07710050630396597660e-11  # [rad] the next 33 bits
 HALF_PI_LOW = 2.02226624879595063154e-21  # [rad] the rest
 
-_INVERSE_FACTORIAL = [1.0 / math.factorial(n) for n in range(16)]
-(_, _, _F2, _F3, _F4, _F5, _F6, _F7, _F8, _F9, _F10, _F11, _F12, _F13, _F14, _F15) = (
-    _INVERSE_FACTORIAL
-)
+_F2, _F3, _F4, _F5, _F6, _F7, _F8 = (1.0 / math.factorial(n) for n in range(2, 9))
+_F9, _F10, _F11, _F12, _F13, _F14, _F15 = (1.0 / math.factorial(n) for n in range(9, 16))
 
 
-@intrinsic
 def _fused(typing_context, a, b, c):
+    """a b + c, rounded once, whatever the processor."""
+
     def code(context, builder, signature, arguments):
         return builder.fma(*arguments)
 
     return types.float64(types.float64, types.float64, types.float64), code
 
 
-fused: Any = _fused  # (a, b, c) -> a b + c, rounded once, whatever the processor
+def _fused_in_python(a: float, b: float, c: float) -> float:
+    return float(Fraction(a) * Fraction(b) + Fraction(c))
+
+
+fused: Any = intrinsic(_fused) if COMPILED else _fused_in_python
 
 
 @formula

@@ -16,28 +16,38 @@ functions of another process. Large bodies belong there too: every level of comp
 around them is optimised as a whole, which takes a second or more each time.
 `loop` is for the functions that own such a loop; they release the interpreter lock.
 
-What is compiled is kept on disk under the digest of all source that it is made of (kernel_cache):
-no edit and no update ever meets old code.
+What is compiled is kept on disk under the digest of all code that it is made of (kernel_cache):
+no edit and no update ever meets old code. With NUMBA_DISABLE_JIT=1 nothing is compiled: kernels are
+plain Python, in which a debugger can stop.
 """
 
 from collections.abc import Callable
 from functools import partial
-from inspect import signature
+from inspect import Parameter, signature
 from types import FunctionType
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import njit, typeof, types
-from numba.core import cgutils
+from numba.core import cgutils, config
 from numba.extending import intrinsic
 
 from tracked_env.physics.kernel_cache import KernelCache
 
+COMPILED = not config.DISABLE_JIT
+if not COMPILED:
+    np.seterr(all="ignore")  # integers wrap and 1 / 0 is infinite without a warning, as compiled
+Decorator = Callable[[Callable[..., Any]], Any]
 
-def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+
+def _kept(**options: Any) -> Decorator:
     """Decorator as `numba.njit`, with KernelCache in the place of numba's disk cache."""
 
-    def decorated(function: Callable[..., Any]) -> Any:
+    def decorated(function: Any) -> Any:
+        if not COMPILED:
+            function.py_func = function
+            return function
         dispatcher: Any = njit(**options)(function)
         dispatcher._cache = KernelCache(dispatcher.py_func)
         return dispatcher
@@ -45,16 +55,19 @@ def _kept(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorated
 
 
-def _inlined(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def _inlined(**options: Any) -> Decorator:
     """Decorator of functions that are inlined into kernels; options: those of `numba.njit`."""
     options |= {"error_model": "numpy", "forceinline": True}
     compiled = partial(_kept, no_cfunc_wrapper=True, **options)
 
-    def decorated(function: Callable[..., Any]) -> Any:
+    def decorated(function: Any) -> Any:
+        if not COMPILED:
+            function.py_func = function
+            return function
+        code, name = function.__code__, function.__name__
         inside: Any = FunctionType(
-            function.__code__, function.__globals__, function.__name__,
-            function.__defaults__, function.__closure__,
-        )  # fmt: skip
+            code, function.__globals__, name, function.__defaults__, function.__closure__
+        )
         inside.__qualname__ = f"inside.{function.__qualname__}"  # its files in the cache
         inside.__module__ = function.__module__
         kernel: Any = compiled(no_cpython_wrapper=True)(inside)
@@ -111,24 +124,24 @@ def _prefetch(typing_context, array, index):
     """
 
     def code(context, builder, signature, arguments):
-        given, place = signature.args
-        found = context.make_array(given)(context, builder, arguments[0])
-        at = [
-            context.cast(builder, one, kind, types.intp)
-            for one, kind in zip(cgutils.unpack_tuple(builder, arguments[1]), place, strict=True)
+        kind, kinds = signature.args
+        values = context.make_array(kind)(context, builder, arguments[0])
+        place = [
+            context.cast(builder, one, each, types.intp)
+            for one, each in zip(cgutils.unpack_tuple(builder, arguments[1]), kinds, strict=True)
         ]
-        entry = cgutils.get_item_pointer(context, builder, given, found, at, wraparound=False)
+        entry = cgutils.get_item_pointer(context, builder, kind, values, place, wraparound=False)
         byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
-        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        read, keep, data = (ir.Constant(word, value) for value in (0, 3, 1))
-        builder.call(fetch, [builder.bitcast(entry, byte), read, keep, data])
+        function = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+        fetch = cgutils.get_or_insert_function(builder.module, function, "llvm.prefetch.p0")
+        read, stay, data = (ir.Constant(word, value) for value in (0, 3, 1))
+        builder.call(fetch, [builder.bitcast(entry, byte), read, stay, data])
         return context.get_dummy_value()
 
     return types.void(array, index), code
 
 
-prefetch: Any = intrinsic(_prefetch)
+prefetch: Any = intrinsic(_prefetch) if COMPILED else lambda array, index: None
 
 
 def bound(kernel: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
@@ -137,7 +150,8 @@ def bound(kernel: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
     That look-up costs a twentieth of the step of one vehicle. The types are not checked any more:
     for arguments that are prepared once and kept. A kernel with `*arguments` is returned as it is.
     """
-    if any(one.kind is one.VAR_POSITIONAL for one in signature(kernel.py_func).parameters.values()):
+    kinds = [each.kind for each in signature(kernel.py_func).parameters.values()]
+    if not COMPILED or Parameter.VAR_POSITIONAL in kinds:
         unbound: Callable[..., Any] = kernel
         return unbound
     compiled: Callable[..., Any] = kernel.compile(tuple(typeof(value) for value in arguments))

@@ -39,8 +39,6 @@ Reference: [1] Focchi et al. (2025), table 2 and section 8.
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from tracked_env.physics import patches_on_terrain
 from tracked_env.physics import patches_on_terrain as g
 from tracked_env.physics import terramechanics as soil
@@ -381,46 +379,68 @@ def settled_of(w, kick, off, body):
 
 
 _FOCCHI_AREA = FOCCHI_VEHICLE.track_width * FOCCHI_VEHICLE.contact_length  # [m^2] of one track
-STIFFNESS = 1e5 / _FOCCHI_AREA  # [N/m^3] F table 2
-DAMPING = 5e3 / _FOCCHI_AREA  # [N s/m^3]
-HEIGHT_RATIO = 0.25 / FOCCHI_VEHICLE.contact_length
 
-# Numbers that `body_of` reads: height as (number, ratio to the contact length), roll and pitch
-# inertia as (number, 1 for the parameter's ratio to the yaw inertia), one of the two 0; stiffness,
-# damping, stiffening. Here none is given.
-SCALED = np.array([0.0, HEIGHT_RATIO, 0.0, 1.0, 0.0, 1.0, STIFFNESS, DAMPING, 0.0])
+
+class BodyOptions(NamedTuple):
+    """Numbers of the plant that no parameter holds; of a number and a ratio one is 0."""
+
+    height: float = 0.0  # [m] of the nominal centre of mass above the plane of the tracks
+    height_ratio: float = 0.25 / FOCCHI_VEHICLE.contact_length  # [-] over the contact length
+    roll_inertia: float = 0.0  # [kg m^2]
+    roll_share: float = 1.0  # [-] of the parameter's ratio to the yaw inertia
+    pitch_inertia: float = 0.0  # [kg m^2]
+    pitch_share: float = 1.0  # [-] likewise
+    stiffness: float = 1e5 / _FOCCHI_AREA  # [N/m^3] F table 2
+    damping: float = 5e3 / _FOCCHI_AREA  # [N s/m^3]
+    stiffening: float = 0.0  # [s/m^2]
+    longest_step: float = 2e-3  # [s] of an integration step; docs/terrain.md: step halving
+    tilt_limit: float = math.radians(60.0)  # [rad] beyond the tipping angles of F's vehicle
+
+
+# Nothing but shares:
+SCALED = BodyOptions()
 
 
 @formula
-def nominal_height(p, made):
+def nominal_height(p, options):
     """Height [m] of the nominal centre of mass above the plane of the tracks."""
-    return made[0] + made[1] * p.contact_length
+    return options.height + options.height_ratio * p.contact_length
 
 
 @formula
-def sinkage_at_rest(p, made):
+def sinkage_at_rest(p, options):
     """Sinkage [m] of the tracks at rest on level ground."""
     area = 2.0 * p.contact_length * p.track_width
-    return soil.GRAVITY * p.mass / (made[6] * p.ground_stiffness_factor * area)
+    return soil.GRAVITY * p.mass / (options.stiffness * p.ground_stiffness_factor * area)
 
 
 @formula
-def height_at_rest(p, made):
+def height_at_rest(p, options):
     """Height [m] of the nominal centre of mass at rest on level ground at height 0."""
-    return nominal_height(p, made) - sinkage_at_rest(p, made)
+    return nominal_height(p, options) - sinkage_at_rest(p, options)
 
 
 @formula
-def body_of(p, lanes, count, made, by_torque, uniform):
-    """Tracked from PlantParameters with `count` patches a track; made: numbers as in SCALED."""
+def body_of(p, lanes, count, options, by_torque, uniform):
+    """Tracked from PlantParameters with `count` patches a track; options: BodyOptions."""
     firmness = p.ground_stiffness_factor if uniform else 1.0  # else of each patch
     footing = Footing(
-        nominal_height(p, made) + p.centre_of_mass_z, 0.5 * p.contact_length,
-        p.contact_length * p.track_width / count, made[6] * firmness, made[7] * firmness, made[8],
-        p.centre_of_mass_x, p.centre_of_mass_y,
-    )  # fmt: skip
+        nominal_height(p, options) + p.centre_of_mass_z,
+        0.5 * p.contact_length,
+        p.contact_length * p.track_width / count,
+        options.stiffness * firmness,
+        options.damping * firmness,
+        options.stiffening,
+        p.centre_of_mass_x,
+        p.centre_of_mass_y,
+    )
     roll, pitch = p.roll_inertia_ratio * p.inertia, p.pitch_inertia_ratio * p.inertia
-    inertia = Inertia(p.mass, made[2] + made[3] * roll, made[4] + made[5] * pitch, p.inertia)
+    inertia = Inertia(
+        p.mass,
+        options.roll_inertia + options.roll_share * roll,
+        options.pitch_inertia + options.pitch_share * pitch,
+        p.inertia,
+    )
     radius = p.sprocket_radius
     drive = BeltDrive(
         radius * radius / p.sprocket_inertia if by_torque else 0.0,

@@ -1,7 +1,7 @@
 """The distributed plant: patches of soil under each track, after Focchi et al. (2025).
 
-Shear of the soil is in `physics.patch_forces`, equations of motion and integrators in
-`physics.patch_dynamics`. Options:
+Shear of the soil, equations of motion and integrators are in `physics.patches_on_level_ground`.
+Options:
     patches     (along, across) a track
     integrator  "rosenbrock", or "euler": explicit, to compare with published simulators
     soil_at     "centre": one soil under the whole vehicle, that of its centre of mass; "tracks":
@@ -10,14 +10,14 @@ The vector lanes are the patches of one vehicle, so vehicles are taken one by on
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tracked_env import arrays as b
-from tracked_env.arrays import Batch
-from tracked_env.physics import lumped, patches_on_level_ground
+from tracked_env.physics import lumped
 from tracked_env.physics import parameters as s
+from tracked_env.physics import patches_on_level_ground as physics
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
@@ -36,16 +36,23 @@ from tracked_env.plants.base import Plant, Prepared
 from tracked_env.plants.lumped import REST, derive_free, derived
 from tracked_env.step import advance_blocks, hold_blocks
 from tracked_env.terrain import ground
-from tracked_env.terrain.ground import level
 from tracked_env.validation import checked_choice, checked_whole
 
 INTEGRATORS = ("rosenbrock", "euler")
 SOIL_AT = ("centre", "tracks")
-_PATCHES = Range(1, patches_on_level_ground.COLUMN_LIMIT, "-", "Did you pass a length?")
+_PATCHES = Range(1, physics.COLUMN_LIMIT, "-", "Did you pass a length?")
 NO_REST = -1.0  # [m/s, rad/s] every speed is a motion: the plant alone changes no digit
 _RESISTANCE_LEFT, _RESISTANCE_RIGHT = b.PLANT, b.PLANT + 1  # [N] at the end of the last step
 # What the lumped law of the lateral friction needs, and shear has no use for.
 LATERAL_LAW = {"lateral_resistance", "turning_resistance_factor", "icr_forward"}
+
+
+class Options(NamedTuple):
+    """Options of the plant, as its kernels take them."""
+
+    patches: Any  # `patches_on_level_ground.Patches`
+    by_torque: bool  # the action is a torque, else a speed
+    euler: bool
 
 
 @formula
@@ -91,22 +98,22 @@ def _write(floats, i, moved, torques, k, rest):
 
 
 @formula
-def _asked(floats, i, p, by_torque, options):
+def asked(floats, i, p, by_torque, commands):
     """Torques [N m] or belt speeds [m/s] that the action of vehicle i asks for."""
     largest = p.torque_limit if by_torque else p.sprocket_speed_limit * p.sprocket_radius
     return Belts(floats[i, b.ACTION] * largest, floats[i, b.ACTION + 1] * largest)
 
 
 @formula
-def _held(floats, i, p, by_torque, options):
-    """The same from options[0] (N, 2): torques [N m] or sprocket speeds [rad/s]."""
+def _held(floats, i, p, by_torque, commands):
+    """The same from commands (N, 2): torques [N m] or sprocket speeds [rad/s]."""
     factor = 1.0 if by_torque else p.sprocket_radius
-    return Belts(options[0][i, 0] * factor, options[0][i, 1] * factor)
+    return Belts(commands[i, 0] * factor, commands[i, 1] * factor)
 
 
 @formula
-def given_by_drives(asked, p, by_torque):
-    """What drives with these gains settle at: torques [N m], or belt speeds [m/s] as asked."""
+def driven(asked, p, by_torque):
+    """What drives with their gains settle at: torques [N m], or belt speeds [m/s] as asked."""
     if not by_torque:
         return asked
     return Belts(p.actuator_gain_left * asked.left, p.actuator_gain_right * asked.right)
@@ -116,45 +123,42 @@ def given_by_drives(asked, p, by_torque):
 def _one_soil(batch, i, period, p, parts, inverse_belt_mass, patches):
     """TrackedVehicle on the soil of its centre of mass; parts: coefficients, drive limits."""
     k, drive = parts
-    contact = patches_on_level_ground.contact_of(p, k, drive, patches)
-    return patches_on_level_ground.on_one_soil(k, drive, contact, inverse_belt_mass)
+    contact = physics.contact_of(p, k, drive, patches)
+    return physics.on_one_soil(k, drive, contact, inverse_belt_mass)
 
 
 @formula
 def _track_soil(terrain, p, x, y, patches):
     """(Contact, largest motion resistance [N]) of a track whose middle is at (x, y) [m]."""
-    there = ground.on_soil(p, ground.at(level, terrain, x, y).soil)
+    there = ground.on_soil(p, ground.at(ground.level, terrain, x, y).soil)
     k = lumped.coefficients(there, False)
-    contact = patches_on_level_ground.contact_of(there, k, lumped.drive_limits(there), patches)
-    return contact, k.resistance
+    return physics.contact_of(there, k, lumped.drive_limits(there), patches), k.resistance
 
 
 @formula
 def _two_soils(batch, i, period, p, parts, inverse_belt_mass, patches):
     """The same with the soil of the middle of each track."""
     k, drive = parts
-    floats = batch.floats
-    time = batch.counters[i, b.STEP] * period
-    terrain = ground.Terrain(floats, batch.events, i, batch.counters[i, b.EVENT_COUNT], time)
+    floats, counters = batch.floats, batch.counters
+    time = counters[i, b.STEP] * period
+    terrain = ground.Terrain(floats, batch.events, i, counters[i, b.EVENT_COUNT], time)
     cosine, sine = rotation(floats[i, b.STATE + s.YAW])
     x, y = floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
     aside_x, aside_y = -sine * k.half_gauge, cosine * k.half_gauge
     left, left_resistance = _track_soil(terrain, p, x + aside_x, y + aside_y, patches)
     right, right_resistance = _track_soil(terrain, p, x - aside_x, y - aside_y, patches)
-    return TrackedVehicle(
-        k, drive, (left, right), (left_resistance, right_resistance), inverse_belt_mass
-    )
+    resistances = (left_resistance, right_resistance)
+    return TrackedVehicle(k, drive, (left, right), resistances, inverse_belt_mass)
 
 
 @formula
-def _move(demand_of, soils, rest, batch, w, block, pace, chosen, options):
+def _move(demand_of, soils, rest, batch, w, block, pace, commands, options):
     """Advance (pace.substeps > 0) and settle the vehicle of the block.
 
-    demand_of: `_asked` or `_held`. soils: `_one_soil` or `_two_soils`. rest [m/s, rad/s]: slower
-    is no motion. chosen: patches, by_torque (the action is a torque, else a speed), euler.
+    demand_of: `asked` or `_held`, of commands. soils: `_one_soil` or `_two_soils`. rest [m/s,
+    rad/s]: slower is no motion.
     """
-    i = block.chosen[block.first]
-    patches, by_torque, euler = chosen
+    i, by_torque, patches = block.chosen[block.first], options.by_torque, options.patches
     floats, substeps = batch.floats, pace.substeps
     p = row_parameters(floats, i, b.PARAMETERS)
     k, drive = derived(floats, i)
@@ -168,69 +172,56 @@ def _move(demand_of, soils, rest, batch, w, block, pace, chosen, options):
         command = start[2]
     demand = command
     if substeps > 0:
-        demand = given_by_drives(demand_of(floats, i, p, by_torque, options), p, by_torque)
+        demand = driven(demand_of(floats, i, p, by_torque, commands), p, by_torque)
     half_decay = floats[i, b.TORQUE_DECAY]
+    decay = half_decay * half_decay
     body = soils(batch, i, pace.period, p, (k, drive), inverse_belt_mass, patches)
-    moved, given = patches_on_level_ground.advance(
-        w, start, command, demand, half_decay * half_decay, substeps, pace.h, body, patches, euler
+    moved, torques = physics.advance(
+        w, start, command, demand, decay, substeps, pace.h, body, patches, options.euler
     )
     if not by_torque:
-        given = Belts(
-            moved.loads.effort_left * p.sprocket_radius,
-            moved.loads.effort_right * p.sprocket_radius,
-        )
-    _write(floats, i, moved, given, k, rest)
+        loads, radius = moved.loads, p.sprocket_radius
+        torques = Belts(loads.effort_left * radius, loads.effort_right * radius)
+    _write(floats, i, moved, torques, k, rest)
 
 
 @formula
 def _move_on_one_soil(batch, w, block, pace, options):
     """As `advance_blocks` takes it."""
-    _move(_asked, _one_soil, REST, batch, w, block, pace, options, options)
+    _move(asked, _one_soil, REST, batch, w, block, pace, (), options)
 
 
 @formula
 def _move_on_two_soils(batch, w, block, pace, options):
     """The same with a soil under each track."""
-    _move(_asked, _two_soils, REST, batch, w, block, pace, options, options)
+    _move(asked, _two_soils, REST, batch, w, block, pace, (), options)
 
 
 @formula
 def _hold_on_one_soil(batch, w, block, pace, options):
     """As `hold_blocks` takes it."""
-    _move(_held, _one_soil, NO_REST, batch, w, block, pace, options[1:], options)
+    _move(_held, _one_soil, NO_REST, batch, w, block, pace, options[0], options[1])
 
 
 @loop
-def advance(
-    floats, counters, profile, events, noise, history, chosen, actions, observations,
-    start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler,
-):  # fmt: skip
-    """Kernel of the control step, see `engine.kernels`."""
-    scratch = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
-    batch = Batch(floats, counters, profile, events, noise, history)
-    given = (chosen, actions, observations)
-    rest = (start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler)
-    return advance_blocks(derive_free, _move_on_one_soil, 1, scratch, batch, given, rest)
+def advance(batch, rows, clock, options):
+    """Kernel of the control step, see `tracked_env.step`."""
+    w = np.empty((physics.SCRATCH_ROWS, physics.LANES))
+    return advance_blocks(derive_free, _move_on_one_soil, 1, w, batch, rows, clock, options)
 
 
 @loop
-def advance_on_two_soils(
-    floats, counters, profile, events, noise, history, chosen, actions, observations,
-    start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler,
-):  # fmt: skip
+def advance_on_two_soils(batch, rows, clock, options):
     """The same with a soil under each track."""
-    scratch = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
-    batch = Batch(floats, counters, profile, events, noise, history)
-    given = (chosen, actions, observations)
-    rest = (start, stop, moving, substeps, substep, error_limit, patches, by_torque, euler)
-    return advance_blocks(derive_free, _move_on_two_soils, 1, scratch, batch, given, rest)
+    w = np.empty((physics.SCRATCH_ROWS, physics.LANES))
+    return advance_blocks(derive_free, _move_on_two_soils, 1, w, batch, rows, clock, options)
 
 
 @loop
-def hold(*call):
+def hold(batch, chosen, pace, options):
     """Kernel of the plant alone, on uniform soil."""
-    scratch = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
-    return hold_blocks(derive_free, _hold_on_one_soil, 1, scratch, call)
+    w = np.empty((physics.SCRATCH_ROWS, physics.LANES))
+    hold_blocks(derive_free, _hold_on_one_soil, 1, w, batch, chosen, pace, options)
 
 
 @loop
@@ -248,28 +239,29 @@ def rolling(parameters: PlantParameters, state: VehicleState) -> VehicleState:
     )
 
 
-def checked_patches(given: object, allowed: Range = _PATCHES) -> tuple[int, int]:
+def checked_patches(patches: object, allowed: Range = _PATCHES) -> tuple[int, int]:
     """Numbers of patches along and across a track. Raises ValueError."""
-    if isinstance(given, (str, Mapping)) or not isinstance(given, Sequence) or len(given) != 2:
-        raise ValueError(f"patches = {given!r}; must be two numbers: along, across a track")
-    along, across = (
-        checked_whole(f"patches {way} the track", number, allowed)
-        for way, number in zip(("along", "across"), given, strict=True)
+    listed = isinstance(patches, Sequence) and not isinstance(patches, (str, Mapping))
+    if not listed or len(patches) != 2:  # type: ignore[arg-type]
+        raise ValueError(f"patches = {patches!r}; must be two numbers: along, across a track")
+    along, across = patches  # type: ignore[misc]
+    return (
+        checked_whole("patches along the track", along, allowed),
+        checked_whole("patches across the track", across, allowed),
     )
-    return along, across
 
 
 def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
-    patches = patches_on_level_ground.make_patches(*checked_patches(options["patches"]))
+    patches = physics.make_patches(*checked_patches(options["patches"]))
     euler = checked_choice("integrator", options["integrator"], INTEGRATORS) == "euler"
     split = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "tracks"
-    kernel = advance_on_two_soils if split else advance
-    chosen = (patches, drive == "torque", euler)
-    return Prepared(kernel, hold, chosen, rolling)
+    chosen = Options(patches, drive == "torque", euler)
+    return Prepared(advance_on_two_soils if split else advance, hold, chosen, rolling)
 
 
 _READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW - IN_SPACE
-DISTRIBUTED = Plant(
+_SOIL = ("cohesion", "friction_angle", "shear_deformation_modulus")
+PLANT = Plant(
     name="distributed",
     reads={"torque": _READ, "speed": _READ - OF_TORQUE_DRIVES},
     prepare=_prepare,
@@ -277,11 +269,6 @@ DISTRIBUTED = Plant(
     options={"patches": (10, 4), "integrator": "rosenbrock", "soil_at": "centre"},
     columns=2,
     threads_from=16,
-    panel=(
-        "mass", "inertia", "friction", "longitudinal_resistance", "cohesion", "friction_angle",
-        "shear_deformation_modulus",
-    ),
-    soil_map=(
-        "friction_angle", "cohesion", "longitudinal_resistance", "shear_deformation_modulus",
-    ),
-)  # fmt: skip
+    panel=("mass", "inertia", "friction", "longitudinal_resistance", *_SOIL),
+    soil_map=("friction_angle", "cohesion", "longitudinal_resistance", "shear_deformation_modulus"),
+)

@@ -1,25 +1,20 @@
-"""A plant without an environment: vehicles that are driven by given sprocket torques or speeds.
+"""Plants without an environment: vehicles that are driven by commanded sprocket torques or speeds.
 
     rig = Rig("distributed", parameters, count=2, drive="speed", step=1e-3)
-    rig.states[:, :6] = x, y, yaw, v_x, v_y, yaw_rate        columns as in `physics.state`
+    rig.states[:, :6] = x, y, yaw, v_x, v_y, yaw_rate        columns as in `physics.parameters`
     rig.advance(sprocket_speeds, 0.1)                        (2, 2) [rad/s] held for 0.1 s
     rig.state.v_x                                            (2,) [m/s]
-
-No reference, no sensors, no reward, uniform soil. The commands are in SI units and in double
-precision, while actions are shares of a limit in single precision.
-
-The plant on terrain without an environment: from a given state, with given sprocket speeds.
 
     rig = TerrainRig(VEHICLES["focchi"], {"terrain": {"kind": "plane", "slope_x": 0.2}})
     rig.place(position=(0.0, 0.0, 0.25), quaternion=(1.0, 0.0, 0.0, 0.0))     at rest
     rig.advance([[0.0, 0.0]], 1.0, to=[[5.0, 5.0]])       rad/s, linear in time over 1 s
-    rig.advance([[5.0, 5.0]], 2.0)                        held for 2 s
     rig.positions, rig.quaternions, rig.twists            (N, 3), (N, 4), (N, 6)
     rig.load, rig.largest_load                            (N,) normal loads [N]
 
-World axes x, y, z up; position of the nominal centre of mass, a point of the hull; quaternion
-(w, x, y, z) from body to world; twist (v_x, v_y, v_z, roll, pitch, yaw rate) in body axes.
-`plants.standalone` drives every plant.
+No reference, no sensors, no reward, uniform soil. The commands are in SI units and in double
+precision, while actions are shares of a limit in single precision. On terrain the world axes are
+x, y, z up; position of the nominal centre of mass, a point of the hull; quaternion (w, x, y, z)
+from body to world; twist (v_x, v_y, v_z, roll, pitch, yaw rate) in body axes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,16 +28,13 @@ from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import PlantParameters, VehicleState
 from tracked_env.physics.rigid_body import Quaternion, angles_of, quaternion_of
 from tracked_env.physics.terrain_motion import height_at_rest
-from tracked_env.plants import find, prepared, terrain
-from tracked_env.plants import terrain as terrain_state
-from tracked_env.plants.base import Plant
-from tracked_env.plants.terrain import LONGEST_STEP, made_of, resting
+from tracked_env.plants import Plant, find, prepared, terrain
+from tracked_env.step import Pace
 from tracked_env.terrain.pool import make_pool
 
 Floats = NDArray[np.float64]
-
-
 STEP = 0.0025  # [s] longest integration step, by default
+_TWIST = [s.V_X, s.V_Y, s.V_Z, s.ROLL_RATE, s.PITCH_RATE, s.YAW_RATE]
 
 
 class Driven(Protocol):
@@ -83,7 +75,7 @@ class Rig:
 
     @property
     def states(self) -> Floats:
-        """(N, STATE_ROWS) states, to be read and written; columns: `physics.state`."""
+        """(N, STATE_ROWS) states, to be read and written; columns: `physics.parameters`."""
         return self._batch.state()
 
     @property
@@ -91,30 +83,27 @@ class Rig:
         """The same by name, each (N,)."""
         return VehicleState(*self.states.T)
 
-    def advance(self, commands: Floats, duration: float) -> None:
+    def advance(self, commands: ArrayLike, duration: float) -> None:
         """Hold commands (N, 2) for `duration` [s]: torques [N m] or sprocket speeds [rad/s].
 
         Raises ValueError for commands of another shape or that are not finite.
         """
-        commands = np.ascontiguousarray(commands, dtype=np.float64)
-        if commands.shape != (self._chosen.size, 2) or not np.isfinite(commands).all():
-            raise ValueError(
-                f"commands of shape {commands.shape}; must be finite numbers of shape "
-                f"({self._chosen.size}, 2): left and right, in N m or rad/s"
-            )
-        self._hold(commands, duration)
+        self._hold([commands], duration)
 
-    def _hold(self, commands: Floats, duration: float) -> None:
-        """The plant's kernel over `duration` [s], with commands as it takes them."""
+    def _hold(self, ends: Sequence[ArrayLike], duration: float) -> None:
+        """The plant's kernel over `duration` [s], with commands at its beginning and at its end."""
+        listed, shape = [np.asarray(end, dtype=np.float64) for end in ends], (self._chosen.size, 2)
+        for end in listed:
+            if end.shape != shape or not np.isfinite(end).all():
+                raise ValueError(
+                    f"commands of shape {end.shape}; must be finite numbers of shape {shape}: "
+                    "left and right, in N m or rad/s"
+                )
+        commands = np.ascontiguousarray(np.concatenate(listed, axis=1))
         steps = max(round(duration / self._step), 1) if duration > 0.0 else 0
+        pace = Pace(steps, duration / max(steps, 1), steps * (duration / max(steps, 1)))
         assert self._prepared.hold is not None
-        self._prepared.hold(
-            *self._batch, self._chosen, 0, self._chosen.size, steps, duration / max(steps, 1),
-            commands, *self._prepared.options,
-        )  # fmt: skip
-
-
-_TWIST = [s.V_X, s.V_Y, s.V_Z, s.ROLL_RATE, s.PITCH_RATE, s.YAW_RATE]
+        self._prepared.hold(self._batch, self._chosen, pace, (commands, self._prepared.options))
 
 
 class TerrainRig(Rig):
@@ -126,7 +115,7 @@ class TerrainRig(Rig):
         options: Mapping[str, Any] | None = None,
         count: int = 1,
         drive: str = "speed",
-        step: float = LONGEST_STEP,
+        step: float = terrain.LONGEST_STEP,
     ) -> None:
         """On the ground at (0, 0), at rest.
 
@@ -134,20 +123,19 @@ class TerrainRig(Rig):
         ValueError for a wrong option.
         """
         options = {**(options or {}), "longest_step": step}
-        super().__init__(terrain.TERRAIN, parameters, count, drive, step, options)
+        super().__init__(terrain.PLANT, parameters, count, drive, step, options)
         self.field = make_pool(options.get("terrain", "flat")).fields[0]
-        self._made = made_of({**terrain.TERRAIN.options, **options})
+        self._body = terrain.body_options({**terrain.PLANT.options, **options})
         self._parameters = parameters
-        self._rest = float(height_at_rest(parameters, self._made))
+        self._rest = float(height_at_rest(parameters, self._body))
         for row in range(count):
             self.stand(0.0, 0.0, 0.0, row)
 
     def stand(self, x: float, y: float, yaw: float, row: int = 0) -> None:
         """Put a vehicle on the ground at (x, y) [m] with that yaw [rad], at rest."""
-        pose = resting(self.field.at, self._parameters, self._made, x, y, yaw)
+        pose = terrain.resting(self.field.at, self._parameters, self._body, x, y, yaw)
         self.states[row] = 0.0
-        names = [s.X, s.Y, s.YAW, s.Z, s.PITCH, s.ROLL]
-        self.states[row, names] = x, y, yaw, pose.z, pose.pitch, pose.roll
+        self.states[row, [s.X, s.Y, s.YAW, s.Z, s.PITCH, s.ROLL]] = x, y, yaw, *pose
         self._settle()
 
     def place(
@@ -158,11 +146,10 @@ class TerrainRig(Rig):
         row: int = 0,
     ) -> None:
         """Give a vehicle a state; its belts stand."""
-        q = np.array(quaternion, dtype=float)
-        yaw, pitch, roll = angles_of(Quaternion(*(q / np.linalg.norm(q))), 0.0)
+        q, (x, y, z) = np.array(quaternion, dtype=float), position
+        angles = angles_of(Quaternion(*(q / np.linalg.norm(q))), 0.0)
         self.states[row] = 0.0
-        names = [s.X, s.Y, s.Z, s.YAW, s.PITCH, s.ROLL]
-        self.states[row, names] = *position[:2], position[2] - self._rest, yaw, pitch, roll
+        self.states[row, [s.X, s.Y, s.Z, s.YAW, s.PITCH, s.ROLL]] = x, y, z - self._rest, *angles
         self.states[row, _TWIST] = twist
         self._settle()
 
@@ -172,68 +159,53 @@ class TerrainRig(Rig):
         Sprocket speeds [rad/s] or torques [N m]. Raises ValueError for commands of another shape
         or that are not finite.
         """
-        ends = [commands] if to is None else [commands, to]
-        given = [np.asarray(end, dtype=np.float64) for end in ends]
-        shape = (self._chosen.size, 2)
-        for end in given:
-            if end.shape != shape or not np.isfinite(end).all():
-                raise ValueError(
-                    f"commands of shape {end.shape}; must be finite numbers of shape {shape}: "
-                    "left and right, in N m or rad/s"
-                )
-        self._hold(np.ascontiguousarray(np.concatenate(given, axis=1)), duration)
+        self._hold([commands] if to is None else [commands, to], duration)
 
     def _settle(self) -> None:
         """Bring loads and efforts up to date with the states."""
-        self._hold(np.zeros((self._chosen.size, 2)), 0.0)
+        self._hold([np.zeros((self._chosen.size, 2))], 0.0)
 
     @property
     def positions(self) -> Floats:
         """(N, 3) nominal centre of mass [m], world."""
-        xyz = self.states[:, [s.X, s.Y, s.Z]]
-        xyz[:, 2] += self._rest
-        return xyz
+        return self.states[:, [s.X, s.Y, s.Z]] + [0.0, 0.0, self._rest]
 
     @property
     def quaternions(self) -> Floats:
         """(N, 4) w, x, y, z, body to world."""
-        angles = self.states[:, [s.YAW, s.PITCH, s.ROLL]]
-        return np.array([quaternion_of(*row) for row in angles])
+        return np.array([quaternion_of(*row) for row in self.states[:, [s.YAW, s.PITCH, s.ROLL]]])
 
     @property
     def twists(self) -> Floats:
         """(N, 6) velocity [m/s] and angular velocity [rad/s], body axes."""
         return self.states[:, _TWIST]
 
-    def _own(self, *columns: int) -> Floats:
-        return self._batch.floats[:, list(columns)].sum(axis=1)
+    @property
+    def track_loads(self) -> Floats:
+        """(N, 2) normal load [N] of the left and the right track."""
+        return self._batch.floats[:, [terrain.LOAD_LEFT, terrain.LOAD_RIGHT]]
 
     @property
     def load(self) -> Floats:
         """(N,) normal load [N] of both tracks."""
-        return self._own(terrain_state.LOAD_LEFT, terrain_state.LOAD_RIGHT)
-
-    @property
-    def track_loads(self) -> Floats:
-        """(N, 2) normal load [N] of the left and the right track."""
-        return self._batch.floats[:, [terrain_state.LOAD_LEFT, terrain_state.LOAD_RIGHT]]
+        return self.track_loads.sum(axis=1)
 
     @property
     def largest_load(self) -> Floats:
         """(N,) largest normal load [N] of a patch."""
-        return self._own(terrain_state.LARGEST_LOAD)
+        return self._batch.floats[:, terrain.LARGEST_LOAD].copy()
 
     @property
     def touching(self) -> Floats:
         """(N,) share [-] of the patches in contact: 0 in flight."""
-        return self._own(terrain_state.TOUCHING)
+        return self._batch.floats[:, terrain.TOUCHING].copy()
 
     @property
     def off_map(self) -> NDArray[np.bool_]:
         """(N,) whether a patch is off the map."""
-        return self._own(terrain_state.OFF_MAP) > 0.0
+        return self._batch.floats[:, terrain.OFF_MAP] > 0.0
 
     @property
     def saturated(self) -> NDArray[np.bool_]:
         """(N,) whether the uniform load has reached the moment at which a vehicle tips."""
-        return self._own(terrain_state.SATURATED) > 0.0
+        return self._batch.floats[:, terrain.SATURATED] > 0.0

@@ -55,11 +55,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracked_env.engine.noise import addresses, uniform
 from tracked_env.physics import reference_profile
 from tracked_env.physics.elementary import fused
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, sample_profile
+from tracked_env.streams import addresses, uniform
 
 FloatArray = NDArray[np.float64]
 

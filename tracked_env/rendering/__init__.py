@@ -1,19 +1,11 @@
 """Pictures of a running simulation, with pygame: import this package only to draw.
 
-    canvas       colours, text, surfaces          snapshot   what one picture shows, from the arrays
-    sizes        scales, by the vehicle           drives     numbers and bars of the drives
-    quantities   labels, units, displayed ranges  afterglow  what a picture needs of those before it
-    soil_map     the ground, coloured             scene      the vehicle and paths, from above
-    panel        numbers, bars and the overview   renderer   puts them together
-    belief_rows  estimates beside the truth       tile       few large numbers instead of a panel
-    side_by_side several pictures in one
-On terrain and from behind the vehicle:
-    terrain_source  heights, loads, pose          hill_shading   brightness of slopes, contour lines
-    terrain_strip   profile, loads, tilt          raster         depth buffer: ground and polygons
-    landscape       ground of an episode          vehicle_mesh   the vehicle as polygons
-    chase_camera    where the eye stands          perspective    puts these together
-In a browser, with the extra `viewer`: recording (an episode as arrays), viewer (page and server).
-World frame: x to the right, y up.
+    canvas      colours, texts, labels, scales       snapshot     what a picture shows; terrain
+    soil_map    the ground from above, its relief    scene        vehicle and paths from above, mesh
+    legend      texts over the scene, terrain strip  panel        numbers, bars, beliefs, overview
+    raster      depth buffer: ground and polygons    perspective  the scene from behind the vehicle
+    renderer    puts them together                   viewer       an episode as a page for a browser
+The viewer needs the extra `viewer`. World frame: x to the right, y up.
 """
 
 import os

@@ -1,32 +1,35 @@
-"""Colours, text and surfaces: what every part of a picture is drawn with.
+"""What every part of a picture is drawn with: colours, texts, surfaces, labels and scales.
 
 Colours are those of Okabe and Ito, which colour-blind readers can tell apart [1]; scales vary
-in lightness, so that they also survive a grey print.
+in lightness, so that they also survive a grey print. Lengths in pictures are proportional to the
+contact length, forces to the usual resistance of the environment's nominal vehicle on its soil: a
+light vehicle fills the picture as a heavy one does, and no episode moves the scales.
 
 References: [1] Okabe, Ito, Color Universal Design, 2008.
-
-Several pictures of one size in one, each under its name: two in a row, four in a square.
-
-Names are in large letters, which can be read in a film that is shown in a column of a page.
 """
 
-import importlib.util
 import math
-from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pygame
 from numpy.typing import NDArray
 
+from tracked_env.physics.lumped import drive_limits
+from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, VEHICLES, PlantParameters
+
 Colour = tuple[int, int, int]
 Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float64]
 
 INK: Colour = (33, 37, 41)
 MUTED: Colour = (98, 106, 114)
 RULE: Colour = (214, 218, 222)
 PAPER: Colour = (252, 252, 251)
 WHITE: Colour = (255, 255, 255)
+FIELD: Colour = (238, 240, 242)  # behind bars and bands
 BLUE: Colour = (0, 114, 178)  # reference
 PALE_BLUE: Colour = (116, 166, 199)  # the part of it that is past
 GREEN: Colour = (0, 140, 102)  # tractive effort
@@ -34,15 +37,12 @@ VERMILLION: Colour = (213, 94, 0)  # motion resistance; what has changed
 PURPLE: Colour = (170, 64, 126)  # lateral force
 QUANTITY_COLOURS = (INK, MUTED, BLUE, PALE_BLUE, GREEN, VERMILLION, PURPLE)
 
-_MASKS = (0xFF0000, 0x00FF00, 0x0000FF)
-_TEXT_CACHE = 2048  # [-] rendered strings kept
-_SUBSTITUTES = str.maketrans({"→": ">"})  # where the font lacks them
+_TEXT_CACHE = 2048  # [-] rendered strings that are kept
 
 
 def colour_scale(*stops: Colour) -> Bytes:
     """256 colours (256, 3) through equally spaced stops."""
-    grid = np.linspace(0.0, 1.0, 256)
-    at = np.linspace(0.0, 1.0, len(stops))
+    grid, at = np.linspace(0.0, 1.0, 256), np.linspace(0.0, 1.0, len(stops))
     channels = [np.interp(grid, at, [stop[c] for stop in stops]) for c in range(3)]
     return np.round(np.stack(channels, axis=1)).astype(np.uint8)
 
@@ -62,7 +62,7 @@ def slip_colour(slip: float) -> Colour:
     return r, g, b
 
 
-def load_colours(loads: NDArray[np.float64], full: float) -> Bytes:
+def load_colours(loads: Floats, full: float) -> Bytes:
     """Colours (..., 3) of normal loads (...) [N]; full [N]: end of the scale."""
     share = np.clip(np.nan_to_num(loads) / full, 0.0, 1.0)
     return LOAD_SCALE[(255.0 * share).astype(np.uint8)]
@@ -79,7 +79,7 @@ def surface(width: int, height: int, transparent: bool = False) -> pygame.Surfac
     """A 32-bit surface in memory; needs no window."""
     if transparent:
         return pygame.Surface((width, height), pygame.SRCALPHA, 32)
-    return pygame.Surface((width, height), 0, 32, (*_MASKS, 0))
+    return pygame.Surface((width, height), 0, 32, (0xFF0000, 0x00FF00, 0x0000FF, 0))
 
 
 def paint(target: pygame.Surface, pixels: Bytes) -> None:
@@ -104,23 +104,14 @@ def colour_bar(scale: Bytes, width: int, height: int) -> pygame.Surface:
     return bar
 
 
-def _font_files() -> tuple[str | None, str | None]:
-    """DejaVu Sans, regular and bold, as matplotlib ships it; else the font of pygame."""
-    found = importlib.util.find_spec("matplotlib")
-    if found is not None and found.origin is not None:
-        folder = Path(found.origin).parent / "mpl-data" / "fonts" / "ttf"
-        files = folder / "DejaVuSans.ttf", folder / "DejaVuSans-Bold.ttf"
-        if all(file.exists() for file in files):
-            return str(files[0]), str(files[1])
-    return None, None
-
-
 class Text:
-    """Writes strings, and keeps the latest ones rendered."""
+    """Writes strings in DejaVu Sans, as matplotlib ships it, and keeps the latest ones rendered."""
 
     def __init__(self) -> None:
         """Find the fonts; none is loaded yet."""
-        self._files = _font_files()
+        spec = find_spec("matplotlib")  # importing it takes long
+        assert spec is not None and spec.origin is not None
+        self._folder = Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf"
         self._fonts: dict[tuple[int, bool], pygame.font.Font] = {}
         self._cache: dict[tuple[str, int, bool, Colour], pygame.Surface] = {}
 
@@ -128,9 +119,9 @@ class Text:
         if not pygame.font.get_init():
             pygame.font.init()
         if (size, bold) not in self._fonts:
-            self._fonts[size, bold] = pygame.font.Font(self._files[bold], size)
-        written = string if self._files[bold] else string.translate(_SUBSTITUTES)
-        return self._fonts[size, bold].render(written, True, colour)
+            file = self._folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")
+            self._fonts[size, bold] = pygame.font.Font(str(file), size)
+        return self._fonts[size, bold].render(string, True, colour)
 
     def image(self, string: str, size: int, bold: bool, colour: Colour) -> pygame.Surface:
         """The string as a surface with a transparent ground."""
@@ -140,7 +131,7 @@ class Text:
                 self._cache.clear()
             try:
                 self._cache[key] = self._render(*key)
-            except pygame.error:  # someone called pygame.quit(): the fonts are gone
+            except pygame.error:  # pygame.quit() was called: the fonts are gone
                 self._fonts.clear()
                 self._cache[key] = self._render(*key)
         return self._cache[key]
@@ -162,29 +153,146 @@ class Text:
         return image.get_width()
 
 
-TITLE = 34  # [px] height of the strip with a name
-GAP = 4  # [px] between two pictures
+class Label(NamedTuple):
+    """How a parameter is written; the displayed value is the SI value times `factor`."""
+
+    label: str
+    unit: str
+    factor: float
+    decimals: int
+    low: float = 0.0  # display unit, lower end of the colour scale
+    high: float = 1.0  # display unit, upper end of the colour scale
+
+    @property
+    def with_unit(self) -> str:
+        """The label, and behind it the unit in brackets where there is one."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+    def number(self, value: float, usual: float = 0.0) -> str:
+        """The value in its display unit, without the unit.
+
+        usual: a value that the decimals have to show to within ROUNDING; 0: as many as usual.
+        """
+        shown, decimals = usual * self.factor, self.decimals
+        while abs(round(shown, decimals) - shown) > ROUNDING * abs(shown):
+            decimals += 1
+        return f"{value * self.factor:.{decimals}f}"
+
+    def share(self, value: Any) -> Any:
+        """Position of a number or an array on the colour scale; beyond its ends outside [0, 1]."""
+        return (value * self.factor - self.low) / (self.high - self.low)
 
 
-def side_by_side(names: Sequence[str], pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """Pictures (height, width, 3) of one size as one; its sizes are even, as films need them."""
-    count = len(pictures)
-    columns = math.ceil(math.sqrt(count))
-    rows = math.ceil(count / columns)
-    height, width = pictures[0].shape[:2]
-    whole = surface(
-        _even(columns * width + (columns - 1) * GAP), _even(rows * (TITLE + height) + rows * GAP)
+ROUNDING = 0.05  # [-] of the usual value of a parameter
+_DEG = 57.29577951308232  # [deg/rad]
+LABELS = {
+    "mass": Label("mass m", "kg", 1.0, 0),
+    "inertia": Label("yaw inertia I", "kg m²", 1.0, 0),
+    "track_gauge": Label("track gauge B", "m", 1.0, 2),
+    "track_width": Label("track width w", "m", 1.0, 2),
+    "contact_length": Label("contact length l", "m", 1.0, 2),
+    "sprocket_radius": Label("sprocket radius r", "m", 1.0, 3),
+    "torque_limit": Label("torque limit", "kN m", 1e-3, 2),
+    "sprocket_speed_limit": Label("sprocket speed limit", "rad/s", 1.0, 1),
+    "drive_time_constant": Label("drive time constant", "ms", 1e3, 0),
+    "sprocket_inertia": Label("sprocket inertia J", "kg m²", 1.0, 2),
+    "cohesion": Label("cohesion c", "kPa", 1e-3, 1, 0.0, 80.0),
+    "friction_angle": Label("friction angle φ", "°", _DEG, 1, 0.0, 45.0),
+    "shear_deformation_modulus": Label("shear deformation K", "mm", 1e3, 1, 0.0, 40.0),
+    "longitudinal_resistance": Label("motion resistance", "", 1.0, 2, 0.0, 1.2),
+    "lateral_resistance": Label("lateral resistance", "", 1.0, 2, 0.0, 1.2),
+    "turning_resistance_factor": Label("turning factor", "", 1.0, 2),
+    "icr_forward": Label("ICR forward d", "m", 1.0, 2),
+    "ground_stiffness_factor": Label("ground stiffness factor", "", 1.0, 2, 0.0, 1.5),
+    # What follows from parameters and may be shown in their place.
+    "friction": Label("friction μ = tan φ", "", 1.0, 2),
+    "effort_maximum": Label("largest effort of a track", "kN", 1e-3, 1),
+}
+for _name in PARAMETER_NAMES:  # those without an entry of their own
+    _unit = RANGES[_name].unit.replace("^2", "²")
+    LABELS.setdefault(_name, Label(_name.replace("_", " "), "" if _unit == "-" else _unit, 1.0, 2))
+
+
+def value_of(parameters: PlantParameters, name: str) -> float:
+    """SI value of a parameter, or of what follows from parameters."""
+    if name == "friction":
+        return math.tan(parameters.friction_angle)
+    if name == "effort_maximum":
+        return float(drive_limits(parameters).effort_maximum)
+    return float(getattr(parameters, name))
+
+
+ZOOM = (40.0, 200.0)  # [px] allowed for one contact length
+DEFAULT_ZOOM = 80.0  # [px] for one contact length
+STANDARD = VEHICLES["strawa"]  # the forces below are of this vehicle, of others in proportion
+FORCE_SCALE = 0.15e-3  # [m/N] length of an arrow
+FORCE_SHOWN = 100.0  # [N] smaller forces get no arrow
+FORCE_SAMPLE = 5e3  # [N] about what the sample arrow shows
+
+
+class Sizes(NamedTuple):
+    """Scales of a vehicle's pictures."""
+
+    length: float  # [m] contact length
+    force_scale: float  # [m/N] length of an arrow
+    force_shown: float  # [N] smaller forces get no arrow
+    force_sample: float  # [N] of the sample arrow, a round number
+
+
+def sizes_of(vehicle: PlantParameters) -> Sizes:
+    """Sizes in pictures of that vehicle."""
+
+    def usual_resistance(p: PlantParameters) -> float:
+        """Of the soil to sliding ahead and aside, over g [kg]."""
+        return p.mass * (p.longitudinal_resistance + p.lateral_resistance)
+
+    longer = vehicle.contact_length / STANDARD.contact_length
+    stronger = usual_resistance(vehicle) / usual_resistance(STANDARD)
+    decade = 10.0 ** math.floor(math.log10(FORCE_SAMPLE * stronger))
+    rounded = (decade * x for x in (2.0, 5.0) if decade * x <= FORCE_SAMPLE * stronger)
+    return Sizes(
+        vehicle.contact_length,
+        FORCE_SCALE * longer / stronger,
+        FORCE_SHOWN * stronger,
+        max(rounded, default=decade),
     )
-    whole.fill(PAPER)
-    text = Text()
-    for number, (name, picture) in enumerate(zip(names, pictures, strict=True)):
-        row, column = divmod(number, columns)
-        x, y = column * (width + GAP), row * (height + TITLE + GAP)
-        pygame.draw.rect(whole, INK, (x, y, width, TITLE))
-        text.put(whole, name, x + 12, y + 5, 20, WHITE, bold=True)
-        paint(whole.subsurface((x, y + TITLE, width, height)), picture)
-    return to_array(whole)
 
 
-def _even(size: int) -> int:
-    return size + size % 2
+def default_zoom(length: float) -> int:
+    """Pixels per metre for a vehicle with that contact length [m]."""
+    return round(DEFAULT_ZOOM / length)
+
+
+def checked_zoom(pixels_per_metre: int, *lengths: float) -> int:
+    """The zoom, if it is a whole number that suits one of the contact lengths [m].
+
+    Without lengths: one of any preset vehicle. Raises ValueError for anything else.
+    """
+    suited = lengths or [vehicle.contact_length for vehicle in VEHICLES.values()]
+    low, high = math.ceil(ZOOM[0] / max(suited)), math.floor(ZOOM[1] / min(suited))
+    if pixels_per_metre not in range(low, high + 1):
+        whose = f" for a vehicle with {lengths[0]:g} m of contact" if lengths else ""
+        raise ValueError(
+            f"pixels_per_metre = {pixels_per_metre}; must be an int in [{low}, {high}]{whose}"
+        )
+    return int(pixels_per_metre)
+
+
+class Grid(NamedTuple):
+    """Lines on the ground."""
+
+    side: int  # [m] between thick lines, which have labels
+    parts: int  # [-] from one of them to the next
+
+
+def grid_of(pixels_per_metre: int) -> Grid:
+    """Lines that are neither crowded nor lost at that zoom."""
+    if pixels_per_metre <= 100:
+        return Grid(5, 5)
+    return Grid(2, 4) if pixels_per_metre <= 200 else Grid(1, 5)
+
+
+def scale_bar(pixels_per_metre: int) -> float:
+    """Length [m] of the bar that shows the scale, 40 to 100 px."""
+    steps = ((50, 2.0), (100, 1.0), (200, 0.5))
+    return next((metres for zoom, metres in steps if pixels_per_metre <= zoom), 0.2)

@@ -1,38 +1,39 @@
-"""Texts over the scene: key, scales, coordinates of the grid, notices.
+"""Texts over the scene, and the strip below it on a terrain.
 
-The strip below the scene on a terrain: profile along the path, loads under the tracks, tilt.
-
-profile  height of the ground under the reference against the distance along it
-loads    normal load of each patch, seen from above, the front at the top, one linear scale
-tilt     the vehicle from behind (roll) and from its right side (pitch), with the tilt limit
-
-Texts of a small picture, one of many in a film of a vector environment.
-
-Tiles of a film are a few hundred pixels wide: only time, error, speed and slip are written, in
-letters of 5 % of the picture's height, which can be read at a quarter of its size.
+Over the scene: key of lines, scales, coordinates of the grid, notices. The strip:
+    profile  height of the ground under the reference against the distance along it
+    loads    normal load of each patch, seen from above, the front at the top, one linear scale
+    tilt     the vehicle from behind (roll) and from its right side (pitch), with the tilt limit
 """
 
 import math
 
 import numpy as np
 import pygame
-from numpy.typing import NDArray
 
 from tracked_env.rendering import canvas
-from tracked_env.rendering.canvas import Colour, Text
+from tracked_env.rendering.canvas import MUTED, Colour, Floats, Text, grid_of, scale_bar
 from tracked_env.rendering.scene import DECK, HULL
-from tracked_env.rendering.sizes import Sizes, grid_of, scale_bar
-from tracked_env.rendering.snapshot import BodyPose, Snapshot, TerrainSource, pose_of
+from tracked_env.rendering.snapshot import BodyPose, Snapshot, TerrainSource
 from tracked_env.rendering.soil_map import SoilMap
 
-_NOTICE = (33, 37, 41, 225)
-
-
 WIDTH, HEIGHT = 680, 640  # [px] of the scene
-TOP, BOTTOM = 26, 44  # [px] height of the strips
+TOP, BOTTOM = 26, 44  # [px] height of the strips over it
 _VEIL = (252, 252, 251, 242)
+_NOTICE = (33, 37, 41, 225)
+_BAR, _SLIP_BAR = 120, 160  # [px] width of the colour bars
 
-_BAR = 120  # [px] width of a colour bar
+STRIP_WIDTH, STRIP_HEIGHT = 960, 160  # [px]
+_PROFILE = pygame.Rect(48, 30, 400, 98)
+_LOADS = (pygame.Rect(528, 30, 40, 98), pygame.Rect(588, 30, 40, 98))  # left, right track
+_DIALS = ((752, 84), (884, 84))  # [px] middles: roll, pitch
+_RADIUS = 46  # [px] of a dial
+_MARGIN = 0.15  # [-] of the range of heights, above and below the profile
+_FLATTEST = 0.25  # [contact lengths] range of heights that is shown at least
+_POINTS = 400  # [-] of the profile
+_LONGEST = 1.3  # [contact lengths] width of a silhouette at most
+_NEAR_LIMIT = 0.8  # [-] of the tilt limit, from which tilt is written in vermillion
+EARTH: Colour = (219, 199, 166)
 
 
 def _veil(picture: pygame.Surface, box: pygame.Rect, colour: tuple[int, int, int, int]) -> None:
@@ -50,11 +51,11 @@ def coordinates(ground: pygame.Surface, text: Text, left: float, top: float, zoo
     for column in range(x0 // side + 1, (x0 + WIDTH - 1) // side + 1):
         x = column * side - x0
         if x < WIDTH - 40:
-            text.put(ground, f"x {metres * column}", x + 4, TOP + 3, 10, canvas.MUTED)
+            text.put(ground, f"x {metres * column}", x + 4, TOP + 3, 10, MUTED)
     for row in range(y0 // side + 1, (y0 + HEIGHT - 1) // side + 1):
         y = row * side - y0
         if TOP + 20 < y < HEIGHT - BOTTOM - 16:
-            text.put(ground, f"y {-metres * row}", 4, y + 3, 10, canvas.MUTED)
+            text.put(ground, f"y {-metres * row}", 4, y + 3, 10, MUTED)
 
 
 def draw(
@@ -71,16 +72,21 @@ def draw(
     _veil(picture, pygame.Rect(0, HEIGHT - BOTTOM, WIDTH, BOTTOM), _VEIL)
     y = HEIGHT - BOTTOM
     if zoom is not None:
-        _lengths(picture, text, y, zoom, shot.sizes)
+        _lengths(picture, text, shot, y, zoom)
     _soil_bar(picture, text, soil, shot, y)
-    _slip_bar(picture, text, y, shot.loads is not None)
+    _slip_bar(picture, text, shot, y)
     lines = [*notices, shot.ending] if shot.ending else notices
-    _notices(picture, text, lines)
+    if lines:
+        width = max(text.image(line, 13, True, canvas.WHITE).get_width() for line in lines) + 28
+        box = pygame.Rect((WIDTH - width) // 2, TOP + 20, width, 18 * len(lines) + 12)
+        _veil(picture, box, _NOTICE)
+        for row, line in enumerate(lines):
+            text.put(picture, line, WIDTH // 2, box.y + 6 + 18 * row, 13, canvas.WHITE, True, 0.5)
 
 
 def _key(picture: pygame.Surface, text: Text, arrows: bool) -> None:
     """Key of lines, outlines and, if there are any, arrows."""
-    entries: tuple[tuple[str, Colour, str], ...] = (
+    entries = [
         ("line", canvas.BLUE, "reference"),
         ("line", canvas.PALE_BLUE, "past"),
         ("box", canvas.BLUE, "reference pose"),
@@ -88,11 +94,9 @@ def _key(picture: pygame.Surface, text: Text, arrows: bool) -> None:
         ("arrow", canvas.GREEN, "tractive effort"),
         ("arrow", canvas.VERMILLION, "motion resistance"),
         ("arrow", canvas.PURPLE, "lateral force"),
-    )
+    ]
     x, middle = 8, TOP // 2
-    for kind, colour, label in entries:
-        if kind == "arrow" and not arrows:
-            continue
+    for kind, colour, label in entries if arrows else entries[:4]:
         if kind == "box":
             pygame.draw.rect(picture, colour, (x, middle - 4, 14, 9), 2)
         else:
@@ -101,19 +105,18 @@ def _key(picture: pygame.Surface, text: Text, arrows: bool) -> None:
             tip = [(x + 16, middle), (x + 9, middle - 4), (x + 9, middle + 4)]
             pygame.draw.polygon(picture, colour, tip)
         x += 20
-        x += text.put(picture, label, x, middle - 7, 11) + 11
+        x += text.put(picture, label, x, middle - 7) + 11
 
 
-def _lengths(picture: pygame.Surface, text: Text, y: int, zoom: int, sizes: Sizes) -> None:
+def _lengths(picture: pygame.Surface, text: Text, shot: Snapshot, y: int, zoom: int) -> None:
     """Scale of lengths and of forces."""
-    metres, force = scale_bar(zoom), sizes.force_sample
+    metres, force = scale_bar(zoom), shot.sizes.force_sample
     x, length = 14, round(metres * zoom)
-    text.put(picture, f"{metres:g} m", x, y + 6, 11)
+    text.put(picture, f"{metres:g} m", x, y + 6)
     pygame.draw.rect(picture, canvas.INK, (x, y + 28, length, 4))
     pygame.draw.rect(picture, canvas.WHITE, (x + length // 2, y + 29, length // 2 - 1, 2))
-    x, length = 134, round(force * sizes.force_scale * zoom)
-    label = f"{force / 1e3:g} kN" if force >= 1e3 else f"{force:g} N"
-    text.put(picture, label, x, y + 6, 11)
+    x, length = 134, round(force * shot.sizes.force_scale * zoom)
+    text.put(picture, f"{force / 1e3:g} kN" if force >= 1e3 else f"{force:g} N", x, y + 6)
     pygame.draw.line(picture, canvas.INK, (x, y + 30), (x + length - 6, y + 30), 3)
     tip = [(x + length, y + 30), (x + length - 9, y + 25), (x + length - 9, y + 35)]
     pygame.draw.polygon(picture, canvas.INK, tip)
@@ -121,68 +124,38 @@ def _lengths(picture: pygame.Surface, text: Text, y: int, zoom: int, sizes: Size
 
 def _soil_bar(picture: pygame.Surface, text: Text, soil: SoilMap, shot: Snapshot, y: int) -> None:
     """The colours of the ground, and the value below the vehicle."""
-    quantity, x = soil.quantity, 236
-    unit = f" [{quantity.unit}]" if quantity.unit else " [-]"
-    text.put(picture, f"soil: {quantity.label}{unit}", x, y + 6, 11)
-    low, high = f"{quantity.low:g}", f"{quantity.high:g}"
-    start = x + text.put(picture, low, x, y + 23, 11) + 6
+    label, x = soil.label, 236
+    text.put(picture, f"soil: {label.with_unit}{'' if label.unit else ' [-]'}", x, y + 6)
+    start = x + text.put(picture, f"{label.low:g}", x, y + 23) + 6
     picture.blit(canvas.colour_bar(canvas.SOIL_SCALE, _BAR, 10), (start, y + 25))
-    pygame.draw.rect(picture, canvas.MUTED, (start, y + 25, _BAR, 10), 1)
-    text.put(picture, high, start + _BAR + 6, y + 23, 11)
-    share = min(max(quantity.share(getattr(shot.parameters, soil.name)), 0.0), 1.0)
+    pygame.draw.rect(picture, MUTED, (start, y + 25, _BAR, 10), 1)
+    text.put(picture, f"{label.high:g}", start + _BAR + 6, y + 23)
+    share = min(max(label.share(getattr(shot.parameters, soil.name)), 0.0), 1.0)
     tip = start + round(share * (_BAR - 1))
     pygame.draw.polygon(picture, canvas.INK, [(tip, y + 32), (tip - 4, y + 39), (tip + 4, y + 39)])
 
 
-def _slip_bar(picture: pygame.Surface, text: Text, y: int, on_pads: bool) -> None:
-    """The colours of the tracks, logarithmic; on_pads: of their pads alone, loads are shown too."""
-    x = 478
-    text.put(picture, f"{'pads' if on_pads else 'track'}: slip ratio, absolute [%]", x, y + 6, 11)
+def _slip_bar(picture: pygame.Surface, text: Text, shot: Snapshot, y: int) -> None:
+    """The colours of the tracks, logarithmic; of their pads alone where loads are shown too."""
+    x, whose = 478, "track" if shot.loads is None else "pads"
+    text.put(picture, f"{whose}: slip ratio, absolute [%]", x, y + 6)
     decades = round(math.log10(1.0 / canvas.SLIP_LOW))
-    width = 160
-    bar = pygame.Rect(x + 4, y + 21, width, 9)
-    picture.blit(canvas.colour_bar(canvas.SLIP_SCALE, width, bar.height), bar)
-    pygame.draw.rect(picture, canvas.MUTED, bar, 1)
+    bar = pygame.Rect(x + 4, y + 21, _SLIP_BAR, 9)
+    picture.blit(canvas.colour_bar(canvas.SLIP_SCALE, bar.width, bar.height), bar)
+    pygame.draw.rect(picture, MUTED, bar, 1)
     for decade in range(decades + 1):
-        at = bar.x + round(decade * (width - 1) / decades)
+        at = bar.x + round(decade * (bar.width - 1) / decades)
         pygame.draw.line(picture, canvas.INK, (at, bar.y), (at, bar.bottom + 1))
         label = f"{100 * canvas.SLIP_LOW * 10**decade:g}"
         text.put(picture, label, at, bar.bottom, 10, align=0.5)
 
 
-def _notices(picture: pygame.Surface, text: Text, lines: list[str]) -> None:
-    """Notices of the latest changes, in the upper middle."""
-    if not lines:
-        return
-    width = max(text.image(line, 13, True, canvas.WHITE).get_width() for line in lines) + 28
-    box = pygame.Rect((WIDTH - width) // 2, TOP + 20, width, 18 * len(lines) + 12)
-    _veil(picture, box, _NOTICE)
-    for row, line in enumerate(lines):
-        y = box.y + 6 + 18 * row
-        text.put(picture, line, WIDTH // 2, y, 13, canvas.WHITE, bold=True, align=0.5)
-
-
-FloatArray = NDArray[np.float64]
-
-WIDTH_TERRAIN_STRIP, HEIGHT_TERRAIN_STRIP = 960, 160  # [px]
-_PROFILE = pygame.Rect(48, 30, 400, 98)
-_LOADS = (pygame.Rect(528, 30, 40, 98), pygame.Rect(588, 30, 40, 98))  # left, right track
-_DIALS = ((752, 84), (884, 84))  # [px] middles: roll, pitch
-_RADIUS = 46  # [px] of a dial
-_MARGIN = 0.15  # [-] of the range of heights, above and below the profile
-_FLATTEST = 0.25  # [contact lengths] range of heights that is shown at least
-_POINTS = 400  # [-] of the profile
-_LONGEST = 1.3  # [contact lengths] width of a silhouette at most
-_NEAR_LIMIT = 0.8  # [-] of the tilt limit, from which tilt is written in vermillion
-EARTH: Colour = (219, 199, 166)
-
-
 class TerrainStrip:
     """The strip of one episode."""
 
-    def __init__(self, text: Text, terrain: TerrainSource, path: FloatArray, length: float) -> None:
+    def __init__(self, text: Text, terrain: TerrainSource, path: Floats, length: float) -> None:
         """path (P, 2) [m] of the reference, in time; length: contact length [m]."""
-        self.surface = canvas.surface(WIDTH_TERRAIN_STRIP, HEIGHT_TERRAIN_STRIP)
+        self.surface = canvas.surface(STRIP_WIDTH, STRIP_HEIGHT)
         self._text, self._terrain = text, terrain
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         self._distance = np.concatenate([[0.0], np.cumsum(steps)])  # [m] at points of the path
@@ -190,43 +163,40 @@ class TerrainStrip:
         at = np.linspace(0.0, self._total, _POINTS)
         places = np.stack([np.interp(at, self._distance, path[:, k]) for k in (0, 1)])
         heights = terrain.checked_heights(*places)
-        low, high = float(heights.min()), float(heights.max())
+        low, high = self._range = float(heights.min()), float(heights.max())
         spread = max(high - low, _FLATTEST * length)
         self._low = 0.5 * (low + high) - (0.5 + _MARGIN) * spread
         self._per_metre = _PROFILE.height / ((1.0 + 2.0 * _MARGIN) * spread)  # [px/m] upward
         columns = _PROFILE.x + at / self._total * (_PROFILE.width - 1)
         self._line = np.stack([columns, self._row(heights)], axis=1)
-        self._range = low, high
-        self._length = length
 
     def draw(self, shot: Snapshot, done: int, interval: float) -> pygame.Surface:
-        """The strip now.
-
-        done: points of the path that are past; interval [m] of contours.
-        """
+        """The strip now; done: points of the path that are past; interval [m] of contours."""
         self.surface.fill(canvas.PAPER)
-        pygame.draw.line(self.surface, canvas.RULE, (0, 0), (WIDTH_TERRAIN_STRIP, 0))
-        pose = pose_of(shot.state, self._terrain)
+        pygame.draw.line(self.surface, canvas.RULE, (0, 0), (STRIP_WIDTH, 0))
+        pose = self._terrain.pose(shot.state)
         self._profile(pose, done, interval)
         self._loads(shot)
         self._tilt(pose, shot)
         return self.surface
 
-    def _row(self, height: FloatArray | float) -> FloatArray:
+    def _row(self, height: Floats | float) -> Floats:
         return np.asarray(_PROFILE.bottom - 1 - (height - self._low) * self._per_metre)
 
     def _heading(self, string: str, x: int, end: int) -> None:
-        width = self._text.put(self.surface, string, x, 8, 10, canvas.MUTED, bold=True)
-        pygame.draw.line(self.surface, canvas.RULE, (x + width + 6, 14), (end, 14))
+        start = x + 6 + self._text.put(self.surface, string, x, 8, 10, MUTED, bold=True)
+        pygame.draw.line(self.surface, canvas.RULE, (start, 14), (end, 14))
+
+    def _note(self, string: str, x: int, y: int, align: float = 0.0) -> None:
+        self._text.put(self.surface, string, x, y, 10, MUTED, align=align)
 
     def _profile(self, pose: BodyPose, done: int, interval: float) -> None:
         self._heading("PROFILE ALONG THE REFERENCE", 14, _PROFILE.right)
         box, line = _PROFILE, self._line.tolist()
         earth = [*line, (box.right - 1, box.bottom - 1), (box.left, box.bottom - 1)]
         pygame.draw.polygon(self.surface, EARTH, earth)
-        x = box.x + float(self._distance[min(done, len(self._distance)) - 1]) / self._total * (
-            box.width - 1
-        )
+        distance = float(self._distance[min(done, len(self._distance)) - 1])
+        x = box.x + distance / self._total * (box.width - 1)
         past = int(np.searchsorted(self._line[:, 0], x))
         for part, colour in ((line[:past], canvas.PALE_BLUE), (line[past:], canvas.BLUE)):
             if len(part) > 1:
@@ -234,59 +204,51 @@ class TerrainStrip:
                 pygame.draw.aalines(self.surface, colour, False, [(a, b + 1) for a, b in part])
         ground = pose.z - self._terrain.centre_height
         y = min(max(float(self._row(ground)), box.top), box.bottom - 1)
-        pygame.draw.line(self.surface, canvas.MUTED, (x, box.top), (x, box.bottom - 1))
+        pygame.draw.line(self.surface, MUTED, (x, box.top), (x, box.bottom - 1))
         pygame.draw.circle(self.surface, canvas.WHITE, (x, y), 5)
         pygame.draw.circle(self.surface, canvas.VERMILLION, (x, y), 4)
         pygame.draw.rect(self.surface, canvas.RULE, box, 1)
-        put, (low, high) = self._text.put, self._range
-        for height in (low, high) if high > low else (low,):
-            row = round(float(self._row(height)))
-            put(self.surface, f"{height:.2f}", box.x - 5, row - 7, 10, canvas.MUTED, align=1.0)
-        below = box.bottom + 4
-        put(self.surface, "0 m", box.x, below, 10, canvas.MUTED)
-        put(self.surface, f"{self._total:.1f} m", box.right, below, 10, canvas.MUTED, align=1.0)
-        steeper = self._per_metre * self._total / box.width
+        for height in dict.fromkeys(self._range):
+            self._note(f"{height:.2f}", box.x - 5, round(float(self._row(height))) - 7, 1.0)
+        below, steeper = box.bottom + 4, self._per_metre * self._total / box.width
+        self._note("0 m", box.x, below)
+        self._note(f"{self._total:.1f} m", box.right, below, 1.0)
         label = f"heights [m] x{steeper:.1f}; contour lines every {interval:g} m"
-        put(self.surface, label, box.centerx, below, 10, canvas.MUTED, align=0.5)
+        self._note(label, box.centerx, below, 0.5)
 
     def _loads(self, shot: Snapshot) -> None:
-        loads = shot.loads
-        left, right = _LOADS
+        (left, right), loads, put = _LOADS, shot.loads, self._text.put
         self._heading("NORMAL LOADS", left.x - 52, right.right + 34)
-        put = self._text.put
         if loads is None:
-            put(self.surface, "not known", left.right + 10, 72, 11, canvas.MUTED, align=0.5)
+            put(self.surface, "not known", left.right + 10, 72, 11, MUTED, align=0.5)
             return
         full = shot.load_shown
         for box, patches in zip(_LOADS, loads, strict=True):
             self.surface.blit(load_picture(patches, full, box.size), box)
-            pygame.draw.rect(self.surface, canvas.MUTED, box, 1)
-            total = float(patches.sum())
-            put(self.surface, _force(total), box.centerx, box.bottom + 4, 11, bold=True, align=0.5)
+            pygame.draw.rect(self.surface, MUTED, box, 1)
+            total = _force(float(patches.sum()))
+            put(self.surface, total, box.centerx, box.bottom + 4, bold=True, align=0.5)
         bar = pygame.transform.rotate(canvas.colour_bar(canvas.LOAD_SCALE, left.height, 8), 90)
         self.surface.blit(bar, (left.x - 14, left.y))
-        put(self.surface, "front", right.right + 6, right.y, 10, canvas.MUTED)
-        put(self.surface, _force(full), left.x - 18, left.y - 4, 10, canvas.MUTED, align=1.0)
-        share = "a patch" if loads[0].size > 1 else "a track"
-        put(self.surface, share, left.x - 18, left.y + 8, 10, canvas.MUTED, align=1.0)
-        put(self.surface, "0", left.x - 18, left.bottom - 10, 10, canvas.MUTED, align=1.0)
+        self._note("front", right.right + 6, right.y)
+        self._note(_force(full), left.x - 18, left.y - 4, 1.0)
+        self._note("a patch" if loads[0].size > 1 else "a track", left.x - 18, left.y + 8, 1.0)
+        self._note("0", left.x - 18, left.bottom - 10, 1.0)
 
     def _tilt(self, pose: BodyPose, shot: Snapshot) -> None:
         limit, p = self._terrain.tilt_limit, shot.parameters
-        self._heading("TILT", _DIALS[0][0] - 64, WIDTH_TERRAIN_STRIP - 14)
-        dials = (
-            ("roll", pose.roll, (p.track_gauge + p.track_width) / p.contact_length, 0.0),
-            ("pitch", pose.pitch, _LONGEST, 0.3),
-        )
+        self._heading("TILT", _DIALS[0][0] - 64, STRIP_WIDTH - 14)
+        across = min((p.track_gauge + p.track_width) / p.contact_length, _LONGEST)
+        dials = (("roll", pose.roll, across, 0.0), ("pitch", pose.pitch, _LONGEST, 0.3))
         for middle, (name, angle, width, nose) in zip(_DIALS, dials, strict=True):
-            self._dial(middle, angle, limit, 0.62 * _RADIUS * min(width, _LONGEST), nose)
+            self._dial(middle, angle, limit, 0.62 * _RADIUS * width, nose)
             label = f"{name} {math.degrees(angle):+z.1f}°"
-            self._text.put(self.surface, label, middle[0], 24, 11, bold=True, align=0.5)
+            self._text.put(self.surface, label, middle[0], 24, bold=True, align=0.5)
         near = pose.tilt > _NEAR_LIMIT * limit
         label = f"tilt {math.degrees(pose.tilt):.1f}° of {math.degrees(limit):.0f}°"
         colour = canvas.VERMILLION if near else canvas.INK
         between = (_DIALS[0][0] + _DIALS[1][0]) // 2
-        self._text.put(self.surface, label, between, 138, 11, colour, bold=near, align=0.5)
+        self._text.put(self.surface, label, between, 138, 11, colour, near, 0.5)
 
     def _dial(
         self, middle: tuple[int, int], angle: float, limit: float, half: float, nose: float
@@ -304,23 +266,21 @@ class TerrainStrip:
                 pygame.draw.arc(self.surface, canvas.VERMILLION, box, begin, end, 3)
         cosine, sine = math.cos(angle), math.sin(angle)
 
-        def turned(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-            return [
-                (middle[0] + cosine * x - sine * y, middle[1] + sine * x + cosine * y)
-                for x, y in points
-            ]
+        def turned(*points: tuple[float, float]) -> list[tuple[float, float]]:
+            mx, my = middle
+            return [(mx + cosine * x - sine * y, my + sine * x + cosine * y) for x, y in points]
 
         reach = _RADIUS - 2
-        pygame.draw.aalines(self.surface, canvas.MUTED, False, turned([(-reach, 0), (reach, 0)]))
-        low, deck, top = 0.0, -0.5 * half, -0.85 * half
+        pygame.draw.aalines(self.surface, MUTED, False, turned((-reach, 0), (reach, 0)))
+        deck, top = -0.5 * half, -0.85 * half
         front, rear = (0.5 - 0.8 * nose) * half, (-0.5 - 0.8 * nose) * half
-        hull = [(-half, low), (half, low), (half - nose * half, deck), (-half, deck)]
-        cabin = [(rear, deck), (front, deck), (front - 0.15 * half, top), (rear + 0.15 * half, top)]
-        for points, colour in ((hull, HULL), (cabin, DECK)):
-            pygame.draw.polygon(self.surface, colour, turned(points))
+        hull = turned((-half, 0.0), (half, 0.0), (half - nose * half, deck), (-half, deck))
+        roof = (front - 0.15 * half, top), (rear + 0.15 * half, top)
+        pygame.draw.polygon(self.surface, HULL, hull)
+        pygame.draw.polygon(self.surface, DECK, turned((rear, deck), (front, deck), *roof))
 
 
-def load_picture(patches: FloatArray, full: float, size: tuple[int, int]) -> pygame.Surface:
+def load_picture(patches: Floats, full: float, size: tuple[int, int]) -> pygame.Surface:
     """One track's loads (nx, ny) [N] from above, the front at the top; full [N]: scale's end."""
     seen = patches[::-1, ::-1]  # rear to front, right to left -> top to bottom, left to right
     columns = np.arange(size[0]) * seen.shape[1] // size[0]
@@ -332,36 +292,3 @@ def load_picture(patches: FloatArray, full: float, size: tuple[int, int]) -> pyg
 
 def _force(force: float) -> str:
     return f"{force / 1e3:.1f} kN" if abs(force) >= 1e3 else f"{force:.0f} N"
-
-
-SIZE = 34  # [px] of the letters
-STRIP = 50  # [px] height of the strips above and below
-_MARGIN_TILE, _DROP = 12, 5  # [px] of a text in its strip
-_VEIL_TILE = (252, 252, 251, 235)
-
-
-def draw_tile(picture: pygame.Surface, text: Text, shot: Snapshot, notices: list[str]) -> None:
-    """Write on the scene; notices: changes of this moment, of which the last one is shown."""
-    width, height = picture.get_size()
-    slip = max(abs(shot.state.slip_left), abs(shot.state.slip_right))
-    for y, left, right in (
-        (0, f"{shot.time:.1f} s", f"error {shot.distance:.2f} m"),
-        (height - STRIP, f"{shot.state.v_x:.1f} m/s", f"slip {100.0 * slip:.0f} %"),
-    ):
-        _veil_tile(picture, pygame.Rect(0, y, width, STRIP), _VEIL_TILE)
-        text.put(picture, left, _MARGIN_TILE, y + _DROP, SIZE, bold=True)
-        text.put(picture, right, width - _MARGIN_TILE, y + _DROP, SIZE, bold=True, align=1.0)
-    pygame.draw.rect(picture, canvas.INK, picture.get_rect(), 2)
-    line = shot.ending.partition(":")[0] or (notices[-1].partition(":")[0] if notices else "")
-    if line:
-        _veil_tile(picture, pygame.Rect(0, STRIP + 8, width, STRIP), _NOTICE)
-        text.put(picture, line, width // 2, STRIP + 8 + _DROP, 28, canvas.WHITE, True, 0.5)
-
-
-def _veil_tile(
-    picture: pygame.Surface, box: pygame.Rect, colour: tuple[int, int, int, int]
-) -> None:
-    """Cover a part of the picture so that text on it can be read."""
-    cover = canvas.surface(*box.size, transparent=True)
-    cover.fill(colour)
-    picture.blit(cover, box)

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.physics.jit import formula, loop
+from tracked_env.rendering.canvas import Bytes, Floats
 from tracked_env.rendering.soil_map import LINE, contour, coverage
-
-Pixels = NDArray[np.uint8]  # (H, W, 3)
 
 STRIDE = 0.5  # [cells] between samples of the ground near the eye
 GROWTH = 0.008  # [-] of the distance between samples farther away
@@ -50,10 +49,18 @@ class GroundGrid(NamedTuple):
     x: float  # [m] of heights[0, 0]
     y: float  # [m]
     inverse_cell: float  # [1/m]
-    soil: Pixels  # (S, T, 3) colours over the same area
+    soil: Bytes  # (S, T, 3) colours over the same area
     soil_step: float  # [-] cells of the heights for one of the colours
     contours: float  # [1/m] contour lines per metre of height
     mesh: float  # [1/m] lines of the mesh on the ground per metre
+
+
+class Ray(NamedTuple):
+    """The line of sight of one pixel, per metre ahead of the eye."""
+
+    along_x: float  # [-]
+    along_y: float  # [-]
+    drop: float  # [-] downwards
 
 
 @formula
@@ -66,6 +73,15 @@ def _between(values, column, row):
     low = values[i, j] + u * (values[i, j + 1] - values[i, j])
     high = values[i + 1, j] + u * (values[i + 1, j + 1] - values[i + 1, j])
     return low + v * (high - low)
+
+
+@loop
+def heights_at(grid, points, out):
+    """Heights (P,) [m] of the ground at places (P, 2) [m]."""
+    for k in range(len(points)):
+        column = (points[k, 0] - grid.x) * grid.inverse_cell
+        row = (points[k, 1] - grid.y) * grid.inverse_cell
+        out[k] = _between(grid.heights, column, row)
 
 
 @loop
@@ -115,12 +131,13 @@ def _lit_slopes(grid, column, row):
 
 
 @formula
-def _lines(grid, eye, x, y, ahead, drop, along_x, along_y, slope_x, slope_y):
-    """Opacities [0, 1] of contour lines and of the mesh at the place seen in one pixel.
+def _lines(grid, eye, ray, ahead, slope_x, slope_y):
+    """Opacities [0, 1] of contour lines and of the mesh at the place `ahead` [m] on a ray.
 
     With s the slope along the line of sight and g = s + drop, the place moves by (Z / f) / g ahead
     from one row to that above it.
     """
+    along_x, along_y, drop = ray
     pixel = ahead / eye.focal  # [m]
     grazing = slope_x * along_x + slope_y * along_y + drop
     grazing = max(abs(grazing), STEEPEST_VIEW)
@@ -129,9 +146,9 @@ def _lines(grid, eye, x, y, ahead, drop, along_x, along_y, slope_x, slope_y):
     change = math.sqrt((deeper * (grazing - drop)) ** 2 + (drop * across) ** 2)
     change_x = abs(along_x) * deeper + abs(along_x * across + eye.sine * pixel)
     change_y = abs(along_y) * deeper + abs(along_y * across - eye.cosine * pixel)
-    height = eye.z - drop * ahead
+    x, y = eye.x + ahead * along_x, eye.y + ahead * along_y
     mesh = max(coverage(x, grid.mesh, change_x, 0.5), coverage(y, grid.mesh, change_y, 0.5))
-    return contour(height, grid.contours, change), mesh
+    return contour(eye.z - drop * ahead, grid.contours, change), mesh
 
 
 @loop
@@ -156,9 +173,8 @@ def colour_ground(grid, eye, inverse, haze, sky, picture):
             at_x, at_y = (x - grid.x) * grid.inverse_cell, (y - grid.y) * grid.inverse_cell
             fade = min(max((ahead / eye.far - CLEAR) / (1.0 - CLEAR), 0.0), 1.0)
             bright, slope_x, slope_y = _lit_slopes(grid, at_x, at_y)
-            contours, mesh = _lines(
-                grid, eye, x, y, ahead, drop, along_x, along_y, slope_x, slope_y
-            )
+            ray = Ray(along_x, along_y, drop)
+            contours, mesh = _lines(grid, eye, ray, ahead, slope_x, slope_y)
             bright *= 1.0 - MESH_INK * mesh
             ink = CONTOUR_INK * contours * (1.0 - fade)
             i = min(max(int(at_y * per_step), 0), grid.soil.shape[0] - 1)
@@ -205,15 +221,13 @@ def _plane(corners, first, last):
 
 
 @loop
-def fill_polygons(corners, starts, colours, opacity, bias, inverse, picture, spans):
+def fill_polygons(corners, starts, colours, opacity, bias, inverse, picture):
     """Draw convex polygons in space, hidden where the buffer holds something nearer.
 
-    spans (H, 2): first column, and that after the last one, that have been drawn in a row.
-
     corners (V, 3): column, row [px], 1/Z [1/m]; polygon k has those from starts[k] to
-    starts[k + 1]; colours (K, 3), opacity (K,) in [0, 1], bias (K,) [-]: by this share of its
-    distance a polygon is taken as nearer. Opaque ones are written into the buffer. A polygon with
-    a corner behind the near plane (1/Z <= 0) is left out.
+    starts[k + 1]; colours (K, 3); opacity in [0, 1]; bias [-]: by this share of its distance a
+    polygon is taken as nearer. Opaque ones are written into the buffer. A polygon with a corner
+    behind the near plane (1/Z <= 0) is left out.
     """
     rows, columns = inverse.shape
     for k in range(starts.size - 1):
@@ -231,21 +245,19 @@ def fill_polygons(corners, starts, colours, opacity, bias, inverse, picture, spa
             if left >= right:
                 continue
             begin, end = max(math.ceil(left - 0.5), 0), min(math.ceil(right - 0.5), columns)
-            if begin < end:
-                spans[row, 0], spans[row, 1] = min(spans[row, 0], begin), max(spans[row, 1], end)
             for column in range(begin, end):
-                value = (a + b * (column + 0.5) + c * middle) * (1.0 + bias[k])
+                value = (a + b * (column + 0.5) + c * middle) * (1.0 + bias)
                 if value < inverse[row, column]:
                     continue
-                if opacity[k] == 1.0:
+                if opacity == 1.0:
                     inverse[row, column] = value
                 for channel in range(3):
                     ground = float(picture[row, column, channel])
-                    ground += opacity[k] * (colours[k, channel] - ground)
+                    ground += opacity * (colours[k, channel] - ground)
                     picture[row, column, channel] = int(ground + 0.5)
 
 
-def project(eye: Eye, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def project(eye: Eye, points: Floats) -> Floats:
     """Column, row [px] and 1/Z [1/m] of world points (..., 3) [m]; 1/Z = 0 nearer than `near`."""
     x, y, z = np.moveaxis(points - np.array([eye.x, eye.y, eye.z]), -1, 0)
     ahead, aside = eye.cosine * x + eye.sine * y, eye.cosine * y - eye.sine * x
@@ -255,32 +267,6 @@ def project(eye: Eye, points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([columns, rows, inverse], axis=-1)
 
 
-@formula
-def _soften_pixel(picture, row, column, threshold, out):
-    """One pixel of `soften`."""
-    rows, columns = picture.shape[:2]
-    inner = 0 < row < rows - 1 and 0 < column < columns - 1
-    here, edge = 0, False
-    if inner:
-        for c in range(3):
-            here += int(picture[row, column, c])
-        left = right = above = below = -here
-        for c in range(3):
-            left += int(picture[row, column - 1, c])
-            right += int(picture[row, column + 1, c])
-            above += int(picture[row - 1, column, c])
-            below += int(picture[row + 1, column, c])
-        most = max(max(abs(left), abs(right)), max(abs(above), abs(below)))
-        edge = most > threshold
-    for c in range(3):
-        value = int(picture[row, column, c])
-        if edge:
-            value = 4 * value + int(picture[row, column - 1, c])
-            value += int(picture[row, column + 1, c]) + int(picture[row - 1, column, c])
-            value = (value + int(picture[row + 1, column, c]) + 4) // 8
-        out[row, column, c] = value
-
-
 @loop
 def soften(picture, threshold, out):
     """A copy (H, W, 3) whose hard edges are averaged with their neighbours.
@@ -288,19 +274,20 @@ def soften(picture, threshold, out):
     A pixel counts as edge where its brightness (sum of three channels) differs by more than
     `threshold` from that of a neighbour.
     """
-    for row in range(picture.shape[0]):
-        for column in range(picture.shape[1]):
-            _soften_pixel(picture, row, column, threshold, out)
-
-
-@loop
-def soften_spans(picture, threshold, spans, out):
-    """The same of what has been drawn in `spans` (H, 2) and its neighbours alone."""
     rows, columns = picture.shape[:2]
-    for row in range(rows):
-        low, high = spans[row, 0], spans[row, 1]
-        for near in (row - 1, row + 1):
-            if 0 <= near < rows:
-                low, high = min(low, spans[near, 0]), max(high, spans[near, 1])
-        for column in range(max(low - 1, 0), min(high + 1, columns)):
-            _soften_pixel(picture, row, column, threshold, out)
+    out[:] = picture
+    for row in range(1, rows - 1):
+        for column in range(1, columns - 1):
+            here = left = right = above = below = 0
+            for c in range(3):
+                here += int(picture[row, column, c])
+                left += int(picture[row, column - 1, c])
+                right += int(picture[row, column + 1, c])
+                above += int(picture[row - 1, column, c])
+                below += int(picture[row + 1, column, c])
+            sideways = max(abs(left - here), abs(right - here))
+            if max(sideways, abs(above - here), abs(below - here)) > threshold:
+                for c in range(3):
+                    value = 4 * int(picture[row, column, c]) + int(picture[row, column - 1, c])
+                    value += int(picture[row, column + 1, c]) + int(picture[row - 1, column, c])
+                    out[row, column, c] = (value + int(picture[row + 1, column, c]) + 4) // 8

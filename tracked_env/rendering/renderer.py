@@ -7,28 +7,88 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
+from tracked_env import events as parameter_events
 from tracked_env.engine.simulation import Simulation
-from tracked_env.physics.parameters import SoilParameters
+from tracked_env.physics.parameters import PARAMETER_NAMES, SoilParameters
 from tracked_env.references import sample
-from tracked_env.rendering import canvas, legend, scene, sizes
-from tracked_env.rendering import legend as tile
-from tracked_env.rendering.legend import HEIGHT_TERRAIN_STRIP as STRIP_HEIGHT
-from tracked_env.rendering.legend import TerrainStrip
+from tracked_env.rendering import canvas, legend, scene
+from tracked_env.rendering.canvas import LABELS, Floats
+from tracked_env.rendering.legend import HEIGHT, STRIP_HEIGHT, TerrainStrip
 from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
 from tracked_env.rendering.panel import Beliefs, Panel
-from tracked_env.rendering.perspective import Perspective, interval_around
-from tracked_env.rendering.scene import Camera, Memory, Points
+from tracked_env.rendering.perspective import Perspective
 from tracked_env.rendering.snapshot import Snapshot, TerrainSource, take
-from tracked_env.rendering.soil_map import SoilMap
+from tracked_env.rendering.soil_map import SoilMap, interval_around, value_at
 from tracked_env.validation import checked_choice
 
-SCENE_WIDTH, SCENE_HEIGHT = 680, 640  # [px]
-WIDTH, HEIGHT = SCENE_WIDTH + PANEL_WIDTH, SCENE_HEIGHT  # [px] of a picture
+SCENE_WIDTH = legend.WIDTH  # [px]
+WIDTH = SCENE_WIDTH + PANEL_WIDTH  # [px] of a picture
 PATH_STEP, PATH_POINTS = 0.05, 4000  # [s] between points of the path, and at most that many
 MODES = ("human", "rgb_array")
-VIEWS = ("top", "3d", "3d-standing")
-LAYOUTS = ("panel", "tile")
-MOST_PANELS = 4  # vehicles of a simulation that are drawn with their panels
+VIEWS = ("top", "3d")
+TRAIL_STEP = 0.015  # [contact lengths] between points of the trail
+NOTICE_DURATION = 3.0  # [s] a change stays on the screen after it has ended
+NOTICE_WEIGHT = 0.01  # [-] smaller changes of an event's weight are not noticed
+
+
+class History:
+    """What a picture shows of the time before it: the driven trail, the belts, latest changes.
+
+    It is filled by the pictures themselves: what happened before the first of them is not known.
+    """
+
+    def __init__(self, shot: Snapshot) -> None:
+        """Start with the first picture of an episode."""
+        self._time = shot.time
+        self._points = [shot.pose[:2]]
+        self.travel = [0.0, 0.0]  # [m] of the left and the right belt
+        self._weights = [self._change(shot, e)[2] for e in range(shot.events.shape[1])]
+        self._notices: dict[int, tuple[float, str]] = {}
+
+    @property
+    def trail(self) -> Floats:
+        """Where the vehicle was, (P, 2) [m], world frame, oldest first."""
+        return np.array(self._points)
+
+    def update(self, shot: Snapshot) -> None:
+        """Take in the next picture of the episode."""
+        elapsed, self._time = shot.time - self._time, shot.time
+        speeds = shot.state.sprocket_speed_left, shot.state.sprocket_speed_right
+        for side, speed in enumerate(speeds):
+            self.travel[side] += elapsed * speed * shot.parameters.sprocket_radius
+        (x, y), here = self._points[-1], shot.pose
+        if abs(here.x - x) + abs(here.y - y) >= TRAIL_STEP * shot.sizes.length:
+            self._points.append(here[:2])
+        for e in range(shot.events.shape[1]):
+            self._watch(shot, e)
+
+    def notices(self) -> list[str]:
+        """What has changed lately, a line for each event."""
+        return [
+            line for since, line in self._notices.values() if self._time - since < NOTICE_DURATION
+        ]
+
+    @staticmethod
+    def _change(shot: Snapshot, e: int) -> tuple[str, float, float]:
+        """Parameter of event e, its value without the event, and the event's weight in [0, 1]."""
+        _, parameter, target = shot.events[0, e, :3]
+        name, place = PARAMETER_NAMES[int(parameter)], (shot.time, *shot.pose[:2])
+        before, after = (value_at(shot, count, name, *place) for count in (e, e + 1))
+        return name, before, (after - before) / (target - before) if target != before else 0.0
+
+    def _watch(self, shot: Snapshot, e: int) -> None:
+        """Note when event e acts. A wave acts everywhere, always: it is not news."""
+        if shot.events[0, e, 0] == parameter_events.WAVE:
+            return
+        name, before, weight = self._change(shot, e)
+        change = weight - self._weights[e]
+        if name not in shot.reads or abs(change) < NOTICE_WEIGHT:
+            return
+        self._weights[e] = weight
+        label, usual = LABELS[name], getattr(shot.nominal, name)
+        numbers = [label.number(x, usual) for x in (before, float(shot.events[0, e, 2]))]
+        first, last = numbers if change > 0.0 else numbers[::-1]
+        self._notices[e] = shot.time, f"{label.label}: {first} → {last} {label.unit}".rstrip()
 
 
 class _Stage:
@@ -38,46 +98,43 @@ class _Stage:
         self,
         shot: Snapshot,
         text: canvas.Text,
-        pixels_per_metre: int | None,
+        zoom: int | None,
         soil: str | None,
         view: str,
         terrain: TerrainSource | None,
     ) -> None:
         self.episode = shot.episode
         count = min(math.ceil(shot.duration / PATH_STEP), PATH_POINTS) + 1
-        self.times: NDArray[np.float64] = np.linspace(0.0, shot.duration, count)
+        self.times: Floats = np.linspace(0.0, shot.duration, count)
         path = sample(shot.episode.profile, self.times)
-        self.path: Points = np.stack([path.x, path.y], axis=1)
+        self.path: Floats = np.stack([path.x, path.y], axis=1)
         self.goal = _goal(shot)
         length = shot.sizes.length
-        if pixels_per_metre is None:
-            self.zoom = sizes.default_zoom(length)
-        else:
-            self.zoom = sizes.checked_zoom(pixels_per_metre, length)
+        self.zoom = (
+            canvas.default_zoom(length) if zoom is None else canvas.checked_zoom(zoom, length)
+        )
         interval = 1.0 if terrain is None else interval_around(terrain, self.path, length)
         self.soil = SoilMap(shot, self.zoom, soil, terrain, interval)
         self.panel = Panel(text, self.path, self.soil, 1.5 * length)
-        self.memory = Memory(shot)
+        self.history = History(shot)
         self.perspective: Perspective | None = None
-        if view != "top":
-            source, standing = terrain or TerrainSource(), view == "3d-standing"
-            self.perspective = Perspective(shot, source, self.path, interval, standing)
+        if view == "3d":
+            self.perspective = Perspective(shot, terrain or TerrainSource(), self.path, interval)
         self.strip: TerrainStrip | None = None
         if terrain is not None:
             self.strip = TerrainStrip(text, terrain, self.path, length)
 
+    def lines(self, shot: Snapshot, trail: Floats, done: int) -> list[tuple[Floats, canvas.Colour]]:
+        """Past and future of the reference, the driven path and the goal, each (P, 2) [m]."""
+        now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])
+        past = np.concatenate([self.path[:done], now])
+        future = np.concatenate([now, self.path[done:]])
+        driven = np.concatenate([trail, here])
+        lines = [(past, canvas.PALE_BLUE), (future, canvas.BLUE), (driven, canvas.INK)]
+        return lines if self.goal is None else [(self.goal, canvas.PURPLE), *lines]
 
-def _lines(stage: _Stage, shot: Snapshot, done: int) -> list[tuple[Points, canvas.Colour]]:
-    """Past and future of the reference, the driven path and the goal, each (P, 2) [m]."""
-    now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])
-    past = np.concatenate([stage.path[:done], now])
-    future = np.concatenate([now, stage.path[done:]])
-    driven = np.concatenate([stage.memory.trail, here])
-    lines = [(past, canvas.PALE_BLUE), (future, canvas.BLUE), (driven, canvas.INK)]
-    return lines if stage.goal is None else [(stage.goal, canvas.PURPLE), *lines]
 
-
-def _goal(shot: Snapshot) -> Points | None:
+def _goal(shot: Snapshot) -> Floats | None:
     """Outline (P, 2) [m] of the vehicle at the goal of a plan, with an arrowhead; else None."""
     knots = shot.episode.profile.knots
     if not knots.size:
@@ -88,8 +145,7 @@ def _goal(shot: Snapshot) -> Points | None:
     head = [(front, 0.0), (0.0, -0.4 * front), (0.0, 0.4 * front), (front, 0.0)]
     middle = next(k for k, point in enumerate(outline) if point[0] == front) + 1
     drawn = np.array([*outline[:middle], *head, *outline[middle:], outline[0]])
-    corners = drawn[:, 0] + 1j * drawn[:, 1]
-    place = x + 1j * y + corners * np.exp(1j * yaw)
+    place = x + 1j * y + (drawn[:, 0] + 1j * drawn[:, 1]) * np.exp(1j * yaw)
     return np.column_stack([place.real, place.imag])
 
 
@@ -109,7 +165,6 @@ class Renderer:
         soil_parameter: str | None = None,
         view: str = "top",
         terrain: TerrainSource | None = None,
-        layout: str | None = None,
     ) -> None:
         """Open nothing yet.
 
@@ -117,44 +172,30 @@ class Renderer:
         pixels_per_metre: zoom, by default 80 px for the contact length of the environment's
         vehicle, else 40 to 200 px for it; soil_parameter: the one that colours the ground, by
         default the first of the plant's `soil_map` that varies in the plane, else its first;
-        view: "top", from above; "3d", from behind the vehicle, or "3d-standing", from places behind
-        it that change where it leaves the middle of the picture; terrain: what the vehicle drives
-        on, shown with its relief and a strip below the scene; None: level ground without them;
-        layout: "panel", the scene with all numbers beside it, or "tile", the scene with a few
-        large ones, for films of many vehicles; None: a tile where the simulation has more than
-        MOST_PANELS vehicles.
+        view: "top", from above, or "3d", from behind the vehicle; terrain: what the vehicle drives
+        on, shown with its relief and a strip below the scene; None: level ground without them.
         Raises ValueError for anything else; `draw` for a zoom that does not suit the vehicle.
         """
         self.render_mode = checked_choice("render_mode", render_mode, MODES)
         if pixels_per_metre is not None:
-            pixels_per_metre = sizes.checked_zoom(pixels_per_metre)
+            pixels_per_metre = canvas.checked_zoom(pixels_per_metre)
         if soil_parameter is not None:
             checked_choice("soil_parameter", soil_parameter, SoilParameters._fields)
         self.view = checked_choice("view", view, VIEWS)
-        self.terrain = terrain
-        if layout is not None:
-            checked_choice("layout", layout, LAYOUTS)
-        self._layout = layout
-        self._is_tile = layout == "tile"
-        self.fps = fps
-        self._zoom = pixels_per_metre
-        self._soil_parameter = soil_parameter
+        self.terrain, self.fps = terrain, fps
+        self._zoom, self._soil_parameter = pixels_per_metre, soil_parameter
         self._window: pygame.Window | None = None
         self._clock = pygame.time.Clock()
         self._forget()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy has opened nothing yet and has not seen the pictures before it."""
-        return type(self), (
-            self.render_mode, self.fps, self._zoom, self._soil_parameter, self.view, self.terrain,
-            self._layout,
-        )  # fmt: skip
+        options = self._zoom, self._soil_parameter, self.view, self.terrain
+        return type(self), (self.render_mode, self.fps, *options)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of a picture [px]; by the number of vehicles from the first one on."""
-        if self._is_tile:
-            return SCENE_WIDTH, SCENE_HEIGHT
+        """Width and height of a picture [px]."""
         return WIDTH, HEIGHT + (0 if self.terrain is None else STRIP_HEIGHT)
 
     def draw(
@@ -168,8 +209,6 @@ class Renderer:
         that does not suit the vehicle.
         """
         shot = take(simulation, row)
-        if self._picture is None and self._layout is None:
-            self._is_tile = len(simulation.episodes) > MOST_PANELS
         if self.terrain is not None and self.terrain.loads is not None:
             shot = shot._replace(loads=self.terrain.loads(simulation, row))
         picture = self._compose(shot, beliefs)
@@ -198,51 +237,28 @@ class Renderer:
                 shot, self._text, self._zoom, self._soil_parameter, self.view, self.terrain
             )
         picture, stage = self._picture, self._stage
-        stage.memory.update(shot)
+        stage.history.update(shot)
+        trail, travel = stage.history.trail, stage.history.travel
         refresh = stage.soil.advance(shot)
-        ground = picture.subsurface((0, 0, SCENE_WIDTH, SCENE_HEIGHT))
+        ground = picture.subsurface((0, 0, SCENE_WIDTH, HEIGHT))
         done = int(np.searchsorted(stage.times, shot.time, side="right"))
-        lines = _lines(stage, shot, done)
+        lines = stage.lines(shot, trail, done)
         view, zoom = None, None
         if stage.perspective is not None:
-            travel = stage.memory.travel
             stage.perspective.draw(ground, shot, stage.soil, refresh, lines, travel)
         else:
             zoom = stage.zoom
-            view = 0.5 * SCENE_WIDTH / zoom, 0.5 * SCENE_HEIGHT / zoom
-            self._from_above(ground, stage, shot, lines, view)
-        notices = stage.memory.notices()
-        if self._is_tile:
-            tile.draw_tile(ground, self._text, shot, notices)
-            return picture
+            view = 0.5 * SCENE_WIDTH / zoom, 0.5 * HEIGHT / zoom
+            left, top = shot.state.x - view[0], shot.state.y + view[1]
+            stage.soil.draw(ground, shot, left, top)
+            legend.coordinates(ground, self._text, left, top, zoom)
+            scene.draw(ground, shot, zoom, lines, travel)
+        notices = stage.history.notices()
         legend.draw(ground, self._text, stage.soil, shot, notices, zoom)
-        panel = stage.panel.draw(shot, stage.memory, refresh, view, beliefs)
-        picture.blit(panel, (SCENE_WIDTH, 0))
+        picture.blit(stage.panel.draw(shot, trail, refresh, view, beliefs), (SCENE_WIDTH, 0))
         if stage.strip is not None:
-            strip = stage.strip.draw(shot, done, stage.soil.interval)
-            picture.blit(strip, (0, SCENE_HEIGHT))
+            picture.blit(stage.strip.draw(shot, done, stage.soil.interval), (0, HEIGHT))
         return picture
-
-    def _from_above(
-        self,
-        ground: pygame.Surface,
-        stage: _Stage,
-        shot: Snapshot,
-        lines: list[tuple[Points, canvas.Colour]],
-        view: tuple[float, float],
-    ) -> None:
-        """Soil map and objects on it, from the lowest to the highest; view [m]: half the scene."""
-        left, top = shot.state.x - view[0], shot.state.y + view[1]
-        stage.soil.draw(ground, shot, left, top)
-        if not self._is_tile:
-            legend.coordinates(ground, self._text, left, top, stage.zoom)
-        width, height = ground.get_size()
-        camera = Camera(shot.state.x, shot.state.y, stage.zoom, 0.5 * width, 0.5 * height)
-        for points, colour in lines:
-            scene.path(ground, camera, points, colour, 3)
-        scene.ghost_shade(ground, camera, shot)
-        scene.vehicle(ground, camera, shot, stage.memory.travel)
-        scene.ghost(ground, camera, shot)
 
     def _show(self, picture: pygame.Surface) -> None:
         """Put the picture on the screen and wait for its time."""

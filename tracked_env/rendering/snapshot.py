@@ -1,6 +1,4 @@
-"""What one picture shows: the numbers of one vehicle at one instant, by name, in SI units.
-
-What pictures need of a terrain: heights at places, the pose in space, loads under the tracks.
+"""What one picture shows: the numbers of one vehicle at one instant, and the terrain around it.
 
     R = R_z(yaw) R_y(pitch) R_x(roll),   p_world = c + R p_body        c: centre of mass
     tilt = arccos(R_zz), the angle between the vehicle's up axis and the vertical
@@ -14,7 +12,6 @@ from typing import NamedTuple
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tracked_env import arrays as b
@@ -24,9 +21,11 @@ from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import PlantParameters, VehicleState
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants import Drive, Plant
-from tracked_env.rendering.sizes import Sizes, sizes_of
+from tracked_env.rendering.canvas import Floats, Sizes, sizes_of
 
 LOAD_SHARE = 4.0  # [-] times the mean load of a patch at rest: end of the scale of loads
+TILT_LIMIT = math.radians(45.0)  # [rad] marked in the indicators unless the terrain has another
+Heights = Callable[[Floats, Floats], Floats]
 
 
 class Pose(NamedTuple):
@@ -37,11 +36,108 @@ class Pose(NamedTuple):
     yaw: float  # [rad]
 
 
+class BodyPose(NamedTuple):
+    """Position of the centre of mass and attitude, world frame."""
+
+    x: float  # [m]
+    y: float  # [m]
+    z: float  # [m] height of the centre of mass
+    yaw: float  # [rad]
+    pitch: float  # [rad] positive: nose down
+    roll: float  # [rad] positive: left side up
+
+    @property
+    def axes(self) -> Floats:
+        """Rotation matrix R (3, 3), body to world."""
+        angles = [self.yaw, self.pitch, self.roll]
+        return np.asarray(Rotation.from_euler("ZYX", angles).as_matrix())
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the vehicle's up axis and the vertical [rad], in [0, pi]."""
+        return math.acos(min(max(math.cos(self.pitch) * math.cos(self.roll), -1.0), 1.0))
+
+    def place(self, points: Floats) -> Floats:
+        """World coordinates (P, 3) [m] of points (P, 3) [m] of the body."""
+        return points @ self.axes.T + (self.x, self.y, self.z)
+
+
+def level(x: Floats, y: Floats) -> Floats:
+    """Height 0 [m] at all places."""
+    return np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
+
+
+class TerrainSource(NamedTuple):
+    """The terrain of one environment, as pictures ask for it.
+
+    heights: (x, y) [m], two arrays of one shape -> heights [m] of that shape, world frame.
+    loads: (simulation, row) -> normal load [N] per patch (2, nx, ny): left and right track, from
+    the rear to the front, from the right to the left edge of the track; None: not known.
+    """
+
+    heights: Heights = level
+    loads: Callable[[Simulation, int], Floats] | None = None
+    tilt_limit: float = TILT_LIMIT  # [rad] between the vehicle's up axis and the vertical
+    centre_height: float = 0.0  # [m] h, centre of mass above the underside of the tracks
+
+    def checked_heights(self, x: Floats, y: Floats) -> Floats:
+        """Heights [m] at places; raises ValueError for another shape or a number not finite."""
+        heights = np.asarray(self.heights(x, y), dtype=np.float64)
+        if heights.shape != np.shape(x):
+            raise ValueError(
+                f"heights have shape {heights.shape}; must be {np.shape(x)}, that of the places. "
+                "Does the function return one height for many places?"
+            )
+        if not np.isfinite(heights).all():
+            bad = np.flatnonzero(~np.isfinite(heights.ravel()))[0]
+            raise ValueError(
+                f"height = {heights.ravel()[bad]} m at x = {np.ravel(x)[bad]:g} m, "
+                f"y = {np.ravel(y)[bad]:g} m; must be finite. Is the place off the map?"
+            )
+        return heights
+
+    def pose(self, state: VehicleState) -> BodyPose:
+        """Pose in space: the state counts z from the height of the centre of mass at rest."""
+        z = state.z + self.centre_height
+        return BodyPose(state.x, state.y, z, state.yaw, state.pitch, state.roll)
+
+
+class PlantGround:
+    """Heights of the ground of one vehicle as they are now; copied together with its simulation."""
+
+    def __init__(self, simulation: Simulation, row: int) -> None:
+        self._simulation, self._row = simulation, row
+
+    def __call__(self, x: Floats, y: Floats) -> Floats:
+        """Heights [m] at places (x, y) [m], two arrays of one shape."""
+        ground = self._simulation.solver.prepared.ground
+        assert ground is not None
+        places = (np.asarray(values, dtype=np.float64).reshape(1, -1) for values in (x, y))
+        heights = ground.heights(self._simulation.batch.floats, np.array([self._row]), *places)
+        return heights.reshape(np.shape(x))
+
+
+def _patch_loads(simulation: Simulation, row: int) -> Floats:
+    """(2, nx, ny) normal load [N] of each patch of the left and the right track."""
+    ground = simulation.solver.prepared.ground
+    assert ground is not None
+    return ground.loads(simulation.batch, row)
+
+
+def source_of(simulation: Simulation, row: int) -> TerrainSource | None:
+    """The ground of vehicle `row` as it is now; None where the plant knows level ground alone."""
+    ground = simulation.solver.prepared.ground
+    if ground is None:
+        return None
+    height = ground.centre_height(simulation.solver.nominal)
+    return TerrainSource(PlantGround(simulation, row), _patch_loads, ground.tilt_limit, height)
+
+
 class Snapshot(NamedTuple):
     """One vehicle at one instant."""
 
     episode: Episode
-    events: NDArray[np.float64]  # (1, E, 8) what changes, as the kernels take it
+    events: Floats  # (1, E, 8) what changes, as the kernels take it
     time: float  # [s] since reset
     duration: float  # [s] of the episode
     state: VehicleState
@@ -61,8 +157,7 @@ class Snapshot(NamedTuple):
     plant: Plant
     drive: Drive  # what the action is
     reads: frozenset[str]  # parameters that matter to the motion
-    # [N] normal load of each patch (2, nx, ny), as `terrain_source.TerrainSource` has it, if known.
-    loads: NDArray[np.float64] | None = None
+    loads: Floats | None = None  # [N] normal load of each patch (2, nx, ny) of a TerrainSource
 
     @property
     def pose(self) -> Pose:
@@ -82,14 +177,17 @@ class Snapshot(NamedTuple):
 
 
 def _ending(simulation: Simulation, row: int, finite: bool) -> str:
+    reason = ""
     if not finite:
-        return "the state is not finite: episode over"
-    if simulation.terminated[row]:
-        code = int(simulation.batch.floats[row, b.FAILURE])
+        reason = "the state is not finite"
+    elif simulation.terminated[row]:
+        code, solver = int(simulation.batch.floats[row, b.FAILURE]), simulation.solver
+        reason = f"more than {solver.error_limit:g} m off the path"
         if code:
-            return f"{simulation.solver.plant.failures[code - 1].replace('_', ' ')}: episode over"
-        return f"more than {simulation.solver.error_limit:g} m off the path: episode over"
-    return "time is up: episode over" if simulation.truncated[row] else ""
+            reason = solver.plant.failures[code - 1].replace("_", " ")
+    elif simulation.truncated[row]:
+        reason = "time is up"
+    return reason and f"{reason}: episode over"
 
 
 def take(simulation: Simulation, row: int) -> Snapshot:
@@ -102,18 +200,18 @@ def take(simulation: Simulation, row: int) -> Snapshot:
         raise gymnasium.error.ResetNeeded("nothing to draw: call reset() before render()")
     batch, solver = simulation.batch, simulation.solver
 
-    def finite_list(values: NDArray[np.float64]) -> list[float]:
+    def finite_values(values: Floats) -> list[float]:
         return np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).tolist()
 
-    names = (
-        "reference_x", "reference_y", "reference_yaw", "reference_speed", "reference_yaw_rate",
-        "distance", "heading_error", "reward", "action_left", "action_right",
-    )  # fmt: skip
-    number = dict(zip(names, finite_list(batch.floats[row, columns(names)]), strict=True))
+    def values_of(*names: str) -> list[float]:
+        return finite_values(batch.floats[row, columns(names)])
+
     finite = bool(np.isfinite(batch.state()[row]).all())
-    state = VehicleState(*finite_list(batch.state()[row]))
-    parameters = PlantParameters(*finite_list(batch.parameters()[row]))
-    resistances = solver.plant.motion_resistances(batch.floats, row)
+    state = VehicleState(*finite_values(batch.state()[row]))
+    parameters = PlantParameters(*finite_values(batch.parameters()[row]))
+    speed, yaw_rate = values_of("reference_speed", "reference_yaw_rate")
+    distance, heading_error, reward = values_of("distance", "heading_error", "reward")
+    left, right = values_of("action_left", "action_right")
     return Snapshot(
         episode=episode,
         events=batch.events[row : row + 1, : int(batch.counter("event_count")[row])],
@@ -121,15 +219,15 @@ def take(simulation: Simulation, row: int) -> Snapshot:
         duration=simulation.settings.duration,
         state=state,
         parameters=parameters,
-        parameters_at_start=PlantParameters(*finite_list(batch.base()[row])),
-        reference=Pose(number["reference_x"], number["reference_y"], number["reference_yaw"]),
-        reference_speed=number["reference_speed"],
-        reference_yaw_rate=number["reference_yaw_rate"],
-        distance=number["distance"],
-        heading_error=number["heading_error"],
-        reward=number["reward"],
-        action=(number["action_left"], number["action_right"]),
-        resistance=resistances if finite else (0.0, 0.0),
+        parameters_at_start=PlantParameters(*finite_values(batch.base()[row])),
+        reference=Pose(*values_of("reference_x", "reference_y", "reference_yaw")),
+        reference_speed=speed,
+        reference_yaw_rate=yaw_rate,
+        distance=distance,
+        heading_error=heading_error,
+        reward=reward,
+        action=(left, right),
+        resistance=solver.plant.motion_resistances(batch.floats, row) if finite else (0.0, 0.0),
         lateral_force=parameters.mass * state.acceleration_y,
         ending=_ending(simulation, row, finite),
         nominal=solver.nominal,
@@ -137,107 +235,3 @@ def take(simulation: Simulation, row: int) -> Snapshot:
         drive=solver.drive,
         reads=solver.reads.names,
     )
-
-
-FloatArray = NDArray[np.float64]
-Heights = Callable[[FloatArray, FloatArray], FloatArray]
-
-TILT_LIMIT = math.radians(45.0)  # [rad] marked in the indicators unless the terrain has another
-
-
-def level(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Height 0 [m] at all places."""
-    return np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
-
-
-class TerrainSource(NamedTuple):
-    """The terrain of one environment, as pictures ask for it.
-
-    heights: (x, y) [m], two arrays of one shape -> heights [m] of that shape, world frame.
-    loads: (simulation, row) -> normal load [N] per patch (2, nx, ny): left and right track, from
-    the rear to the front, from the right to the left edge of the track; None: not known.
-    """
-
-    heights: Heights = level
-    loads: Callable[[Simulation, int], FloatArray] | None = None
-    tilt_limit: float = TILT_LIMIT  # [rad] between the vehicle's up axis and the vertical
-    centre_height: float = 0.0  # [m] h, centre of mass above the underside of the tracks
-
-    def checked_heights(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Heights [m] at places; raises ValueError for another shape or a number not finite."""
-        heights = np.asarray(self.heights(x, y), dtype=np.float64)
-        if heights.shape != np.shape(x):
-            raise ValueError(
-                f"heights have shape {heights.shape}; must be {np.shape(x)}, that of the places. "
-                "Does the function return one height for many places?"
-            )
-        if not np.isfinite(heights).all():
-            bad = np.flatnonzero(~np.isfinite(heights.ravel()))[0]
-            raise ValueError(
-                f"height = {heights.ravel()[bad]} m at x = {np.ravel(x)[bad]:g} m, "
-                f"y = {np.ravel(y)[bad]:g} m; must be finite. Is the place off the map?"
-            )
-        return heights
-
-
-class PlantGround:
-    """Heights of the ground of one vehicle as they are now; copied together with its simulation."""
-
-    def __init__(self, simulation: Simulation, row: int) -> None:
-        self._simulation, self._row = simulation, row
-
-    def __call__(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Heights [m] at places (x, y) [m], two arrays of one shape."""
-        ground = self._simulation.solver.prepared.ground
-        assert ground is not None
-        places = (np.asarray(values, dtype=np.float64).reshape(1, -1) for values in (x, y))
-        found = ground.heights(self._simulation.batch.floats, np.array([self._row]), *places)
-        return found.reshape(np.shape(x))
-
-
-def _patch_loads(simulation: Simulation, row: int) -> FloatArray:
-    """(2, nx, ny) normal load [N] of each patch of the left and the right track."""
-    ground = simulation.solver.prepared.ground
-    assert ground is not None
-    return ground.loads(simulation.batch, row)
-
-
-def source_of(simulation: Simulation, row: int) -> TerrainSource | None:
-    """The ground of vehicle `row` as it is now; None where the plant knows level ground alone."""
-    ground = simulation.solver.prepared.ground
-    if ground is None:
-        return None
-    height = ground.centre_height(simulation.solver.nominal)
-    return TerrainSource(PlantGround(simulation, row), _patch_loads, ground.tilt_limit, height)
-
-
-class BodyPose(NamedTuple):
-    """Position of the centre of mass and attitude, world frame."""
-
-    x: float  # [m]
-    y: float  # [m]
-    z: float  # [m] height of the centre of mass
-    yaw: float  # [rad]
-    pitch: float  # [rad] positive: nose down
-    roll: float  # [rad] positive: left side up
-
-    @property
-    def axes(self) -> FloatArray:
-        """Rotation matrix R (3, 3), body to world."""
-        angles = [self.yaw, self.pitch, self.roll]
-        return np.asarray(Rotation.from_euler("ZYX", angles).as_matrix())
-
-    @property
-    def tilt(self) -> float:
-        """Angle between the vehicle's up axis and the vertical [rad], in [0, pi]."""
-        return math.acos(min(max(math.cos(self.pitch) * math.cos(self.roll), -1.0), 1.0))
-
-    def place(self, points: FloatArray) -> FloatArray:
-        """World coordinates (P, 3) [m] of points (P, 3) [m] of the body."""
-        return points @ self.axes.T + (self.x, self.y, self.z)
-
-
-def pose_of(state: VehicleState, terrain: TerrainSource) -> BodyPose:
-    """Pose in space: the state counts z from the height of the centre of mass at rest."""
-    z = state.z + terrain.centre_height
-    return BodyPose(state.x, state.y, z, state.yaw, state.pitch, state.roll)

@@ -1,12 +1,8 @@
-"""The ground, coloured by one soil parameter as the plant sees it.
+"""The ground from above: one soil parameter as the plant sees it, relief and contour lines.
 
 The value at a place is that of the episode's start, changed by each event in turn with the
-kernel of the plant (`terrain.ground.changed`). It is drawn in square tiles, which are
-kept: a tile is computed again only when a ramp in time moves its parameter. On a terrain the
-colours are shaded by its slope and contour lines are drawn.
-
-Relief in pictures: brightness by the slope of the ground, and contour lines.
-
+kernel of the plant (`terrain.ground.changed`). It is drawn in square tiles, which are kept: a tile
+is computed again only when a ramp in time moves its parameter. On a terrain the colours are shaded:
     n = (-h_x, -h_y, 1) / sqrt(1 + h_x^2 + h_y^2)                normal of the ground
     brightness = B (a + (1 - a) max(n . s, 0) / s_z)             s: unit vector to the light
 Level ground has brightness B. The light comes from the north-west, 45 degrees high, as in maps [1].
@@ -20,38 +16,49 @@ import math
 
 import numpy as np
 import pygame
-from numpy.typing import NDArray
 
 from tracked_env import events as parameter_events
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX
-from tracked_env.rendering.canvas import SOIL_SCALE, Bytes, paint, surface
-from tracked_env.rendering.sizes import QUANTITIES, grid_of
+from tracked_env.rendering.canvas import (
+    LABELS,
+    SOIL_SCALE,
+    Bytes,
+    Colour,
+    Floats,
+    grid_of,
+    paint,
+    surface,
+)
 from tracked_env.rendering.snapshot import Snapshot, TerrainSource
 from tracked_env.terrain import ground
-
-FloatArray = NDArray[np.float64]
-
 
 LIGHT = (-0.5, 0.5, math.sqrt(0.5))  # s, unit vector to the light: x, y, z
 AMBIENT = 0.35  # [-] a, share of the light that has no direction
 LEVEL = 0.9  # [-] B, brightness of level ground; slopes to the light are brighter
 BRIGHTEST = 1.12  # [-] beyond it colours lose their hue
-LINE: tuple[int, int, int] = (122, 92, 58)  # contour lines, brown as in maps
+LINE: Colour = (122, 92, 58)  # contour lines, brown as in maps
 LEVELS = 12  # [-] contour lines at most between the lowest and the highest place
 STRONG = 5  # [-] one in so many lines is strong
 THIN, BROAD = 0.45, 0.9  # [px] half width of a line, and of a strong one
 FAINT = 0.55  # [-] opacity of thin lines over that of strong ones
 FLATTEST = 2e-4  # [lines per pixel] on flatter ground there are none
 CROWDED = 0.25  # [lines per pixel] nor on steeper
+AROUND, COARSE = 4.0, 96  # [contact lengths] around the path, and [-] heights on each side, that
+#                           choose the interval of the contour lines
+
+CELL_PIXELS = 2  # [px] side of a cell with one colour
+REFRESH = 0.2  # [s] a running ramp shows in steps of this length
+_TILES = 64  # [-] tiles kept
+_THIN, _THICK = 0.955, 0.86  # [-] the grid lines darken the soil by these factors
 
 
 @formula
-def brightness(slope_x, slope_y, light_x, light_y, light_z):
-    """Brightness of ground with these slopes [-]; light: unit vector to it."""
-    cosine = light_z - slope_x * light_x - slope_y * light_y
+def brightness(slope_x, slope_y, light):
+    """Brightness of ground with these slopes [-]; light (3,): unit vector to it."""
+    cosine = light[2] - slope_x * light[0] - slope_y * light[1]
     cosine = max(cosine, 0.0) / math.sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
-    return min(LEVEL * (AMBIENT + (1.0 - AMBIENT) * cosine / light_z), BRIGHTEST)
+    return min(LEVEL * (AMBIENT + (1.0 - AMBIENT) * cosine / light[2]), BRIGHTEST)
 
 
 @formula
@@ -85,7 +92,7 @@ def brightness_on_grid(heights, cell, light, out):
             left, right = max(column - 1, 0), min(column + 1, columns - 1)
             slope_x = (heights[row, right] - heights[row, left]) / (cell * max(right - left, 1))
             slope_y = (heights[high, column] - heights[low, column]) / (cell * max(high - low, 1))
-            out[row, column] = brightness(slope_x, slope_y, light[0], light[1], light[2])
+            out[row, column] = brightness(slope_x, slope_y, light)
 
 
 @loop
@@ -100,40 +107,27 @@ def draw_relief(pixels, heights, cell, interval, light):
             east, west = heights[row + 1, column + 2], heights[row + 1, column]
             north, south = heights[row, column + 1], heights[row + 2, column + 1]
             slope_x, slope_y = (east - west) / (2.0 * cell), (north - south) / (2.0 * cell)
-            bright = brightness(slope_x, slope_y, light[0], light[1], light[2])
+            bright = brightness(slope_x, slope_y, light)
             change = cell * math.sqrt(slope_x * slope_x + slope_y * slope_y)
             ink = contour(heights[row + 1, column + 1], 1.0 / interval, change)
             for c in range(3):
-                ground = min(bright * pixels[row, column, c], 255.0)
-                pixels[row, column, c] = int(ground + ink * (LINE[c] - ground) + 0.5)
+                shade = min(bright * pixels[row, column, c], 255.0)
+                pixels[row, column, c] = int(shade + ink * (LINE[c] - shade) + 0.5)
 
 
-def contour_interval(heights: FloatArray) -> float:
-    """Interval [m], 1, 2 or 5 times a power of ten, for at most LEVELS lines; 1 on level ground."""
+def interval_around(terrain: TerrainSource, path: Floats, length: float) -> float:
+    """Interval [m] of the contour lines for the ground around a path (P, 2) [m].
+
+    1, 2 or 5 times a power of ten, for at most LEVELS lines; 1 on level ground.
+    """
+    low, high = path.min(axis=0) - AROUND * length, path.max(axis=0) + AROUND * length
+    xs, ys = (np.linspace(low[k], high[k], COARSE) for k in (0, 1))
+    heights = terrain.checked_heights(*np.meshgrid(xs, ys))
     least = float(heights.max() - heights.min()) / LEVELS
     if least < 1e-6:
         return 1.0
     decade = 10.0 ** math.floor(math.log10(least))
     return next(decade * step for step in (1.0, 2.0, 5.0, 10.0) if decade * step >= least)
-
-
-def shaded_map(
-    pixels: Bytes,
-    heights: FloatArray,
-    cell: float,
-    interval: float,
-    light: tuple[float, float, float] = LIGHT,
-) -> Bytes:
-    """A copy of an image (H, W, 3) with relief; arguments as `draw_relief` has them."""
-    out = pixels.copy()
-    draw_relief(out, heights, cell, interval, light)
-    return out
-
-
-CELL_PIXELS = 2  # [px] side of a cell with one colour
-REFRESH = 0.2  # [s] a running ramp shows in steps of this length
-_TILES = 64  # [-] tiles kept
-_THIN, _THICK = 0.955, 0.86  # [-] the grid lines darken the soil by these factors
 
 
 @loop
@@ -152,15 +146,13 @@ def values_on_grid(start, events, count, parameter, time, xs, ys, out):
 
 def value_at(shot: Snapshot, count: int, name: str, time: float, x: float, y: float) -> float:
     """Value of a parameter at one place, after the first `count` events."""
-    out = np.empty((1, 1))
-    start = getattr(shot.parameters_at_start, name)
-    values_on_grid(
-        start, shot.events, count, PARAMETER_INDEX[name], time, np.array([x]), np.array([y]), out
-    )
+    out, start = np.empty((1, 1)), getattr(shot.parameters_at_start, name)
+    place = np.array([x]), np.array([y])
+    values_on_grid(start, shot.events, count, PARAMETER_INDEX[name], time, *place, out)
     return float(out[0, 0])
 
 
-def map_time(events: FloatArray, time: float) -> float:
+def map_time(events: Floats, time: float) -> float:
     """The instant [s] whose map is shown at `time`: exact at steps, every REFRESH in ramps."""
     shown = 0.0
     for start, duration in events[events[:, 0] == parameter_events.RAMP, 3:5]:
@@ -179,7 +171,7 @@ class SoilMap:
         self,
         shot: Snapshot,
         pixels_per_metre: int,
-        parameter: str | None,
+        parameter: str | None = None,
         terrain: TerrainSource | None = None,
         interval: float = 1.0,
     ) -> None:
@@ -193,10 +185,10 @@ class SoilMap:
         preference = shot.plant.soil_map
         varying = [name for name in preference if PARAMETER_INDEX[name] in spatial]
         self.name = parameter or (varying or preference)[0]
-        self.quantity = QUANTITIES[self.name]
+        self.label = LABELS[self.name]
         self.uniform = self.name not in varying
         self._row = PARAMETER_INDEX[self.name]
-        self._own_events = events[events[:, 1] == self._row]
+        self._events = events[events[:, 1] == self._row]  # those of this parameter
         self._start = float(getattr(shot.parameters_at_start, self.name))
         self._grid = grid_of(pixels_per_metre)
         self._metre = pixels_per_metre
@@ -204,17 +196,16 @@ class SoilMap:
         self._tiles: dict[tuple[int, int], pygame.Surface] = {}
         self._time = -1.0
 
-    def image(self, shot: Snapshot, xs: FloatArray, ys: FloatArray) -> Bytes:
+    def image(self, shot: Snapshot, xs: Floats, ys: Floats) -> Bytes:
         """Colours (H, W, 3) at the places xs (W,), ys (H,) [m]."""
-        out = np.empty((ys.size, xs.size))
-        count = shot.events.shape[1]
+        out, count = np.empty((ys.size, xs.size)), shot.events.shape[1]
         values_on_grid(self._start, shot.events, count, self._row, self._time, xs, ys, out)
-        index = np.clip(256.0 * self.quantity.share(out), 0.0, 255.0)
+        index = np.clip(256.0 * self.label.share(out), 0.0, 255.0)
         return SOIL_SCALE[index.astype(np.uint8)]
 
     def advance(self, shot: Snapshot) -> bool:
         """Move to the time of the snapshot; True when the map has changed since the last call."""
-        time = map_time(self._own_events, shot.time)
+        time = map_time(self._events, shot.time)
         if time == self._time:
             return False
         self._time = time
@@ -262,5 +253,6 @@ class SoilMap:
         height, width = pixels.shape[:2]
         xs = left + cell * (np.arange(-1, width + 1) + 0.5)
         ys = top - cell * (np.arange(-1, height + 1) + 0.5)
-        heights = self._terrain.checked_heights(*np.meshgrid(xs, ys))
-        return shaded_map(pixels, heights, cell, self.interval)
+        out, heights = pixels.copy(), self._terrain.checked_heights(*np.meshgrid(xs, ys))
+        draw_relief(out, heights, cell, self.interval, LIGHT)
+        return out

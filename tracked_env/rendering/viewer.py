@@ -1,18 +1,14 @@
-"""A recording in the browser with `viser`: live with a slider, or as one file without a server.
+"""An episode as a page for a browser, with `viser`: it needs neither server nor network.
 
-`show` serves it at 127.0.0.1 until it is interrupted. `write_html` writes a page that runs from
-disk and has its own time line; controls of the live page are not in it. In both the driven path
-grows: it consists of pieces that are shown in turn. Colours carry the light of the pictures, so
-the scene has ambient light alone.
-
-One episode as arrays, for a viewer that shows any instant: poses, errors, loads, ground.
+`Recorder` collects the episode as arrays, `write_html` writes the page, which runs from disk and
+has its own time line. The driven path grows: it consists of pieces that are shown in turn. Ground
+and vehicle are the meshes of `perspective`; their colours carry the light of the pictures, so the
+scene has ambient light alone.
 """
 
 import contextlib
 import io
 import math
-import time
-from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,45 +21,39 @@ from scipy.spatial.transform import Rotation
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.references import sample
-from tracked_env.rendering import canvas, sizes
-from tracked_env.rendering.canvas import Bytes
-from tracked_env.rendering.perspective import HORIZON, height_grid, interval_around
+from tracked_env.rendering import canvas
+from tracked_env.rendering.canvas import Bytes, Floats
+from tracked_env.rendering.perspective import HORIZON, Landscape
 from tracked_env.rendering.scene import Faces, footprint, vehicle_faces
-from tracked_env.rendering.snapshot import Snapshot, TerrainSource, pose_of, take
-from tracked_env.rendering.soil_map import SoilMap
-
-FloatArray = NDArray[np.float64]
-
+from tracked_env.rendering.snapshot import BodyPose, Snapshot, TerrainSource, take
+from tracked_env.rendering.soil_map import SoilMap, interval_around
 
 AROUND = 6.0  # [contact lengths] of ground around the path
 MESH_POINTS = 2.5e4  # [-] heights of the ground at most
 IMAGE_PIXELS = 1.0e6  # [-] of the picture on it
 PATH_STEP = 0.1  # [s] between points of the reference
-
-
-class Relief(NamedTuple):
-    """The ground: heights on a square mesh, and a picture of the same area."""
-
-    heights: NDArray[np.float32]  # (R, C) [m], rows along y, columns along x
-    x: float  # [m] of heights[0, 0]
-    y: float  # [m]
-    cell: float  # [m]
-    picture: Bytes  # (H, W, 3), first row in the north
+PORT = 8080  # [-] first one that is tried while the page is written, at 127.0.0.1
+RATE = 20.0  # [1/s] instants of a recording that are shown
+MAX_PIECES = 60  # [-] of the driven path
+LIFT = 0.03  # [contact lengths] of lines above the ground
+FIELD = 8  # [px] side of the field of a colour in a common picture
+AMBIENT = 2.3  # intensity at which colours look as in the pictures
 
 
 class Recording(NamedTuple):
     """One episode; T instants."""
 
-    times: FloatArray  # (T,) [s]
-    poses: FloatArray  # (T, 6) x, y, z [m], yaw, pitch, roll [rad]
-    references: FloatArray  # (T, 3) x, y [m], yaw [rad]
-    speeds: FloatArray  # (T,) [m/s]
-    distances: FloatArray  # (T,) [m] to the reference
-    loads: FloatArray | None  # (T, 2) [N] under the left and the right track
-    path: FloatArray  # (P, 2) [m] of the reference
+    times: Floats  # (T,) [s]
+    poses: Floats  # (T, 6) x, y, z [m], yaw, pitch, roll [rad]
+    references: Floats  # (T, 3) x, y [m], yaw [rad]
+    speeds: Floats  # (T,) [m/s]
+    distances: Floats  # (T,) [m] to the reference
+    loads: Floats | None  # (T, 2) [N] under the left and the right track
+    path: Floats  # (P, 2) [m] of the reference
     parameters: PlantParameters
-    terrain: TerrainSource
-    relief: Relief
+    centre_height: float  # [m] of the centre of mass above the underside of the tracks
+    ground: Landscape
+    picture: Bytes  # (H, W, 3) of the ground, first row in the north
 
 
 class Recorder:
@@ -73,7 +63,7 @@ class Recorder:
         """terrain: what the vehicle drives on; None: level ground."""
         self._terrain = terrain or TerrainSource()
         self._shots: list[Snapshot] = []
-        self._loads: list[FloatArray] = []
+        self._loads: list[Floats] = []
 
     def add(self, simulation: Simulation, row: int = 0) -> None:
         """Take the present instant of the episode.
@@ -97,49 +87,40 @@ class Recorder:
         count = math.ceil(first.duration / PATH_STEP) + 1
         profile = sample(first.episode.profile, np.linspace(0.0, first.duration, count))
         path = np.stack([profile.x, profile.y], axis=1)
+        ground, picture = self._ground(path)
         return Recording(
             times=np.array([shot.time for shot in shots]),
-            poses=np.array([pose_of(shot.state, self._terrain) for shot in shots]),
+            poses=np.array([self._terrain.pose(shot.state) for shot in shots]),
             references=np.array([shot.reference for shot in shots]),
             speeds=np.array([shot.state.v_x for shot in shots]),
             distances=np.array([shot.distance for shot in shots]),
             loads=np.array(self._loads) if self._loads else None,
             path=path,
             parameters=first.nominal,
-            terrain=self._terrain,
-            relief=self._relief(first, path),
+            centre_height=self._terrain.centre_height,
+            ground=ground,
+            picture=picture,
         )
 
-    def _relief(self, shot: Snapshot, path: FloatArray) -> Relief:
+    def _ground(self, path: Floats) -> tuple[Landscape, Bytes]:
+        """The ground around path and vehicle, and its colours from above with relief."""
+        shot, terrain = self._shots[0], self._terrain
         length = shot.sizes.length
         everywhere = np.concatenate([path, [s.pose[:2] for s in self._shots]])
         low, high = everywhere.min(axis=0), everywhere.max(axis=0)
         low, high = low - AROUND * length, high + AROUND * length
         cell = max(0.1 * length, math.sqrt(float(np.prod(high - low)) / MESH_POINTS))
-        heights, x, y = height_grid(self._terrain, low, high, cell)
-        interval = interval_around(self._terrain, path, length)
-        soil = SoilMap(shot, sizes.default_zoom(length), None, self._terrain, interval)
+        interval = interval_around(terrain, path, length)
+        ground = Landscape(terrain, low, high, cell, length, interval)
+        soil = SoilMap(shot, canvas.default_zoom(length), None, terrain, interval)
         soil.advance(shot)
-        size = cell * (np.array(heights.shape) - 1)  # [m] y, x
-        pixel = math.sqrt(float(np.prod(size)) / IMAGE_PIXELS)
-        rows, columns = (math.floor(extent / pixel) for extent in size)
-        xs = x + size[1] * (np.arange(columns) + 0.5) / columns
-        ys = y + size[0] * (1.0 - (np.arange(rows) + 0.5) / rows)
-        colours = soil.image(shot, xs, ys)
-        picture = soil.with_relief(colours, x, y + float(size[0]), pixel)
-        return Relief(heights, x, y, cell, picture)
-
-
-HOST = "127.0.0.1"  # the page is not visible on the network
-PORT = 8080  # [-] first one that is tried
-RATE = 20.0  # [1/s] instants of a recording that are shown
-PIECES = 60  # [-] at most, of the driven path
-LIFT = 0.03  # [contact lengths] of lines above the ground
-FIELD = 8  # [px] side of the field of a colour in a common picture
-LINE = 3.0  # [px] width of lines
-AMBIENT = 2.3  # intensity at which colours look as in the pictures
-SPEEDS = ("0.25", "0.5", "1", "2", "4")  # of the live page's clock
-MISSING = 'the viewer needs viser, which is not installed: pip install "tracked-env[viewer]"'
+        height, width = cell * (np.array(ground.grid.heights.shape) - 1)  # [m]
+        pixel = math.sqrt(width * height / IMAGE_PIXELS)
+        rows, columns = math.floor(height / pixel), math.floor(width / pixel)
+        xs = ground.grid.x + width * (np.arange(columns) + 0.5) / columns
+        ys = ground.grid.y + height * (1.0 - (np.arange(rows) + 0.5) / rows)
+        top = ground.grid.y + float(height)
+        return ground, soil.with_relief(soil.image(shot, xs, ys), ground.grid.x, top, pixel)
 
 
 def check_installed() -> None:
@@ -147,36 +128,28 @@ def check_installed() -> None:
     try:
         import viser  # noqa: F401
     except ImportError as error:
-        raise ImportError(MISSING) from error
+        message = (
+            'the viewer needs viser, which is not installed: pip install "tracked-env[viewer]"'
+        )
+        raise ImportError(message) from error
 
 
-def _server(port: int) -> Any:
-    """A server that only this machine reaches; raises ImportError as `check_installed`."""
-    check_installed()
-    import viser
-
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints its address at any verbosity
-        return viser.ViserServer(host=HOST, port=port, verbose=False)
-
-
-def _stop(server: Any) -> None:
-    with contextlib.redirect_stdout(io.StringIO()):
-        server.stop()
-
-
-def _ground(relief: Relief) -> Any:
+def _ground_mesh(recording: Recording) -> Any:
     """The ground as a mesh with its picture."""
     import trimesh
 
-    rows, columns = relief.heights.shape
-    x = relief.x + relief.cell * np.arange(columns)
-    y = relief.y + relief.cell * np.arange(rows)
-    places = np.stack([*np.meshgrid(x, y), relief.heights.astype(np.float64)], axis=-1)
+    grid = recording.ground.grid
+    rows, columns = grid.heights.shape
+    x, y = (
+        first + recording.ground.cell * np.arange(count)
+        for first, count in ((grid.x, columns), (grid.y, rows))
+    )
+    places = np.stack([*np.meshgrid(x, y), grid.heights.astype(np.float64)], axis=-1)
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     low = np.stack([corner, corner + 1, corner + columns + 1], axis=1)
     high = np.stack([corner, corner + columns + 1, corner + columns], axis=1)
     u, v = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
-    visual = _painted(np.stack([u.ravel(), v.ravel()], axis=1), relief.picture)
+    visual = _painted(np.stack([u.ravel(), v.ravel()], axis=1), recording.picture)
     faces = np.concatenate([low, high])
     return trimesh.Trimesh(places.reshape(-1, 3), faces, visual=visual, process=False)
 
@@ -187,8 +160,8 @@ def _solid(faces: Faces) -> Any:
 
     colours = faces.lit()
     triangles, fields = [], []
-    for k in range(len(colours)):
-        corners = faces.corners[faces.starts[k] : faces.starts[k + 1]]
+    for k, (start, end) in enumerate(pairwise(faces.starts)):
+        corners = faces.corners[start:end]
         for m in range(1, len(corners) - 1):
             triangles += [corners[[0, m, m + 1]], corners[[0, m + 1, m]]]  # seen from both sides
             fields += [k, k]
@@ -197,14 +170,12 @@ def _solid(faces: Faces) -> Any:
     palette[: len(colours)] = colours
     image = palette.reshape(side, side, 3).repeat(FIELD, 0).repeat(FIELD, 1)
     row, column = np.divmod(np.repeat(fields, 3), side)
-    uv = np.stack([(column + 0.5) / side, 1.0 - (row + 0.5) / side], axis=1)
-    order = np.arange(len(uv)).reshape(-1, 3)
-    return trimesh.Trimesh(
-        np.concatenate(triangles), order, visual=_painted(uv, image), process=False
-    )
+    visual = _painted(np.stack([(column + 0.5) / side, 1.0 - (row + 0.5) / side], axis=1), image)
+    order = np.arange(3 * len(fields)).reshape(-1, 3)
+    return trimesh.Trimesh(np.concatenate(triangles), order, visual=visual, process=False)
 
 
-def _painted(uv: FloatArray, image: canvas.Bytes) -> Any:
+def _painted(uv: Floats, image: Bytes) -> Any:
     """A picture (H, W, 3) on a mesh with the texture coordinates uv (V, 2), without gloss."""
     import trimesh
 
@@ -212,11 +183,6 @@ def _painted(uv: FloatArray, image: canvas.Bytes) -> Any:
         baseColorTexture=Image.fromarray(image), metallicFactor=0.0, roughnessFactor=1.0
     )
     return trimesh.visual.TextureVisuals(uv=uv, material=material)
-
-
-def _segments(points: FloatArray) -> FloatArray:
-    """Line segments (P - 1, 2, 3) of a line (P, 3)."""
-    return np.stack([points[:-1], points[1:]], axis=1)
 
 
 class Stage:
@@ -232,66 +198,56 @@ class Stage:
         scene.configure_environment_map(None)
         scene.add_light_ambient("/light", intensity=AMBIENT)
         scene.set_background_image(np.tile(np.array(HORIZON, dtype=np.uint8), (8, 8, 1)))
-        scene.add_mesh_trimesh("/ground", _ground(recording.relief))
-        path = self._on_ground(recording.path)
+        scene.add_mesh_trimesh("/ground", _ground_mesh(recording))
+        path = recording.ground.on_ground(recording.path, LIFT)
         self._line(scene, "/reference", path, canvas.BLUE)
         self._pieces = self._trail(scene)
-        body = vehicle_faces(p, recording.terrain.centre_height, (0.0, 0.0), (0.0, 0.0))
+        body = vehicle_faces(p, recording.centre_height)
         self._vehicle = scene.add_mesh_trimesh("/vehicle", _solid(body))
-        outline = np.array([*footprint(p, self._length), footprint(p, self._length)[0]])
+        outline = footprint(p, self._length)
         self._ghost = scene.add_frame("/reference_pose", show_axes=False)
-        flat = np.insert(outline, 2, 0.0, axis=1)
+        flat = np.insert(np.array([*outline, outline[0]]), 2, 0.0, axis=1)
         self._line(scene, "/reference_pose/outline", flat, canvas.BLUE)
         self._label = scene.add_label("/numbers", "", anchor="bottom-center")
-        self._look(server, path)
+        self._look(server.initial_camera, path)
         self.move(0)
 
     def move(self, instant: int) -> None:
         """Show an instant of the recording."""
-        recording = self.recording
-        x, y, z, yaw, pitch, roll = recording.poses[instant].tolist()
-        turn = Rotation.from_euler("ZYX", [yaw, pitch, roll])
-        self._vehicle.position = (x, y, z)
-        self._vehicle.wxyz = turn.as_quat(scalar_first=True)
-        self._ghost.position, self._ghost.wxyz = self._lying(recording.references[instant])
+        pose = BodyPose(*self.recording.poses[instant].tolist())
+        turn = Rotation.from_euler("ZYX", pose[3:])
+        self._vehicle.position, self._vehicle.wxyz = pose[:3], turn.as_quat(scalar_first=True)
+        self._ghost.position, self._ghost.wxyz = self._lying(self.recording.references[instant])
         for first, piece in self._pieces:
             if piece.visible != (first < instant):
                 piece.visible = first < instant
-        self._label.position = (x, y, z + 0.9 * self._length)
-        self._label.text = self.numbers(instant)
+        self._label.position = (pose.x, pose.y, pose.z + 0.9 * self._length)
+        self._label.text = self._numbers(instant, pose)
 
-    def numbers(self, instant: int) -> str:
+    def _numbers(self, instant: int, pose: BodyPose) -> str:
         """Time, speed, position error, tilt and, where they are known, loads at an instant."""
         r = self.recording
-        pitch, roll = r.poses[instant, 4:]
-        tilt = math.degrees(math.acos(min(math.cos(pitch) * math.cos(roll), 1.0)))
-        parts = [
-            f"{r.times[instant]:.1f} s", f"{r.speeds[instant]:.2f} m/s",
-            f"error {r.distances[instant]:.2f} m", f"tilt {tilt:.0f}°",
-        ]  # fmt: skip
-        if r.loads is not None:
-            left, right = r.loads[instant] / 1e3
-            parts.append(f"loads {left:.1f} | {right:.1f} kN")
-        return " · ".join(parts)
+        text = (
+            f"{r.times[instant]:.1f} s · {r.speeds[instant]:.2f} m/s · error "
+            f"{r.distances[instant]:.2f} m · tilt {math.degrees(pose.tilt):.0f}°"
+        )
+        if r.loads is None:
+            return text
+        left, right = r.loads[instant] / 1e3
+        return f"{text} · loads {left:.1f} | {right:.1f} kN"
 
-    def _heights(self, points: FloatArray) -> FloatArray:
-        """Heights (P,) [m] of the terrain at places (P, 2) [m]."""
-        return self.recording.terrain.checked_heights(points[:, 0], points[:, 1])
-
-    def _on_ground(self, points: FloatArray) -> FloatArray:
-        heights = self._heights(points) + LIFT * self._length
-        return np.column_stack([points, heights])
-
-    def _line(self, scene: Any, name: str, points: FloatArray, colour: canvas.Colour) -> Any:
+    def _line(self, scene: Any, name: str, points: Floats, colour: canvas.Colour) -> Any:
+        """A line through points (P, 3) [m], 3 px wide."""
+        segments = np.stack([points[:-1], points[1:]], axis=1)
         return scene.add_line_segments(
-            name, _segments(points), colour, thickness=LINE, thickness_units="screen"
+            name, segments, colour, thickness=3.0, thickness_units="screen"
         )
 
     def _trail(self, scene: Any) -> list[tuple[int, Any]]:
         """Pieces of the driven path, each with the instant at which it begins."""
-        points = self._on_ground(self.recording.poses[:, :2])
+        points = self.recording.ground.on_ground(self.recording.poses[:, :2], LIFT)
         count = len(points)
-        cuts = np.unique(np.linspace(0, count - 1, min(PIECES, count)).astype(int)).tolist()
+        cuts = np.unique(np.linspace(0, count - 1, min(MAX_PIECES, count)).astype(int)).tolist()
         pieces = []
         for first, last in pairwise(cuts):
             part = points[first : last + 1]
@@ -300,29 +256,25 @@ class Stage:
             pieces.append((last - 1, piece))
         return pieces
 
-    def _lying(self, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _lying(self, reference: Floats) -> tuple[Floats, Floats]:
         """Position [m] and quaternion of the reference pose on the slope under it."""
         x, y, yaw = reference.tolist()
-        reach = 0.4 * self._length
-        ahead, aside = (
-            np.array([math.cos(yaw), math.sin(yaw)]),
-            np.array([-math.sin(yaw), math.cos(yaw)]),
+        reach, cosine, sine = 0.4 * self._length, math.cos(yaw), math.sin(yaw)
+        around = np.array(
+            [(0.0, 0.0), (cosine, sine), (-cosine, -sine), (-sine, cosine), (sine, -cosine)]
         )
-        places = np.array([x, y]) + reach * np.array([0.0 * ahead, ahead, -ahead, aside, -aside])
-        h = self._heights(places)
+        h = self.recording.ground.heights(np.array([x, y]) + reach * around)
         pitch = -math.atan2(h[1] - h[2], 2.0 * reach)
         roll = math.atan2((h[3] - h[4]) * math.cos(pitch), 2.0 * reach)
         turn = Rotation.from_euler("ZYX", [yaw, pitch, roll])
         return np.array([x, y, h[0] + LIFT * self._length]), turn.as_quat(scalar_first=True)
 
-    def _look(self, server: Any, path: FloatArray) -> None:
+    def _look(self, camera: Any, path: Floats) -> None:
         """The first camera: the whole path, from the south and from above."""
         low, high = path.min(axis=0), path.max(axis=0)
         middle = 0.5 * (low + high) * (1.0, 1.0, 0.0) + (0.0, 0.0, low[2])
         away = 0.75 * float(np.linalg.norm(high - low)) + 3.0 * self._length
-        camera = server.initial_camera
-        camera.up = (0.0, 0.0, 1.0)
-        camera.fov = math.radians(50.0)
+        camera.up, camera.fov = (0.0, 0.0, 1.0), math.radians(50.0)
         camera.look_at = tuple(middle.tolist())
         camera.position = tuple((middle + away * np.array([-0.25, -0.95, 0.75])).tolist())
 
@@ -340,7 +292,11 @@ def write_html(recording: Recording, path: Path) -> None:
 
     Raises ImportError that says what to install.
     """
-    server = _server(PORT)
+    check_installed()
+    import viser
+
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints its address at any verbosity
+        server = viser.ViserServer(host="127.0.0.1", port=PORT, verbose=False)
     try:
         stage = Stage(server, recording)
         record = server.get_scene_serializer()
@@ -350,48 +306,7 @@ def write_html(recording: Recording, path: Path) -> None:
             record.insert_sleep(float(recording.times[following] - recording.times[instant]))
         page = record.as_html()
     finally:
-        _stop(server)
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(page, encoding="utf-8")
-
-
-def show(recording: Recording, port: int = PORT, until: Callable[[], bool] = lambda: False) -> None:
-    """Serve the recording at 127.0.0.1 with slider and play button, until interrupted.
-
-    port: the first one that is tried; until: asked often, True ends it. Raises ImportError that
-    says what to install.
-    """
-    server = _server(port)
-    try:
-        server.gui.configure_theme(show_share_button=False, show_logo=False)
-        stage = Stage(server, recording)
-        times = recording.times
-        print(
-            f"http://{HOST}:{server.get_port()} shows {times[-1]:g} s; Ctrl+C ends it", flush=True
-        )
-        slider = server.gui.add_slider(
-            "time [s]", float(times[0]), max(float(times[-1]), float(times[0]) + 1e-3), 0.01,
-            float(times[0]),
-        )  # fmt: skip
-        playing = server.gui.add_checkbox("play", True)
-        speed = server.gui.add_dropdown("speed", SPEEDS, initial_value="1")
-        follow = server.gui.add_checkbox("follow the vehicle", False)
-        last = time.monotonic()
-        while not until():
-            time.sleep(1.0 / RATE)
-            now = time.monotonic()
-            elapsed, last = now - last, now
-            if playing.value:
-                later = slider.value + elapsed * float(speed.value)
-                slider.value = float(times[0]) if later > times[-1] else later
-            instant = int(np.searchsorted(times, slider.value).clip(0, len(times) - 1))
-            stage.move(instant)
-            if follow.value:
-                for client in server.get_clients().values():
-                    step = recording.poses[instant, :3] - np.array(client.camera.look_at)
-                    client.camera.position = np.array(client.camera.position) + step
-                    client.camera.look_at = recording.poses[instant, :3]
-    except KeyboardInterrupt:
-        pass
-    finally:
-        _stop(server)

@@ -15,7 +15,8 @@ A surface is a compiled function (x, y) [m] -> `Surface`; another one is another
 passed to `tracked_env.terrain.ground.at` by the plant that drives on it.
 """
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,12 @@ from tracked_env.physics.parameters import (
     SoilParameters,
     gathering,
 )
+
+STEEPEST = 5.0  # [-] dz/dx of any terrain, 79 degrees
+# What an episode draws on top of a terrain, see `terrain.pool`: two slopes, and sinusoids.
+DRAWN_WAVES = 8
+RELIEF_SIZE = 2 + 4 * DRAWN_WAVES
+RELIEF_COLUMNS = RELIEF_SIZE + 1  # and the member of the pool
 
 
 class Surface(NamedTuple):
@@ -126,3 +133,22 @@ def refresh(floats, events, i, count, time):
         floats[i, row] = parameter_events.changed_value(
             floats[i, row], events, i, e, time, floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
         )
+
+
+def checked_relief(given: Any) -> tuple[float, ...]:
+    """A drawn relief as numbers; empty for none. Raises ValueError."""
+    numbers = tuple(float(value) for value in given)
+    if len(numbers) not in (0, RELIEF_SIZE) or not all(math.isfinite(value) for value in numbers):
+        raise ValueError(
+            f"relief of {len(numbers)} numbers; must be {RELIEF_SIZE} finite ones, two slopes and "
+            f"{DRAWN_WAVES} rows [A, kx, ky, phi], or none"
+        )
+    steep = math.hypot(*numbers[:2]) if numbers else 0.0
+    for k in range(2, len(numbers), 4):
+        steep += abs(numbers[k]) * math.hypot(numbers[k + 1], numbers[k + 2])
+    if steep > STEEPEST:
+        raise ValueError(
+            f"relief with a slope of up to {steep:.3g}; must be at most {STEEPEST:g}. "
+            "Are the wave numbers in rad/m?"
+        )
+    return numbers

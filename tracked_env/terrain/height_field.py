@@ -51,6 +51,7 @@ from numpy.typing import NDArray
 
 from tracked_env.physics.parameters import Range
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
+from tracked_env.terrain.ground import STEEPEST
 from tracked_env.terrain.relief import RAMP, STEP, Relief, fill_places
 from tracked_env.validation import (
     checked_choice,
@@ -248,7 +249,6 @@ def load_map(given: Mapping[str, Any]) -> tuple[Floats, Floats]:
     return heights, np.array([x, y, 1.0 / cell, float(interpolation == "bicubic")])
 
 
-STEEPEST = 5.0  # [-] dz/dx, 79 degrees
 _HEIGHT = Range(-100.0, 100.0, "m", "Did you pass millimetres?")
 _SLOPE = Range(-STEEPEST, STEEPEST, "-", "It is dz/dx, the tangent of the angle; not degrees.")
 _PLACE = Range(-1e6, 1e6, "m", "It is a world coordinate.")

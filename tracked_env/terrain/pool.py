@@ -16,7 +16,6 @@ unused sinusoids have A = 0. The laws are in `tracked_env.uncertainty.laws`. The
 them has k, the member of `terrain.pool` that the episode has drawn.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -26,10 +25,10 @@ from numpy.typing import NDArray
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import Range
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
+from tracked_env.terrain.ground import DRAWN_WAVES, RELIEF_SIZE
 from tracked_env.terrain.height_field import (
     KINDS,
     LARGEST,
-    STEEPEST,
     HeightField,
     make_height_field,
 )
@@ -178,9 +177,6 @@ def make_pool(given: object) -> Pool:
     return Pool(tuple(fields), _stacked(fields))
 
 
-DRAWN_WAVES = 8
-RELIEF_SIZE = 2 + 4 * DRAWN_WAVES
-RELIEF_COLUMNS = RELIEF_SIZE + 1  # and the member of the pool
 SCAN_ROWS = 5  # of the scratch: places, heights, slopes
 
 
@@ -214,25 +210,6 @@ def fill_rows(reliefs, floats, first, rows, x, y, found):
         relief = member_of(reliefs, int(floats[rows[k], first + RELIEF_SIZE]))
         fill_there((relief, floats, rows[k], first), w, count)
         found[k, 0], found[k, 1], found[k, 2] = w[HEIGHT], w[SLOPE_X], w[SLOPE_Y]
-
-
-def checked_relief(given: Any) -> tuple[float, ...]:
-    """A drawn relief as numbers; empty for none. Raises ValueError."""
-    numbers = tuple(float(value) for value in given)
-    if len(numbers) not in (0, RELIEF_SIZE) or not all(math.isfinite(value) for value in numbers):
-        raise ValueError(
-            f"relief of {len(numbers)} numbers; must be {RELIEF_SIZE} finite ones, two slopes and "
-            f"{DRAWN_WAVES} rows [A, kx, ky, phi], or none"
-        )
-    steep = math.hypot(*numbers[:2]) if numbers else 0.0
-    for k in range(2, len(numbers), 4):
-        steep += abs(numbers[k]) * math.hypot(numbers[k + 1], numbers[k + 2])
-    if steep > STEEPEST:
-        raise ValueError(
-            f"relief with a slope of up to {steep:.3g}; must be at most {STEEPEST:g}. "
-            "Are the wave numbers in rad/m?"
-        )
-    return numbers
 
 
 def ground_at(

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from tracked_env.engine.noise import integer, uniform
 from tracked_env.physics.jit import fill_entries, formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, ParametersRead, PlantParameters
 from tracked_env.references import ReferenceProfile
+from tracked_env.streams import integer, uniform
 from tracked_env.uncertainty import drawing_laws, laws, soils
 from tracked_env.uncertainty.drawing_laws import (
     ArrayLaw,

@@ -5,7 +5,7 @@ with the physical ranges, so that a mistake in it is an error and not a strange 
 
 Laws as kernels: one form that draws a batch of episodes, or one episode for Python.
 
-A law is a `formula` (rng, nominal, path, truth, changes) that draws with `tracked_env.engine.noise`:
+A law is a `formula` (rng, nominal, path, truth, changes) that draws with `tracked_env.streams`:
     truth.mass = nominal.mass * uniform(rng, 0.8, 1.5)
     ramp(changes, MASS, truth.mass, start, duration)
 `truth` has the fields of PlantParameters and begins as the nominal one. Changes are kept in rows as
@@ -28,15 +28,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env import events
-from tracked_env.engine import noise
-from tracked_env.engine.noise import uniform
+from tracked_env import events, streams
 from tracked_env.events import Event, decode_event, encode_schedule
 from tracked_env.physics.jit import copy_entries, fill_entries, formula, template
 from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES, PlantParameters
 from tracked_env.physics.reference_profile import UNIFORM_COLUMNS, advance
 from tracked_env.references import ReferenceProfile
-from tracked_env.terrain.pool import DRAWN_WAVES, RELIEF_SIZE, checked_relief
+from tracked_env.streams import uniform
+from tracked_env.terrain.ground import DRAWN_WAVES, RELIEF_SIZE, checked_relief
 from tracked_env.validation import checked_parameter, unknown
 
 
@@ -127,7 +126,8 @@ def checked(law: Law) -> Law:
     return law if isinstance(law, CheckedLaw) else CheckedLaw(law)
 
 
-RECORD = np.dtype([(name, np.float64) for name in PARAMETER_NAMES])
+# Fields of a record are attributes, in kernels as where laws run as plain Python.
+RECORD = np.dtype((np.record, [(name, np.float64) for name in PARAMETER_NAMES]))
 HURST = 0.8  # [-] of drawn hills: 1 is smooth, 0 is rough
 CHANGES_LIMIT = 48  # [-] of one episode, drawn by a law
 CHANGE_FIELDS = 9  # eight as `events` has them, and the direction of a line [rad]
@@ -313,7 +313,7 @@ class ArrayLaw:
         both = profile.table[:, None]
         yaw = profile.yaw
         draws = Draws(
-            noise.addresses([rng]),
+            streams.addresses([rng]),
             np.zeros(1, dtype=np.int64),
             np.array([tuple(nominal)], dtype=RECORD),
             both,

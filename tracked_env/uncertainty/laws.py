@@ -21,9 +21,9 @@ Laws of heavy vehicles whose drives answer late, or give less torque than comman
 import math
 from typing import NamedTuple
 
-from tracked_env.engine.noise import integer, random, uniform
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.rigid_body import Inertia, with_payload
+from tracked_env.streams import integer, random, uniform
 from tracked_env.uncertainty import drawing_laws as c
 from tracked_env.uncertainty.soils import firm_ground
 

@@ -12,10 +12,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.engine.noise import integer, random, uniform
 from tracked_env.events import Event, encode_schedule, wave
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import HEAVY_CLAY, SoilParameters
+from tracked_env.streams import integer, random, uniform
 from tracked_env.uncertainty import drawing_laws as c
 
 

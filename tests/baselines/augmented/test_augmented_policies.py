@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from baselines.augmented.augmented_policy import DRIVE_COLUMNS, OWN, AugmentedState
+from baselines.augmented.augmented_policy import CHANNEL_COLUMN, DRIVE_COLUMNS, AugmentedState
 from baselines.augmented.l1 import L1Policy, L1Settings
 from baselines.augmented.mrac import HIGH, LOW, MracPolicy, MracSettings
 from baselines.estimators.measurement import DataSheet
@@ -207,7 +207,7 @@ def test_what_l1_cancels_on_a_line_is_the_resistance_that_its_model_lacks():
     nominal = NOMINAL.longitudinal_resistance * NOMINAL.mass
     assumed = settings.mass_factor * NOMINAL.mass
     wanted = GRAVITY * (nominal - resistance * mass) / assumed
-    assert state.adaptation[0, OWN + 2] == pytest.approx(wanted, rel=0.03)
+    assert state.adaptation[0, CHANNEL_COLUMN + 2] == pytest.approx(wanted, rel=0.03)
     assert error < 0.02
     none = L1Policy(settings=settings._replace(forward_bound=0.0, turning_bound=0.0))
     assert straight(none, mass=mass, longitudinal_resistance=resistance)[1] > 0.05
@@ -218,7 +218,7 @@ def test_what_mrac_demands_on_a_line_is_the_resistance_of_the_vehicle():
     policy = MracPolicy(settings=MracSettings(leak=0.0))
     mass, resistance = 1900.0, 0.35
     state, error = straight(policy, mass=mass, longitudinal_resistance=resistance)
-    _, held, constant = state.adaptation[0, OWN : OWN + 3]
+    _, held, constant = state.adaptation[0, CHANNEL_COLUMN : CHANNEL_COLUMN + 3]
     demanded = held * NOMINAL.longitudinal_resistance * GRAVITY + constant
     assert demanded == pytest.approx(resistance * mass * GRAVITY / NOMINAL.mass, rel=0.03)
     assert error < 0.02
@@ -232,7 +232,7 @@ def test_parameters_of_mrac_stay_in_the_projection_set_whatever_the_sensors_say(
         seen = observation.copy()
         seen[:, SENSORS] += rng.normal(size=seen[:, SENSORS].shape).astype(np.float32)
         _, state = policy.predict(seen, state)
-        for at in (OWN, OWN + 4):
+        for at in (CHANNEL_COLUMN, CHANNEL_COLUMN + 4):
             p = state.adaptation[:, at : at + 3]
             assert (p >= np.array(LOW)).all() and (p <= np.array(HIGH)).all()
             reached |= set(p.ravel())

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from baselines.augmented.augmented_policy import (
+    CHANNEL_COLUMN,
     DRIVE_COLUMNS,
     LARGEST_CORRECTION,
-    OWN,
+    DriveLoop,
     correct_all,
     drive_period,
     mean_of,
@@ -20,20 +21,20 @@ DECAY = math.exp(-PERIOD / LAG)
 
 
 @loop
-def take(memory, sent, torque, bandwidth, decay, lag):
+def take(memory, sent, torque, drive):
     """One period of the left drive of the first vehicle; its mean torque."""
-    return drive_period(memory, 0, 0, sent, torque, decay, lag, bandwidth, PERIOD)
+    return drive_period(memory, 0, 0, sent, torque, drive)
 
 
 def driven(demands, gain=1.0, lag=LAG, bandwidth=150.0, noise=0.0, missing=(), wrong=()):
     """What the drive gives after every period, and the commands, for demands (T,)."""
-    rng, memory = np.random.default_rng(0), np.zeros((1, OWN))
+    rng, memory = np.random.default_rng(0), np.zeros((1, CHANNEL_COLUMN))
     torque, sent, given, commands = 0.0, 0.0, [], []
     decay = math.exp(-PERIOD / lag)
     for k, demand in enumerate(demands):
         seen = math.nan if k in missing else torque + noise * rng.standard_normal()
         seen = -0.8 if k in wrong else seen
-        take(memory, sent, seen, bandwidth, DECAY, LAG)
+        take(memory, sent, seen, DriveLoop(LAG, DECAY, bandwidth, PERIOD))
         action = np.array([[demand, 0.0]], dtype=np.float32)
         correct_all(memory, 0, action)
         sent = float(action[0, 0])
@@ -106,13 +107,13 @@ def test_the_mean_torque_of_a_period_is_that_of_the_exponential(lag):
     now = command + (before - command) * decay
     time = np.linspace(0.0, PERIOD, 20001)[1:]
     curve = command + (before - command) * (np.exp(-time / lag) if lag else 0.0 * time)
-    got = mean_of(before, now, decay, lag, PERIOD)
+    got = mean_of(before, now, DriveLoop(lag, decay, 0.0, PERIOD))
     assert got == pytest.approx(curve.mean(), abs=2e-5)
 
 
 def test_both_drives_of_a_vehicle_have_columns_of_their_own():
-    assert OWN >= 2 * DRIVE_COLUMNS
-    memory, action = np.zeros((1, OWN)), np.zeros((1, 2), dtype=np.float32)
+    assert CHANNEL_COLUMN >= 2 * DRIVE_COLUMNS
+    memory, action = np.zeros((1, CHANNEL_COLUMN)), np.zeros((1, 2), dtype=np.float32)
     memory[0, 4], memory[0, DRIVE_COLUMNS + 4] = 0.25, -0.5
     correct_all(memory, 0, action)
     np.testing.assert_array_equal(action, [[-0.25, 0.5]])

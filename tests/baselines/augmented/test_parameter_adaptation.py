@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from baselines.augmented.mrac import Adaptation, Load, adapted, beyond, demanded
+from baselines.augmented.mrac import Adaptation, Load, Sample, adapted, beyond, demanded
 from tracked_env.physics.jit import loop
 
 LOW, HIGH, NOMINAL = Load(0.2, 0.0, -5.0), Load(4.0, 4.0, 5.0), Load(1.0, 1.0, 0.0)
@@ -25,7 +25,7 @@ def run(changes, thrust, resisting, numbers, period, out):
     """Parameters and error (T, 4) of one channel that starts at the nominal parameters."""
     p, error = numbers.nominal, 0.0
     for k in range(changes.size):
-        p, error = adapted(p, error, changes[k], thrust[k], resisting[k], numbers, period)
+        p, error = adapted(p, error, Sample(changes[k], thrust[k], resisting[k]), numbers, period)
         out[k, 0], out[k, 1], out[k, 2] = p
         out[k, 3] = error
 

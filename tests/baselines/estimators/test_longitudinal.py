@@ -53,61 +53,6 @@ def test_on_the_spot_the_resistances_cancel_and_the_mass_is_found_alone(lateral_
     assert last.condition[0] > 1e9
 
 
-def test_the_paper_s_regression_is_exact_on_the_straight_and_biased_in_curves():
-    # S 8.3: mass error below 1 % on the straight, below 5 % afterwards.
-    p = TRUTH._replace(icr_forward=0.2)
-
-    def errors(kind, regression):
-        last = follow(estimator(regression=regression), measurements(p, kind, "constrained"))[-1]
-        return np.abs(relative_error(last, p))[0]
-
-    assert errors("straight", "paper").max() < 1e-5
-    assert errors("curves", "coupled").max() < 1e-4
-    assert 0.002 < errors("curves", "paper").max() < 0.05
-
-
-def test_as_printed_exact_data_give_the_exact_parameters_however_far_they_are():
-    far = TRUTH._replace(mass=30.0 * CLAY.mass, longitudinal_resistance=0.01)  # beyond all bounds
-    last = follow(estimator(regression="printed"), measurements(far, "straight"))[-1]
-    assert np.abs(relative_error(last, far)).max() < 1e-5
-    bounded = follow(estimator(regression="paper"), measurements(far, "straight"))[-1]
-    assert 1.0 / bounded.value[0, 0] == pytest.approx(5.0 * CLAY.mass)
-
-
-def test_as_printed_the_estimate_is_the_forgetting_batch_least_squares_and_the_recursion_of_7_1_1():
-    factor, radius = 0.998, CLAY.sprocket_radius
-    samples = measurements(TRUTH, "curves", sheet=RTK)
-    found = follow(estimator(RTK, regression="printed"), samples)
-    rows = np.array([sample.values[0] for sample in samples])
-    w, v_y = rows[:, COLUMN["yaw_rate"]], rows[:, COLUMN["v_y"]]
-    y = rows[:, COLUMN["acceleration_x"]] + w * v_y
-    torque = rows[:, COLUMN["torque_left"]] + rows[:, COLUMN["torque_right"]]
-    phi = np.stack([torque / radius, np.full(len(y), -9.81)], axis=1)
-    theta = np.array([1.0 / CLAY.mass, CLAY.longitudinal_resistance])
-    p = np.diag([(400.0 / CLAY.mass) ** 2, 300.0**2])  # the paper names no P(0)
-    for k in range(len(y)):
-        gain = p @ phi[k] / (factor + phi[k] @ p @ phi[k])
-        theta = theta + gain * (y[k] - phi[k] @ theta)
-        p = (p - np.outer(gain, phi[k] @ p)) / factor
-        if k in (100, 400, 999):
-            weight = np.sqrt(factor ** np.arange(k, -1.0, -1.0))[:, None]
-            batch = np.linalg.lstsq(weight * phi[: k + 1], weight[:, 0] * y[: k + 1], rcond=None)[0]
-            assert found[k].value[0] == pytest.approx(batch, rel=1e-4)
-            assert found[k].value[0] == pytest.approx(theta, rel=1e-4)
-
-
-def test_as_printed_no_sample_is_left_out():
-    found = estimator(regression="printed")
-    follow(found, measurements(TRUTH, "straight", steps=50))
-    sample = measurements(TRUTH, "straight", steps=51)[-1]
-    values = sample.values.copy()
-    values[:, COLUMN["v_x"]] = 0.01  # as slow as no track that is used otherwise
-    values[:, COLUMN["torque_left"]] = 1e5  # more than any drive has
-    before = found.read().value
-    after = found.update(sample._replace(values=values)).value
-    assert np.abs(after / before - 1.0).max() > 1e-3
-
-
 # --- noise ----------------------------------------------------------------------------------
 
 
@@ -234,7 +179,6 @@ def test_reset_forgets_the_rows_named(rows):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"regression": "simple"}, "regression"),
         ({"control_period": 50.0}, "rate"),
         ({"control_period": float("nan")}, "control_period"),
         ({"count": 0}, "count"),

@@ -72,7 +72,7 @@ class Driven:
             step, until = arrays.counters[:, b.STEP], arrays.counters[:, b.OUTAGE_UNTIL]
             kept["missing"].append(step < until)
             action, state = policy.predict(observation, state)
-            known = getattr(policy, "_policy", policy).known
+            known = getattr(policy, "_policy", policy).identification
             value, covariance = known.parts.answers["slip"][:2]
             error = (value[:, :3] - known.reading.reference) - (true - path)
             error[:, 2] = (error[:, 2] + np.pi) % (2.0 * np.pi) - np.pi

@@ -32,22 +32,6 @@ def test_without_noise_inertia_and_lateral_resistance_are_found(kind, factor, la
     assert last.status[0] == Status.CONVERGING
 
 
-@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
-def test_the_paper_s_settings_find_them_too(lateral_model):
-    truth, nominal = with_lateral_model(TRUTH), with_lateral_model(CLAY)
-    found = estimator(nominal=nominal, lateral=lateral_model, regression="paper")
-    last = follow(found, measurements(truth, "curves", lateral_model))[-1]
-    assert np.abs(relative_error(last, truth)).max() < 2e-4
-
-
-def test_as_printed_they_are_found_however_far_they_are():
-    truth, nominal = with_lateral_model(TRUTH), with_lateral_model(CLAY)
-    far = truth._replace(inertia=20.0 * CLAY.inertia, lateral_resistance=0.05)
-    found = estimator(nominal=nominal, truth=far, lateral="constrained", regression="printed")
-    last = follow(found, measurements(far, "curves", "constrained"))[-1]
-    assert np.abs(relative_error(last, far)).max() < 1e-4
-
-
 def test_the_lateral_velocity_is_found_from_the_lateral_acceleration():
     known = estimator()._known
     for w in (-1.0, -0.2, -0.05, 0.03, 0.1, 0.6):
@@ -250,8 +234,6 @@ def test_bounds_hold_under_dropouts_outliers_and_reversals(lateral_model):
     ("options", "message"),
     [
         ({"lateral": "slide"}, "lateral"),
-        ({"regression": "simple"}, "regression"),
-        ({"regression": "printed", "lateral": "sliding"}, "must be 'constrained'"),
         ({"control_period": -0.02}, "control_period"),
         ({"count": 0}, "count"),
         ({"forgetting": 0.002}, "lambda"),

@@ -22,8 +22,7 @@ BOTH = pytest.mark.parametrize("make", [longitudinal, turning], ids=["longitudin
 @pytest.mark.parametrize(
     ("make", "options"),
     [
-        (longitudinal, {"regression": "coupled"}),
-        (longitudinal, {"regression": "paper"}),
+        (longitudinal, {}),
         (turning, {"lateral": "sliding"}),
         (turning, {"lateral": "constrained"}),
     ],

@@ -49,12 +49,11 @@ def test_the_command_of_an_agent_says_its_whole_configuration(folder: Path) -> N
 
     Commands of before `--augmentation` call it `--memory`.
     """
-    tyro = pytest.importorskip("tyro", reason="train.py needs the extra `cli`")
     options = pytest.importorskip("agents.options", reason="needs the extra `rl`")
     configuration = importlib.import_module("agents.run").configuration
     recipe = current(json.loads((folder / "config.json").read_text(encoding="utf-8")))
     command = shlex.split(recipe["command"].replace(" --memory ", " --augmentation "))[2:]
-    today = configuration(tyro.cli(options.options_of_train(), args=command))
+    today = configuration(options.parse(command, options.options_of_train())[0])
     for name in set(recipe["config"]) - {"output"}:
         assert today[name] == recipe["config"][name], name
 

@@ -25,7 +25,7 @@ def recorded():
 
 def copied(state):
     memories = tuple(memory.copy() for memory in state.memories)
-    return AdaptiveState(state.controller.copy(), memories, state.given.copy())
+    return AdaptiveState(state.controller.copy(), memories, state.delivered.copy())
 
 
 def interrupt(*_arguments):
@@ -158,7 +158,7 @@ def test_traction_limits_are_used_where_known_and_without_soil_stay_nominal():
     for uses_soil in (True, False):
         policy = AdaptivePolicy(uses_soil=uses_soil)
         run(policy, "weak-soil", 16, 4.0)
-        known, p = policy.known.traction_known, policy.parameters
+        known, p = policy.identification.traction_known, policy.parameters
         assert 0.3 < known.mean() < 1.0
         for name in names:
             row = policy.controller.parameters[type(p)._fields.index(name)]
@@ -208,7 +208,7 @@ def test_missing_sensor_values_do_not_stop_it(filtered):
     assert np.isfinite(episodes.action).all()
     assert not episodes.over.any()
     assert episodes.settled.max() < 0.1
-    assert (policy.known.longitudinal.skipped > 50).all()
+    assert (policy.identification.longitudinal.skipped > 50).all()
 
 
 def test_a_sensor_group_that_dies_stops_nothing():
@@ -264,7 +264,6 @@ def test_wrong_shapes_and_foreign_states_are_refused(recorded):
     ("options", "says"),
     [
         ({"slip": "ekf"}, "slip = 'ekf'; must be 'batched' or 'filterpy'"),
-        ({"regression": "ols"}, "regression = 'ols'; must be one of coupled, paper, printed"),
         ({"lateral": "skid"}, "lateral = 'skid'; must be one of"),
         (
             {"control_period": 50.0},

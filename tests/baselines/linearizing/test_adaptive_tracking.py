@@ -142,13 +142,6 @@ def test_the_lateral_model_of_the_paper_with_its_factor_is_identified_as_well():
     assert mine.over.sum() <= known.over.sum() < blind.over.sum()
 
 
-def test_the_regressions_of_the_paper_are_worse_but_drive():
-    policy = AdaptivePolicy(regression="paper")
-    mine = run(policy, "soil-and-mass", 32)
-    assert interquartile_mean(mine.rmse) < 0.5 * score("nominal", "soil-and-mass", 32)
-    assert np.isfinite(mine.action).all()
-
-
 def test_filterpy_drives_as_the_batched_filter_does():
     ways = [
         run(AdaptivePolicy(slip=slip), "soil-and-mass", 4, 3.0) for slip in ("batched", "filterpy")

@@ -1,8 +1,12 @@
 """The Lyapunov function of Focchi et al. and the error it is made of, as the paper has them."""
 
 import math
+from typing import NamedTuple
 
-from baselines.lyapunov.lyapunov_laws import PoseError, distance_weight
+import numpy as np
+
+from baselines.lyapunov.lyapunov_laws import BodyMotion, PoseError, distance_weight, turn_towards
+from tracked_env.physics.elementary import rotation
 
 
 def pose_error(x, y, yaw, x_d, y_d, yaw_d):
@@ -29,3 +33,37 @@ def lyapunov_rate(error, speed, slip, gains):
     distances = speed * offset * left - gains.k_p * along * along
     weight = distance_weight(error.x, error.y, gains)
     return weight * distances - gains.k_phi * heading * heading
+
+
+class Spiral(NamedTuple):
+    """The reference of F, figure 10: constant speed, yaw rate w_d = yaw_acceleration t.
+
+    F prints w_d = 4 t in no unit. In rad/s it needs sprockets of 10 rad/s, the end of F's own
+    data, after 0.5 s and a radius of 1 cm after 8 s. The default reaches 1 rad/s, a radius of
+    0.3 m, in 20 s.
+    """
+
+    speed: float = 0.3  # [m/s] v_d
+    yaw_acceleration: float = 0.05  # [rad/s^2] dw_d / dt
+
+    def yaw_rate(self, time: float) -> float:
+        """w_d [rad/s] at `time` [s]."""
+        return self.yaw_acceleration * time
+
+    def advance(self, pose: np.ndarray, time: float, duration: float) -> np.ndarray:
+        """Reference pose (3,) at time + duration [s]; `pose` is that at `time`. RK4 of (35)."""
+        middle, end = time + 0.5 * duration, time + duration
+        start, bend = pose[2], 0.5 * self.yaw_acceleration
+        halfway = start + bend * (middle * middle - time * time)
+        final = start + bend * (end * end - time * time)
+        yaws = np.array([start, halfway, final])
+        weights = np.array([1.0, 4.0, 1.0]) * self.speed * duration / 6.0
+        return np.array([pose[0] + weights @ np.cos(yaws), pose[1] + weights @ np.sin(yaws), final])
+
+
+def unicycle_law(error, speed, yaw_rate, gains):
+    """BodyMotion demanded by (40), (42) of F, blind to slip; speed v_d, yaw_rate w_d."""
+    _cosine, sine = rotation(error.heading)
+    steering = speed * turn_towards(error.x, error.y, error.heading)
+    steering *= distance_weight(error.x, error.y, gains)
+    return BodyMotion(speed - gains.k_p * error.x, yaw_rate - steering - gains.k_phi * sine)

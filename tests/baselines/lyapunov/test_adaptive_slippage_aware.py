@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators.measurement import DataSheet
-from baselines.lyapunov import slippage_aware
+from baselines.lyapunov import pose_filter
 from baselines.lyapunov.adaptive_slippage_aware import (
     AdaptiveSlipPolicy,
     KnownSlip,
@@ -204,10 +204,9 @@ def test_the_bias_of_the_gyro_is_learned_from_the_heading_and_taken_off_in_an_ou
     rng, bias, turned = np.random.default_rng(1), 0.01, {}
     sheet = DataSheet.of(MOCAP)._replace(gyro_bias=bias)
     for learned in (True, False):
-        noise = slippage_aware.gyro_noise_of(sheet, learned)
-        measured, gains = slippage_aware.filter_of(sheet, 0.02)
-        error, mean, gyro = np.zeros((8, 3)), np.zeros((8, 3)), np.zeros((8, slippage_aware.GYRO))
-        age, located, reference = np.zeros(8), np.zeros(8, dtype=bool), np.empty((8, 4))
+        keep, reference = pose_filter.PoseFilter.of(sheet, 0.02, learned), np.empty((8, 4))
+        error, mean, gyro = np.zeros((8, 3)), np.zeros((8, 3)), np.zeros((8, pose_filter.GYRO))
+        memory = pose_filter.PoseMemory(error, np.zeros(8), mean, gyro, np.zeros(8, dtype=bool))
         for step in range(1000):
             observation = np.zeros((8, layout.SIZE), dtype=np.float32)
             blind = max(step - 500, 0) * 0.02
@@ -220,11 +219,9 @@ def test_the_bias_of_the_gyro_is_learned_from_the_heading_and_taken_off_in_an_ou
             ):
                 column = layout.INDEX[name]
                 observation[:, column] = value / layout.SCALE[column]
-            slippage_aware.locate(
-                observation, np.zeros((8, 2)), np.zeros(8), measured, gains, noise, 0.02, error,
-                age, mean, gyro, located, reference,
-            )  # fmt: skip
+            rest = np.zeros((8, 2)), np.zeros(8)
+            pose_filter.locate(observation, *rest, keep, memory, reference)
         turned[learned] = np.abs(error[:, 2])
-        assert np.allclose(gyro[:, slippage_aware.TURN_BIAS], bias if learned else 0.0, atol=1e-3)
+        assert np.allclose(gyro[:, pose_filter.TURN_BIAS], bias if learned else 0.0, atol=1e-3)
     assert turned[True].max() < 0.015
     assert turned[False].min() > 0.09  # [rad], the bias over 10 s

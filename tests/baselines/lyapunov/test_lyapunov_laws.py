@@ -14,7 +14,7 @@ from baselines.lyapunov.lyapunov_laws import (
     lyapunov_value,
     pose_rate,
 )
-from tests.baselines.lyapunov.lyapunov_function import lyapunov_rate, pose_error
+from tests.baselines.lyapunov.lyapunov_function import lyapunov_rate, pose_error, unicycle_law
 
 GAINS = LyapunovGains()
 NO_SLIP = Slip(0.0, 0.0, 0.0)
@@ -70,7 +70,7 @@ def rate_along_the_model(error, speed, yaw_rate, slip, motion, gains=GAINS):
 
 def test_the_unicycle_law_decreases_v_as_in_43():
     for error, speed, yaw_rate, _slip in situations(3000):
-        motion = law.unicycle_law(error, speed, yaw_rate, GAINS)
+        motion = unicycle_law(error, speed, yaw_rate, GAINS)
         rate = rate_along_the_model(error, speed, yaw_rate, NO_SLIP, motion)
         expected = -GAINS.k_p * error.x**2 - GAINS.k_phi * math.sin(error.heading) ** 2
         assert rate == pytest.approx(expected, abs=1e-6)
@@ -103,7 +103,7 @@ def test_the_laws_decrease_v_with_every_weight_of_distances(k_y, reach):
             motion = (
                 law.slippage_aware_law(error, speed, yaw_rate, s, gains)
                 if aware
-                else law.unicycle_law(error, speed, yaw_rate, gains)
+                else unicycle_law(error, speed, yaw_rate, gains)
             )
             along = error.x * math.cos(s.alpha) + error.y * math.sin(s.alpha)
             heading = math.sin(error.heading + s.alpha)
@@ -115,9 +115,9 @@ def test_the_laws_decrease_v_with_every_weight_of_distances(k_y, reach):
 
 def test_far_from_the_path_the_demanded_yaw_rate_stays_within_the_reach():
     gains = LyapunovGains(5.0, 3.0, 40.0, 0.1)
-    near = law.unicycle_law(PoseError(0.0, 0.01, 0.0), 0.3, 0.0, gains).yaw_rate
+    near = unicycle_law(PoseError(0.0, 0.01, 0.0), 0.3, 0.0, gains).yaw_rate
     assert near == pytest.approx(-40.0 * 0.3 * 0.01, rel=0.01)
-    far = law.unicycle_law(PoseError(0.0, 5.0, 0.0), 0.3, 0.0, gains).yaw_rate
+    far = unicycle_law(PoseError(0.0, 5.0, 0.0), 0.3, 0.0, gains).yaw_rate
     assert far == pytest.approx(-40.0 * 0.1 * 0.3, rel=0.01)
 
 
@@ -152,14 +152,14 @@ def test_a_lateral_offset_alone_is_steered_with_the_sign_that_5_1_ends_with(sign
         assert turn == pytest.approx(sign * speed * distance, abs=1e-12)
         between = -speed * distance * math.sin(0.0 + sign * 0.5 * math.pi)
         assert turn == pytest.approx(-between, abs=1e-12)
-        ours = law.unicycle_law(pose_error(*pose, 0.0, 0.0, yaw), speed, 0.0, GAINS)
+        ours = unicycle_law(pose_error(*pose, 0.0, 0.0, yaw), speed, 0.0, GAINS)
         assert ours.yaw_rate == pytest.approx(turn, abs=1e-12)
 
 
 def test_for_a_reference_that_stands_every_lateral_offset_is_an_equilibrium():
-    motion = law.unicycle_law(PoseError(0.0, 0.7, 0.0), 0.0, 0.0, GAINS)
+    motion = unicycle_law(PoseError(0.0, 0.7, 0.0), 0.0, 0.0, GAINS)
     assert motion.speed == 0.0 and motion.yaw_rate == 0.0
-    turning = law.unicycle_law(PoseError(0.0, 0.7, 0.0), 0.3, 0.0, GAINS)
+    turning = unicycle_law(PoseError(0.0, 0.7, 0.0), 0.3, 0.0, GAINS)
     assert abs(turning.yaw_rate) > 0.1
 
 
@@ -180,7 +180,7 @@ def test_in_body_axes_the_law_is_the_printed_one():
 
 def test_without_error_the_reference_itself_is_demanded():
     none = PoseError(0.0, 0.0, 0.0)
-    assert law.unicycle_law(none, 0.3, -0.4, GAINS) == (0.3, -0.4)
+    assert unicycle_law(none, 0.3, -0.4, GAINS) == (0.3, -0.4)
     slip = Slip(-0.2, -0.2, 0.1)
     rest = PoseError(0.0, 0.0, 0.2)
     motion = law.slippage_aware_law(rest, 0.3, 0.5, slip, GAINS)
@@ -191,7 +191,7 @@ def test_without_error_the_reference_itself_is_demanded():
 
 def test_without_slip_both_laws_are_the_same_bit_for_bit():
     for error, speed, yaw_rate, _slip in situations(2000, angle=4.0):
-        expected = law.unicycle_law(error, speed, yaw_rate, GAINS)
+        expected = unicycle_law(error, speed, yaw_rate, GAINS)
         assert law.slippage_aware_law(error, speed, yaw_rate, NO_SLIP, GAINS) == expected
 
 
@@ -221,10 +221,10 @@ def test_reversing_is_driving_forward_seen_from_behind():
 
 def test_a_vehicle_to_the_left_of_its_path_steers_right_forwards_and_left_backwards():
     left = PoseError(0.0, 0.1, 0.0)
-    assert law.unicycle_law(left, 0.3, 0.0, GAINS).yaw_rate == pytest.approx(-0.03)
-    assert law.unicycle_law(left, -0.3, 0.0, GAINS).yaw_rate == pytest.approx(0.03)
-    assert law.unicycle_law(PoseError(0.0, 0.0, 0.2), 0.3, 0.0, GAINS).yaw_rate < 0.0
-    assert law.unicycle_law(PoseError(0.1, 0.0, 0.0), 0.3, 0.0, GAINS).speed == pytest.approx(-0.7)
+    assert unicycle_law(left, 0.3, 0.0, GAINS).yaw_rate == pytest.approx(-0.03)
+    assert unicycle_law(left, -0.3, 0.0, GAINS).yaw_rate == pytest.approx(0.03)
+    assert unicycle_law(PoseError(0.0, 0.0, 0.2), 0.3, 0.0, GAINS).yaw_rate < 0.0
+    assert unicycle_law(PoseError(0.1, 0.0, 0.0), 0.3, 0.0, GAINS).speed == pytest.approx(-0.7)
 
 
 def test_the_inverse_cosine_is_exact_above_its_floor_and_fades_smoothly_to_zero():
@@ -289,15 +289,16 @@ def test_v_still_falls_under_the_limit_while_it_leaves_room_for_the_reference_sp
     assert checked > 500
 
 
-@pytest.mark.parametrize("aware", [True, False])
-def test_the_loop_over_vehicles_is_the_single_law(aware):
+def test_the_loop_over_vehicles_is_the_single_law():
     rows = list(situations(50))
     motion = np.empty((50, 2))
     law.laws(
-        np.array([r[0] for r in rows]), np.array([r[1:3] for r in rows]),
-        np.array([r[3] for r in rows]), aware, GAINS, motion,
-    )  # fmt: skip
+        np.array([r[0] for r in rows]),
+        np.array([r[1:3] for r in rows]),
+        np.array([r[3] for r in rows]),
+        GAINS,
+        motion,
+    )
     for got, (error, speed, yaw_rate, slip) in zip(motion, rows, strict=True):
-        one = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
-        expected = one if aware else law.unicycle_law(error, speed, yaw_rate, GAINS)
+        expected = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
         assert BodyMotion(*got) == expected

@@ -7,15 +7,9 @@ import pytest
 from scipy.special import fresnel
 
 from baselines.lyapunov import lyapunov_laws
-from baselines.lyapunov.lyapunov_laws import (
-    BodyMotion,
-    Geometry,
-    NoSlip,
-    PoseError,
-    PseudoKinematicModel,
-    Spiral,
-)
-from tests.baselines.lyapunov.lyapunov_function import pose_error
+from baselines.lyapunov.lyapunov_laws import BodyMotion, Geometry, PoseError, PseudoKinematicModel
+from baselines.slip.slip_models import NoSlip
+from tests.baselines.lyapunov.lyapunov_function import Spiral, pose_error
 from tracked_env.physics.parameters import plant_parameters
 
 MAXXII = plant_parameters()._replace(

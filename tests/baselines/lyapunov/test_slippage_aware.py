@@ -7,9 +7,10 @@ import pytest
 
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws
-from baselines.lyapunov.lyapunov_laws import LyapunovGains, NoSlip, PseudoKinematicModel, Spiral
+from baselines.lyapunov.lyapunov_laws import LyapunovGains, PseudoKinematicModel
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
-from tests.baselines.lyapunov.lyapunov_function import pose_error
+from baselines.slip.slip_models import NoSlip
+from tests.baselines.lyapunov.lyapunov_function import Spiral, pose_error
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import plant_parameters
 
@@ -165,7 +166,7 @@ def test_saturated_sprockets_keep_the_turn():
 
 def test_the_filter_calms_the_tracks_and_follows_no_worse():
     path = {"duration": 15.0, "start": (0.0, 0.0, 0.0), "noise": RTK, "count": 16}
-    assert aware().filter_gains == (1.0, 1.0)
+    assert aware().pose_filter[1:3] == (1.0, 1.0)
     raw, rough = drive(aware(), **path)
     filtered, calm = drive(aware(data_sheet=RTK), **path)
     rough, calm = (np.abs(np.diff(a[150:], axis=0)).mean() for a in (rough, calm))
@@ -176,7 +177,7 @@ def test_the_filter_calms_the_tracks_and_follows_no_worse():
 def test_without_a_velocity_sensor_the_belts_carry_the_filter():
     blind = RTK._replace(velocity_noise=1e3)
     policy = aware(data_sheet=blind)
-    assert not policy.velocity_measured
+    assert not policy.pose_filter.velocity_measured
     noise, at_rest = blind._replace(velocity_noise=5.0), (0.0, 0.0, 0.0)
     distance, _ = drive(policy, 15.0, start=at_rest, noise=noise, count=16)
     assert np.sqrt((distance**2).mean()) < 0.01

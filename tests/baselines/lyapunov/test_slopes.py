@@ -7,13 +7,8 @@ import tracked_env
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, KnownSlip
 from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
-from baselines.lyapunov.slippage_aware import (
-    ATTITUDE,
-    AttitudeFilter,
-    SlippageAwarePolicy,
-    UnicyclePolicy,
-    in_vehicle_plane,
-)
+from baselines.lyapunov.pose_filter import ATTITUDE, AttitudeFilter, in_vehicle_plane
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.registry import POLICIES
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
 from tracked_env import observation as layout

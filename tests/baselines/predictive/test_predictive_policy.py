@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
-from baselines.lyapunov.slippage_aware import ATTITUDE
+from baselines.lyapunov.pose_filter import ATTITUDE
 from baselines.registry import BY_DRIVE, POLICIES, PREDICTIVE
 from tests.baselines.episodes import FAILED, context, interquartile_mean, run
 from tracked_env import SPEED

@@ -18,12 +18,12 @@ from baselines.slip.slip_sweep import (
     with_friction,
 )
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.terrain_motion import SCALED, STIFFNESS
+from tracked_env.physics.terrain_motion import SCALED
 from tracked_env.physics.terramechanics import GRAVITY
 
 FOCCHI = VEHICLES["focchi"]
-RIGID = SCALED.copy()
-RIGID[6:8] *= 3.0  # stiff ground: the vehicle tilts less on it
+# stiff ground: the vehicle tilts less on it
+RIGID = SCALED._replace(stiffness=3.0 * SCALED.stiffness, damping=3.0 * SCALED.damping)
 TILT = 6.5e-3  # [rad] on the springs, along a slope of 20 degrees
 
 
@@ -50,7 +50,7 @@ def tilted(slope, h=0.25):
     """Grade along the body of a vehicle that climbs a slope [rad] and tilts on its springs."""
     p = FOCCHI
     area = 2.0 * p.track_width * p.contact_length
-    stiffness = STIFFNESS * area * (0.5 * p.contact_length) ** 2 / 3.0
+    stiffness = SCALED.stiffness * area * (0.5 * p.contact_length) ** 2 / 3.0
     tilt = 0.0
     for _ in range(20):
         moment = p.mass * GRAVITY * math.cos(slope) * h * math.tan(slope + tilt)
@@ -102,8 +102,7 @@ def test_mirrored_and_turned_about_the_motion_is_the_same(load):
 @pytest.mark.parametrize("load", LOADS)
 def test_on_level_ground_with_a_low_centre_of_mass_it_is_the_planar_plant(load):
     """Without motion resistance, which opposes each patch here and each track there."""
-    low = SCALED.copy()
-    low[:2] = 1e-3, 0.0
+    low = SCALED._replace(height=1e-3, height_ratio=0.0)
     rng = np.random.default_rng(4)
     speeds = rng.uniform(-8.0, 8.0, (40, 2))
     p, level = rolling_free(0.4), np.zeros((40, 2))

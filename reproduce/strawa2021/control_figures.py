@@ -1,21 +1,15 @@
-"""Figures 9 to 16 and 18 to 27: paths, speeds, errors, torque and slip; needs matplotlib.
-
-Figures 17 and 28 to 36: surface of the RMSE, estimates over time; needs matplotlib.
-"""
+"""Figures 9 to 36: paths, speeds, errors, torque, slip, surfaces of the RMSE, estimates."""
 
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from reproduce.paper_page import REFERENCE, Drawings, panels
+from reproduce.paper_page import REFERENCE, panels
 from reproduce.strawa2021 import identification as ident
-from reproduce.strawa2021 import slip as slips
-from reproduce.strawa2021.control import PATHS, SCENARIOS, SETTLED, Drive, Run
-from reproduce.strawa2021.identification import Condition
-from reproduce.strawa2021.results import REGRESSIONS, Results
-from reproduce.strawa2021.soil import CASES, CHANGES, Case
-from reproduce.strawa2021.sweep import Surface
+from reproduce.strawa2021 import soil as soils
+from reproduce.strawa2021.control import PATHS, SCENARIOS, SETTLED, SIDES, Drive, Run, Surface
+from reproduce.strawa2021.identification import REGRESSIONS, Condition
 from tracked_env.benchmark.figures import DPI, PALETTE, REFERENCE_COLOUR
 from tracked_env.events import changed_value, encode_schedule
 from tracked_env.physics.parameters import plant_parameters
@@ -29,7 +23,7 @@ NUMBERS = {  # of the figures in the paper
     "resistance-maps": "figures 20 to 23",
     "sandy-loam": "figures 24 to 27",
 }
-SHOWN = 20.0  # [s] of the drive's histories
+HISTORY = 20.0  # [s] of the histories
 LEAST = 1e-8  # [m] errors are drawn from here on
 
 
@@ -41,9 +35,7 @@ def _paths(axes: Any, runs: Runs, name: str, path: str, lines: dict[float, dict[
         result = runs[name, path, factor]
         rows = result.time <= SETTLED
         axes.plot(result.truth["x"][rows], result.truth["y"][rows], **line)
-    axes.set_title(f"path, {path}")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
+    axes.set(title=f"path, {path}", xlabel="x [m]", ylabel="y [m]")
     if path == "circle":
         axes.set_aspect("equal", adjustable="datalim")
     else:
@@ -74,12 +66,12 @@ def scenario(runs: Runs, name: str) -> Figure:
             shown = {**line, "label": f"{path}, factor {factor:g}", "alpha": faded}
             axes[0, 2].plot(result.time, np.maximum(result.error, LEAST), **shown)
         result = runs[name, "circle", factor]
-        rows, truth = result.time <= SHOWN, result.truth
+        rows, truth = result.time <= HISTORY, result.truth
         time = result.time[rows]
         for panel, key in zip(axes[1], ("v_x", "yaw_rate"), strict=False):
             panel.plot(time, truth[key][rows], **line)
         axes[1, 2].plot(time, -np.gradient(truth["v_x"], 0.01)[rows], **line)
-        for side, faded in (("left", 0.45), ("right", 1.0)):
+        for side, faded in zip(SIDES, (0.45, 1.0), strict=True):
             shown = {**line, "label": f"{side}, factor {factor:g}", "alpha": faded}
             torque = truth[f"effort_{side}"] * truth["sprocket_radius"] / 1e3
             axes[2, 0].plot(time, torque[rows], **shown)
@@ -97,9 +89,11 @@ def scenario(runs: Runs, name: str) -> Figure:
         (axes[2, 2], "slip", "[%]"),
     )
     for panel, title, unit in titles:
-        panel.set_title(title if panel is axes[0, 2] else f"{title}, circle")
-        panel.set_ylabel(unit)
-        panel.set_xlabel("time [s]")
+        panel.set(
+            title=title if panel is axes[0, 2] else f"{title}, circle",
+            ylabel=unit,
+            xlabel="time [s]",
+        )
     axes[0, 2].set_yscale("log")
     low, high = axes[0, 2].get_ylim()
     axes[0, 2].set_ylim(min(low, 1e-2), max(high, 10.0))
@@ -132,10 +126,7 @@ def maps(runs: Runs) -> Figure:
         figure.colorbar(drawn, ax=panel, shrink=0.85)
         panel.plot(*result.reference, color="white", linewidth=1.2)
         panel.plot([0.0, 0.0], [0.0, 14.0], color="white", linewidth=1.2, linestyle="--")
-        panel.set_title(name)
-        panel.set_aspect("equal")
-        panel.set_xlabel("x [m]")
-        panel.set_ylabel("y [m]")
+        panel.set(title=name, aspect="equal", xlabel="x [m]", ylabel="y [m]")
         panel.grid(visible=False)
     nominal = plant_parameters()
     for label, key, colour, believed in (
@@ -144,29 +135,9 @@ def maps(runs: Runs) -> Figure:
     ):
         right.plot(result.time, result.truth[key], color=colour, label=f"{label}, true")
         right.axhline(believed, color=colour, linestyle=":", label=f"{label}, controller")
-    right.set_title("on the circle")
-    right.set_xlabel("time [s]")
-    right.set_ylim(0.38, 0.93)
+    right.set(title="on the circle", xlabel="time [s]", ylim=(0.38, 0.93))
     right.legend(fontsize=7, ncols=2, loc="lower right")
     return figure
-
-
-def drawings(results: Results) -> Drawings:
-    """All figures of this file."""
-    runs, drawn = results.control, {}
-    for name, case in SCENARIOS.items():
-        caption = (
-            f"Section {case.section}, {NUMBERS[name]} of the paper: {case.title}. Grey: reference; "
-            "pale: straight line or left track."
-        )
-        drawn[name] = (scenario(runs, name), caption)
-    drawn["maps"] = (
-        maps(runs),
-        "Figures 18 and 19 of the paper: the maps (44), (45) with the "
-        "circle of 8.2.2 (solid) and the straight part of 8.3.1 (dashed), and the "
-        "coefficients on the circle.",
-    )
-    return drawn
 
 
 TRUE = {"color": "black", "linewidth": 2.2, "alpha": 0.35, "label": "true"}
@@ -199,8 +170,7 @@ def sweep(surfaces: dict[tuple[str, float], Surface], factor: float = 2.0) -> Fi
         mass, inertia = np.meshgrid(surface.factors, surface.factors, indexing="ij")
         axes.plot_surface(mass, inertia, surface.rmse, cmap="viridis", rstride=1, cstride=1)
         axes.set_title(f"RMSE [m], {way}", y=0.98)
-        axes.set_xlabel("mass / true")
-        axes.set_ylabel("inertia / true")
+        axes.set(xlabel="mass / true", ylabel="inertia / true")
         axes.set_xticks((0.5, 1.0, 1.5))
         axes.set_yticks((0.5, 1.0, 1.5))
         axes.view_init(elev=24.0, azim=-60.0)
@@ -251,34 +221,35 @@ def trajectory(runs: dict[Condition, Drive], like: Condition) -> Figure:
             result = runs[like._replace(kind=kind, sensors=sensors)]
             error = np.sqrt(np.mean(result.error**2, axis=1))
             axes[0, column].plot(result.time, np.maximum(error, 1e-5), **_kind(kind))
-            axes[0, column].set_title(f"{sensors} sensors")
-            axes[0, column].set_ylabel("distance to the reference [m]")
-            axes[0, column].set_xlabel("time [s]")
-            axes[0, column].set_yscale("log")
-            axes[0, column].set_ylim(1e-4, 10.0)
+            axes[0, column].set(
+                title=f"{sensors} sensors",
+                ylabel="distance to the reference [m]",
+                xlabel="time [s]",
+                yscale="log",
+                ylim=(1e-4, 10.0),
+            )
     axes[0, 0].set_title("path, sensors of the paper")
     axes[0, 0].set_aspect("equal", adjustable="datalim")
-    axes[0, 0].set_xlabel("x [m]")
-    axes[0, 0].set_ylabel("y [m]")
+    axes[0, 0].set(xlabel="x [m]", ylabel="y [m]")
     axes[0, 0].legend(fontsize=7)
     return figure
 
 
-def slip(result: slips.Slips) -> Figure:
+def slip(result: soils.Slips) -> Figure:
     """Figure 33: true and estimated slip of one vehicle on sandy loam, gentle and brisk."""
     shown = [
         i
         for i, case in enumerate(result.cases)
-        if case.soil == "sandy loam" and case.rate == slips.RATES[0]
+        if case.soil == "sandy loam" and case.rate == soils.RATES[0]
     ]
     figure, axes = panels((10.0, 2.6 * len(shown) + 0.3), len(shown), 2, sharex=True)
     time = result.result.time
     for row, case in enumerate(shown):
         vehicle = case * result.seeds
-        rapid = slips.windows(result, case, rapid=True)[:, 0]
-        for column, side in enumerate(slips.SIDES):
+        rapid = soils.windows(result, case, rapid=True)[:, 0]
+        for column, side in enumerate(SIDES):
             panel = axes[row, column]
-            for k, name in enumerate(slips.MEASURED):
+            for k, name in enumerate(soils.MEASURED):
                 estimate = 100.0 * result.estimate[name][:, vehicle, column]
                 panel.plot(time, estimate, color=PALETTE[k], linewidth=0.9, label=f"z = {name}")
             truth = 100.0 * result.result.truth[f"slip_{side}"][:, vehicle]
@@ -286,8 +257,7 @@ def slip(result: slips.Slips) -> Figure:
             panel.fill_between(time, 0.0, 1.0, where=rapid, transform=panel.get_xaxis_transform(),
                                color="0.88", linewidth=0.0, zorder=0,
                                label="rapid change of speed")  # fmt: skip
-            panel.set_title(f"{side} track, {result.cases[case].speed}")
-            panel.set_ylabel("slip [%]")
+            panel.set(title=f"{side} track, {result.cases[case].speed}", ylabel="slip [%]")
             seen = truth[time > 1.0]
             panel.set_ylim(min(seen.min(), 0.0) - 6.0, seen.max() + 8.0)
     for panel in axes[-1]:
@@ -297,16 +267,16 @@ def slip(result: slips.Slips) -> Figure:
     return figure
 
 
-def soil(results: Results, way: str = "manoeuvre") -> Figure:
+def soil(found: dict[str, soils.Soil], way: str = "manoeuvre") -> Figure:
     """Figures 34 to 36: F_max, K, iterations on changing ground."""
     methods = {
         "printed": ("printed method, true slips", PALETTE[0], "-"),
         "ideal": ("this project's, true slips", PALETTE[1], "--"),
         "rtk": ("this project's, rtk sensors", PALETTE[2], "-."),
     }
-    case = CASES.index(Case(way, "changing"))
+    case = soils.CASES.index(soils.Case(way, "changing"))
     figure, axes = panels((10.0, 7.2), 3, 2, sharex=True)
-    exact = results.soil["printed"]
+    exact = found["printed"]
     rows = (
         ("effort", "true_effort", 1e-3, "$F_{max}$ [kN]", (0.0, 30.0)),
         ("modulus", "true_modulus", 1e3, "K [mm]", (0.0, 60.0)),
@@ -314,69 +284,42 @@ def soil(results: Results, way: str = "manoeuvre") -> Figure:
     for row, (name, true, scale, label, limits) in enumerate(rows):
         axes[row, 0].plot(exact.time, scale * getattr(exact, true)[:, case], **TRUE)
         for method, (text, colour, style) in methods.items():
-            found = results.soil[method]
+            one = found[method]
             line = {"color": colour, "linestyle": style, "linewidth": 1.2, "label": text}
-            value = getattr(found, name)[:, case]
-            axes[row, 0].plot(found.time, scale * value, **line)
-            error = 100.0 * (value / getattr(found, true)[:, case] - 1.0)
-            axes[row, 1].plot(found.time, error, **line)
-        axes[row, 0].set_ylabel(label)
-        axes[row, 0].set_ylim(limits)
-        axes[row, 1].set_ylabel("relative error [%]")
-        axes[row, 1].set_ylim(-100.0, 100.0)
+            value = getattr(one, name)[:, case]
+            axes[row, 0].plot(one.time, scale * value, **line)
+            error = 100.0 * (value / getattr(one, true)[:, case] - 1.0)
+            axes[row, 1].plot(one.time, error, **line)
+        axes[row, 0].set(ylabel=label, ylim=limits)
+        axes[row, 1].set(ylabel="relative error [%]", ylim=(-100.0, 100.0))
     for column, method in enumerate(("printed", "rtk")):
         text, colour, _style = methods[method]
-        found = results.soil[method]
+        one = found[method]
         panel = axes[2, column]
-        panel.plot(found.time, found.iterations[:, case], ".", markersize=2.5, color=colour)
-        panel.set_title(f"iterations: {text}")
-        panel.set_ylim(-1.0, 21.0)
-        panel.set_xlabel("time [s]")
+        panel.plot(one.time, one.iterations[:, case], ".", markersize=2.5, color=colour)
+        panel.set(title=f"iterations: {text}", ylim=(-1.0, 21.0), xlabel="time [s]")
     for panel in axes.flat:
-        for change in CHANGES:
+        for change in soils.CHANGES:
             panel.axvline(change, color="0.7", linewidth=0.8)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
 
 
-def drawings_identification_figures(results: Results) -> Drawings:
-    """All figures of this file."""
-    like = Condition("paper", 2.0, "strawa")
-    identified = results.identification
+def drawings(results: Any) -> dict[str, Figure]:
+    """All figures, of the results of the paper."""
+    like, identified = Condition("paper", 2.0, "strawa"), results.identification
+    uniform = like._replace(ground="uniform")
+    conditions = "Noise of the paper, maps (44), (45), factor 2"
     return {
-        "sweep": (
-            sweep(results.sweep),
-            "Figure 17 of the paper: RMSE over the mass and inertia that the controller assumes, "
-            "factor 2 in (20).",
+        **{name: scenario(results.control, name) for name in SCENARIOS},
+        "maps": maps(results.control),
+        "sweep": sweep(results.sweep),
+        "estimates": estimates(identified, like, conditions),
+        "estimates-uniform": estimates(
+            identified, uniform, "Noise of the paper, uniform ground, factor 2", 10.0
         ),
-        "estimates": (
-            estimates(identified, like, "Noise of the paper, maps (44), (45), factor 2"),
-            "Figures 28 to 31 of the paper: mass, inertia and resistance coefficients, one vehicle "
-            "with the noise of the paper; the spiral begins at the grey line. Dotted: 1 %, 5 %.",
-        ),
-        "estimates-uniform": (
-            estimates(
-                identified,
-                like._replace(ground="uniform"),
-                "Noise of the paper, uniform ground, factor 2",
-                10.0,
-            ),
-            "The same on ground whose coefficients are everywhere those of X = 0.",
-        ),
-        "trajectory": (
-            trajectory(identified, like),
-            "Figure 32 of the paper: the manoeuvre with wrong and with identified parameters, maps "
-            "(44), (45), factor 2.",
-        ),
-        "slip": (
-            slip(results.slip),
-            "Figure 33 of the paper: slip of both tracks on sandy loam with the noise of the "
-            "paper, one vehicle.",
-        ),
-        "soil": (
-            soil(results),
-            "Figures 34 to 36 of the paper: F_max, K and the iterations; the soil changes at the "
-            "grey lines.",
-        ),
+        "trajectory": trajectory(identified, like),
+        "slip": slip(results.slip),
+        "soil": soil(results.soil),
     }

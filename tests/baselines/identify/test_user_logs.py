@@ -13,13 +13,14 @@ import pytest
 from scipy.stats import binom
 
 from baselines.identify import vehicle_log
-from baselines.identify.csv_log import record_log
-from baselines.identify.identify_log import biases, half_width, identify, parameter_set, untold
+from baselines.identify.identify_log import biases, half_width, identify
+from baselines.identify.report_log import limitations, parameter_set
 from baselines.identify.vehicle_log import Drivetrain, Log, read_log
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
 from docs.identified_logs import KNOWN, driven, intervals
 from tracked_env.cli.main import main
+from tracked_env.cli.record_command import record_log
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
 
@@ -105,10 +106,10 @@ def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass() -> None:
         columns[f"sprocket_speed_{side}"] = 1.01 * speed / 0.3 + 0.02 * noise(count)
         columns[f"torque_{side}"] = 0.5 * force * 0.3 + 10.0 * noise(count)
     identified = identify(read(written(columns)), STRAWA)
-    verdicts = {name: of.verdict for name, of in identified.found.items()}
+    verdicts = {name: of.verdict for name, of in identified.parameters.items()}
     assert {verdicts[n] for n in ("mass", "inertia", "lateral_resistance")} == {"not determined"}
     assert identified.resistance_force[0] == pytest.approx(force, rel=0.05)
-    said = " ".join(untold(identified))
+    said = " ".join(limitations(identified))
     assert "not told apart" in said and "m g mu_l" in said and "turns" in said
     kept = parameter_set(identified)
     assert kept["make"]["vehicle"]["mass"] == STRAWA.mass and "mass" not in kept["ranges"]
@@ -123,8 +124,8 @@ def test_a_mass_that_changes_within_the_log_is_not_called_constant(
     for name in ("acceleration_x", "yaw_acceleration"):
         columns[name] = np.where(later, 1.6 * columns[name], columns[name])
     identified = identify(read(written(columns)), STRAWA)
-    assert identified.found["mass"].changed or identified.found["inertia"].changed
-    assert "changed" in " ".join(untold(identified))
+    assert identified.parameters["mass"].changed or identified.parameters["inertia"].changed
+    assert "changed" in " ".join(limitations(identified))
 
 
 @pytest.mark.parametrize("gains", [Gains(80.0, 60.0, 12.0, 0.5), TUNED_GAINS])
@@ -134,10 +135,10 @@ def test_on_firm_clay_the_inertia_is_claimed_no_better_than_it_is(gains: Gains) 
                          uncertainty="nominal", duration=20.0, error_limit=1e5)  # fmt: skip
     truth = record_log(env, AdaptivePolicy(gains=gains), "patches.csv", seed=3)
     identified = identify(read(Path("patches.csv")), STRAWA)
-    found = identified.found["inertia"]
+    found = identified.parameters["inertia"]
     assert abs(found.value - truth["inertia"]) < 3.0 * found.deviation
     assert found.value == pytest.approx(truth["inertia"], rel=0.2)
-    assert any("Cohesion of firm soil" in sentence for sentence in untold(identified))
+    assert any("Cohesion of firm soil" in sentence for sentence in limitations(identified))
     assert parameter_set(identified)["make"]["vehicle"]["lateral_resistance"] <= 2.0
 
 
@@ -153,7 +154,7 @@ def test_accelerations_that_are_not_logged_are_derived(
             del columns[name]
         log = read(written(columns))
         assert any("slopes of straight lines" in note for note in log.notes)
-        found = identify(log, STRAWA).found
+        found = identify(log, STRAWA).parameters
         for name in KNOWN:
             assert abs(found[name].value - truth[name]) < 3.0 * found[name].deviation, name
     assert found["inertia"].deviation < 0.03 * truth["inertia"]
@@ -229,7 +230,7 @@ def test_rows_that_are_uneven_or_lost_are_placed_on_a_grid_and_said(
     log = read(written(uneven))
     assert "resampled" in " ".join(log.notes)
     for one in (lost, log):
-        found = identify(one, STRAWA).found
+        found = identify(one, STRAWA).parameters
         assert found["mass"].value == pytest.approx(truth["mass"], rel=0.03)
 
 
@@ -280,7 +281,9 @@ def test_an_interval_of_the_resistance_holds_the_bias_of_the_accelerometer(
     """A bias b is taken for a resistance of b / g, however long the log is."""
     log = read(logs[0][0])
     none = log._replace(sensors=RTK._replace(acceleration_bias=0.0, gyro_bias=0.0))
-    wide, narrow = (identify(one, STRAWA).found["longitudinal_resistance"] for one in (log, none))
+    wide, narrow = (
+        identify(one, STRAWA).parameters["longitudinal_resistance"] for one in (log, none)
+    )
     more = 0.5 * (wide.high - wide.low) - 0.5 * (narrow.high - narrow.low)
     assert 0.5 < more / (RTK.acceleration_bias / 9.81) < 1.1
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from baselines.identify import identify_slip
-from baselines.identify.identify_slip import fit
-from baselines.identify.pages import score_rows
+from baselines.identify.identify_slip import fit, score_rows
 from baselines.identify.slip_runs import Runs, read_runs
-from tests.cli.skid_steering import runs, spoilt
+from tests.baselines.identify.skid_steering import runs, spoilt
 from tracked_env.physics.parameters import VEHICLES
 
 FOCCHI = VEHICLES["focchi"]

@@ -1,27 +1,24 @@
-"""Sensor noise: NumPy's normal numbers, drawn inside kernels from one row of state per vehicle.
+"""Random numbers inside kernels: NumPy's generators, and the sensor noise of every vehicle.
 
-The numbers are those of `Generator(SFC64(seed)).standard_normal(dtype=float32)`, bit for bit:
-    seed -> SeedSequence [1] -> 192 bits -> SFC64 [2] -> 32 bits r -> ziggurat [3] of 256 layers
+A kernel draws from a `Generator` by the address of its `bitgen_t`, NumPy's documented C interface
+[1]: a pointer to the state and the functions that draw from it. The generator itself moves on, so
+that Python continues where a kernel has stopped. Any bit generator will do.
+
+Noise has one row of state per vehicle, (STATE,) uint64: four words of SFC64, the unused half of its
+last number, and whether there is one. Its numbers are those of
+`Generator(SFC64(seed)).standard_normal(dtype=float32)`, bit for bit:
+    seed -> SeedSequence [3] -> 192 bits -> SFC64 [4] -> 32 bits r -> ziggurat [5] of 256 layers
 Layer k = r mod 256, sign = bit 8, m = the 23 bits above: x = m w_k is accepted where m < k_k, else
 the wedge below exp(-x^2 / 2) or, in layer 0, the tail beyond r = 3.654 decides. Layers have the
 area v and edges x_255 = r, exp(-x_{k-1}^2 / 2) = exp(-x_k^2 / 2) + v / x_k.
-State of a vehicle, (STATE,) uint64: four words of SFC64, the unused half of its last number, and
-whether there is one. Copies, pickles and snapshots hold it as an array.
-
-References: [1] O'Neill, "Developing a seed_seq alternative" (2015), as in NumPy's SeedSequence.
-[2] Doty-Humphrey, PractRand (2014). [3] Marsaglia, Tsang, J. Stat. Software 5 (2000) 8; r, the 256
-layers and the use of the bits as in NumPy's distributions.c.
-
-NumPy's generators inside kernels: the numbers of `Generator` methods, drawn from its stream.
-
-A kernel takes the address of a generator's `bitgen_t`, NumPy's documented C interface [1]: a
-pointer to its state and the functions that draw from it. The generator itself moves on, so what
-Python draws afterwards continues where the kernel has stopped. Any bit generator will do.
 
 References: [1] NumPy, "Random: extending" and `BitGenerator.ctypes`. [2] Lemire, ACM TOMACS 29
-(2019) 1, integers without bias.
+(2019) 1, integers without bias. [3] O'Neill, "Developing a seed_seq alternative" (2015), as in
+NumPy's SeedSequence. [4] Doty-Humphrey, PractRand (2014). [5] Marsaglia, Tsang, J. Stat. Software 5
+(2000) 8; r, the 256 layers and the use of the bits as in NumPy's distributions.c.
 """
 
+import ctypes
 import math
 from collections.abc import Iterable
 from typing import Any
@@ -33,9 +30,9 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from tracked_env import arrays as b
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import COMPILED, formula, loop
 
-STATE = 6  # words of a vehicle
+STATE = 6  # words of a vehicle's noise
 LAYERS = 256
 TAIL = 3.6541528853610087963519472518  # [-] r, where the tail begins
 MANTISSA = 2.0**23  # [-] numbers m below it
@@ -45,6 +42,84 @@ _ONE = np.uint64(1)
 _SIXTEEN = np.uint32(16)
 
 
+# --- NumPy's generators ---------------------------------------------------------------------
+class _BitGenerator(ctypes.Structure):
+    """NumPy's `bitgen_t`, for kernels that run as plain Python."""
+
+    _fields_ = (
+        ("state", ctypes.c_void_p),
+        ("uint64", ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_void_p)),
+        ("uint32", ctypes.CFUNCTYPE(ctypes.c_uint32, ctypes.c_void_p)),
+        ("float64", ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p)),
+    )
+
+
+def addresses(generators: Iterable[np.random.Generator]) -> NDArray[np.int64]:
+    """Addresses (n,) for kernels; valid while the generators live."""
+    interfaces = [generator.bit_generator.ctypes.bit_generator for generator in generators]
+    return np.array([interface.value for interface in interfaces], dtype=np.int64)
+
+
+def _next(field: int, kind: Any, lowered: ir.Type) -> Any:
+    """A function of kernels, address -> the next number, by that field of the bitgen_t."""
+
+    def plain(rng):
+        source = _BitGenerator.from_address(int(rng))
+        return getattr(np, kind.name)(getattr(source, kind.name)(source.state))
+
+    def draw(typing_context, rng):
+        def code(context, builder, signature, arguments):
+            pointer = ir.IntType(8).as_pointer()
+            fields = builder.inttoptr(arguments[0], pointer.as_pointer())
+            function = builder.load(builder.gep(fields, [ir.Constant(ir.IntType(32), field)]))
+            call = builder.bitcast(function, ir.FunctionType(lowered, [pointer]).as_pointer())
+            return builder.call(call, [builder.load(fields)])
+
+        return kind(types.int64), code
+
+    return intrinsic(draw) if COMPILED else plain
+
+
+_next_uint64 = _next(1, types.uint64, ir.IntType(64))
+_next_uint32 = _next(2, types.uint32, ir.IntType(32))
+_next_double = _next(3, types.float64, ir.DoubleType())
+
+
+@formula
+def random(rng):
+    """Generator.random(): uniform in [0, 1)."""
+    return _next_double(rng)
+
+
+@formula
+def uniform(rng, low, high):
+    """Generator.uniform(low, high)."""
+    return low + (high - low) * _next_double(rng)
+
+
+@formula
+def integer(rng, count):
+    """Generator.integers(count), 1 <= count < 2^32, by Lemire's multiplication [2]."""
+    if count == 1:
+        return 0
+    span = np.uint64(count)
+    product = np.uint64(_next_uint32(rng)) * span
+    low = product & _U32
+    if low < span:
+        least = (np.uint64(0x100000000) - span) % span
+        while low < least:
+            product = np.uint64(_next_uint32(rng)) * span
+            low = product & _U32
+    return np.int64(product >> np.uint64(32))
+
+
+@formula
+def seed(rng):
+    """Generator.integers(2**63)."""
+    return np.int64(_next_uint64(rng) >> _ONE)
+
+
+# --- noise ----------------------------------------------------------------------------------
 def _layers() -> tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.float32]]:
     """k (256,) accepted at once below it, w (256,) widths over 2^23, f (256,) of the edges."""
 
@@ -61,12 +136,8 @@ def _layers() -> tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.float
     accepted = np.zeros(LAYERS)
     accepted[0] = TAIL / widths[0]
     accepted[2:] = edges[1:-1] / edges[2:]
-    heights = np.array([density(x) for x in edges])
-    return (
-        np.rint(accepted * MANTISSA).astype(np.uint32),
-        (widths / MANTISSA).astype(np.float32),
-        heights.astype(np.float32),
-    )
+    heights = np.array([density(x) for x in edges], dtype=np.float32)
+    return np.rint(accepted * MANTISSA).astype(np.uint32), np.float32(widths / MANTISSA), heights
 
 
 _ACCEPTED, _WIDTH, _HEIGHT = _layers()
@@ -187,13 +258,13 @@ def fill_normal(s, out):
 
 @loop
 def draw_block(noise, states, i):
-    """Draw the next noise block of vehicle i; noise as in `engine.columns`, states (N, STATE)."""
-    for run in range(b.NOISE_BLOCK // b.NOISE_RUN):
+    """Draw the next noise block of vehicle i; noise as in `arrays.Batch`, states (N, STATE)."""
+    for run in range(noise.shape[0]):
         fill_normal(states[i], noise[run, i].reshape(-1))
 
 
 @loop
-def refill(noise, counters, states, noisy, chosen):
+def refill(batch, states, noisy, chosen):
     """Draw the next block of those chosen vehicles that have used up theirs.
 
     noisy (N,) bool: which need random numbers. The next step moves a cursor of -1 to the first row.
@@ -202,76 +273,9 @@ def refill(noise, counters, states, noisy, chosen):
     last = -1
     for j in range(chosen.size):
         i = chosen[j]
-        if counters[i, b.NOISE_CURSOR] >= b.NOISE_BLOCK - 1:
+        if batch.counters[i, b.NOISE_CURSOR] >= b.NOISE_BLOCK - 1:
             if noisy[i]:
-                draw_block(noise, states, i)
-            counters[i, b.NOISE_CURSOR] = -1
-        last = max(last, counters[i, b.NOISE_CURSOR])
+                draw_block(batch.noise, states, i)
+            batch.counters[i, b.NOISE_CURSOR] = -1
+        last = max(last, batch.counters[i, b.NOISE_CURSOR])
     return b.NOISE_BLOCK - 1 - last
-
-
-def addresses(generators: Iterable[np.random.Generator]) -> NDArray[np.int64]:
-    """Addresses (n,) for kernels; valid while the generators live."""
-    found = [generator.bit_generator.ctypes.bit_generator.value for generator in generators]
-    return np.array(found, dtype=np.int64)
-
-
-def _drawn(builder, address, field, result):
-    """Call a function of the bitgen_t at `address` with its state."""
-    pointer = ir.IntType(8).as_pointer()
-    fields = builder.inttoptr(address, pointer.as_pointer())
-    state = builder.load(fields)
-    draw = builder.load(builder.gep(fields, [ir.Constant(ir.IntType(32), field)]))
-    draw = builder.bitcast(draw, ir.FunctionType(result, [pointer]).as_pointer())
-    return builder.call(draw, [state])
-
-
-def _drawing(field: int, result: types.Type, lowered: ir.Type) -> Any:
-    """An intrinsic (address) -> the next number, by that function of the bitgen_t."""
-
-    def draw(typing_context, rng):
-        def code(context, builder, signature, arguments):
-            return _drawn(builder, arguments[0], field, lowered)
-
-        return result(types.int64), code
-
-    return intrinsic(draw)
-
-
-_next64_streams = _drawing(1, types.uint64, ir.IntType(64))
-_next32_streams = _drawing(2, types.uint32, ir.IntType(32))
-_next_double = _drawing(3, types.float64, ir.DoubleType())
-
-
-@formula
-def random(rng):
-    """Generator.random(): uniform in [0, 1)."""
-    return _next_double(rng)
-
-
-@formula
-def uniform(rng, low, high):
-    """Generator.uniform(low, high)."""
-    return low + (high - low) * _next_double(rng)
-
-
-@formula
-def integer(rng, count):
-    """Generator.integers(count), 1 <= count < 2^32, by Lemire's multiplication [2]."""
-    if count == 1:
-        return 0
-    span = np.uint64(count)
-    product = np.uint64(_next32_streams(rng)) * span
-    low = product & np.uint64(0xFFFFFFFF)
-    if low < span:
-        least = (np.uint64(0x100000000) - span) % span
-        while low < least:
-            product = np.uint64(_next32_streams(rng)) * span
-            low = product & np.uint64(0xFFFFFFFF)
-    return np.int64(product >> np.uint64(32))
-
-
-@formula
-def seed(rng):
-    """Generator.integers(2**63)."""
-    return np.int64(_next64_streams(rng) >> np.uint64(1))

@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 
 from baselines.identify.csv_log import pairs, read_cells
-from baselines.identify.friction_smoothing import unit_moment
-from baselines.identify.identify_log import contradictions, identify, parameter_set
+from baselines.identify.identify_log import identify
+from baselines.identify.log_torques import unit_moment
+from baselines.identify.report_log import contradictions, parameter_set
 from baselines.identify.vehicle_log import Drivetrain, read_log
-from tests.cli.independent_vehicle import Columns, Noise, Vehicle, drive, friction, write
+from tests.baselines.identify.independent_vehicle import (
+    Columns,
+    Noise,
+    Vehicle,
+    drive,
+    friction,
+    write,
+)
 from tracked_env.cli.main import main
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.sensors import PRESETS
@@ -64,7 +72,7 @@ def test_a_right_log_determines_what_it_excites_and_holds_the_truth(case: str) -
     identified = found(drive(**options), nominal, sensors)
     assert not contradictions(identified) and "make" in parameter_set(identified)
     for name, other in TRUE.items():
-        of = identified.found[name]
+        of = identified.parameters[name]
         assert (of.verdict == "determined") or name not in excited, name
         if of.verdict != "not determined":
             assert abs(of.value - getattr(truth, other)) < 1.5 * (of.high - of.value), name
@@ -73,7 +81,7 @@ def test_a_right_log_determines_what_it_excites_and_holds_the_truth(case: str) -
 def test_pivots_and_a_payload_are_no_contradiction() -> None:
     assert not contradictions(found(drive(kind="pivot")))
     loaded = found(drive(payload=lambda time: 500.0 * (time > 20.0)))
-    assert not contradictions(loaded) and loaded.found["mass"].changed
+    assert not contradictions(loaded) and loaded.parameters["mass"].changed
 
 
 def turned(columns: Columns, *names: str) -> Columns:
@@ -178,8 +186,8 @@ def test_residuals_that_follow_each_other_give_no_vehicle(
 
 def test_a_mass_at_the_bound_of_its_search_is_not_determined(log: Columns) -> None:
     identified = found(log)
-    mass = identified.found["mass"]._replace(against="at its bound")
-    bounded = identified._replace(found=identified.found | {"mass": mass})
+    mass = identified.parameters["mass"]._replace(against="at its bound")
+    bounded = identified._replace(parameters=identified.parameters | {"mass": mass})
     assert mass.verdict == "at its bound" and "make" not in parameter_set(bounded)
 
 
@@ -188,7 +196,7 @@ def test_a_mass_at_the_bound_of_its_search_is_not_determined(log: Columns) -> No
 def test_mu_t_is_right_whatever_smooths_the_friction(law: str, smoothing: float) -> None:
     """The estimators have one shape and 3 cm/s; without the fit mu_t was 4 and 9 % off."""
     truth = Vehicle(smoothing=smoothing, law=law)
-    of = found(drive(truth, seed=20)).found["lateral_resistance"]
+    of = found(drive(truth, seed=20)).parameters["lateral_resistance"]
     assert of.low <= truth.mu_t <= of.high and of.high - of.low < 0.15 * truth.mu_t
 
 

@@ -36,7 +36,7 @@ def test_beliefs_change_the_rows_of_the_panel_and_nothing_else() -> None:
     different = np.argwhere((without != with_them).any(axis=2))
     rows, columns = different[:, 0], different[:, 1]
     assert columns.min() >= SCENE and rows.min() >= TOP - 14
-    assert rows.max() <= TOP + PITCH * panel.MOST
+    assert rows.max() <= TOP + PITCH * panel.MAX_ROWS
     assert np.array_equal(without, drawn(simulation, None))
 
 
@@ -62,10 +62,10 @@ def test_bands_beyond_the_scale_end_with_it_and_unknown_ones_are_not_drawn() -> 
 def test_the_largest_effort_stands_for_the_strengths_that_make_it_up() -> None:
     shot = snapshot.take(started().simulation, 0)
     true = float(lumped.drive_limits(shot.parameters).effort_maximum)
-    rows = {row.name: row for row in panel.rows(shot, {"effort_maximum": (2e4, 1e3)})}
+    rows = {row.name: row for row in panel.belief_rows(shot, {"effort_maximum": (2e4, 1e3)})}
     assert "cohesion" not in rows and "friction_angle" not in rows
     assert rows["effort_maximum"].truth == true
-    usual = {row.name for row in panel.rows(shot, {"mass": (1.0, 1.0)})}
+    usual = {row.name for row in panel.belief_rows(shot, {"mass": (1.0, 1.0)})}
     assert {"cohesion", "friction_angle"} <= usual and "effort_maximum" not in usual
 
 
@@ -73,7 +73,9 @@ def test_an_angle_of_friction_is_shown_as_the_friction_of_patches() -> None:
     simulation = started(plant="distributed").simulation
     shot = snapshot.take(simulation, 0)
     (row,) = [
-        row for row in panel.rows(shot, {"friction_angle": (0.5, 0.1)}) if row.name == "friction"
+        row
+        for row in panel.belief_rows(shot, {"friction_angle": (0.5, 0.1)})
+        if row.name == "friction"
     ]
     assert row.truth == math.tan(shot.parameters.friction_angle)
     ends = [math.tan(0.5 + side * SIGMAS * 0.1) for side in (-1, 1)]
@@ -83,5 +85,5 @@ def test_an_angle_of_friction_is_shown_as_the_friction_of_patches() -> None:
 def test_what_the_plant_does_not_read_is_not_shown() -> None:
     shot = snapshot.take(started(plant="distributed").simulation, 0)
     assert "lateral_resistance" not in shot.reads
-    shown = {row.name for row in panel.rows(shot, {"lateral_resistance": (0.5, 0.1)})}
+    shown = {row.name for row in panel.belief_rows(shot, {"lateral_resistance": (0.5, 0.1)})}
     assert "lateral_resistance" not in shown

@@ -1,0 +1,428 @@
+"""What was identified: a set of parameters, in words what a log cannot tell, and a page.
+
+    {"make": {"vehicle": {...}}}     arguments of an environment: gymnasium.make(id, **set["make"])
+    {"ranges": {name: [low, high]}}  95 % intervals of what is determined, for `uncertainty=`
+    {"parameters": {name: {...}}}    value, deviation, interval, verdict of everything
+    {"contradictions": [...]}        why the log is not one of this vehicle and model; then there is
+                                     no "make" and no range
+What a log does not determine stays at its nominal value. The strength of a soil is one number in
+the log, F_max = c A + (m g / 2) tan phi; the friction angle is kept as far as the cohesion stays
+positive. The page needs no other file: tables and figures.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+
+from baselines.identify.identify_log import (
+    CONSTANT,
+    EQUATION,
+    LEARNED,
+    NORMAL,
+    SOIL,
+    Identified,
+)
+from tracked_env.benchmark.figures import PALETTE, STYLE, inline_svg, new_figure, svg_text
+from tracked_env.benchmark.leaderboard_page import Drawing, Section, page_text
+from tracked_env.benchmark.text_tables import plain_table
+from tracked_env.physics.parameters import RANGES
+from tracked_env.physics.terramechanics import GRAVITY
+
+WHITE_LAGS = 50  # [samples] of the autocorrelation
+EXPLAINED = (0.7, 1.5)  # [-] rms of residuals whose data sheet is right
+COHESIVE = 0.02  # [-] share of the log beyond the largest mu_t from which on it is worth a word
+REFUSED = 0.05  # [-] share of samples from which on outliers are worth a word
+OUTLYING = 4.0  # [-] residuals beyond it count as that large
+CORRELATED = 0.2  # [-] autocorrelation from which on residuals hang together
+NAMES = {
+    "mass": ("mass", "kg"),
+    "inertia": ("yaw inertia", "kg m^2"),
+    "longitudinal_resistance": ("motion resistance mu_l", "-"),
+    "lateral_resistance": ("lateral resistance mu_t", "-"),
+    "effort_maximum": ("soil strength F_max", "N"),
+    "shear_deformation_modulus": ("shear deformation modulus K", "m"),
+}
+POINTS = 600  # of a curve: more are not seen
+ESTIMATE, CONSTANT_LINE = PALETTE[1], PALETTE[0]
+FILES = {
+    "parameters.json": "the set of parameters, for gymnasium.make(id, **set['make'])",
+    "identification.csv": "estimates, deviations, excitation and filtered motion of every step",
+}
+EXPECTED = {"longitudinal": 1.0, "turning": 1.0, "slip": 6.0}  # mean NIS, its dimension
+
+
+# --- the set of parameters ------------------------------------------------------------------
+
+
+def _soil(identified: Identified, mass: float) -> dict[str, float]:
+    """cohesion [Pa] and friction_angle [rad] that give the F_max of the log."""
+    nominal, load = identified.nominal, 0.5 * mass * GRAVITY
+    strength, angle = identified.parameters["effort_maximum"].value, nominal.friction_angle
+    area = nominal.track_width * nominal.contact_length
+    cohesion = (strength - load * math.tan(angle)) / area
+    if cohesion < 0.0:
+        cohesion, angle = 0.0, math.atan(strength / load)
+    return {
+        "cohesion": _in_range("cohesion", cohesion),
+        "friction_angle": _in_range("friction_angle", angle),
+    }
+
+
+def _in_range(name: str, value: float) -> float:
+    return min(max(value, RANGES[name].low), RANGES[name].high)
+
+
+def contradictions(identified: Identified) -> list[str]:
+    """What speaks against a log of this vehicle and model, a sentence each."""
+    parameters = identified.parameters
+    against = {EQUATION[n] for n in CONSTANT if parameters[n].against == "contradicted"}
+    sentences = [
+        f"The {name} equation does not hold in this log: its residuals are {fit.size:.3g} times as "
+        "large as the data sheet allows, and follow each other "
+        f"(autocorrelation {fit.following:.2f}). Check signs, sides and units of torques and "
+        "accelerations, their delays, and the geometry of --vehicle."
+        for name, fit in identified.misfits.items()
+        if name in against
+    ]
+    for name in ("mass", "inertia"):
+        of, (label, unit) = parameters[name], NAMES[name]
+        if of.against == "at its bound" and of.deviation <= LEARNED * of.prior_deviation:
+            sentences.append(
+                f"The {label} ends at the bound of its search, {of.value:.4g} {unit}, and is no "
+                f"result. Is the nominal one of --vehicle, {getattr(identified.nominal, name):g}, "
+                "far off, or are the torques on another scale?"
+            )
+    return sentences
+
+
+def _determined(identified: Identified) -> list[str]:
+    """Names of what the log determines, weakly or well."""
+    verdicts = {name: of.verdict for name, of in identified.parameters.items()}
+    return [name for name, verdict in verdicts.items() if verdict in ("determined", "weakly")]
+
+
+def parameter_set(identified: Identified) -> dict[str, Any]:
+    """The set as JSON has it; without "make" and ranges where the log contradicts the model."""
+    parameters, determined = identified.parameters, _determined(identified)
+    vehicle = {name: float(value) for name, value in identified.nominal._asdict().items()}
+    ranges = {}
+    for name in determined:
+        if name != "effort_maximum":
+            of = parameters[name]
+            vehicle[name] = _in_range(name, of.value)
+            ranges[name] = [_in_range(name, end) for end in (of.low, of.high)]
+    if "effort_maximum" in determined:
+        vehicle |= _soil(identified, vehicle["mass"])
+    usable: dict[str, Any] = {"make": {"vehicle": vehicle}, "ranges": ranges}
+    if against := contradictions(identified):
+        usable = {"contradictions": against}
+    columns = ("value", "deviation", "low", "high", "verdict", "changed")
+    rows = {
+        name: {"unit": NAMES[name][1], **{key: getattr(of, key) for key in columns}}
+        for name, of in parameters.items()
+    }
+    return {**usable, "parameters": rows, "not_told": limitations(identified)}
+
+
+def autocorrelation(residuals: Any, lags: int = WHITE_LAGS) -> Any:
+    """Autocorrelation (lags,) [-] from lag 1 on."""
+    centred = residuals - residuals.mean()
+    power = float(centred @ centred) or 1.0
+    return np.array([centred[k:] @ centred[:-k] / power for k in range(1, lags + 1)])
+
+
+def limitations(identified: Identified) -> list[str]:
+    """What the log cannot tell, and what speaks against the model, a sentence each."""
+    parameters, sentences = identified.parameters, contradictions(identified)
+    lost = set() if sentences else set(parameters) - set(_determined(identified))
+    if {"mass", "longitudinal_resistance"} & lost:
+        force, deviation = identified.resistance_force
+        text = (
+            "Mass and motion resistance are not told apart: the log has too little speeding up, "
+            "braking and turning. At constant speed only their product shows"
+        )
+        if deviation < 0.2 * force:
+            text += f", the resisting force m g mu_l = {force:.0f} +- {deviation:.0f} N"
+        sentences.append(f"{text}.")
+    if {"inertia", "lateral_resistance"} & lost:
+        sentences.append(
+            "Yaw inertia and lateral resistance are not determined: they show in turns, the inertia"
+            " in turns that begin and end. They stay at their nominal values."
+        )
+    if set(SOIL) & lost:
+        text = (
+            "Soil strength and shear deformation modulus are not told apart: the tracks slipped "
+            "too little"
+        )
+        stiffness, deviation = identified.stiffness
+        if deviation < 0.2 * stiffness:
+            text += f". Their ratio is F_max / K = {stiffness:.3g} +- {deviation:.2g} N/m"
+        sentences.append(f"{text}. Full torque from rest, or a tight turn, would show them.")
+    if changing := [NAMES[name][0] for name in CONSTANT if parameters[name].changed]:
+        sentences.append(
+            f"Within the log {', '.join(changing)} changed, or an equation does not hold there. "
+            "The values are those at the end, with the deviations of a vehicle that may change."
+        )
+    most = RANGES["lateral_resistance"].high
+    cohesive = float(np.mean(identified.series["lateral_resistance"][0] > most))
+    if cohesive > COHESIVE:
+        sentences.append(
+            f"In {100.0 * cohesive:.0f} % of the log the resistance to a turn is more than a mu_t "
+            f"of {most:g} explains. Cohesion of firm soil does that: it does not grow with the "
+            "weight, but with the curvature, and hides the inertia. plant='distributed' models it."
+        )
+    changed = any(of.changed for of in parameters.values())
+    for name, residuals in identified.residuals.items():
+        misfit = identified.misfits[name]
+        if len(residuals) >= 4 * WHITE_LAGS and not misfit.contradicts:
+            sentences += _doubts(
+                name, np.clip(residuals, -OUTLYING, OUTLYING), misfit.size, changed
+            )
+    for name, status in identified.status.items():
+        share = float(np.mean(status == 2))
+        if name != "slip" and share > REFUSED:
+            sentences.append(
+                f"{share:.0%} of the samples of the {name} estimator were refused as outliers."
+            )
+    sentences.append(
+        "Cohesion and friction angle act through F_max alone under one load; the set has the "
+        "nominal friction angle where it can."
+    )
+    return sentences
+
+
+def _doubts(name: str, residuals: Any, middle_size: float, changed: bool) -> list[str]:
+    """What the residuals of an equation say against the data sheet or the model."""
+    sentences = []
+    # A change leaves residuals until it is learned; the middle size has few of them.
+    size = middle_size if changed else float(np.sqrt(np.mean(residuals**2)))
+    if not EXPLAINED[0] <= size <= EXPLAINED[1]:
+        cause = "more noise than" if size > 1.0 else "less noise than"
+        sentences.append(
+            f"Residuals of the {name} equation are {size:.2g} times what the data sheet says, "
+            f"where 1 is expected: the log has {cause} --sensors state"
+            + (", or the model lacks something." if size > 1.0 else ".")
+        )
+    first = float(np.abs(autocorrelation(residuals)[:5]).max())
+    if first > CORRELATED and not changed:
+        sentences.append(
+            f"Residuals of the {name} equation are not white (autocorrelation {first:.2f}): "
+            "the intervals are too narrow."
+        )
+    return sentences
+
+
+# --- the page -------------------------------------------------------------------------------
+
+
+def digits(value: float, count: int) -> str:
+    """A number with so many significant digits, without an exponent."""
+    return np.format_float_positional(value, count, unique=False, fractional=False, trim="-")
+
+
+def result_rows(identified: Identified) -> list[list[str]]:
+    """Rows of cells, the header first: the parameters."""
+    names = ["parameter", "unit", "value", "standard deviation", "95 % interval", "nominal"]
+    rows = [[*names, "verdict"]]
+    for name, of in identified.parameters.items():
+        start = getattr(identified.nominal, name, identified.series[name][0][0])
+        interval = f"{digits(of.low, 4)} to {digits(of.high, 4)}"
+        value = [digits(of.value, 4), digits(of.deviation, 2), interval, digits(start, 4)]
+        rows.append([*NAMES[name], *value, of.verdict + (", changes" if of.changed else "")])
+    return rows
+
+
+def _excitation_rows(identified: Identified) -> list[list[str]]:
+    """Rows of cells, the header first: how far the log excites each estimator."""
+    time = "time with all parameters excited"
+    rows = [["estimator", "median excitation", "largest", time, "samples refused", "mean NIS"]]
+    rows[0].append("expected")
+    for name, excitation in identified.excitation.items():
+        status, nis = identified.status[name], identified.nis[name]
+        mean = f"{np.nanmean(nis):.2g}" if np.isfinite(nis).any() else "-"
+        sizes = [digits(np.median(excitation), 3), digits(excitation.max(), 3)]
+        shares = [f"{np.mean(status == 0):.0%}", f"{np.mean(status == 2):.1%}"]
+        expected = f"{EXPECTED[name]:g}" if name in EXPECTED else "-"
+        rows.append([name, *sizes, *shares, mean, expected])
+    return rows
+
+
+def _residual_rows(identified: Identified) -> list[list[str]]:
+    """Rows of cells, the header first: residuals of the two regressions."""
+    first, lags = "autocorrelation at lag 1", f"lags 1 to {WHITE_LAGS} beyond the band"
+    rows = [["equation", "samples", "mean", "rms", "beyond 1.96", first, lags]]
+    for name, r in identified.residuals.items():
+        cells = ["-"] * 5
+        if len(r) >= 4 * WHITE_LAGS:
+            correlation = autocorrelation(r)
+            outside = float(np.mean(np.abs(correlation) > NORMAL / np.sqrt(len(r))))
+            cells = [f"{r.mean():.2f}", f"{np.sqrt(np.mean(r**2)):.2f}"]
+            cells += [f"{np.mean(np.abs(r) > NORMAL):.1%}", f"{correlation[0]:.2f}"]
+            cells.append(f"{outside:.0%}")
+        rows.append([name, f"{len(r)}", *cells])
+    return rows
+
+
+def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: bool = True) -> str:
+    """The whole page; subject: name of the log, facts: where the numbers come from."""
+    results = (
+        "What the log says. Constant parameters of the whole log, or where one changes its value "
+        "at the end; a deviation holds the noise and the biases of the data sheet",
+        result_rows(identified),
+    )
+    excitation = (
+        "Excitation is the smallest eigenvalue of the information, 1 where data and prior weigh "
+        "the same. NIS is the normalised innovation squared",
+        _excitation_rows(identified),
+    )
+    residuals = (
+        "Residuals of each sample by the estimates before it, over the standard deviation that the "
+        "data sheet gives: the rms is 1 and the autocorrelation 0 where model and data sheet are "
+        f"right; 5 % of {WHITE_LAGS} lags lie beyond the band by chance",
+        _residual_rows(identified),
+    )
+    tables = [[plain_table(*of, (0,), [])] for of in (results, excitation, residuals)]
+    drawings = _drawings(identified) if draw else [()] * 4
+    log = identified.log
+    sections = [
+        Section("Parameters", "parameters", tables[0]),
+        Section("What the log cannot tell", "untold", notes=limitations(identified)),
+        Section("Over time", "time", figures=drawings[0]),
+        Section("Excitation", "excitation", tables[1], drawings[1]),
+        Section("Residuals", "residuals", tables[2], drawings[2]),
+        Section("The log", "log", figures=drawings[3], notes=log.notes),
+        Section("Provenance", "provenance", facts=facts),
+        Section("Files", "files", links=FILES),
+    ]
+    introduction = [
+        f"{log.time[-1]:.0f} s of driving, {len(log.time)} steps of {1e3 * log.period:.3g} ms."
+    ]
+    filled = [section for section in sections if any(section[2:])]
+    return page_text("Identification", subject, introduction, filled, "parameter or estimator")
+
+
+def drawing(title: str, text: str, figure: Any) -> Drawing:
+    """A figure for a page."""
+    return Drawing(title, text, inline_svg(svg_text(figure, title), title))
+
+
+def _drawings(identified: Identified) -> list[list[Drawing]]:
+    """Figures over time, of the excitation, the residuals and the log."""
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        over_time = (
+            "Line: estimate, which may change at any moment; band: 95 %. Dashed: constant value "
+            "of the whole log."
+        )
+        slips = "Slip ratio of both tracks and side slip; band: 95 %."
+        informed = "From 1 on the data weigh more than the prior."
+        white = "Dotted: 95 % band of white noise."
+        path = "Filtered positions, and those of the log."
+        return [
+            [
+                drawing("Parameters over time", over_time, _parameters(identified)),
+                drawing("Slip over time", slips, _slips(identified)),
+            ],
+            [drawing("Excitation over time", informed, _excitation(identified))],
+            [drawing("Autocorrelation of the residuals", white, _whiteness(identified))],
+            [drawing("The path", path, _path(identified))],
+        ]
+
+
+def _thin(identified: Identified) -> Any:
+    """Steps that are drawn."""
+    return np.unique(np.linspace(0, len(identified.log.time) - 1, POINTS).astype(int))
+
+
+def _banded(axes: Axes, identified: Identified, name: str, colour: str, label: str = "") -> None:
+    """One quantity with its 95 % band; the axis shows the band once it is narrower."""
+    k, (value, deviation) = _thin(identified), identified.series[name]
+    time = identified.log.time[k]
+    low, high = value[k] - NORMAL * deviation[k], value[k] + NORMAL * deviation[k]
+    if name in SOIL:
+        factor = np.exp(NORMAL * deviation[k] / value[k])
+        low, high = value[k] / factor, value[k] * factor
+    axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0.0)
+    axes.plot(time, value[k], color=colour, linewidth=1.2, label=label)
+    later = slice(len(k) // 8, None)
+    bottom, top = float(np.min(low[later])), float(np.max(high[later]))
+    margin = 0.1 * (top - bottom) + 1e-9
+    axes.set_ylim(bottom - margin, top + margin)
+
+
+def _titled(axes: Axes, title: str) -> None:
+    axes.set_title(title, loc="left", fontsize=9)
+
+
+def _parameters(identified: Identified) -> Any:
+    figure, panels = new_figure((3.4, 1.5), 3, 2, gap=(0.75, 0.35), sharex=True)
+    for axes, name in zip(panels.flat, (*CONSTANT, *SOIL), strict=True):
+        _banded(axes, identified, name, ESTIMATE)
+        of = identified.parameters[name]
+        if name in CONSTANT and not of.changed:
+            axes.axhline(of.value, color=CONSTANT_LINE, linestyle="--", linewidth=1.0)
+        _titled(axes, "{} [{}]".format(*NAMES[name]))
+    for axes in panels[-1]:
+        axes.set_xlabel("time [s]")
+    return figure
+
+
+def _slips(identified: Identified) -> Any:
+    figure, panels = new_figure((7.5, 1.5), 2, 1, gap=(0.35, 0.35), sharex=True)
+    ratio, angle = panels[:, 0]
+    for name, colour in (("slip_left", PALETTE[0]), ("slip_right", PALETTE[1])):
+        _banded(ratio, identified, name, colour, name.replace("_", " "))
+    k = _thin(identified)
+    both = [identified.series[name][0][k] for name in ("slip_left", "slip_right")]
+    reach = 1.2 * float(np.percentile(np.abs(both), 99.0)) + 0.01
+    ratio.set_ylim(-reach, reach)
+    ratio.legend(loc="upper right", ncols=2)
+    _titled(ratio, "slip ratio [-]")
+    _banded(angle, identified, "side_slip", PALETTE[2])
+    _titled(angle, "side slip [rad]")
+    angle.set_xlabel("time [s]")
+    return figure
+
+
+def _excitation(identified: Identified) -> Any:
+    figure, panels = new_figure((7.5, 1.8))
+    axes, k = panels[0, 0], _thin(identified)
+    for (name, excitation), colour in zip(identified.excitation.items(), PALETTE, strict=False):
+        curve = np.maximum(excitation[k], 1e-4)
+        axes.semilogy(identified.log.time[k], curve, color=colour, label=name, linewidth=1.0)
+    axes.axhline(1.0, color="0.5", linestyle=":")
+    axes.legend(loc="lower center", ncols=4)
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.set_xlabel("time [s]")
+    return figure
+
+
+def _whiteness(identified: Identified) -> Any:
+    figure, panels = new_figure((3.4, 1.6), 1, 2, gap=(0.6, 0.4), sharey=True)
+    for axes, (name, r) in zip(panels[0], identified.residuals.items(), strict=True):
+        _titled(axes, f"{name} equation")
+        axes.set_xlabel("lag [samples]")
+        if len(r) >= 4 * WHITE_LAGS:
+            axes.bar(np.arange(1, WHITE_LAGS + 1), autocorrelation(r), color=ESTIMATE, width=0.7)
+            for side in (-1.0, 1.0):
+                axes.axhline(side * NORMAL / np.sqrt(len(r)), color="0.4", linestyle=":")
+        else:
+            axes.text(0.5, 0.5, "too few samples", ha="center", transform=axes.transAxes)
+        axes.set_ylim(-0.3, 0.3)
+    return figure
+
+
+def _path(identified: Identified) -> Any:
+    figure, panels = new_figure((4.5, 4.0))
+    axes, k, log, motion = panels[0, 0], _thin(identified), identified.log, identified.motion
+    x, y = log.values["x"] - log.values["x"][0], log.values["y"] - log.values["y"][0]
+    axes.plot(x[k], y[k], ".", color="0.6", markersize=2.0, label="log")
+    axes.plot(motion[k, 0], motion[k, 1], color=ESTIMATE, linewidth=1.0, label="filtered")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("x from the start [m]")
+    axes.set_ylabel("y from the start [m]")
+    axes.legend()
+    return figure

@@ -1,0 +1,105 @@
+"""Studies of ours on episodes of the benchmark, out of the wheel.
+
+    python -m benchmarks.studies.choice_of_sets     which evaluation sets decide
+    python -m benchmarks.studies.adaptation         what adapting inside an episode is worth
+    python -m benchmarks.studies.breaking_points    how much of one difficulty a policy stands
+    python -m benchmarks.studies.break_headline     what changes the ranking
+
+Each keeps the episodes that it drives in a folder under results/ and runs only what is missing.
+"""
+
+import csv
+import io
+import shutil
+from argparse import Namespace
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.executors import make_executor
+from tracked_env.benchmark.policies import (
+    by_name,
+    default_names,
+    load_policies,
+    open_archive,
+    registered_policies,
+)
+from tracked_env.benchmark.policy_interface import PolicyEntry
+from tracked_env.benchmark.progress_bar import progress_bar
+from tracked_env.benchmark.runner import pending, run
+from tracked_env.benchmark.store import Record, Store, write_atomically
+from tracked_env.benchmark.summary import agent_of
+from tracked_env.benchmark.text_tables import aligned
+from tracked_env.cli.evaluate_options import add_env, add_option
+from tracked_env.cli.exit_status import Parser
+from tracked_env.physics.parameters import Range
+from tracked_env.validation import checked_whole
+
+Cells = list[list[str]]  # rows of a table, the header first
+
+
+def study_parser(
+    program: str, description: str, episodes: int, env: dict[str, Any] | None = None
+) -> Parser:
+    """The options of every study; episodes: default; env: how `add_env` is called."""
+    parser = Parser(program, description)
+    add_env(parser, **(env or {}))
+    every = "as in `tracked-env evaluate --policies`; by default all that are registered"
+    add_option(parser, "policies", every)
+    add_option(parser, "episodes", "of each set", default=episodes)
+    text = "trainings of every agent, at most (default: all)"
+    parser.add_argument("--seeds", type=int, metavar="N", help=text)
+    add_option(parser, "output", "folder of the results")
+    add_option(parser, "workers")
+    return parser
+
+
+def few_seeds(entries: Iterable[PolicyEntry], count: int | None) -> list[PolicyEntry]:
+    """The policies, of every agent its first `count` trainings; None: all."""
+    first = list[PolicyEntry]()
+    for entry in entries:
+        agent = agent_of(entry.name)
+        if count is None or sum(agent_of(one.name) == agent for one in first) < count:
+            first.append(entry)
+    return first
+
+
+def policies_of(options: Namespace, env: str) -> list[PolicyEntry]:
+    """Those that are named, else all that are registered for the environment."""
+    policies = registered_policies()
+    registry, trained = by_name(policies, env)
+    if options.seeds is not None:
+        checked_whole("--seeds", options.seeds, Range(1, 1000, "-", "It counts trainings."))
+    specs = options.policies or default_names(policies, env)
+    return few_seeds(load_policies(specs, registry, trained, open_archive), options.seeds)
+
+
+def driven(
+    config: BenchmarkConfig, entries: Sequence[PolicyEntry], store: Store, workers: int | None
+) -> list[Record]:
+    """Records of all episodes; what the store has is not run again."""
+    executor = make_executor(workers, None, None)
+    tasks = list(pending(config, entries, store, executor.workers if executor else 1))
+    steps = sum(len(task.episodes) * config.max_steps(task.uncertainty_set) for task in tasks)
+    with progress_bar(steps) as progress:
+        return run(config, entries, store, progress, executor)
+
+
+def show(cells: Cells, names: int) -> None:
+    """Print a table as wide as the terminal; names: columns of names."""
+    print(f"\n{aligned(cells, names, shutil.get_terminal_size().columns)}\n")
+
+
+def write_csv(path: Path, rows: Iterable[Iterable[Any]]) -> None:
+    """A table of numbers as CSV."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    write_atomically(path, text.getvalue().encode())
+
+
+def write_figure(path: Path, figure: Any) -> None:
+    """A figure as PNG."""
+    image = io.BytesIO()
+    figure.savefig(image, format="png", bbox_inches="tight")
+    write_atomically(path, image.getvalue())

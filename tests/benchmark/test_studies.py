@@ -1,0 +1,299 @@
+"""The studies: what adapting is worth, breaking points, and what would break the headline."""
+
+import csv
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from baselines.registry import POLICIES
+from benchmarks.studies import adaptation as ad
+from benchmarks.studies import break_headline as headline
+from benchmarks.studies import breaking_points as bp
+from tests.benchmark.stub_policies import Constant
+from tests.benchmark.test_report import EASY, records
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env.benchmark import SETS, BenchmarkConfig
+from tracked_env.benchmark.evaluation_sets import AUDIT
+from tracked_env.benchmark.store import READS_TRUTH
+from tracked_env.benchmark.summary import rows_of
+from tracked_env.sensors import make_sensors
+
+# By axis: the fields of the sensors that differ between two of its levels.
+SENSOR_FIELDS = {
+    "pose-delay": {"pose_delay"}, "position-noise": {"position_noise"},
+    "outage": {"pose_outage_length"},
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def sets_of_before() -> Iterator[None]:
+    """Levels are registered as sets, which tests of the catalogue do not expect."""
+    before = dict(SETS)
+    yield
+    SETS.clear()
+    SETS.update(before)
+
+
+@pytest.mark.parametrize("axis", [*bp.AXES])
+@pytest.mark.parametrize("share", [0.013, 0.4, 0.77])
+def test_the_bracket_holds_the_level_at_which_half_fail(axis: str, share: float) -> None:
+    of, asked = bp.AXES[axis], list[float]()
+    limit = of.level(share)
+
+    def success(level: float) -> float:
+        asked.append(level)
+        return 0.5 if abs(level - of.easy) <= abs(limit - of.easy) else 0.49
+
+    point = bp.bisect(axis, "x", 16, success)
+    assert abs(point.stands - of.easy) <= abs(limit - of.easy) < abs(point.breaks - of.easy)
+    assert len(asked) == 2 + bp.BISECTIONS == len(set(asked))
+    width = np.log(point.breaks / point.stands) / np.log(of.hard / of.easy)
+    assert width == pytest.approx(2.0**-bp.BISECTIONS)
+    assert point.success == 0.5
+
+
+def test_where_it_never_breaks_or_always_does_the_other_end_is_nan() -> None:
+    always = bp.bisect("mass", "x", 16, lambda level: 1.0)
+    assert (always.stands, math.isnan(always.breaks)) == (10.0, True)
+    never = bp.bisect("mass", "x", 16, lambda level: 0.2)
+    assert (math.isnan(never.stands), never.breaks, never.success) == (True, 1.0, 0.2)
+    assert bp.table([always, never._replace(agent="y")])[1:] == [
+        ["x", "stands 10"], ["y", "fails at 1"],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])
+def test_the_levels_of_an_axis_change_what_it_names_and_nothing_else(env: str) -> None:
+    drawn = {}
+    for axis in bp.AXES:
+        for level in (bp.AXES[axis].easy, bp.AXES[axis].level(0.5)):
+            name = bp.set_of(env, axis, level)
+            assert bp.set_of(env, axis, level) == name and SETS[name].env == env
+            made = BenchmarkConfig((name,)).environment(name, 1, truth=False)
+            made.reset(seed=[5])
+            (episode,) = made.simulation.episodes
+            made.close()
+            assert episode is not None
+            drawn[axis, level] = episode
+    for axis in bp.AXES:
+        easy, hard = (drawn[axis, bp.AXES[axis].level(share)] for share in (0.0, 0.5))
+        assert np.array_equal(easy.profile.table, hard.profile.table)
+        assert easy.noise_seed == hard.noise_seed and easy.state == hard.state
+        assert (repr(easy.sensors) == repr(hard.sensors)) == (axis in ("mass", "soil-strength"))
+        before, after = (
+            make_sensors(SETS[bp.set_of(env, axis, bp.AXES[axis].level(share))].sensors)._asdict()
+            for share in (0.0, 0.5)
+        )
+        differing = {field for field in before if before[field] != after[field]}
+        assert differing == SENSOR_FIELDS.get(axis, set())
+        assert (easy.parameters == hard.parameters) == (axis not in ("mass", "soil-strength"))
+    heavy, light = (drawn["mass", bp.AXES["mass"].level(s)].parameters for s in (0.5, 0.0))
+    assert heavy.mass / light.mass == pytest.approx(10.0**0.5) == heavy.inertia / light.inertia
+    weak = drawn["soil-strength", bp.AXES["soil-strength"].level(0.5)].parameters
+    assert math.tan(weak.friction_angle) / math.tan(light.friction_angle) == pytest.approx(
+        0.02**0.5
+    )
+    assert weak.cohesion == pytest.approx(light.cohesion * 0.02**0.5)
+
+
+def test_an_environment_without_axes_is_refused() -> None:
+    with pytest.raises(ValueError, match="has no breaking points"):
+        bp.set_of(TERRAIN_ID, "mass", 1.0)
+
+
+def test_the_command_writes_points_and_figure_and_continues_with_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bp, "BISECTIONS", 2)
+    arguments = ["--policies", "nominal", "--axes", "mass", "--episodes", "2"]
+    arguments += ["--output", str(tmp_path)]
+    assert bp.main(arguments, "program") == 0
+    (folder,) = tmp_path.iterdir()
+    with (folder / "breaking_points.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert 1.0 <= float(row["stands"]) < float(row["breaks"]) <= 10.0
+    assert (row["trained_low"], row["trained_high"]) == ("0.5", "2.0")
+    before = (folder / "episodes.jsonl").read_bytes()
+    assert bp.main(arguments, "program") == 0
+    assert (folder / "episodes.jsonl").read_bytes() == before
+    monkeypatch.setattr(bp, "BISECTIONS", 3)
+    assert bp.main(arguments, "program") == 0
+    later = (folder / "episodes.jsonl").read_bytes()
+    assert later.startswith(before) and later.count(b"\n") == before.count(b"\n") + 1
+    capsys.readouterr()
+    with pytest.raises(SystemExit, match="2"):
+        bp.main([*arguments, "--axes", "colour"], "program")
+    assert "--axes: invalid choice: 'colour'" in capsys.readouterr().err
+
+
+def after(uncertainty_set: str, **rmse: Any) -> Any:
+    """A row of one set with these RMSEs after the change; `oracle` reads the truth."""
+    given = records(uncertainty_set, **dict.fromkeys(rmse, EASY))
+    for record in given:
+        value = float(rmse[record["policy"]][record["episode"]])
+        lost = np.isnan(value) and record["policy"] == "x"
+        record |= {"rmse_after_change": None if np.isnan(value) else value, "max_error": 5.0,
+                   "terminated": float(lost), "recovery_time": 1.0}  # fmt: skip
+        if record["policy"] == "oracle":
+            record |= {READS_TRUTH: True, "tracking_rmse": 0.9 * record["tracking_rmse"]}
+    return rows_of(given)[uncertainty_set]
+
+
+def test_regret_is_to_the_ceiling_and_worth_to_the_frozen_one() -> None:
+    found = ad.scores(after("a", oracle=EASY, x=EASY + 0.01, **{"x frozen": 3.0 * (EASY + 0.01)}))
+    assert set(found) == {"oracle", "x"}
+    assert tuple(found["x"].regret or ()) == pytest.approx((0.01, 0.01, 0.01))
+    assert tuple(found["x"].worth or ()) == pytest.approx((3.0, 3.0, 3.0))
+    assert found["oracle"].worth is None
+    assert tuple(found["oracle"].regret or ()) == (0.0, 0.0, 0.0)
+    assert [len(row) for row in ad.table({"a": found})] == [7, 7, 7]
+
+
+def test_an_episode_that_is_lost_before_the_change_counts_with_the_error_where_it_ended() -> None:
+    early = np.where(np.arange(16) < 4, np.nan, EASY)
+    found = ad.scores(after("a", oracle=EASY, x=early))
+    assert found["x"].episodes == 16
+    assert found["x"].rmse.value == pytest.approx((4 * 5.0 + EASY[4:].sum()) / 16.0)
+    without = ad.scores(after("a", oracle=early, x=EASY))  # no change there: not counted
+    assert without["x"].episodes == 12
+
+
+def test_there_is_no_score_without_any_change_and_no_regret_without_a_ceiling() -> None:
+    assert ad.scores(after("a", oracle=np.nan * EASY, y=np.nan * EASY)) == {}
+    assert ad.scores(after("a", y=EASY))["y"].regret is None
+
+
+def test_errors_are_aligned_at_the_change_and_empty_beyond_the_episode(tmp_path: Path) -> None:
+    time = np.linspace(0.02, 10.0, 300)
+    changes = np.array([3.0, np.nan, 8.0])
+    error = np.stack([(time > 3.0) * 1.0, time, (time > 8.0) * 1.0], axis=1)
+    trace = {"time": time, "change": changes, "error": error}
+    grid, lines = np.linspace(*ad.AROUND, ad.GRID), ad.aligned_errors(trace)
+    assert lines.shape == (2, ad.GRID)
+    assert (lines[:, grid < -0.04] == 0.0).all()
+    assert (lines[0, grid > 0.04] == 1.0).all()
+    assert (
+        np.isnan(lines[1, grid > 2.01]).all() and (lines[1, (grid > 0.04) & (grid < 2)] == 1).all()
+    )
+    pytest.importorskip("matplotlib")
+    axes = ad.figure("a", {"x": [trace], "x frozen": [trace]}).axes[0]
+    solid, dashed = axes.get_lines()[:2]
+    assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
+    assert solid.get_color() == dashed.get_color()
+
+
+class Settings(NamedTuple):
+    gain: float = 3.0
+    off: float = 0.0
+    bound: float = math.inf
+
+
+def tuned(context: Any, **settings: float) -> Constant:
+    return Constant(Settings(**settings).gain, 0.0)
+
+
+tuned.TUNABLE = {"gain": (1.0, 9.0, True), "off": (0.0, 1.0, False), "bound": (0.1, 9.0, True)}  # type: ignore[attr-defined]
+tuned.SETTINGS = lambda context: Settings()  # type: ignore[attr-defined]
+
+
+def scaled() -> list[Any]:
+    registry = {"adaptive": tuned, "other": tuned, "plain": lambda context: Constant()}
+    return headline.variants(registry, ["adaptive", "other", "plain"], BenchmarkConfig())
+
+
+def test_every_setting_that_can_be_scaled_is_scaled_alone_by_every_factor() -> None:
+    of = scaled()
+    assert [(v.controller, v.setting, v.factor) for v in of] == [
+        (name, "gain", factor) for name in ("adaptive", "other") for factor in headline.FACTORS
+    ]
+    context = BenchmarkConfig().context("payload")
+    assert [v.entry.make(context).action[0] for v in of[:4]] == pytest.approx(
+        [3.0 * factor for factor in headline.FACTORS]
+    )
+    assert len({v.entry.fingerprint for v in of[:4]}) == 4
+
+
+def test_the_registered_controllers_can_be_scaled_and_settings_reach_them() -> None:
+    config = BenchmarkConfig()
+    of = {(v.setting, v.factor): v for v in headline.variants(POLICIES, ["adaptive"], config)}
+    context = config.context("payload")
+    usual = POLICIES["adaptive"](context).controller.gains
+    doubled = of["k_p", 2.0].entry.make(context).controller.gains
+    assert doubled == usual._replace(k_p=2.0 * usual.k_p)
+
+
+def errors_of(factor: float, settled: float = 1.0) -> tuple[Any, ...]:
+    """Records of two sets in which `adaptive gain x2` has these errors over adaptive's."""
+    errors: dict[str, Any] = dict.fromkeys([v.entry.name for v in scaled()], EASY)
+    errors |= {"adaptive gain x2": factor * EASY, "adaptive": EASY, "other": 1.02 * EASY}
+    errors |= {"ppo@0": 0.9 * EASY, "ppo@1": 1.1 * EASY, "other gain x0.5": 0.5 * EASY}
+    given = [record for name in ("a", "b") for record in records(name, **errors)]
+    for record in given:
+        record["settled_rmse"] = 0.5 * record["tracking_rmse"] / factor * settled
+        if record["policy"] != "adaptive gain x2":
+            record["settled_rmse"] = 0.5 * record["tracking_rmse"]
+    sets = headline.of_sets(given)
+    usual = headline.ranking(sets, ["adaptive", "other", "ppo"], "adaptive")
+    return (given, usual, *headline.gain_table(sets, scaled(), usual, "adaptive"))
+
+
+def test_the_headline_breaks_where_one_gain_makes_the_reference_over_five_percent_better() -> None:
+    for factor, settled, count in (
+        (0.96, 0.96, 0), (0.94, 1.0, 1), (1.0, 0.94, 1), (0.9, 0.9, 2), (1.5, 1.5, 0),
+        (0.9, 1.1, 0), (1.1, 0.9, 0),
+    ):  # fmt: skip
+        *_, errors = errors_of(factor, settled)
+        said = headline.broken(errors, "adaptive")
+        assert len(said) == count, (factor, settled)
+        assert all(line.startswith("gain of adaptive times 2: ") for line in said)
+    # Another controller may get better; that is no fault of the reference.
+    assert "other" not in " ".join(headline.broken(errors, "adaptive"))
+
+
+def test_the_table_says_what_each_gain_does_to_error_rank_and_order() -> None:
+    _, usual, cells, _ = errors_of(0.97)
+    assert list(usual) == ["ppo", "adaptive", "other"] or usual["ppo"] == pytest.approx(1.0, 0.1)
+    rows = {(row[0], row[1], row[2]): row for row in cells[1:]}
+    assert rows["adaptive", "gain", "2"][3].startswith("0.970 [0.970, 0.970]")
+    better = rows["other", "gain", "0.5"]
+    assert better[3].startswith("0.490") and better[6:8] == ["0.500", "1"]
+    assert float(better[8]) < 1.0
+
+
+def test_other_trainings_and_fewer_episodes_are_orders_of_their_own() -> None:
+    given, usual, *_ = errors_of(1.0)
+    plain = [record for record in given if " x" not in record["policy"]]
+    rows = {row[0]: row for row in headline.other_choices(plain, usual, "adaptive")[1:]}
+    assert list(rows) == [
+        "as it is", "training 0 alone", "training 1 alone", "first 8 episodes",
+        "first 4 episodes", "first 2 episodes",
+    ]  # fmt: skip
+    assert rows["as it is"][1] == "1.00"
+    assert rows["training 0 alone"][2] == "ppo"
+    assert rows["training 1 alone"][2:4] == ["adaptive", "1"]
+
+
+def test_it_runs_on_the_audit_split_continues_and_says_whether_the_headline_stands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(headline, "FACTORS", (1.0,))
+    arguments = ["--policies", "adaptive", "nominal", "--sets", "payload", "--episodes", "2"]
+    arguments += ["--output", str(tmp_path)]
+    assert headline.main(arguments, "program") == 0
+    (folder,) = tmp_path.iterdir()
+    assert folder.name.startswith(f"headline-{AUDIT}-")
+    text = capsys.readouterr().out
+    assert "The headline stands" in text and f"from seed {AUDIT}" in text
+    assert "1.000 [1.000, 1.000]" in text
+    before = (folder / "episodes.jsonl").read_bytes()
+    assert f'"seed": {AUDIT + 1}'.encode() in before
+    assert headline.main(arguments, "program") == 0
+    assert (folder / "episodes.jsonl").read_bytes() == before
+    assert headline.main(["--policies", "nominal"], "program") == 2
+    monkeypatch.setattr(headline, "FACTORS", ())
+    assert headline.main(arguments, "program") == 2
+    assert "nothing would be tried" in capsys.readouterr().err

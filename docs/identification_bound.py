@@ -19,7 +19,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from baselines.estimators import longitudinal, sideslip, turning_equation
+from baselines.estimators import longitudinal, sideslip, turning
 from baselines.estimators.longitudinal import INVERSE_MASS_SIGMA, RESISTANCE_SIGMA
 from baselines.estimators.measurement import make_measurement
 from baselines.estimators.turning import FRICTION_SIGMA, INERTIA_SIGMA
@@ -61,9 +61,9 @@ def walks(parameters: Floats, period: float) -> Floats:
 def equations(run: Run, i: int) -> tuple[Floats, Floats]:
     """(regressors (T, 3, 4), variances (T, 3)) of vehicle i: longitudinal, turning, side slip."""
     stack = run.policy.stack
-    along, turn = stack.longitudinal.known()[0], stack.turning.known()[0]
+    along, turn = stack.longitudinal.constants()[0], stack.turning.constants()[0]
     sheet, half = stack.data_sheet, 0.5 * stack.parameters.contact_length
-    side = sideslip.Known(half, sheet.velocity_noise**2, sheet.acceleration_noise**2, 0.0, 1.0)
+    side = sideslip.Constants(half, sheet.velocity_noise**2, sheet.acceleration_noise**2, 0.0, 1.0)
     steps = len(run.value)
     h, variance = np.zeros((steps, 3, 4)), np.full((steps, 3), np.inf)
     shared = [name for name in CHANNELS if name in STATE_NAMES]
@@ -75,7 +75,7 @@ def equations(run: Run, i: int) -> tuple[Floats, Floats]:
         if moves:
             h[k, 0, :2], variance[k, 0] = (-sample.phi_1 / mass, sample.phi_2), sample.variance
         friction = mass * mu_t
-        sample, turns = turning_equation.equation(z, 0, turn, mass, mu_l, friction, inertia, 1.0)
+        sample, turns = turning.equation(z, 0, turn, mass, mu_l, friction, inertia, 1.0)
         if turns:
             h[k, 1, 2:] = sample.phi_1 * inertia, sample.phi_2 * friction
             variance[k, 1] = sample.variance

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import matplotlib as mpl
 import numpy as np
 
-from baselines.estimators import turning_equation as equation
+from baselines.estimators import turning as equation
 from baselines.estimators.turning import TurningEstimator
 from baselines.registry import oracle
 from docs.observer_runs import Floats
@@ -148,7 +148,7 @@ def bias(motion: Floats, row: Floats) -> Bias:
     p = PlantParameters(*row)
     out = np.zeros((len(motion), 4))
     moments(np.ascontiguousarray(motion), row[None].copy(), PATCHES, out)
-    known = TurningEstimator(p).known()[0]
+    known = TurningEstimator(p).constants()[0]
     v_x, v_y, w, left, right = motion.T
     slow = np.minimum(np.abs(v_x - known.half_gauge * w), np.abs(v_x + known.half_gauge * w))
     use = (np.abs(w) > known.least_turn) & (slow > known.slowest) & (out[:, LEFT_OVER] < ACCURACY)

@@ -177,7 +177,12 @@ def _correct(row, side, rate, rate_variance, model):
     Returns (innovation squared over its variance, whether it was used).
     """
     torque, inertia = row.held[side], row.inertia
-    row.phi[1 - side], row.phi[side], row.phi[2], row.phi[3] = 0.0, row.db[side], row.da[side], -rate
+    row.phi[1 - side], row.phi[side], row.phi[2], row.phi[3] = (
+        0.0,
+        row.db[side],
+        row.da[side],
+        -rate,
+    )
     spread = model.variance + inertia * inertia * rate_variance
     for r in range(ORDER):
         entry = 0.0

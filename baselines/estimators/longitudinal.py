@@ -184,9 +184,7 @@ class LongitudinalEstimator(TwoParameterEstimator):
     def for_stack(cls, setting: Setting) -> "LongitudinalEstimator":
         """As a part of the identification stack."""
         s, separated = setting, setting.lateral == "sliding"
-        part = cls(
-            s.parameters, s.control_period, s.data_sheet, s.count, separated=separated
-        )
+        part = cls(s.parameters, s.control_period, s.data_sheet, s.count, separated=separated)
         return part.on_slopes() if s.attitude else part
 
     def constants(self) -> tuple[Any, ...]:

@@ -33,20 +33,22 @@ from baselines.estimators.measurement import (
     ATTITUDE,
     COLUMN,
     DRIVE,
-    FIRST,
-    GROUP_SIZE,
     INERTIAL,
-    NEEDS,
     POSE,
     DataSheet,
     Estimate,
     Measurement,
-    ObservationReader,
-    Reading,
     Setting,
     WiderMeasurement,
     arrays_of,
     attitude_of,
+)
+from baselines.estimators.observation_reader import (
+    FIRST,
+    GROUP_SIZE,
+    NEEDS,
+    ObservationReader,
+    Reading,
 )
 from baselines.estimators.slip_kinematics import (
     PRIOR_SLIP,
@@ -71,7 +73,8 @@ _V_X, _A_X, _YAW_ACCELERATION = (
     COLUMN[name] for name in ("v_x", "acceleration_x", "yaw_acceleration")
 )
 _FELT, _GYRO, _BEND = (  # among the inertial channels
-    COLUMN[name] - int(FIRST[INERTIAL]) for name in ("acceleration_x", "yaw_rate", "yaw_acceleration")
+    COLUMN[name] - int(FIRST[INERTIAL])
+    for name in ("acceleration_x", "yaw_rate", "yaw_acceleration")
 )
 _SPROCKET = COLUMN["sprocket_speed_left"]
 
@@ -155,7 +158,7 @@ def advance(motion, behind, felt, attitude):
 
 @formula
 def _newest(ring, moment):
-    """(slot of a ring (K,) with the last sample up to step `moment`, steps it is older); -1: none."""
+    """(slot of a ring (K,) with the last sample up to `moment`, steps it is older); -1: none."""
     slots = ring.shape[0]
     for older in range(min(slots, moment + 1)):
         slot = (moment - older) % slots
@@ -380,7 +383,11 @@ class MotionFilter:
         return answer
 
     def estimate_now(
-        self, answer: Answer, motion: NDArray[np.float64], moment: Moment, values: NDArray[np.float64]
+        self,
+        answer: Answer,
+        motion: NDArray[np.float64],
+        moment: Moment,
+        values: NDArray[np.float64],
     ) -> Estimate:
         """The Estimate of now of the answer at a moment; see `slips_now`."""
         value, covariance = answer[0].copy(), answer[1].copy()

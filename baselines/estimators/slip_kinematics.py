@@ -7,38 +7,36 @@ g = V / V_t (terramechanics.track_speed_from_belt at V_t = 1), t = tan(alpha):
     Y+   = Y + dt v_x (sin(psi_m) + t cos(psi_m)),   psi+ = psi + w dt      S 7.2.2, ISO sign
     i_L, i_R, alpha: random walks
 On a slope X, Y, psi are those of the map: (v_x, t v_x) -> `rigid_body.on_map`, w -> d psi/dt by the
-measured roll, pitch and rate of pitch; belts, velocities and the gyro stay in the vehicle's plane.
+measured roll, pitch and rate of pitch; all else stays in the vehicle's plane.
     z    = [X, Y, psi, v_x, v_y, w], taken `age` ago (see late poses)
 Belt speeds act as the mean over the step, with noise s = r sigma_omega (see covariances).
 Errors in variables: the same noise is in z - h and in dh/di = -V_t, whose product would not average
 to zero (0.003 of slip with 0.1 rad/s). So the belt speed one step earlier multiplies what depends
 on the sigma point, as an instrumental variable: V = g_mean V_t + (g - g_mean) V_t,earlier.
 
-A track that stands tells nothing about its slip: noise of its sprocket would pass for full slip.
-So deviations of the sigma points from the mean fade out with the belt speed (the sample then
-does not change the estimate). The same holds for alpha and v_x.
+A track that stands tells nothing about its slip: noise of its sprocket would pass for full slip. So
+deviations of the sigma points from the mean fade out with the belt speed, and alpha's with v_x.
 
-Late poses: a sample that is `age` old saw the vehicle where it was, so the observer predicts that: it takes
-the way driven since then off its present pose. The ring holds sums over time, not poses, so that
-the way is always evaluated with the present estimate of the slips (constant over the delay):
+Late poses: a sample that is `age` old saw the vehicle where it was, so the observer predicts that:
+it takes the way driven since then off its present pose. The ring holds sums over time, not poses,
+so that the way has the present estimate of the slips (constant over the delay):
     D_L = sum dt V_tL,   C_L = sum dt V_tL cos(psi),   S_L = sum dt V_tL sin(psi)     and R
     yaw  way = (g_R D_R - g_L D_L) / B,    g = V / V_t of each track
     X    way = (g_L C_L + g_R C_R) / 2 - tan(alpha) (g_L S_L + g_R S_R) / 2
     Y    way = (g_L S_L + g_R S_R) / 2 + tan(alpha) (g_L C_L + g_R C_R) / 2
 with psi the estimated heading in the middle of each step. On a slope C and S hold ways on the map,
 dt V_t cos(pitch), and D what turns the heading, dt V_t cos(roll) / cos(pitch). What the roll adds
-to lateral ways (0.1 alpha) and the rate of pitch to psi (0.04 rad/s) is left out there. A ring of
-the sums, one slot per step, reaches back for the longest delay. Stored poses would carry the slips
-of then: a corrected slip would take effect only after the delay, and the observer would correct it
-again and again.
+to lateral ways (0.1 alpha) and the rate of pitch to psi (0.04 rad/s) is left out there. The ring,
+one slot per step, reaches back for the longest delay. Stored poses would carry the slips of then:
+a corrected slip would take effect only after the delay, and would be corrected again and again.
 
-Covariances: noise of the belts s = r sigma_omega enters z and X, Y, psi, beside that of the other sensors:
+Covariances: noise of the belts s = r sigma_omega enters z and X, Y, psi beside the other sensors:
     R += s^2 J J^T,  J = d(v_x, v_y, w)/d(V_tL, V_tR);     Q += s^2 dt^2 G G^T likewise
-Process noise fades out with the belt speed, as the deviations above do.
-Information on s = (i_L, i_R, alpha): eigenvalues of D P_s^-1 D - 1, D the prior's sigmas.
+Process noise fades out likewise. Information on s = (i_L, i_R, alpha): eigenvalues of
+D P_s^-1 D - 1, D the prior's sigmas.
 
-References: [S] Strawa et al., Electronics 10 (2021) 187, sections 3 and 7.2. [1] O. K. Smith,
-Comm. ACM 4 (1961) 168: eigenvalues of a symmetric 3 x 3 matrix.
+References: [S] Strawa et al., Electronics 10 (2021) 187, sections 3 and 7.2. [1] O. K. Smith, Comm.
+ACM 4 (1961) 168: eigenvalues of a symmetric 3 x 3 matrix.
 """
 
 import math
@@ -57,7 +55,6 @@ NAMES = ("x", "y", "yaw", "slip_left", "slip_right", "side_slip")
 STATES = len(NAMES)
 X, Y, YAW, SLIP_LEFT, SLIP_RIGHT, SIDE_SLIP = range(STATES)
 ROWS = 6  # of z: X, Y, psi, v_x, v_y, w
-
 SLIP_LIMIT = 0.98  # [-] bound of the estimated slips, inside the physical +-1
 SIDE_SLIP_LIMIT = 1.0  # [rad] bound of the estimated alpha
 SIDE_SLIP_MODELLED = 1.2  # [rad] sigma points beyond it count as this: tan must stay moderate
@@ -67,7 +64,7 @@ STANDING_BELT = 0.03  # [m/s] a belt slower than this plus 3 sigma of its noise 
 STANDING_VEHICLE = 0.1  # [m/s] v_x below which alpha = atan(v_y / v_x) is not observed
 BELT_SIGMAS = 5.0  # [-] of its noise: a belt that changes by more within a step really moves
 BIAS_WINDOW = 0.5  # [s] over it the gyro's bias does not average out, the noise does
-SILENCE = 0.25  # [s] a pose that is only late or rare comes within it, see slip_outage
+SILENCE = 0.25  # [s] a pose that is only late or rare comes within it, see pose_outages
 BLENDING = 0.5  # [s] time constant with which what is shown follows the first pose after an outage
 LEAST_SIGMA = 1e-4  # [m, rad, m/s, rad/s] of ideal sensors: keeps the covariance well conditioned
 # Times the sine of the tilt: a turn on a slope changes the force that the soil must carry, and so
@@ -328,7 +325,8 @@ def process(x, y, yaw, slip_left, slip_right, side_slip, u, k):
 
 @formula
 def measured(state, u, way, gyro, k):
-    """Of a state (6 numbers) z = (X, Y, psi, v_x, v_y, w): the pose group when `way` began, w when `gyro` began."""
+    """z = (X, Y, psi, v_x, v_y, w) of a state (6 numbers): the pose group when `way` began, w when
+    `gyro` began."""
     x, y, yaw, slip_left, slip_right, side_slip = state
     left, right, tangent = gains(slip_left, slip_right, side_slip, u)
     east = 0.5 * (left * way.c_left + right * way.c_right)
@@ -359,8 +357,8 @@ def instrument(earlier, belt, k):
 def step_way(yaw, left, right, u, k):
     """Way of one step with heading `yaw` in its middle and belts `left`, `right` at its end."""
     c, s = rotation(yaw)
-    d_left, d_right = k.period * u.belt_left, k.period * u.belt_right
     c, s = u.ahead * c, u.ahead * s
+    d_left, d_right = k.period * u.belt_left, k.period * u.belt_right
     return Way(
         u.turn * d_left, u.turn * d_right, c * d_left, s * d_left, c * d_right, s * d_right,
         left, right, left, right,

@@ -31,7 +31,6 @@ from baselines.estimators import slip_kinematics as kinematics
 from baselines.estimators import slip_step as step
 from baselines.estimators.measurement import (
     ATTITUDE,
-    POSE_DELAY,
     BatchEstimator,
     DataSheet,
     Estimate,
@@ -42,6 +41,7 @@ from baselines.estimators.measurement import (
     columns_of,
     rows_of,
 )
+from baselines.estimators.observation_reader import POSE_DELAY
 from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLOT, STATES
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters, Range
@@ -178,9 +178,12 @@ def _correct(x, p, rows, w, e):
 
 @loop
 def update_all(samples, k, rows, rings, answers):
-    """One step of all vehicles: samples values (N, CHANNELS), fresh, age, attitude (N, 3); rows (N,)
-    and rings (N, slots) of the memory are changed, the answers written: value, covariance, summary
-    (N, 4) excitation, condition, NIS, skipped, and status."""
+    """One step of all vehicles.
+
+    samples: values (N, CHANNELS), fresh, age, attitude (N, 3). rows (N,) and rings (N, slots) of
+    the state are changed, the answers written: value, covariance, summary (N, 4) excitation,
+    condition, NIS, skipped, and status.
+    """
     values, fresh, age, attitude = samples
     value, covariance, summary, status = answers
     scratch = Scratch(

@@ -8,7 +8,8 @@ and step:
                or windows that no soil explains, are a new soil: the window is emptied.
                Old samples of high slip and new ones of little make K a tenth of any
                soil's, without a misfit: such a K is a sign of a mixture too (NO_SOIL)
-    fit        by soil_regression, from the last converged values, which stay where it does not converge
+    fit        by soil_regression, from the last converged values, which stay where it does not
+               converge
     anchor     the prior mean moves on to the fit in those directions (eigenvectors of the data's
                information in units of the prior's) that the data determine DETERMINED times
                better than the prior, and only if they contradict it: else noise would let it drift
@@ -17,8 +18,9 @@ Slip without a filter: i = (r omega - V) / max(|r omega|, |V|), V = v_x -+ w B /
 variance of first order; the error of v_x is shared by both tracks and counted twice, so that
 two equal samples weigh as much as the one that they are.
 
-Claimed covariance: the fit of soil_regression weighs all samples of its window alike. Its covariance is that of a soil
-which never changes; of alternating soils it was too sure by a factor of hundreds. Here with
+Claimed covariance: the fit of soil_regression weighs all samples of its window alike. Its
+covariance is that of a soil which never changes; of alternating soils it was too sure by a factor
+of hundreds. Here with
 x = [ln F_max, ln K], Lambda the prior's information, e = x(nominal) - x(estimate):
     M   = Lambda^-1 + e e^T          another soil, drawn from the prior: its second moment about x
     P   = M                          before the first sample, and on a new soil
@@ -165,7 +167,7 @@ def _kinematic_slip(belt, track, sensing):
 def _sample(values, side, slips, sensing):
     """Sample of one track; side 0 left, 1 right. NaN effort: a channel is missing.
 
-    values (CHANNELS,); slips: whether slips are provided, and these with their variances, (2,) each.
+    values (CHANNELS,). slips: whether slips are provided, and these with their variances (2,).
     """
     provided, ratios, variances = slips
     belt = values[_BELT + side] * sensing.radius
@@ -267,7 +269,9 @@ def _start(row, window, n, model):
         log_k = row.anchor_k
         for k in range(0, n, 2):  # both tracks of a step
             left = Sample(window[sr.SLIP, k], window[sr.EFFORT, k], window[sr.VARIANCE, k])
-            right = Sample(window[sr.SLIP, k + 1], window[sr.EFFORT, k + 1], window[sr.VARIANCE, k + 1])
+            right = Sample(
+                window[sr.SLIP, k + 1], window[sr.EFFORT, k + 1], window[sr.VARIANCE, k + 1]
+            )
             star_left, star_right = sr.sample_slips(left, right, log_f, log_k, model)
             if left.effort > 0.0:
                 window[sr.STAR, k] = star_left
@@ -320,9 +324,7 @@ def _excitation(row, model):
 def _step(row, window, left, right, scratch, sensing, model):
     """Take the samples of both tracks. Returns (refused, mean innovation squared or NaN)."""
     count, total, worst = 0.0, 0.0, 0.0
-    star_left, star_right = sr.sample_slips(
-        left, right, row.log_f, row.log_k, model
-    )
+    star_left, star_right = sr.sample_slips(left, right, row.log_f, row.log_k, model)
     for side in range(2):
         sample = left if side == 0 else right
         if sample.effort > 0.0:

@@ -8,8 +8,8 @@
                                          -> actuators (gains, lag), and those that are
                                             registered, where they are asked for
 The regressions get the filtered velocities: they need no more of them than signs. Names and
-features follow from what each estimator declares (`measurement.Estimator`); those of a registered one
-come after all others, so that the columns of an agent trained without it stay where they are.
+features follow from what each estimator declares (`measurement.Estimator`); those of a registered
+one come after all others, so that the columns of an agent trained without it stay where they are.
 
 An estimator answers with bare arrays; an `Estimate` is made of them when it is read. A policy that
 needs two numbers of each answer does not pay for the rest.
@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike, NDArray
 from baselines.estimators.actuators import COMMANDS, ActuatorEstimator
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import (
-    NEEDS,
     BatchEstimator,
     DataSheet,
     Estimate,
@@ -35,7 +34,6 @@ from baselines.estimators.measurement import (
     Measurement,
     Pair,
     Quantity,
-    Reading,
     Setting,
     Status,
     WiderMeasurement,
@@ -47,6 +45,7 @@ from baselines.estimators.motion_filter import (
     put_velocity,
     restore_arrays,
 )
+from baselines.estimators.observation_reader import NEEDS, Reading
 from baselines.estimators.sideslip import SideslipRow
 from baselines.estimators.slip_observer import Motion, SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
@@ -277,9 +276,7 @@ class IdentificationStack:
             observer = FilterpySlipObserver
         self._filter = MotionFilter(p, control_period, sheet, count, lateral, attitude, observer)
         self.reader, self.slip = self._filter.reader, self._filter.slip
-        setting = Setting(
-            p, self.control_period, sheet, int(count), lateral, bool(attitude)
-        )
+        setting = Setting(p, self.control_period, sheet, int(count), lateral, bool(attitude))
         self.longitudinal = self.longitudinal_kind.for_stack(setting)
         self.turning = self.turning_kind.for_stack(setting)
         self.soil = SoilEstimator.for_stack(setting)

@@ -460,34 +460,6 @@ class TurningEstimator(TwoParameterEstimator):
         """Constants of the equation, and the vehicles as the longitudinal estimator sees them."""
         return self._constants, self.vehicles
 
-    def bounds(self, mass: float) -> dict[str, tuple[float, float]]:
-        """(low, high) between which each parameter is sought, by name, for a vehicle of a mass."""
-        p = self.prior
-        limit = RANGES["lateral_resistance"].high
-        return {"inertia": (p.low_1, p.high_1), "lateral_resistance": (p.low_2 / mass, limit)}
-
-    def residual(
-        self,
-        values: NDArray[np.float64],
-        mass: float,
-        resistance: float,
-        inertia: float,
-        friction: float,
-    ) -> float:
-        """Residual of one vehicle's sample (1, 13) on level ground with these parameters, over its
-        standard deviation; NaN where the sample says nothing."""
-        product = mass * friction
-        sample, usable = equation(values, 0, self._known, mass, resistance, product, inertia, 1.0)
-        error = sample.y - sample.phi_1 * inertia - sample.phi_2 * product
-        return error / math.sqrt(sample.variance) if usable else math.nan
-
-    def with_shared_friction(self, inertia: float, deviation: float) -> float:
-        """The deviation of an inertia of the first vehicle, where slip may share friction."""
-        out = np.zeros((1, self.answer.shape[1]))
-        out[0, VALUE_1], out[0, P_11] = inertia, deviation**2
-        admit_shared_friction(out, 0, self.memory, self.prior)
-        return math.sqrt(float(out[0, P_11]))
-
     def read(self) -> Estimate:
         """The present estimate, without a sample; mu_t by the present mass."""
         out = self.present_answers()

@@ -114,7 +114,7 @@ def _blend(predicted, sample, gain):
 def _turn(gyro, i, w, turn, f):
     """Heading error in gyro (N, GYRO) after a step with the gyro at w and the reference at turn."""
     gyro[i, TURNED] += f.period * (w - gyro[i, TURN_BIAS] - turn)
-    inertial.drift(gyro, i, P_TT, f.gyro_variance, f.period)
+    inertial.drift(gyro[i], f.gyro_variance, f.period)
 
 
 @formula
@@ -125,7 +125,7 @@ def _compare_heading(gyro, i, heading, begins, f):
         gyro[i, P_GG] = f.bias_variance if begins else gyro[i, P_GG]
         return
     error = wrap_angle(heading - gyro[i, TURNED])
-    inertial.compare(gyro, i, TURNED, error, f.heading_variance)
+    inertial.compare(gyro[i], error, f.heading_variance)
 
 
 @loop

@@ -96,7 +96,7 @@ class PaperLongitudinal(LongitudinalEstimator):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         as_in_paper(self)
-        self._known = self._known._replace(coupled=False)
+        self._constants = self._constants._replace(coupled=False)
 
 
 class PrintedLongitudinal(PaperLongitudinal):
@@ -105,7 +105,7 @@ class PrintedLongitudinal(PaperLongitudinal):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.prior = as_printed(self.prior)
-        self._known = self._known._replace(
+        self._constants = self._constants._replace(
             acceleration_variance=1.0, effort_variance=0.0, largest_torque=math.inf, slowest=-1.0
         )
 
@@ -123,13 +123,13 @@ class PrintedTurning(PaperTurning):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        if not self._known.constrained:
+        if not self._constants.constrained:
             raise ValueError(
                 "regression as printed with lateral = 'sliding'; must be 'constrained': S 7.1.2 "
                 "knows no lateral motion but that of a fixed ICR"
             )
         self.prior = as_printed(self.prior)
-        self._known = self._known._replace(
+        self._constants = self._constants._replace(
             moment_variance=SAME_WEIGHT, bend_variance=0.0, turn_variance=0.0, slowest=-1.0,
             largest_torque=math.inf, low=-math.inf, high=math.inf,
         )  # fmt: skip

@@ -28,7 +28,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.estimators.measurement import DataSheet, ObservationReader
+from baselines.estimators.measurement import DataSheet
+from baselines.estimators.observation_reader import ObservationReader
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SLIP_CORRELATION, SoilEstimator
 from reproduce.strawa2021.control import (

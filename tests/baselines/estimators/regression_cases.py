@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators import two_parameters as im
+from baselines.estimators.measurement import columns_of, rows_of
 from baselines.estimators.two_parameters import PLAIN as NO_MODELS
 from baselines.estimators.two_parameters import take
 from tracked_env.physics.jit import loop
@@ -40,17 +41,17 @@ class Run(NamedTuple):
 
 
 @loop
-def _run_all(samples, memory, prior, table, value, covariance, eigenvalues, status, nis):
+def _run_all(samples, rows, prior, table, value, covariance, eigenvalues, status, nis):
     for i in range(samples.shape[0]):
         for k in range(samples.shape[1]):
             s = samples[i, k]
             sample = ls.Sample(s[0], s[1], s[2], s[3], s[4])
-            status[i, k], nis[i, k] = take(memory, i, sample, prior, table)
-            value[i, k, 0], value[i, k, 1] = ls.values(memory, i, prior)
-            p_11, p_12, p_22 = ls.covariance(memory, i, prior)
+            status[i, k], nis[i, k] = take(rows[i], sample, prior, table)
+            value[i, k, 0], value[i, k, 1] = ls.values(rows[i].estimates[0], prior)
+            p_11, p_12, p_22 = ls.covariance(rows[i].estimates[0], prior)
             covariance[i, k, 0, 0], covariance[i, k, 1, 1] = p_11, p_22
             covariance[i, k, 0, 1] = covariance[i, k, 1, 0] = p_12
-            smallest, largest = ls.eigenvalues(memory, i)
+            smallest, largest = ls.eigenvalues(rows[i].estimates[0])
             eigenvalues[i, k, 0], eigenvalues[i, k, 1] = smallest, largest
 
 
@@ -59,11 +60,13 @@ def run(samples, prior, memory=None, table=NO_MODELS) -> Run:
     samples = np.ascontiguousarray(samples, dtype=float)
     count, steps = samples.shape[:2]
     prior = ls.Prior(*(float(x) for x in prior))
-    memory = np.zeros((count, im.MEMORY)) if memory is None else memory.copy()
+    memory = np.zeros((count, columns_of(im.ROW))) if memory is None else memory.copy()
     value, eigenvalues = np.empty((count, steps, 2)), np.empty((count, steps, 2))
     covariance = np.empty((count, steps, 2, 2))
     status, nis = np.empty((count, steps), dtype=np.int64), np.empty((count, steps))
-    _run_all(samples, memory, prior, table, value, covariance, eigenvalues, status, nis)
+    _run_all(
+        samples, rows_of(memory, im.ROW), prior, table, value, covariance, eigenvalues, status, nis
+    )
     return Run(value, covariance, eigenvalues, status, nis, memory)
 
 

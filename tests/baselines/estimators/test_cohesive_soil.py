@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from baselines.estimators import turning_equation
+from baselines.estimators import turning
 from baselines.estimators.least_squares import Sample
 from baselines.estimators.measurement import Status
-from baselines.estimators.turning import COHESIVE
 from docs import observer_runs
 from tests.baselines.estimators.motion_cases import CLAY, RTK, follow, measurements
+from tests.baselines.estimators.state_columns import column
 from tests.baselines.estimators.turning_cases import TRUTH, estimator
 from tracked_env.physics.parameters import RANGES
 
 FIRM = TRUTH._replace(lateral_resistance=2.0 * RANGES["lateral_resistance"].high)
-LEFT = COHESIVE + turning_equation.LEFT
+LEFT = column("cohesive")
 
 
 def inertia_of(estimate):
@@ -43,9 +43,7 @@ def test_on_soil_beyond_all_friction_the_resistance_is_found_and_the_inertia_sta
     value, claimed = inertia_of(every[-1])
     assert value == pytest.approx(prior) and claimed == pytest.approx(deviation, rel=1e-3)
     assert every[-1].value[0, 1] == pytest.approx(FIRM.lateral_resistance, rel=0.01)
-    assert all(
-        one.status[0] == Status.HOLDING for one in every[round(turning_equation.LASTS / 0.02) :]
-    )
+    assert all(one.status[0] == Status.HOLDING for one in every[round(turning.LASTS / 0.02) :])
 
 
 @pytest.mark.parametrize("kind", ["curves", "reverse", "pivot"])
@@ -74,7 +72,7 @@ def test_the_inertia_found_before_is_kept_on_clay_that_builds_its_shear_up_withi
 def test_after_the_clay_the_inertia_is_learned_again():
     found = estimator(sheet=RTK)
     follow(found, measurements(FIRM, "curves", sheet=RTK, steps=100))
-    turns = int(1.5 * turning_equation.COHESIVE_TIME / 0.02)
+    turns = int(1.5 * turning.COHESIVE_TIME / 0.02)
     last = follow(found, measurements(TRUTH, "curves", sheet=RTK, steps=turns))[-1]
     assert last.value[0, 0] == pytest.approx(TRUTH.inertia, rel=0.05)
     assert last.status[0] == Status.CONVERGING
@@ -88,7 +86,7 @@ def test_a_sample_on_friction_alone_says_of_it_what_the_joint_estimate_would():
     gain = covariance @ phi / (phi @ covariance @ phi + sample.variance)
     joint = mean + gain * (sample.y - phi @ mean)
     left = covariance - np.outer(gain, phi @ covariance)
-    alone = turning_equation.on_friction_alone(sample, mean[0], covariance[0, 0])
+    alone = turning.on_friction_alone(sample, mean[0], covariance[0, 0])
     share = covariance[1, 1] * alone.phi_2
     share /= alone.phi_2 * share + alone.variance
     assert alone.phi_1 == 0.0

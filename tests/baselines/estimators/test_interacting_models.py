@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from baselines.estimators import least_squares as ls
-from baselines.estimators import two_parameters as im
+from baselines.estimators import interacting_models as im
 from tests.baselines.estimators.regression_cases import (
     HOLDING,
     LIVELY,
@@ -21,11 +20,12 @@ from tests.baselines.estimators.regression_cases import (
     regression,
     run,
 )
+from tests.baselines.estimators.state_columns import ALARM, J_11, ODDS
 
 
 def odds(result):
     """Odds of the models at the end, (N, MODELS)."""
-    return result.memory[:, im.ODDS : im.ODDS + im.MODELS]
+    return result.memory[:, ODDS : ODDS + im.MODELS]
 
 
 # --- walks ----------------------------------------------------------------------------------
@@ -98,7 +98,7 @@ def test_noise_of_the_regressor_biases_the_estimate_unless_it_is_known(known):
     value = result.value[:, -1, 0]
     if known:
         signal = 2000 / samples[0, 0, 3]  # what phi_1 without its noise tells
-        assert result.memory[:, ls.J_11].mean() == pytest.approx(signal, rel=0.02)
+        assert result.memory[:, J_11].mean() == pytest.approx(signal, rel=0.02)
         assert value.mean() == pytest.approx(theta[0], rel=0.006)
     else:
         assert value.mean() == pytest.approx(theta[0] / 1.25, rel=0.01)
@@ -219,7 +219,7 @@ def test_the_jump_of_a_load_is_seen_as_one_and_a_border_of_the_soil_is_not():
         jumped = np.zeros(100, dtype=bool)
         for k in range(500, 520):
             memory = interact(samples[:, k : k + 1], memory=memory).memory
-            jumped |= memory[:, im.ODDS + im.JUMP] > im.JUMPED
+            jumped |= memory[:, ODDS + im.JUMP] > im.JUMPED
         seen.append(jumped.mean())
     assert seen[0] > 0.9
     assert seen[1] < 0.1
@@ -258,7 +258,7 @@ def test_without_a_trend_there_is_no_alarm():
     memory, alarmed = None, []
     for first in range(0, 3000, 100):
         memory = interact(samples[:, first : first + 100], memory=memory).memory
-        alarmed.append(memory[:, im.ALARM] > 0.0)
+        alarmed.append(memory[:, ALARM] > 0.0)
     assert np.mean(alarmed) < 0.05
 
 
@@ -266,19 +266,19 @@ def test_a_jump_is_no_trend():
     theta = np.tile(TRUE, (100, 700, 1))
     theta[:, 500:, 0] *= 1.6
     result = interact(regression(theta, 700, count=100))
-    assert (result.memory[:, im.ALARM] > 0.0).mean() < 0.15
+    assert (result.memory[:, ALARM] > 0.0).mean() < 0.15
 
 
 def test_an_alarm_ends_by_itself_and_counts_time_not_samples():
     for period in (0.02, 0.05):
         table = im.table(WALKS, 9.0, PLAIN.sigma_2, period)
         memory = interact(regression(TRUE, 200)).memory
-        memory[:, im.ALARM] = im.TREND_HELD
+        memory[:, ALARM] = im.TREND_HELD
         steps = round(im.TREND_HELD / period)
         samples = regression(TRUE, steps + 1)
         almost = run(samples[:, : steps - 1], LIVELY, memory, table)
-        assert almost.memory[0, im.ALARM] > 0.0
-        assert run(samples, LIVELY, memory, table).memory[0, im.ALARM] == 0.0
+        assert almost.memory[0, ALARM] > 0.0
+        assert run(samples, LIVELY, memory, table).memory[0, ALARM] == 0.0
 
 
 # --- memory ---------------------------------------------------------------------------------

@@ -4,18 +4,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from baselines.estimators import late_pose
-from baselines.estimators.measurement import (
-    COLUMN,
-    FIRST,
-    INERTIAL,
-    RINGS,
-    SLOT,
-    STEP,
-    DataSheet,
-    ObservationReader,
-)
+from baselines.estimators import motion_filter
+from baselines.estimators.measurement import COLUMN, INERTIAL, DataSheet, columns_of, rows_of
 from baselines.estimators.motion_filter import MotionFilter
+from baselines.estimators.observation_reader import FIRST, ObservationReader
+from baselines.estimators.pose_outages import BIAS
+from baselines.estimators.slip_kinematics import ROW
 from baselines.estimators.stack import IdentificationStack
 from baselines.registry import POLICIES
 from tracked_env.benchmark import BenchmarkConfig, metrics
@@ -87,19 +81,26 @@ def test_until_the_first_late_pose_what_is_shown_is_the_first_pose_and_the_way_s
         start = np.zeros(3, dtype=bool)
 
 
+def filters(bias):
+    """A row of the slip observer with these biases of accelerometer and gyro."""
+    rows = rows_of(np.zeros((1, columns_of(ROW))), ROW)
+    rows["speed"][:, BIAS] = rows["heading"][:, BIAS] = bias
+    return rows
+
+
 @pytest.mark.parametrize("bias", [0.0, 0.3])
 def test_the_way_since_is_that_of_the_equations_of_motion(bias):
     """Against solve_ivp: x' = v c - v_y s, y' = v s + v_y c, psi' = w, v' = f + w v_y."""
     reader = ObservationReader(PERIOD, 1, LAG * PERIOD)
-    reader.memory[0, STEP] = LAG + 1  # steps 0 to LAG have been read
+    reader.rows["step"] = LAG + 1  # steps 0 to LAG have been read
 
     def felt(t):
         return 1.5 * np.cos(9.0 * t), 0.8 * np.sin(7.0 * t) - 0.3
 
     for step in range(LAG + 1):
-        at = RINGS + step * SLOT
-        reader.memory[0, at] = step + 1.0
-        values = reader.memory[0, at + 1 : at + SLOT]
+        slot = reader.rings[0, 0, step : step + 1]
+        slot["taken"] = step + 1.0
+        values = slot["values"][0]
         f, w = felt(step * PERIOD)
         values[COLUMN["acceleration_x"] - FIRST[INERTIAL]] = f + bias
         values[COLUMN["yaw_rate"] - FIRST[INERTIAL]] = w + bias
@@ -112,10 +113,9 @@ def test_the_way_since_is_that_of_the_equations_of_motion(bias):
 
     exact = solve_ivp(rates, (0.0, LAG * PERIOD), [x, y, yaw, v], rtol=1e-10).y[:, -1]
     motion = np.array([[x, y, yaw, v, v_y, felt(0.0)[1]]])
-    late_pose.carry(
-        motion, reader.memory, PERIOD, reader.slots, np.array([LAG]),
-        np.array([[bias, bias]]), np.zeros((1, 3)),
-    )  # fmt: skip
+    motion_filter.carry(
+        motion, reader.rows, reader.rings, PERIOD, np.array([LAG]), filters(bias), np.zeros((1, 3))
+    )
     np.testing.assert_allclose(motion[0, :4], exact, atol=1e-3)
     assert motion[0, 5] == pytest.approx(felt(LAG * PERIOD)[1])
     assert np.hypot(*(exact[:2] - (x, y))) > 0.2 and abs(exact[2] - yaw) > 0.02
@@ -125,17 +125,17 @@ def test_beyond_the_last_inertial_sample_its_accelerations_go_on():
     motions = []
     for last in (LAG, LAG - 5):
         reader = ObservationReader(PERIOD, 1, LAG * PERIOD)
-        reader.memory[0, STEP] = LAG + 1
+        reader.rows["step"] = LAG + 1
         for step in range(last + 1):
-            at = RINGS + step * SLOT
-            reader.memory[0, at] = step + 1.0
-            values = reader.memory[0, at + 1 : at + SLOT]
+            slot = reader.rings[0, 0, step : step + 1]
+            slot["taken"] = step + 1.0
+            values = slot["values"][0]
             values[COLUMN["acceleration_x"] - FIRST[INERTIAL]] = 0.7
             values[COLUMN["yaw_rate"] - FIRST[INERTIAL]] = 0.2 + 1.1 * step * PERIOD
             values[COLUMN["yaw_acceleration"] - FIRST[INERTIAL]] = 1.1
         motion = np.array([[3.0, -2.0, 0.7, 1.2, 0.1, 0.2]])
-        late_pose.carry(
-            motion, reader.memory, PERIOD, reader.slots, np.array([LAG]), np.zeros((1, 2)),
+        motion_filter.carry(
+            motion, reader.rows, reader.rings, PERIOD, np.array([LAG]), filters(0.0),
             np.zeros((1, 3)),
         )  # fmt: skip
         motions.append(motion)

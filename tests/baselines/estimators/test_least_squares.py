@@ -20,6 +20,7 @@ from tests.baselines.estimators.regression_cases import (
     regression,
     run,
 )
+from tests.baselines.estimators.state_columns import SKIPPED
 
 MEAN = np.array([PLAIN.mean_1, PLAIN.mean_2])
 
@@ -191,7 +192,7 @@ def test_a_sample_that_is_not_a_number_is_counted_and_changes_nothing_else(follo
     after = follow(samples[:, 50:], LIVELY, before.memory)
     assert after.status[0, 0] == REJECTED
     expected = before.memory.copy()
-    expected[0, ls.SKIPPED] += 1.0
+    expected[0, SKIPPED] += 1.0
     assert np.array_equal(after.memory, expected)
 
 

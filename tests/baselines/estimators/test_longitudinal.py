@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from baselines.estimators import least_squares as ls
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import COLUMN, Status
 from tests.baselines.estimators.motion_cases import (
@@ -13,6 +12,7 @@ from tests.baselines.estimators.motion_cases import (
     follow,
     measurements,
 )
+from tests.baselines.estimators.state_columns import J_11, J_12, J_22
 
 TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)
 
@@ -154,7 +154,7 @@ def test_excitation_and_condition_are_those_of_the_information():
     found = estimator(RTK, 3)
     last = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=3, steps=50))[-1]
     for i in range(3):
-        a, b, c = found.memory[i, [ls.J_11, ls.J_12, ls.J_22]]
+        a, b, c = found.memory[i, [J_11, J_12, J_22]]
         information = np.array([[a, b], [b, c]])
         assert last.excitation[i] == pytest.approx(np.linalg.eigvalsh(information)[0], rel=1e-7)
         assert last.condition[i] == pytest.approx(np.linalg.cond(information), rel=1e-7)

@@ -1,10 +1,13 @@
 """The observation reader beside the environment's own pose, clocks and samples."""
 
+import copy
+
 import numpy as np
 import pytest
 
-from baselines.estimators.measurement import DRIVE, INERTIAL, LAST_PAIR, POSE, ObservationReader
+from baselines.estimators.measurement import DRIVE, INERTIAL, POSE, ObservationReader
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from tests.baselines.estimators.state_columns import go_on, state
 from tracked_env import arrays as b
 from tracked_env import observation as layout
 from tracked_env.physics import parameters as s
@@ -225,21 +228,20 @@ def test_a_new_episode_starts_from_nothing_in_its_row_alone():
     for _ in range(50):
         drive.read()
         drive.step()
-    memory = drive.reader.memory.copy()
+    before = copy.deepcopy(drive.reader)
     start = np.array([False, True, False])
     reading = drive.reader.read(drive.observation, start)
     fresh = ObservationReader(PERIOD).read(drive.observation[1:2])
     assert np.array_equal(reading.latest.values[1], fresh.latest.values[0])
     assert not reading.reference[1].any()
     assert reading.reference[[0, 2]].any(axis=1).all()
-    other = ObservationReader(PERIOD, 3)
-    other.memory[:] = memory
+    other = before
     other.reset([1])
     again = other.read(drive.observation)
     assert np.array_equal(again.latest.values, reading.latest.values)
-    assert np.array_equal(other.memory, drive.reader.memory)
+    assert np.array_equal(state(other), state(drive.reader))
     other.reset()
-    assert not other.memory.any()
+    assert not state(other).any()
 
 
 def test_it_goes_on_from_a_copied_memory_and_rows_do_not_touch_each_other():
@@ -252,12 +254,12 @@ def test_it_goes_on_from_a_copied_memory_and_rows_do_not_touch_each_other():
             for part, whole in zip(one, other, strict=True):
                 assert np.array_equal(part[0], whole[1])
         assert np.array_equal(alone.reference[0], batch.reference[1])
-        assert np.array_equal(single.memory[0], drive.reader.memory[1])
+        assert np.array_equal(state(single)[0], state(drive.reader)[1])
         if step % 50 == 20:
-            memory, single = single.memory.copy(), ObservationReader(PERIOD)
-            single.memory[:] = memory
+            single, other = ObservationReader(PERIOD), single
+            go_on(single, other)
         drive.step()
-    assert (drive.reader.memory[:, LAST_PAIR] > 100).all()
+    assert (drive.reader.rows["last_pair"] > 100).all()
 
 
 # --- errors ---------------------------------------------------------------------------------

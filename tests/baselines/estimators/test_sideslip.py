@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from baselines.estimators import interacting_models as im
 from baselines.estimators import sideslip
-from baselines.estimators import two_parameters as im
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import COLUMN, Setting
-from baselines.estimators.turning import AGREEMENT, BELTS, TURNED, TurningEstimator
+from baselines.estimators.turning import TurningEstimator
 from tests.baselines.estimators.motion_cases import CLAY, RTK, measurements
+from tests.baselines.estimators.state_columns import AGREEMENT, ALARM, BELTS, TREND, TURNED
 from tracked_env.physics import terramechanics as soil
 
 TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)
@@ -21,7 +22,10 @@ def known(memory, share=0.0):
     row = sideslip.SideslipRow(Setting(CLAY, 0.02, RTK, 1))
     row.memory[:] = memory
     along, turning = LongitudinalEstimator(CLAY, 0.02, RTK), TurningEstimator(CLAY, 0.02, RTK)
-    turning.mass[:], turning.resistance[:] = TRUTH.mass, TRUTH.longitudinal_resistance
+    turning.vehicles["mass"][:], turning.vehicles["resistance"][:] = (
+        TRUTH.mass,
+        TRUTH.longitudinal_resistance,
+    )
     for sample in measurements(TRUTH, "curves", sheet=RTK, steps=500):
         along.update(sample)
         turning.update(sample)
@@ -45,7 +49,7 @@ def test_the_expected_side_slip_is_that_of_the_lateral_friction():
             z[0, [COLUMN["v_y"], COLUMN["acceleration_y"], COLUMN["yaw_rate"]]] = v_y, a_y, w
             friction = TRUTH.mass * TRUTH.lateral_resistance
             found, variance = sideslip.expected(
-                z, 0, row._known, 1.0 / TRUTH.mass, friction, 1.0, 1.0
+                z, 0, row._constants, 1.0 / TRUTH.mass, friction, 1.0, 1.0
             )
             assert found == pytest.approx(v_y, rel=0.02)
             assert variance > RTK.velocity_noise**2
@@ -84,8 +88,8 @@ def test_without_a_turn_nothing_says_that_the_soil_is_firm():
 def test_the_agreement_is_the_likelihood_of_a_ratio_of_one_over_that_of_any_other():
     for square, ratio in ((100.0, 1.0), (100.0, 0.57), (4.0, 0.9)):
         row, along, turning, turn = known([square, ratio * square], 0.25)
-        row._known = row._known._replace(keep=1.0)
-        along.memory[:, im.ALARM] = 1.0  # no calm time: the sums stay
+        row._constants = row._constants._replace(keep=1.0)
+        along.memory[:, ALARM] = 1.0  # no calm time: the sums stay
         row.compute(turn, along, turning)
         expected = norm.pdf(ratio, 1.0, 1.0 / np.sqrt(square))
         assert turning.memory[0, AGREEMENT] == pytest.approx(expected, rel=1e-12)
@@ -101,10 +105,10 @@ def test_an_evident_trend_of_the_friction_is_an_alarm_of_the_mass_where_it_holds
 ):
     row, along, turning, turn = known([0.0, 0.0], share)
     averaged = 0.02 / im.TREND_TIME
-    turning.memory[:, im.TREND] = deviations * np.sqrt(averaged / (2.0 - averaged))
-    turning.memory[:, im.ALARM] = 2.5
+    turning.memory[:, TREND] = deviations * np.sqrt(averaged / (2.0 - averaged))
+    turning.memory[:, ALARM] = 2.5
     row.compute(turn, along, turning)
-    assert along.memory[0, im.ALARM] == (2.5 if alarmed else 0.0)
+    assert along.memory[0, ALARM] == (2.5 if alarmed else 0.0)
 
 
 @pytest.mark.parametrize("channel", ["v_y", "acceleration_y", "yaw_rate", "v_x"])

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from baselines.estimators import slip_step as step
 from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
 from baselines.estimators.slip_kinematics import NAMES
 from baselines.estimators.slip_observer import SlipObserver
@@ -18,6 +17,7 @@ from tests.baselines.estimators.slip_cases import (
     simulate,
     weaving,
 )
+from tests.baselines.estimators.state_columns import go_on, state
 
 SLIPS = np.array([0.05, 0.14])
 SPEEDS = [COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]]
@@ -238,7 +238,7 @@ def test_a_copy_of_the_memory_resumes_exactly():
     run = simulate(weaving(150, 3), SLIPS, -0.06, delay=5)
     observer, other = _observer(count=3), _observer(count=3)
     follow(observer, run.measurements[:100])
-    other.memory[:] = observer.memory
+    go_on(other, observer)
     first = follow(observer, run.measurements[100:])
     second = follow(other, run.measurements[100:])
     assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
@@ -249,12 +249,12 @@ def test_reset_forgets_the_vehicles_named_and_no_other(rows):
     run = simulate(weaving(50, 3), SLIPS, -0.06)
     observer, new = _observer(count=3), _observer(count=3)
     follow(observer, run.measurements)
-    before = observer.memory.copy()
+    before = state(observer)
     observer.reset(rows)
-    assert np.array_equal(observer.memory[1], new.memory[1])
-    assert np.array_equal(observer.memory[[0, 2]], before[[0, 2]])
+    assert np.array_equal(state(observer)[1], state(new)[1])
+    assert np.array_equal(state(observer)[[0, 2]], before[[0, 2]])
     observer.reset()
-    assert np.array_equal(observer.memory, new.memory)
+    assert np.array_equal(state(observer), state(new))
 
 
 def test_slips_motion_and_names_belong_to_the_estimate():
@@ -264,7 +264,7 @@ def test_slips_motion_and_names_belong_to_the_estimate():
     assert np.array_equal(observer.slips, answer.value[:, 3:5])
     assert np.array_equal(observer.slip_variances, answer.covariance[:, [3, 4], [3, 4]])
     assert np.array_equal(observer.motion().x, [1.0, 2.0])
-    assert np.array_equal(observer.memory[:, step.STARTED], [1.0, 1.0])
+    assert np.array_equal(observer.rows["started"], [1.0, 1.0])
 
 
 @pytest.mark.parametrize(

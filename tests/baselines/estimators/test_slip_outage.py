@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from baselines.estimators import pose_outages, slip_step
+from baselines.estimators import pose_outages
 from baselines.estimators import soil_regression as sr
 from baselines.estimators.measurement import COLUMN, DataSheet
 from baselines.estimators.slip_filterpy import FilterpySlipObserver
@@ -15,6 +15,7 @@ from baselines.registry import adaptive, oracle
 from tests.baselines.episodes import context
 from tests.baselines.estimators.slip_cases import PARAMETERS, PERIOD, RTK, weaving
 from tests.baselines.estimators.slip_cases import simulate as slipping
+from tests.baselines.estimators.state_columns import column, state
 from tracked_env import arrays as b
 from tracked_env.benchmark import BenchmarkConfig, metrics
 from tracked_env.benchmark.runner import drive
@@ -168,7 +169,7 @@ def test_the_inertial_speed_carries_slips_that_change_unseen_and_its_bias_is_lea
     way = np.linalg.norm(run.state[END - 1, :, :2] - answer.value[:, :2], axis=1)
     assert way.max() < 0.15  # [m]; 2.5 m by the slips of before
     assert np.allclose(answer.value[:, 3:5], 0.3, atol=0.03)
-    learned = observer.memory[:, slip_step.OUTAGE + pose_outages.BIAS]
+    learned = observer.rows["speed"][:, pose_outages.BIAS]
     assert np.allclose(learned, bias, atol=0.01)
 
 
@@ -181,7 +182,7 @@ def test_the_gyro_holds_the_heading_and_its_bias_is_learned():
     observer = SlipObserver(PARAMETERS, PERIOD, sheet, 4)
     for m in blind(run.measurements):
         answer = observer.update(m)
-    learned = observer.memory[:, slip_step.OUTAGE + pose_outages.TURN_BIAS]
+    learned = observer.rows["heading"][:, pose_outages.BIAS]
     assert np.allclose(learned, bias, atol=0.0015)
     assert np.abs(run.state[END - 1, :, 2] - answer.value[:, 2]).max() < 0.02  # 0.06 by the bias
 
@@ -245,11 +246,11 @@ def test_the_soil_learns_nothing_from_slips_that_it_has_predicted_itself():
         assert np.isinf(observer.slip_variances).all() == silent
     stack = IdentificationStack(plant_parameters(), PERIOD)
     stack.soil.provide_slip(np.full((1, 2), 0.1), np.full((1, 2), np.inf))
-    before = stack.soil.memory.copy()
+    before = state(stack.soil)
     m.values[:, COLUMN["torque_left"]] = m.values[:, COLUMN["torque_right"]] = 2000.0
     stack.soil.update(type(m)(m.values[:1], m.fresh[:1], m.age[:1]))
-    learned = np.arange(before.shape[1]) != sr.CLOCK
-    assert np.array_equal(stack.soil.memory[:, learned], before[:, learned])
+    learned = np.arange(before.shape[1]) != column("clock", sr.ROW)
+    assert np.array_equal(state(stack.soil)[:, learned], before[:, learned])
 
 
 def test_both_observers_agree_through_outages():
@@ -272,7 +273,7 @@ def test_both_observers_agree_through_outages():
             ours.nis, theirs.nis, rtol=1e-7, equal_nan=True
         )
         assert np.array_equal(ours.status, theirs.status)
-    assert np.abs(one.memory - other.memory)[:, : slip_step.RING].max() < 1e-9
+    assert np.abs(one.memory - other.memory).max() < 1e-9
 
 
 def test_a_batch_is_its_vehicles_alone_bit_for_bit_through_an_outage():
@@ -302,11 +303,11 @@ def _jumping(pose_at=(0,), steps=60):
 
 def test_a_belt_that_jumps_does_not_take_the_inertial_speed_along():
     """The slip is that of the new belt; with the belt of before it would make 0.4 m/s."""
-    observer, speed = SlipObserver(PARAMETERS, PERIOD, RTK), slip_step.OUTAGE + pose_outages.SPEED
+    observer = SlipObserver(PARAMETERS, PERIOD, RTK)
     for k, m in enumerate(_jumping().measurements):
         observer.update(m)
         assert observer.motion().v_x[0] == pytest.approx(1.5, abs=0.15)
-        assert k == 0 or observer.memory[0, speed] == pytest.approx(1.5, abs=0.15)
+        assert k == 0 or observer.rows["speed"][0, 0] == pytest.approx(1.5, abs=0.15)
 
 
 def test_the_first_pose_after_an_outage_counts_once():
@@ -315,13 +316,13 @@ def test_the_first_pose_after_an_outage_counts_once():
     for m in blind(run.measurements)[BEGIN:END]:
         m.values[:, COLUMN["acceleration_x"]] += 0.05
         m.values[:, COLUMN["yaw_rate"]] += 0.01
-    observer, at = SlipObserver(PARAMETERS, PERIOD, RTK), slip_step.OUTAGE
+    observer = SlipObserver(PARAMETERS, PERIOD, RTK)
     for m in run.measurements:
         observer.update(m)
-    filtered = observer.motion().v_x[0] - observer.memory[0, at + pose_outages.GAP_SPEED]
-    assert observer.memory[0, at + pose_outages.SPEED] == pytest.approx(filtered, abs=1e-9)
+    filtered = observer.motion().v_x[0] - observer.rows["gap"][0, 3]
+    assert observer.rows["speed"][0, 0] == pytest.approx(filtered, abs=1e-9)
     assert 1.7 < filtered < 2.0  # of 1.8 and 2.1
-    assert observer.memory[0, at + pose_outages.TURNED] == pytest.approx(0.0, abs=0.02)
+    assert observer.rows["heading"][0, 0] == pytest.approx(0.0, abs=0.02)
 
 
 def test_slips_with_one_pose_a_second_are_within_their_claim():

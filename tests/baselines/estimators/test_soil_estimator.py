@@ -153,9 +153,8 @@ def test_the_window_forgets_what_is_older_than_itself():
     last(drive(long, (6e3, 0.03), (0.02, 0.6), 60, seed=3, sheet=IDEAL))
     for estimator in (long, short):
         last(drive(estimator, (6e3, 0.03), (0.02, 0.6), 40, seed=4, sheet=IDEAL))
-    start = sr.HEADER
     for block in range(3):
-        rows = [e.memory[0, start + 20 * block : start + 20 * (block + 1)] for e in (long, short)]
+        rows = [e.ring[0, 20 * block : 20 * (block + 1)] for e in (long, short)]
         assert np.array_equal(np.sort(rows[0]), np.sort(rows[1]))
 
 

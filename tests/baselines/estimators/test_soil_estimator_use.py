@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from baselines.estimators import soil_regression as sr
 from baselines.estimators.measurement import Measurement, Status, make_measurement
 from baselines.estimators.soil_estimator import EFFORT_RANGE, SoilEstimator, nominal_effort_maximum
 from tests.baselines.estimators.soil_drives import (
@@ -21,6 +20,7 @@ from tests.baselines.estimators.soil_drives import (
     make,
     sample,
 )
+from tests.baselines.estimators.state_columns import go_on, state
 from tracked_env.physics.parameters import RANGES
 
 # --- changes and faults ---------------------------------------------------------------------
@@ -104,7 +104,7 @@ def test_standstill_and_rolling_without_effort_leave_the_window_empty(slip, grou
     measurement.values[0, 7] = 0.0
     measurement.values[0, 9:11] = ground / (1.0 - slip) / RADIUS
     estimate = estimator.update(measurement)
-    assert estimator.memory[0, sr.FILLED] == 0.0
+    assert estimator.rows["filled"][0] == 0.0
     assert estimate.status[0] == Status.HOLDING
     assert np.isnan(estimate.nis[0])
 
@@ -114,7 +114,7 @@ def test_an_effort_against_the_slip_is_not_used():
     measurement = sample([[0.3, 0.3]], 1.5, *WEAK, np.random.default_rng(0))
     measurement.values[0, 11:] *= -1.0
     estimator.update(measurement)
-    assert estimator.memory[0, sr.FILLED] == 0.0
+    assert estimator.rows["filled"][0] == 0.0
 
 
 # --- interface ------------------------------------------------------------------------------
@@ -129,13 +129,13 @@ def test_a_vehicle_in_a_batch_equals_the_same_vehicle_alone():
         one = alone.update(Measurement(*(array[3:4] for array in measurement)))
     for ours, theirs in zip(many[1:], one[1:], strict=True):
         assert np.array_equal(ours[3:4], theirs, equal_nan=True)
-    assert np.array_equal(batch.memory[3:4], alone.memory)
+    assert np.array_equal(state(batch)[3:4], state(alone))
 
 
 def test_a_copy_of_the_memory_resumes_exactly():
     first, second = make(3), make(3)
     last(drive(first, LOAM, (0.01, 0.5), 70))
-    second.memory[:] = first.memory.copy()
+    go_on(second, first)
     ours = last(drive(first, SAND, (0.01, 0.5), 70, seed=9))
     theirs = last(drive(second, SAND, (0.01, 0.5), 70, seed=9))
     for a, b in zip(ours[1:], theirs[1:], strict=True):
@@ -145,12 +145,12 @@ def test_a_copy_of_the_memory_resumes_exactly():
 def test_reset_forgets_the_chosen_vehicles_only():
     estimator, new = make(3), make(3)
     last(drive(estimator, LOAM, (0.01, 0.5), 70))
-    before = estimator.memory.copy()
+    before = state(estimator)
     estimator.reset([1])
-    assert np.array_equal(estimator.memory[[0, 2]], before[[0, 2]])
-    assert np.array_equal(estimator.memory[1], new.memory[1])
+    assert np.array_equal(state(estimator)[[0, 2]], before[[0, 2]])
+    assert np.array_equal(state(estimator)[1], state(new)[1])
     estimator.reset()
-    assert np.array_equal(estimator.memory, new.memory)
+    assert np.array_equal(state(estimator), state(new))
 
 
 def test_provided_slips_are_used_once_and_their_correlation_costs_information():

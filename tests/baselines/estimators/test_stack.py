@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from baselines.estimators import least_squares as ls
-from baselines.estimators import stack as links
-from baselines.estimators import two_parameters as im
+from baselines.estimators import interacting_models as im
+from baselines.estimators import motion_filter as links
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import ESTIMATORS, FEATURES, QUANTITIES, IdentificationStack
 from baselines.registry import oracle
 from tests.baselines.episodes import context
+from tests.baselines.estimators.state_columns import J_11, ODDS
 from tracked_env import observation as layout
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -105,12 +105,12 @@ def test_a_jump_of_the_mass_sets_the_inertia_free():
     stack = IdentificationStack(count=24)
     widened = np.zeros(24, dtype=bool)
     for step, observation in enumerate(seen):
-        before = stack.turning.memory[:, ls.J_11].copy()
+        before = stack.turning.memory[:, J_11].copy()
         known = stack.update(observation)
-        jumped = stack.longitudinal.memory[:, im.ODDS + im.JUMP] > im.JUMPED
+        jumped = stack.longitudinal.memory[:, ODDS + im.JUMP] > im.JUMPED
         assert step >= 300 or not jumped.any()
-        widened |= jumped & (stack.turning.memory[:, ls.J_11] < 0.2 * before)
-        assert np.array_equal(stack.turning.mass, known.mass)
+        widened |= jumped & (stack.turning.memory[:, J_11] < 0.2 * before)
+        assert np.array_equal(stack.turning.vehicles["mass"], known.mass)
     assert widened.mean() > 0.7
     for name in ("mass", "inertia"):
         value = known.estimates()[name][0]

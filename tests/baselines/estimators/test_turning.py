@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from baselines.estimators import turning_equation
-from baselines.estimators import two_parameters as im
+from baselines.estimators import interacting_models as im
+from baselines.estimators import turning as turning_equation
 from baselines.estimators.measurement import COLUMN, Status
-from baselines.estimators.turning import AGREEMENT, BELTS, TURNED, TurningEstimator
+from baselines.estimators.turning import TurningEstimator
 from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, follow, measurements
+from tests.baselines.estimators.state_columns import AGREEMENT, ALARM, BELTS, TURNED
 from tests.baselines.estimators.turning_cases import (
     LATERAL_MODELS,
     TRUTH,
@@ -33,7 +34,7 @@ def test_without_noise_inertia_and_lateral_resistance_are_found(kind, factor, la
 
 
 def test_the_lateral_velocity_is_found_from_the_lateral_acceleration():
-    known = estimator()._known
+    known = estimator()._constants
     for w in (-1.0, -0.2, -0.05, 0.03, 0.1, 0.6):
         for share in np.linspace(-0.5, 0.5, 11):
             v_y = share * np.hypot(0.5 * CLAY.contact_length * w, 0.03)
@@ -53,13 +54,13 @@ def test_a_far_lateral_resistance_is_found_although_the_regressor_depends_on_it(
 def test_with_opposite_tracks_the_motion_resistance_enters():
     # Both resistances turn the same way: a wrong mu_l is taken for lateral friction.
     found = estimator()
-    found.resistance[:] = 0.5 * TRUTH.longitudinal_resistance
+    found.vehicles["resistance"][:] = 0.5 * TRUTH.longitudinal_resistance
     last = follow(found, measurements(TRUTH, "pivot"))[-1]
     extra = 0.25 * TRUTH.longitudinal_resistance * CLAY.track_gauge  # over mu_t l / 4, at v_y = 0
     expected = extra / (0.25 * TRUTH.lateral_resistance * CLAY.contact_length)
     assert relative_error(last, TRUTH)[0, 1] == pytest.approx(expected, rel=0.2)
     same = estimator()
-    same.resistance[:] = 0.5 * TRUTH.longitudinal_resistance
+    same.vehicles["resistance"][:] = 0.5 * TRUTH.longitudinal_resistance
     both_forward = follow(same, measurements(TRUTH, "curves"))[-1]
     assert np.abs(relative_error(both_forward, TRUTH)).max() < 2e-4
 
@@ -121,7 +122,7 @@ def test_other_soil_is_found_and_the_inertia_kept():
 def test_the_uncertainty_of_the_mass_adds_to_that_of_the_lateral_resistance():
     samples = measurements(TRUTH, "curves", sheet=RTK)
     sure, unsure = estimator(RTK), estimator(RTK)
-    unsure.mass_variance[:] = (0.1 * TRUTH.mass) ** 2
+    unsure.vehicles["mass_variance"][:] = (0.1 * TRUTH.mass) ** 2
     one, other = follow(sure, samples)[-1], follow(unsure, samples)[-1]
     assert np.array_equal(one.value, other.value)
     added = (0.1 * one.of("lateral_resistance")) ** 2
@@ -134,7 +135,7 @@ def test_the_uncertainty_of_the_mass_adds_to_that_of_the_lateral_resistance():
 def test_another_mass_rescales_the_lateral_resistance_so_that_the_friction_stays():
     found = estimator(RTK)
     before = follow(found, measurements(TRUTH, "curves", sheet=RTK))[-1]
-    found.mass[:] *= 1.25
+    found.vehicles["mass"][:] *= 1.25
     after = found.read()
     assert after.value[0] == pytest.approx(before.value[0] / [1.0, 1.25], rel=1e-12)
     assert after.deviation("lateral_resistance") == pytest.approx(
@@ -146,7 +147,7 @@ def test_another_mass_rescales_the_lateral_resistance_so_that_the_friction_stays
 def test_a_jump_elsewhere_keeps_the_values_and_forgets_how_sure_they_were():
     found = estimator(RTK, 2)
     before = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
-    im.let_jump(found.memory, 0, found.prior, found.table)
+    im.let_jump(found.rows[0], found.prior, found.table)
     after = found.read()
     assert after.value == pytest.approx(before.value, rel=1e-12)
     assert after.deviation("inertia")[0] > 0.2 * CLAY.inertia
@@ -156,7 +157,7 @@ def test_a_jump_elsewhere_keeps_the_values_and_forgets_how_sure_they_were():
 def test_on_a_straight_during_an_alarm_the_friction_is_less_and_less_sure_and_else_kept():
     found = estimator(RTK, 2)
     before = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
-    found.memory[:, im.ALARM] = [2.0, 0.0]
+    found.memory[:, ALARM] = [2.0, 0.0]
     straight = measurements(TRUTH, "straight", sheet=RTK, count=2, steps=100)
     after = follow(found, straight)[-1]
     assert after.value == pytest.approx(before.value, rel=1e-12)
@@ -164,7 +165,7 @@ def test_on_a_straight_during_an_alarm_the_friction_is_less_and_less_sure_and_el
     expected = 0.15 * np.sqrt(2.0) * CLAY.lateral_resistance * CLAY.mass / TRUTH.mass
     assert after.deviation("lateral_resistance")[0] == pytest.approx(expected, rel=0.15)
     assert wider[1] == 1.0
-    assert found.memory[0, im.ALARM] == pytest.approx(0.0, abs=0.03)
+    assert found.memory[0, ALARM] == pytest.approx(0.0, abs=0.03)
 
 
 # --- bounds and errors ----------------------------------------------------------------------

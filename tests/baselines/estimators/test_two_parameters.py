@@ -5,10 +5,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from baselines.estimators import two_parameters as im
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, Measurement, Status
 from tests.baselines.estimators.motion_cases import CLAY, KINDS, RTK, follow, measurements, mirrored
+from tests.baselines.estimators.state_columns import TREND
 from tests.baselines.estimators.turning_cases import TRUTH, estimator
 
 longitudinal = partial(LongitudinalEstimator, CLAY, 0.02, RTK)
@@ -34,7 +34,7 @@ def test_exchanging_left_and_right_changes_nothing(make, options, kind):
     follow(one, samples)
     follow(other, [mirrored(sample) for sample in samples])
     if make is turning:
-        one.memory[:, im.TREND] *= -1.0  # the innovation changes its sign
+        one.memory[:, TREND] *= -1.0  # the innovation changes its sign
     assert np.array_equal(one.memory, other.memory)
 
 

@@ -22,7 +22,10 @@ def true_values(p):
 def estimator(sheet=EXACT, count=1, nominal=CLAY, truth=TRUTH, **options):
     """With the mass and motion resistance of `truth`, as the longitudinal estimator finds them."""
     found = TurningEstimator(nominal, 0.02, data_sheet=sheet, count=count, **options)
-    found.mass[:], found.resistance[:] = truth.mass, truth.longitudinal_resistance
+    found.vehicles["mass"][:], found.vehicles["resistance"][:] = (
+        truth.mass,
+        truth.longitudinal_resistance,
+    )
     return found
 
 

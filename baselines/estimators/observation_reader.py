@@ -1,0 +1,225 @@
+"""From observations to measurements: absolute pose, new samples, samples that belong together.
+
+An observation holds the pose as an error against the reference. The reader integrates the
+reference from the observed speed and yaw rate (cubic between two observations), so that
+    p = p_ref - R(yaw) e_p,    yaw = yaw_ref - e_yaw
+are coordinates in a frame fixed at the start of the episode. What the integration loses is common
+to p and p_ref, hence nothing that a controller acts on. A group has a new sample when its age has
+not grown by one control period. Inertial and drive samples of different age are paired by the
+time at which they were taken, so that regressions see one moment; each pair is given once.
+Assumption: one call per control step and vehicle.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from baselines.estimators.measurement import (
+    COLUMN,
+    DRIVE,
+    INERTIAL,
+    POSE,
+    Floats,
+    Measurement,
+    columns_of,
+    rows_of,
+)
+from tracked_env import observation as layout
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import Range
+from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUPS
+from tracked_env.validation import CONTROL_PERIOD, VEHICLES, checked_number, checked_whole
+
+LONGEST_AGE = 1.0  # [s] older samples are not paired
+POSE_DELAY = Range(0.0, LONGEST_AGE, "s", "Did you pass milliseconds?")
+DELAY_RISE = 0.2  # [-] slope at which the delay of a group follows ages that stay up
+GROUP_SIZE = 4  # channels of the inertial and of the drive group
+
+# The state of the reader for one vehicle, and a slot of the rings of inertial and drive samples.
+READER_ROW = np.dtype([
+    ("x", float), ("y", float), ("yaw", float),  # of the reference
+    ("speed", float), ("acceleration", float), ("yaw_rate", float), ("yaw_acceleration", float),
+    ("age", float, 3),  # [s] of the groups
+    ("step", float), ("delay", float),  # [s] of the drive group, dropouts apart
+    ("last_pair", float),  # step at which it was taken plus one, 0 = none yet
+])  # fmt: skip
+SAMPLE = np.dtype([("taken", float), ("values", float, GROUP_SIZE)])  # step plus one, 0 = empty
+
+_I, _SCALE = layout.INDEX, layout.SCALE
+_ERRORS = ("position_error_x", "position_error_y", "heading_error")
+_PATH = (
+    "reference_speed", "reference_acceleration", "reference_yaw_rate", "reference_yaw_acceleration"
+)  # fmt: skip
+_CHANNELS = CHANNELS[COLUMN["v_x"] :]  # taken as they are
+NEEDS = (*_ERRORS, *_CHANNELS, *_PATH, *(f"{group}_age" for group in GROUPS))
+_ERROR_X, _ERROR_Y, _ERROR_YAW = (_I[name] for name in _ERRORS)
+_SPEED, _ACCELERATION, _REF_YAW_RATE, _BEND = (_I[name] for name in _PATH)
+_AGES = _I["pose_age"]
+_OLDEST = float(layout.FIELDS[_AGES].bound)  # [s] at which ages are clipped
+_COPIED = np.array([(_I[name], COLUMN[name]) for name in _CHANNELS])  # observation column, channel
+FIRST = np.array([0, COLUMN["acceleration_x"], COLUMN["sprocket_speed_left"]])  # of each group
+
+
+class Reading(NamedTuple):
+    """What an observation says."""
+
+    latest: Measurement  # each group's last sample
+    paired: Measurement  # inertial and drive of one moment; not fresh where there is no pair
+    reference: Floats  # (N, 3) pose of the reference now [m, m, rad]
+    drive_delay: Floats  # (N,) [s] the delay of the drive group; dropouts apart
+
+
+@formula
+def advance_reference(row, speed, acceleration, yaw_rate, yaw_acceleration, period):
+    """Move the reference pose by one period [s] to the motion now observed.
+
+    Cubic Hermite interpolation of speed and yaw rate, Simpson's rule for the position.
+    """
+    v, a, w, bend = row.speed, row.acceleration, row.yaw_rate, row.yaw_acceleration
+    half = period * ((13.0 * w + 3.0 * yaw_rate) / 32.0) + period * period * (
+        (11.0 * bend - 5.0 * yaw_acceleration) / 192.0
+    )
+    whole = 0.5 * period * (w + yaw_rate) + period * period * (bend - yaw_acceleration) / 12.0
+    v_middle = 0.5 * (v + speed) + period * (a - acceleration) / 8.0
+    yaw = row.yaw
+    c_0, s_0 = rotation(yaw)
+    c_1, s_1 = rotation(yaw + half)
+    c_2, s_2 = rotation(yaw + whole)
+    row.x += period / 6.0 * (v * c_0 + 4.0 * v_middle * c_1 + speed * c_2)
+    row.y += period / 6.0 * (v * s_0 + 4.0 * v_middle * s_1 + speed * s_2)
+    row.yaw = yaw + whole
+
+
+@formula
+def _pair(row, rings, when, paired):
+    """Fill the inertial and drive channels of `paired` (CHANNELS,) with samples of step `when`, the
+    last for which both can have come; True when both are there and were not given before."""
+    slot = when % rings.shape[1]
+    together = True
+    for group in (INERTIAL, DRIVE):
+        sample = rings[group - 1, slot]
+        together = together and sample.taken == when + 1.0
+        for c in range(GROUP_SIZE):
+            paired[FIRST[group] + c] = sample.values[c]
+    if not together or row.last_pair > when:
+        return False
+    row.last_pair = when + 1.0
+    return True
+
+
+@loop
+def read_all(observation, rows, rings, period, reading):
+    """Read every row of observation (N, >= SIZE) into a Reading."""
+    for i in range(observation.shape[0]):
+        row, ring, seen = rows[i], rings[i], observation[i]
+        latest, fresh = reading.latest.values[i], reading.latest.fresh[i]
+        age = reading.latest.age[i]
+        speed = seen[_SPEED] * _SCALE[_SPEED]
+        acceleration = seen[_ACCELERATION] * _SCALE[_ACCELERATION]
+        yaw_rate, bend = seen[_REF_YAW_RATE] * _SCALE[_REF_YAW_RATE], seen[_BEND] * _SCALE[_BEND]
+        step = int(row.step)
+        if step > 0:
+            advance_reference(row, speed, acceleration, yaw_rate, bend, period)
+        row.speed, row.acceleration, row.yaw_rate, row.yaw_acceleration = (
+            speed, acceleration, yaw_rate, bend
+        )  # fmt: skip
+        for g in range(3):
+            age[g] = seen[_AGES + g] * _SCALE[_AGES + g]
+            newest = min(row.age[g] + period, _OLDEST) - 0.5 * period
+            fresh[g] = step == 0 or age[g] < newest
+            row.age[g] = age[g]
+        row.delay = reading.drive_delay[i] = min(age[DRIVE], row.delay + DELAY_RISE * period)
+        for k in range(_COPIED.shape[0]):
+            latest[_COPIED[k, 1]] = seen[_COPIED[k, 0]] * _SCALE[_COPIED[k, 0]]
+        yaw = row.yaw - seen[_ERROR_YAW] * _SCALE[_ERROR_YAW]
+        c, s = rotation(yaw)
+        e_x, e_y = seen[_ERROR_X] * _SCALE[_ERROR_X], seen[_ERROR_Y] * _SCALE[_ERROR_Y]
+        latest[0] = row.x - (c * e_x - s * e_y)
+        latest[1] = row.y - (s * e_x + c * e_y)
+        latest[2] = yaw
+        reference = reading.reference[i]
+        reference[0], reference[1], reference[2] = row.x, row.y, row.yaw
+        when = step
+        for g in (INERTIAL, DRIVE):
+            taken = max(step - int(age[g] / period + 0.5), 0)
+            when = min(when, taken)
+            if fresh[g]:
+                sample = ring[g - 1, taken % ring.shape[1]]
+                sample.taken = taken + 1.0
+                for k in range(GROUP_SIZE):
+                    sample.values[k] = latest[FIRST[g] + k]
+        paired = reading.paired.values[i]
+        for k in range(CHANNEL_COUNT):
+            paired[k] = latest[k]
+        together = _pair(row, ring, when, paired)
+        oldest = max(age[INERTIAL], age[DRIVE])
+        for g in range(3):
+            reading.paired.fresh[i, g] = fresh[POSE] if g == POSE else together
+            reading.paired.age[i, g] = age[POSE] if g == POSE else oldest
+        row.step = step + 1.0
+
+
+class ObservationReader:
+    """Reads the observations of N vehicles, one call per control step.
+
+    control_period [s]; count: vehicles; pose_delay [s], see late_pose. Its state is `memory` and
+    `ring`. Raises ValueError for a number that makes no sense.
+    """
+
+    def __init__(self, control_period: float, count: int = 1, pose_delay: float = 0.0) -> None:
+        count = checked_whole("count", count, VEHICLES)
+        self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
+        delay = checked_number("pose_delay", pose_delay, POSE_DELAY)
+        self.lag = round(delay / self.control_period)  # [steps]
+        slots = round(LONGEST_AGE / control_period) + 2
+        self.memory = np.zeros((count, columns_of(READER_ROW)))
+        self.ring = np.zeros((count, 2 * slots * columns_of(SAMPLE)))
+
+    @property
+    def rows(self) -> Any:
+        """The memory as rows (N,) of READER_ROW."""
+        return rows_of(self.memory, READER_ROW)
+
+    @property
+    def rings(self) -> Any:
+        """The ring as slots (N, 2, K) of SAMPLE, inertial then drive."""
+        return rows_of(self.ring, SAMPLE).reshape(len(self.ring), 2, -1)
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Forget all, of the vehicles named (indices or a mask), or of all."""
+        where = slice(None) if rows is None else np.asarray(rows)
+        self.memory[where] = self.ring[where] = 0.0
+
+    def read(
+        self, observation: NDArray[np.float32], start: NDArray[np.bool_] | None = None
+    ) -> Reading:
+        """Read (N, SIZE) observations; rows with `start` begin a new episode.
+
+        Raises ValueError for a wrong shape.
+        """
+        count = len(self.memory)
+        if observation.shape != (count, layout.SIZE):
+            raise ValueError(
+                f"observation has shape {observation.shape}; must be ({count}, {layout.SIZE}). "
+                "Did a wrapper stack or append to it?"
+            )
+        if start is not None:
+            self.reset(start)
+        return self.take(observation)
+
+    def take(self, observation: NDArray[np.float32]) -> Reading:
+        """`read` without its check and starts, of observations (N, >= SIZE)."""
+        count = len(self.memory)
+        latest, paired = (
+            Measurement(
+                np.empty((count, CHANNEL_COUNT)),
+                np.empty((count, 3), dtype=bool),
+                np.empty((count, 3)),
+            )
+            for _ in range(2)
+        )
+        reading = Reading(latest, paired, np.empty((count, 3)), np.empty(count))
+        read_all(observation, self.rows, self.rings, self.control_period, reading)
+        return reading

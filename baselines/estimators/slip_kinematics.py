@@ -67,8 +67,7 @@ BIAS_WINDOW = 0.5  # [s] over it the gyro's bias does not average out, the noise
 SILENCE = 0.25  # [s] a pose that is only late or rare comes within it, see pose_outages
 BLENDING = 0.5  # [s] time constant with which what is shown follows the first pose after an outage
 LEAST_SIGMA = 1e-4  # [m, rad, m/s, rad/s] of ideal sensors: keeps the covariance well conditioned
-# Times the sine of the tilt: a turn on a slope changes the force that the soil must carry, and so
-# slips and alpha; a light vehicle on a slope of 0.2 then has a median NIS of 6, the expected one.
+# Times the sine of the tilt: a turn on a slope changes the force on the soil, so slips and alpha.
 SLOPE_SLIP_DRIFT = 0.25  # [1/sqrt(s)]
 SLOPE_SIDE_SLIP_DRIFT = 0.5  # [rad/sqrt(s)]
 LARGEST_POSITION = 100.0  # [m] sigma of X and Y grows no further

@@ -434,13 +434,13 @@ def steady_on_slopes(
     grade: ArrayLike,
     load: str = "nonuniform",
     patches: tuple[int, int] = PATCHES,
-    made: BodyOptions = NOMINAL_BODY,
+    numbers: BodyOptions = NOMINAL_BODY,
     tolerance: float = TOLERANCE,
 ) -> Array:
     """(N, 3) v_x, v_y [m/s], yaw rate [rad/s] at sprocket speeds (N, 2) [rad/s], left then right,
     and grades t (N, 2), see `slope_models`; NaN where no motion is steady.
 
-    load, patches: of the terrain plant. made: its springs and inertias, `NOMINAL_BODY`.
+    load, patches: of the terrain plant. numbers: its springs and inertias.
     Raises ValueError for an unknown load.
     """
     if load not in LOADS:
@@ -478,7 +478,7 @@ def slope_sweep(
     slope_step: float = SLOPE_STEP,
     load: str = "nonuniform",
     patches: tuple[int, int] = PATCHES,
-    made: BodyOptions = NOMINAL_BODY,
+    numbers: BodyOptions = NOMINAL_BODY,
 ) -> tuple[Array, NDArray[np.bool_], Grid]:
     """Steady motion (nodes, nodes, slopes, slopes, 3) over left and right speed, t_x and t_y;
     whether it is that of the node; and the grid of the speeds.

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from docs.step_halving_patches import MANOEUVRES, PERIOD, commanded, error, torque_errors
+from docs.step_halving_patches import commanded, error, torque_errors
 from docs.step_halving_patches import run as drive
 from scipy.integrate import solve_ivp
 

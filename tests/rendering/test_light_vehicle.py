@@ -11,7 +11,6 @@ from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.patches_on_level_ground import make_patches
-from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.rendering import Renderer, canvas, scene, snapshot
 from tracked_env.rendering.renderer import History
 from tracked_env.uncertainty import UNCERTAINTY_SETS, Draw

@@ -34,7 +34,7 @@ def rolling_free(mu):
     return with_friction(FOCCHI, mu)._replace(longitudinal_resistance=0.0)
 
 
-def straight_slip(grade, load, mu=0.6, speed=5.0, made=NOMINAL_BODY, patches=(10, 4)):
+def straight_slip(grade, load, mu=0.6, speed=5.0, numbers=NOMINAL_BODY, patches=(10, 4)):
     """Slip ratio at the foot, slip angle [rad] and yaw rate [rad/s] of straight belts.
 
     A body that is tilted by tau on its springs sees its own speed and that of its belts shortened

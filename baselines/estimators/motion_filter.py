@@ -54,9 +54,7 @@ class MotionFilter:
         lateral: str = "sliding",
         attitude: bool = False,
     ) -> None:
-        setting = Setting(
-            parameters, control_period, data_sheet, count, lateral, "coupled", attitude
-        )
+        setting = Setting(parameters, control_period, data_sheet, count, lateral, attitude)
         self.reader = ObservationReader(control_period, count, data_sheet.pose_delay)
         self.slip = SlipObserver.for_stack(setting)
         self._scales = layout.make_layout(["attitude"]).scale[:3] if attitude else None

@@ -199,8 +199,10 @@ class Worker:
         paths = [str(self.checkout), os.environ.get("PYTHONPATH", "")]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
         command = [sys.executable, __file__, SERVE, str(self.checkout), json.dumps(registered)]
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        self._process = subprocess.Popen(command, cwd=self.checkout, env=environment, **pipes)
+        pipe, folder = subprocess.PIPE, self.checkout
+        self._process = subprocess.Popen(
+            command, stdin=pipe, stdout=pipe, text=True, cwd=folder, env=environment
+        )
 
     def ask(self, **request: Any) -> Mapping[str, Any]:
         """What the process answers. Raises RuntimeError when it has ended."""

@@ -233,8 +233,9 @@ def distributed_alone(count: int, euler: bool) -> Load:
     Euler steps of 1 ms cost one evaluation of all patches each; Rosenbrock steps of 2.5 ms, the
     default, cost two.
     """
+    from tracked_env.physics.level_motion import hold_speeds
     from tracked_env.physics.parameters import VEHICLES
-    from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
+    from tracked_env.physics.patches_on_level_ground import make_patches
 
     states, loads, speeds = np.zeros((count, 6)), np.zeros((count, 6)), _speeds(count)
     parameters = np.tile(np.array(VEHICLES["focchi"], dtype=float), (count, 1))

@@ -31,7 +31,7 @@ from baselines.registry import oracle
 from docs.observer_runs import Floats
 from tracked_env.arrays import columns
 from tracked_env.benchmark import BenchmarkConfig
-from tracked_env.physics import lumped, patches_on_level_ground
+from tracked_env.physics import level_motion, lumped, patches_on_level_ground
 from tracked_env.physics.jit import loop
 from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters, row_parameters
@@ -56,9 +56,9 @@ def loads(scratch, p, v_x, v_y, yaw_rate, left, right, patches):
     """(F_L, F_R, F_y, yaw moment, R_R - R_L) on vehicle p with belts at these speeds [m/s]."""
     k, drive = lumped.coefficients(p, False), lumped.drive_limits(p)
     contact = patches_on_level_ground.contact_of(p, k, drive, patches)
-    motion = Motion(v_x, v_y, yaw_rate)
-    r = patches_on_level_ground.resistance(scratch, motion, left, right, contact, patches)
-    found = patches_on_level_ground.loads_of(r, motion, Belts(left, right), k)
+    motion, belts = Motion(v_x, v_y, yaw_rate), Belts(left, right)
+    r = patches_on_level_ground.resistance(scratch, motion, belts, (contact, contact), patches)
+    found = level_motion.loads_of(r, motion, belts, k, (k.resistance, k.resistance))
     rolling = found.resistance_right - found.resistance_left
     return np.array((
         found.effort_left, found.effort_right, found.lateral_force, found.turning_moment, rolling

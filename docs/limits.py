@@ -15,9 +15,10 @@ import numpy as np
 from scipy.optimize import brentq, root
 
 from tracked_env.physics import patches_on_level_ground, terramechanics
+from tracked_env.physics.level_motion import loads_of, rates_of
 from tracked_env.physics.lumped import Motion, coefficients, drive_limits
 from tracked_env.physics.parameters import plant_parameters
-from tracked_env.physics.patches_on_level_ground import Belts, contact_of, loads_of, rates_of
+from tracked_env.physics.patches_on_level_ground import Belts, contact_of
 from tracked_env.uncertainty import SOILS
 
 G = terramechanics.GRAVITY
@@ -39,8 +40,8 @@ def patch_loads(p, motion, belts, patches=PATCHES):
     k, drive = coefficients(p, False), drive_limits(p)
     w = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
     contact = contact_of(p, k, drive, patches)
-    r = patches_on_level_ground.resistance(w, motion, belts.left, belts.right, contact, patches)
-    return loads_of(r, motion, belts, k)
+    r = patches_on_level_ground.resistance(w, motion, belts, (contact, contact), patches)
+    return loads_of(r, motion, belts, k, (k.resistance, k.resistance))
 
 
 def locked_lateral_forces(p=VEHICLE):

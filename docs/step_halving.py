@@ -24,6 +24,7 @@ from numba import njit
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.elementary import small_rotation
+from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.lumped import (
     Motion,
     coefficients,
@@ -42,7 +43,7 @@ from tracked_env.physics.parameters import (
     SoilParameters,
     plant_parameters,
 )
-from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
+from tracked_env.physics.patches_on_level_ground import make_patches
 from tracked_env.plants.standalone import TerrainRig
 from tracked_env.uncertainty import SOILS
 

@@ -12,7 +12,7 @@ from tracked_env.env import TrackedVehicleEnv
 from tracked_env.events import _FIELDS, CHANGEABLE
 from tracked_env.physics.parameters import GROUPS, RANGES, STATE_NAMES
 from tracked_env.references import REFERENCES
-from tracked_env.references.specification import POSE, QUANTITIES
+from tracked_env.references.specification import QUANTITIES, START_POSE
 from tracked_env.sensors import _RANGES as SENSOR_RANGES
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -55,7 +55,7 @@ class Ends:
     def reference(self):
         kind = str(self.rng.choice([k for k in REFERENCES if k not in ("waypoints", "mixed")]))
         arguments = inspect.signature(REFERENCES[kind]).parameters
-        ranges = {n: QUANTITIES[n] for n in (*arguments, *POSE) if n in QUANTITIES}
+        ranges = {n: QUANTITIES[n] for n in (*arguments, *START_POSE) if n in QUANTITIES}
         return {"kind": kind, **self.some(ranges, 0.3)}
 
     def sensors(self):

@@ -27,7 +27,7 @@ ARGUMENTS = ("--policies", *POLICIES, "--sets", "payload", "--episodes", "2", "-
 ALONE = """
 import sys
 WHEEL, CLONE = sys.argv[1:3]
-BLOCKED = ("torch", "stable_baselines3", "sb3_contrib", "matplotlib", "pygame", "agents",
+BLOCKED = ("torch", "stable_baselines3", "sb3_contrib", "pygame", "agents",
            "reproduce", "evaluate", "train")
 
 class Blocker:

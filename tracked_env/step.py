@@ -186,7 +186,7 @@ def _advance_reference(floats, counters, profile, i, period):
     cosine, sine = floats[i, b.REFERENCE_COSINE], floats[i, b.REFERENCE_COSINE + 1]
     its, begin, end = profile[:, i], step * period, (step + 1) * period
     x, y, cosine, sine, yaw = reference_profile.advance(
-        its, begin, end, period, x, y, cosine, sine, yaw
+        its, begin, end, period, (x, y, cosine, sine, yaw)
     )
     floats[i, b.REFERENCE_X], floats[i, b.REFERENCE_Y], floats[i, b.REFERENCE_YAW] = x, y, yaw
     floats[i, b.REFERENCE_COSINE], floats[i, b.REFERENCE_COSINE + 1] = cosine, sine

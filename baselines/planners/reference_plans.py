@@ -59,7 +59,7 @@ def optimal_plan(
     vehicle: PlantParameters, limits: Mapping[str, float], slip: bool, frame: str,
     goal: tuple[float, float, float],
 ) -> PlannedRows:  # fmt: skip
-    """The optimal plan from rest to rest, or at constant speed; `references.planned` says more."""
+    """The optimal plan from rest to rest, or at constant speed; `references.specification` says more."""
     allowed, model = Limits.of(vehicle, **limits), identified_slip(vehicle) if slip else None
     plan = optimal(
         Start(), np.array(goal), allowed, vehicle, model, stop=not allowed.fixed

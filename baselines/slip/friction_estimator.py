@@ -63,9 +63,10 @@ from baselines.slip.slip_sweep import (
     with_friction,
 )
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
-from tracked_env.physics.patches_on_level_ground import Patches, hold_speeds, make_patches
-from tracked_env.physics.terrain_motion import SCALED
+from tracked_env.physics.patches_on_level_ground import Patches, make_patches
+from tracked_env.physics.terrain_motion import NOMINAL_BODY
 from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
 JUMP = 0.5  # [m/s, rad/s] largest innovation that draws them: an outlier moves them little
@@ -354,7 +355,7 @@ class RecursiveSlipEstimator:
         states[:, PLANAR], states[:, CONTACT] = velocities, contact.reshape(count, -1)
         plants = self._holding(level, seen)
         hold_on_slope(
-            states, np.repeat(level, bank, axis=0), speeds, plants, *middles(PATCHES), SCALED,
+            states, np.repeat(level, bank, axis=0), speeds, plants, *middles(PATCHES), NOMINAL_BODY,
             False, self._steps, period, 0.0, 1, np.empty(count),
         )  # fmt: skip
         contact[:] = states[:, CONTACT].reshape(contact.shape)

@@ -65,12 +65,12 @@ from baselines.slip.slip_models import (
 from tracked_env.physics import patches_on_terrain as g
 from tracked_env.physics import terrain_motion
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.level_motion import Drives, hold_speeds
 from tracked_env.physics.parameters import RANGES, PlantParameters, row_parameters
-from tracked_env.physics.patches_on_level_ground import Belts, Patches, hold_speeds, make_patches
-from tracked_env.physics.patches_on_terrain import Twist
-from tracked_env.physics.rigid_body import matrix_of, quaternion_of, turned
+from tracked_env.physics.patches_on_level_ground import Belts, Patches, make_patches
+from tracked_env.physics.rigid_body import Twist, matrix_of, quaternion_of, turned
 from tracked_env.physics.terrain_motion import (
-    SCALED,
+    NOMINAL_BODY,
     BodyOptions,
     Pose3,
     body_of,
@@ -350,7 +350,7 @@ def _move(states, i, w, q, belts, steps, h, body):
     plane = (-up_x / up_z, -up_y / up_z)
     pose = Pose3(0.0, 0.0, states[i, DISTANCE] / up_z, q)
     (pose, twist, _belts), _command, _kick, _off = terrain_motion.advance(
-        _fill_plane, plane, w, (pose, twist, belts), belts, belts, 0.0, steps, h, body
+        _fill_plane, plane, w, (pose, twist, belts), Drives(belts, belts, 0.0), steps, h, body
     )
     r = matrix_of(pose.q)
     states[i, 0], states[i, 1], states[i, 2] = twist.x, twist.y, twist.z
@@ -362,14 +362,14 @@ def _move(states, i, w, q, belts, steps, h, body):
 
 @loop
 def hold_on_slope(
-    states, attitude, sprockets, rows, columns, lines, made, uniform, steps, h,
+    states, attitude, sprockets, rows, columns, lines, numbers, uniform, steps, h,
     tolerance, most, taken,
 ):  # fmt: skip
     """Hold sprocket speeds (N, 2) [rad/s] on slopes: `most` times `steps` steps of h [s].
 
     states (N, STATE_SIZE) in and out; a DISTANCE of 0 begins with a contact at rest. attitude
     (N, 2) roll, pitch [rad]. rows: PlantParameters (N, ...). columns, lines: middles of the
-    patches, see `ground_contact.place_patches`; made: numbers of `tracked_body.body_of`; uniform:
+    patches, see `ground_contact.place_patches`; numbers: BodyOptions; uniform:
     load model. A vehicle ends early when its motion changes by less than `tolerance` [m/s^2, of
     the outer track]. taken (N,) [s] out: time held, or infinity where it was not steady by then.
     """
@@ -378,12 +378,12 @@ def hold_on_slope(
         p = row_parameters(rows, i, 0)
         count = columns.size * lines.size
         half_gauge = 0.5 * p.track_gauge
-        body = body_of(p, g.padded(2 * count), count, made, False, uniform)
+        body = body_of(p, g.padded(2 * count), count, numbers, False, uniform)
         lanes = g.place_patches(w, columns, lines, half_gauge, p.track_width, body.footing)
         set_soil(w, 0, lanes, p, body.footing.patch_area)
         roll, pitch = attitude[i, 0], attitude[i, 1]
         if states[i, DISTANCE] == 0.0:
-            _rest(states, i, body, sinkage_at_rest(p, made) * math.cos(pitch) * math.cos(roll))
+            _rest(states, i, body, sinkage_at_rest(p, numbers) * math.cos(pitch) * math.cos(roll))
         q = quaternion_of(0.0, pitch, roll)
         belts = Belts(p.sprocket_radius * sprockets[i, 0], p.sprocket_radius * sprockets[i, 1])
         taken[i] = math.inf
@@ -434,13 +434,13 @@ def steady_on_slopes(
     grade: ArrayLike,
     load: str = "nonuniform",
     patches: tuple[int, int] = PATCHES,
-    made: BodyOptions = SCALED,
+    numbers: BodyOptions = NOMINAL_BODY,
     tolerance: float = TOLERANCE,
 ) -> Array:
     """(N, 3) v_x, v_y [m/s], yaw rate [rad/s] at sprocket speeds (N, 2) [rad/s], left then right,
     and grades t (N, 2), see `slope_models`; NaN where no motion is steady.
 
-    load, patches: of the terrain plant. made: its springs and inertias, `tracked_body.SCALED`.
+    load, patches: of the terrain plant. numbers: its springs and inertias.
     Raises ValueError for an unknown load.
     """
     if load not in LOADS:
@@ -457,7 +457,7 @@ def steady_on_slopes(
     states[:, 5] = radius * (speeds[:, 1] - speeds[:, 0]) / parameters.track_gauge
     rows = np.tile(np.array(parameters, dtype=np.float64), (count, 1))
     hold_on_slope(
-        states, attitudes(grade), speeds, rows, *middles(patches), made,
+        states, attitudes(grade), speeds, rows, *middles(patches), numbers,
         load == "uniform", STEPS, STEP_SLOPE_SWEEP, tolerance, most, taken,
     )  # fmt: skip
     motion = states[:, [0, 1, 5]]
@@ -478,7 +478,7 @@ def slope_sweep(
     slope_step: float = SLOPE_STEP,
     load: str = "nonuniform",
     patches: tuple[int, int] = PATCHES,
-    made: BodyOptions = SCALED,
+    numbers: BodyOptions = NOMINAL_BODY,
 ) -> tuple[Array, NDArray[np.bool_], Grid]:
     """Steady motion (nodes, nodes, slopes, slopes, 3) over left and right speed, t_x and t_y;
     whether it is that of the node; and the grid of the speeds.
@@ -523,7 +523,7 @@ def slope_sweep(
         own[left] &= tried == 0
         ratio[left] *= 0.0 if tried == TRIES - 1 else (INWARD if tried else 1.0)
         found[left] = steady_on_slopes(
-            parameters, unit * runs[left, :2], mu * ratio[left], load, patches, made
+            parameters, unit * runs[left, :2], mu * ratio[left], load, patches, numbers
         )
     flip, about = np.where(mirrored, -1.0, 1.0), np.where(turned, -1.0, 1.0)
     motion = np.full((len(known), 3), np.nan)

@@ -40,7 +40,7 @@ from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.rigid_body import in_body_plane
 from tracked_env.plants.standalone import Driven, Rig
 from tracked_env.references import ReferenceProfile, make_reference, sample
-from tracked_env.references.catalogue import constant, knot_times
+from tracked_env.references.profile import constant, knot_times
 from tracked_env.sensors import PRESETS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 

@@ -37,8 +37,9 @@ from reproduce.focchi2025.control import (
     vehicle,
     within,
 )
+from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import PlantParameters
-from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
+from tracked_env.physics.patches_on_level_ground import make_patches
 
 # Runs of the real vehicle, in a folder beside that of the project.
 MEASURED = Path(__file__).parents[3] / "shared" / "data" / "slip_real_indoor.csv"

@@ -32,7 +32,7 @@ from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants.standalone import TerrainRig
 from tracked_env.references import ReferenceProfile, make_reference, sample
-from tracked_env.references.catalogue import constant, knot_times
+from tracked_env.references.profile import constant, knot_times
 
 FRICTION = 0.6  # [-] mu of 8.1 and 8.3
 SPEED, TURN = 0.8, 0.6  # [m/s], [rad/s] of 8.1

@@ -5,18 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tracked_env.physics import patches_on_level_ground
+from tracked_env.physics import patches_on_level_ground as patch_forces
+from tracked_env.physics.level_motion import Drives, advance, hold_speeds, loads_of, on_one_soil
 from tracked_env.physics.lumped import Motion, coefficients, drive_limits
 from tracked_env.physics.parameters import FIRM_FLOOR, FOCCHI_VEHICLE, plant_parameters
-from tracked_env.physics.patches_on_level_ground import (
-    Belts,
-    advance,
-    contact_of,
-    hold_speeds,
-    make_patches,
-    on_one_soil,
-    resistance,
-)
+from tracked_env.physics.patches_on_level_ground import Belts, contact_of, make_patches, resistance
 
 PATCHES = make_patches()
 FOCCHI = plant_parameters(FOCCHI_VEHICLE, FIRM_FLOOR)
@@ -34,6 +27,13 @@ class Forces(NamedTuple):
     dissipation: float  # [W] stress times shear velocity
 
 
+def loads_at(motion, left, right, p, patches=PATCHES):
+    """Loads on a vehicle with belts at these speeds [m/s]."""
+    k, _, contact = parts(p, patches)
+    r = soil_resistance(motion, left, right, contact, patches)
+    return loads_of(r, motion, Belts(left, right), k, (k.resistance, k.resistance))
+
+
 def parts(p, patches=PATCHES):
     """(coefficients, drive limits, contact) of a vehicle."""
     k, drive = coefficients(p, False), drive_limits(p)
@@ -42,8 +42,8 @@ def parts(p, patches=PATCHES):
 
 def soil_resistance(motion, left, right, contact, patches=PATCHES):
     """`resistance` with a scratch array of its own."""
-    scratch = np.full((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES), np.nan)
-    return resistance(scratch, motion, left, right, contact, patches)
+    scratch = np.full((patch_forces.SCRATCH_ROWS, patch_forces.LANES), np.nan)
+    return resistance(scratch, motion, Belts(left, right), (contact, contact), patches)
 
 
 def forces(motion, left, right, contact, patches=PATCHES):
@@ -119,8 +119,7 @@ def drive_by_torque(moved, torques, p, steps, h, euler=False, patches=PATCHES, d
     """`Moved` after `steps` steps of the torque-driven plant from (pose, motion, belts)."""
     k, drive, contact = parts(p, patches)
     inverse_belt_mass = p.sprocket_radius**2 / p.sprocket_inertia
-    scratch = np.zeros((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
-    return advance(
-        scratch, moved, Belts(*torques), Belts(*torques), decay, steps, h,
-        on_one_soil(k, drive, contact, inverse_belt_mass), patches, euler,
-    )[0]  # fmt: skip
+    scratch = np.zeros((patch_forces.SCRATCH_ROWS, patch_forces.LANES))
+    vehicle = on_one_soil(k, drive, contact, inverse_belt_mass)
+    drives = Drives(Belts(*torques), Belts(*torques), decay)
+    return advance(scratch, moved, drives, steps, h, vehicle, patches, euler)[0]

@@ -9,14 +9,17 @@ from numba.core.registry import CPUDispatcher
 from tests.physics.patch_cases import FOCCHI, PATCHES, parts
 from tracked_env.physics import (
     elementary,
+    level_motion,
     lumped,
     parameters,
     patches_on_level_ground,
     terramechanics,
 )
 from tracked_env.physics.jit import formula, loop, summation
-from tracked_env.physics.lumped import Motion
+from tracked_env.physics.level_motion import Drives, Pose, Rates
+from tracked_env.physics.lumped import Loads, Motion
 from tracked_env.physics.parameters import plant_parameters
+from tracked_env.physics.patches_on_level_ground import LANES, SCRATCH_ROWS, Belts
 
 CLAY = plant_parameters()
 DRIVE = lumped.drive_limits(CLAY)
@@ -32,22 +35,28 @@ NUMBERS = (-650.3, -1.0, -1e-9, 0.0, 0.03, 0.7, 33.3)
 RK4_TORQUES = ((300.0, 2300.0), (310.0, 2290.0), (320.0, 2280.0))
 
 FLOOR, FLOOR_DRIVE, CONTACT = parts(FOCCHI)
-SCRATCH = np.zeros((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
-BELTS = patches_on_level_ground.Belts(1.7, 2.3)
-RATES = patches_on_level_ground.Rates(1.0, -2.0, 0.5, 0.3, -4.0)
-OTHER_RATES = patches_on_level_ground.Rates(0.3, 0.1, -0.7, -2.0, 9.0)
-SHEAR = [(SCRATCH, m, *b, CONTACT, PATCHES) for m in (TURN, BACK) for b in (BELTS, (0.0, -1.0))]
+SCRATCH = np.zeros((SCRATCH_ROWS, LANES))
+BELTS, COMMAND, DEMAND = Belts(1.7, 2.3), Belts(20.0, -3.0), Belts(9.0, 0.5)
+RATES, OTHER_RATES = Rates(1.0, -2.0, 0.5, 0.3, -4.0), Rates(0.3, 0.1, -0.7, -2.0, 9.0)
+SHEAR = [
+    (SCRATCH, m, b, (CONTACT, c), PATCHES)
+    for m in (TURN, BACK)
+    for b in (BELTS, Belts(0.0, -1.0))
+    for c in (CONTACT, CONTACT._replace(strength=0.5 * CONTACT.strength))
+]
 DRAGS = [patches_on_level_ground.resistance(*arguments) for arguments in SHEAR]
 INVERSE_BELT_MASSES = (0.0, 0.147)
+POSE = Pose(1.0, 2.0, 0.7, math.cos(0.7), math.sin(0.7))
+VEHICLES = [
+    level_motion.on_one_soil(FLOOR, FLOOR_DRIVE, CONTACT, mass) for mass in INVERSE_BELT_MASSES
+]
 MOVES = [
-    (
-        SCRATCH, (patches_on_level_ground.Pose(1.0, 2.0, 0.7, math.cos(0.7), math.sin(0.7)), m, BELTS),
-        patches_on_level_ground.Belts(20.0, -3.0), patches_on_level_ground.Belts(9.0, 0.5), decay, 3, 0.0025,
-        patches_on_level_ground.on_one_soil(FLOOR, FLOOR_DRIVE, CONTACT, mass), PATCHES, euler,
-    )
-    for m in (TURN, BACK) for decay in (0.0, 0.7) for mass in INVERSE_BELT_MASSES
+    (SCRATCH, (POSE, m, BELTS), Drives(COMMAND, DEMAND, decay), 3, 0.0025, vehicle, PATCHES, euler)
+    for m in (TURN, BACK)
+    for decay in (0.0, 0.7)
+    for vehicle in VEHICLES
     for euler in (False, True)
-]  # fmt: skip
+]
 
 ARGUMENTS = {
     elementary: {
@@ -98,29 +107,26 @@ ARGUMENTS = {
     patches_on_level_ground: {
         "patch_count": [(PATCHES,)],
         "resistance": SHEAR,
-        "tracks_resistance": [
-            (w, m, *b, (c, c._replace(strength=0.5 * c.strength)), patches)
-            for w, m, *b, c, patches in SHEAR
-        ],
+        "contact_of": [(FOCCHI, FLOOR, FLOOR_DRIVE, PATCHES)],
+    },
+    level_motion: {
         "damped": [(r, RATES, FLOOR, c, 0.001) for r in DRAGS for c in INVERSE_BELT_MASSES],
         "pushed": [(TURN, RATES, 0.01)],
         "combined": [(RATES, OTHER_RATES, 1.5, -0.5)],
         "departure": [
             (r, RATES, OTHER_RATES, FLOOR, c, 0.001) for r in DRAGS for c in INVERSE_BELT_MASSES
         ],
-        "followed": [(BELTS, patches_on_level_ground.Belts(20.0, -3.0), decay) for decay in (0.0, 0.7)],
-        "contact_of": [(FOCCHI, FLOOR, FLOOR_DRIVE, PATCHES)],
-        "loads_of": [(r, m, BELTS, FLOOR) for r in DRAGS for m in (TURN, BACK)],
+        "followed": [(BELTS, COMMAND, decay) for decay in (0.0, 0.7)],
         "on_one_soil": [(FLOOR, FLOOR_DRIVE, CONTACT, 0.147)],
-        "tracks_loads": [(r, m, BELTS, FLOOR, (9.0, 3.0)) for r in DRAGS for m in (TURN, BACK)],
+        "loads_of": [(r, m, BELTS, FLOOR, (9.0, 3.0)) for r in DRAGS for m in (TURN, BACK)],
         "driving_torque": [(t, v, 0.25) for t in (-3.0, 7.0) for v in NUMBERS],
         "rates_of": [
-            (lumped.Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR,
-             FLOOR_DRIVE, c) for c in INVERSE_BELT_MASSES
+            (Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR, FLOOR_DRIVE, c)
+            for c in INVERSE_BELT_MASSES
         ],
         "advance": MOVES,
     },
-}  # fmt: skip
+}
 LOOPS = {"hold_speeds"}  # they write into arrays: compared below
 
 
@@ -156,10 +162,7 @@ def test_the_loop_over_vehicles_equals_pure_python_bit_for_bit(euler):
     speeds, table = np.array([[3.0, 4.0], [0.0, -5.0]]), np.array([FOCCHI, CLAY])
     start = np.array([[1.0, 2.0, 0.7, 0.3, 0.0, 0.1], [0.0, 0.0, -3.0, -0.4, 0.2, 1.0]])
     results = []
-    for kernel in (
-        patches_on_level_ground.hold_speeds,
-        patches_on_level_ground.hold_speeds.py_func,
-    ):
+    for kernel in (level_motion.hold_speeds, level_motion.hold_speeds.py_func):
         states, loads = start.copy(), np.zeros((2, 6))
         kernel(states, speeds, table, PATCHES, 4, 0.0025, euler, loads)
         results.append(np.concatenate([states, loads], axis=1))

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from tracked_env.physics import patches_on_terrain
-from tracked_env.physics.patches_on_terrain import Drag, Footing, Twist, Wrench, rocking_of
+from tracked_env.physics.patches_on_terrain import Footing, rocking_of
 from tracked_env.physics.rigid_body import (
+    Drag,
     Inertia,
     Quaternion,
+    Twist,
+    Wrench,
     angles_of,
     at_point,
     factors,
@@ -22,8 +25,8 @@ from tracked_env.physics.rigid_body import (
     turned,
     with_inertia,
 )
+from tracked_env.terrain.ground import fill
 from tracked_env.terrain.height_field import make_height_field
-from tracked_env.terrain.relief import fill
 
 HALF_LENGTH, HALF_GAUGE, WIDTH, HEIGHT = 0.35, 0.303, 0.1, 0.25
 COLUMNS = 1.0 - (2.0 * np.arange(10) + 1.0) / 10

@@ -12,6 +12,7 @@ from tests.physics.patch_cases import (
     PATCHES,
     drive_by_torque,
     forces_patch_by_patch,
+    loads_at,
     parts,
     random_motions,
     run,
@@ -19,21 +20,18 @@ from tests.physics.patch_cases import (
     trajectory,
 )
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.lumped import Motion, kinetic_energy, track_speeds
-from tracked_env.physics.parameters import FIRM_FLOOR, VEHICLES
-from tracked_env.physics.patches_on_level_ground import (
+from tracked_env.physics.level_motion import (
     FADE,
-    HISTORY_TURN,
     SPEED_DRIVEN,
-    Belts,
     Pose,
     Rates,
     damped,
     driving_torque,
-    loads_of,
-    make_patches,
     rates_of,
 )
+from tracked_env.physics.lumped import Motion, kinetic_energy, track_speeds
+from tracked_env.physics.parameters import FIRM_FLOOR, VEHICLES
+from tracked_env.physics.patches_on_level_ground import HISTORY_TURN, Belts, make_patches
 
 STRAWA = VEHICLES["strawa"]
 AT_ORIGIN = Pose(0.0, 0.0, 0.0, 1.0, 0.0)
@@ -87,7 +85,7 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_rolling_plus_what_the_soil_d
         if abs(motion.yaw_rate) * p.contact_length > HISTORY_TURN * min(abs(left), abs(right)):
             continue
         belts, torques = Belts(left, right), Belts(0.3 * p.torque_limit, -0.2 * p.torque_limit)
-        loads = loads_of(soil_resistance(motion, left, right, contact), motion, belts, k)
+        loads = loads_at(motion, left, right, p)
         rates = rates_of(loads, motion, belts, torques, k, drive, inverse_belt_mass)
         dissipated = forces_patch_by_patch(motion, left, right, contact).dissipation
         speeds = track_speeds(motion, k.half_gauge)
@@ -151,23 +149,18 @@ def test_a_vehicle_that_turns_in_place_feels_the_resistance_of_the_slower_track_
     # F (11) prints the sum of both resistances in the yaw equation: zero for a pivot.
     k, drive, contact = parts(FOCCHI)
     motion, belts = Motion(0.0, 0.0, 1.0), Belts(-0.5, 0.5)
-    resistance = soil_resistance(motion, *belts, contact)
-    loads = loads_of(resistance, motion, belts, k)
+    loads = loads_at(motion, *belts, FOCCHI)
     rolling = 0.5 * 0.025 * 62.0 * 9.81
     assert (loads.resistance_left, loads.resistance_right) == pytest.approx((-rolling, rolling))
-    free = loads_of(resistance, motion, belts, parts(EASY)[0]).turning_moment
+    free = loads_at(motion, *belts, EASY).turning_moment
     assert loads.turning_moment - free == pytest.approx(-0.606 * rolling)
     rates = rates_of(loads, motion, belts, NO_TORQUE, k, drive, SPEED_DRIVEN)
     assert rates.yaw_rate == pytest.approx(loads.turning_moment / 4.5)
 
 
 def test_rolling_resistance_opposes_the_motion_of_a_track():
-    k, _, contact = parts(FOCCHI)
     for speed in (-0.5, 0.5):
-        loads = loads_of(
-            soil_resistance(Motion(speed, 0.0, 0.0), speed, speed, contact),
-            Motion(speed, 0.0, 0.0), Belts(speed, speed), k,
-        )  # fmt: skip
+        loads = loads_at(Motion(speed, 0.0, 0.0), speed, speed, FOCCHI)
         assert (loads.effort_left, loads.effort_right) == (0.0, 0.0)
         assert loads.resistance_left * speed > 0.0
         assert loads.resistance_right * speed > 0.0

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from docs.step_halving_patches import commanded, error, torque_errors
+from docs.step_halving_patches import run as drive
 from scipy.integrate import solve_ivp
 
 from docs.step_halving import CONTROL_PERIOD, PATCH_MANOEUVRES, commanded, error, torque_errors
@@ -13,21 +15,15 @@ from tests.physics.patch_cases import (
     FOCCHI,
     PATCHES,
     drive_by_torque,
+    loads_at,
     parts,
     run,
-    soil_resistance,
     trajectory,
 )
+from tracked_env.physics.level_motion import SPEED_DRIVEN, Pose, rates_of
 from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import HEAVY_CLAY, STRAWA_VEHICLE, VEHICLES, plant_parameters
-from tracked_env.physics.patches_on_level_ground import (
-    SPEED_DRIVEN,
-    Belts,
-    Pose,
-    loads_of,
-    make_patches,
-    rates_of,
-)
+from tracked_env.physics.patches_on_level_ground import Belts, make_patches
 
 STRAWA = VEHICLES["strawa"]
 # Soft and easy to roll on: smooth at every step tried, and nothing that has a kink.
@@ -89,7 +85,7 @@ def test_the_steps_solve_the_equations_that_an_independent_solver_solves(by_torq
 
     def rate(_, z):
         motion, belts = Motion(*(float(v) for v in z[3:6])), Belts(float(z[6]), float(z[7]))
-        loads = loads_of(soil_resistance(motion, *belts, contact), motion, belts, k)
+        loads = loads_at(motion, *belts, SOFT)
         rates = rates_of(loads, motion, belts, TORQUES, k, limits, inverse_belt_mass)
         c, s = math.cos(z[2]), math.sin(z[2])
         return [

@@ -16,10 +16,18 @@ from tests.physics.test_ground_contact import (
     normals,
     shifted,
 )
-from tracked_env.physics import patches_on_terrain
-from tracked_env.physics.patches_on_terrain import Twist
-from tracked_env.physics.rigid_body import Inertia, at_point, matrix_of, quaternion_of, with_payload
-from tracked_env.terrain.relief import fill
+from tracked_env.physics import patches_on_terrain as g
+from tracked_env.physics.rigid_body import (
+    Drag,
+    Inertia,
+    Twist,
+    Wrench,
+    at_point,
+    matrix_of,
+    quaternion_of,
+    with_payload,
+)
+from tracked_env.terrain.ground import fill
 
 SHIFTS = ((0.07, 0.0, 0.0), (0.0, -0.05, 0.0), (-0.06, 0.04, 0.1))
 VEHICLE = Inertia(62.0, 2.18, 2.81, 4.5)
@@ -45,23 +53,14 @@ def test_the_same_tracks_have_the_same_forces_and_their_moments_are_about_the_sh
 ):
     w, *_ = contact(seed, stiffening=0.0)
     other, *_ = contact(seed, shift=shift, stiffening=0.0)
-    for row in (
-        patches_on_terrain.SINKAGE,
-        patches_on_terrain.TIME,
-        patches_on_terrain.LOAD,
-        patches_on_terrain.SHEARED,
-        patches_on_terrain.FORWARD,
-        patches_on_terrain.THRUST,
-        patches_on_terrain.LATERAL,
-        patches_on_terrain.ROLLED,
-    ):
+    for row in (g.SINKAGE, g.TIME, g.LOAD, g.SHEARED, g.FORWARD, g.THRUST, g.LATERAL, g.ROLLED):
         assert other[row] == pytest.approx(w[row], rel=1e-9, abs=1e-11 * np.abs(w[row]).max())
-    wrench = patches_on_terrain.total_wrench(w, 80, HEIGHT, 1.0)
-    found = patches_on_terrain.total_wrench(other, 80, HEIGHT + shift[2], 1.0)
+    wrench = g.total_wrench(w, 80, HEIGHT, 1.0)
+    found = g.total_wrench(other, 80, HEIGHT + shift[2], 1.0)
     assert np.array(found) == pytest.approx(about(wrench, shift), rel=1e-10, abs=1e-9)
     damping = FOOTING.patch_area * FOOTING.damping
-    here = full(patches_on_terrain.total_drag(w, 80, HEIGHT, damping))
-    there = full(patches_on_terrain.total_drag(other, 80, HEIGHT + shift[2], damping))
+    here = full(g.total_drag(w, 80, HEIGHT, damping))
+    there = full(g.total_drag(other, 80, HEIGHT + shift[2], damping))
     back = carried(-np.array(shift))
     assert there == pytest.approx(back.T @ here @ back, rel=1e-9, abs=1e-10 * here.max())
 
@@ -69,43 +68,36 @@ def test_the_same_tracks_have_the_same_forces_and_their_moments_are_about_the_sh
 @pytest.mark.parametrize("seed", range(5))
 def test_stiffer_ground_has_the_same_load_at_less_sinkage_and_damps_in_proportion(seed):
     w, _, twist, _ = contact(seed, stiffening=0.0)
-    load = w[patches_on_terrain.LOAD].copy()
-    w[patches_on_terrain.FIRMNESS, ::2] = 0.25
-    patches_on_terrain.press(w, 80, twist, FOOTING._replace(stiffening=0.0))
-    assert w[patches_on_terrain.LOAD, ::2] == pytest.approx(0.25 * load[::2], rel=1e-12)
-    np.testing.assert_array_equal(w[patches_on_terrain.LOAD, 1::2], load[1::2])
-    w[
-        [
-            patches_on_terrain.K_TT,
-            patches_on_terrain.K_TQ,
-            patches_on_terrain.K_QQ,
-            patches_on_terrain.K_ROLL,
-        ]
-    ] = 0.0
-    drag = full(patches_on_terrain.total_drag(w, 80, HEIGHT, 1.0))
-    n, loaded = normals(w), w[patches_on_terrain.LOAD] > 0.0
-    weights = np.where(loaded, w[patches_on_terrain.FIRMNESS], 0.0)
+    load = w[g.LOAD].copy()
+    w[g.FIRMNESS, ::2] = 0.25
+    g.press(w, 80, twist, FOOTING._replace(stiffening=0.0))
+    assert w[g.LOAD, ::2] == pytest.approx(0.25 * load[::2], rel=1e-12)
+    np.testing.assert_array_equal(w[g.LOAD, 1::2], load[1::2])
+    w[[g.K_TT, g.K_TQ, g.K_QQ, g.K_ROLL]] = 0.0
+    drag = full(g.total_drag(w, 80, HEIGHT, 1.0))
+    n, loaded = normals(w), w[g.LOAD] > 0.0
+    weights = np.where(loaded, w[g.FIRMNESS], 0.0)
     assert drag[:3, :3] == pytest.approx(np.einsum("k,ki,kj->ij", weights, n, n), abs=1e-11)
 
 
 def uniform_contact(shift):
     """(wrench, drag, tilt) of load and tilt alone, about a centre of mass `shift` away."""
     footing = shifted(shift)
-    w = np.zeros((patches_on_terrain.SCRATCH_ROWS, patches_on_terrain.LANES))
-    lanes = patches_on_terrain.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, footing)
+    w = np.zeros((g.SCRATCH_ROWS, g.LANES))
+    lanes = g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, footing)
     r = matrix_of(quaternion_of(0.4, -0.15, 0.1))
     axes = np.array(r).reshape(3, 3)
     height = float(FIELD.at(0.3, 0.2)[0])
     place = np.array([0.3, 0.2, height]) + axes @ (np.array([0.0, 0.0, HEIGHT - 0.003]) + shift)
-    patches_on_terrain.locate_foot(w, patches_on_terrain.WIDE, place, r, footing)
-    fill(FIELD.relief, w, patches_on_terrain.WIDE)
-    patches_on_terrain.orient(w, patches_on_terrain.WIDE, r)
-    patches_on_terrain.share_plane(w, lanes)
-    rocking = patches_on_terrain.rocking_of(footing, HALF_GAUGE, WIDTH, 80)
+    g.locate_foot(w, g.WIDE, place, r, footing)
+    fill(FIELD.relief, w, g.WIDE)
+    g.orient(w, g.WIDE, r)
+    g.share_plane(w, lanes)
+    rocking = g.rocking_of(footing, HALF_GAUGE, WIDTH, 80)
     twist = at_point(Twist(0.3, -0.1, -0.02, 0.05, -0.08, 0.4), *shift)
-    tilt = patches_on_terrain.tilt_of(w, twist, footing, rocking)
-    nothing = patches_on_terrain.Wrench(*[0.0] * 6), patches_on_terrain.Drag(*[0.0] * 21)
-    return (*patches_on_terrain.held(w, tilt, footing, rocking, *nothing), tilt)
+    tilt = g.tilt_of(w, twist, footing, rocking)
+    nothing = Wrench(*[0.0] * 6), Drag(*[0.0] * 21)
+    return (*g.with_tilt(w, tilt, footing, rocking, *nothing), tilt)
 
 
 @pytest.mark.parametrize("shift", SHIFTS)
@@ -124,21 +116,13 @@ def test_the_foot_of_the_uniform_load_stays_in_the_middle_of_the_tracks(shift):
 def test_the_power_of_the_ground_closes_about_a_shifted_centre_of_mass(shift):
     for seed in range(10):
         w, _, twist, _ = contact(seed, shift=shift)
-        given = np.dot(patches_on_terrain.total_wrench(w, 80, HEIGHT + shift[2], 1.0), twist)
-        arms = np.stack(
-            [w[patches_on_terrain.X], w[patches_on_terrain.Y], np.full(80, -HEIGHT - shift[2])],
-            axis=1,
-        )
+        given = np.dot(g.total_wrench(w, 80, HEIGHT + shift[2], 1.0), twist)
+        arms = np.stack([w[g.X], w[g.Y], np.full(80, -HEIGHT - shift[2])], axis=1)
         velocities = np.array(twist[:3]) + np.cross(np.array(twist[3:]), arms)
-        slip = (
-            w[patches_on_terrain.THRUST] * w[patches_on_terrain.SLIDE]
-            + w[patches_on_terrain.LATERAL] * w[patches_on_terrain.ASIDE]
-        ).sum()
-        rolled = (w[patches_on_terrain.ROLLED] * w[patches_on_terrain.FORWARD]).sum()
-        belts = (
-            w[patches_on_terrain.BELT] * w[patches_on_terrain.THRUST] * w[patches_on_terrain.AHEAD]
-        ).sum()
-        pressed = (w[patches_on_terrain.LOAD] * (normals(w) * velocities).sum(axis=1)).sum()
+        slip = (w[g.THRUST] * w[g.SLIDE] + w[g.LATERAL] * w[g.ASIDE]).sum()
+        rolled = (w[g.ROLLED] * w[g.FORWARD]).sum()
+        belts = (w[g.BELT] * w[g.THRUST] * w[g.AHEAD]).sum()
+        pressed = (w[g.LOAD] * (normals(w) * velocities).sum(axis=1)).sum()
         size = abs(slip) + abs(rolled) + abs(belts) + abs(pressed)
         assert abs(given - (belts + slip - rolled + pressed)) < 1e-12 * size
 

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
+from tracked_env.physics.patches_on_level_ground import make_patches
 from tracked_env.plants.standalone import Rig
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 

@@ -8,7 +8,7 @@ import pytest
 from tests.plants.mirrored import assert_mirrored
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.terrain_motion import HEIGHT_RATIO
+from tracked_env.physics.terrain_motion import NOMINAL_BODY
 from tracked_env.plants.standalone import Rig, TerrainRig
 from tracked_env.plants.terrain import RELIEF
 from tracked_env.terrain.ground import RELIEF_COLUMNS
@@ -237,7 +237,7 @@ def test_height_and_inertias_are_scaled_with_the_vehicle_unless_they_are_given()
         sunk = rig._parameters.mass * GRAVITY / (
             2.0 * rig._body.stiffness * length * VEHICLES[name].track_width
         )  # fmt: skip
-        assert rig.positions[0, 2] == pytest.approx(HEIGHT_RATIO * length - sunk)
+        assert rig.positions[0, 2] == pytest.approx(NOMINAL_BODY.height_ratio * length - sunk)
         assert rig.load[0] == pytest.approx(rig._parameters.mass * GRAVITY)
     low = TerrainRig(FOCCHI, {"centre_of_mass_height": 0.1})
     assert low.positions[0, 2] == pytest.approx(0.1 - 62.0 * GRAVITY / (1e5 / 0.07 * 0.14))

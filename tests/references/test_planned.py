@@ -14,7 +14,7 @@ from baselines.slip.slip_sweep import identified_slip
 from tracked_env.physics import reference_profile as knots
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.references import make_reference, sample, specification
-from tracked_env.references.catalogue import with_knots
+from tracked_env.references.profile import with_knots
 
 FOCCHI = VEHICLES["focchi"]
 GOAL = (2.0, 2.5, -0.4)

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from tests.rendering.picture_cases import CENTRED, Picture, driven, started
 from tracked_env.env import TrackedVehicleEnv
+from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
-from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
+from tracked_env.physics.patches_on_level_ground import make_patches
 from tracked_env.rendering import Renderer, canvas, scene, snapshot
 from tracked_env.rendering.renderer import History
 from tracked_env.uncertainty import UNCERTAINTY_SETS, Draw

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from tracked_env import arrays as b
-from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import SoilParameters
-from tracked_env.terrain.ground import Surface, Terrain, at
+from tracked_env.terrain.ground import Terrain
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 
@@ -27,7 +25,7 @@ def test_the_soil_at_the_centre_of_mass_is_the_soil_in_force_bit_for_bit(law):
     for i in range(8):
         under = terrain_of(env.simulation, i).at(*places[i])
         truth = [batch.column(name)[i] for name in SoilParameters._fields]
-        assert list(under.soil) == truth
+        assert list(under) == truth
         start = batch.base()[i, 10:15]
         moved += not np.array_equal(start, truth)
     assert moved > 0, "no soil has changed"
@@ -39,36 +37,7 @@ def test_soil_differs_from_place_to_place():
             "direction": 0.0, "edge": 1.0}  # fmt: skip
     env.reset(seed=0, options={"schedule": [line]})
     ground = terrain_of(env.simulation, 0)
-    assert ground.at(-5.0, 3.0).soil.cohesion == 70e3
-    assert ground.at(5.0, 3.0).soil.cohesion == 1e3
-    assert ground.at(0.0, -9.0).soil.cohesion == pytest.approx(0.5 * 71e3)
-    assert ground.at(5.0, 3.0).soil.friction_angle == ground.at(-5.0, 3.0).soil.friction_angle
-
-
-def test_ground_is_level_by_default():
-    env = TrackedVehicleVectorEnv(1)
-    env.reset(seed=0)
-    assert terrain_of(env.simulation, 0).at(3.0, -7.0).surface == Surface(0.0, 0.0, 0.0)
-
-
-@formula
-def hill(x, y):
-    """A plane that rises to the front and falls to the left."""
-    return Surface(0.1 * x - 0.2 * y, 0.1, -0.2)
-
-
-@loop
-def heights(floats, events, xs, out):
-    """Height along a row of places, in a kernel."""
-    terrain = Terrain(floats, events, 0, 0, 0.0)
-    for k in range(xs.size):
-        under = at(hill, terrain, xs[k], 1.0)
-        out[k] = under.surface.height + under.soil.cohesion
-
-
-def test_a_kernel_may_drive_on_another_surface():
-    batch = b.allocate(1, 1)
-    batch.base()[0, 10] = 1000.0
-    xs, out = np.linspace(-1.0, 1.0, 5), np.empty(5)
-    heights(batch.floats, batch.events, xs, out)
-    assert out == pytest.approx(1000.0 + 0.1 * xs - 0.2)
+    assert ground.at(-5.0, 3.0).cohesion == 70e3
+    assert ground.at(5.0, 3.0).cohesion == 1e3
+    assert ground.at(0.0, -9.0).cohesion == pytest.approx(0.5 * 71e3)
+    assert ground.at(5.0, 3.0).friction_angle == ground.at(-5.0, 3.0).friction_angle

@@ -8,9 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from tracked_env.terrain.ground import STEEPEST
+from tracked_env.terrain.ground import STEEPEST, fill_places
 from tracked_env.terrain.height_field import KINDS, make_height_field
-from tracked_env.terrain.relief import fill_places
 
 RNG = np.random.default_rng(0)
 X, Y = RNG.uniform(-3.0, 4.0, (2, 400))

@@ -250,8 +250,7 @@ def _draw_over_time(axes: Sequence["Axes"], plan: Any) -> None:
     }
     for each, (label, (lines, bounds)) in zip(axes, panels.items(), strict=True):
         for k, (name, values) in enumerate(lines.items()):
-            style = {"color": PALETTE[k], "linestyle": ("-", "--")[k]}
-            each.plot(way.time, values, linewidth=1.3, label=name, **style)
+            each.plot(way.time, values, ("-", "--")[k], color=PALETTE[k], linewidth=1.3, label=name)
         for bound in bounds:
             each.axhline(bound, color=REFERENCE_COLOUR, linestyle=":", linewidth=1.0)
         each.set_ylabel(label)

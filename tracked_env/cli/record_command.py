@@ -95,24 +95,24 @@ def main(arguments: Sequence[str], program: str) -> int:
         "CSV log with a row per control step, for `tracked-env identify`.",
     )
     parser.add_argument("policy", help="as in `tracked-env evaluate --policies`")
-    parser.add_argument("--file", type=Path, default=Path("log.csv"), metavar="FILE",
-                        help="(default: log.csv)")  # fmt: skip
-    parser.add_argument("--truth", type=Path, metavar="FILE",
-                        help="write the true values at the end as JSON too")  # fmt: skip
+    log = {"type": Path, "default": Path("log.csv"), "metavar": "FILE"}
+    parser.add_argument("--file", help="(default: log.csv)", **log)
+    text = "write the true values at the end as JSON too"
+    parser.add_argument("--truth", type=Path, metavar="FILE", help=text)
     add_episode_options(parser)
-    given = parser.parse_args(arguments)
-    benchmark = benchmark_config(config_of(given))
+    options = parser.parse_args(arguments)
+    benchmark = benchmark_config(config_of(options))
     name = benchmark.sets[0]
     registry, trained = by_name(registered_policies(), benchmark.env)
-    entry = load_policies([given.policy], registry, trained, open_archive)[0]
+    entry = load_policies([options.policy], registry, trained, open_archive)[0]
     with explained():
         policy = checked_policy(entry, benchmark.context(name))
         if needs_truth(policy):
             raise ValueError(f"policy {entry.name!r} needs the truth; a log is driven without it")
         env = benchmark.environment(name, 1, truth=False)
-        truth = record_log(env, policy, given.file, benchmark.seed)
-    print(f"{entry.name}, set {name}, seed {benchmark.seed}: {given.file}")
-    if given.truth is not None:
-        given.truth.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
-        print(given.truth)
+        truth = record_log(env, policy, options.file, benchmark.seed)
+    print(f"{entry.name}, set {name}, seed {benchmark.seed}: {options.file}")
+    if options.truth is not None:
+        options.truth.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+        print(options.truth)
     return 0

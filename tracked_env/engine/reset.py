@@ -39,7 +39,7 @@ from tracked_env.physics.reference_profile import START as START_TIME
 from tracked_env.physics.reference_profile import UNIFORM_COLUMNS
 from tracked_env.plants.base import Prepared, unchanged
 from tracked_env.references import ReferenceProfile, batch_reference
-from tracked_env.references.catalogue import of_table, with_knots
+from tracked_env.references.profile import of_table, with_knots
 from tracked_env.sensors import CHANNEL_COUNT, TABLE
 from tracked_env.terrain.ground import RELIEF_SIZE
 from tracked_env.uncertainty import ArrayLaw, Draw

@@ -49,7 +49,7 @@ def _kept(**options: Any) -> Decorator:
             function.py_func = function
             return function
         dispatcher: Any = njit(**options)(function)
-        dispatcher._cache = KernelCache(dispatcher.py_func)
+        dispatcher._cache = KernelCache(dispatcher)
         return dispatcher
 
     return decorated

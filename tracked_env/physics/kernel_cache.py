@@ -1,33 +1,31 @@
-"""Compiled kernels on disk, each under a key that covers all the source it was made of.
+"""Compiled kernels on disk, each under a key that covers all the code it was made of.
 
-Kernels inline formulas, constants, columns and templates from other files, which numba's own disk
-cache does not look at: after an edit or an update it would load the old machine code. Here the
-name of a file holds a digest of
+Kernels inline formulas, constants and templates from other files, which numba's own disk cache
+does not look at: after an edit or an update it would load the old machine code. Here the name of a
+file holds a digest of
 
-    the source of the kernel's module and of all it imports, directly or not, as far as it
-    belongs to this package, to the same package or to a project outside the library folders;
-    the code and the constants of the functions it calls, as they are in this process, where they
-    may have been reloaded or replaced;
-    the types of the arguments, the processor, the versions of Python, numba and LLVM, and the
-    settings of numba that change machine code.
+    code, options and constants of the kernel and of every function that it calls, directly or not,
+    as they are in this process, where they may have been reloaded or replaced: numbers, arrays,
+    named tuples, intrinsics. Docstrings, comments and places in a file have no part in it;
+    the types of the arguments, the processor, the versions of Python, numba and LLVM, the settings
+    of numba that change machine code, and the source of this file and of `jit`.
 
 So code of another source is never found, whatever was edited, updated or went back to a former
-state, and several versions live side by side. A file is written whole or not at all (a new one
-takes the place of the old one), begins with a digest of its content, and is compiled anew where it
-is damaged. Source that was edited after it was imported is not what runs: nothing is stored then.
+state, and several versions live side by side. A kernel that refers to an object of a kind that is
+not in this list is compiled in each process. A file is written whole or not at all (a new one takes
+the place of the old one), begins with a digest of its content, and is compiled anew where it is
+damaged.
 
 The folder: NUMBA_CACHE_DIR if it is set, or else that of the user's caches, or else `__pycache__`
 beside this file. Where none can be written, kernels are compiled in each process, and a warning
-says so once. Files that nobody has loaded for KEPT seconds are deleted, and the oldest of more than
-LARGEST bytes.
+says so once. Files that nobody has loaded for LONGEST_UNUSED seconds are deleted, and the oldest of
+more than LARGEST bytes.
 """
 
 import hashlib
 import os
 import pickle
-import re
 import sys
-import sysconfig
 import tempfile
 import time
 import uuid
@@ -47,223 +45,142 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
-KEPT = 30 * 86400.0  # [s] since a file was last loaded
+LONGEST_UNUSED = 30 * 86400.0  # [s] since a file was last loaded
 TOUCHED = 86400.0  # [s] a file that was loaded longer ago is marked as loaded again
 LARGEST = 2e9  # [bytes] of all files together
 SUFFIX = ".kernel"
-_IMPORT = re.compile(
-    r"(?:^|;)[ \t]*(?:from[ \t]+([.\w]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n;]*)"
-    r"|import[ \t]+([^\n;#]+))",
-    re.M,
-)
-_LIBRARIES = tuple(
-    {os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")}
-)
-_INSTALLED = re.compile(r"[/\\](?:site|dist)-packages[/\\]")
-_OWN = __name__.partition(".")[0]
+_PACKAGE = __name__.partition(".")[0]
 _SETTINGS = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
-_TOOLS = "-".join(
-    (
-        sys.version,
-        *(f"{name} {version(name)}" for name in ("numba", "llvmlite")),
-        *(f"{name} {getattr(config, name, None)}" for name in _SETTINGS),
-    )
-)
-_COMPILERS = ("numpy", "numba", "scipy", "math", "builtins")
-_CONSTANTS = (bool, int, float, complex, str, bytes, np.generic)
-
-
-class _Source:
-    """Content of a Python file as it was when the first kernel that may use it was defined."""
-
-    def __init__(self, path: str) -> None:
-        with open(path, "rb") as file:
-            status, self.text = os.fstat(file.fileno()), file.read()
-        self.path, self.mark = path, (status.st_mtime_ns, status.st_size)
-        self.digest = hashlib.sha256(self.text).digest()
-
-    def is_current(self) -> bool:
-        """Whether the file is still the one that was read."""
-        try:
-            status = os.stat(self.path)
-        except OSError:
-            return False
-        return (status.st_mtime_ns, status.st_size) == self.mark
-
-
-_source = cache(_Source)
+_FOLDER = Path(__file__).parent
+_TOOLS = [
+    sys.version,
+    *(f"{name} {version(name)}" for name in ("numba", "llvmlite")),
+    *(f"{name} {getattr(config, name, None)}" for name in _SETTINGS),
+    *((_FOLDER / name).read_text() for name in ("jit.py", "kernel_cache.py")),
+]
+_COMPILERS = ("numpy", "numba", "llvmlite", "scipy", "math", "builtins")
+_CONSTANTS = (bool, int, float, complex, str, bytes, np.generic, np.dtype, type(None))
+_SOURCES: dict[str, bytes] = {}  # files with kernels, as they were when those were defined
 
 
 def imported_source(path: Path) -> bytes:
-    """Content of a Python file when the first kernel that may use it was defined, or else now."""
-    return _source(str(path)).text
+    """Content of a Python file when the first kernel in it was defined, or else now."""
+    return _SOURCES.get(str(path)) or path.read_bytes()
 
 
-def _file_of(module: str) -> str | None:
-    """Path of the source of a module by its name; None where it is no file.
-
-    Only the package it is in need be imported, so that it works in the middle of an import.
+class _UncoveredError(Exception):
+    """A key cannot cover a function: it has other constants, or calls others, than when it was
+    compiled first, or refers to an object of an unknown kind.
     """
-    top, *rest = module.split(".")
-    package = sys.modules.get(top)
-    if package is None:
-        return None
-    if not rest:
-        path = getattr(package, "__file__", None)
-        return path if path and path.endswith(".py") and os.path.isfile(path) else None
-    for folder in getattr(package, "__path__", ()):
-        base = os.path.join(folder, *rest)
-        for path in (f"{base}.py", os.path.join(base, "__init__.py")):
-            if os.path.isfile(path):
-                return path
-    return None
 
 
-def _imports(text: str, module: str, is_package: bool) -> Iterator[str]:
-    """Names of modules that `text` imports; of `from a import b` both `a.b` and `a`."""
-    for origin, names, plain in _IMPORT.findall(text.replace("\\\n", " ")):
-        if plain:
-            for name in (part.split()[0] for part in plain.split(",") if part.split()):
-                yield from (name, name.partition(".")[0])
-            continue
-        level = len(origin) - len(origin.lstrip("."))
-        if level:  # relative
-            parts = module.split(".")
-            parts = parts[: len(parts) - level + is_package]
-            origin = ".".join([*parts, origin.lstrip(".")]).rstrip(".")
-        named = [part.split() for part in re.sub(r"#[^\n]*|[()\\]", "", names).split(",")]
-        inside = [f"{origin}.{words[0]}" for words in named if words]
-        yield from inside
-        if any(_file_of(name) is None for name in inside):
-            yield origin  # something that the package's own file defines
+def _is_compilers(value: Any) -> bool:
+    """Whether a value is a part of numpy, numba or another package that the versions cover."""
+    name = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
+    return (name or type(value).__module__).partition(".")[0] in _COMPILERS
+
+
+def _function_of(value: Any) -> FunctionType | None:
+    """The Python function of a dispatcher or an intrinsic; the value, if it is one itself."""
+    function = getattr(value, "py_func", getattr(value, "_defn", value))
+    return function if isinstance(function, FunctionType) else None
 
 
 @cache
-def _direct(module: str, home: str) -> tuple[str, ...]:
-    """Modules that `module` imports and that may hold parts of a kernel of package `home`."""
-    path = _file_of(module)
-    if path is None:
-        return ()
-    text = _source(path).text.decode("utf-8", "replace")
-    is_package = os.path.basename(path) == "__init__.py"
-    return tuple(
-        name for name in _imports(text, module, is_package) if _may_hold_kernels(name, home)
-    )
-
-
-@cache
-def _may_hold_kernels(module: str, home: str) -> bool:
-    path = _file_of(module)
-    if path is None or module.partition(".")[0] in _COMPILERS:
-        return False
-    if module.partition(".")[0] in (_OWN, home):
-        return True
-    place = os.path.realpath(path)
-    if not (place.startswith(_LIBRARIES) or _INSTALLED.search(place)):
-        return True
-    return _OWN.encode() in _source(path).text  # installed, and made for this package
-
-
-def sources_of(module: str) -> dict[str, _Source]:
-    """The files a kernel of `module` may be made of, by the names of their modules."""
-    found, waiting = dict[str, _Source](), [module]
-    home = module.partition(".")[0]
-    while waiting:
-        name = waiting.pop()
-        path = _file_of(name)
-        if name not in found and path is not None:
-            found[name] = _source(path)
-            waiting.extend(_direct(name, home))
-    return found
-
-
-def digest_of(sources: dict[str, _Source]) -> bytes:
-    """One digest of files, by the names of their modules and their contents."""
-    digest = hashlib.sha256(_TOOLS.encode())
-    for name in sorted(sources):
-        digest.update(name.encode() + b"\0" + sources[name].digest)
-    return digest.digest()
-
-
-@cache
-def _key_of(module: str) -> tuple[bytes, dict[str, _Source]]:
-    sources = sources_of(module)
-    return digest_of(sources), sources
-
-
-@cache
-def _words(code: CodeType) -> tuple[bytes, frozenset[str]]:
+def _words(code: CodeType, documentation: str | None) -> tuple[bytes, frozenset[str]]:
     """What a code object does, apart from the values of the names it looks up, and these names."""
     names, content = {*code.co_names, *code.co_freevars}, code.co_code
     for each in code.co_consts:
         if isinstance(each, CodeType):
-            inside, further = _words(each)
-            content, names = content + inside, names | further
-        elif not isinstance(each, frozenset):  # printed in another order by each process
-            content += repr(each).encode()
+            inside, more = _words(each, None)
+            content, names = content + inside, names | more
+        elif each != documentation or each is None:
+            content += repr(
+                sorted(each, key=repr) if isinstance(each, frozenset) else each
+            ).encode()
     return content + repr((code.co_names, code.co_varnames)).encode(), frozenset(names)
 
 
-class _ReplacedError(Exception):
-    """A function has other constants, or calls others, than when it was compiled first."""
+def _values(function: FunctionType, names: frozenset[str]) -> dict[str, Any]:
+    """What the names that a function looks up stand for: in its module and in those it names."""
+    scope = function.__globals__
+    values = {name: scope[name] for name in sorted(names & scope.keys())}
+    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+        values[name] = cell.cell_contents
+    modules = {name: value for name, value in values.items() if isinstance(value, ModuleType)}
+    while modules:
+        path, module = modules.popitem()
+        if not _is_compilers(module):
+            inside = {f"{path}.{n}": vars(module)[n] for n in sorted(names & vars(module).keys())}
+            more = {
+                n: v for n, v in inside.items() if isinstance(v, ModuleType) and v is not module
+            }
+            modules |= {n: v for n, v in more.items() if n not in values}
+            values |= inside
+    return values
+
+
+def _content(value: Any, called: list[Any]) -> bytes:
+    """What a value is that a function refers to; called: gets the functions in it."""
+    if isinstance(value, _CONSTANTS):
+        return f"{type(value).__name__} {value!r}".encode()
+    if isinstance(value, (tuple, list)):
+        return b"%d" % len(value) + b",".join(_content(each, called) for each in value)
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape}".encode() + value.tobytes()
+    if isinstance(value, type):
+        return f"{value.__qualname__} {getattr(value, '_fields', '')}".encode()
+    if _function_of(value) is not None and not _is_compilers(_function_of(value)):
+        called.append(value)
+        return b"function"
+    if isinstance(value, ModuleType):
+        return b"module"
+    if _is_compilers(value) and " at 0x" not in str(value):
+        return str(value).encode()
+    raise _UncoveredError(repr(value))
 
 
 _FIRST: WeakKeyDictionary[FunctionType, Any] = WeakKeyDictionary()
 
 
-def _running(function: Any, seen: set[int]) -> Iterator[bytes]:
-    """Code and constants that a function and all it calls have in this process.
+def _code(value: Any, seen: set[int]) -> Iterator[bytes]:
+    """Code, options and constants that a function and all it calls have in this process.
 
-    A name may stand for something else than in the source: reloaded, replaced, or computed when
-    its module was imported. Numba compiles a function once and goes on with the constants of then:
-    raises _ReplacedError where they are others now.
+    Numba compiles a function once and goes on with the constants of then: raises _UncoveredError
+    where they are others now.
     """
-    function = getattr(function, "py_func", function)
-    if not isinstance(function, FunctionType) or id(function) in seen:
+    function = _function_of(value)
+    if function is None or id(function) in seen:
         return
     seen.add(id(function))
-    if function.__module__.partition(".")[0] in _COMPILERS:
-        return
-    content, names = _words(function.__code__)
-    scope = function.__globals__
-    values = {name: scope[name] for name in sorted(names & scope.keys())}
-    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
-        values[name] = cell.cell_contents
-    for value in [*values.values()]:
-        if isinstance(value, ModuleType) and value.__name__ not in _COMPILERS:
-            inside = vars(value)
-            values |= {f"{value.__name__}.{n}": inside[n] for n in sorted(names & inside.keys())}
-    parts, others = [content, repr([*values]).encode()], []
-    waiting = [function.__defaults__ or (), *values.values()]
-    for value in waiting:
-        if isinstance(value, tuple):
-            parts.append(b"%d" % len(value))
-            waiting.extend(value)
-        elif isinstance(value, np.ndarray):
-            parts.append(f"{value.dtype} {value.shape}".encode() + value.tobytes())
-        elif isinstance(value, _CONSTANTS):
-            parts.append(f"{type(value).__name__} {value!r}".encode())
-        else:
-            others.append(value)
+    content, names = _words(function.__code__, function.__doc__)
+    options = getattr(value, "targetoptions", {})
+    called: list[Any] = []
+    parts = [
+        content,
+        *(f"{k} {sorted(v) if isinstance(v, set) else v}".encode() for k, v in options.items()),
+    ]
+    for name, each in _values(function, names).items():
+        parts += name.encode(), _content(each, called)
+    parts.append(_content(function.__defaults__ or (), called))
     own = b"\0".join(parts)
-    state = own, [id(each) for each in others]
+    state = own, [id(each) for each in called]
     if _FIRST.setdefault(function, state) != state:
-        raise _ReplacedError
+        raise _UncoveredError(function.__qualname__)
     yield own
-    for each in others:
-        yield from _running(each, seen)
+    for each in called:
+        yield from _code(each, seen)
 
 
 def _folders() -> Iterator[Path]:
-    chosen = getattr(config, "CACHE_DIR", "")
-    if chosen:
-        yield Path(chosen).absolute() / _OWN
+    if chosen := getattr(config, "CACHE_DIR", ""):
+        yield Path(chosen).absolute() / _PACKAGE
         return
     # relative where neither the environment nor the system names a home
-    user = Path(AppDirs(appname=_OWN, appauthor=False).user_cache_dir)
+    user = Path(AppDirs(appname=_PACKAGE, appauthor=False).user_cache_dir)
     if user.is_absolute():
         yield user
-    yield Path(__file__).parent / "__pycache__"
+    yield _FOLDER / "__pycache__"
 
 
 @cache
@@ -288,8 +205,8 @@ def folder() -> Path | None:
 
 
 def _sweep(path: Path) -> None:
-    """Delete what was not loaded for KEPT seconds, the oldest beyond LARGEST bytes, and what an
-    interrupted write has left.
+    """Delete what was not loaded for LONGEST_UNUSED seconds, the oldest beyond LARGEST bytes, and
+    what an interrupted write has left.
     """
     files = []
     for file in path.glob(f"*{SUFFIX}*"):
@@ -299,7 +216,7 @@ def _sweep(path: Path) -> None:
     total = 0
     for age, size, file in sorted(files):
         total += size
-        if age > (KEPT if file.suffix == SUFFIX else TOUCHED) or total > LARGEST:
+        if age > (LONGEST_UNUSED if file.suffix == SUFFIX else TOUCHED) or total > LARGEST:
             with suppress(OSError):  # likewise, or the file is not ours
                 file.unlink()
 
@@ -315,11 +232,14 @@ def _warn(reason: str) -> None:
 
 
 class KernelCache(FunctionCache):
-    """Keeps what is compiled of one function; stands in the place of numba's own cache."""
+    """Keeps what is compiled of one dispatcher; stands in the place of numba's own cache."""
 
-    def __init__(self, function: FunctionType) -> None:
-        self._py_func, self._name, self._enabled = function, repr(function), True
-        self._digest, self._sources = _key_of(function.__module__)
+    def __init__(self, dispatcher: Any) -> None:
+        self._dispatcher, self._py_func = dispatcher, dispatcher.py_func
+        self._name, self._enabled = repr(self._py_func), True
+        file = self._py_func.__code__.co_filename
+        if file not in _SOURCES and os.path.isfile(file):
+            _SOURCES[file] = Path(file).read_bytes()
 
     @property
     def cache_path(self) -> str | None:
@@ -331,7 +251,7 @@ class KernelCache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """What was compiled for the types `sig`, or None."""
-        path = self._path(sig, target_context.codegen()) if self._enabled else None
+        path = self._path(sig, target_context.codegen())
         if path is None:
             return None
         try:
@@ -348,11 +268,11 @@ class KernelCache(FunctionCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled, unless its source has changed since it was imported."""
+        """Keep what was compiled."""
         if data.library.has_dynamic_globals or any(not each.can_cache for each in data.lifted):
             return
-        path = self._path(sig, data.codegen) if self._enabled else None
-        if path is None or not all(source.is_current() for source in self._sources.values()):
+        path = self._path(sig, data.codegen)
+        if path is None:
             return
         content = dumps(CompileResultCacheImpl.reduce(self, data))  # type: ignore[arg-type]
         part = path.with_name(f"{path.name}.{uuid.uuid4().hex}")  # containers share numbers, too
@@ -366,18 +286,15 @@ class KernelCache(FunctionCache):
             _warn(str(error))
 
     def _path(self, sig: Any, codegen: Any) -> Path | None:
-        types = repr(sig)
-        if not self._sources or " at 0x" in types or folder() is None:
-            return None  # no file, or types that mean nothing to another process
-        _, *others = self._index_key(sig, codegen)
-        code = self._py_func.__code__
-        place = (self._py_func.__module__, self._py_func.__qualname__, code.co_firstlineno)
-        digest = hashlib.sha256(self._digest + repr((place, types, others)).encode())
-        try:
-            for part in _running(self._py_func, set()):
-                digest.update(part)
-        except _ReplacedError:
+        types, base = repr(sig), folder() if self._enabled else None
+        if base is None or " at 0x" in types:  # types that mean nothing to another process
             return None
-        base = folder()
-        name = f"{code.co_name}-{digest.hexdigest()[:32]}{SUFFIX}"
-        return None if base is None else base / name
+        name = self._py_func.__qualname__
+        place = self._py_func.__module__, name, types, codegen.magic_tuple(), _TOOLS
+        digest = hashlib.sha256(repr(place).encode())
+        try:
+            for part in _code(self._dispatcher, set()):
+                digest.update(part)
+        except _UncoveredError:
+            return None
+        return base / f"{name.rpartition('.')[2]}-{digest.hexdigest()[:32]}{SUFFIX}"

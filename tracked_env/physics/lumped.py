@@ -1,38 +1,25 @@
-"""What every plant of a tracked vehicle shares: its quantities, and what follows from parameters.
+"""A skid-steering tracked vehicle driven by its sprocket torques: coefficients, forces, RK4 steps.
 
 Equations (S = Strawa et al. 2021 section 4, in ISO axes; symbols in NOTATION.md):
     V_L, V_R = v_x -+ w B / 2                 speeds of the tracks over the ground
-    a        = dv/dt + w x v                  inertial acceleration, in body axes
-    E        = m (v_x^2 + v_y^2) / 2 + I w^2 / 2
-Assumptions: planar motion, weight shared equally by the tracks.
-
-References: [1] Strawa et al., Electronics 10 (2021) 187.
-
-Fixed-step fourth-order Runge-Kutta integration of the vehicle's motion.
-
-The body velocities obey the equations of motion; the pose follows from them. Within one
-sub-step the pose is integrated in the frame of the sub-step's start, where the rotation is
-small, so that the integrator itself needs no sine or cosine of the heading. The motor
-torque follows its demand by a first-order lag whose exact solution is used at each stage.
-
-References: [1] Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.1.
-
-A skid-steering tracked vehicle driven by its sprocket torques.
-
-Equations (S = Strawa et al. 2021 section 4, in ISO axes; symbols in NOTATION.md):
     m (dv_x/dt - w v_y) = F_L + F_R - R_L - R_R
     m (dv_y/dt + w v_x) = F_y
     I dw/dt             = (B/2) [(F_R - R_R) - (F_L - R_L)] + f M
     F_k                 = clip(torque_k / r, traction limits),   k = L, R
     dtorque/dt          = (g_k demand - torque) / T
+    a                   = dv/dt + w x v       inertial acceleration, in body axes
 `sliding` lateral model: as above, F_y and M from the sliding contact; x_ICR = -v_y / w emerges.
 `constrained` lateral model: S (28), v_y = -d w holds at all times and F_y follows from it:
     m (dv_x/dt + d w^2)          = F_L + F_R - R_L - R_R
     (I + m d^2) dw/dt - m d w v_x = (B/2) [(F_R - R_R) - (F_L - R_L)] - (F_y d + M_r)
-Assumptions: planar motion, no track inertia, ideal transmission, parameters constant over
-one control step, traction limits constant over one sub-step.
+The velocities are integrated by fixed steps of the fourth-order Runge-Kutta method, the pose in the
+frame of the step's start, where the rotation is small, so that the integrator needs no sine or
+cosine of the heading. The lag of the torque has an exact solution, which is used at each stage.
 
-References: [1] Strawa et al., Electronics 10 (2021) 187.
+Assumptions: planar motion, weight shared equally by the tracks, no track inertia, ideal
+transmission, parameters constant over one control step, traction limits constant over one sub-step.
+References: [1] Strawa et al., Electronics 10 (2021) 187. [2] Hairer, Norsett, Wanner, Solving
+Ordinary Differential Equations I, II.1.
 """
 
 import math
@@ -85,22 +72,30 @@ class Loads(NamedTuple):
     turning_moment: float  # [N m] soil's moment about the centre of mass, added
 
 
+class TractionLimits(NamedTuple):
+    """Bounds of the tractive effort of both tracks, for one sub-step."""
+
+    left_low: float  # [N]
+    left_high: float  # [N]
+    right_low: float  # [N]
+    right_high: float  # [N]
+
+
 @formula
 def coefficients(p, constrained):
     """Coefficients of a control step from its parameters; `constrained` is a bool."""
-    weight = p.mass * soil.GRAVITY
-    d = p.icr_forward
+    weight, d = p.mass * soil.GRAVITY, p.icr_forward
     inertia = p.inertia + (p.mass * d * d if constrained else 0.0)
     return Coefficients(
-        1.0 / p.mass,
-        1.0 / inertia,
-        0.5 * p.track_gauge,
-        p.contact_length,
-        1.0 / p.sprocket_radius,
-        0.5 * p.longitudinal_resistance * weight,
-        p.lateral_resistance * weight / p.contact_length,
-        p.turning_resistance_factor,
-        d,
+        inverse_mass=1.0 / p.mass,
+        inverse_inertia=1.0 / inertia,
+        half_gauge=0.5 * p.track_gauge,
+        contact_length=p.contact_length,
+        inverse_radius=1.0 / p.sprocket_radius,
+        resistance=0.5 * p.longitudinal_resistance * weight,
+        friction_intensity=p.lateral_resistance * weight / p.contact_length,
+        turning_resistance_factor=p.turning_resistance_factor,
+        icr_forward=d,
     )
 
 
@@ -113,9 +108,8 @@ def drive_limits(p):
     maximum = max(maximum, soil.LEAST_EFFORT)
     shear_length = p.contact_length / p.shear_deformation_modulus
     limit = maximum * soil.mobilised_shear(shear_length)
-    return DriveLimits(
-        maximum, limit, shear_length, 1.0 / (p.sprocket_radius * p.sprocket_speed_limit)
-    )
+    belt_limit = p.sprocket_radius * p.sprocket_speed_limit
+    return DriveLimits(maximum, limit, shear_length, 1.0 / belt_limit)
 
 
 @formula
@@ -128,10 +122,8 @@ def track_speeds(motion, half_gauge):
 @formula
 def inertial_acceleration(motion, body_rate_x, body_rate_y):
     """Acceleration [m/s^2] of the centre of mass in body axes: dv/dt + w x v."""
-    return (
-        body_rate_x - motion.yaw_rate * motion.v_y,
-        body_rate_y + motion.yaw_rate * motion.v_x,
-    )
+    w = motion.yaw_rate
+    return body_rate_x - w * motion.v_y, body_rate_y + w * motion.v_x
 
 
 @formula
@@ -145,67 +137,6 @@ def kinetic_energy(motion, p):
     """Kinetic energy [J] of the vehicle; sprockets and tracks carry none, S (24)."""
     speed2 = motion.v_x * motion.v_x + motion.v_y * motion.v_y
     return 0.5 * p.mass * speed2 + 0.5 * p.inertia * math.pow(motion.yaw_rate, 2)
-
-
-@formula
-def _stage(motion, rate, duration):
-    """Motion after `duration` [s] at constant `rate`."""
-    return Motion(
-        motion.v_x + duration * rate[0],
-        motion.v_y + duration * rate[1],
-        motion.yaw_rate + duration * rate[2],
-    )
-
-
-@formula
-def _velocity(motion, angle):
-    """Velocity in the frame of the sub-step's start, after a rotation by `angle`."""
-    cosine, sine = small_rotation(angle)
-    return cosine * motion.v_x - sine * motion.v_y, sine * motion.v_x + cosine * motion.v_y
-
-
-@formula
-def rk4_step(accelerations, motion, torque_start, torque_middle, torque_end, k, limits, h):
-    """One RK4 step of length h [s].
-
-    accelerations: jitted (motion, torque_left, torque_right, k, limits) -> 3 rates.
-    torque_*: (left, right) [N m] at the start, the middle and the end of the step.
-    Returns the motion at the end, and the travel (x, y) [m] and rotation [rad] in the frame
-    of the start.
-    """
-    half = 0.5 * h
-    r1 = accelerations(motion, torque_start[0], torque_start[1], k, limits)
-    m2 = _stage(motion, r1, half)
-    r2 = accelerations(m2, torque_middle[0], torque_middle[1], k, limits)
-    m3 = _stage(motion, r2, half)
-    r3 = accelerations(m3, torque_middle[0], torque_middle[1], k, limits)
-    m4 = _stage(motion, r3, h)
-    r4 = accelerations(m4, torque_end[0], torque_end[1], k, limits)
-    # Both midpoint stages share one rotation: they differ by O(h^2), the order stays four.
-    middle = Motion(
-        0.5 * (m2.v_x + m3.v_x), 0.5 * (m2.v_y + m3.v_y), 0.5 * (m2.yaw_rate + m3.yaw_rate)
-    )
-    v23 = _velocity(middle, 0.5 * half * (motion.yaw_rate + m2.yaw_rate))
-    v4 = _velocity(m4, h * m3.yaw_rate)
-    sixth = h / 6.0
-    end = Motion(
-        motion.v_x + sixth * (r1[0] + 2.0 * (r2[0] + r3[0]) + r4[0]),
-        motion.v_y + sixth * (r1[1] + 2.0 * (r2[1] + r3[1]) + r4[1]),
-        motion.yaw_rate + sixth * (r1[2] + 2.0 * (r2[2] + r3[2]) + r4[2]),
-    )
-    travel_x = sixth * (motion.v_x + 4.0 * v23[0] + v4[0])
-    travel_y = sixth * (motion.v_y + 4.0 * v23[1] + v4[1])
-    rotation = sixth * (motion.yaw_rate + 4.0 * middle.yaw_rate + m4.yaw_rate)
-    return end, travel_x, travel_y, rotation
-
-
-class TractionLimits(NamedTuple):
-    """Bounds of the tractive effort of both tracks, for one sub-step."""
-
-    left_low: float  # [N]
-    left_high: float  # [N]
-    right_low: float  # [N]
-    right_high: float  # [N]
 
 
 @formula
@@ -274,9 +205,8 @@ def constrained_loads(motion, torque_left, torque_right, k, limits):
     arm = max(0.25 * length * length - d * d, 0.0)
     magnitude = k.turning_resistance_factor * k.friction_intensity * arm
     applied = k.half_gauge * ((fr - rr) - (fl - rl))
-    return Loads(
-        fl, fr, rl, rr, force, -soil.resisting(motion.yaw_rate, applied, magnitude, inverse_width)
-    )
+    moment = soil.resisting(motion.yaw_rate, applied, magnitude, inverse_width)
+    return Loads(fl, fr, rl, rr, force, -moment)
 
 
 @formula
@@ -302,17 +232,65 @@ def constrained_accelerations(motion, torque_left, torque_right, k, limits):
     d, w = k.icr_forward, motion.yaw_rate
     moment = k.half_gauge * (drive_right - drive_left) + f.turning_moment - d * f.lateral_force
     coupling = d * w * motion.v_x / k.inverse_mass
-    yaw_acceleration = (moment + coupling) * k.inverse_inertia
-    return (
-        (drive_left + drive_right) * k.inverse_mass - d * w * w,
-        -d * yaw_acceleration,
-        yaw_acceleration,
-    )
+    turning = (moment + coupling) * k.inverse_inertia
+    return (drive_left + drive_right) * k.inverse_mass - d * w * w, -d * turning, turning
 
 
 @formula
 def track_slip(effort, track_speed, drive):
     """(slip ratio i [-], belt speed r omega [m/s]) of a track that carries `effort` [N]."""
-    carried = soil.slip_from_effort(effort, drive.effort_maximum, drive.shear_length)
-    belt = soil.belt_speed(effort, track_speed, carried, 1.0 / drive.inverse_belt_limit)
+    slip = soil.slip_from_effort(effort, drive.effort_maximum, drive.shear_length)
+    belt = soil.belt_speed(effort, track_speed, slip, 1.0 / drive.inverse_belt_limit)
     return soil.slip_ratio(belt, track_speed), belt
+
+
+@formula
+def _stage(motion, rate, duration):
+    """Motion after `duration` [s] at constant `rate`."""
+    return Motion(
+        motion.v_x + duration * rate[0],
+        motion.v_y + duration * rate[1],
+        motion.yaw_rate + duration * rate[2],
+    )
+
+
+@formula
+def _velocity(motion, angle):
+    """Velocity in the frame of the sub-step's start, after a rotation by `angle`."""
+    cosine, sine = small_rotation(angle)
+    return cosine * motion.v_x - sine * motion.v_y, sine * motion.v_x + cosine * motion.v_y
+
+
+@formula
+def rk4_step(accelerations, motion, torque_start, torque_middle, torque_end, k, limits, h):
+    """One RK4 step of length h [s].
+
+    accelerations: jitted (motion, torque_left, torque_right, k, limits) -> 3 rates.
+    torque_*: (left, right) [N m] at the start, the middle and the end of the step.
+    Returns the motion at the end, and the travel (x, y) [m] and rotation [rad] in the frame
+    of the start.
+    """
+    half = 0.5 * h
+    r1 = accelerations(motion, torque_start[0], torque_start[1], k, limits)
+    m2 = _stage(motion, r1, half)
+    r2 = accelerations(m2, torque_middle[0], torque_middle[1], k, limits)
+    m3 = _stage(motion, r2, half)
+    r3 = accelerations(m3, torque_middle[0], torque_middle[1], k, limits)
+    m4 = _stage(motion, r3, h)
+    r4 = accelerations(m4, torque_end[0], torque_end[1], k, limits)
+    # Both midpoint stages share one rotation: they differ by O(h^2), the order stays four.
+    middle = Motion(
+        0.5 * (m2.v_x + m3.v_x), 0.5 * (m2.v_y + m3.v_y), 0.5 * (m2.yaw_rate + m3.yaw_rate)
+    )
+    v23 = _velocity(middle, 0.5 * half * (motion.yaw_rate + m2.yaw_rate))
+    v4 = _velocity(m4, h * m3.yaw_rate)
+    sixth = h / 6.0
+    end = Motion(
+        motion.v_x + sixth * (r1[0] + 2.0 * (r2[0] + r3[0]) + r4[0]),
+        motion.v_y + sixth * (r1[1] + 2.0 * (r2[1] + r3[1]) + r4[1]),
+        motion.yaw_rate + sixth * (r1[2] + 2.0 * (r2[2] + r3[2]) + r4[2]),
+    )
+    travel_x = sixth * (motion.v_x + 4.0 * v23[0] + v4[0])
+    travel_y = sixth * (motion.v_y + 4.0 * v23[1] + v4[1])
+    rotation = sixth * (motion.yaw_rate + 4.0 * middle.yaw_rate + m4.yaw_rate)
+    return end, travel_x, travel_y, rotation

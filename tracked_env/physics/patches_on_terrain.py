@@ -1,4 +1,4 @@
-"""Normal load and shear of the patches under two tracks on uneven ground.
+"""Normal load and shear of the patches under two tracks on uneven ground, and their sums.
 
 Equations, for the patch at r = (x, y, -h) from the centre of mass in body axes, at P in the world
 (symbols in NOTATION.md; x_m = x + c_x is from the middle of the tracks, c ahead of it the centre
@@ -13,58 +13,47 @@ of mass; k_A, d_A those of the patch):
     k    = (c A_p + mu N) (1 - exp(-j/K)) / |s|                shear resistance [N s/m]
     f    = N n - k s - c_r N g(u_t) t,  g(u) = u / sqrt(u^2 + w^2)
 A patch without contact (rho <= 0 or N = 0) has no force, cohesion included. All forces act at P, so
-each has the moment r x f. On level ground this is `patch_forces`, and beyond HISTORY_TURN the
-displacement is raised as it is there.
+each has the moment r x f. On level ground this is `patches_on_level_ground`, and beyond
+HISTORY_TURN the displacement is raised as it is there. In body axes with n = (a, b, c) and
+g = |P_n x_b| = sqrt(b^2 + c^2):  t = (g, -a b/g, -a c/g),  q = (0, c, -b)/g.
 
-The passes, one loop each, because short loops keep more patches in flight: `locate` says where the
-patches are, a terrain fills heights and slopes, `orient` makes the axes of contact; at a motion,
-`press` gives the loads, `slide` and `resist` the shear; `contact_totals` adds up. In body axes with
-n = (a, b, c) and g = |P_n x_b| = sqrt(b^2 + c^2):  t = (g, -a b/g, -a c/g),  q = (0, c, -b)/g.
-
-Assumptions: the ground is a plane under each patch, motion is steady during contact, a patch meets
-the soil at the leading end of its track even where that hangs free.
-References: [1] Focchi et al. (2025) sections 2.1 to 2.3, whose load model is corrected here; see
-docs/terrain.md.
-
-Sums over patches: what the ground does to a vehicle, and how that changes with its motion.
-
-With the force f_k of a patch at r_k and its slope K_k over the patch's velocity, both from the rows
-that `ground_contact` fills, in body axes:
+Sums, with the force f_k of a patch at r_k and its slope K_k over the patch's velocity:
     wrench = sum (f_k, r_k x f_k)
     drag   = sum J_k^T K_k J_k,   J_k = [1, -[r_k] x]        of v + W x r_k
     belts  = sum J_k^T K_k x_b,   the coupling of a belt's speed to the vehicle, one sum per track
 The slope of a force in its contact plane is (K_TT, K_TQ; K_TQ, K_QQ) along t and q, K_ROLL is added
 along t, and the damper of the ground acts along n, with the firmness of its patch.
 
-Uniform load: a vehicle on one foot with springs against tilt, the load shared by all patches.
-
-Equations, at the foot r0 = (-c_x, -c_y, -h) in the middle of the tracks (symbols in NOTATION.md):
+Uniform load: instead of springs under each patch one foot, at r0 = (-c_x, -c_y, -h) in the middle
+of the tracks, with springs against tilt; its load is shared by all patches, and the ground under it
+stands for all ground under the vehicle: a plane that touches it.
     F   = A max(0, k_A rho + d_A rho') if rho > 0, along n;  N = F / patches
     M_x = -K_x n_y - D_x W_x,   M_y = K_y n_x - D_y W_y          n in body axes; 0 when F = 0
     K_x = k_A A (B^2/4 + w^2/12),  K_y = k_A A l^2/3,  D = K d_A / k_A
     |M_x| <= F (B + w)/2,  |M_y| <= F l                  and r0 x F n beside M
-These are the rocking stiffnesses of the springs that the nonuniform load has under its patches. The
-ground under the foot stands for all ground under the vehicle: a plane that touches it.
+These are the rocking stiffnesses of the springs that the nonuniform load has under its patches.
+Beyond the bounds of M the vehicle would tip; here its patches in the air still carry load. Reaching
+a bound (`Tilt.saturated`) is a failure of the model.
 
-Validity: beyond the bounds of M the vehicle would tip; here its patches in the air still carry
-load. Reaching a bound (`Tilt.saturated`) is a failure of the model.
-References: [1] Focchi et al. (2025) section 2.2, corrected; see docs/terrain.md.
+The passes, one loop each, because short loops keep more patches in flight: `locate` says where the
+patches are, a terrain fills heights and slopes, `orient` makes the axes of contact; at a motion,
+`press` gives the loads, `slide` and `resist` the shear; `total_wrench` and `total_drag` add up.
+
+Assumptions: the ground is a plane under each patch, motion is steady during contact, a patch meets
+the soil at the leading end of its track even where that hangs free.
+References: [1] Focchi et al. (2025) sections 2.1 to 2.3, whose load model is corrected here; see
+docs/terrain.md.
 """
 
 import math
 from typing import NamedTuple
 
+from tracked_env.physics import patches_on_level_ground as level
 from tracked_env.physics.elementary import exponential, rotation
 from tracked_env.physics.jit import formula, summation
-from tracked_env.physics.patches_on_level_ground import (
-    BELT_SPEED_FLOOR,
-    HISTORY_RISE,
-    HISTORY_TURN,
-    SHEAR_SPEED_FLOOR,
-    SMALLEST_TURN,
-    TURN_LIMIT,
-)
+from tracked_env.physics.rigid_body import BeltDrag, Drag, Wrench
 
+SLOWEST = level.SHEAR_SPEED_FLOOR  # [m/s]
 ROLLING_SPEED = 0.01  # [m/s] w: slower patches meet less rolling resistance
 AXIS_FLOOR = 1e-24  # [-] keeps 0/0 out where the body's x axis is along the normal
 SHORT_TURN = 0.5 * math.pi  # [rad] up to it a short series does for S and C
@@ -72,24 +61,12 @@ WIDE = 8  # lanes are filled up to a multiple of this: the vectors of the proces
 LANES = 1288  # two tracks of 80 x 8 patches; an odd number of cache lines from row to row
 
 # Rows of the scratch array; a lane is a patch, the left track first.
-(
-    PLACE_X, PLACE_Y, HEIGHT, SLOPE_X, SLOPE_Y,  # of the terrain
-    X, Y, PLACE_Z, FRICTION, ADHESION, INVERSE_MODULUS, ROLLING, FIRMNESS, BELT, TIME,
-    SINKAGE, N_X, N_Y, N_Z, AHEAD, INVERSE_AHEAD, LOAD, FORWARD, SLIDE, ASIDE, SHEARED,
-    OLD_SLIDE, OLD_ASIDE, THRUST, LATERAL, ROLLED, K_TT, K_TQ, K_QQ, K_ROLL,
-) = range(35)  # fmt: skip
+(PLACE_X, PLACE_Y, HEIGHT, SLOPE_X, SLOPE_Y) = range(5)  # of the terrain
+(X, Y, PLACE_Z, FRICTION, ADHESION, INVERSE_MODULUS, ROLLING, FIRMNESS) = range(5, 13)
+(BELT, TIME, SINKAGE, N_X, N_Y, N_Z, AHEAD, INVERSE_AHEAD, LOAD) = range(13, 22)
+(FORWARD, SLIDE, ASIDE, SHEARED, OLD_SLIDE, OLD_ASIDE) = range(22, 28)
+(THRUST, LATERAL, ROLLED, K_TT, K_TQ, K_QQ, K_ROLL) = range(28, 35)
 SCRATCH_ROWS = 35
-
-
-class Twist(NamedTuple):
-    """Velocity of the centre of mass and angular velocity, body axes; or six of their rates."""
-
-    x: float  # [m/s]
-    y: float  # [m/s]
-    z: float  # [m/s]
-    roll: float  # [rad/s]
-    pitch: float  # [rad/s]
-    yaw: float  # [rad/s]
 
 
 class Footing(NamedTuple):
@@ -103,6 +80,27 @@ class Footing(NamedTuple):
     stiffening: float  # [s/m^2] K_tp
     ahead: float  # [m] c_x, centre of mass ahead of the middle of the tracks
     aside: float  # [m] c_y, to the left of it
+
+
+class Rocking(NamedTuple):
+    """Springs of the whole contact against sinking and tilting."""
+
+    area: float  # [m^2] A, both tracks
+    roll: float  # [N m/rad] K_x
+    pitch: float  # [N m/rad] K_y
+    half_width: float  # [m] (B + w)/2, where the vehicle would tip sideways
+    retardation: float  # [s] d_A / k_A
+
+
+class Tilt(NamedTuple):
+    """What holds the vehicle up and level."""
+
+    load: float  # [N] F
+    roll: float  # [N m] M_x
+    pitch: float  # [N m] M_y
+    roll_drag: float  # [N m s] slope of -M_x over the roll rate
+    pitch_drag: float  # [N m s]
+    saturated: float  # [-] 1 where a bound of M is reached
 
 
 @formula
@@ -136,7 +134,7 @@ def place_patches(w, columns, rows, half_gauge, track_width, f):
 @formula
 def set_belt(w, first, last, speed, f):
     """Rows BELT, TIME of the lanes of one track whose belt moves at `speed` [m/s]; f: Footing."""
-    size = max(abs(speed), BELT_SPEED_FLOOR)
+    size = max(abs(speed), level.BELT_SPEED_FLOOR)
     moving = abs(speed) / size  # 1, or less below the floor: a belt that stands has no first end
     ahead = moving if speed >= 0.0 else -moving
     inverse = 1.0 / size
@@ -195,7 +193,7 @@ def _turn_factors(turn, short):
         cosine = 1.0 - z * (1 / 2 - z * cosine)
     else:
         cosine, sine = rotation(half)
-        small = abs(half) < SMALLEST_TURN
+        small = abs(half) < level.SMALLEST_TURN
         ratio = 1.0 if small else sine / (1.0 if small else half)
     return ratio * cosine, half * ratio * ratio
 
@@ -206,14 +204,14 @@ def shear_displacement(turn, time, u_t, u_q, belt, half_length, short):
 
     u_t, u_q [m/s]: velocity along and across the track in the contact plane; belt [m/s]: v'.
     """
-    turn = min(max(turn, -TURN_LIMIT), TURN_LIMIT)
+    turn = min(max(turn, -level.TURN_LIMIT), level.TURN_LIMIT)
     s, c = _turn_factors(turn, short)
     j_t = u_t * s - belt - u_q * c
     j_q = u_t * c + u_q * s
     j = time * math.sqrt(j_t * j_t + j_q * j_q)
     if short:
         return j
-    return j + HISTORY_RISE * half_length * max(abs(turn) - HISTORY_TURN, 0.0)
+    return j + level.HISTORY_RISE * half_length * max(abs(turn) - level.HISTORY_TURN, 0.0)
 
 
 @formula
@@ -276,7 +274,7 @@ def slide(w, lanes, twist, f, longest):
 
 @summation
 def resist(w, lanes, again):
-    """Rows ALONG, ASIDE_PUSH [N], EFFORT, ROLLED [N] and K_TT, K_TQ, K_QQ [N s/m] from the slide.
+    """Rows THRUST, LATERAL, ROLLED [N] and K_TT, K_TQ, K_QQ, K_ROLL [N s/m] from the slide.
 
     again: rows OLD_SLIDE and OLD_ASIDE have the slide of the motion before. A patch that slides
     faster now has as its drag along the motion the slope of the force, which is flat, and not the
@@ -287,7 +285,7 @@ def resist(w, lanes, again):
         s_t, s_q = w[SLIDE, lane], w[ASIDE, lane]
         strength = w[ADHESION, lane] + w[FRICTION, lane] * load if load > 0.0 else 0.0
         decay = exponential(-w[SHEARED, lane] * w[INVERSE_MODULUS, lane])
-        speed = math.sqrt(s_t * s_t + s_q * s_q + SHEAR_SPEED_FLOOR * SHEAR_SPEED_FLOOR)
+        speed = math.sqrt(s_t * s_t + s_q * s_q + SLOWEST * SLOWEST)
         roll_speed = math.sqrt(u_t * u_t + ROLLING_SPEED * ROLLING_SPEED)
         inverse = 1.0 / (speed * roll_speed)  # one division for both
         inverse_speed = roll_speed * inverse
@@ -306,56 +304,6 @@ def resist(w, lanes, again):
         w[K_TQ, lane] = less * s_t * s_q
         w[K_QQ, lane] = k + less * s_q * s_q
         w[K_ROLL, lane] = rolling
-
-
-class Wrench(NamedTuple):
-    """Force [N] and moment [N m] about the centre of mass, body axes."""
-
-    x: float
-    y: float
-    z: float
-    roll: float
-    pitch: float
-    yaw: float
-
-
-class Drag(NamedTuple):
-    """Lower triangle of the symmetric matrix A in wrench = -A twist + ..., row by row."""
-
-    xx: float  # [N s/m]
-    yx: float
-    yy: float
-    zx: float
-    zy: float
-    zz: float
-    rx: float  # [N s] moment about the body's x axis by v_x, v_y, v_z
-    ry: float
-    rz: float
-    rr: float  # [N m s]
-    px: float
-    py: float
-    pz: float
-    pr: float
-    pp: float
-    wx: float  # yaw
-    wy: float
-    wz: float
-    wr: float
-    wp: float
-    ww: float
-
-
-class BeltDrag(NamedTuple):
-    """How the belt of one track is coupled to the vehicle: the last row of its Drag."""
-
-    x: float  # [N s/m] force of the belt's speed on the vehicle, body axes
-    y: float
-    z: float
-    roll: float  # [N s] and its moment
-    pitch: float
-    yaw: float
-    own: float  # [N s/m] resistance to the belt itself
-    effort: float  # [N] tractive effort of the track
 
 
 @summation
@@ -434,7 +382,7 @@ def total_drag(w, lanes, h, damping):
 
 @summation
 def belt_drag(w, first, last, height):
-    """BeltDrag of the track in lanes first .. last - 1, after `load_patches`."""
+    """BeltDrag of the track in lanes first .. last - 1, after `resist`."""
     fx, fy, fz, mx, my, mz, own, effort = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for lane in range(first, last):
         x, y = w[X, lane], w[Y, lane]
@@ -466,40 +414,14 @@ def track_totals(w, first, last):
     return load, effort, rolled
 
 
-class Rocking(NamedTuple):
-    """Springs of the whole contact against sinking and tilting."""
-
-    area: float  # [m^2] A, both tracks
-    roll: float  # [N m/rad] K_x
-    pitch: float  # [N m/rad] K_y
-    half_width: float  # [m] (B + w)/2, where the vehicle would tip sideways
-    retardation: float  # [s] d_A / k_A
-
-
-class Tilt(NamedTuple):
-    """What holds the vehicle up and level."""
-
-    load: float  # [N] F
-    roll: float  # [N m] M_x
-    pitch: float  # [N m] M_y
-    roll_drag: float  # [N m s] slope of -M_x over the roll rate
-    pitch_drag: float  # [N m s]
-    saturated: float  # [-] 1 where a bound of M is reached
-
-
 @formula
 def rocking_of(footing, half_gauge, track_width, count):
     """Rocking of two tracks with `count` patches in all."""
-    area = footing.patch_area * count
+    area, length = footing.patch_area * count, footing.half_length
     spring = footing.stiffness * area
-    length = footing.half_length
-    return Rocking(
-        area,
-        spring * (half_gauge * half_gauge + track_width * track_width / 12.0),
-        spring * length * length / 3.0,
-        half_gauge + 0.5 * track_width,
-        footing.damping / footing.stiffness,
-    )
+    roll = spring * (half_gauge * half_gauge + track_width * track_width / 12.0)
+    pitch, half_width = spring * length * length / 3.0, half_gauge + 0.5 * track_width
+    return Rocking(area, roll, pitch, half_width, footing.damping / footing.stiffness)
 
 
 @formula
@@ -544,41 +466,35 @@ def tilt_of(w, twist, footing, k):
     closing = -(a * u_x + b * u_y + c * u_z)
     load = normal_load(w[SINKAGE, 0], closing, k.area, footing.stiffness, footing.damping)
     touching = 1.0 if load > 0.0 else 0.0
-    roll, in_roll = _bounded(-k.roll * (b + k.retardation * twist.roll), load * k.half_width)
-    pitch, in_pitch = _bounded(
-        k.pitch * (a - k.retardation * twist.pitch), load * footing.half_length
-    )
-    return Tilt(
-        load, roll, pitch, touching * in_roll * k.roll * k.retardation,
-        touching * in_pitch * k.pitch * k.retardation, touching * (1.0 - in_roll * in_pitch),
-    )  # fmt: skip
+    spring_roll = -k.roll * (b + k.retardation * twist.roll)
+    spring_pitch = k.pitch * (a - k.retardation * twist.pitch)
+    roll, in_roll = _bounded(spring_roll, load * k.half_width)
+    pitch, in_pitch = _bounded(spring_pitch, load * footing.half_length)
+    roll_drag = touching * in_roll * k.roll * k.retardation
+    pitch_drag = touching * in_pitch * k.pitch * k.retardation
+    return Tilt(load, roll, pitch, roll_drag, pitch_drag, touching * (1.0 - in_roll * in_pitch))
 
 
 @formula
-def held(w, tilt, footing, k, wrench, drag):
+def with_tilt(w, tilt, footing, k, wrench, drag):
     """Wrench and Drag of the shear of all patches, and those of load and tilt added."""
     a, b, c = w[N_X, 0], w[N_Y, 0], w[N_Z, 0]
     # r0 x n, the moment of a force of 1 N along the normal at the foot.
     roll = footing.height * b - footing.aside * c
     pitch = footing.ahead * c - footing.height * a
     yaw = footing.aside * a - footing.ahead * b
-    wrench = Wrench(
-        wrench.x + tilt.load * a,
-        wrench.y + tilt.load * b,
-        wrench.z + tilt.load * c,
-        wrench.roll + tilt.roll + tilt.load * roll,
-        wrench.pitch + tilt.pitch + tilt.load * pitch,
-        wrench.yaw + tilt.load * yaw,
-    )
+    f_x, f_y, f_z = wrench.x + tilt.load * a, wrench.y + tilt.load * b, wrench.z + tilt.load * c
+    m_x, m_y = wrench.roll + tilt.roll + tilt.load * roll, wrench.pitch + tilt.pitch
+    wrench = Wrench(f_x, f_y, f_z, m_x, m_y + tilt.load * pitch, wrench.yaw + tilt.load * yaw)
     d = k.area * footing.damping if tilt.load > 0.0 else 0.0
     x, y, z, turn, nod = d * a, d * b, d * c, d * roll, d * pitch
-    return wrench, Drag(
-        drag.xx + x * a, drag.yx + x * b, drag.yy + y * b,
-        drag.zx + x * c, drag.zy + y * c, drag.zz + z * c,
-        drag.rx + turn * a, drag.ry + turn * b, drag.rz + turn * c,
-        drag.rr + turn * roll + tilt.roll_drag,
-        drag.px + nod * a, drag.py + nod * b, drag.pz + nod * c,
-        drag.pr + nod * roll, drag.pp + nod * pitch + tilt.pitch_drag,
-        drag.wx + yaw * x, drag.wy + yaw * y, drag.wz + yaw * z,
-        drag.wr + yaw * turn, drag.wp + yaw * nod, drag.ww + d * yaw * yaw,
-    )  # fmt: skip
+    xx, yx, yy = drag.xx + x * a, drag.yx + x * b, drag.yy + y * b
+    zx, zy, zz = drag.zx + x * c, drag.zy + y * c, drag.zz + z * c
+    rx, ry, rz = drag.rx + turn * a, drag.ry + turn * b, drag.rz + turn * c
+    rr = drag.rr + turn * roll + tilt.roll_drag
+    px, py, pz = drag.px + nod * a, drag.py + nod * b, drag.pz + nod * c
+    pr, pp = drag.pr + nod * roll, drag.pp + nod * pitch + tilt.pitch_drag
+    wx, wy, wz = drag.wx + yaw * x, drag.wy + yaw * y, drag.wz + yaw * z
+    wr, wp, ww = drag.wr + yaw * turn, drag.wp + yaw * nod, drag.ww + d * yaw * yaw
+    drag = Drag(xx, yx, yy, zx, zy, zz, rx, ry, rz, rr, px, py, pz, pr, pp, wx, wy, wz, wr, wp, ww)
+    return wrench, drag

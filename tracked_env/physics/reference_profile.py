@@ -1,22 +1,15 @@
 """A reference motion: speed v(t) and yaw rate w(t), and the pose that follows from them.
 
-    v(t), w(t) = polynomials of degree 5 in tau = t - k h on segment k,  h = 0.5 s
+    v(t), w(t) = polynomials of degree 5 in tau = t - t_k on segment k
     x' = v cos(yaw),  y' = v sin(yaw),  yaw' = w                    (unicycle)
-One reference is two arrays `speed` and `yaw_rate`, shape (S, 6): row k holds the coefficients
-of ascending powers of tau in SI units. Rows are independent, so jumps at a knot are possible;
-a knot belongs to the segment that it starts. Before t = 0 the reference stands at its start
-values; after the last segment v and w keep their end values and all derivatives are zero.
+A reference is a table, one row a segment, in SI units and ascending powers of tau:
+    0..5    v(tau) [m/s], 6..11  w(tau) [rad/s]
+On the uniform grid, t_k = k h with h = 0.5 s, a table ends there, shape (S, 12). Rows are
+independent, so jumps at a knot are possible; a knot belongs to the segment that it starts. Before
+t = 0 the reference stands at its start values; after the last segment v and w keep their end values
+and all derivatives are zero.
 
-The heading is integrated exactly; the position by Gauss-Legendre quadrature of three points,
-within one segment and at most `PIECE_LIMIT` at a time, in the frame where the piece starts.
-
-References: [1] Davis, Rabinowitz, Methods of Numerical Integration, 2.7 (error of the rule).
-
-A reference with knots of its own, as planners make them: held inputs, stops, a final stand.
-
-Each row of its table (K, W) begins at a time and a pose, and holds from there until the next row:
-    0..5    v(tau) [m/s], 6..11  w(tau) [rad/s]: what the reference shows, ascending powers of
-            tau = t - t_k
+A planner makes tables (K, W) with knots of their own, for held inputs, stops and a final stand:
     12      t_k [s], not decreasing; infinite in rows that are not used
     13..15  x, y [m], yaw [rad] at t_k, world frame
     16..33  v_x(tau), v_y(tau), w(tau), how the pose moves, in tables that are as wide
@@ -27,8 +20,10 @@ The pose is integrated from the row's own one, so it has no drift, and may jump 
 in use holds for ever: a plan stands there at its goal. A row that lasts no time, before
 another one at 0, tells at what speed the vehicle is before the reference begins.
 
-A table of 12 columns is one of `reference_profile`, on its uniform grid; the functions below take
-either. Assumptions as there.
+The heading is integrated exactly; the position by Gauss-Legendre quadrature of three points,
+within one segment and at most `PIECE_LIMIT` at a time, in the frame where the piece starts.
+
+References: [1] Davis, Rabinowitz, Methods of Numerical Integration, 2.7 (error of the rule).
 """
 
 import math
@@ -48,6 +43,20 @@ PIECE_LIMIT = 0.025  # [s] the rule's error is 3e-18 v w^6 m there: 1e-13 m at 2
 NODE = 0.7745966692414834  # [-] sqrt(3/5): Gauss-Legendre on [-1, 1], three points
 WEIGHT_MIDDLE = 8.0 / 9.0  # [-]
 WEIGHT_OUTER = 5.0 / 9.0  # [-]
+UNIFORM_COLUMNS = 12  # of a table on the uniform grid
+START = 12  # [s] t_k
+POSE = 13  # x, y [m], yaw [rad]
+COURSE_COLUMNS = 16  # of a table whose pose moves as is shown
+FORWARD, SIDEWAYS, TURN = 16, 22, 28  # first columns of v_x, v_y, w
+BODY_COLUMNS = 34  # of a table whose pose moves otherwise
+
+
+class PlannedRows(NamedTuple):
+    """What a planner gives: rows of a table, and whether they may be driven."""
+
+    rows: NDArray[np.float64]  # (K, W), W = COURSE_COLUMNS or BODY_COLUMNS; the last one stands
+    converged: bool
+    message: str  # why not, or what has to be known
 
 
 class ReferenceRates(NamedTuple):
@@ -109,18 +118,20 @@ def segment_polynomial(coefficients, k):
 
 
 @formula
+def _rates(v, w, tau):
+    """The `ReferenceRates` at tau [s] of two polynomials."""
+    v_first, v_second = profile_first(v, tau), profile_second(v, tau)
+    w_value, w_first = profile_value(w, tau), profile_first(w, tau)
+    return ReferenceRates(profile_value(v, tau), v_first, v_second, w_value, w_first)
+
+
+@formula
 def evaluate(speed, yaw_rate, time):
     """Return the `ReferenceRates` at `time` [s] of one reference, arrays (S, 6)."""
     k, tau = locate(speed.shape[0], time)
     v = segment_polynomial(speed, k)
     w = segment_polynomial(yaw_rate, k)
-    return ReferenceRates(
-        profile_value(v, tau),
-        profile_first(v, tau),
-        profile_second(v, tau),
-        profile_value(w, tau),
-        profile_first(w, tau),
-    )
+    return _rates(v, w, tau)
 
 
 @formula
@@ -157,16 +168,29 @@ def piece_travel(v, w, tau, duration):
 
 
 @formula
-def advance_pose(speed, yaw_rate, time, duration, x, y, cos_yaw, sin_yaw):
-    """Return (x, y, cos_yaw, sin_yaw, rotation) of one reference after time + duration [s].
+def _moved(x, y, cos_yaw, sin_yaw, travel):
+    """Pose (x, y, cos, sin) after a travel (x, y, angle) in the frame of its start."""
+    travel_x, travel_y, angle = travel
+    x += cos_yaw * travel_x - sin_yaw * travel_y
+    y += sin_yaw * travel_x + cos_yaw * travel_y
+    cosine, sine = small_rotation(angle)
+    c = cos_yaw * cosine - sin_yaw * sine
+    s = sin_yaw * cosine + cos_yaw * sine
+    norm = 1.5 - 0.5 * (c * c + s * s)  # one Newton step: the pair stays a unit vector
+    return x, y, c * norm, s * norm
 
-    speed, yaw_rate: (S, 6). x, y, cos_yaw, sin_yaw: pose at `time`, world frame. rotation:
+
+@formula
+def advance_pose(speed, yaw_rate, time, duration, x, y, cos_yaw, sin_yaw):
+    """Return (x, y, cos_yaw, sin_yaw, turn) of one reference after time + duration [s].
+
+    speed, yaw_rate: (S, 6). x, y, cos_yaw, sin_yaw: pose at `time`, world frame. turn:
     yaw(time + duration) - yaw(time) [rad], not wrapped. Steps across knots are split there.
     Error of one step <= 0.2 s: < 1e-13 m and rad for |v| <= 5 m/s, |w| <= 3 rad/s.
     """
     segments = speed.shape[0]
     k, tau = locate(segments, time)
-    rotation = 0.0
+    turn = 0.0
     remaining = duration
     while remaining > 0.0:
         room = SEGMENT_DURATION - tau if k < segments else remaining
@@ -174,56 +198,13 @@ def advance_pose(speed, yaw_rate, time, duration, x, y, cos_yaw, sin_yaw):
         piece = min(min(remaining, PIECE_LIMIT), room)
         v = segment_polynomial(speed, k)
         w = segment_polynomial(yaw_rate, k)
-        travel_x, travel_y, angle = piece_travel(v, w, tau, piece)
-        x += cos_yaw * travel_x - sin_yaw * travel_y
-        y += sin_yaw * travel_x + cos_yaw * travel_y
-        cosine, sine = small_rotation(angle)
-        c = cos_yaw * cosine - sin_yaw * sine
-        s = sin_yaw * cosine + cos_yaw * sine
-        norm = 1.5 - 0.5 * (c * c + s * s)  # one Newton step: the pair stays a unit vector
-        cos_yaw, sin_yaw = c * norm, s * norm
-        rotation += angle
+        travel = piece_travel(v, w, tau, piece)
+        x, y, cos_yaw, sin_yaw = _moved(x, y, cos_yaw, sin_yaw, travel)
+        turn += travel[2]
         remaining -= piece
         tau = 0.0 if ends_segment else tau + piece
         k += 1 if ends_segment and k < segments else 0
-    return x, y, cos_yaw, sin_yaw, rotation
-
-
-@loop
-def sample_profile(speed, yaw_rate, times, cos_yaw, sin_yaw, out):
-    """Fill out (8, T) at the sorted times (T,) [s] >= 0, starting at the origin.
-
-    Rows: x, y [m], yaw relative to the start [rad], v, v', v'', w, w'. cos_yaw, sin_yaw: of
-    the start. speed, yaw_rate: (S, 6).
-    """
-    x, y, yaw, before = 0.0, 0.0, 0.0, 0.0
-    for n in range(times.size):
-        time = times[n]
-        x, y, cos_yaw, sin_yaw, rotation = advance_pose(
-            speed, yaw_rate, before, time - before, x, y, cos_yaw, sin_yaw
-        )
-        yaw += rotation
-        before = time
-        rates = evaluate(speed, yaw_rate, time)
-        out[0, n], out[1, n], out[2, n] = x, y, yaw
-        out[3, n], out[4, n], out[5, n] = rates.speed, rates.acceleration, rates.jerk
-        out[6, n], out[7, n] = rates.yaw_rate, rates.yaw_acceleration
-
-
-UNIFORM_COLUMNS = 12  # of a table on the uniform grid
-START = 12  # [s] t_k
-POSE = 13  # x, y [m], yaw [rad]
-COURSE_COLUMNS = 16  # of a table whose pose moves as is shown
-FORWARD, SIDEWAYS, TURN = 16, 22, 28  # first columns of v_x, v_y, w
-BODY_COLUMNS = 34  # of a table whose pose moves otherwise
-
-
-class PlannedRows(NamedTuple):
-    """What a planner gives: rows of a table, and whether they may be driven."""
-
-    rows: NDArray[np.float64]  # (K, W), W = COURSE_COLUMNS or BODY_COLUMNS; the last one stands
-    converged: bool
-    message: str  # why not, or what has to be known
+    return x, y, cos_yaw, sin_yaw, turn
 
 
 @formula
@@ -247,13 +228,7 @@ def rates_at(profile, time):
     k = row_at(profile, time)
     tau = max(time, 0.0) - profile[k, START]
     v, w = profile[k, :6], profile[k, 6:12]
-    return ReferenceRates(
-        profile_value(v, tau),
-        profile_first(v, tau),
-        profile_second(v, tau),
-        profile_value(w, tau),
-        profile_first(w, tau),
-    )
+    return _rates(v, w, tau)
 
 
 @formula
@@ -278,8 +253,9 @@ def _travel(row, tau, duration):
 
 
 @formula
-def _move(profile, time, end, x, y, cos_yaw, sin_yaw, yaw):
+def _move(profile, time, end, pose):
     """Pose (x, y, cos, sin, yaw) of a table with knots at `end` [s], from the one at `time`."""
+    x, y, cos_yaw, sin_yaw, yaw = pose
     k = row_at(profile, end)
     row = profile[k]
     tau = max(time, 0.0) - row[START]
@@ -290,31 +266,26 @@ def _move(profile, time, end, x, y, cos_yaw, sin_yaw, yaw):
     pieces = max(math.ceil((last - tau) / PIECE_LIMIT), 1)
     step = (last - tau) / pieces
     for n in range(pieces):
-        travel_x, travel_y, angle = _travel(row, tau + n * step, step)
-        x += cos_yaw * travel_x - sin_yaw * travel_y
-        y += sin_yaw * travel_x + cos_yaw * travel_y
-        cosine, sine = small_rotation(angle)
-        c = cos_yaw * cosine - sin_yaw * sine
-        s = sin_yaw * cosine + cos_yaw * sine
-        norm = 1.5 - 0.5 * (c * c + s * s)
-        cos_yaw, sin_yaw = c * norm, s * norm
-        yaw += angle
+        travel = _travel(row, tau + n * step, step)
+        x, y, cos_yaw, sin_yaw = _moved(x, y, cos_yaw, sin_yaw, travel)
+        yaw += travel[2]
     return x, y, cos_yaw, sin_yaw, yaw
 
 
 @formula
-def advance(profile, time, end, duration, x, y, cos_yaw, sin_yaw, yaw):
+def advance(profile, time, end, duration, pose):
     """Pose (x, y, cos, sin, yaw) of one table at `end` [s], from the one at `time`, world frame.
 
     duration [s]: from the one to the other; end = time + duration but for rounding. What is `end`
     of one step has to be `time` of the next, to the bit, for no knot to be passed twice.
     """
     if profile.shape[1] == UNIFORM_COLUMNS:
-        x, y, cos_yaw, sin_yaw, turned = advance_pose(
+        x, y, cos_yaw, sin_yaw, yaw = pose
+        x, y, cos_yaw, sin_yaw, turn = advance_pose(
             profile[:, :6], profile[:, 6:], time, duration, x, y, cos_yaw, sin_yaw
         )
-        return x, y, cos_yaw, sin_yaw, yaw + turned
-    return _move(profile, time, end, x, y, cos_yaw, sin_yaw, yaw)
+        return x, y, cos_yaw, sin_yaw, yaw + turn
+    return _move(profile, time, end, pose)
 
 
 @formula
@@ -322,6 +293,31 @@ def goal_of(profile):
     """(x, y [m], yaw [rad], time [s]) of the goal of a table with knots: its last row in use."""
     k = row_at(profile, 1e300)
     return profile[k, POSE], profile[k, POSE + 1], profile[k, POSE + 2], profile[k, START]
+
+
+@formula
+def _write(out, n, x, y, yaw, rates):
+    """Column n of a sampled reference."""
+    out[0, n], out[1, n], out[2, n] = x, y, yaw
+    out[3, n], out[4, n], out[5, n] = rates.speed, rates.acceleration, rates.jerk
+    out[6, n], out[7, n] = rates.yaw_rate, rates.yaw_acceleration
+
+
+@loop
+def sample_profile(speed, yaw_rate, times, cos_yaw, sin_yaw, out):
+    """Fill out (8, T) at the sorted times (T,) [s] >= 0, starting at the origin.
+
+    Rows: x, y [m], yaw relative to the start [rad], v, v', v'', w, w'. cos_yaw, sin_yaw: of
+    the start. speed, yaw_rate: (S, 6).
+    """
+    x, y, yaw, before = 0.0, 0.0, 0.0, 0.0
+    for n in range(times.size):
+        x, y, cos_yaw, sin_yaw, turn = advance_pose(
+            speed, yaw_rate, before, times[n] - before, x, y, cos_yaw, sin_yaw
+        )
+        yaw += turn
+        before = times[n]
+        _write(out, n, x, y, yaw, evaluate(speed, yaw_rate, times[n]))
 
 
 @loop
@@ -332,11 +328,8 @@ def sample_knots(profile, times, out):
     """
     x, y, yaw, before = profile[0, POSE], profile[0, POSE + 1], profile[0, POSE + 2], -1.0
     cos_yaw, sin_yaw = rotation(yaw)
+    pose = (x, y, cos_yaw, sin_yaw, yaw)
     for n in range(times.size):
-        time = times[n]
-        x, y, cos_yaw, sin_yaw, yaw = _move(profile, before, time, x, y, cos_yaw, sin_yaw, yaw)
-        before = time
-        rates = rates_at(profile, time)
-        out[0, n], out[1, n], out[2, n] = x, y, yaw
-        out[3, n], out[4, n], out[5, n] = rates.speed, rates.acceleration, rates.jerk
-        out[6, n], out[7, n] = rates.yaw_rate, rates.yaw_acceleration
+        pose = _move(profile, before, times[n], pose)
+        before = times[n]
+        _write(out, n, pose[0], pose[1], pose[4], rates_at(profile, times[n]))

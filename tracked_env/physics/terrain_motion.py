@@ -5,64 +5,46 @@ speeds. A step of length h is a symmetric splitting:
     drift  p' = R v, q' = q (0, W)/2 over h/2 with the twist held
     kick   M (v, W)' = wrench(v, W) over h with the pose, and so springs and normals, held
     drift  over h/2 with the new twist
-The kick is linearly implicit as in `rosenbrock`: to the middle of the step with the drag A of y,
+The kick is linearly implicit as in `level_motion`: to the middle of the step with the drag A of y,
     y_m = y + (h/2) (M + (h/2) A)^-1 f(y)
 and over the departure z from the middle by the L-stable method of order two with the drag of y_m.
 The drag of a patch that slides faster than at the evaluation before is the slope of its force along
 the motion and not the secant: a secant holds a patch that breaks away for as long as it takes to
-gain a few orders of magnitude of speed. Whatever the matrix, the order is two. With sprocket
-torques the belts have rates of their own, and are eliminated (`driven_belts`). The terrain is asked
+gain a few orders of magnitude of speed. Whatever the matrix, the order is two. The terrain is asked
 once a step. The springs are explicit, stable up to h = 2 / (largest eigenfrequency).
 
-References: [1] McLachlan, Quispel, "Splitting methods", Acta Numerica 11 (2002). [2] those of
-`rosenbrock`.
-
-Belts driven by sprocket torques: their rates, and their elimination from an implicit step.
-
-A step solves (M + d A) of vehicle and both belts together (symbols in NOTATION.md). A belt has one
-speed, coupled to the vehicle by the last row c of its drag (`contact_totals.belt_drag`), so that it
-is eliminated by hand: what is left is the vehicle's matrix less a share of c c^T for each belt.
-Where the speeds of the belts are given there is nothing to eliminate.
-
-A tracked vehicle on springs and patches, made of its parameters and the numbers of the ground.
+With sprocket torques the belts have rates of their own. A belt has one speed, coupled to the
+vehicle by the last row c of its drag (`belt_drag`), so that it is eliminated by hand: what is left
+of M + d A is the vehicle's matrix less a share of c c^T for each belt.
 
 Stiffness and damping are those of F table 2, read per track. The height of the centre of mass,
-0.25 m, is F's for its vehicle with 0.7 m of contact. None scales it with the contact length, and
-gives the inertias about roll and pitch by their ratios to the yaw inertia in force, which are
+0.25 m, is F's for its vehicle with 0.7 m of contact. NOMINAL_BODY scales it with the contact length
+and gives the inertias about roll and pitch by their ratios to the yaw inertia in force, which are
 parameters (`roll_inertia_ratio`): an ASSUMPTION for every other vehicle (0.71 m and 572, 737 kg m^2
 for the one of Strawa et al., who do not give them). `ground_stiffness_factor` multiplies stiffness
 and damping.
 
-Reference: [1] Focchi et al. (2025), table 2 and section 8.
+References: [1] Focchi et al. (2025), table 2 and section 8. [2] McLachlan, Quispel, "Splitting
+methods", Acta Numerica 11 (2002). [3] those of `level_motion`.
 """
 
 import math
 from typing import NamedTuple
 
-from tracked_env.physics import patches_on_terrain
 from tracked_env.physics import patches_on_terrain as g
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula
+from tracked_env.physics.level_motion import GAMMA, driving_torque, followed
 from tracked_env.physics.parameters import FOCCHI_VEHICLE
-from tracked_env.physics.patches_on_level_ground import (
-    BELT_SPEED_FLOOR,
-    GAMMA,
-    Belts,
-    driving_torque,
-    followed,
-)
-from tracked_env.physics.patches_on_terrain import (
+from tracked_env.physics.patches_on_level_ground import BELT_SPEED_FLOOR, Belts
+from tracked_env.physics.patches_on_terrain import Footing, Rocking, Tilt
+from tracked_env.physics.rigid_body import (
     BeltDrag,
     Drag,
-    Footing,
-    Rocking,
-    Twist,
-    Wrench,
-    rocking_of,
-)
-from tracked_env.physics.rigid_body import (
     Inertia,
     Quaternion,
+    Twist,
+    Wrench,
     factors,
     matrix_of,
     momentum,
@@ -73,9 +55,44 @@ from tracked_env.physics.rigid_body import (
     with_inertia,
     with_weight,
 )
-from tracked_env.physics.terramechanics import GRAVITY
 
+_FOCCHI_AREA = FOCCHI_VEHICLE.track_width * FOCCHI_VEHICLE.contact_length  # [m^2] of one track
 NO_BELTS = Belts(0.0, 0.0)
+_NO_WRENCH = Wrench(*[0.0] * 6)
+_NO_BELT_DRAG = BeltDrag(*[0.0] * 8)
+_NO_TILT = Tilt(*[0.0] * 6)
+_NO_DRAG = Drag(*[0.0] * 21)
+LINEAR = -1.0  # decay of a command that changes linearly in time
+_A = (2.0 * GAMMA - 1.0) / GAMMA
+_B = (1.0 - GAMMA) / GAMMA
+
+
+class BodyOptions(NamedTuple):
+    """Numbers of the plant that no parameter holds; of a number and a ratio one is 0."""
+
+    height: float = 0.0  # [m] of the nominal centre of mass above the plane of the tracks
+    height_ratio: float = 0.25 / FOCCHI_VEHICLE.contact_length  # [-] over the contact length
+    roll_inertia: float = 0.0  # [kg m^2]
+    roll_share: float = 1.0  # [-] of the parameter's ratio to the yaw inertia
+    pitch_inertia: float = 0.0  # [kg m^2]
+    pitch_share: float = 1.0  # [-] likewise
+    stiffness: float = 1e5 / _FOCCHI_AREA  # [N/m^3] F table 2
+    damping: float = 5e3 / _FOCCHI_AREA  # [N s/m^3]
+    stiffening: float = 0.0  # [s/m^2]
+    longest_step: float = 2e-3  # [s] of an integration step; docs/terrain.md: step halving
+    tilt_limit: float = math.radians(60.0)  # [rad] beyond the tipping angles of F's vehicle
+
+
+NOMINAL_BODY = BodyOptions()
+
+
+class Pose3(NamedTuple):
+    """Where the vehicle is."""
+
+    x: float  # [m] centre of mass, world
+    y: float  # [m]
+    z: float  # [m]
+    q: Quaternion
 
 
 class BeltDrive(NamedTuple):
@@ -86,20 +103,115 @@ class BeltDrive(NamedTuple):
     inverse_belt_limit: float  # [s/m] 1 / (r omega_max)
 
 
+class Tracked(NamedTuple):
+    """A vehicle on its soil, for one control step."""
+
+    inertia: Inertia
+    footing: Footing
+    rocking: Rocking
+    drive: BeltDrive
+    lanes: int
+    patches: int  # of one track
+    uniform: bool
+
+
+class Kick(NamedTuple):
+    """Wrench and drag at one motion."""
+
+    wrench: Wrench  # [N, N m] weight and turning of the axes included
+    drag: Drag
+    left: BeltDrag
+    right: BeltDrag
+    tilt: Tilt
+
+
+class Settled(NamedTuple):
+    """Forces and rates at one instant."""
+
+    rates: Twist  # of the twist, body axes
+    load: float  # [N] normal load of both tracks
+    load_left: float  # [N]
+    load_right: float  # [N]
+    largest: float  # [N] of one patch
+    touching: float  # [-] share of the patches in contact
+    effort_left: float  # [N] tractive effort
+    effort_right: float  # [N]
+    resistance_left: float  # [N] motion resistance, against forward motion
+    resistance_right: float  # [N]
+    off_map: float  # [-] places off the map
+    saturated: float  # [-] 1 where the uniform load cannot hold the vehicle from tipping
+
+
+@formula
+def nominal_height(p, options):
+    """Height [m] of the nominal centre of mass above the plane of the tracks."""
+    return options.height + options.height_ratio * p.contact_length
+
+
+@formula
+def sinkage_at_rest(p, options):
+    """Sinkage [m] of the tracks at rest on level ground."""
+    area = 2.0 * p.contact_length * p.track_width
+    return soil.GRAVITY * p.mass / (options.stiffness * p.ground_stiffness_factor * area)
+
+
+@formula
+def height_at_rest(p, options):
+    """Height [m] of the nominal centre of mass at rest on level ground at height 0."""
+    return nominal_height(p, options) - sinkage_at_rest(p, options)
+
+
+@formula
+def body_of(p, lanes, count, options, by_torque, uniform):
+    """Tracked from PlantParameters with `count` patches a track; options: BodyOptions."""
+    firmness = p.ground_stiffness_factor if uniform else 1.0  # else of each patch
+    footing = Footing(
+        height=nominal_height(p, options) + p.centre_of_mass_z,
+        half_length=0.5 * p.contact_length,
+        patch_area=p.contact_length * p.track_width / count,
+        stiffness=options.stiffness * firmness,
+        damping=options.damping * firmness,
+        stiffening=options.stiffening,
+        ahead=p.centre_of_mass_x,
+        aside=p.centre_of_mass_y,
+    )
+    roll, pitch = p.roll_inertia_ratio * p.inertia, p.pitch_inertia_ratio * p.inertia
+    roll = options.roll_inertia + options.roll_share * roll
+    pitch = options.pitch_inertia + options.pitch_share * pitch
+    inertia = Inertia(p.mass, roll, pitch, p.inertia)
+    radius = p.sprocket_radius
+    inverse_belt_mass = radius * radius / p.sprocket_inertia if by_torque else 0.0
+    drive = BeltDrive(inverse_belt_mass, 1.0 / radius, 1.0 / (radius * p.sprocket_speed_limit))
+    rocking = g.rocking_of(footing, 0.5 * p.track_gauge, p.track_width, 2 * count)
+    return Tracked(inertia, footing, rocking, drive, lanes, count, uniform)
+
+
+@formula
+def set_soil(w, first, last, soil_there, patch_area):
+    """Rows of the soil in lanes first .. last - 1 of the scratch of `patches_on_terrain`."""
+    tangent = math.tan(soil_there.friction_angle)
+    for lane in range(first, last):
+        w[g.FRICTION, lane] = tangent
+        w[g.ADHESION, lane] = soil_there.cohesion * patch_area
+        w[g.INVERSE_MODULUS, lane] = 1.0 / soil_there.shear_deformation_modulus
+        w[g.ROLLING, lane] = soil_there.longitudinal_resistance
+        w[g.FIRMNESS, lane] = soil_there.ground_stiffness_factor
+
+
 @formula
 def _less(drag, c, share):
     """drag - share c c^T, of a belt's BeltDrag c."""
     x, y, z = share * c.x, share * c.y, share * c.z
     roll, pitch, yaw = share * c.roll, share * c.pitch, share * c.yaw
-    return Drag(
-        drag.xx - x * c.x, drag.yx - y * c.x, drag.yy - y * c.y,
-        drag.zx - z * c.x, drag.zy - z * c.y, drag.zz - z * c.z,
-        drag.rx - roll * c.x, drag.ry - roll * c.y, drag.rz - roll * c.z, drag.rr - roll * c.roll,
-        drag.px - pitch * c.x, drag.py - pitch * c.y, drag.pz - pitch * c.z,
-        drag.pr - pitch * c.roll, drag.pp - pitch * c.pitch,
-        drag.wx - yaw * c.x, drag.wy - yaw * c.y, drag.wz - yaw * c.z,
-        drag.wr - yaw * c.roll, drag.wp - yaw * c.pitch, drag.ww - yaw * c.yaw,
-    )  # fmt: skip
+    xx, yx, yy = drag.xx - x * c.x, drag.yx - y * c.x, drag.yy - y * c.y
+    zx, zy, zz = drag.zx - z * c.x, drag.zy - z * c.y, drag.zz - z * c.z
+    rx, ry, rz = drag.rx - roll * c.x, drag.ry - roll * c.y, drag.rz - roll * c.z
+    rr = drag.rr - roll * c.roll
+    px, py, pz = drag.px - pitch * c.x, drag.py - pitch * c.y, drag.pz - pitch * c.z
+    pr, pp = drag.pr - pitch * c.roll, drag.pp - pitch * c.pitch
+    wx, wy, wz = drag.wx - yaw * c.x, drag.wy - yaw * c.y, drag.wz - yaw * c.z
+    wr, wp, ww = drag.wr - yaw * c.roll, drag.wp - yaw * c.pitch, drag.ww - yaw * c.yaw
+    return Drag(xx, yx, yy, zx, zy, zz, rx, ry, rz, rr, px, py, pz, pr, pp, wx, wy, wz, wr, wp, ww)
 
 
 @formula
@@ -118,10 +230,8 @@ def eliminated(kick, body, d):
 @formula
 def _on(c, twist):
     """Force [N] on the belt per time [s] of a twist: c . twist."""
-    return (
-        c.x * twist.x + c.y * twist.y + c.z * twist.z
-        + c.roll * twist.roll + c.pitch * twist.pitch + c.yaw * twist.yaw
-    )  # fmt: skip
+    pulled = c.x * twist.x + c.y * twist.y + c.z * twist.z + c.roll * twist.roll
+    return pulled + c.pitch * twist.pitch + c.yaw * twist.yaw
 
 
 @formula
@@ -150,46 +260,6 @@ def belt_rates(kick, belts, torques, drive):
     return Belts(mass * (left - kick.left.effort), mass * (right - kick.right.effort))
 
 
-_NO_WRENCH = Wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_NO_BELT_DRAG = BeltDrag(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_NO_TILT = patches_on_terrain.Tilt(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_NO_DRAG = Drag(*[0.0] * 21)
-LINEAR = -1.0  # decay of a command that changes linearly in time
-_A = (2.0 * GAMMA - 1.0) / GAMMA
-_B = (1.0 - GAMMA) / GAMMA
-
-
-class Pose3(NamedTuple):
-    """Where the vehicle is."""
-
-    x: float  # [m] centre of mass, world
-    y: float  # [m]
-    z: float  # [m]
-    q: Quaternion
-
-
-class Tracked(NamedTuple):
-    """A vehicle on its soil, for one control step."""
-
-    inertia: Inertia
-    footing: Footing
-    rocking: Rocking
-    drive: BeltDrive
-    lanes: int
-    patches: int  # of one track
-    uniform: bool
-
-
-class Kick(NamedTuple):
-    """Wrench and drag at one motion."""
-
-    wrench: Wrench  # [N, N m] weight and turning of the axes included
-    drag: Drag
-    left: BeltDrag
-    right: BeltDrag
-    tilt: patches_on_terrain.Tilt
-
-
 @formula
 def drifted(pose, twist, duration):
     """Pose after `duration` [s] at a constant twist; second order along the arc."""
@@ -208,17 +278,17 @@ def drifted(pose, twist, duration):
 def meet_ground(fill, relief, w, pose, r, body):
     """Where the patches are and which way the ground faces there; returns places off the map."""
     if body.uniform:
-        few = min(body.lanes, patches_on_terrain.WIDE)
-        patches_on_terrain.locate_foot(w, few, pose, r, body.footing)
+        few = min(body.lanes, g.WIDE)
+        g.locate_foot(w, few, pose, r, body.footing)
         off = fill(relief, w, few)
-        patches_on_terrain.orient(w, few, r)
-        patches_on_terrain.share_plane(w, body.lanes)
+        g.orient(w, few, r)
+        g.share_plane(w, body.lanes)
         return off
-    patches_on_terrain.locate(w, body.lanes, pose, r, body.footing.height)
+    g.locate(w, body.lanes, pose, r, body.footing.height)
     off = fill(relief, w, body.lanes)
-    patches_on_terrain.orient(w, body.lanes, r)
+    g.orient(w, body.lanes, r)
     for lane in range(2 * body.patches, body.lanes):
-        w[patches_on_terrain.SINKAGE, lane] = -1.0
+        w[g.SINKAGE, lane] = -1.0
     return off
 
 
@@ -226,8 +296,8 @@ def meet_ground(fill, relief, w, pose, r, body):
 def set_belts(w, belts, body):
     """Belt speeds in all lanes; returns the longest contact time [s] of both tracks."""
     length = body.footing.half_length
-    patches_on_terrain.set_belt(w, 0, body.patches, belts.left, body.footing)
-    patches_on_terrain.set_belt(w, body.patches, body.lanes, belts.right, body.footing)
+    g.set_belt(w, 0, body.patches, belts.left, body.footing)
+    g.set_belt(w, body.patches, body.lanes, belts.right, body.footing)
     slow = max(min(abs(belts.left), abs(belts.right)), BELT_SPEED_FLOOR)
     return 2.0 * length / slow
 
@@ -241,23 +311,23 @@ def kick_at(w, r, twist, longest, body, again):
     footing = body.footing
     tilt, carrying = _NO_TILT, 1.0
     if body.uniform:
-        tilt, carrying = patches_on_terrain.tilt_of(w, twist, footing, body.rocking), 0.0
-        patches_on_terrain.share_load(w, 2 * body.patches, tilt.load)
+        tilt, carrying = g.tilt_of(w, twist, footing, body.rocking), 0.0
+        g.share_load(w, 2 * body.patches, tilt.load)
     else:
-        patches_on_terrain.press(w, body.lanes, twist, footing)
-    patches_on_terrain.slide(w, body.lanes, twist, footing, longest)
-    patches_on_terrain.resist(w, body.lanes, again)
-    wrench = patches_on_terrain.total_wrench(w, body.lanes, footing.height, carrying)
+        g.press(w, body.lanes, twist, footing)
+    g.slide(w, body.lanes, twist, footing, longest)
+    g.resist(w, body.lanes, again)
+    wrench = g.total_wrench(w, body.lanes, footing.height, carrying)
     damping = carrying * footing.patch_area * footing.damping
-    drag = patches_on_terrain.total_drag(w, body.lanes, footing.height, damping)
+    drag = g.total_drag(w, body.lanes, footing.height, damping)
     if body.uniform:
-        wrench, drag = patches_on_terrain.held(w, tilt, footing, body.rocking, wrench, drag)
-    wrench = with_weight(wrench, r, body.inertia.mass * GRAVITY)
+        wrench, drag = g.with_tilt(w, tilt, footing, body.rocking, wrench, drag)
+    wrench = with_weight(wrench, r, body.inertia.mass * soil.GRAVITY)
     wrench = with_inertia(wrench, twist, body.inertia)
     left, right = _NO_BELT_DRAG, _NO_BELT_DRAG
     if body.drive.inverse_belt_mass > 0.0:
-        left = patches_on_terrain.belt_drag(w, 0, body.patches, footing.height)
-        right = patches_on_terrain.belt_drag(w, body.patches, 2 * body.patches, footing.height)
+        left = g.belt_drag(w, 0, body.patches, footing.height)
+        right = g.belt_drag(w, body.patches, 2 * body.patches, footing.height)
     return Kick(wrench, drag, left, right, tilt)
 
 
@@ -274,13 +344,13 @@ def _half_way(kick, factored, command, belts, h, body):
 
 
 @formula
-def _departure(kick, factored, given, belts, first, first_belts, h, body):
+def _departure(kick, factored, command, belts, first, first_belts, h, body):
     """What twist and belts are away from the middle of the step at its end.
 
     The departure z from the middle starts at -(h/2) first and follows dz/dt = rates - A z.
     """
     inertia = body.inertia
-    rates = belt_rates(kick, belts, given, body.drive)
+    rates = belt_rates(kick, belts, command, body.drive)
     half, d = 0.5 * h, GAMMA * h
     inner = summed(momentum(first, inertia, -half * _B), kick.wrench, (1.0 - GAMMA) * h)
     inner_belts = _plus(_plus(NO_BELTS, first_belts, -half * _B), rates, (1.0 - GAMMA) * h)
@@ -291,17 +361,16 @@ def _departure(kick, factored, given, belts, first, first_belts, h, body):
 
 
 @formula
-def advance(fill, relief, w, start, command, demand, decay, steps, h, body):
+def advance(fill, relief, w, start, drives, steps, h, body):
     """Advance by `steps` steps of h [s], and see the forces of the end.
 
     fill: compiled (relief, w, lanes), writes HEIGHT and slopes, returns places off the map. w:
-    scratch with patches and soil in place. start: (pose, twist, belts). command, demand: what the
-    drives give now and what is asked of them, belt speeds [m/s] or torques [N m]; decay [-]: what
-    the lag leaves of the difference after one step, 0 without lag, LINEAR for a command that
-    reaches the demand at the end of the last step in a straight line.
+    scratch with patches and soil in place. start: (pose, twist, belts). drives: Drives, decay
+    LINEAR for a command that reaches the demand at the end of the last step in a straight line.
     Returns (pose, twist, belts), what the drives give in the end, Kick, places off the map.
     """
     pose, twist, belts = start
+    command, demand, decay = drives
     driven = body.drive.inverse_belt_mass > 0.0
     if decay == 0.0:
         command = demand
@@ -309,7 +378,7 @@ def advance(fill, relief, w, start, command, demand, decay, steps, h, body):
         pose = drifted(pose, twist, 0.5 * h)
     belts = belts if driven else command
     coming, off, r = command, 0.0, matrix_of(pose.q)
-    at, at_belts, given = twist, belts, command
+    at, at_belts, acting = twist, belts, command
     first, first_belts = Twist(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), NO_BELTS
     kick = Kick(_NO_WRENCH, _NO_DRAG, _NO_BELT_DRAG, _NO_BELT_DRAG, _NO_TILT)
     for evaluation in range(2 * steps + 1):
@@ -323,141 +392,45 @@ def advance(fill, relief, w, start, command, demand, decay, steps, h, body):
         factored = eliminated(kick, body, (GAMMA if again else 0.5) * h)
         if again:
             away, away_belts = _departure(
-                kick, factored, given, at_belts, first, first_belts, h, body
+                kick, factored, acting, at_belts, first, first_belts, h, body
             )
             twist = moved(at, away, 1.0)
             belts = _plus(at_belts, away_belts, 1.0) if driven else coming
             command = coming
-            at, at_belts, given = twist, belts, command
+            at, at_belts, acting = twist, belts, command
             pose = drifted(pose, twist, h if evaluation < 2 * steps - 1 else 0.5 * h)
         else:
             left = steps - evaluation // 2
             coming = followed(command, demand, 1.0 - 1.0 / left if decay == LINEAR else decay)
-            given = followed(command, coming, 0.5)
+            acting = followed(command, coming, 0.5)
             first, first_belts = _half_way(kick, factored, command, belts, h, body)
             at = moved(twist, first, 0.5 * h)
-            at_belts = _plus(belts, first_belts, 0.5 * h) if driven else given
+            at_belts = _plus(belts, first_belts, 0.5 * h) if driven else acting
     return (pose, twist, belts), command, kick, off
-
-
-class Settled(NamedTuple):
-    """Forces and rates at one instant."""
-
-    rates: Twist  # of the twist, body axes
-    load: float  # [N] normal load of both tracks
-    load_left: float  # [N]
-    load_right: float  # [N]
-    largest: float  # [N] of one patch
-    touching: float  # [-] share of the patches in contact
-    effort_left: float  # [N] tractive effort
-    effort_right: float  # [N]
-    resistance_left: float  # [N] motion resistance, against forward motion
-    resistance_right: float  # [N]
-    off_map: float  # [-] places off the map
-    saturated: float  # [-] 1 where the uniform load cannot hold the vehicle from tipping
 
 
 @formula
 def settled_of(w, kick, off, body):
     """Settled of the last evaluation of `advance`."""
     i, n, f = body.inertia, body.patches, kick.wrench
-    rates = Twist(
-        f.x / i.mass, f.y / i.mass, f.z / i.mass, f.roll / i.roll, f.pitch / i.pitch, f.yaw / i.yaw
-    )
+    roll, pitch, yaw = f.roll / i.roll, f.pitch / i.pitch, f.yaw / i.yaw
+    rates = Twist(f.x / i.mass, f.y / i.mass, f.z / i.mass, roll, pitch, yaw)
     largest, touching = 0.0, 0.0
     for lane in range(2 * n):
-        largest = max(largest, w[patches_on_terrain.LOAD, lane])
-        touching += 1.0 if w[patches_on_terrain.LOAD, lane] > 0.0 else 0.0
-    left, right = (
-        patches_on_terrain.track_totals(w, 0, n),
-        patches_on_terrain.track_totals(w, n, 2 * n),
-    )
+        largest = max(largest, w[g.LOAD, lane])
+        touching += 1.0 if w[g.LOAD, lane] > 0.0 else 0.0
+    left, right = g.track_totals(w, 0, n), g.track_totals(w, n, 2 * n)
     return Settled(
-        rates, left[0] + right[0], left[0], right[0], largest, touching / (2 * n),
-        left[1], right[1], left[2], right[2], off, kick.tilt.saturated,
-    )  # fmt: skip
-
-
-_FOCCHI_AREA = FOCCHI_VEHICLE.track_width * FOCCHI_VEHICLE.contact_length  # [m^2] of one track
-
-
-class BodyOptions(NamedTuple):
-    """Numbers of the plant that no parameter holds; of a number and a ratio one is 0."""
-
-    height: float = 0.0  # [m] of the nominal centre of mass above the plane of the tracks
-    height_ratio: float = 0.25 / FOCCHI_VEHICLE.contact_length  # [-] over the contact length
-    roll_inertia: float = 0.0  # [kg m^2]
-    roll_share: float = 1.0  # [-] of the parameter's ratio to the yaw inertia
-    pitch_inertia: float = 0.0  # [kg m^2]
-    pitch_share: float = 1.0  # [-] likewise
-    stiffness: float = 1e5 / _FOCCHI_AREA  # [N/m^3] F table 2
-    damping: float = 5e3 / _FOCCHI_AREA  # [N s/m^3]
-    stiffening: float = 0.0  # [s/m^2]
-    longest_step: float = 2e-3  # [s] of an integration step; docs/terrain.md: step halving
-    tilt_limit: float = math.radians(60.0)  # [rad] beyond the tipping angles of F's vehicle
-
-
-# Nothing but shares:
-SCALED = BodyOptions()
-
-
-@formula
-def nominal_height(p, options):
-    """Height [m] of the nominal centre of mass above the plane of the tracks."""
-    return options.height + options.height_ratio * p.contact_length
-
-
-@formula
-def sinkage_at_rest(p, options):
-    """Sinkage [m] of the tracks at rest on level ground."""
-    area = 2.0 * p.contact_length * p.track_width
-    return soil.GRAVITY * p.mass / (options.stiffness * p.ground_stiffness_factor * area)
-
-
-@formula
-def height_at_rest(p, options):
-    """Height [m] of the nominal centre of mass at rest on level ground at height 0."""
-    return nominal_height(p, options) - sinkage_at_rest(p, options)
-
-
-@formula
-def body_of(p, lanes, count, options, by_torque, uniform):
-    """Tracked from PlantParameters with `count` patches a track; options: BodyOptions."""
-    firmness = p.ground_stiffness_factor if uniform else 1.0  # else of each patch
-    footing = Footing(
-        nominal_height(p, options) + p.centre_of_mass_z,
-        0.5 * p.contact_length,
-        p.contact_length * p.track_width / count,
-        options.stiffness * firmness,
-        options.damping * firmness,
-        options.stiffening,
-        p.centre_of_mass_x,
-        p.centre_of_mass_y,
+        rates=rates,
+        load=left[0] + right[0],
+        load_left=left[0],
+        load_right=right[0],
+        largest=largest,
+        touching=touching / (2 * n),
+        effort_left=left[1],
+        effort_right=right[1],
+        resistance_left=left[2],
+        resistance_right=right[2],
+        off_map=off,
+        saturated=kick.tilt.saturated,
     )
-    roll, pitch = p.roll_inertia_ratio * p.inertia, p.pitch_inertia_ratio * p.inertia
-    inertia = Inertia(
-        p.mass,
-        options.roll_inertia + options.roll_share * roll,
-        options.pitch_inertia + options.pitch_share * pitch,
-        p.inertia,
-    )
-    radius = p.sprocket_radius
-    drive = BeltDrive(
-        radius * radius / p.sprocket_inertia if by_torque else 0.0,
-        1.0 / radius,
-        1.0 / (radius * p.sprocket_speed_limit),
-    )
-    rocking = rocking_of(footing, 0.5 * p.track_gauge, p.track_width, 2 * count)
-    return Tracked(inertia, footing, rocking, drive, lanes, count, uniform)
-
-
-@formula
-def set_soil(w, first, last, soil_there, patch_area):
-    """Rows of the soil in lanes first .. last - 1 of the scratch of `ground_contact`."""
-    tangent = math.tan(soil_there.friction_angle)
-    for lane in range(first, last):
-        w[g.FRICTION, lane] = tangent
-        w[g.ADHESION, lane] = soil_there.cohesion * patch_area
-        w[g.INVERSE_MODULUS, lane] = 1.0 / soil_there.shear_deformation_modulus
-        w[g.ROLLING, lane] = soil_there.longitudinal_resistance
-        w[g.FIRMNESS, lane] = soil_there.ground_stiffness_factor

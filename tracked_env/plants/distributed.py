@@ -1,6 +1,6 @@
 """The distributed plant: patches of soil under each track, after Focchi et al. (2025).
 
-Shear of the soil, equations of motion and integrators are in `physics.patches_on_level_ground`.
+Shear of the soil is in `physics.patches_on_level_ground`, the rest in `physics.level_motion`.
 Options:
     patches     (along, across) a track
     integrator  "rosenbrock", or "euler": explicit, to compare with published simulators
@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tracked_env import arrays as b
-from tracked_env.physics import lumped
+from tracked_env.physics import level_motion, lumped
 from tracked_env.physics import parameters as s
 from tracked_env.physics import patches_on_level_ground as physics
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.level_motion import SPEED_DRIVEN, Drives, Pose, TrackedVehicle
 from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import (
     IN_SPACE,
@@ -31,7 +32,7 @@ from tracked_env.physics.parameters import (
     VehicleState,
     row_parameters,
 )
-from tracked_env.physics.patches_on_level_ground import SPEED_DRIVEN, Belts, Pose, TrackedVehicle
+from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.plants.base import Plant, Prepared
 from tracked_env.plants.lumped import REST, derive_free, derived
 from tracked_env.step import advance_blocks, hold_blocks
@@ -124,13 +125,13 @@ def _one_soil(batch, i, period, p, parts, inverse_belt_mass, patches):
     """TrackedVehicle on the soil of its centre of mass; parts: coefficients, drive limits."""
     k, drive = parts
     contact = physics.contact_of(p, k, drive, patches)
-    return physics.on_one_soil(k, drive, contact, inverse_belt_mass)
+    return level_motion.on_one_soil(k, drive, contact, inverse_belt_mass)
 
 
 @formula
 def _track_soil(terrain, p, x, y, patches):
     """(Contact, largest motion resistance [N]) of a track whose middle is at (x, y) [m]."""
-    there = ground.on_soil(p, ground.at(ground.level, terrain, x, y).soil)
+    there = ground.on_soil(p, ground.soil_at(terrain, x, y))
     k = lumped.coefficients(there, False)
     return physics.contact_of(there, k, lumped.drive_limits(there), patches), k.resistance
 
@@ -176,8 +177,9 @@ def _move(demand_of, soils, rest, batch, w, block, pace, commands, options):
     half_decay = floats[i, b.TORQUE_DECAY]
     decay = half_decay * half_decay
     body = soils(batch, i, pace.period, p, (k, drive), inverse_belt_mass, patches)
-    moved, torques = physics.advance(
-        w, start, command, demand, decay, substeps, pace.h, body, patches, options.euler
+    drives = Drives(command, demand, decay)
+    moved, torques = level_motion.advance(
+        w, start, drives, substeps, pace.h, body, patches, options.euler
     )
     if not by_torque:
         loads, radius = moved.loads, p.sprocket_radius

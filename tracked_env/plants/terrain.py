@@ -43,6 +43,7 @@ from tracked_env.physics import parameters as s
 from tracked_env.physics import patches_on_terrain as g
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.level_motion import Drives
 from tracked_env.physics.parameters import (
     OF_TORQUE_DRIVES,
     PARAMETER_NAMES,
@@ -52,8 +53,7 @@ from tracked_env.physics.parameters import (
     row_parameters,
 )
 from tracked_env.physics.patches_on_level_ground import Belts
-from tracked_env.physics.patches_on_terrain import Twist
-from tracked_env.physics.rigid_body import angles_of, at_point, matrix_of, quaternion_of
+from tracked_env.physics.rigid_body import Twist, angles_of, at_point, matrix_of, quaternion_of
 from tracked_env.physics.terrain_motion import (
     LINEAR,
     BodyOptions,
@@ -79,6 +79,12 @@ LOADS = ("nonuniform", "uniform")
 SOIL_AT = ("centre", "patches")
 LONGEST_STEP = BodyOptions._field_defaults["longest_step"]  # [s] of an integration step
 ROTATIONAL = ("roll_inertia", "pitch_inertia")
+# What a number of _SCALED takes the place of, and its own name in BodyOptions.
+_RATIOS = {
+    "height_ratio": "height",
+    "roll_share": "roll_inertia",
+    "pitch_share": "pitch_inertia",
+}
 FAILURES = ("tilted", "off_map", "overloaded")
 _NUMBERS = {
     "stiffness": Range(1e4, 1e9, "N/m^3", "It is per area of contact."),
@@ -211,8 +217,8 @@ def _soil_under_patches(batch, i, period, w, pose, body):
     g.locate(w, count, (pose.x, pose.y, pose.z), matrix_of(pose.q), body.footing.height)
     for lane in range(count):
         x, y = w[g.PLACE_X, lane], w[g.PLACE_Y, lane]
-        there = terrain_ground.at(terrain_ground.level, terrain, x, y)
-        set_soil(w, lane, lane + 1, there.soil, body.footing.patch_area)
+        there = terrain_ground.soil_at(terrain, x, y)
+        set_soil(w, lane, lane + 1, there, body.footing.patch_area)
 
 
 @formula
@@ -260,8 +266,9 @@ def _move(batch, w, block, pace, options):
         if linear:
             command, decay = begin, LINEAR
     there, start = (relief, floats, i, RELIEF), (pose, twist, belts)
+    drives = Drives(command, demand, decay)
     end, command, kick, off = terrain_motion.advance(
-        fill_there, there, w, start, command, demand, decay, steps, h, body
+        fill_there, there, w, start, drives, steps, h, body
     )
     settled = terrain_motion.settled_of(w, kick, off, body)
     _write(floats, i, end, command, settled, p, body, rest_height, options.body.tilt_limit)

@@ -4,7 +4,7 @@ A reference is a profile of speed and yaw rate with a start pose; its path follo
 `make_reference` builds one from a name or a JSON-able dictionary, `sample` tabulates it.
 """
 
-from tracked_env.references.catalogue import (
+from tracked_env.references.profile import (
     ReferenceProfile,
     ReferenceSamples,
     number_of_segments,

@@ -1,6 +1,9 @@
-"""The catalogue of references: each function turns a few numbers into a profile; `random_path` has
-the random ones.
+"""The value of a reference, and the catalogue: functions that turn a few numbers into one.
 
+    v(t), w(t): polynomials of degree 5 on segments of h = 0.5 s; see
+    tracked_env/physics/reference_profile.py for their evaluation and the path they imply.
+`fit` reproduces value, first and second derivative at both ends of each segment; in between its
+error is h^6 f / 46080, e.g. 2e-12 rad/s for the default figure eight.
 With kappa = w / v the curvature of the path, left positive:
     straight         kappa = 0
     circle           kappa = +-1 / R
@@ -9,43 +12,26 @@ With kappa = w / v the curvature of the path, left positive:
                      sine-generated curve that closes into an eight
     identification   straight, then a spiral from kappa = 0, with a speed that oscillates
     chicane          F (53), jumps in v and w
+    random_smooth    v, w = sum_n V_n B((t - t_n) / T), B the cubic B-spline on knots of spacing T
+    waypoints        the quintic spline through points over the chord length, at constant speed
 Parameters are those that `specification` has checked; nothing is checked again here. Angles
 in rad, the start is the origin, yaw 0, unless the pose is set afterwards. Every profile goes
 on by its own law until one segment after `duration` and keeps v and w from there.
 
-References: [1] Focchi et al. 2025, (53). [2] Strawa et al., Electronics 10 (2021) 187, 8.3.
-[3] Langbein, Leopold, River Meanders, USGS Prof. Paper 422-H, 1966 (sine-generated curve).
-
-The value of a reference: coefficients of speed and yaw rate, and how they are fitted.
-
-    v(t), w(t): polynomials of degree 5 on segments of h = 0.5 s; see
-    tracked_env/physics/reference_profile.py for their evaluation and the path they imply.
-The Hermite fit reproduces value, first and second derivative at both ends of each segment; in
-between its error is h^6 f'''''' / 46080, e.g. 2e-12 rad/s for the default figure eight.
-
-References: [1] Davis, Interpolation and Approximation, 2.5 (Hermite interpolation, error).
-
-Random smooth paths: v and w are cubic B-splines with random coefficients, drawn in a kernel.
-
-    v(t) = sum_n V_n B((t - t_n) / T),  w likewise;  B the cubic B-spline on knots of spacing T
-Coefficients are drawn = clip(1.5 U(-1, 1), -1, 1), so that a third of them is at a limit, first
-those of v, then those of w. Per interval of T four neighbours times `_spline_segments` give the
-polynomials of the profile; sums are fused (one rounding a term) in the order of the four, so that
-the bits depend neither on the processor nor on the number of paths.
-
-References: [1] de Boor, A Practical Guide to Splines, ch. IX-XI (B-splines stay in their hull).
-
-A smooth path through way-points at constant speed, as a profile of speed and yaw rate.
-
-The path is the quintic spline through the points over the chord length (C4), straight at
-both ends (curvature and its derivative are zero there), so that what comes before and after
-can be straight. With s = v t the arc length, r(u) the spline and ' = d/du:
+Random coefficients are drawn in a kernel, = clip(1.5 U(-1, 1), -1, 1), so that a third of them is
+at a limit, first those of v, then those of w. Per interval of T four neighbours times
+`_spline_segments` give the polynomials; sums are fused (one rounding a term) in the order of the
+four, so that the bits depend neither on the processor nor on the number of paths.
+The path through way-points is C4 and straight at both ends (curvature and its derivative are zero
+there). With s = v t the arc length, r(u) the spline and ' = d/du:
     kappa = (x' y'' - y' x'') / |r'|^3,  w = v kappa,  dw/dt = v^2 kappa' / |r'|
 Per segment of time the polynomial w has six conditions: w and dw/dt at both ends, the exact
 change of heading, and the exact mean heading. So the heading has no drift at all, and the
 position none to first order; w is C1, hence the path C3.
 
-References: [1] de Boor, A Practical Guide to Splines, ch. XIII.
+References: [1] Focchi et al. 2025, (53). [2] Strawa et al., Electronics 10 (2021) 187, 8.3.
+[3] Langbein, Leopold, River Meanders, USGS Prof. Paper 422-H, 1966 (sine-generated curve).
+[4] de Boor, A Practical Guide to Splines, ch. IX-XI, XIII.
 """
 
 import math
@@ -53,141 +39,23 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from tracked_env.physics import reference_profile
 from tracked_env.physics.elementary import fused
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.reference_profile import SEGMENT_DURATION, sample_profile
+from tracked_env.physics.reference_profile import SEGMENT_DURATION, UNIFORM_COLUMNS
+from tracked_env.references.profile import (
+    DEGREE,
+    FloatArray,
+    ReferenceProfile,
+    constant,
+    derivative_row,
+    fit,
+    knot_times,
+    number_of_segments,
+    sample,
+)
 from tracked_env.streams import addresses, uniform
-
-FloatArray = NDArray[np.float64]
-
-DEGREE = 5  # [-] of the polynomials
-GRID_TOLERANCE = 1e-9  # [-] of a segment: 20.000000000000004 s is still 40 segments
-
-
-class ReferenceProfile(NamedTuple):
-    """One reference: profile and start pose, world frame."""
-
-    speed: FloatArray  # [m/s, s] (S, 6), ascending powers of the time within the segment
-    yaw_rate: FloatArray  # [rad/s, s] (S, 6), likewise
-    x: float = 0.0  # [m]
-    y: float = 0.0  # [m]
-    yaw: float = 0.0  # [rad]
-    # (S, 4) or (S, 22) further columns of `physics.reference_knots`; empty: the uniform grid
-    knots: FloatArray = np.zeros((0, 0))
-
-    @property
-    def table(self) -> FloatArray:
-        """(S, W) all columns, as the kernels take them."""
-        parts = [self.speed, self.yaw_rate, *([self.knots] if self.knots.size else [])]
-        return np.concatenate(parts, axis=1)
-
-
-def of_table(table: FloatArray, x: float, y: float, yaw: float) -> ReferenceProfile:
-    """The reference of a table (S, W) with its start pose; rows that are not used are left out."""
-    width = reference_profile.UNIFORM_COLUMNS
-    if table.shape[1] == width:
-        return ReferenceProfile(table[:, :6].copy(), table[:, 6:].copy(), x, y, yaw)
-    used = table[np.isfinite(table[:, reference_profile.START])]
-    speed, yaw_rate, knots = used[:, :6].copy(), used[:, 6:width].copy(), used[:, width:].copy()
-    return ReferenceProfile(speed, yaw_rate, x, y, yaw, knots)
-
-
-def with_knots(profile: ReferenceProfile, width: int) -> FloatArray:
-    """The table (K, W) with knots of a reference, W = `width` >= that of its own."""
-    table = profile.table
-    if not profile.knots.size:
-        ends = SEGMENT_DURATION * np.arange(len(table) + 1, dtype=np.float64)
-        at = sample(profile, ends)
-        table = np.vstack([table, np.zeros(reference_profile.UNIFORM_COLUMNS)])
-        table[-1, 0], table[-1, DEGREE + 1] = at.speed[-1], at.yaw_rate[-1]
-        table = np.column_stack([table, ends, at.x, at.y, at.yaw])
-    if table.shape[1] < width:
-        moving = np.zeros((len(table), width - table.shape[1]))
-        moving[:, : DEGREE + 1], moving[:, -DEGREE - 1 :] = table[:, :6], table[:, 6:12]
-        table = np.concatenate([table, moving], axis=1)
-    return table
-
-
-class ReferenceSamples(NamedTuple):
-    """A reference at T times, each field (T,), world frame; yaw is not wrapped."""
-
-    x: FloatArray  # [m]
-    y: FloatArray  # [m]
-    yaw: FloatArray  # [rad]
-    speed: FloatArray  # [m/s]
-    acceleration: FloatArray  # [m/s^2] derivative of the signed speed
-    jerk: FloatArray  # [m/s^3] its second derivative
-    yaw_rate: FloatArray  # [rad/s]
-    yaw_acceleration: FloatArray  # [rad/s^2]
-
-
-def number_of_segments(duration: float) -> int:
-    """Return S for an episode of `duration` [s]: those that cover it, and one beyond."""
-    return math.ceil(duration / SEGMENT_DURATION - GRID_TOLERANCE) + 1
-
-
-def knot_times(duration: float) -> FloatArray:
-    """Return the ends of the segments [s], shape (S + 1,)."""
-    return SEGMENT_DURATION * np.arange(number_of_segments(duration) + 1, dtype=np.float64)
-
-
-def derivative_row(time: float, order: int) -> FloatArray:
-    """Return the row r (6,) with r @ coefficients = derivative of that order at `time` [s].
-
-    Order -1 is the integral from 0 to `time`, order -2 the integral of that integral.
-    """
-    row = np.zeros(DEGREE + 1)
-    for n in range(max(order, 0), DEGREE + 1):
-        row[n] = math.gamma(n + 1) / math.gamma(n - order + 1) * time ** (n - order)
-    return row
-
-
-_END_CONDITIONS = [derivative_row(t, order) for t in (0.0, SEGMENT_DURATION) for order in (0, 1, 2)]
-_HERMITE = np.linalg.inv(np.array(_END_CONDITIONS)).T  # (6, 6): end values @ this
-
-
-def fit(value: ArrayLike, first: ArrayLike, second: ArrayLike) -> FloatArray:
-    """Return coefficients (S, 6) from value, first and second derivative at the knots (S + 1,).
-
-    Scalars count as the same number at every knot; at least one argument is an array.
-    """
-    at_knots = np.stack(np.broadcast_arrays(value, first, second), axis=-1)
-    return np.concatenate([at_knots[:-1], at_knots[1:]], axis=1) @ _HERMITE
-
-
-def constant(value: float, segments: int) -> FloatArray:
-    """Return the coefficients (S, 6) of a quantity that does not change."""
-    coefficients = np.zeros((segments, DEGREE + 1))
-    coefficients[:, 0] = value
-    return coefficients
-
-
-def sample(profile: ReferenceProfile, times: ArrayLike) -> ReferenceSamples:
-    """Return the reference at sorted `times` (T,) [s] >= 0, by the kernels of the simulation.
-
-    Raises ValueError when the times are not sorted, negative or not finite.
-    """
-    times = np.ascontiguousarray(times, dtype=np.float64)
-    ordered = times.ndim == 1 and np.all(np.isfinite(times)) and np.all(np.diff(times) >= 0.0)
-    if not ordered or (times.size > 0 and times[0] < 0.0):
-        raise ValueError(
-            f"times = {times} s; must be one-dimensional, finite, >= 0 and sorted. "
-            "Sort them first, or pass the time since the start of the episode."
-        )
-    out = np.empty((len(ReferenceSamples._fields), times.size))
-    if profile.knots.size:
-        reference_profile.sample_knots(profile.table, times, out)
-        return ReferenceSamples(*out)
-    cos_yaw, sin_yaw = math.cos(profile.yaw), math.sin(profile.yaw)
-    sample_profile(profile.speed, profile.yaw_rate, times, cos_yaw, sin_yaw, out)
-    out[0] += profile.x
-    out[1] += profile.y
-    out[2] += profile.yaw
-    return ReferenceSamples(*out)
-
 
 EIGHT_AMPLITUDE = 2.404825557695773  # [rad] a, first zero of J0
 EIGHT_EXTENT = 0.7497418431069495  # [-] Struve H0(a): tip to tip over half the length
@@ -195,6 +63,11 @@ SMOOTHSTEP_SLOPE = 1.875  # [-] largest slope of 10 s^3 - 15 s^4 + 6 s^5
 SPIRAL_ONSET = 2.0  # [s] over which the identification spiral begins to curve
 SPIRAL_SHORTEST = 5.0  # [s] least time over which it reaches its final curvature
 CHICANE_RAMP_TIME = 1.0  # [s] F (53) prints v = v_max t: v_max is reached after 1 s
+RANDOM_STRETCH = 1.5  # [-] of the uniform draws before clipping, so that limits are visited
+SLOWEST = 1e-9  # [m/s] below it the lateral acceleration limits nothing
+PASSING_TOLERANCE = 1e-3  # [m] to each way-point
+PANELS = 4  # [-] quadrature panels between two way-points
+NEWTON_STEPS = 4  # [-] for the inverse of the arc length; quadratic from 1e-2
 
 
 def _smooth_ramp(
@@ -221,7 +94,7 @@ def straight(
 
     acceleration: largest of the ramp [m/s^2].
     """
-    times = knot_times(duration)
+    times = knot_times(number_of_segments(duration))
     start = speed if initial_speed is None else initial_speed
     v = fit(*_smooth_ramp(times, start, speed, acceleration))
     return ReferenceProfile(v, constant(0.0, len(v)))
@@ -231,9 +104,8 @@ def circle(
     duration: float, speed: float = 2.0, radius: float = 10.0, direction: float = 1.0
 ) -> ReferenceProfile:
     """Circle of `radius` [m]; its centre is to the left for direction +1, right for -1."""
-    segments = number_of_segments(duration)
-    yaw_rate = constant(direction * speed / radius, segments)
-    return ReferenceProfile(constant(speed, segments), yaw_rate)
+    n = number_of_segments(duration)
+    return ReferenceProfile(constant(speed, n), constant(direction * speed / radius, n))
 
 
 def figure_eight(
@@ -246,7 +118,7 @@ def figure_eight(
     5.66 / size, at the tips; none at the crossing, which is passed at +-a from the tips'
     heading.
     """
-    times = knot_times(duration)
+    times = knot_times(number_of_segments(duration))
     omega = math.pi * EIGHT_EXTENT * speed / size
     amplitude = direction * EIGHT_AMPLITUDE * omega
     sine, cosine = np.sin(omega * times), np.cos(omega * times)
@@ -265,7 +137,7 @@ def spiral(
 
     The end value is reached at the first knot at or after `duration`, then kept.
     """
-    times = knot_times(duration)
+    times = knot_times(number_of_segments(duration))
     start, end = direction * speed / radius_start, direction * speed / radius_end
     slope = (end - start) / times[-2]
     w = constant(0.0, len(times) - 1)
@@ -291,7 +163,7 @@ def identification(
     1 / radius_end at the end of the profile (or after SPIRAL_SHORTEST); it grows linearly
     but for a C3 onset. The paper prints neither radius nor speed: both are this project's.
     """
-    times = knot_times(duration)
+    times = knot_times(number_of_segments(duration))
     v, dv, ddv = _smooth_ramp(times, initial_speed, speed, acceleration=1.0)
     rate = 2.0 * math.pi / speed_period
     sine, cosine = np.sin(rate * times), np.cos(rate * times)
@@ -324,7 +196,7 @@ def chicane(
     turn_time / (1 s) and jumps back. w = 0, then `yaw_rate` [rad/s], from `switch_time` [s]
     on -yaw_rate. The paper has 0.2 m/s, 0.3 rad/s and 20 s, for a vehicle of 62 kg.
     """
-    starts = knot_times(duration)[:-1]
+    starts = knot_times(number_of_segments(duration))[:-1]
     before = starts < turn_time - 0.5 * SEGMENT_DURATION
     v, w = constant(speed, len(starts)), constant(-yaw_rate, len(starts))
     v[before, 0] = speed / CHICANE_RAMP_TIME * starts[before]
@@ -332,10 +204,6 @@ def chicane(
     w[starts < switch_time - 0.5 * SEGMENT_DURATION, 0] = yaw_rate
     w[before, 0] = 0.0
     return ReferenceProfile(v, w)
-
-
-RANDOM_STRETCH = 1.5  # [-] of the uniform draws before clipping, so that limits are visited
-SLOWEST = 1e-9  # [m/s] below it the lateral acceleration limits nothing
 
 
 @lru_cache
@@ -426,35 +294,25 @@ def random_paths(
     lateral_acceleration_limit: float = 1.5,
     knot_interval: float = 2.0,
 ) -> RandomPaths:
-    """The law of `random_smooth` with these parameters."""
+    """The law of `random_smooth`.
+
+    Coefficients of v =clip(..) over `speed_range` [m/s], of w =clip(..) within +-`yaw_rate_limit`
+    [rad/s], reduced where |v w| could exceed `lateral_acceleration_limit` [m/s^2].
+    """
     limits = np.array([*speed_range, yaw_rate_limit, lateral_acceleration_limit], dtype=float)
     return RandomPaths(limits, _spline_segments(round(knot_interval / SEGMENT_DURATION)))
 
 
-def random_smooth(
-    duration: float,
-    rng: np.random.Generator,
-    speed_range: tuple[float, float] = (1.0, 3.0),
-    yaw_rate_limit: float = 0.5,
-    lateral_acceleration_limit: float = 1.5,
-    knot_interval: float = 2.0,
-) -> ReferenceProfile:
+def random_smooth(duration: float, rng: np.random.Generator, **law: Any) -> ReferenceProfile:
     """Random smooth path: v and w are cubic B-splines, C2, with one coefficient an interval.
 
-    Coefficients of v =clip(..) over `speed_range` [m/s], of w =clip(..) within +-
-    `yaw_rate_limit` [rad/s], reduced where |v w| could exceed `lateral_acceleration_limit`
-    [m/s^2]. A B-spline never leaves the hull of its coefficients, so all limits hold exactly
-    at all times, and |v'| <= (high - low) / knot_interval.
+    law: arguments of `random_paths`. A B-spline never leaves the hull of its coefficients, so all
+    limits hold exactly at all times, and |v'| <= (high - low) / knot_interval.
     """
-    profile = np.empty((number_of_segments(duration), 1, 2 * (DEGREE + 1)))
-    paths = random_paths(speed_range, yaw_rate_limit, lateral_acceleration_limit, knot_interval)
-    paths.fill(addresses([rng]), np.zeros(1, np.int64), profile)
+    profile = np.empty((number_of_segments(duration), 1, UNIFORM_COLUMNS))
+    random_paths(**law).fill(addresses([rng]), np.zeros(1, np.int64), profile)
     return ReferenceProfile(profile[:, 0, :6].copy(), profile[:, 0, 6:].copy())
 
-
-PASSING_TOLERANCE = 1e-3  # [m] to each way-point
-PANELS = 4  # [-] quadrature panels between two way-points
-NEWTON_STEPS = 4  # [-] for the inverse of the arc length; quadratic from 1e-2
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS  # on [0, 1]
@@ -520,7 +378,7 @@ def _profile(points_bytes: bytes, speed: float, segments: int) -> ReferenceProfi
     """Build the profile (10 ms); an episode that repeats the points finds it here."""
     points = np.frombuffer(points_bytes).reshape(-1, 2)
     path = _Path(points)
-    starts = SEGMENT_DURATION * np.arange(segments + 1)
+    starts = knot_times(segments)
     # Per segment: its start and the quadrature nodes, in one sorted list of times.
     times = starts[:, None] + SEGMENT_DURATION * np.concatenate([[0.0], _NODES])
     u = path.parameter(speed * times.ravel())
@@ -539,8 +397,8 @@ def _profile(points_bytes: bytes, speed: float, segments: int) -> ReferenceProfi
 def _check_passing(profile: ReferenceProfile, points: FloatArray, times: FloatArray) -> None:
     """Raise ValueError unless the profile passes every way-point that it has time for."""
     reached = times <= len(profile.speed) * SEGMENT_DURATION
-    samples = sample(profile, times[reached])
-    miss = np.hypot(samples.x - points[reached, 0], samples.y - points[reached, 1])
+    path = sample(profile, times[reached])
+    miss = np.hypot(path.x - points[reached, 0], path.y - points[reached, 1])
     worst = int(miss.argmax())
     if not miss[worst] <= PASSING_TOLERANCE:
         raise ValueError(
@@ -558,5 +416,5 @@ def waypoints(duration: float, points: FloatArray, speed: float = 2.0) -> Refere
     on at the same speed. Raises ValueError if a way-point were missed by more than 1 mm.
     """
     data = np.ascontiguousarray(points, dtype=np.float64).tobytes()
-    kept = _profile(data, float(speed), number_of_segments(duration))
-    return kept._replace(speed=kept.speed.copy(), yaw_rate=kept.yaw_rate.copy())
+    cached = _profile(data, float(speed), number_of_segments(duration))
+    return cached._replace(speed=cached.speed.copy(), yaw_rate=cached.yaw_rate.copy())

@@ -1,4 +1,4 @@
-"""From a name or a JSON-able dictionary to a reference: the registry and its checks.
+"""From a name or a JSON-able dictionary to a reference: the registry, its checks, and plans.
 
     "circle"
     {"kind": "circle", "radius": 12.0, "speed": [1.0, 2.0], "x": 5.0, "yaw": 0.5}
@@ -12,17 +12,14 @@ stand, unless {"vehicle": name} says for which vehicle. For another nominal vehi
 with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for: a
 belt needs no larger share of its top speed than there.
 
-References that a planner makes: from a start to a goal, where they stand until the episode ends.
-
+A planner makes references from a start to a goal, where they stand until the episode ends:
     {"kind": "plan", "goal": [2.0, 2.5, -0.4]}
     {"kind": "plan", "goals": "halton", "planner": "dubins", "frame": "body", "limits": {...}}
 Planners are entry points of the group `tracked_env.planners`, functions
-
-    planner(vehicle, limits, slip, frame, goal) -> physics.reference_knots.PlannedRows
+    planner(vehicle, limits, slip, frame, goal) -> physics.reference_profile.PlannedRows
 from rest (or v_min, at constant speed) in the origin to a goal (x, y [m], yaw [rad]) in its axes;
 vehicle: the nominal PlantParameters, limits: {name of LIMITS: value}, slip: whether the plan knows
 the slip of the nominal vehicle. They raise ValueError for what contradicts itself.
-
 The goals of "halton" are those of the published code of [1] 7.2: Halton points in a square, as far
 from the start as `annulus` says, with any yaw. Lengths and speeds are for the indoor vehicle of [1]
 and grow with the track gauge for another, speeds no more than its top speed does.
@@ -35,32 +32,69 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.entry_points import declared
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range, top_speed
-from tracked_env.physics.reference_profile import POSE as POSE_reference_knots
 from tracked_env.physics.reference_profile import (
+    POSE,
     SEGMENT_DURATION,
     START,
-    UNIFORM_COLUMNS,
     YAW_RATE_LIMIT,
     PlannedRows,
 )
 from tracked_env.references import catalogue
-from tracked_env.references.catalogue import (
-    FloatArray,
-    RandomPaths,
-    ReferenceProfile,
-    random_paths,
-    random_smooth,
-    waypoints,
+from tracked_env.references.catalogue import RandomPaths, random_paths
+from tracked_env.references.profile import FloatArray, ReferenceProfile, of_table
+from tracked_env.validation import (
+    checked_choice,
+    checked_flag,
+    checked_interval,
+    checked_keys,
+    checked_number,
 )
-from tracked_env.validation import checked_choice, checked_flag, checked_keys, checked_number
 
+DURATION = Range(0.01, 3600.0, "s", "Use SI units.")
+POINTS_LIMIT = 1000  # [-] way-points of one reference
+POSITION_LIMIT = 1e5  # [m] beyond it the coordinates lose digits
+
+START_POSE = ("x", "y", "yaw")
+PLAN = "plan"  # the kind that a planner makes
+SPEEDS = ("speed", "initial_speed", "speed_range", "speed_amplitude")
+YAW_RATES = ("yaw_rate", "yaw_rate_limit")
+DEFAULT_VEHICLE = "strawa"  # for which the defaults of the builders are
+
+
+_LEFT_OR_RIGHT = "Left or right is chosen by direction, not by the sign."
+_GRID_HINT = f"Profiles can change their law only at multiples of {SEGMENT_DURATION} s."
+_REVERSE = "This path cannot be driven in reverse. Did you pass km/h?"
+_SI = "Use SI units."
+_SPEED = Range(-5.0, 5.0, "m/s", "Did you pass km/h?")
+_RADIUS = Range(1.0, 1e4, "m", _LEFT_OR_RIGHT)
+_ANGLE = Range(-100.0, 100.0, "rad", "Did you pass degrees?")
+_COORDINATE = Range(-POSITION_LIMIT, POSITION_LIMIT, "m", _SI)
+QUANTITIES = {
+    **dict.fromkeys(("speed", "initial_speed", "speed_range"), _SPEED),
+    "speed_amplitude": Range(0.0, 2.0, "m/s", _SI),
+    "speed_period": Range(1.0, 100.0, "s", "Shorter ones are not resolved by the segments."),
+    "acceleration": Range(0.01, 10.0, "m/s^2", "It is a magnitude: the speeds set the sign."),
+    **dict.fromkeys(("radius", "radius_start", "radius_end"), _RADIUS),
+    "size": Range(5.0, 1e4, "m", "It is the distance between the two tips."),
+    "straight_duration": Range(0.0, 3600.0, "s", _SI),
+    "yaw_rate": Range(-3.0, 3.0, "rad/s", "Did you pass deg/s?"),
+    "yaw_rate_limit": Range(0.0, 3.0, "rad/s", "Did you pass deg/s?"),
+    "lateral_acceleration_limit": Range(0.0, 20.0, "m/s^2", _SI),
+    "turn_time": Range(0.0, 3600.0, "s", _GRID_HINT),
+    "switch_time": Range(0.0, 3600.0, "s", _GRID_HINT),
+    "knot_interval": Range(0.5, 60.0, "s", _GRID_HINT),
+    **{"x": _COORDINATE, "y": _COORDINATE, "yaw": _ANGLE},
+}
+ON_GRID = ("turn_time", "switch_time", "knot_interval")  # multiples of SEGMENT_DURATION
+FORWARD_ONLY = {"figure_eight", "waypoints"}
+FORWARD_SPEED = Range(0.1, 5.0, "m/s", _REVERSE)
 Pose = tuple[float, float, float]
 Planner = Callable[[PlantParameters, Mapping[str, float], bool, str, Pose], PlannedRows]  # as above
 
@@ -78,209 +112,13 @@ LIMITS = {
 }
 # Of the indoor vehicle; speeds grow as the track gauge, but no more than the top speed.
 DEFAULT_LIMITS = {"v_max": 0.4, "v_min": 0.15, "reserve": 0.1, "sprocket_acceleration": 20.0}
-SPEEDS_PLANNED = ("v_max", "v_min")
 ANNULUS = (1.0, 4.0)  # [m] from the start, of the same vehicle
 GOALS = 100  # [-] of "halton", the first ones in the annulus
 ATTEMPTS = 10  # [-] goals that are tried, where a drawn one has no plan
 _INDOOR = VEHICLES["focchi"]
 _PLACE = Range(-1e4, 1e4, "m", "Did you pass millimetres?")
-_YAW = Range(-100.0, 100.0, "rad", "Did you pass degrees?")
 _DISTANCE = Range(0.0, 1e4, "m", "It is [nearest, farthest], from the start.")
-KEYS = (
-    "goal", "goals", "annulus", "planner", "frame", "slip", "limits", "x", "y", "yaw",
-)  # fmt: skip
-
-
-def halton_goals(nearest: float, farthest: float) -> NDArray[np.float64]:
-    """GOALS poses (GOALS, 3) in an annulus [m] around the origin, yaw in [0, 2 pi).
-
-    Raises ValueError for an annulus that holds too few of them.
-    """
-    from scipy.stats import qmc  # a second to import: only when used
-
-    drawn = qmc.Halton(d=3, scramble=True, seed=0).random(10 * GOALS)
-    places = farthest * (2.0 * drawn[:, :2] - 1.0)
-    distance = np.hypot(*places.T)
-    inside = (nearest < distance) & (distance < farthest)
-    goals = np.column_stack([places, 2.0 * np.pi * drawn[:, 2]])[inside][:GOALS]
-    if len(goals) < GOALS:
-        raise ValueError(
-            f"annulus = [{nearest:g}, {farthest:g}] m holds {len(goals)} goals; must hold {GOALS}. "
-            "Widen it."
-        )
-    return goals
-
-
-@lru_cache(maxsize=32)
-def _planner(name: str) -> Planner:
-    """A registered planner. Raises ValueError for an unknown name."""
-    known = {entry.name: entry for _, entry in reversed(declared(PLANNERS))}
-    if not known:
-        raise ValueError(f"planner {name!r}: no installed package registers {PLANNERS}")
-    planner: Planner = known[checked_choice("planner", name, known)].load()
-    return planner
-
-
-@lru_cache(maxsize=256)
-def _planned(
-    planner: Planner, vehicle: PlantParameters, limits: tuple[tuple[str, float], ...], slip: bool,
-    frame: str, goal: Pose,
-) -> PlannedRows:  # fmt: skip
-    """A plan; goals that come again in later episodes find it here."""
-    return planner(vehicle, dict(limits), slip, frame, goal)
-
-
-def _pose(what: str, given: Any) -> Pose:
-    if isinstance(given, (str, Mapping)) or np.shape(given) != (3,):
-        raise ValueError(f"{what} = {given!r}; must be [x, y, yaw] in m and rad")
-    x, y = (checked_number(f"{what} {name}", given[k], _PLACE) for k, name in enumerate("xy"))
-    return x, y, checked_number(f"{what} yaw", given[2], _YAW)
-
-
-@lru_cache(maxsize=8)
-def _halton_poses(nearest: float, farthest: float) -> Sequence[Pose]:
-    return [(x, y, yaw) for x, y, yaw in halton_goals(nearest, farthest).tolist()]
-
-
-def _goals(given: Mapping[str, Any], scale: float) -> tuple[Sequence[Pose], bool]:
-    """The goals that an episode may have, and whether it draws one of them."""
-    if ("goal" in given) == ("goals" in given):
-        raise ValueError("reference 'plan': must have one of 'goal': [x, y, yaw] and 'goals'")
-    if "annulus" in given and given.get("goals") != "halton":
-        raise ValueError('reference \'plan\': annulus is of "goals": "halton", not of given ones')
-    if "goal" in given:
-        return [_pose("goal", given["goal"])], False
-    if isinstance(given["goals"], str):
-        checked_choice("goals", given["goals"], ("halton",))
-        ends = given.get("annulus", [scale * end for end in ANNULUS])
-        if np.shape(ends) != (2,):
-            raise ValueError(f"annulus = {ends!r}; must be [nearest, farthest] in m")
-        near, far = (checked_number("annulus", end, _DISTANCE) for end in ends)
-        if not near < far:
-            raise ValueError(f"annulus = {ends!r} m; must be [nearest, farthest]. Swap the two.")
-        return _halton_poses(near, far), True
-    if not isinstance(given["goals"], (list, tuple, np.ndarray)) or not len(given["goals"]):
-        raise ValueError(f'goals = {given["goals"]!r}; must be "halton" or a list of [x, y, yaw]')
-    return [_pose("goals", goal) for goal in given["goals"]], True
-
-
-def _limits(given: Any, scale: float) -> tuple[tuple[str, float], ...]:
-    own = checked_keys("limits", given, LIMITS)
-    defaults = {k: v * (scale if k in SPEEDS_PLANNED else 1.0) for k, v in DEFAULT_LIMITS.items()}
-    if "v_max" in own and "v_min" not in own:
-        highest = checked_number("limits v_max", own["v_max"], LIMITS["v_max"])
-        defaults["v_min"] = min(defaults["v_min"], highest)
-    values = {**defaults, **own}
-    return tuple((k, checked_number(f"limits {k}", v, LIMITS[k])) for k, v in values.items())
-
-
-def _refusal(plan: PlannedRows, duration: float) -> str:
-    """Why a plan cannot be the reference of an episode, or nothing."""
-    if not plan.converged:
-        return plan.message or "it did not converge"
-    if (end := float(plan.rows[-1, START])) > duration:
-        return f"it takes {end:.1f} s of an episode of {duration:g} s: raise duration or v_max"
-    return ""
-
-
-def plan_reference(
-    given: Mapping[str, Any], duration: float, rng: np.random.Generator,
-    vehicle: PlantParameters | None,
-) -> ReferenceProfile:  # fmt: skip
-    """The reference of a plan for the nominal `vehicle`, see the head of this file.
-
-    Of drawn goals, the next one is taken where one has no plan, ATTEMPTS times at most. Raises
-    ValueError for what is unknown or out of range, and where no plan reaches a goal within
-    `duration` [s].
-    """
-    given = checked_keys("reference 'plan'", given, KEYS)
-    if vehicle is None:
-        raise ValueError("reference 'plan': a plan needs the vehicle; pass it to make_reference")
-    scale = vehicle.track_gauge / _INDOOR.track_gauge
-    name = given.get("planner", "optimal")
-    frame = checked_choice("frame", given.get("frame", "course"), FRAMES)
-    slip = checked_flag("slip", given.get("slip", name == "optimal"))
-    limits = _limits(given.get("limits"), min(scale, top_speed(vehicle) / top_speed(_INDOOR)))
-    planner = _planner(name)
-    start = _pose("start", [given.get(key, 0.0) for key in ("x", "y", "yaw")])
-    goals, drawn = _goals(given, scale)
-    first = int(rng.integers(len(goals))) if drawn else 0
-    for attempt in range(min(ATTEMPTS, len(goals))):
-        goal = goals[(first + attempt) % len(goals)]
-        plan = _planned(planner, vehicle, limits, slip, frame, goal)
-        refusal = _refusal(plan, duration)
-        if not refusal:
-            return _placed(plan.rows, start)
-    where = f"none of {attempt + 1} goals drawn, the last" if drawn else "no plan to the goal"
-    x, y, yaw = goal
-    raise ValueError(
-        f"reference 'plan': {where} ({x:.3g} m, {y:.3g} m, {yaw:.3g} rad) by {name!r}: {refusal}"
-    )
-
-
-def _placed(rows: NDArray[np.float64], start: Pose) -> ReferenceProfile:
-    """The reference of rows from the origin, from another start."""
-    x, y, yaw = start
-    knots = rows[:, UNIFORM_COLUMNS:].copy()
-    own = POSE_reference_knots - UNIFORM_COLUMNS
-    places = (rows[:, POSE_reference_knots] + 1j * rows[:, POSE_reference_knots + 1]) * np.exp(
-        1j * yaw
-    )
-    knots[:, own], knots[:, own + 1] = places.real + x, places.imag + y
-    knots[:, own + 2] += yaw
-    begin = knots[0, own : own + 3].tolist()
-    speed, yaw_rate = rows[:, :6].copy(), rows[:, 6:UNIFORM_COLUMNS].copy()
-    return ReferenceProfile(speed, yaw_rate, begin[0], begin[1], begin[2], knots)
-
-
-DURATION_RANGE = (0.01, 3600.0)  # [s]
-POINTS_LIMIT = 1000  # [-] way-points of one reference
-POSITION_LIMIT = 1e5  # [m] beyond it the coordinates lose digits
-
-POSE = ("x", "y", "yaw")
-PLAN = "plan"  # the kind that a planner makes
-SPEEDS = ("speed", "initial_speed", "speed_range", "speed_amplitude")
-YAW_RATES = ("yaw_rate", "yaw_rate_limit")
-DEFAULT_VEHICLE = "strawa"  # for which the defaults of the builders are
-
-
-class Quantity(NamedTuple):
-    """Allowed range of one parameter, and the likely cause when it is left."""
-
-    low: float
-    high: float
-    unit: str
-    hint: str = "Use SI units."
-    on_grid: bool = False  # a multiple of SEGMENT_DURATION
-
-
-_LEFT_OR_RIGHT = "Left or right is chosen by direction, not by the sign."
-_ON_GRID = f"Profiles can change their law only at multiples of {SEGMENT_DURATION} s."
-_REVERSE = "This path cannot be driven in reverse. Did you pass km/h?"
-QUANTITIES = {
-    "speed": Quantity(-5.0, 5.0, "m/s", "Did you pass km/h?"),
-    "initial_speed": Quantity(-5.0, 5.0, "m/s", "Did you pass km/h?"),
-    "speed_range": Quantity(-5.0, 5.0, "m/s", "Did you pass km/h?"),
-    "speed_amplitude": Quantity(0.0, 2.0, "m/s"),
-    "speed_period": Quantity(1.0, 100.0, "s", "Shorter ones are not resolved by the segments."),
-    "acceleration": Quantity(0.01, 10.0, "m/s^2", "It is a magnitude: the speeds set the sign."),
-    "radius": Quantity(1.0, 1e4, "m", _LEFT_OR_RIGHT),
-    "radius_start": Quantity(1.0, 1e4, "m", _LEFT_OR_RIGHT),
-    "radius_end": Quantity(1.0, 1e4, "m", _LEFT_OR_RIGHT),
-    "size": Quantity(5.0, 1e4, "m", "It is the distance between the two tips."),
-    "straight_duration": Quantity(0.0, 3600.0, "s"),
-    "yaw_rate": Quantity(-3.0, 3.0, "rad/s", "Did you pass deg/s?"),
-    "yaw_rate_limit": Quantity(0.0, 3.0, "rad/s", "Did you pass deg/s?"),
-    "lateral_acceleration_limit": Quantity(0.0, 20.0, "m/s^2"),
-    "turn_time": Quantity(0.0, 3600.0, "s", _ON_GRID, on_grid=True),
-    "switch_time": Quantity(0.0, 3600.0, "s", _ON_GRID, on_grid=True),
-    "knot_interval": Quantity(0.5, 60.0, "s", _ON_GRID, on_grid=True),
-    "x": Quantity(-POSITION_LIMIT, POSITION_LIMIT, "m"),
-    "y": Quantity(-POSITION_LIMIT, POSITION_LIMIT, "m"),
-    "yaw": Quantity(-100.0, 100.0, "rad", "Did you pass degrees?"),
-}
-FORWARD_ONLY = {"figure_eight", "waypoints"}
-FORWARD_SPEED = Quantity(0.1, 5.0, "m/s", _REVERSE)
+_PLAN_KEYS = ("goal", "goals", "annulus", "planner", "frame", "slip", "limits", *START_POSE)
 
 # "mixed": one of these with equal probability, lateral acceleration <= 1.5 m/s^2. Way-points
 # need points, and the chicane cannot be followed by design: neither is drawn.
@@ -288,13 +126,8 @@ MIXED: list[dict[str, Any]] = [
     {"kind": "straight", "speed": [1.0, 3.0], "initial_speed": [1.0, 3.0]},
     {"kind": "circle", "speed": [1.0, 3.0], "radius": [6.0, 30.0], "direction": [-1, 1]},
     {"kind": "figure_eight", "speed": [1.0, 2.5], "size": [25.0, 60.0], "direction": [-1, 1]},
-    {
-        "kind": "spiral",
-        "speed": [1.0, 3.0],
-        "radius_start": [15.0, 60.0],
-        "radius_end": [6.0, 15.0],
-        "direction": [-1, 1],
-    },
+    {"kind": "spiral", "speed": [1.0, 3.0], "direction": [-1, 1]}
+    | {"radius_start": [15.0, 60.0], "radius_end": [6.0, 15.0]},
     {"kind": "identification", "speed": [1.5, 2.5], "radius_end": [6.0, 12.0]},
     {"kind": "random"},
 ]
@@ -315,46 +148,23 @@ REFERENCES: dict[str, Callable[..., ReferenceProfile]] = {
     "spiral": catalogue.spiral,
     "identification": catalogue.identification,
     "chicane": catalogue.chicane,
-    "random": random_smooth,
-    "waypoints": waypoints,
+    "random": catalogue.random_smooth,
+    "waypoints": catalogue.waypoints,
     "mixed": mixed,
 }
-_ARGUMENTS = {kind: inspect.signature(build).parameters for kind, build in REFERENCES.items()}
+_ARGUMENTS = {kind: {**inspect.signature(build).parameters} for kind, build in REFERENCES.items()}
+_ARGUMENTS["random"] |= inspect.signature(random_paths).parameters
 
 
 def _parameter_names(kind: str) -> list[str]:
-    names = [name for name in _ARGUMENTS[kind] if name not in ("duration", "rng", "vehicle")]
-    return names if kind == "waypoints" else names + list(POSE)
+    others = ("duration", "rng", "vehicle", "law")
+    names = [name for name in _ARGUMENTS[kind] if name not in others]
+    return names if kind == "waypoints" else names + list(START_POSE)
 
 
 def _defaults(kind: str) -> dict[str, Any]:
     arguments = _ARGUMENTS[kind]
     return {name: arguments[name].default for name in _parameter_names(kind) if name in arguments}
-
-
-def _number(name: str, value: Any, quantity: Quantity) -> float:
-    """Return `value` as a float within the range of the quantity, or raise ValueError."""
-    is_number = isinstance(value, Real) and not isinstance(value, (bool, np.bool_))
-    if not is_number or not quantity.low <= value <= quantity.high:
-        raise ValueError(
-            f"{name} = {value!r} {quantity.unit}; must be a number within "
-            f"[{quantity.low:g}, {quantity.high:g}] {quantity.unit}. {quantity.hint}"
-        )
-    return float(value)
-
-
-def _pair(name: str, value: Any, quantity: Quantity) -> tuple[float, float]:
-    if len(value) != 2:
-        raise ValueError(
-            f"{name} = {value!r} {quantity.unit}; must be a number or [low, high]. "
-            "Did you pass a list of choices?"
-        )
-    low, high = (_number(name, v, quantity) for v in value)
-    if low > high:
-        raise ValueError(
-            f"{name} = {value!r} {quantity.unit}; must have low <= high. Swap the two."
-        )
-    return low, high
 
 
 def _direction(value: Any, rng: np.random.Generator) -> float:
@@ -398,17 +208,16 @@ def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
         return _points(value)
     if value is None and name in _ARGUMENTS[kind] and _ARGUMENTS[kind][name].default is None:
         return None
-    quantity = QUANTITIES[name]
-    if name == "speed" and kind in FORWARD_ONLY:
-        quantity = FORWARD_SPEED
+    quantity = FORWARD_SPEED if name == "speed" and kind in FORWARD_ONLY else QUANTITIES[name]
     is_pair = isinstance(value, (list, tuple))
     if name == "speed_range":
-        return _pair(name, value if is_pair else (value, value), quantity)
+        return checked_interval(name, value if is_pair else (value, value), quantity)
     if is_pair:
-        drawn = rng.uniform(*_pair(name, value, quantity))
-        return round(drawn / SEGMENT_DURATION) * SEGMENT_DURATION if quantity.on_grid else drawn
-    number = _number(name, value, quantity)
-    if quantity.on_grid and math.remainder(number, SEGMENT_DURATION) != 0.0:
+        number = rng.uniform(*checked_interval(name, value, quantity))
+        on_grid = round(number / SEGMENT_DURATION) * SEGMENT_DURATION
+        return on_grid if name in ON_GRID else number
+    number = checked_number(name, value, quantity)
+    if name in ON_GRID and math.remainder(number, SEGMENT_DURATION) != 0.0:
         raise ValueError(
             f"{name} = {value!r} {quantity.unit}; must be a multiple of {SEGMENT_DURATION} s. "
             f"{quantity.hint}"
@@ -446,54 +255,57 @@ def _scaled(
     fastest = max((float(np.abs(value).max()) for value in speeds.values()), default=0.0)
     faster = min(ratio, max(QUANTITIES["speed"].high / fastest, 1.0)) if fastest else ratio
     turning = min(ratio * other.track_gauge / vehicle.track_gauge, 1.0)
-    found = dict(values)
-    for name, value in speeds.items():
-        pair = isinstance(value, (list, tuple))
-        found[name] = tuple(faster * v for v in value) if pair else faster * value
-    return found | {name: turning * values[name] for name in YAW_RATES if name in values}
+    scaled = {
+        name: tuple(faster * v for v in value)
+        if isinstance(value, (list, tuple))
+        else faster * value
+        for name, value in speeds.items()
+    }
+    return {**values, **scaled} | {n: turning * values[n] for n in YAW_RATES if n in values}
 
 
 def make_reference(
-    spec: str | Mapping[str, Any], duration: float, rng: np.random.Generator,
+    spec: str | Mapping[str, Any],
+    duration: float,
+    rng: np.random.Generator,
     vehicle: PlantParameters | None = None,
-) -> ReferenceProfile:  # fmt: skip
+) -> ReferenceProfile:
     """Return the reference that `spec` describes, for an episode of `duration` [s].
 
     spec: a name of `REFERENCES`, or {"kind": name, parameter: value, ...}; parameters and
     defaults are the arguments of the builder, and the start pose x, y [m], yaw [rad]. A
     missing "kind" is "random"; "plan" is made by a planner for the nominal `vehicle`, see
-    `references.planned`. vehicle: None leaves all speeds as they are. Raises ValueError for
+    the head of this file. vehicle: None leaves all speeds as they are. Raises ValueError for
     whatever is unknown or out of range.
     """
     if not isinstance(spec, (str, Mapping)):
         raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
-    given = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    kind = given.pop("kind", "random")
+    options = {"kind": spec} if isinstance(spec, str) else dict(spec)
+    kind = options.pop("kind", "random")
     if not isinstance(kind, str) or kind not in (*REFERENCES, PLAN):
-        known = ", ".join((*REFERENCES, PLAN))
-        raise ValueError(f"reference kind {kind!r}; must be one of {known}.")
-    horizon = _number("duration", duration, Quantity(*DURATION_RANGE, "s"))
+        kinds = ", ".join((*REFERENCES, PLAN))
+        raise ValueError(f"reference kind {kind!r}; must be one of {kinds}.")
+    horizon = checked_number("duration", duration, DURATION)
     if kind == PLAN:
-        profile = plan_reference(given, horizon, rng, vehicle)
+        profile = plan_reference(options, horizon, rng, vehicle)
         _check(kind, {}, profile)
         return profile
-    names, written_for = _parameter_names(kind), given.pop("vehicle", None)
-    unknown = sorted(set(given) - set(names), key=str)
+    names, written_for = _parameter_names(kind), options.pop("vehicle", None)
+    unknown = sorted(set(options) - set(names), key=str)
     if unknown:
         raise ValueError(
             f"reference {kind!r}: unknown parameter {unknown[0]!r}; must be one of "
             f"{', '.join(names) or '(none)'}. A misspelling, or of another kind?"
         )
-    if kind == "waypoints" and "points" not in given:
+    if kind == "waypoints" and "points" not in options:
         raise ValueError("reference 'waypoints': points missing; must be a list of [x, y] [m].")
-    arguments = _ARGUMENTS[kind]
     values = _scaled(_defaults(kind), vehicle, DEFAULT_VEHICLE)
-    own = {name: _resolve(kind, name, given[name], rng) for name in names if name in given}
-    values |= _scaled(own, vehicle, written_for)
-    pose = {name: values.pop(name) for name in POSE if name in values}
-    more = {"rng": rng, "vehicle": vehicle}
-    further = {name: value for name, value in more.items() if name in arguments}
-    profile = REFERENCES[kind](duration=horizon, **further, **values)._replace(**pose)
+    chosen = {name: _resolve(kind, name, options[name], rng) for name in names if name in options}
+    values |= _scaled(chosen, vehicle, written_for)
+    pose = {name: values.pop(name) for name in START_POSE if name in values}
+    context = {"rng": rng, "vehicle": vehicle}
+    context = {name: value for name, value in context.items() if name in _ARGUMENTS[kind]}
+    profile = REFERENCES[kind](duration=horizon, **context, **values)._replace(**pose)
     _check(kind, values, profile)
     return profile
 
@@ -505,14 +317,160 @@ def batch_reference(
 
     None for kinds other than "random", and where parameters of the law are drawn as well.
     """
-    given: dict[str, Any] = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    if given.pop("kind", "random") != "random":
+    law: dict[str, Any] = {"kind": spec} if isinstance(spec, str) else dict(spec)
+    if law.pop("kind", "random") != "random":
         return None
-    speeds, written_for = given.pop("speed_range", None), given.pop("vehicle", None)
-    if any(isinstance(value, (list, tuple)) for value in given.values()):
+    speeds, written_for = law.pop("speed_range", None), law.pop("vehicle", None)
+    if any(isinstance(value, (list, tuple)) for value in law.values()):
         return None
-    pose = [float(given.pop(name, 0.0)) for name in POSE]
+    pose = [float(law.pop(name, 0.0)) for name in START_POSE]
     if speeds is not None:
-        given["speed_range"] = speeds if isinstance(speeds, (list, tuple)) else (speeds, speeds)
+        law["speed_range"] = speeds if isinstance(speeds, (list, tuple)) else (speeds, speeds)
     values = _scaled(_defaults("random"), vehicle, DEFAULT_VEHICLE)
-    return random_paths(**(values | _scaled(given, vehicle, written_for))), pose
+    return random_paths(**(values | _scaled(law, vehicle, written_for))), pose
+
+
+def halton_goals(nearest: float, farthest: float) -> NDArray[np.float64]:
+    """GOALS poses (GOALS, 3) in an annulus [m] around the origin, yaw in [0, 2 pi).
+
+    Raises ValueError for an annulus that holds too few of them.
+    """
+    from scipy.stats import qmc  # a second to import: only when used
+
+    drawn = qmc.Halton(d=3, scramble=True, seed=0).random(10 * GOALS)
+    places = farthest * (2.0 * drawn[:, :2] - 1.0)
+    distance = np.hypot(*places.T)
+    inside = (nearest < distance) & (distance < farthest)
+    goals = np.column_stack([places, 2.0 * np.pi * drawn[:, 2]])[inside][:GOALS]
+    if len(goals) < GOALS:
+        raise ValueError(
+            f"annulus = [{nearest:g}, {farthest:g}] m holds {len(goals)} goals; must hold {GOALS}. "
+            "Widen it."
+        )
+    return goals
+
+
+@lru_cache(maxsize=32)
+def _planner(name: str) -> Planner:
+    """A registered planner. Raises ValueError for an unknown name."""
+    known = {entry.name: entry for _, entry in reversed(declared(PLANNERS))}
+    if not known:
+        raise ValueError(f"planner {name!r}: no installed package registers {PLANNERS}")
+    planner: Planner = known[checked_choice("planner", name, known)].load()
+    return planner
+
+
+@lru_cache(maxsize=256)
+def _planned(
+    planner: Planner,
+    vehicle: PlantParameters,
+    limits: tuple[tuple[str, float], ...],
+    slip: bool,
+    frame: str,
+    goal: Pose,
+) -> PlannedRows:
+    """A plan; goals that come again in later episodes find it here."""
+    return planner(vehicle, dict(limits), slip, frame, goal)
+
+
+def _pose(what: str, numbers: Any) -> Pose:
+    if isinstance(numbers, (str, Mapping)) or np.shape(numbers) != (3,):
+        raise ValueError(f"{what} = {numbers!r}; must be [x, y, yaw] in m and rad")
+    x, y = (checked_number(f"{what} {name}", numbers[k], _PLACE) for k, name in enumerate("xy"))
+    return x, y, checked_number(f"{what} yaw", numbers[2], _ANGLE)
+
+
+@lru_cache(maxsize=8)
+def _halton_poses(nearest: float, farthest: float) -> Sequence[Pose]:
+    return [(x, y, yaw) for x, y, yaw in halton_goals(nearest, farthest).tolist()]
+
+
+def _goals(options: Mapping[str, Any], scale: float) -> tuple[Sequence[Pose], bool]:
+    """The goals that an episode may have, and whether it draws one of them."""
+    if ("goal" in options) == ("goals" in options):
+        raise ValueError("reference 'plan': must have one of 'goal': [x, y, yaw] and 'goals'")
+    if "annulus" in options and options.get("goals") != "halton":
+        raise ValueError('reference \'plan\': annulus is of "goals": "halton", not of given ones')
+    if "goal" in options:
+        return [_pose("goal", options["goal"])], False
+    goals = options["goals"]
+    if isinstance(goals, str):
+        checked_choice("goals", goals, ("halton",))
+        ends = options.get("annulus", [scale * end for end in ANNULUS])
+        if np.shape(ends) != (2,):
+            raise ValueError(f"annulus = {ends!r}; must be [nearest, farthest] in m")
+        near, far = (checked_number("annulus", end, _DISTANCE) for end in ends)
+        if not near < far:
+            raise ValueError(f"annulus = {ends!r} m; must be [nearest, farthest]. Swap the two.")
+        return _halton_poses(near, far), True
+    if not isinstance(goals, (list, tuple, np.ndarray)) or not len(goals):
+        raise ValueError(f'goals = {goals!r}; must be "halton" or a list of [x, y, yaw]')
+    return [_pose("goals", goal) for goal in goals], True
+
+
+def _limits(limits: Any, scale: float) -> tuple[tuple[str, float], ...]:
+    limits = checked_keys("limits", limits, LIMITS)
+    defaults = {
+        k: v * (scale if k in ("v_max", "v_min") else 1.0) for k, v in DEFAULT_LIMITS.items()
+    }
+    if "v_max" in limits and "v_min" not in limits:
+        highest = checked_number("limits v_max", limits["v_max"], LIMITS["v_max"])
+        defaults["v_min"] = min(defaults["v_min"], highest)
+    values = {**defaults, **limits}
+    return tuple((k, checked_number(f"limits {k}", v, LIMITS[k])) for k, v in values.items())
+
+
+def _refusal(plan: PlannedRows, duration: float) -> str:
+    """Why a plan cannot be the reference of an episode, or nothing."""
+    if not plan.converged:
+        return plan.message or "it did not converge"
+    if (end := float(plan.rows[-1, START])) > duration:
+        return f"it takes {end:.1f} s of an episode of {duration:g} s: raise duration or v_max"
+    return ""
+
+
+def plan_reference(
+    options: Mapping[str, Any],
+    duration: float,
+    rng: np.random.Generator,
+    vehicle: PlantParameters | None,
+) -> ReferenceProfile:
+    """The reference of a plan for the nominal `vehicle`, see the head of this file.
+
+    Of drawn goals, the next one is taken where one has no plan, ATTEMPTS times at most. Raises
+    ValueError for what is unknown or out of range, and where no plan reaches a goal within
+    `duration` [s].
+    """
+    options = checked_keys("reference 'plan'", options, _PLAN_KEYS)
+    if vehicle is None:
+        raise ValueError("reference 'plan': a plan needs the vehicle; pass it to make_reference")
+    scale = vehicle.track_gauge / _INDOOR.track_gauge
+    name = options.get("planner", "optimal")
+    frame = checked_choice("frame", options.get("frame", "course"), FRAMES)
+    slip = checked_flag("slip", options.get("slip", name == "optimal"))
+    limits = _limits(options.get("limits"), min(scale, top_speed(vehicle) / top_speed(_INDOOR)))
+    planner = _planner(name)
+    start = _pose("start", [options.get(key, 0.0) for key in START_POSE])
+    goals, drawn = _goals(options, scale)
+    first = int(rng.integers(len(goals))) if drawn else 0
+    for attempt in range(min(ATTEMPTS, len(goals))):
+        goal = goals[(first + attempt) % len(goals)]
+        plan = _planned(planner, vehicle, limits, slip, frame, goal)
+        refusal = _refusal(plan, duration)
+        if not refusal:
+            return _placed(plan.rows, start)
+    where = f"none of {attempt + 1} goals drawn, the last" if drawn else "no plan to the goal"
+    x, y, yaw = goal
+    raise ValueError(
+        f"reference 'plan': {where} ({x:.3g} m, {y:.3g} m, {yaw:.3g} rad) by {name!r}: {refusal}"
+    )
+
+
+def _placed(rows: NDArray[np.float64], start: Pose) -> ReferenceProfile:
+    """The reference of rows from the origin, from another start."""
+    x, y, yaw = start
+    rows = rows.copy()
+    places = (rows[:, POSE] + 1j * rows[:, POSE + 1]) * np.exp(1j * yaw)
+    rows[:, POSE], rows[:, POSE + 1] = places.real + x, places.imag + y
+    rows[:, POSE + 2] += yaw
+    return of_table(rows, *rows[0, POSE : POSE + 3].tolist())

@@ -1,18 +1,27 @@
-"""What is under a vehicle at a place: height, slope and soil, at one instant of its episode.
+"""What is under a vehicle at a place: soil, height and slope, as kernels evaluate them.
 
 The soil starts with the parameters of the episode; each event changes one of them in turn, by
-time and place (`tracked_env.events`). `refresh` writes all parameters in
-force at the vehicle's centre of mass; `at` gives ground and soil at any other place, under a track
-or under a patch, so that a plant decides where its soil is asked for.
-
+time and place (`tracked_env.events`). The engine asks for the parameters in force at the centre of
+mass; `soil_at` gives the soil at any other place, under a track or under a patch, so that a plant
+decides where its soil is asked for.
     ground = Terrain(batch.floats, batch.events, i, count, time)       inside a kernel
-    under = at(level, ground, x, y)                                    Ground: surface, soil
+    under = soil_at(ground, x, y)                                      SoilParameters
     Terrain(...).at(x, y)                                              the same from Python
 
-Level ground, the default surface.
+    h(x, y) = c + a x + b y + sum of ramps and steps + sum_i A_i sin(kx_i x + ky_i y + phi_i) + grid
+A ramp or a step rises along a direction e from the distance s0 on, over the length L. With
+u = (e . (x, y) - s0) / L:
+    ramp  0;  tan(s) L (u/2 - sin(pi u)/(2 pi));  tan(s) L (u - 1/2)        u < 0; 0..1; u > 1
+    step  0;  H (u - sin(2 pi u)/(2 pi));         H
+The slope of a ramp rises as (1 - cos(pi u))/2, that of a step never exceeds 2 H / L. The grid is a
+height map on a square mesh:
+    bilinear  continuous; the slope jumps at the edges of cells by curvature times cell
+    bicubic   Catmull-Rom: continuous slope, through all heights
+Beyond its edge the map keeps the height of the nearest place on it, and the place counts as off the
+map. Loops here fill whole arrays, one term at a time: inside the loop over the patches of a
+vehicle they would keep that loop from being vectorised.
 
-A surface is a compiled function (x, y) [m] -> `Surface`; another one is another such function,
-passed to `tracked_env.terrain.ground.at` by the plant that drives on it.
+Reference: [1] Keys, "Cubic convolution interpolation for digital image processing" (1981).
 """
 
 import math
@@ -22,44 +31,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import arrays as b
-from tracked_env import events as parameter_events
-from tracked_env.physics import parameters as s
-from tracked_env.physics.jit import formula
+from tracked_env.events import changed_value
+from tracked_env.physics.elementary import rotation
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
     PARAMETER_NAMES,
-    PARAMETER_ROWS,
     PlantParameters,
     SoilParameters,
     gathering,
 )
+from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
 
 STEEPEST = 5.0  # [-] dz/dx of any terrain, 79 degrees
 # What an episode draws on top of a terrain, see `terrain.pool`: two slopes, and sinusoids.
 DRAWN_WAVES = 8
 RELIEF_SIZE = 2 + 4 * DRAWN_WAVES
 RELIEF_COLUMNS = RELIEF_SIZE + 1  # and the member of the pool
-
-
-class Surface(NamedTuple):
-    """Geometry of the ground at one place, world frame."""
-
-    height: float  # [m]
-    slope_x: float  # [-] dz/dx
-    slope_y: float  # [-] dz/dy
-
-
-@formula
-def level(x, y):
-    """Height 0 and no slope, wherever (x, y) [m] is."""
-    return Surface(0.0, 0.0, 0.0)
-
-
-class Ground(NamedTuple):
-    """Surface and soil at one place."""
-
-    surface: Surface
-    soil: SoilParameters
+RAMP, STEP = 0.0, 1.0  # kinds of an edge
 
 
 class Terrain(NamedTuple):
@@ -71,9 +60,10 @@ class Terrain(NamedTuple):
     acting: int  # events of it that count
     time: float  # [s] since the start of the episode
 
-    def at(self, x: float, y: float) -> Ground:
-        """Level ground and its soil at (x, y) [m], world frame."""
-        return at(level, self, float(x), float(y))
+    def at(self, x: float, y: float) -> SoilParameters:
+        """The soil at (x, y) [m], world frame."""
+        soil: SoilParameters = soil_at(self, float(x), float(y))
+        return soil
 
 
 @formula
@@ -84,34 +74,25 @@ def changed(value, parameter, events, i, count, time, x, y):
     """
     for e in range(count):
         if int(events[i, e, 1]) == parameter:
-            value = parameter_events.changed_value(value, events, i, e, time, x, y)
+            value = changed_value(value, events, i, e, time, x, y)
     return value
 
 
 @formula
 def _value(terrain, parameter, x, y):
     """One parameter of the soil at (x, y) [m]."""
-    return changed(
-        terrain.floats[terrain.i, b.BASE + parameter], parameter, terrain.events, terrain.i,
-        terrain.acting, terrain.time, x, y,
-    )  # fmt: skip
+    i, events = terrain.i, terrain.events
+    first = terrain.floats[i, b.BASE + parameter]
+    return changed(first, parameter, events, i, terrain.acting, terrain.time, x, y)
 
 
 # (terrain, x, y): SoilParameters at (x, y) [m].
-_soil_at = gathering(
+soil_at = gathering(
     SoilParameters,
     "terrain, x, y",
     {name: f"value(terrain, {PARAMETER_INDEX[name]}, x, y)" for name in SoilParameters._fields},
     value=_value,
 )
-
-
-@formula
-def at(surface, terrain, x, y):
-    """Ground at (x, y) [m]; surface: compiled (x, y) -> Surface."""
-    return Ground(surface(x, y), _soil_at(terrain, x, y))
-
-
 # (p, soil): PlantParameters p with another soil.
 on_soil = gathering(
     PlantParameters,
@@ -123,21 +104,153 @@ on_soil = gathering(
 )
 
 
+class Relief(NamedTuple):
+    """A terrain as plain arrays; made by `tracked_env.terrain.height_field`."""
+
+    plane: NDArray[np.float64]  # (3,) c [m], a, b [-]
+    edges: NDArray[np.float64]  # (E, 6) kind, tan(s) or H [m], e_x, e_y, s0 [m], L [m]
+    waves: NDArray[np.float64]  # (S, 4) A [m], kx, ky [rad/m], phi [rad]
+    heights: NDArray[np.float64]  # (rows, columns) [m] along y, along x; (0, 0): no map
+    frame: NDArray[np.float64]  # (4,) x, y [m] of heights[0, 0], 1/cell [1/m], 1 = bicubic
+
+
 @formula
-def refresh(floats, events, i, count, time):
-    """Parameters in force at the centre of mass of vehicle i, at `time` [s], into their columns."""
-    for row in range(PARAMETER_ROWS):
-        floats[i, b.PARAMETERS + row] = floats[i, b.BASE + row]
-    for e in range(count):
-        row = b.PARAMETERS + int(events[i, e, 1])
-        floats[i, row] = parameter_events.changed_value(
-            floats[i, row], events, i, e, time, floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
-        )
+def _add_edge(w, count, edge):
+    """Add one ramp or step to lanes 0 .. count - 1."""
+    kind, size, e_x, e_y, first = edge[0], edge[1], edge[2], edge[3], edge[4]
+    inverse = 1.0 / edge[5]
+    ramp = kind == RAMP
+    half = 0.5 if ramp else 1.0
+    rise = 0.5 * size * edge[5] if ramp else size  # at u = 1
+    end = size if ramp else 0.0  # slope beyond u = 1
+    steep = size if ramp else 2.0 * size * inverse  # largest slope
+    for lane in range(count):
+        u = (e_x * w[PLACE_X, lane] + e_y * w[PLACE_Y, lane] - first) * inverse
+        inside = min(max(u, 0.0), 1.0)
+        cosine, sine = rotation(half * math.pi * inside)
+        # Half angles: sin(2 a) = 2 sin(a) cos(a) and 1 - cos(2 a) = 2 sin(a)^2.
+        along = inside - sine * cosine / (half * math.pi)
+        beyond = max(u, 1.0) - 1.0
+        w[HEIGHT, lane] += rise * along + end * beyond * edge[5]
+        slope = steep * sine * sine
+        w[SLOPE_X, lane] += slope * e_x
+        w[SLOPE_Y, lane] += slope * e_y
 
 
-def checked_relief(given: Any) -> tuple[float, ...]:
+@formula
+def add_wave(w, count, amplitude, k_x, k_y, phase):
+    """Add one sinusoid to lanes 0 .. count - 1."""
+    steep_x, steep_y = amplitude * k_x, amplitude * k_y
+    for lane in range(count):
+        cosine, sine = rotation(k_x * w[PLACE_X, lane] + k_y * w[PLACE_Y, lane] + phase)
+        w[HEIGHT, lane] += amplitude * sine
+        w[SLOPE_X, lane] += steep_x * cosine
+        w[SLOPE_Y, lane] += steep_y * cosine
+
+
+@formula
+def _cell(position, last):
+    """(first node, share of the way to the next one, 1 on the map or 0) of a position [cells]."""
+    clamped = min(max(position, 0.0), last)
+    inside = 1.0 if clamped == position else 0.0
+    node = max(min(int(clamped), int(last) - 1), 0)  # NaN has no node
+    return node, clamped - node, inside
+
+
+@formula
+def _cubic(u):
+    """Catmull-Rom weights of the four nodes around u in [0, 1], and their derivatives."""
+    v = u - 1.0
+    first, second = -0.5 * u * v * v, 1.0 + u * u * (1.5 * u - 2.5)
+    third, fourth = -u * (1.5 * u * u - 2.0 * u - 0.5), 0.5 * u * u * v
+    slope_1, slope_2 = -0.5 * v * (3.0 * u - 1.0), u * (4.5 * u - 5.0)
+    slope_3, slope_4 = -4.5 * u * u + 4.0 * u + 0.5, 0.5 * u * (3.0 * u - 2.0)
+    return (first, second, third, fourth), (slope_1, slope_2, slope_3, slope_4)
+
+
+@formula
+def _bilinear(heights, i, j, u, v):
+    """(height, rise per cell along x, along y) between four nodes."""
+    h00, h01 = heights[i, j], heights[i, j + 1]
+    h10, h11 = heights[i + 1, j], heights[i + 1, j + 1]
+    low, high = h01 - h00, h11 - h10
+    along_x = low + v * (high - low)
+    along_y = (h10 - h00) + u * (high - low)
+    return h00 + u * low + v * along_y, along_x, along_y
+
+
+@formula
+def _bicubic(heights, i, j, u, v):
+    """The same between sixteen nodes; at the edge of the map the last node stands for the next."""
+    in_x, slope_x = _cubic(u)
+    in_y, slope_y = _cubic(v)
+    height, along_x, along_y = 0.0, 0.0, 0.0
+    for k in range(4):
+        row = min(max(i + k - 1, 0), heights.shape[0] - 1)
+        value, slope = 0.0, 0.0
+        for m in range(4):
+            node = heights[row, min(max(j + m - 1, 0), heights.shape[1] - 1)]
+            value += in_x[m] * node
+            slope += slope_x[m] * node
+        height += in_y[k] * value
+        along_x += in_y[k] * slope
+        along_y += slope_y[k] * value
+    return height, along_x, along_y
+
+
+@formula
+def _add_map(w, count, heights, frame):
+    """Add the height map to lanes 0 .. count - 1; returns how many of them are on it."""
+    inverse = frame[2]
+    last_x, last_y = heights.shape[1] - 1.0, heights.shape[0] - 1.0
+    bicubic = frame[3] > 0.5
+    inside = 0.0
+    for lane in range(count):
+        j, u, in_x = _cell((w[PLACE_X, lane] - frame[0]) * inverse, last_x)
+        i, v, in_y = _cell((w[PLACE_Y, lane] - frame[1]) * inverse, last_y)
+        if bicubic:
+            height, along_x, along_y = _bicubic(heights, i, j, u, v)
+        else:
+            height, along_x, along_y = _bilinear(heights, i, j, u, v)
+        w[HEIGHT, lane] += height
+        w[SLOPE_X, lane] += in_x * inverse * along_x
+        w[SLOPE_Y, lane] += in_y * inverse * along_y
+        inside += in_x * in_y
+    return inside
+
+
+@formula
+def fill(relief, w, count):
+    """Rows HEIGHT [m], SLOPE_X, SLOPE_Y [-] of w at rows PLACE_X, PLACE_Y [m], lanes 0 .. count-1.
+
+    Returns how many of these places lie off the map.
+    """
+    plane = relief.plane
+    c, a, b = plane[0], plane[1], plane[2]
+    for lane in range(count):
+        w[HEIGHT, lane] = c + (a * w[PLACE_X, lane] + b * w[PLACE_Y, lane])
+        w[SLOPE_X, lane] = a
+        w[SLOPE_Y, lane] = b
+    for e in range(relief.edges.shape[0]):
+        _add_edge(w, count, relief.edges[e])
+    waves = relief.waves
+    for k in range(waves.shape[0]):
+        add_wave(w, count, waves[k, 0], waves[k, 1], waves[k, 2], waves[k, 3])
+    inside = float(count)
+    if relief.heights.size > 0:
+        inside = _add_map(w, count, relief.heights, relief.frame)
+    return count - inside
+
+
+@loop
+def fill_places(relief, w):
+    """The same for all lanes of w, from Python."""
+    return fill(relief, w, w.shape[1])
+
+
+def checked_relief(relief: Any) -> tuple[float, ...]:
     """A drawn relief as numbers; empty for none. Raises ValueError."""
-    numbers = tuple(float(value) for value in given)
+    numbers = tuple(float(value) for value in relief)
     if len(numbers) not in (0, RELIEF_SIZE) or not all(math.isfinite(value) for value in numbers):
         raise ValueError(
             f"relief of {len(numbers)} numbers; must be {RELIEF_SIZE} finite ones, two slopes and "

@@ -1,4 +1,4 @@
-"""From a name or a JSON-able dictionary to a terrain: kinds, checks, and the arrays of the kernels.
+"""From a name or a JSON-able dictionary to a terrain: kinds, checks, height maps from files.
 
     make_height_field("hills")
     make_height_field({"kind": "ramp", "slope": 0.3, "start": 2.0, "length": 1.5})
@@ -17,31 +17,26 @@ Kinds, heights in m over x, y in m, slopes as dz/dx [-], directions in rad from 
               ratios from 2 pi / longest to 2 pi / shortest, amplitudes ~ k^-hurst, so that the
               power spectral density over the plane of wave vectors falls as k^-(2 + 2 hurst);
               standard deviation `height`
-    map       a grid of heights, see `tracked_env.terrain.height_field`
-No terrain may be steeper than STEEPEST anywhere: contact along the normal has no meaning on walls.
-
-Height maps: from an array or a file to a checked grid of heights.
-
-    {"kind": "map", "heights": [[...], ...], "cell": 0.1}       heights[row][column], y and x grow
-    {"kind": "map", "file": "field.npz"}                        .npy, .npz, 16-bit .png, .tif
-with
-    heights        numbers [m], or a NumPy array; rows along y, columns along x, both growing
-    file           an array in .npy; in .npz `height` with `x0`, `y0` (default: x0) and `spacing`;
-                   an image in .png, its upper edge at the largest y, one count = 1 m times `scale`;
-                   a GeoTIFF, first band, with cell and origin of its own; one in coordinates of
-                   a survey, without (0, 0), where references start, is centred, with a warning
-    cell           [m] distance between heights; of the file where that says it
-    origin         [m, m] x, y of heights[0][0]; default: of the file, else the middle of the map
-                   is at (0, 0)
-    scale          [-] factor on the heights as they are read
-    interpolation  "bilinear" or "bicubic"
-`tracked_env[terrain]` brings what reads .png and GeoTIFF.
+    map       a grid of heights, with
+        heights        numbers [m] or a NumPy array; rows along y, columns along x, both growing
+        file           instead: an array in .npy; in .npz `height` with `x0`, `y0` (default: x0) and
+                       `spacing`; a grey image in .png, its upper edge at the largest y, one count
+                       = 1 m times `scale`; a GeoTIFF, first band, with cell and origin of its own;
+                       one in coordinates of a survey, without (0, 0), where references start, is
+                       centred, with a warning
+        cell           [m] distance between heights; of the file where that says it
+        origin         [m, m] x, y of heights[0][0]; default: of the file, else the middle of the
+                       map is at (0, 0)
+        scale          [-] factor on the heights as they are read
+        interpolation  "bilinear" or "bicubic"
+`tracked_env[terrain]` brings what reads .png and GeoTIFF. No terrain may be steeper than STEEPEST
+anywhere: contact along the normal has no meaning on walls.
 """
 
 import json
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,8 +46,7 @@ from numpy.typing import NDArray
 
 from tracked_env.physics.parameters import Range
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
-from tracked_env.terrain.ground import STEEPEST
-from tracked_env.terrain.relief import RAMP, STEP, Relief, fill_places
+from tracked_env.terrain.ground import RAMP, STEEPEST, STEP, Relief, fill_places
 from tracked_env.validation import (
     checked_choice,
     checked_keys,
@@ -62,221 +56,37 @@ from tracked_env.validation import (
 )
 
 Floats = NDArray[np.float64]
-
-
-MAP_KEYS = ("heights", "file", "cell", "origin", "scale", "interpolation")
-INTERPOLATIONS = ("bilinear", "bicubic")
-LARGEST = 10**8  # [-] heights of a map
-_CELL = Range(1e-3, 1e4, "m", "It is the distance between two heights.")
-_PLACE_HEIGHT_MAP = Range(
-    -1e7, 1e7, "m", "It is a world coordinate; subtract the origin of a survey."
-)
-_SCALE = Range(-1e6, 1e6, "-", "It is the height of one count.")
-_READERS = {".png": "pillow", ".tif": "rasterio", ".tiff": "rasterio"}
-
-
-class _MapError(ValueError):
-    """What a file lacks, in words of its own."""
-
-
-def _lacks(path: Path, error: ImportError) -> _MapError:
-    needed = _READERS[path.suffix.lower()]
-    return _MapError(
-        f"terrain file = {str(path)!r}; needs {needed} ({error}). Did you run "
-        "`pip install tracked-env[terrain]`?"
-    )
-
-
-def _read_png(path: Path) -> tuple[Any, dict[str, Any]]:
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise _lacks(path, error) from error
-    with Image.open(path) as image:
-        if len(image.getbands()) > 1 or image.mode == "P":
-            raise _MapError(
-                f"terrain file = {str(path)!r} of mode {image.mode}; must be a grey image, whose "
-                "counts are heights. Did you save it in colour, or with a palette?"
-            )
-        _check_size(path, image.width * image.height)
-        counts = np.asarray(image)
-    return counts[::-1], {}
-
-
-def _read_geotiff(path: Path) -> tuple[Any, dict[str, Any]]:
-    try:
-        import rasterio  # type: ignore[import-not-found, import-untyped, unused-ignore]
-    except ImportError as error:
-        raise _lacks(path, error) from error
-    with rasterio.open(path) as source:
-        _check_size(path, source.width * source.height)
-        heights = source.read(1, masked=True).astype(np.float64).filled(np.nan)
-        t = source.transform
-    if t.b or t.d or not math.isclose(t.a, -t.e, rel_tol=1e-6):
-        raise _MapError(
-            f"terrain file = {str(path)!r} with cells of {t.a:g} x {-t.e:g}; must be square and "
-            "along x and y. Is it in degrees? Reproject it to metres."
-        )
-    rows = heights.shape[0]
-    origin = [t.c + 0.5 * t.a, t.f + (rows - 0.5) * t.e]  # middles of cells, lowest y first
-    return heights[::-1], {"cell": t.a, "origin": origin}
-
-
-def _read_npz(path: Path) -> tuple[Any, dict[str, Any]]:
-    found = plain_arrays(path, 8 * LARGEST + 2**20)
-    if "height" not in found:
-        raise _MapError(
-            f"terrain file = {str(path)!r} with {sorted(found)}; must hold an array 'height'"
-        )
-    known: dict[str, Any] = {}
-    if "spacing" in found:
-        known["cell"] = float(found["spacing"])
-    if "x0" in found:
-        known["origin"] = [float(found["x0"]), float(found.get("y0", found["x0"]))]
-    return found["height"], known
-
-
-def _read(given: object) -> tuple[Any, dict[str, Any]]:
-    """(heights as they are in the file, cell and origin where it says them). Raises ValueError."""
-    path = Path(str(given))
-    readers = {
-        ".npy": lambda path: (np.load(path), {}), ".npz": _read_npz, ".png": _read_png,
-        ".tif": _read_geotiff, ".tiff": _read_geotiff,
-    }  # fmt: skip
-    if path.suffix.lower() not in readers:
-        raise ValueError(f"terrain file = {str(path)!r}; must end in one of {sorted(readers)}")
-    if not path.is_file():
-        raise ValueError(f"terrain file = {str(path)!r}; no such file. Is the path relative?")
-    try:
-        return readers[path.suffix.lower()](path)
-    except _MapError:
-        raise
-    except Exception as error:  # a damaged file raises what happens to go wrong
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise ValueError(f"terrain file = {str(path)!r}; cannot be read: {reason}") from error
-
-
-def _check_size(path: Path, size: int) -> None:
-    """Raise _MapError for a picture of more heights than a map may have, before it is unpacked."""
-    if size > LARGEST:
-        raise _MapError(
-            f"terrain file = {str(path)!r} of {size:.1e} heights; must be at most {LARGEST:.0e}"
-        )
-
-
-def _checked_heights(given: object, scale: float) -> Floats:
-    """Heights (rows, columns) [m]. Raises ValueError."""
-    try:
-        heights = np.asarray(given)
-        if heights.dtype.kind not in "biuf":
-            raise TypeError(f"they are of type {heights.dtype}")
-        heights = heights.astype(np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"heights of a map are not numbers in rows of equal length: {error}"
-        ) from error
-    if heights.ndim != 2:
-        raise ValueError(
-            f"heights of a map of shape {heights.shape}; must be (rows, columns), rows along y. "
-            "Did you pass coordinates as well?"
-        )
-    if min(heights.shape) < 2 or heights.size > LARGEST:
-        raise ValueError(
-            f"heights of a map of shape {heights.shape}; must be at least 2 x 2 and at most "
-            f"{LARGEST:.0e} in all: one cell has four heights"
-        )
-    if not np.isfinite(heights).all():
-        row, column = np.argwhere(~np.isfinite(heights))[0]
-        raise ValueError(
-            f"heights[{row}][{column}] of a map = {heights[row, column]}; must be finite. "
-            "Are there holes in the survey? Fill them first."
-        )
-    return np.ascontiguousarray(scale * heights)
-
-
-def _origin_in_file(
-    given: Mapping[str, Any], known: Mapping[str, Any], middle: list[float]
-) -> list[float]:
-    """[x, y] [m] of the first height where the map itself says nothing: of its file, or `middle`.
-
-    Coordinates of a survey are those of a GeoTIFF that does not reach (0, 0), and of another file
-    that is farther away than it is long. A warning names them.
-    """
-    origin: list[float] = known.get("origin", middle)
-    lengths = [-2.0 * half for half in middle]
-    distance = max(
-        max(first, -first - length) for first, length in zip(origin, lengths, strict=True)
-    )
-    is_geotiff = Path(str(given.get("file", ""))).suffix.lower() in (".tif", ".tiff")
-    if not distance > (0.0 if is_geotiff else max(lengths)):
-        return origin
-    warnings.warn(
-        f"terrain file = {str(given['file'])!r} reaches from {origin} on over {lengths} m, without "
-        "(0, 0), where references start: its middle is put at (0, 0). Give 'origin': [x, y] to "
-        "place it yourself",
-        stacklevel=2,
-    )
-    return middle
-
-
-def load_map(given: Mapping[str, Any]) -> tuple[Floats, Floats]:
-    """(heights (rows, columns) [m], frame) of a map, as `relief.Relief` has them.
-
-    Raises ValueError for a map that cannot be read, is not a grid of numbers, or lacks its cell.
-    """
-    if ("heights" in given) == ("file" in given):
-        raise ValueError("terrain of kind 'map'; must have either 'heights' or 'file'")
-    known: dict[str, Any] = {}
-    if "file" in given:
-        found, known = _read(given["file"])
-    else:
-        found = given["heights"]
-    scale = checked_number("scale of a map", given.get("scale", 1.0), _SCALE)
-    heights = _checked_heights(found, scale)
-    cell = given.get("cell", known.get("cell"))
-    if cell is None:
-        raise ValueError("terrain of kind 'map' lacks 'cell', the distance between heights in m")
-    cell = checked_number("cell of a map", cell, _CELL)
-    interpolation = checked_choice(
-        "interpolation", given.get("interpolation", "bilinear"), INTERPOLATIONS
-    )
-    rows, columns = heights.shape
-    middle = [-0.5 * cell * (columns - 1), -0.5 * cell * (rows - 1)]
-    origin = given["origin"] if "origin" in given else _origin_in_file(given, known, middle)
-    if not isinstance(origin, (list, tuple, np.ndarray)) or len(origin) != 2:
-        raise ValueError(f"origin of a map = {origin!r}; must be [x, y] in m of heights[0][0]")
-    x, y = (checked_number("origin of a map", value, _PLACE_HEIGHT_MAP) for value in origin)
-    return heights, np.array([x, y, 1.0 / cell, float(interpolation == "bicubic")])
-
-
+Rows = list[list[float]]
 _HEIGHT = Range(-100.0, 100.0, "m", "Did you pass millimetres?")
 _SLOPE = Range(-STEEPEST, STEEPEST, "-", "It is dz/dx, the tangent of the angle; not degrees.")
 _PLACE = Range(-1e6, 1e6, "m", "It is a world coordinate.")
 _LENGTH = Range(1e-3, 1e4, "m", "It is the length over which the ground rises, not 0.")
 _ANGLE = Range(-100.0, 100.0, "rad", "Did you pass degrees?")
-# Kind -> its numbers: (default, None: must be given; range).
-_NUMBERS: dict[str, dict[str, tuple[float | None, Range]]] = {
+_DEVIATION = Range(0.0, 100.0, "m", "It is a standard deviation.")
+_SEED = Range(0, 2**53, "-", "It is a seed.")
+_HURST = Range(0.0, 1.0, "-", "1 is smooth, 0 is rough.")
+_COUNT = Range(1, 1000, "-", "It is a number of sinusoids.")
+_EDGE = {"start": (2.0, _PLACE), "length": (1.0, _LENGTH), "direction": (0.0, _ANGLE)}
+# Kind -> its numbers: (default, range).
+_NUMBERS: dict[str, dict[str, tuple[float, Range]]] = {
     "flat": {},
     "plane": {"height": (0.0, _HEIGHT), "slope_x": (0.0, _SLOPE), "slope_y": (0.0, _SLOPE)},
-    "ramp": {
-        "slope": (0.2, _SLOPE), "start": (2.0, _PLACE), "length": (1.0, _LENGTH),
-        "direction": (0.0, _ANGLE),
-    },
-    "step": {
-        "height": (0.1, _HEIGHT), "start": (2.0, _PLACE), "length": (0.5, _LENGTH),
-        "direction": (0.0, _ANGLE),
-    },
+    "ramp": {"slope": (0.2, _SLOPE), **_EDGE},
+    "step": {"height": (0.1, _HEIGHT), **_EDGE, "length": (0.5, _LENGTH)},
     "hills": {"height": (0.25, _HEIGHT), "wavelength": (8.0, _LENGTH)},
     "crossing": {"height": (0.2, _HEIGHT), "wavelength": (6.0, _LENGTH), "angle": (1.2, _ANGLE)},
     "fractal": {
-        "height": (0.1, Range(0.0, 100.0, "m", "It is a standard deviation.")),
-        "seed": (0, Range(0, 2**53, "-", "It is a seed.")),
-        "hurst": (0.8, Range(0.0, 1.0, "-", "1 is smooth, 0 is rough.")),
-        "longest": (12.0, _LENGTH), "shortest": (1.0, _LENGTH),
-        "count": (16, Range(1, 1000, "-", "It is a number of sinusoids.")),
+        **{"height": (0.1, _DEVIATION), "seed": (0, _SEED), "hurst": (0.8, _HURST)},
+        **{"longest": (12.0, _LENGTH), "shortest": (1.0, _LENGTH), "count": (16, _COUNT)},
     },
-}  # fmt: skip
+}
 KINDS = (*_NUMBERS, "waves", "map")
+MAP_KEYS = ("heights", "file", "cell", "origin", "scale", "interpolation")
+INTERPOLATIONS = ("bilinear", "bicubic")
+LARGEST = 10**8  # [-] heights of a map
+_CELL = Range(1e-3, 1e4, "m", "It is the distance between two heights.")
+_ORIGIN = Range(-1e7, 1e7, "m", "It is a world coordinate; subtract the origin of a survey.")
+_SCALE = Range(-1e6, 1e6, "-", "It is the height of one count.")
 
 
 @dataclass(frozen=True)
@@ -308,152 +118,289 @@ class HeightField:
         return json.dumps(self.specification, default=lambda array: array.tolist())
 
 
-@dataclass
-class _Parts:
-    """What the kinds add up to."""
-
-    plane: Floats
-    edges: list[list[float]]
-    waves: list[list[float]]
-
-
-def _flat(given: Mapping[str, float], parts: _Parts) -> None:
-    """Nothing to add."""
-
-
-def _plane(given: Mapping[str, float], parts: _Parts) -> None:
-    parts.plane += (given["height"], given["slope_x"], given["slope_y"])
-
-
-def _edge(kind: float, size: float, given: Mapping[str, float], parts: _Parts) -> None:
-    e_x, e_y = math.cos(given["direction"]), math.sin(given["direction"])
-    parts.edges.append([kind, size, e_x, e_y, given["start"], given["length"]])
-
-
-def _ramp(given: Mapping[str, float], parts: _Parts) -> None:
-    _edge(RAMP, given["slope"], given, parts)
-
-
-def _step(given: Mapping[str, float], parts: _Parts) -> None:
-    _edge(STEP, given["height"], given, parts)
-
-
-def _hills(given: Mapping[str, float], parts: _Parts) -> None:
-    half, k = 0.5 * given["height"], 2.0 * math.pi / given["wavelength"]
-    # sin a sin b = (cos(a - b) - cos(a + b)) / 2
-    parts.waves.append([half, k, -k, 0.5 * math.pi])
-    parts.waves.append([-half, k, k, 0.5 * math.pi])
-
-
-def _crossing(given: Mapping[str, float], parts: _Parts) -> None:
-    half, k = 0.5 * given["height"], 2.0 * math.pi / given["wavelength"]
-    parts.waves.append([half, k, 0.0, 0.0])
-    parts.waves.append([half, k * math.cos(given["angle"]), k * math.sin(given["angle"]), 0.0])
-
-
-def _fractal(given: Mapping[str, float], parts: _Parts) -> None:
-    count = checked_whole("fractal count", given["count"], _NUMBERS["fractal"]["count"][1])
-    seed = checked_whole("fractal seed", given["seed"], _NUMBERS["fractal"]["seed"][1])
-    if given["shortest"] > given["longest"]:
+def _fractal(p: Mapping[str, float]) -> Rows:
+    """Waves of a fractal. Raises ValueError."""
+    count = checked_whole("fractal count", p["count"], _COUNT)
+    seed = checked_whole("fractal seed", p["seed"], _SEED)
+    if p["shortest"] > p["longest"]:
         raise ValueError(
-            f"fractal shortest = {given['shortest']!r} m; must be at most longest = "
-            f"{given['longest']!r} m. Did you exchange the two wavelengths?"
+            f"fractal shortest = {p['shortest']!r} m; must be at most longest = "
+            f"{p['longest']!r} m. Did you exchange the two wavelengths?"
         )
     rng = np.random.default_rng(seed)
-    k = 2.0 * math.pi / np.geomspace(given["longest"], given["shortest"], count)
+    k = 2.0 * math.pi / np.geomspace(p["longest"], p["shortest"], count)
     directions, phases = rng.uniform(0.0, 2.0 * math.pi, (2, count))
-    amplitudes = k ** -given["hurst"]
-    amplitudes *= given["height"] / math.sqrt(0.5 * float(amplitudes @ amplitudes))
+    amplitudes = k ** -p["hurst"]
+    amplitudes *= p["height"] / math.sqrt(0.5 * float(amplitudes @ amplitudes))
     rows = np.stack([amplitudes, k * np.cos(directions), k * np.sin(directions), phases], axis=1)
-    parts.waves.extend(rows.tolist())
+    waves: Rows = rows.tolist()
+    return waves
 
 
-_BUILD: dict[str, Callable[[Mapping[str, float], _Parts], None]] = {
-    "flat": _flat, "plane": _plane, "ramp": _ramp, "step": _step, "hills": _hills,
-    "crossing": _crossing, "fractal": _fractal,
-}  # fmt: skip
+def _edges(p: Mapping[str, Any]) -> Rows:
+    """The ramp or the step that a part is: rows [kind, size, e_x, e_y, start, length]."""
+    if p["kind"] not in ("ramp", "step"):
+        return []
+    kind, size = (RAMP, p["slope"]) if p["kind"] == "ramp" else (STEP, p["height"])
+    e_x, e_y = math.cos(p["direction"]), math.sin(p["direction"])
+    return [[kind, size, e_x, e_y, p["start"], p["length"]]]
 
 
-def _checked_waves(given: object) -> list[list[float]]:
+def _waves(p: Mapping[str, Any]) -> Rows:
+    """The sinusoids of a part: rows [A, kx, ky, phi]."""
+    if p["kind"] == "waves":
+        waves: Rows = p["waves"]
+        return waves
+    if p["kind"] == "fractal":
+        return _fractal(p)
+    if p["kind"] not in ("hills", "crossing"):
+        return []
+    half, k = 0.5 * p["height"], 2.0 * math.pi / p["wavelength"]
+    if p["kind"] == "hills":  # sin a sin b = (cos(a - b) - cos(a + b)) / 2
+        return [[half, k, -k, 0.5 * math.pi], [-half, k, k, 0.5 * math.pi]]
+    a = p["angle"]
+    return [[half, k, 0.0, 0.0], [half, k * math.cos(a), k * math.sin(a), 0.0]]
+
+
+def _checked_waves(rows: object) -> Rows:
     """Rows [A, kx, ky, phi]. Raises ValueError."""
     try:
-        rows = np.asarray(given, dtype=float)
+        waves = np.asarray(rows, dtype=float)
     except (TypeError, ValueError):
-        rows = np.empty(0)
-    if rows.ndim != 2 or rows.shape[1:] != (4,) or not np.isfinite(rows).all():
+        waves = np.empty(0)
+    if waves.ndim != 2 or waves.shape[1:] != (4,) or not np.isfinite(waves).all():
         raise ValueError(
-            f"waves of shape {rows.shape}; must be finite rows [A, kx, ky, phi] in m, rad/m, rad"
+            f"waves of shape {waves.shape}; must be finite rows [A, kx, ky, phi] in m, rad/m, rad"
         )
-    return [[float(value) for value in row] for row in rows]
+    return [[float(value) for value in row] for row in waves]
 
 
-def _steepest(parts: _Parts) -> float:
+def _steepest(plane: Floats, edges: Rows, waves: Rows) -> float:
     """An upper bound [-] of the slope of all parts but the map."""
-    bound = math.hypot(parts.plane[1], parts.plane[2])
+    bound = math.hypot(plane[1], plane[2])
     bound += sum(
         abs(size) if kind == RAMP else 2.0 * abs(size) / length
-        for kind, size, _, _, _, length in parts.edges
+        for kind, size, _, _, _, length in edges
     )
-    return bound + sum(abs(a) * math.hypot(k_x, k_y) for a, k_x, k_y, _ in parts.waves)
+    return bound + sum(abs(a) * math.hypot(k_x, k_y) for a, k_x, k_y, _ in waves)
 
 
-def _checked_part(given: object) -> dict[str, Any]:
+def _checked_part(part: object) -> dict[str, Any]:
     """One part of a terrain with all its numbers filled in. Raises ValueError."""
-    if isinstance(given, str):
-        given = {"kind": given}
-    if isinstance(given, np.ndarray):
+    if isinstance(part, str):
+        part = {"kind": part}
+    if isinstance(part, np.ndarray):
         raise ValueError(
-            f"terrain = array of shape {given.shape}; heights need the distance between them: "
+            f"terrain = array of shape {part.shape}; heights need the distance between them: "
             '{"kind": "map", "heights": array, "cell": 0.1}'
         )
-    if not isinstance(given, Mapping):
+    if not isinstance(part, Mapping):
         raise ValueError(
-            f"terrain = {given!r}; must be a kind or a dict with 'kind', or a list of them"
+            f"terrain = {part!r}; must be a kind or a dict with 'kind', or a list of them"
         )
-    kind = checked_choice("terrain kind", given.get("kind"), KINDS)
-    what = f"terrain of kind '{kind}'"
+    kind = checked_choice("terrain kind", part.get("kind"), KINDS)
+    numbers = _NUMBERS.get(kind, {})
+    keys = MAP_KEYS if kind == "map" else ("waves",) if kind == "waves" else numbers
+    checked_keys(f"terrain of kind '{kind}'", part, ("kind", *keys))
     if kind == "map":
-        return dict(checked_keys(what, given, ("kind", *MAP_KEYS)))
+        return dict(part)
     if kind == "waves":
-        checked_keys(what, given, ("kind", "waves"))
-        return {"kind": kind, "waves": _checked_waves(given.get("waves"))}
-    numbers = _NUMBERS[kind]
-    checked_keys(what, given, ("kind", *numbers))
-    filled = {
-        name: checked_number(f"{kind} {name}", given.get(name, default), allowed)
+        return {"kind": kind, "waves": _checked_waves(part.get("waves"))}
+    return {"kind": kind} | {
+        name: checked_number(f"{kind} {name}", part.get(name, default), allowed)
         for name, (default, allowed) in numbers.items()
     }
-    return {"kind": kind, **filled}
 
 
-def make_height_field(given: object) -> HeightField:
+def make_height_field(terrain: object) -> HeightField:
     """A terrain from a kind, a dict, a list of them (their sum), or a terrain itself.
 
     Raises ValueError for anything unknown, out of range, too steep, or a map that cannot be read.
     """
-    if isinstance(given, HeightField):
-        return given
-    several = isinstance(given, Sequence) and not isinstance(given, str)
-    specification = [_checked_part(part) for part in (given if several else [given])]  # type: ignore[attr-defined]
-    parts = _Parts(np.zeros(3), [], [])
+    if isinstance(terrain, HeightField):
+        return terrain
+    several = isinstance(terrain, Sequence) and not isinstance(terrain, str)
+    specification = [_checked_part(part) for part in (terrain if several else [terrain])]  # type: ignore[attr-defined]
+    plane, edges, waves = np.zeros(3), Rows(), Rows()
     heights, frame, steep = np.zeros((0, 0)), np.zeros(4), 0.0
     for part in specification:
+        edges += _edges(part)
+        waves += _waves(part)
+        if part["kind"] == "plane":
+            plane += (part["height"], part["slope_x"], part["slope_y"])
         if part["kind"] == "map":
             if heights.size:
                 raise ValueError("terrain with two maps; must be one at most. Add their heights")
-            heights, frame = load_map(part)
+            heights, frame = _load_map(part)
             gaps = [np.abs(np.diff(heights, axis=axis)).max() for axis in (0, 1)]
             steep = float(np.hypot(*gaps)) * frame[2]
-        elif part["kind"] == "waves":
-            parts.waves.extend(part["waves"])
-        else:
-            _BUILD[part["kind"]](part, parts)
-    steep += _steepest(parts)
+    steep += _steepest(plane, edges, waves)
     if steep > STEEPEST:
         raise ValueError(
             f"terrain with a slope of up to {steep:.3g}; must be at most {STEEPEST:g}. "
             "Is a step too short, or are heights in other units than the cells?"
         )
-    edges = np.array(parts.edges, dtype=float).reshape(-1, 6)
-    waves = np.array(parts.waves, dtype=float).reshape(-1, 4)
-    return HeightField(specification, Relief(parts.plane, edges, waves, heights, frame))
+    edge_rows = np.array(edges, dtype=float).reshape(-1, 6)
+    wave_rows = np.array(waves, dtype=float).reshape(-1, 4)
+    return HeightField(specification, Relief(plane, edge_rows, wave_rows, heights, frame))
+
+
+class _MapError(ValueError):
+    """What a file lacks, in words of its own."""
+
+
+def _check_size(size: int) -> None:
+    """Raise _MapError for a picture of more heights than a map may have, before it is unpacked."""
+    if size > LARGEST:
+        raise _MapError(f" of {size:.1e} heights; must be at most {LARGEST:.0e}")
+
+
+def _read_png(path: Path) -> tuple[Any, dict[str, Any]]:
+    from PIL import Image
+
+    with Image.open(path) as image:
+        if len(image.getbands()) > 1 or image.mode == "P":
+            raise _MapError(
+                f" of mode {image.mode}; must be a grey image, whose counts are heights. Did you "
+                "save it in colour, or with a palette?"
+            )
+        _check_size(image.width * image.height)
+        counts = np.asarray(image)
+    return counts[::-1], {}
+
+
+def _read_geotiff(path: Path) -> tuple[Any, dict[str, Any]]:
+    import rasterio  # type: ignore[import-not-found, import-untyped, unused-ignore]
+
+    with rasterio.open(path) as source:
+        _check_size(source.width * source.height)
+        heights = source.read(1, masked=True).astype(np.float64).filled(np.nan)
+        t = source.transform
+    if t.b or t.d or not math.isclose(t.a, -t.e, rel_tol=1e-6):
+        raise _MapError(
+            f" with cells of {t.a:g} x {-t.e:g}; must be square and along x and y. Is it in "
+            "degrees? Reproject it to metres."
+        )
+    # The middles of cells, lowest y first.
+    origin = [t.c + 0.5 * t.a, t.f + (heights.shape[0] - 0.5) * t.e]
+    return heights[::-1], {"cell": t.a, "origin": origin}
+
+
+def _read_npz(path: Path) -> tuple[Any, dict[str, Any]]:
+    arrays = plain_arrays(path, 8 * LARGEST + 2**20)
+    if "height" not in arrays:
+        raise _MapError(f" with {sorted(arrays)}; must hold an array 'height'")
+    frame: dict[str, Any] = {}
+    if "spacing" in arrays:
+        frame["cell"] = float(arrays["spacing"])
+    if "x0" in arrays:
+        frame["origin"] = [float(arrays["x0"]), float(arrays.get("y0", arrays["x0"]))]
+    return arrays["height"], frame
+
+
+_READERS = {
+    ".npy": lambda path: (np.load(path), {}),
+    ".npz": _read_npz,
+    ".png": _read_png,
+    ".tif": _read_geotiff,
+    ".tiff": _read_geotiff,
+}
+
+
+def _read(file: object) -> tuple[Any, dict[str, Any]]:
+    """(heights as they are in the file, cell and origin where it says them). Raises ValueError."""
+    path = Path(str(file))
+    what, kind = f"terrain file = {str(path)!r}", path.suffix.lower()
+    if kind not in _READERS:
+        raise ValueError(f"{what}; must end in one of {sorted(_READERS)}")
+    if not path.is_file():
+        raise ValueError(f"{what}; no such file. Is the path relative?")
+    try:
+        return _READERS[kind](path)
+    except _MapError as error:
+        raise ValueError(f"{what}{error}") from error
+    except ImportError as error:
+        needed = "pillow" if kind == ".png" else "rasterio"
+        raise ValueError(
+            f"{what}; needs {needed} ({error}). Did you run `pip install tracked-env[terrain]`?"
+        ) from error
+    except Exception as error:  # a damaged file raises what happens to go wrong
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise ValueError(f"{what}; cannot be read: {reason}") from error
+
+
+def _checked_heights(numbers: object, scale: float) -> Floats:
+    """Heights (rows, columns) [m]. Raises ValueError."""
+    try:
+        heights = np.asarray(numbers)
+        if heights.dtype.kind not in "biuf":
+            raise TypeError(f"they are of type {heights.dtype}")
+        heights = heights.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"heights of a map are not numbers in rows of equal length: {error}"
+        ) from error
+    what = f"heights of a map of shape {heights.shape}"
+    if heights.ndim != 2:
+        raise ValueError(
+            f"{what}; must be (rows, columns), rows along y. Did you pass coordinates as well?"
+        )
+    if min(heights.shape) < 2 or heights.size > LARGEST:
+        raise ValueError(
+            f"{what}; must be at least 2 x 2 and at most {LARGEST:.0e} in all: one cell has four "
+            "heights"
+        )
+    if not np.isfinite(heights).all():
+        row, column = np.argwhere(~np.isfinite(heights))[0]
+        raise ValueError(
+            f"heights[{row}][{column}] of a map = {heights[row, column]}; must be finite. "
+            "Are there holes in the survey? Fill them first."
+        )
+    return np.ascontiguousarray(scale * heights)
+
+
+def _placed(part: Mapping[str, Any], origin: list[float], middle: list[float]) -> list[float]:
+    """[x, y] [m] of the first height of a file that says so itself: `origin`, or `middle`.
+
+    Coordinates of a survey are those of a GeoTIFF that does not reach (0, 0), and of another file
+    that is farther away than it is long. A warning names them.
+    """
+    lengths = [-2.0 * half for half in middle]
+    distance = max(max(x, -x - length) for x, length in zip(origin, lengths, strict=True))
+    is_geotiff = Path(str(part.get("file", ""))).suffix.lower() in (".tif", ".tiff")
+    if not distance > (0.0 if is_geotiff else max(lengths)):
+        return origin
+    warnings.warn(
+        f"terrain file = {str(part['file'])!r} reaches from {origin} on over {lengths} m, without "
+        "(0, 0), where references start: its middle is put at (0, 0). Give 'origin': [x, y] to "
+        "place it yourself",
+        stacklevel=2,
+    )
+    return middle
+
+
+def _load_map(part: Mapping[str, Any]) -> tuple[Floats, Floats]:
+    """(heights (rows, columns) [m], frame) of a map, as `ground.Relief` has them.
+
+    Raises ValueError for a map that cannot be read, is not a grid of numbers, or lacks its cell.
+    """
+    if ("heights" in part) == ("file" in part):
+        raise ValueError("terrain of kind 'map'; must have either 'heights' or 'file'")
+    numbers, frame = _read(part["file"]) if "file" in part else (part["heights"], {})
+    scale = checked_number("scale of a map", part.get("scale", 1.0), _SCALE)
+    heights = _checked_heights(numbers, scale)
+    cell = part.get("cell", frame.get("cell"))
+    if cell is None:
+        raise ValueError("terrain of kind 'map' lacks 'cell', the distance between heights in m")
+    cell = checked_number("cell of a map", cell, _CELL)
+    interpolation = part.get("interpolation", "bilinear")
+    bicubic = checked_choice("interpolation", interpolation, INTERPOLATIONS) == "bicubic"
+    rows, columns = heights.shape
+    middle = [-0.5 * cell * (columns - 1), -0.5 * cell * (rows - 1)]
+    origin = part.get("origin")
+    if "origin" not in part:
+        origin = _placed(part, frame.get("origin", middle), middle)
+    if not isinstance(origin, (list, tuple, np.ndarray)) or len(origin) != 2:
+        raise ValueError(f"origin of a map = {origin!r}; must be [x, y] in m of heights[0][0]")
+    x, y = (checked_number("origin of a map", value, _ORIGIN) for value in origin)
+    return heights, np.array([x, y, 1.0 / cell, float(bicubic)])

@@ -4,9 +4,8 @@ A set draws the true parameters of one vehicle for one episode around the nomina
 vehicle (`tracked_env.physics.parameters.VEHICLES`) and a schedule of changes that act inside the
 episode. Notation of the laws: U(a, b) uniform; `=` replaces the nominal value, `*` multiplies it.
 A controller that trusts the nominal parameters is right in the set `nominal` only. `soils` are the
-sets of a heavy vehicle in the field, `weak_drives` those where its drives are late or weak as well,
-`floors` those of a light one indoors, `slopes` those of a light one on uneven ground; `register`
-adds one.
+sets of a heavy vehicle in the field, `laws` those of late and weak drives, of a light vehicle on
+floors, and of one on slopes; `register` adds one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,50 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from tracked_env.physics.jit import fill_entries, formula, loop
-from tracked_env.physics.parameters import PARAMETER_INDEX, ParametersRead, PlantParameters
-from tracked_env.references import ReferenceProfile
+from tracked_env.physics.jit import fill_entries, loop
+from tracked_env.physics.parameters import PARAMETER_INDEX, RANGES, ParametersRead
 from tracked_env.streams import integer, uniform
-from tracked_env.uncertainty import drawing_laws, laws, soils
+from tracked_env.uncertainty import laws  # noqa: F401  they enter UNCERTAINTY_SETS
 from tracked_env.uncertainty.drawing_laws import (
+    UNCERTAINTY_SETS,
     ArrayLaw,
     CheckedLaw,
     Draw,
     Draws,
     Law,
-    checked,
     fingerprint,
     numbers,
 )
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
-from tracked_env.validation import (
-    checked_choice,
-    checked_effect,
-    checked_keys,
-    checked_parameter,
-)
+from tracked_env.validation import checked_choice, checked_effect, checked_interval, checked_keys
 
 # What `uncertainty=` takes: a name, ranges, a list of these, or a law.
 Spec = str | Mapping[str, Any] | Sequence[Any] | Callable[..., Draw]
-
-
-@formula
-def _nominal(rng, nominal, path, truth, changes):
-    """The nominal vehicle on the nominal soil, no change."""
-
-
-@loop
-def _each_nominal(*call):
-    drawing_laws.draw_each(_nominal, call)
-
-
-UNCERTAINTY_SETS: dict[str, Law] = {
-    **drawing_laws.laws(("nominal", _each_nominal, _nominal)),
-    **soils.LAWS,
-    **laws.LAWS_WEAK_DRIVES,
-    **laws.LAWS,
-    **laws.LAWS_SLOPES,
-}
 DESCRIPTIONS: dict[str, str] = {}  # of the sets that were registered
 
 
@@ -69,25 +43,23 @@ def register(name: str, law: Law, description: str = "") -> None:
     """
     if name in UNCERTAINTY_SETS or not name.isprintable() or not name:
         raise ValueError(f"uncertainty set {name!r} is taken, or no name")
-    UNCERTAINTY_SETS[name] = checked(law)
+    UNCERTAINTY_SETS[name] = _checked(law)
     DESCRIPTIONS[name] = description or (law.__doc__ or "").partition("\n")[0]
 
 
+def _checked(law: Law) -> Law:
+    """A user's law wrapped in a CheckedLaw."""
+    return law if isinstance(law, CheckedLaw) else CheckedLaw(law)
+
+
 @dataclass(frozen=True)
-class _OwnMixture:
-    """Each episode follows one of `laws`, all with the same odds; some of them of one's own."""
+class _Mixture:
+    """Each episode follows one of `laws`, all with the same odds."""
 
     laws: tuple[Law, ...]
 
-    def __call__(
-        self,
-        rng: np.random.Generator,
-        nominal: PlantParameters,
-        profile: ReferenceProfile,
-        duration: float,
-    ) -> Draw:
-        law = self.laws[int(rng.integers(len(self.laws)))]
-        return law(rng, nominal, profile, duration)
+    def __call__(self, rng: np.random.Generator, *others: Any) -> Draw:
+        return self.laws[int(rng.integers(len(self.laws)))](rng, *others)
 
 
 @loop
@@ -97,7 +69,7 @@ def _choose(rngs, choices):
 
 
 @dataclass(frozen=True)
-class _Mixture(ArrayLaw):
+class _ArrayMixture(ArrayLaw):
     """The same of laws that draw batches."""
 
     laws: tuple[ArrayLaw, ...]
@@ -107,20 +79,19 @@ class _Mixture(ArrayLaw):
         _choose(draws.streams, choices)
         for number in np.unique(choices):
             its = choices == number
-            self.laws[number].fill(
-                draws._replace(streams=draws.streams[its], chosen=draws.chosen[its])
-            )
+            part = draws._replace(streams=draws.streams[its], chosen=draws.chosen[its])
+            self.laws[number].fill(part)
 
 
 @loop
-def _draw_ranges(rngs, chosen, nominal, truths, counts, reliefs, columns, lows, highs):
-    for k in range(chosen.size):
-        i = chosen[k]
-        truths[i] = nominal[0]
-        counts[i] = 0
-        fill_entries(reliefs[i], 0.0)
+def _draw_ranges(draws, truths, columns, lows, highs):
+    for k in range(draws.chosen.size):
+        i = draws.chosen[k]
+        draws.truths[i] = draws.nominal[0]
+        draws.counts[i] = 0
+        fill_entries(draws.reliefs[i], 0.0)
         for j in range(columns.size):
-            truths[i, columns[j]] = uniform(rngs[k], lows[j], highs[j])
+            truths[i, columns[j]] = uniform(draws.streams[k], lows[j], highs[j])
 
 
 @dataclass(frozen=True)
@@ -132,11 +103,7 @@ class _Ranges(ArrayLaw):
     def fill(self, draws: Draws) -> None:
         columns = np.array([PARAMETER_INDEX[name] for name in self.bounds], dtype=np.int64)
         lows, highs = np.array(list(self.bounds.values()), dtype=np.float64).reshape(-1, 2).T.copy()
-        nominal, truths = (numbers(a) for a in (draws.nominal, draws.truths))
-        _draw_ranges(
-            draws.streams, draws.chosen, nominal, truths, draws.counts, draws.reliefs, columns,
-            lows, highs,
-        )  # fmt: skip
+        _draw_ranges(draws, numbers(draws.truths), columns, lows, highs)
 
 
 def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
@@ -156,13 +123,13 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
     if isinstance(spec, ArrayLaw):
         return spec
     if callable(spec):
-        return checked(spec)
+        return _checked(spec)
     if isinstance(spec, (list, tuple)):
         if not spec:
             raise ValueError("uncertainty = []; a mixture needs at least one set")
         parts = tuple(make_uncertainty(part, reads) for part in spec)
-        drawn = tuple(part for part in parts if isinstance(part, ArrayLaw))
-        return _Mixture(drawn) if len(drawn) == len(parts) else _OwnMixture(parts)
+        arrays = tuple(part for part in parts if isinstance(part, ArrayLaw))
+        return _ArrayMixture(arrays) if len(arrays) == len(parts) else _Mixture(parts)
     if spec is None:
         raise ValueError(
             "uncertainty = None; must be a set by name, a dict, a function or a list of them. "
@@ -170,18 +137,11 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
         )
     ranges: dict[str, tuple[float, float]] = {}
     for name, bounds in checked_keys("uncertainty", spec, PARAMETER_INDEX).items():
-        if not isinstance(bounds, (list, tuple)) or len(bounds) != 2:
-            raise ValueError(f"uncertainty of {name} = {bounds!r}; must be [low, high]")
-        low, high = (checked_parameter(name, bound) for bound in bounds)
-        if low > high:
-            raise ValueError(f"uncertainty of {name} = [{low}, {high}]; low must be <= high")
+        ranges[name] = checked_interval(f"uncertainty of {name}", bounds, RANGES[name])
         if reads is not None:
             checked_effect("uncertainty of", name, bounds, reads)
-        ranges[name] = (low, high)
     return _Ranges(ranges)
 
 
-__all__ = [
-    "DESCRIPTIONS", "SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "ArrayLaw", "CheckedLaw", "Draw",
-    "Law", "Spec", "fingerprint", "make_uncertainty", "register",
-]  # fmt: skip
+__all__ = ["DESCRIPTIONS", "SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "ArrayLaw", "CheckedLaw"]
+__all__ += ["Draw", "Law", "Spec", "fingerprint", "make_uncertainty", "register"]

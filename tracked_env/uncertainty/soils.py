@@ -1,4 +1,4 @@
-"""Laws of heavy vehicles on soil: the uncertainty sets of the nominal vehicle of [1].
+"""Laws of heavy vehicles on soil: `nominal`, and the uncertainty sets of the vehicle of [1].
 
 Soils: c, phi, K with a source each. The resistance coefficients mu_l and mu_t are drawn, not
 tabulated: [1] uses 0.5 .. 0.9 on its maps.
@@ -13,10 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.events import Event, encode_schedule, wave
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import HEAVY_CLAY, SoilParameters
 from tracked_env.streams import integer, random, uniform
-from tracked_env.uncertainty import drawing_laws as c
+from tracked_env.uncertainty.drawing_laws import CHANGES_LIMIT, ROW, border, fixed, law, line, ramp
+
+
+@law("nominal")
+def _nominal(rng, nominal, path, truth, changes):
+    """The nominal vehicle on the nominal soil, no change."""
 
 
 def _soil(cohesion_kpa: float, friction_angle_deg: float, modulus: float) -> SoilParameters:
@@ -75,26 +80,26 @@ def firm_ground(rng, nominal, truth):
     truth.lateral_resistance = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
 
 
-@formula
+@law("soil-and-mass")
 def _soil_and_mass(rng, nominal, path, truth, changes):
     """Unknown vehicle on unknown firm soil, constant over the episode."""
     firm_ground(rng, nominal, truth)
 
 
-@formula
+@law("payload")
 def _payload(rng, nominal, path, truth, changes):
     """Nominal vehicle and soil; mass and inertia step once, up or down, in mid-episode."""
     start = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
     factor = uniform(rng, 1.5, 2.0) if random(rng) < 0.5 else uniform(rng, 0.5, 0.65)
     inertia = factor * uniform(rng, 0.9, 1.1)  # of the mass factor *U(0.9, 1.1)
-    c.ramp(changes, c.MASS, nominal.mass * factor, start, 0.0)
-    c.ramp(changes, c.INERTIA, nominal.inertia * inertia, start, 0.0)
+    ramp(changes, ROW.mass, nominal.mass * factor, start, 0.0)
+    ramp(changes, ROW.inertia, nominal.inertia * inertia, start, 0.0)
 
 
-@formula
+@law("resistance-map")
 def _resistance_map(rng, nominal, path, truth, changes):
     """Resistance coefficients vary in the plane as in (44), (45) of [1]."""
-    c.given(changes, _MAPS)
+    fixed(changes, _MAPS)
 
 
 @formula
@@ -108,7 +113,7 @@ def _soft_ground(rng, nominal, truth, soils):
     truth.shear_deformation_modulus = modulus * uniform(rng, 0.7, 1.3)  # =soil *U(0.7, 1.3)
 
 
-@formula
+@law("weak-soil")
 def _weak_soil(rng, nominal, path, truth, changes):
     """Loose soil that hardly carries the turning moment: traction-limited."""
     _soft_ground(rng, nominal, truth, _WEAK)
@@ -116,7 +121,7 @@ def _weak_soil(rng, nominal, path, truth, changes):
     truth.lateral_resistance = uniform(rng, 0.45, 0.65)  # =U(0.45, 0.65)
 
 
-@formula
+@law("terrain-transition")
 def _terrain_transition(rng, nominal, path, truth, changes):
     """Nominal vehicle; the path crosses a border to another soil, edge U(0.5, 2) m wide."""
     time = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
@@ -126,50 +131,50 @@ def _terrain_transition(rng, nominal, path, truth, changes):
     # =U(0.4, 0.55) or U(1.0, 1.15)
     lateral = uniform(rng, 0.4, 0.55) if random(rng) < 0.5 else uniform(rng, 1.0, 1.15)
     edge = uniform(rng, 0.5, 2.0)
-    place = c.border(path, time)
-    c.line(changes, c.COHESION, cohesion, place, edge)
-    c.line(changes, c.FRICTION_ANGLE, friction_angle, place, edge)
-    c.line(changes, c.SHEAR_DEFORMATION_MODULUS, modulus, place, edge)
-    c.line(changes, c.LONGITUDINAL_RESISTANCE, longitudinal, place, edge)
-    c.line(changes, c.LATERAL_RESISTANCE, lateral, place, edge)
+    place = border(path, time)
+    line(changes, ROW.cohesion, cohesion, place, edge)
+    line(changes, ROW.friction_angle, friction_angle, place, edge)
+    line(changes, ROW.shear_deformation_modulus, modulus, place, edge)
+    line(changes, ROW.longitudinal_resistance, longitudinal, place, edge)
+    line(changes, ROW.lateral_resistance, lateral, place, edge)
 
 
-@formula
+@law("drift")
 def _drift(rng, nominal, path, truth, changes):
     """Everything slides slowly from nominal to a firm-ground draw, U(0.5, 0.8) of the episode."""
     there = changes.there
     firm_ground(rng, nominal, there)
     start = path.duration * uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2) of the episode
     duration = path.duration * uniform(rng, 0.5, 0.8)
-    c.ramp(changes, c.MASS, there.mass, start, duration)
-    c.ramp(changes, c.INERTIA, there.inertia, start, duration)
-    c.ramp(changes, c.LONGITUDINAL_RESISTANCE, there.longitudinal_resistance, start, duration)
-    c.ramp(changes, c.LATERAL_RESISTANCE, there.lateral_resistance, start, duration)
+    ramp(changes, ROW.mass, there.mass, start, duration)
+    ramp(changes, ROW.inertia, there.inertia, start, duration)
+    ramp(changes, ROW.longitudinal_resistance, there.longitudinal_resistance, start, duration)
+    ramp(changes, ROW.lateral_resistance, there.lateral_resistance, start, duration)
 
 
-@formula
+@law("mixed")
 def _mixed(rng, nominal, path, truth, changes):
     """An unknown vehicle on unknown soil, then a payload step, then a border, then drift."""
     firm_ground(rng, nominal, truth)
     if random(rng) < 0.5:  # payload with odds 1/2
         factor = uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
         start = path.duration * uniform(rng, 0.2, 0.8)
-        c.ramp(changes, c.MASS, truth.mass * factor, start, 0.0)
-        c.ramp(changes, c.INERTIA, truth.inertia * factor, start, 0.0)
+        ramp(changes, ROW.mass, truth.mass * factor, start, 0.0)
+        ramp(changes, ROW.inertia, truth.inertia * factor, start, 0.0)
     if random(rng) < 0.5:  # border with odds 1/2
         longitudinal = uniform(rng, 0.3, 0.7)  # =U(0.3, 0.7)
         lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
         time = path.duration * uniform(rng, 0.2, 0.8)
         edge = uniform(rng, 0.5, 2.0)
-        place = c.border(path, time)
-        c.line(changes, c.LONGITUDINAL_RESISTANCE, longitudinal, place, edge)
-        c.line(changes, c.LATERAL_RESISTANCE, lateral, place, edge)
+        place = border(path, time)
+        line(changes, ROW.longitudinal_resistance, longitudinal, place, edge)
+        line(changes, ROW.lateral_resistance, lateral, place, edge)
     if random(rng) < 0.5:  # drift of the lateral resistance with odds 1/2
         lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
-        c.ramp(changes, c.LATERAL_RESISTANCE, lateral, 0.0, path.duration)
+        ramp(changes, ROW.lateral_resistance, lateral, 0.0, path.duration)
 
 
-@formula
+@law("ood")
 def _ood(rng, nominal, path, truth, changes):
     """Outside the ranges of every other set."""
     heavy = random(rng) < 0.5
@@ -185,14 +190,14 @@ def _ood(rng, nominal, path, truth, changes):
     truth.drive_time_constant = uniform(rng, 0.1, 0.15)  # =U(0.1, 0.15)
 
 
-@formula
+@law("loose-soil")
 def _loose_soil(rng, nominal, path, truth, changes):
     """Soil whose shear a turn takes up; for the distributed plant, where nothing else does."""
     _soft_ground(rng, nominal, truth, _LOOSE)
     truth.longitudinal_resistance = uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2)
 
 
-@formula
+@law("alternating-soils")
 def _alternating_soils(rng, nominal, path, truth, changes):
     """Every 2 s another soil, for 34 s: a firm one, a weak one, and back; mass *U(0.8, 1.3)."""
     weak_first = random(rng) < 0.5
@@ -204,72 +209,8 @@ def _alternating_soils(rng, nominal, path, truth, changes):
     )
     truth.longitudinal_resistance = uniform(rng, 0.1, 0.16)  # =U(0.1, 0.16): the weak soil must do
     truth.lateral_resistance = uniform(rng, 0.45, 0.65)  # =U(0.45, 0.65)
-    for k in range(1, c.CHANGES_LIMIT // 3 + 1):
+    for k in range(1, CHANGES_LIMIT // 3 + 1):
         cohesion, friction_angle, modulus = weak if weak_first == (k % 2 == 0) else firm
-        c.ramp(changes, c.COHESION, cohesion, k * ALTERNATION, 0.0)
-        c.ramp(changes, c.FRICTION_ANGLE, friction_angle, k * ALTERNATION, 0.0)
-        c.ramp(changes, c.SHEAR_DEFORMATION_MODULUS, modulus, k * ALTERNATION, 0.0)
-
-
-@loop
-def _each_soil_and_mass(*call):
-    c.draw_each(_soil_and_mass, call)
-
-
-@loop
-def _each_payload(*call):
-    c.draw_each(_payload, call)
-
-
-@loop
-def _each_resistance_map(*call):
-    c.draw_each(_resistance_map, call)
-
-
-@loop
-def _each_weak_soil(*call):
-    c.draw_each(_weak_soil, call)
-
-
-@loop
-def _each_terrain_transition(*call):
-    c.draw_each(_terrain_transition, call)
-
-
-@loop
-def _each_drift(*call):
-    c.draw_each(_drift, call)
-
-
-@loop
-def _each_mixed(*call):
-    c.draw_each(_mixed, call)
-
-
-@loop
-def _each_ood(*call):
-    c.draw_each(_ood, call)
-
-
-@loop
-def _each_loose_soil(*call):
-    c.draw_each(_loose_soil, call)
-
-
-@loop
-def _each_alternating_soils(*call):
-    c.draw_each(_alternating_soils, call)
-
-
-LAWS = c.laws(
-    ("soil-and-mass", _each_soil_and_mass, _soil_and_mass),
-    ("payload", _each_payload, _payload),
-    ("resistance-map", _each_resistance_map, _resistance_map),
-    ("weak-soil", _each_weak_soil, _weak_soil),
-    ("terrain-transition", _each_terrain_transition, _terrain_transition),
-    ("drift", _each_drift, _drift),
-    ("mixed", _each_mixed, _mixed),
-    ("ood", _each_ood, _ood),
-    ("loose-soil", _each_loose_soil, _loose_soil),
-    ("alternating-soils", _each_alternating_soils, _alternating_soils),
-)
+        ramp(changes, ROW.cohesion, cohesion, k * ALTERNATION, 0.0)
+        ramp(changes, ROW.friction_angle, friction_angle, k * ALTERNATION, 0.0)
+        ramp(changes, ROW.shear_deformation_modulus, modulus, k * ALTERNATION, 0.0)

@@ -23,7 +23,8 @@ from tests.baselines.planners.optimal_cases import (
     vehicle_on,
 )
 from tests.baselines.planners.pairs import missed
-from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
+from tracked_env.physics.level_motion import hold_speeds
+from tracked_env.physics.patches_on_level_ground import make_patches
 
 
 @pytest.mark.parametrize("goals", ["1 m", "2 m", "random"])

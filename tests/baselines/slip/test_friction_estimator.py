@@ -10,8 +10,9 @@ from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_sweep import FRICTIONS, slip_family, with_friction
 from tracked_env import observation as layout
+from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.patches_on_level_ground import hold_speeds, make_patches
+from tracked_env.physics.patches_on_level_ground import make_patches
 
 FOCCHI = VEHICLES["focchi"]
 PERIOD = 0.02

@@ -18,12 +18,14 @@ from baselines.slip.slip_sweep import (
     with_friction,
 )
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.terrain_motion import SCALED
+from tracked_env.physics.terrain_motion import NOMINAL_BODY
 from tracked_env.physics.terramechanics import GRAVITY
 
 FOCCHI = VEHICLES["focchi"]
 # stiff ground: the vehicle tilts less on it
-RIGID = SCALED._replace(stiffness=3.0 * SCALED.stiffness, damping=3.0 * SCALED.damping)
+RIGID = NOMINAL_BODY._replace(
+    stiffness=3.0 * NOMINAL_BODY.stiffness, damping=3.0 * NOMINAL_BODY.damping
+)
 TILT = 6.5e-3  # [rad] on the springs, along a slope of 20 degrees
 
 
@@ -32,14 +34,14 @@ def rolling_free(mu):
     return with_friction(FOCCHI, mu)._replace(longitudinal_resistance=0.0)
 
 
-def straight_slip(grade, load, mu=0.6, speed=5.0, made=SCALED, patches=(10, 4)):
+def straight_slip(grade, load, mu=0.6, speed=5.0, numbers=NOMINAL_BODY, patches=(10, 4)):
     """Slip ratio at the foot, slip angle [rad] and yaw rate [rad/s] of straight belts.
 
     A body that is tilted by tau on its springs sees its own speed and that of its belts shortened
     by cos(tau) each, so that tau^2 adds to the slip ratio of v_x.
     """
     v_x, v_y, yaw_rate = steady_on_slopes(
-        rolling_free(mu), [[speed, speed]], [grade], load, patches, made, tolerance=1e-6
+        rolling_free(mu), [[speed, speed]], [grade], load, patches, numbers, tolerance=1e-6
     )[0]
     belt = FOCCHI.sprocket_radius * speed
     tau = TILT * abs(grade[0]) / math.tan(math.radians(20.0))
@@ -50,7 +52,7 @@ def tilted(slope, h=0.25):
     """Grade along the body of a vehicle that climbs a slope [rad] and tilts on its springs."""
     p = FOCCHI
     area = 2.0 * p.track_width * p.contact_length
-    stiffness = SCALED.stiffness * area * (0.5 * p.contact_length) ** 2 / 3.0
+    stiffness = NOMINAL_BODY.stiffness * area * (0.5 * p.contact_length) ** 2 / 3.0
     tilt = 0.0
     for _ in range(20):
         moment = p.mass * GRAVITY * math.cos(slope) * h * math.tan(slope + tilt)
@@ -83,7 +85,7 @@ def test_on_a_side_slope_the_vehicle_drifts_and_its_nose_turns_downhill():
     """20 degrees, mu 0.6, 0.5 m/s, nonuniform: 3.00 mrad and 1.17 mrad/s."""
     speed = 0.5 / FOCCHI.sprocket_radius
     down_to_the_right = (0.0, -math.tan(math.radians(20.0)))
-    _slip, alpha, yaw_rate = straight_slip(down_to_the_right, "nonuniform", speed=speed, made=RIGID)
+    _slip, alpha, yaw_rate = straight_slip(down_to_the_right, "nonuniform", speed=speed, numbers=RIGID)
     assert alpha == pytest.approx(-3.0e-3, rel=0.05)
     assert yaw_rate == pytest.approx(-1.17e-3, rel=0.1)
 
@@ -102,11 +104,11 @@ def test_mirrored_and_turned_about_the_motion_is_the_same(load):
 @pytest.mark.parametrize("load", LOADS)
 def test_on_level_ground_with_a_low_centre_of_mass_it_is_the_planar_plant(load):
     """Without motion resistance, which opposes each patch here and each track there."""
-    low = SCALED._replace(height=1e-3, height_ratio=0.0)
+    low = NOMINAL_BODY._replace(height=1e-3, height_ratio=0.0)
     rng = np.random.default_rng(4)
     speeds = rng.uniform(-8.0, 8.0, (40, 2))
     p, level = rolling_free(0.4), np.zeros((40, 2))
-    motion = steady_on_slopes(p, speeds, level, load, made=low, tolerance=1e-5)
+    motion = steady_on_slopes(p, speeds, level, load, numbers=low, tolerance=1e-5)
     np.testing.assert_allclose(motion, steady_motion(p, *speeds.T), atol=3e-5)
 
 

@@ -79,7 +79,7 @@ class Estimates(Mapping[str, Estimate]):
     def __init__(self) -> None:
         self.answers: dict[str, Any] = {}  # bare, or an Estimate
         self._make: dict[str, Callable[[Any], Estimate]] = {}
-        self._numbers: dict[str, Estimate] = {}
+        self._estimates: dict[str, Estimate] = {}
 
     def add(self, name: str, answer: Any, make: Callable[[Any], Estimate]) -> None:
         """Take an answer; make(answer) is its Estimate."""
@@ -88,16 +88,16 @@ class Estimates(Mapping[str, Estimate]):
 
     def show(self, name: str, estimate: Estimate) -> None:
         """Show an Estimate in place of the one of the answer, which stays."""
-        self._numbers[name] = estimate
+        self._estimates[name] = estimate
 
     def add_made(self, name: str, estimate: Estimate) -> None:
         """Take an Estimate."""
-        self.answers[name] = self._numbers[name] = estimate
+        self.answers[name] = self._estimates[name] = estimate
 
     def __getitem__(self, name: str) -> Estimate:
-        if name not in self._numbers:
-            self._numbers[name] = self._make[name](self.answers[name])
-        return self._numbers[name]
+        if name not in self._estimates:
+            self._estimates[name] = self._make[name](self.answers[name])
+        return self._estimates[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.answers)

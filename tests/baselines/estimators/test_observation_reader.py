@@ -5,7 +5,8 @@ import copy
 import numpy as np
 import pytest
 
-from baselines.estimators.measurement import DRIVE, INERTIAL, POSE, ObservationReader
+from baselines.estimators.measurement import DRIVE, INERTIAL, POSE
+from baselines.estimators.observation_reader import ObservationReader
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tests.baselines.estimators.state_columns import go_on, state
 from tracked_env import arrays as b

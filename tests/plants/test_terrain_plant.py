@@ -37,11 +37,7 @@ def driven(rig, speed, duration=4.0):
 
 @pytest.mark.parametrize(
     ("load", "aside", "tilt"),
-    [
-        ("nonuniform", False, 6.56e-3),
-        ("uniform", False, 6.47e-3),
-        ("uniform", True, 2.827e-3),
-    ],
+    [("nonuniform", False, 6.56e-3), ("uniform", False, 6.47e-3), ("uniform", True, 2.827e-3)],
 )
 def test_a_vehicle_holds_on_a_slope_and_leans_as_its_springs_allow(load, aside, tilt):
     rig = on_slope(STEEP, load=load, aside=aside)

@@ -162,14 +162,13 @@ class Ended(NamedTuple):
     failed: bool
 
 
-def asked(several: Several) -> bool:
-    """Whether a command line asks for several trainings. Raises ValueError for half of it."""
+def check_whole(several: Several) -> None:
+    """Raises ValueError for half of what several trainings need, or for too much."""
     names = [each.name for each in fields(several) if getattr(several, each.name) is not None]
     if names and not {"seeds", "sweep"} & set(names):
         raise ValueError(f"--{names[0]} is of several trainings; give --seeds or --sweep too")
     if {"seeds", "sweep"} <= set(names):
         raise ValueError("--seeds and --sweep are given; the seeds of a sweep are in its file")
-    return bool(names)
 
 
 def planned(options: Options, several: Several) -> tuple[dict[str, Options], Sweep | None]:

@@ -4,7 +4,7 @@ from itertools import combinations
 
 import pytest
 
-from agents.held_out import HELD_OUT_SEED
+from agents.folder import HELD_OUT_SEED
 from agents.run import ROWS, TRAININGS, random_seed
 from tracked_env.benchmark import BenchmarkConfig, frozen
 from tracked_env.benchmark.evaluation_sets import (

@@ -18,11 +18,13 @@ The files of a set are joined when they are read: what is drawn does not depend 
 
 import hashlib
 import os
+import platform
 import re
 import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -275,3 +277,36 @@ def checked_trace(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     if any(one != other for one, other in sizes) or (first < FIGURE_EPISODES and not motion.size):
         raise ValueError("its arrays do not fit together")
     return arrays
+
+
+PACKAGES = ("tracked-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "torch")
+
+
+def versions() -> dict[str, str]:
+    """Python and the installed packages that matter."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def machine() -> dict[str, Any]:
+    """Processor and system, without names of host or user."""
+    return {
+        "system": platform.system(),
+        "architecture": platform.machine(),
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count(),
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()

@@ -43,6 +43,7 @@ from typing import Any, NamedTuple, Protocol
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.policy_interface import (
+    SEED_MARK,
     Policy,
     PolicyContext,
     PolicyEntry,
@@ -52,7 +53,6 @@ from tracked_env.benchmark.policy_interface import (
     load_policy,
     source_fingerprint,
 )
-from tracked_env.benchmark.summary import SEED_MARK
 from tracked_env.entry_points import declared
 from tracked_env.validation import unknown
 

@@ -41,6 +41,8 @@ from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.sensors import RTK, Sensors
 from tracked_env.validation import unknown
 
+SEED_MARK = "@"  # between the name of an agent and that of one of its seeds
+
 FROZEN_NAME = "frozen"  # behind the name of a policy that learns no more after a change
 # Where Python and installed packages lie; an error is located in the policy's own source first.
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})

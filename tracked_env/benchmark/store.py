@@ -30,11 +30,9 @@ import io
 import json
 import math
 import os
-import platform
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -48,7 +46,9 @@ from tracked_env.benchmark.files import (
     checked_trace,
     file_name,
     joined,
+    machine,
     sweep,
+    versions,
     write_atomically,
 )
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS, LATER
@@ -142,39 +142,6 @@ def _check_estimates(what: str, values: Mapping[str, Any]) -> None:
     for name, value in values.items():
         if value is not None:
             _number(f"{name} of {what}", value)
-
-
-PACKAGES = ("tracked-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "torch")
-
-
-def versions() -> dict[str, str]:
-    """Python and the installed packages that matter."""
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-def machine() -> dict[str, Any]:
-    """Processor and system, without names of host or user."""
-    return {
-        "system": platform.system(),
-        "architecture": platform.machine(),
-        "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count(),
-    }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
 
 
 FORMAT = 4  # of the file; a change of the columns needs a new one

@@ -33,6 +33,7 @@ from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.identification_metrics import IdentificationSummary, mean_nis
 from tracked_env.benchmark.identification_metrics import summarise as summarise_beliefs
 from tracked_env.benchmark.metrics import ACTION_RATES, METRICS
+from tracked_env.benchmark.policy_interface import SEED_MARK
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import BESIDE, READS_TRUTH, Record
 
@@ -41,7 +42,6 @@ ALL_SETS = "all sets"
 STARTS = ("integral", "nominal", "uc")  # the first of them that is here scores 0
 # Where no record says which policies read the truth, the first of these that is here scores 1.
 CEILINGS = ("oracle", "slc-oracle")
-SEED_MARK = "@"  # between the name of an agent and that of one of its seeds
 BySeed = dict[str, list[Record]]  # records of one agent on one set
 
 

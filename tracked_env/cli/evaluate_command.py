@@ -41,11 +41,16 @@ from tracked_env.benchmark.policies import (
     open_archive,
     registered_policies,
 )
-from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
+from tracked_env.benchmark.policy_interface import (
+    SEED_MARK,
+    PolicyEntry,
+    PolicyError,
+    checked_policy,
+)
 from tracked_env.benchmark.progress_bar import progress_bar
 from tracked_env.benchmark.runner import Task, pending, run, run_task
 from tracked_env.benchmark.store import identity_hash
-from tracked_env.benchmark.summary import SEED_MARK, rows_of
+from tracked_env.benchmark.summary import rows_of
 from tracked_env.benchmark.training_curves import read_costs, read_curves
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, Config, env_of, parsed
 from tracked_env.cli.exit_status import explained, one_line

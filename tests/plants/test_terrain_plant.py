@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.plants.mirrored import assert_mirrored
+from tracked_env.arrays import RELIEF_COLUMNS
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.terrain_motion import NOMINAL_BODY
 from tracked_env.plants.standalone import Rig, TerrainRig
 from tracked_env.plants.terrain import RELIEF
-from tracked_env.terrain.ground import RELIEF_COLUMNS
 
 FOCCHI = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
 GRAVITY, HEIGHT, HALF_LENGTH, RADIUS = 9.81, 0.25, 0.35, 0.0856

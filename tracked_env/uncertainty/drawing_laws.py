@@ -26,13 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import streams
+from tracked_env.arrays import DRAWN_WAVES, RELIEF_SIZE, STEEPEST
 from tracked_env.events import LINE, RAMP, REGION, Event, decode_event, encode_schedule
 from tracked_env.physics.jit import copy_entries, fill_entries, formula, loop, template
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 from tracked_env.physics.reference_profile import UNIFORM_COLUMNS, advance
 from tracked_env.references import ReferenceProfile
 from tracked_env.streams import uniform
-from tracked_env.terrain.ground import DRAWN_WAVES, RELIEF_SIZE, checked_relief
 from tracked_env.validation import checked_parameter, unknown
 
 Floats = NDArray[np.float64]
@@ -99,6 +99,25 @@ class CheckedLaw:
         except ValueError as error:
             raise ValueError(f"law {name}: {error}") from error
         return Draw(nominal._replace(**values), list(events), relief)
+
+
+def checked_relief(relief: Any) -> tuple[float, ...]:
+    """A drawn relief as numbers; empty for none. Raises ValueError."""
+    numbers = tuple(float(value) for value in relief)
+    if len(numbers) not in (0, RELIEF_SIZE) or not all(math.isfinite(value) for value in numbers):
+        raise ValueError(
+            f"relief of {len(numbers)} numbers; must be {RELIEF_SIZE} finite ones, two slopes and "
+            f"{DRAWN_WAVES} rows [A, kx, ky, phi], or none"
+        )
+    steep = math.hypot(*numbers[:2]) if numbers else 0.0
+    for k in range(2, len(numbers), 4):
+        steep += abs(numbers[k]) * math.hypot(numbers[k + 1], numbers[k + 2])
+    if steep > STEEPEST:
+        raise ValueError(
+            f"relief with a slope of up to {steep:.3g}; must be at most {STEEPEST:g}. "
+            "Are the wave numbers in rad/m?"
+        )
+    return numbers
 
 
 def fingerprint(law: Law) -> str:

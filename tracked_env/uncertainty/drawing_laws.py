@@ -168,7 +168,7 @@ class Changes(NamedTuple):
     """The changes of one episode, inside a kernel."""
 
     rows: Floats  # (CHANGES_LIMIT, CHANGE_FIELDS)
-    count: NDArray[np.int64]  # (1,) how many
+    used: NDArray[np.int64]  # (1,) how many
     read: NDArray[np.bool_]
     there: np.void  # of RECORD, the nominal one: room for parameters that are changed to
     relief: Floats  # (RELIEF_SIZE,) level ground until a law writes into it
@@ -177,11 +177,11 @@ class Changes(NamedTuple):
 @formula
 def _added(changes, kind, parameter, target):
     """A new row, or the last one, which is free, for a parameter that is not read."""
-    row = changes.rows[changes.count[0]]
+    row = changes.rows[changes.used[0]]
     fill_entries(row, 0.0)
     row[0], row[1], row[2] = kind, parameter, target
     if changes.read[parameter]:
-        changes.count[0] += 1
+        changes.used[0] += 1
     return row
 
 
@@ -342,7 +342,7 @@ def law(name: str) -> Callable[[Callable[..., None]], Any]:
     def decorated(function: Callable[..., None]) -> Any:
         drawing = formula(function)
 
-        def each(draws):  # type: ignore[no-untyped-def]
+        def each(draws: Draws) -> None:
             _draw_each(drawing, draws)
 
         each.__module__ = function.__module__

@@ -24,7 +24,7 @@ from baselines.learned.agent_archive import STUDENT
 from baselines.learned.agent_policy import STUDENT_FEATURES
 from baselines.learned.augmentation import KINDS
 from tracked_env import TORQUE_ID
-from tracked_env.cli.exit_status import Parser
+from tracked_env.cli.command_line import Parser
 
 DEFAULT = "ppo"  # the algorithm where --agent is not given
 

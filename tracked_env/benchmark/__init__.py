@@ -7,13 +7,7 @@ controller does not load tables, figures and the runner.
 from importlib import import_module
 from typing import Any
 
-from tracked_env.benchmark.policy_interface import (
-    Policy,
-    PolicyContext,
-    PolicyEntry,
-    PolicyFactory,
-    load_policy,
-)
+from tracked_env.benchmark.policy_interface import Policy, PolicyContext, PolicyEntry, PolicyFactory
 
 _MODULES = {
     "BenchmarkConfig": "benchmark_config",
@@ -22,6 +16,9 @@ _MODULES = {
     "SETS": "evaluation_sets",
     "default_sets": "evaluation_sets",
     "check": "frozen",
+    "load_policies": "policies",
+    "load_policy": "policies",
+    "policies_for": "policies",
     "terminal": "report",
     "run": "runner",
     "Store": "store",
@@ -29,7 +26,7 @@ _MODULES = {
     "summarise": "summary",
 }
 
-__all__ = ["Policy", "PolicyContext", "PolicyEntry", "PolicyFactory", "load_policy", *_MODULES]
+__all__ = ["Policy", "PolicyContext", "PolicyEntry", "PolicyFactory", *_MODULES]
 
 
 def __getattr__(name: str) -> Any:

@@ -163,7 +163,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     reference = next((name for name in REFERENCES if name in agents), None)
     if reference is None:
         raise ValueError(f"policies = {agents}; must hold one of {REFERENCES}")
-    scaled = variants({one.name: one.found for one in registered_policies()}, agents, config)
+    scaled = variants({one.name: one.policy for one in registered_policies()}, agents, config)
     if all(variant.controller != reference for variant in scaled):
         raise ValueError(
             f"policy {reference!r} declares no setting that could be scaled, so nothing would "

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from agents.held_out import HELD_OUT_SEED
+from agents.folder import HELD_OUT_SEED
 from agents.run import ROWS, TRAININGS, random_seed
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, uncertainty
 from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen

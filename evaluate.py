@@ -15,12 +15,11 @@ if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_
 
 from pathlib import Path
 
-from tracked_env.benchmark.policies import open_archive
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.cli.evaluate_command import Extras, run_config
 from tracked_env.cli.evaluate_options import Config, parsed
 
-__all__ = ["Config", "main", "open_archive"]
+__all__ = ["Config", "main"]
 
 
 def reproduce(config: Config) -> int:

@@ -36,7 +36,7 @@ try:
     import torch
     from tqdm import tqdm
 
-    from agents import checkpoint, sweep
+    from agents import checkpoint
     from agents.folder import (
         AlreadyFinished,
         Diverged,
@@ -154,8 +154,13 @@ def main(options: Options) -> int:
 # Several trainings
 
 
-def train_one(place: sweep.Place, job: sweep.Job) -> sweep.Ended:
-    """One training of several, in a process of its own: begun, or gone on with."""
+def train_one(place: Any, job: Any) -> Any:
+    """One training of several, in a process of its own: begun, or gone on with.
+
+    place, job and what is returned: Place, Job and Ended of `agents.sweep`.
+    """
+    from agents import sweep
+
     options = options_of_train()(**job.options)
     folder = options.folder
     sys.argv = list(place.command)  # the recipe says what the user asked for
@@ -222,7 +227,11 @@ def prepare(options: Options) -> None:
 
 def main_of_several(options: Options, several: Several) -> int:
     """Several trainings, then the table of a sweep; returns the exit status."""
+    from agents import sweep
+
     try:
+        with refusing(ValueError):
+            sweep.check_whole(several)
         with refusing(ValueError):
             executor, shard = sweep.executor_of(several)
             trainings, plan = sweep.planned(options, several)
@@ -255,12 +264,11 @@ def command(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     try:
         options, several = parse(words, options_of_train(), __doc__ or "")
-        more = sweep.asked(several)
     except ValueError as error:
         return failed(error)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    return main_of_several(options, several) if more else main(options)
+    return main(options) if several == Several() else main_of_several(options, several)
 
 
 if __name__ == "__main__":

@@ -364,7 +364,7 @@ def register(name: str, algorithm: Algorithm) -> None:
     ALGORITHMS[name] = algorithm
 
 
-_ON = {"smoothness": SMOOTHNESS, "scaled": True, "checkpoint_every": 0}
+_ON: dict[str, Any] = {"smoothness": SMOOTHNESS, "scaled": True, "checkpoint_every": 0}
 register("ppo", Algorithm(PPO, PPOSettings, None, 2_000_000, "ppo", GaussianPolicy, **_ON))
 register("sac", Algorithm(SAC, SACSettings, None, 300_000, "sac"))
 register("td3", Algorithm(TD3, TD3Settings, None, 300_000, "td3"))

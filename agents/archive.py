@@ -32,6 +32,7 @@ from stable_baselines3.common.policies import BasePolicy
 from torch import nn
 
 from agents.algorithms import ALGORITHMS, BypassedLstmPolicy, Tanh
+from baselines.batch_policy import Context
 from baselines.learned.agent_archive import (
     FORMAT,
     PICKLED,
@@ -62,11 +63,10 @@ from baselines.learned.student import (
     inference_sizes,
 )
 from baselines.learned.trained_agent import TrainedAgent, agent_of, open_agent
-from baselines.registry import Context
 from tracked_env import observation as layout
-from tracked_env.benchmark import PolicyEntry
+from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policies import archive_entry
-from tracked_env.benchmark.store import write_atomically
+from tracked_env.benchmark.policy_interface import PolicyEntry
 
 Floats = NDArray[np.float32]
 State = tuple[torch.Tensor, torch.Tensor]  # hidden and cell values of an LSTM

@@ -35,10 +35,9 @@ from agents.environments import make_vehicles
 from agents.run import Run
 from baselines.learned.agent_archive import current, read_recipe
 from baselines.learned.agent_policy import TEACHER
-from tracked_env.benchmark import PolicyContext
-from tracked_env.benchmark.policy_interface import Policy, needs_truth
+from tracked_env.benchmark.files import write_atomically
+from tracked_env.benchmark.policy_interface import Policy, PolicyContext, needs_truth
 from tracked_env.benchmark.statistics import interquartile_mean
-from tracked_env.benchmark.store import write_atomically
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 Floats = NDArray[np.float64]

@@ -51,7 +51,7 @@ from baselines.learned.agent_policy import (
 )
 from baselines.learned.student import OUTPUTS, features_of, widened_by
 from tracked_env import TORQUE_ID
-from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.policy_interface import PolicyContext
 
 LARGEST_GRADIENT = 1.0  # [-] norm that a gradient is shortened to
 

@@ -24,7 +24,7 @@ from baselines.learned.agent_archive import STUDENT
 from baselines.learned.agent_policy import STUDENT_FEATURES
 from baselines.learned.augmentation import KINDS
 from tracked_env import TORQUE_ID
-from tracked_env.cli.exit_status import Parser
+from tracked_env.cli.command_line import Parser
 
 DEFAULT = "ppo"  # the algorithm where --agent is not given
 
@@ -272,7 +272,8 @@ def _add(group: Any, kind: type[Any], prefix: str = "") -> None:
             more = {"nargs": "*", "type": word, "metavar": WORDS[word]}
         text = texts.get(one.name, "").replace("%", "%%")
         if one.default is not None:
-            value = " ".join(map(str, one.default)) if get_origin(of) is tuple else one.default
+            default: Any = one.default
+            value = " ".join(map(str, default)) if get_origin(of) is tuple else default
             text += f" (default: {value})"
         flag = f"--{prefix}{one.name}".replace("_", "-")
         dest = f"{prefix}{one.name}"

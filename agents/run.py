@@ -22,11 +22,9 @@ from agents.options import Options, check_read
 from baselines.learned.agent_archive import STUDENT, Driven
 from baselines.learned.agent_policy import STUDENT_FEATURES, Groups, groups_in
 from baselines.learned.augmentation import BASE, LAGS, RESIDUAL_SCALE
-from baselines.linearizing.linearizing_law import TUNED_GAINS
-from baselines.lyapunov.slippage_aware import tuned_gains
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark import PolicyContext
-from tracked_env.benchmark.store import machine, versions
+from tracked_env.benchmark.files import machine, versions
+from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
 from tracked_env.observation import Layout, make_layout
 from tracked_env.sensors import make_sensors
@@ -297,6 +295,9 @@ def _augmentation(options: Options, made: EnvId) -> Augmentation:
         if options.base not in (None, BASE) or (options.base == BASE and not torques):
             own["base"] = options.base  # refused where the drives take speeds
         else:
+            from baselines.linearizing.linearizing_law import TUNED_GAINS  # many files behind
+            from baselines.lyapunov.slippage_aware import tuned_gains
+
             own["gains"] = list(TUNED_GAINS if torques else tuned_gains(made.layout.names))
     elif options.augmentation == STUDENT:
         own = {"lags": lags, "hidden": list(student.hidden)}

@@ -162,14 +162,13 @@ class Ended(NamedTuple):
     failed: bool
 
 
-def asked(several: Several) -> bool:
-    """Whether a command line asks for several trainings. Raises ValueError for half of it."""
+def check_whole(several: Several) -> None:
+    """Raises ValueError for half of what several trainings need, or for too much."""
     names = [each.name for each in fields(several) if getattr(several, each.name) is not None]
     if names and not {"seeds", "sweep"} & set(names):
         raise ValueError(f"--{names[0]} is of several trainings; give --seeds or --sweep too")
     if {"seeds", "sweep"} <= set(names):
         raise ValueError("--seeds and --sweep are given; the seeds of a sweep are in its file")
-    return bool(names)
 
 
 def planned(options: Options, several: Several) -> tuple[dict[str, Options], Sweep | None]:
@@ -241,29 +240,24 @@ def compared(sweep: Sweep, executor: Executor | None) -> str:
         open_archive,
         registered_policies,
     )
-    from tracked_env.benchmark.progress_bar import progress_bar
     from tracked_env.benchmark.report import write
-    from tracked_env.benchmark.runner import pending, run
+    from tracked_env.benchmark.runner import run_with_bar
     from tracked_env.benchmark.summary import rows_of
-    from tracked_env.benchmark.text_tables import aligned, markdown_rows
+    from tracked_env.benchmark.tables import aligned, markdown_rows
 
     first = next(iter(sweep.trainings.values()))[0]
     config = BenchmarkConfig(
         sets=sweep.sets or default_sets(first.env), episodes=sweep.episodes, lateral=first.lateral
     )
-    registry, shipped = by_name(registered_policies(), config.env)
     paths = {
         name: [path for one in of if (path := one.folder / "agent.zip").exists()]
         for name, of in sweep.trainings.items()
     }
     trained = {name: of for name, of in paths.items() if of}
-    agents = {**shipped, **trained}
-    entries = load_policies([*sweep.compare, *trained], registry, agents, open_archive)
+    known = {**by_name(registered_policies(), config.env), **trained}
+    entries = load_policies([*sweep.compare, *trained], known, open_archive)
     store = Store(sweep.output / "evaluation", config.identity())
-    tasks = list(pending(config, entries, store, 1 if executor is None else executor.workers))
-    total = sum(len(task.episodes) * config.max_steps(task.uncertainty_set) for task in tasks)
-    with progress_bar(total) as progress:
-        records = run(config, entries, store, progress, executor)
+    records = run_with_bar(config, entries, store, executor)
     rows = rows_of(records)
     summary = summarise(records, rows)
     write(store.folder, {**store.header, "benchmark": check(config)._asdict()}, records, summary)

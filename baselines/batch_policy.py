@@ -4,7 +4,8 @@ A subclass implements `act` for a batch. The signature of `predict` is that of
 Stable-Baselines3, so that the benchmark drives controllers and trained agents alike.
 """
 
-from typing import Generic, TypeVar
+from collections.abc import Sequence
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,34 @@ from baselines.estimators.measurement import ATTITUDE
 from tracked_env import observation as layout
 
 State = TypeVar("State")
+
+
+class Context(Protocol):
+    """What the factory of a policy needs to know of the environment."""
+
+    @property
+    def control_period(self) -> float:
+        """Time between two actions [s]."""
+
+    @property
+    def lateral(self) -> str:
+        """Lateral model of the plant."""
+
+    @property
+    def sensors(self) -> Any:
+        """Data sheet: an object with the attributes of estimators.measurement.DataSheet."""
+
+    @property
+    def drive(self) -> str:
+        """What the actions are: "torque" or "speed"."""
+
+    @property
+    def vehicle(self) -> str:
+        """Nominal vehicle and soil, a key of VEHICLES."""
+
+    @property
+    def observation(self) -> Sequence[str]:
+        """Names of the fields that the environment shows."""
 
 
 def not_finite(observation: NDArray[np.float32], row: int) -> ValueError:

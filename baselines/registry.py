@@ -32,13 +32,14 @@ distribution leaves the archives out; an installation that was built from it has
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from baselines.augmented import L1Policy, L1Settings, MracPolicy, MracSettings
 from baselines.augmented import l1 as l1_policy
 from baselines.augmented import mrac as mrac_policy
+from baselines.batch_policy import Context
 from baselines.estimators.measurement import DataSheet
 from baselines.linearizing import (
     TUNED_GAINS,
@@ -94,34 +95,6 @@ def shipped_agents(env: str) -> dict[str, list[Path]]:
     if not archives and scores.is_file():
         return {name: [] for name in json.loads(scores.read_text(encoding="utf-8"))["seeds"]}
     return archives
-
-
-class Context(Protocol):
-    """What a factory needs to know of the environment."""
-
-    @property
-    def control_period(self) -> float:
-        """Time between two actions [s]."""
-
-    @property
-    def lateral(self) -> str:
-        """Lateral model of the plant."""
-
-    @property
-    def sensors(self) -> Any:
-        """Data sheet: an object with the attributes of estimators.measurement.DataSheet."""
-
-    @property
-    def drive(self) -> str:
-        """What the actions are: "torque" or "speed"."""
-
-    @property
-    def vehicle(self) -> str:
-        """Nominal vehicle and soil, a key of VEHICLES."""
-
-    @property
-    def observation(self) -> Sequence[str]:
-        """Names of the fields that the environment shows."""
 
 
 def _arguments(context: Context, drive: str) -> dict[str, Any]:

@@ -18,6 +18,7 @@ import json
 import re
 import sys
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +28,10 @@ from tracked_env.benchmark import SETS
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.evaluation_sets import NEWEST, VERSIONS
 from tracked_env.benchmark.files import replace_block
-from tracked_env.benchmark.leaderboard import between
-from tracked_env.benchmark.report import rate_unit
+from tracked_env.benchmark.leaderboard import TrainingCost
+from tracked_env.benchmark.report import action_rate, rate_unit
 from tracked_env.benchmark.statistics import Estimate
-from tracked_env.benchmark.summary import action_rate
-from tracked_env.benchmark.text_tables import escaped
-from tracked_env.benchmark.training_curves import TrainingCost
+from tracked_env.benchmark.tables import between, escaped
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"
@@ -47,51 +46,73 @@ def track_of(board: dict[str, Any]) -> str:
     return SETS[next(name for name in board["sets"] if name in SETS)].env.partition("/")[2]
 
 
-def estimate_text(estimate: dict[str, float], digits: int, seeds: int) -> str:
-    """Value and interval, as the leaderboard writes them."""
-    return between(Estimate(**estimate), digits, seeds)
+def estimate_text(estimate: dict[str, float] | None, digits: int, seeds: int) -> str:
+    """Value and interval, as the leaderboard writes them; `-` for none."""
+    return "-" if estimate is None else between(Estimate(**estimate), digits, seeds)
+
+
+def means_of(entry: dict[str, Any]) -> dict[str, float]:
+    """Means of all metrics of an agent over all sets, NaN where it has none."""
+    means = entry["overall"]["means"].items()
+    return {name: np.nan if value is None else value for name, value in means}
+
+
+def seeds_text(seeds: int | None) -> str:
+    """Number of trainings, with a star below five; `-` of a controller."""
+    return f"{seeds or '-'}{'*' if seeds and seeds < 5 else ''}"
+
+
+def line(cells: list[str]) -> str:
+    """A row of a Markdown table."""
+    return "| " + " | ".join(cells) + " |"
 
 
 def table(board: dict[str, Any]) -> str:
     """The leaderboard as Markdown: overall, then the IQM of the RMSE per set."""
     agents = board["agents"]
-    means = [
-        {name: np.nan if value is None else value for name, value in e["overall"]["means"].items()}
-        for e in agents
-    ]
-    unit, factor = rate_unit(means)
-    rates = [f"{factor * action_rate(of)[0]:.1f}" for of in means]
+    unit, factor = rate_unit(means_of(entry) for entry in agents)
     than = escaped(board["reference"])
-    lines = [
-        f"| | policy | error | than {than} | after 5 s | after the start | success | worst set "
-        f"| worst tenth [m] | action rate [{unit}] | energy [kJ] | seeds "
-        "| RMSE, all sets [m] | after 5 s [m] | score | P(better) | training of a seed, CPU |",
-        "|--:|--|--:|--|--:|--|--:|--|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
-    ]
+
+    def worst_set(entry: dict[str, Any]) -> str:
+        ratios = entry["relative"]
+        return f"{ratios['worst']:.3g} `{ratios['worst_set']}`" if entry["against"] else "-"
+
+    def chance(entry: dict[str, Any]) -> str:
+        against = entry["against"]
+        return f"{against['improvement']['value']:.0%}" if against else "-"
+
+    def training(entry: dict[str, Any]) -> str:
+        return str(TrainingCost(**entry["training"])) if entry["training"] else "-"
+
+    columns: dict[str, Callable[[dict[str, Any]], str]] = {
+        "policy": lambda e: escaped(e["agent"]),
+        "error": lambda e: estimate_text(e["relative"]["whole"], 2, e["seeds"]),
+        f"than {than}": lambda e: e["verdict"],
+        "after 5 s": lambda e: estimate_text(e["relative"]["settled"], 2, e["seeds"]),
+        "after the start": lambda e: e["verdict_settled"],
+        "success": lambda e: f"{100 * e['overall']['means']['success']:.1f} %",
+        "worst set": worst_set,
+        "worst tenth [m]": lambda e: f"{e['overall']['rmse_worst']['value']:.2f}",
+        f"action rate [{unit}]": lambda e: f"{factor * action_rate(means_of(e))[0]:.1f}",
+        "energy [kJ]": lambda e: f"{means_of(e)['energy'] / 1e3:.3g}",
+        "seeds": lambda e: seeds_text(e["seeds"]),
+        "RMSE, all sets [m]": lambda e: estimate_text(e["overall"]["rmse_iqm"], 3, e["seeds"]),
+        "after 5 s [m]": lambda e: f"{e['overall']['settled_iqm']['value']:.3f}",
+        "score": lambda e: estimate_text(e["overall"]["score"], 3, e["seeds"]),
+        "P(better)": chance,
+        "training of a seed, CPU": training,
+    }
+    words = ("policy", f"than {than}", "after the start", "worst set")
+    rules = ("--" if name in words else "--:" for name in columns)
+    lines = ["| | " + " | ".join(columns) + " |", "|--:|" + "|".join(rules) + "|"]
     for rank, entry in enumerate(agents, start=1):
-        o, own, count = entry["overall"], entry["relative"], entry["seeds"]
-        star = "" if count in (None, 0) or count >= 5 else "*"
-        against, training = entry["against"], entry["training"]
-        chance = "-" if against is None else f"{against['improvement']['value']:.0%}"
-        cells = [
-            f"{rank}", escaped(entry["agent"]),
-            estimate_text(own["whole"], 2, count), entry["verdict"],
-            estimate_text(own["settled"], 2, count), entry["verdict_settled"],
-            f"{100 * o['means']['success']:.1f} %",
-            "-" if against is None else f"{own['worst']:.3g} `{own['worst_set']}`",
-            f"{o['rmse_worst']['value']:.2f}", rates[rank - 1],
-            f"{means[rank - 1]['energy'] / 1e3:.3g}", f"{count or '-'}{star}",
-            estimate_text(o["rmse_iqm"], 3, count), f"{o['settled_iqm']['value']:.3f}",
-            "-" if o["score"] is None else estimate_text(o["score"], 3, count),
-            chance, "-" if training is None else str(TrainingCost(**training)),
-        ]  # fmt: skip
-        lines.append("| " + " | ".join(cells) + " |")
-    names = [escaped(entry["agent"]) for entry in agents]
-    lines += ["", "| set | " + " | ".join(names) + " |", "|--|" + "--:|" * len(names)]
+        lines.append(line([f"{rank}", *(cell(entry) for cell in columns.values())]))
+    lines += ["", line(["set", *(escaped(e["agent"]) for e in agents)])]
+    lines.append("|--|" + "--:|" * len(agents))
     for name in board["sets"]:
         values = [entry["rmse"][name]["value"] for entry in agents]
-        cells = [f"**{v:.3f}**" if v == min(values) else f"{v:.3f}" for v in values]
-        lines.append(f"| `{name}` | " + " | ".join(cells) + " |")
+        bold = [f"**{v:.3f}**" if v == min(values) else f"{v:.3f}" for v in values]
+        lines.append(line([f"`{name}`", *bold]))
     agreement = ", ".join(f"{k} {v:.2f}" for k, v in board["agreement"].items() if v is not None)
     lines += [
         "",
@@ -109,8 +130,8 @@ def short_table(full: str) -> str:
     lines = overall.split("\n")[: 2 + SHORT_ROWS]  # two of head
     rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in lines]
     names = [cell.strip() for cell in rows[0]]
-    kept = [i for i, name in enumerate(names) if name in SHORT or name.startswith("than ")]
-    return "\n".join("|" + "|".join(row[i] for i in kept) + "|" for row in rows)
+    chosen = [i for i, name in enumerate(names) if name in SHORT or name.startswith("than ")]
+    return "\n".join("|" + "|".join(row[i] for i in chosen) + "|" for row in rows)
 
 
 def scores(results: dict[str, Any]) -> dict[str, Any]:
@@ -126,16 +147,12 @@ def scores(results: dict[str, Any]) -> dict[str, Any]:
     controllers: dict[str, Any] = {}
     for (policy, name), values in rmse.items():
         agent, _, seed = policy.partition("@")
-        estimate = stats.estimate([np.array(values)])
-        if seed:
-            place = seeds.setdefault(agent, {}).setdefault(seed, {})
-        else:
-            place = controllers.setdefault(agent, {})
-        place[name] = {
-            "iqm": round(estimate.value, 5),
-            "low": round(estimate.low, 5),
-            "high": round(estimate.high, 5),
-        }
+        redrawn = stats.redraw(np.array([values]), stats.Redraws([len(values)]))
+        iqm = float(stats.interquartile_mean(values))
+        estimate = stats.estimate(iqm, redrawn.iqm, seeds=1)
+        place = seeds.setdefault(agent, {}).setdefault(seed, {}) if seed else {}
+        place = place if seed else controllers.setdefault(agent, {})
+        place[name] = dict(zip(("iqm", "low", "high"), np.round(estimate, 5).tolist(), strict=True))
     count = min((len(values) for values in rmse.values()), default=0)
     return {"episodes": count, "seeds": seeds, "controllers": controllers}
 
@@ -152,29 +169,22 @@ def main() -> int:
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     track, full = track_of(board), table(board)
     version = VERSIONS.get(results.get("benchmark", {}).get("version"))
-    if version is not None and version not in NEWEST:
-        return _publish_aside(version.name, full)
+    is_default = version is None or version in NEWEST
+    name = track if version is None or is_default else version.name
     try:
-        replace_block(ROOT / "docs" / "results.md", f"leaderboard of {track}", full)
-        replace_block(ROOT / "README.md", f"short leaderboard of {track}", short_table(full))
+        replace_block(ROOT / "docs" / "results.md", f"leaderboard of {name}", full)
+        if is_default:
+            replace_block(ROOT / "README.md", f"short leaderboard of {track}", short_table(full))
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
+    if not is_default:
+        print("docs/results.md written")
+        return 0
     target = PRETRAINED / track / "scores.json"
     target.parent.mkdir(exist_ok=True)
     target.write_text(json.dumps(scores(results), indent=1) + "\n", encoding="utf-8")
     print(f"docs/results.md, README.md and {target} written")
-    return 0
-
-
-def _publish_aside(version: str, full: str) -> int:
-    """Write the table of a version that is not the default one; returns the exit status."""
-    try:
-        replace_block(ROOT / "docs" / "results.md", f"leaderboard of {version}", full)
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 2
-    print("docs/results.md written")
     return 0
 
 

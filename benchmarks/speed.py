@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
-import speed_rows
+import speed_rows  # type: ignore[import-not-found]  # beside this file
 
 from tracked_env import TORQUE_ID as TORQUE
 from tracked_env.benchmark.files import replace_block

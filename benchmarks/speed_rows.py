@@ -160,8 +160,9 @@ def predictions(drive: str, name: str, count: int) -> Load:
 
     torque, speed = (TORQUE, "rtk", "strawa"), (SPEED, "mocap", "focchi")
     env_id, sensors, vehicle = torque if drive == "torque" else speed
-    policies, archives = registered.by_name(registered.registered_policies(), drive)
-    entry: Any = policies.get(name) or registered.open_archive(archives[name][0])
+    entry: Any = registered.by_name(registered.registered_policies(), drive)[name]
+    if isinstance(entry, list):
+        entry = registered.open_archive(entry[0])
     context = PolicyContext(0.02, "sliding", make_sensors(sensors), drive, vehicle)
     policy = entry.make(context)
     seen = _drive(policy, count, env_id, 150, duration=30.0)
@@ -193,7 +194,7 @@ def controllers() -> list[tuple[str, str]]:
 
     pairs = []
     for drive, vehicle in (("torque", "strawa"), ("speed", "focchi")):
-        entries: dict[str, Any] = by_name(registered_policies(), drive)[0]
+        entries: dict[str, Any] = by_name(registered_policies(), drive)
         for policy in registered_policies():
             context = PolicyContext(0.02, "sliding", drive=drive, vehicle=vehicle)
             if policy.env != ENVIRONMENTS[drive] or policy.is_trained:

@@ -19,13 +19,7 @@ from PIL import Image
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import BenchmarkConfig, default_sets
-from tracked_env.benchmark.policies import (
-    by_name,
-    default_names,
-    load_policies,
-    open_archive,
-    registered_policies,
-)
+from tracked_env.benchmark.policies import default_names, policies_for, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.terrain.height_field import KINDS
 
@@ -59,8 +53,7 @@ class Shown(NamedTuple):
 
     def prepared(self) -> tuple[BenchmarkConfig, PolicyEntry]:
         """What the benchmark needs, as `tracked-env render` makes it."""
-        registry, trained = by_name(registered_policies(), self.env)
-        entry = load_policies([self.policy], registry, trained, open_archive)[0]
+        entry = policies_for(self.env, [self.policy])[0]
         return BenchmarkConfig(sets=(self.set,), episodes=1), entry
 
 

@@ -75,7 +75,7 @@ def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
-    monkeypatch.setattr("tracked_env.cli.exit_status.PATIENCE", 3600.0)
+    monkeypatch.setattr("tracked_env.cli.command_line.PATIENCE", 3600.0)
 
 
 @pytest.fixture

@@ -26,6 +26,14 @@ def sections(text):
     return dict(zip(parts[::2], parts[1::2], strict=True))
 
 
+def test_the_core_can_be_read_in_an_afternoon(repository):
+    text = (repository / "CONTRIBUTING.md").read_text().partition("## How to add")[0]
+    files = re.findall(r"^\| `(tracked_env/[\w/]+\.py)` \|", text, flags=re.MULTILINE)
+    lines = [len((repository / file).read_text().splitlines()) for file in files]
+    assert len(files) == len(set(files)) == 10
+    assert sum(lines) <= 3500, dict(zip(files, lines, strict=True))
+
+
 @pytest.mark.parametrize("what", SECTIONS)
 def test_what_a_section_says_works_in_a_folder_of_ones_own(what, repository, tmp_path):
     blocks = python_blocks(sections((repository / "CONTRIBUTING.md").read_text())[what])

@@ -227,12 +227,7 @@ print(json.dumps([spec.id in registered, "tracked_env:" + spec.id in registered,
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     # The form with the module in front is no registered id: rl-zoo would refuse it.
-    assert json.loads(result.stdout) == [
-        True,
-        False,
-        "tracked_env.env:TrackedVehicleEnv",
-        [1, 31],
-    ]
+    assert json.loads(result.stdout) == [True, False, "tracked_env.env:TrackedVehicleEnv", [1, 31]]
 
 
 class EnvContext(dict):

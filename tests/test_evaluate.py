@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from baselines.registry import POLICIES
 from tracked_env import SPEED_ID, TERRAIN_ID
 from tracked_env.benchmark.evaluation_sets import EPISODES, SETS, VERSIONS, default_sets
 from tracked_env.benchmark.metrics import METRICS
-from tracked_env.benchmark.report import SEPARATION_RATIO
+from tracked_env.benchmark.summary import SEPARATION_RATIO
 from tracked_env.observation import SIZE
 
 TINY = ("--sets", "payload", "--episodes", "2", "--duration", "1", "--no-figures")
@@ -25,10 +24,10 @@ THREE = ("--policies", "nominal", "adaptive", "oracle")
 
 
 @pytest.fixture
-def evaluate(repository: Path, tmp_path: Path) -> Any:
+def evaluate(repository, tmp_path):
     """Run evaluate.py in an empty folder; returns the finished process."""
 
-    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    def run(*arguments):
         command = [sys.executable, str(repository / "evaluate.py"), *arguments]
         environment = {**os.environ, "PYTHONPATH": str(repository), "COLUMNS": "200"}
         return subprocess.run(
@@ -38,14 +37,12 @@ def evaluate(repository: Path, tmp_path: Path) -> Any:
     return run
 
 
-def result(folder: Path) -> dict[str, Any]:
+def result(folder):
     (file,) = folder.glob("results/*/results.json")
     return dict(json.loads(file.read_text()))
 
 
-def test_a_small_run_prints_the_summary_and_writes_results_and_figures(
-    evaluate: Any, tmp_path: Path
-) -> None:
+def test_a_small_run_prints_the_summary_and_writes_results_and_figures(evaluate, tmp_path):
     done = evaluate(*TINY[:-1], *THREE, "--sensors", '{"preset": "rtk", "pose_delay": 0.02}')
     assert done.returncode == 0, done.stderr
     assert "clearly worse" in done.stdout
@@ -69,9 +66,7 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(
 
 
 @pytest.mark.slow
-def test_a_run_that_was_killed_continues_with_what_it_had(
-    evaluate: Any, repository: Path, tmp_path: Path
-) -> None:
+def test_a_run_that_was_killed_continues_with_what_it_had(evaluate, repository, tmp_path):
     arguments = ("--sets", "payload", "--episodes", "6", "--chunk", "1", "--no-figures",
                  "--duration", "15", *THREE)  # fmt: skip
     process = subprocess.Popen(
@@ -97,9 +92,7 @@ def test_a_run_that_was_killed_continues_with_what_it_had(
     assert len(result(tmp_path)["episodes"]) == 18
 
 
-def test_a_policy_of_another_package_is_compared_from_its_folder(
-    evaluate: Any, tmp_path: Path
-) -> None:
+def test_a_policy_of_another_package_is_compared_from_its_folder(evaluate, tmp_path):
     (tmp_path / "mine.py").write_text(
         "import numpy as np\n"
         "class Coast:\n"
@@ -114,8 +107,8 @@ def test_a_policy_of_another_package_is_compared_from_its_folder(
 @pytest.mark.slow
 @pytest.mark.parametrize(("env", "duration"), [(SPEED_ID, 12), (TERRAIN_ID, 6)])
 def test_other_environments_have_their_own_policies_sets_and_score(
-    env: str, duration: int, evaluate: Any, tmp_path: Path
-) -> None:
+    env, duration, evaluate, tmp_path
+):
     policies = ("uc", "slc", "slc-adaptive", "slc-oracle")
     done = evaluate(
         "--env", env, "--policies", *policies, "--episodes", "2",
@@ -134,9 +127,7 @@ def test_other_environments_have_their_own_policies_sets_and_score(
 
 
 @pytest.mark.parametrize("delay", [0.2, 2.0, None])  # [s] of imports; None: it compiles
-def test_an_interruption_while_it_starts_is_one_line(
-    repository: Path, tmp_path: Path, delay: float | None
-) -> None:
+def test_an_interruption_while_it_starts_is_one_line(repository, tmp_path, delay):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
     process = subprocess.Popen(
         [sys.executable, str(repository / "evaluate.py"), *TINY, "--policies", "adaptive"],
@@ -156,9 +147,7 @@ def test_an_interruption_while_it_starts_is_one_line(
 
 
 @pytest.mark.slow
-def test_two_runs_in_one_folder_are_refused_with_a_clear_message(
-    evaluate: Any, repository: Path, tmp_path: Path
-) -> None:
+def test_two_runs_in_one_folder_are_refused_with_a_clear_message(evaluate, repository, tmp_path):
     arguments = ("--sets", "payload", "--episodes", "64", "--chunk", "1", "--no-figures",
                  "--duration", "20", "--policies", "oracle")  # fmt: skip
     first = subprocess.Popen(
@@ -184,7 +173,7 @@ def test_two_runs_in_one_folder_are_refused_with_a_clear_message(
     assert evaluate(*fewer).returncode == 0  # a killed process holds nothing
 
 
-def test_the_help_explains_every_option(evaluate: Any) -> None:
+def test_the_help_explains_every_option(evaluate):
     text = evaluate("--help").stdout
     for option in ("policies", "sets", "episodes", "seed", "sensors", "reference", "duration",
                    "lateral", "output", "figures", "video", "chunk"):  # fmt: skip
@@ -193,8 +182,8 @@ def test_the_help_explains_every_option(evaluate: Any) -> None:
 
 
 def test_the_page_on_evaluation_shows_every_metric_and_policy_and_its_examples_run(
-    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    repository, tmp_path, monkeypatch
+):
     docs = repository / "docs"
     text, sets, metrics = (
         (docs / f"{page}.md").read_text(encoding="utf-8")

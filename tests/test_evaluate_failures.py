@@ -2,7 +2,6 @@
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -26,9 +25,7 @@ from tracked_env import SPEED_ID
         ({"policies": ("a\nb=nominal",)}, "that can be printed"),
     ],
 )
-def test_a_wrong_argument_is_one_line_and_starts_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: dict[str, Any], message: str
-) -> None:
+def test_a_wrong_argument_is_one_line_and_starts_nothing(tmp_path, capsys, arguments, message):
     output = tmp_path / "results"
     assert evaluate_module.main(evaluate_module.Config(output=output, **arguments)) == 2
     text = capsys.readouterr().err
@@ -40,8 +37,8 @@ def test_a_wrong_argument_is_one_line_and_starts_nothing(
 @pytest.mark.parametrize("paper", ["none", "strawa2021"])
 @pytest.mark.parametrize("kind", ["file", "proc", "too long"])
 def test_an_output_that_cannot_be_written_is_one_line_before_anything_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, paper: Any
-) -> None:
+    tmp_path, capsys, kind, paper
+):
     (tmp_path / "file").write_text("mine")
     output = {
         "file": tmp_path / "file", "proc": Path("/proc/nothing"), "too long": tmp_path / ("x" * 999)
@@ -82,9 +79,9 @@ class Raises(Exits):
     ],
 )
 def test_a_policy_that_raises_or_exits_is_a_failure_in_one_line_that_names_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    attribute: str, status: int, message: str,
-) -> None:  # fmt: skip
+    tmp_path, monkeypatch, capsys,
+    attribute, status, message,
+):  # fmt: skip
     (tmp_path / "wrong_policies.py").write_text(WRONG)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "wrong_policies", raising=False)
@@ -100,8 +97,8 @@ def test_a_policy_that_raises_or_exits_is_a_failure_in_one_line_that_names_it(
 
 
 def test_damaged_results_are_one_line_and_damaged_traces_are_left_out_with_a_notice(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, capsys
+):
     config = evaluate_module.Config(
         output=tmp_path, policies=("nominal", "oracle"), sets=("payload",), episodes=2,
         duration=0.5,
@@ -134,9 +131,7 @@ def test_damaged_results_are_one_line_and_damaged_traces_are_left_out_with_a_not
     assert evaluate_module.main(config) == 0
 
 
-def test_results_that_cannot_be_written_at_the_end_are_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_results_that_cannot_be_written_at_the_end_are_one_line(tmp_path, capsys):
     config = evaluate_module.Config(
         output=tmp_path, policies=("nominal",), sets=("payload",), episodes=1, duration=0.5,
         figures=False,

@@ -14,7 +14,7 @@ DOCUMENTED = {
     "parameters.py": (
         *("VehicleParameters", "SoilParameters", "LateralModelParameters"),
         "VehicleState",
-    ),
+    )
 }
 
 

@@ -17,12 +17,7 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 BY_TORQUE = {"plant": "distributed", "uncertainty": "loose-soil"}
 STRAIGHT = {"kind": "straight", "speed": 0.3}
-CALM = {
-    "reference": STRAIGHT,
-    "uncertainty": "nominal",
-    "sensors": "ideal",
-    "expose_truth": True,
-}
+CALM = {"reference": STRAIGHT, "uncertainty": "nominal", "sensors": "ideal", "expose_truth": True}
 ON_PATH = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0}
 
 

@@ -45,12 +45,7 @@ def masses(env, count=3):
 def test_a_law_of_ones_own_draws_the_episodes_of_every_environment():
     single = gymnasium.make(ID, uncertainty=heavy_then_light, expose_truth=True, duration=2.0)
     rows = gymnasium.make_vec(
-        ID,
-        3,
-        "vector_entry_point",
-        uncertainty=heavy_then_light,
-        expose_truth=True,
-        duration=2.0,
+        ID, 3, "vector_entry_point", uncertainty=heavy_then_light, expose_truth=True, duration=2.0
     )
     nominal = VEHICLES["strawa"].mass
     drawn = masses(single)
@@ -77,8 +72,7 @@ def test_stable_baselines3_and_mixtures_take_a_law_too():
 
 
 @pytest.mark.parametrize(
-    "spec",
-    [heavy_then_light, Heavier(1.5), {"mass": [1000.0, 2000.0]}, ["payload", Heavier(2.0)]],
+    "spec", [heavy_then_light, Heavier(1.5), {"mass": [1000.0, 2000.0]}, ["payload", Heavier(2.0)]]
 )
 def test_an_environment_with_a_law_is_copied_and_pickled(spec):
     env = TrackedVehicleEnv(uncertainty=spec, duration=0.5)

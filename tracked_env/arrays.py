@@ -26,6 +26,11 @@ GROUP_COUNT = len(GROUPS)
 COEFFICIENT_COUNT = len(Coefficients._fields)
 DRIVE_COUNT = len(DriveLimits._fields)
 DELIVERED_COUNT = CHANNEL_COUNT + GROUP_COUNT  # samples, and the step at which each was taken
+STEEPEST = 5.0  # [-] dz/dx of any terrain, 79 degrees
+# What an episode draws on top of a terrain, see `terrain.pool`: two slopes, and sinusoids.
+DRAWN_WAVES = 8
+RELIEF_SIZE = 2 + 4 * DRAWN_WAVES
+RELIEF_COLUMNS = RELIEF_SIZE + 1  # and the member of the pool
 SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
 
 

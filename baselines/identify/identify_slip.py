@@ -35,9 +35,8 @@ from baselines.identify.slip_runs import Runs
 from baselines.slip.slip_models import TableSlipModel
 from baselines.slip.slip_regression import Scores, scores
 from baselines.slip.slip_sweep import SlipData, make_table, slip_data, upsample
-from tracked_env.benchmark.figures import PALETTE, STYLE, inline_svg, new_figure, svg_text
-from tracked_env.benchmark.leaderboard_page import Drawing, Section, page_text
-from tracked_env.benchmark.text_tables import plain_table
+from tracked_env.benchmark.figures import PALETTE, STYLE, new_figure, svg_text
+from tracked_env.benchmark.tables import Cell, Drawing, Section, Table, inline_svg, page_text
 from tracked_env.physics.parameters import PlantParameters
 
 CERTAIN = 18.0  # [-] logarithm of a likelihood ratio: 6 deviations that a fault explains wholly
@@ -296,11 +295,9 @@ def page(fitted: Fitted, subject: str, facts: Mapping[str, str], draw: bool = Tr
         "Each run is predicted by a fit of other runs: R^2 is 1 where all of it is explained and 0 "
         "where the mean says as much"
     )
-    used = plain_table(explanation, score_rows(fitted), (0,), [])
-    rows = [["run", "reason"], *([r.run, r.reason] for r in refused)]
-    unused = plain_table("Runs that are not used", rows, (0,), [])
-    for row in unused.rows:
-        row[1] = row[1]._replace(kind="name")
+    used = Table(explanation, score_rows(fitted))
+    reasons = [[r.run, Cell(r.reason, kind="name")] for r in refused]
+    unused = Table("Runs that are not used", [["run", "reason"], *reasons])
     figures = _drawings(fitted) if draw else []
     sections = [
         Section("R^2 on runs not seen", "scores", [used], figures[:1]),

@@ -26,9 +26,8 @@ from baselines.identify.identify_log import (
     SOIL,
     Identified,
 )
-from tracked_env.benchmark.figures import PALETTE, STYLE, inline_svg, new_figure, svg_text
-from tracked_env.benchmark.leaderboard_page import Drawing, Section, page_text
-from tracked_env.benchmark.text_tables import plain_table
+from tracked_env.benchmark.figures import PALETTE, STYLE, new_figure, svg_text
+from tracked_env.benchmark.tables import Drawing, Section, Table, inline_svg, page_text
 from tracked_env.physics.parameters import RANGES
 from tracked_env.physics.terramechanics import GRAVITY
 
@@ -285,7 +284,7 @@ def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: b
         f"right; 5 % of {WHITE_LAGS} lags lie beyond the band by chance",
         _residual_rows(identified),
     )
-    tables = [[plain_table(*of, (0,), [])] for of in (results, excitation, residuals)]
+    tables = [[Table(*of)] for of in (results, excitation, residuals)]
     drawings = _drawings(identified) if draw else [()] * 4
     log = identified.log
     sections = [

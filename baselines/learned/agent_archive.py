@@ -40,7 +40,6 @@ from baselines.learned.agent_policy import (
     Normalisation,
 )
 from baselines.learned.augmentation import KINDS
-from baselines.linearizing.linearizing_law import Gains
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.validation import check_unpacked, parsed_json, plain_arrays
 
@@ -162,10 +161,13 @@ def _check_options(kind: str, options: Any) -> None:
         raise ValueError(
             f"features = {_short(options['features'])}; must be {' or '.join(STUDENT_FEATURES)}"
         )
-    gains = options.get("gains", [1.0])
-    numbers = isinstance(gains, list) and all(_is_number(gain, -1.0) for gain in gains)
-    if not (numbers and 1 <= len(gains) <= len(Gains._fields)):
-        raise ValueError(f"gains = {_short(gains)}; must be {', '.join(Gains._fields)}")
+    if "gains" in options:
+        from baselines.linearizing.linearizing_law import Gains  # many files behind it
+
+        gains, fields = options["gains"], Gains._fields
+        numbers = isinstance(gains, list) and all(_is_number(gain, -1.0) for gain in gains)
+        if not (numbers and 1 <= len(gains) <= len(fields)):
+            raise ValueError(f"gains = {_short(gains)}; must be {', '.join(fields)}")
     scale = options.get("scale", 1.0)
     if not (_is_number(scale, 0.0) and scale <= 2.0):
         raise ValueError(f"scale = {_short(scale)}; must be in (0, 2]")

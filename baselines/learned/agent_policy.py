@@ -30,8 +30,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.batch_policy import Context
 from baselines.learned.augmentation import Augmentation, chosen, make_augmentation, seen
-from baselines.registry import Context
 from tracked_env import observation as layout
 from tracked_env.observation import FEATURE_BOUND
 from tracked_env.physics.jit import copy_entries, loop

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from baselines.batch_policy import Context
 from baselines.estimators.measurement import DataSheet
 from baselines.learned.agent_archive import (
     INFERENCE,
@@ -36,7 +37,6 @@ from baselines.learned.agent_policy import (
 )
 from baselines.learned.augmentation import make_augmentation
 from baselines.learned.student import features_of, read_recurrent_student, read_student, widened_by
-from baselines.registry import Context
 from tracked_env import observation as layout
 
 HERE = Path(__file__).resolve().parent

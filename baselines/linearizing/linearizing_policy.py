@@ -23,7 +23,6 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 6.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -62,15 +61,6 @@ _ROLL, _PITCH = layout.SIZE, layout.SIZE + 1  # ATTITUDE stands behind the field
 _ROLL_SCALE, _PITCH_SCALE = layout.make_layout(["attitude"]).scale[:2]
 _COMMAND = layout.INDEX["previous_action_left"]
 _LAG = PARAMETER_INDEX["drive_time_constant"]
-
-
-class Setting(NamedTuple):
-    """What the kernels need to know of the controller."""
-
-    gains: Gains
-    period: float  # [s]
-    constrained: bool  # the lateral model
-    sloped: bool  # whether ATTITUDE stands behind the fields of v0
 
 
 def shows_attitude(observation: Sequence[str]) -> bool:
@@ -112,13 +102,14 @@ def _reference(observation, i, facing):
 
 
 @formula
-def control(observation, i, p, lacking, memory, setting):
+def control(observation, i, p, lacking, memory, gains, setting):
     """(action left, action right [-]) of vehicle i with PlantParameters p.
 
     lacking: (forward [m/s^2], turning [rad/s^2]) that the model lacks, cancelled by the efforts.
-    memory (N, STATE): row i in and out.
+    memory (N, STATE): row i in and out. setting: control period [s], whether the lateral model is
+    the constrained one, whether ATTITUDE stands behind the fields of v0.
     """
-    gains, period, constrained, sloped = setting
+    period, constrained, sloped = setting
     xi, integral = memory[i, 0], law.Integral(memory[i, 1], memory[i, 2])
     incline = measured_incline(observation, i, sloped)
     k = law.pressed(vehicle.coefficients(p, constrained), incline.press)
@@ -163,7 +154,7 @@ def control(observation, i, p, lacking, memory, setting):
 
 
 @loop
-def control_all(observation, parameters, lacking, memory, setting, action):
+def control_all(observation, parameters, lacking, memory, gains, setting, action):
     """Control of all vehicles: observation (N, D), parameters (rows, N or 1), lacking (N or 1, 2),
     memory (N, STATE) in and out, action (N, 2) out. Returns the first row that is not finite, or
     -1."""
@@ -175,7 +166,8 @@ def control_all(observation, parameters, lacking, memory, setting, action):
         if check != 0.0:
             return i
         p, n = row_parameters(parameters.T, 0 if shared else i, 0), 0 if alike else i
-        left, right = control(observation, i, p, (lacking[n, 0], lacking[n, 1]), memory, setting)
+        missing = lacking[n, 0], lacking[n, 1]
+        left, right = control(observation, i, p, missing, memory, gains, setting)
         action[i, 0] = min(max(left, -1.0), 1.0)
         action[i, 1] = min(max(right, -1.0), 1.0)
     return -1
@@ -264,8 +256,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         self._view = layout.View(observation, (*NEEDS, *ATTITUDE) if self.sloped else NEEDS)
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.lateral = lateral
-        constrained = lateral == "constrained"
-        self._setting = Setting(self.gains, self.control_period, constrained, self.sloped)
+        self._setting = (self.control_period, lateral == "constrained", self.sloped)
         self.parameters = np.empty((len(PARAMETER_NAMES), 1))
         self.lacking = np.zeros((1, 2))
         self.set_parameters(**parameters._asdict())
@@ -308,7 +299,8 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         self.same_count(len(memory), count)
         memory[start] = 0.0
         action = np.empty((count, 2), dtype=np.float32)
-        bad = control_all(observation, self.parameters, self.lacking, memory, self._setting, action)
+        setting = self.gains, self._setting
+        bad = control_all(observation, self.parameters, self.lacking, memory, *setting, action)
         if bad >= 0:
             raise not_finite(observation, bad)
         return action, memory

@@ -45,6 +45,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.validation import checked_choice, checked_keys, checked_number
 
 Array = NDArray[np.float64]
@@ -108,7 +109,7 @@ class Limits(NamedTuple):
 
         Raises TypeError for a name that is no limit.
         """
-        grip = 9.81 * math.tan(vehicle.friction_angle)
+        grip = GRAVITY * math.tan(vehicle.friction_angle)
         known = {
             "sprocket_speed": vehicle.sprocket_speed_limit,
             "acceleration": grip,

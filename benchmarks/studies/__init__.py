@@ -18,21 +18,15 @@ from typing import Any
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.executors import make_executor
-from tracked_env.benchmark.policies import (
-    by_name,
-    default_names,
-    load_policies,
-    open_archive,
-    registered_policies,
-)
-from tracked_env.benchmark.policy_interface import PolicyEntry
-from tracked_env.benchmark.progress_bar import progress_bar
-from tracked_env.benchmark.runner import pending, run
-from tracked_env.benchmark.store import Record, Store, write_atomically
-from tracked_env.benchmark.summary import agent_of
-from tracked_env.benchmark.text_tables import aligned
+from tracked_env.benchmark.files import write_atomically
+from tracked_env.benchmark.policies import policies_for
+from tracked_env.benchmark.policy_interface import PolicyEntry, agent_of
+from tracked_env.benchmark.records import Record
+from tracked_env.benchmark.runner import run_with_bar
+from tracked_env.benchmark.store import Store
+from tracked_env.benchmark.tables import aligned
+from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import add_env, add_option
-from tracked_env.cli.exit_status import Parser
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole
 
@@ -67,23 +61,16 @@ def few_seeds(entries: Iterable[PolicyEntry], count: int | None) -> list[PolicyE
 
 def policies_of(options: Namespace, env: str) -> list[PolicyEntry]:
     """Those that are named, else all that are registered for the environment."""
-    policies = registered_policies()
-    registry, trained = by_name(policies, env)
     if options.seeds is not None:
         checked_whole("--seeds", options.seeds, Range(1, 1000, "-", "It counts trainings."))
-    specs = options.policies or default_names(policies, env)
-    return few_seeds(load_policies(specs, registry, trained, open_archive), options.seeds)
+    return few_seeds(policies_for(env, options.policies), options.seeds)
 
 
 def driven(
     config: BenchmarkConfig, entries: Sequence[PolicyEntry], store: Store, workers: int | None
 ) -> list[Record]:
     """Records of all episodes; what the store has is not run again."""
-    executor = make_executor(workers, None, None)
-    tasks = list(pending(config, entries, store, executor.workers if executor else 1))
-    steps = sum(len(task.episodes) * config.max_steps(task.uncertainty_set) for task in tasks)
-    with progress_bar(steps) as progress:
-        return run(config, entries, store, progress, executor)
+    return run_with_bar(config, entries, store, make_executor(workers))
 
 
 def show(cells: Cells, names: int) -> None:

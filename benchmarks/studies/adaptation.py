@@ -10,7 +10,7 @@ Every policy drives beside itself without learning from the first abrupt change 
 Where a border is met depends on the driver, so each policy counts from its own crossing. An episode
 that ends before the ceiling's change counts with the error at which it ended: to be lost early is
 never better. Means and ratios are over episodes and, of agents, seeds, with intervals of
-`reliability`. Up to the change the frozen policy drives as the other does, to the bit.
+`statistics`. Up to the change the frozen policy drives as the other does, to the bit.
 """
 
 import sys
@@ -30,23 +30,25 @@ from benchmarks.studies import (
     write_csv,
     write_figure,
 )
-from tracked_env.benchmark import reliability
+from tracked_env.benchmark import statistics
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.figures import STYLE, looks, new_figure, plain_ticks
+from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policy_interface import (
     FROZEN_NAME,
     PolicyEntry,
+    agent_of,
     can_freeze,
     checked_policy,
     frozen,
 )
 from tracked_env.benchmark.statistics import Estimate
-from tracked_env.benchmark.store import Store, write_atomically
-from tracked_env.benchmark.summary import Row, agent_of, rows_of
-from tracked_env.benchmark.text_tables import markdown_rows
+from tracked_env.benchmark.store import Store
+from tracked_env.benchmark.summary import Row, rows_of
+from tracked_env.benchmark.tables import markdown_rows
+from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_command import result_folder
 from tracked_env.cli.evaluate_options import add_option, env_of
-from tracked_env.cli.exit_status import reported
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -106,19 +108,19 @@ def scores(row: Row) -> dict[str, AdaptationScore]:
             counted &= ~np.isnan(stopped).any(axis=0)
         if not counted.any():
             continue
-        draws = reliability.Redraws([int(counted.sum())])
-        whole, seeds = reliability.redraw(values[:, counted], draws, number), len(values)
+        draws = statistics.Redraws([int(counted.sum())])
+        whole, seeds = statistics.redraw(values[:, counted], draws, number), len(values)
         regret = worth = None
         if ceiling is not None:
             gap = values[:, counted] - anchor[:, counted].mean(axis=0)
-            apart = reliability.redraw(gap, draws, number)
-            regret = reliability.estimate(float(gap.mean()), apart.mean, seeds)
+            apart = statistics.redraw(gap, draws, number)
+            regret = statistics.estimate(float(gap.mean()), apart.mean, seeds)
         if stopped is not None:
-            other = reliability.redraw(stopped[:, counted], draws, number)  # the same episodes
-            value = float(reliability.ratio(other.values.mean(), whole.values.mean()))
-            ratio = reliability.ratio(other.mean, whole.mean)
-            worth = reliability.estimate(value, ratio, seeds)
-        rmse = reliability.estimate(float(whole.values.mean()), whole.mean, seeds)
+            other = statistics.redraw(stopped[:, counted], draws, number)  # the same episodes
+            value = float(statistics.ratio(other.values.mean(), whole.values.mean()))
+            ratio = statistics.ratio(other.mean, whole.mean)
+            worth = statistics.estimate(value, ratio, seeds)
+        rmse = statistics.estimate(float(whole.values.mean()), whole.mean, seeds)
         recovery = float(np.nanmean(row.matrix(agent, "recovery_time")))
         found[agent] = AdaptationScore(int(counted.sum()), rmse, regret, recovery, worth)
     return found

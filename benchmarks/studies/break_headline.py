@@ -25,15 +25,16 @@ from benchmarks.studies import Cells, driven, policies_of, show, study_parser
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import AUDIT, default_sets
-from tracked_env.benchmark.leaderboard import REFERENCES
+from tracked_env.benchmark.files import source_fingerprint
+from tracked_env.benchmark.leaderboard import REFERENCES, RelativeError, agreement, relative
 from tracked_env.benchmark.policies import registered_policies
-from tracked_env.benchmark.policy_interface import PolicyEntry, source_fingerprint
-from tracked_env.benchmark.relative_errors import RelativeError, agreement, relative
-from tracked_env.benchmark.store import Record, Store, identity_hash
-from tracked_env.benchmark.summary import Row, agent_of, rows_of
+from tracked_env.benchmark.policy_interface import PolicyEntry, agent_of
+from tracked_env.benchmark.records import Record
+from tracked_env.benchmark.store import Store, identity_hash
+from tracked_env.benchmark.summary import Row, rows_of
 from tracked_env.benchmark.tuning import default_settings, tunable
+from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_options import add_option, env_of
-from tracked_env.cli.exit_status import reported
 
 FACTORS = (0.5, 0.7, 1.4, 2.0)
 TOLERATED = 0.05  # [-] that one gain may make the reference better
@@ -162,7 +163,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     reference = next((name for name in REFERENCES if name in agents), None)
     if reference is None:
         raise ValueError(f"policies = {agents}; must hold one of {REFERENCES}")
-    scaled = variants({one.name: one.found for one in registered_policies()}, agents, config)
+    scaled = variants({one.name: one.policy for one in registered_policies()}, agents, config)
     if all(variant.controller != reference for variant in scaled):
         raise ValueError(
             f"policy {reference!r} declares no setting that could be scaled, so nothing would "

@@ -34,11 +34,10 @@ from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import SETS, BenchmarkSet, register
 from tracked_env.benchmark.figures import STYLE, looks, new_figure, plain_ticks
-from tracked_env.benchmark.policy_interface import PolicyEntry
+from tracked_env.benchmark.policy_interface import PolicyEntry, agent_of
 from tracked_env.benchmark.store import Store, identity_hash
-from tracked_env.benchmark.summary import agent_of
+from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_options import add_option
-from tracked_env.cli.exit_status import reported
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.references import ReferenceProfile
 from tracked_env.uncertainty import UNCERTAINTY_SETS

@@ -38,14 +38,13 @@ from tracked_env.benchmark.evaluation_sets import (
     names_of,
     version_of,
 )
-from tracked_env.benchmark.files import replace_block
-from tracked_env.benchmark.relative_errors import ALIKE, correlations, unlike
-from tracked_env.benchmark.statistics import interquartile_mean
-from tracked_env.benchmark.store import Store, identity_hash, write_atomically
+from tracked_env.benchmark.files import replace_block, write_atomically
+from tracked_env.benchmark.statistics import ALIKE, correlations, interquartile_mean, unlike
+from tracked_env.benchmark.store import Store, identity_hash
 from tracked_env.benchmark.summary import ALL_SETS, SEPARATION_RATIO, Row, rows_of
-from tracked_env.benchmark.text_tables import markdown_rows
+from tracked_env.benchmark.tables import markdown_rows
+from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_options import add_option, env_of
-from tracked_env.cli.exit_status import reported
 
 MEMORY = 0.5  # [-] from here on a separation of memory is strong
 IDENTIFICATION = 0.3  # [-] likewise

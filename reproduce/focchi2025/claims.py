@@ -349,7 +349,7 @@ def model_claims(results: Planning) -> Iterator[Outcome]:
     soils = results.soils
     times = [one.duration for one in soils.values()]
     bends = [float(np.abs(one.course_rate / one.speed).max()) for one in soils.values()]
-    values = {
+    values: dict[str, Any] = {
         "frictions": ", ".join(f"{mu:g}" for mu in soils),
         "times": " / ".join(f"{t:.2f}" for t in times),
         "bends": " / ".join(f"{k:.1f}" for k in bends),

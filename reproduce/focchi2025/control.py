@@ -40,7 +40,7 @@ from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.rigid_body import in_body_plane
 from tracked_env.plants.standalone import Driven, Rig
 from tracked_env.references import ReferenceProfile, make_reference, sample
-from tracked_env.references.profile import constant, knot_times
+from tracked_env.references.profile import constant, knot_times, number_of_segments
 from tracked_env.sensors import PRESETS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -260,7 +260,7 @@ class Spiral(NamedTuple):
 
 def spiral_profile() -> ReferenceProfile:
     """The reference of figure 10."""
-    starts = knot_times(SPIRAL_TIME)[:-1]
+    starts = knot_times(number_of_segments(SPIRAL_TIME))[:-1]
     turn = constant(0.0, len(starts))
     turn[:, 0], turn[:, 1] = YAW_ACCELERATION * starts, YAW_ACCELERATION
     return ReferenceProfile(constant(SPIRAL_SPEED, len(starts)), turn)

@@ -32,7 +32,7 @@ from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants.standalone import TerrainRig
 from tracked_env.references import ReferenceProfile, make_reference, sample
-from tracked_env.references.profile import constant, knot_times
+from tracked_env.references.profile import constant, knot_times, number_of_segments
 
 FRICTION = 0.6  # [-] mu of 8.1 and 8.3
 SPEED, TURN = 0.8, 0.6  # [m/s], [rad/s] of 8.1
@@ -68,7 +68,7 @@ def profile_of(commands: str) -> ReferenceProfile:
     if commands == "(53)":
         given = control.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
         return make_reference(given, DURATION, np.random.default_rng(0))
-    starts = knot_times(DURATION)[:-1]
+    starts = knot_times(number_of_segments(DURATION))[:-1]
     turn = constant(0.0, len(starts))
     turn[:, 0], turn[:, 1] = TURN * (1.0 - 2.0 * starts / DURATION), -2.0 * TURN / DURATION
     return ReferenceProfile(constant(SPEED, len(starts)), turn)

@@ -33,7 +33,7 @@ from reproduce.focchi2025.planning import (
     seconds,
 )
 from reproduce.paper_page import Say
-from tracked_env.benchmark.store import machine
+from tracked_env.benchmark.files import machine
 from tracked_env.physics.parameters import PlantParameters
 
 RATE = 200.0  # [Hz] of control
@@ -257,7 +257,7 @@ def replays(ground: Ground, goals: Floats) -> dict[str, Floats]:
     """Distance [m] (N,) to the goals after the sprocket speeds of plans at constant speed, by what
     these know: the slip of the model, none, its slip with beta added, (54)."""
     table = identified_slip(ground.vehicle)
-    models = {
+    models: dict[str, SlipModel] = {
         "table": table, "none": NoSlip(), "added": AddedSlip(table),
         "exponential": coded.exponential(ground),
     }  # fmt: skip

@@ -8,7 +8,16 @@ from matplotlib.figure import Figure
 from reproduce.paper_page import REFERENCE, panels
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.control import PATHS, SCENARIOS, SETTLED, SIDES, Drive, Run, Surface
+from reproduce.strawa2021.control import (
+    PATHS,
+    SCENARIOS,
+    SETTLED,
+    SIDES,
+    STRAIGHT,
+    Drive,
+    Run,
+    Surface,
+)
 from reproduce.strawa2021.identification import REGRESSIONS, Condition
 from tracked_env.benchmark.figures import DPI, PALETTE, REFERENCE_COLOUR
 from tracked_env.events import changed_value, encode_schedule
@@ -199,7 +208,7 @@ def estimates(
         axes[row, 0].set_ylim(values)
         axes[row, 1].set_ylim([limit / (1.0 if row == 0 else zoom) for limit in errors])
         for panel in axes[row]:
-            panel.axvline(ident.STRAIGHT, color="0.7", linewidth=0.8)
+            panel.axvline(STRAIGHT, color="0.7", linewidth=0.8)
     for level in (-5.0, -1.0, 1.0, 5.0):
         axes[0, 1].axhline(level, color="0.7", linewidth=0.8, linestyle=":")
     for panel in axes[-1]:

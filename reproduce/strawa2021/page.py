@@ -4,7 +4,7 @@ and so is every verdict. The words stand in page.toml.
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -180,13 +180,13 @@ def identification_claims(results: Results) -> Iterator[Outcome]:
         f"{NAMES[kind]} {percent(q.inertia)}, {percent(q.mass_spiral)}"
         for kind, q in on_maps.items()
     ]
-    values = {
+    numbers: dict[str, Any] = {
         "inertia": percent(plain.inertia),
         "mass": percent(plain.mass_spiral),
         "maps": "; ".join(pairs),
         "settled": ident.SETTLED,
     }
-    yield Outcome("inertia", verdict(*less, noisy.inertia < noisy.mass_spiral), values)
+    yield Outcome("inertia", verdict(*less, noisy.inertia < noisy.mass_spiral), numbers)
 
     names = ("longitudinal_bias", "lateral_bias", "longitudinal_held", "lateral_held")
     means = {

@@ -27,6 +27,7 @@ from tests.agents.agent_cases import parameters, small
 from tests.agents.test_student import SETTINGS
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.policies import open_archive
 
 
 class Harm:
@@ -101,7 +102,7 @@ def test_no_code_of_an_archive_runs_unasked(teacher, tmp_path, capsys):
     mark = tmp_path / "harm"
     for name, path in strangers(tmp_path, mark, teacher).items():
         read_recipe(path)
-        for opened in (agent_entry, load_teacher, evaluate.open_archive):
+        for opened in (agent_entry, load_teacher, open_archive):
             with pytest.raises(ValueError, match=str(path)) as refused:
                 opened(path)
             assert "\n" not in str(refused.value)

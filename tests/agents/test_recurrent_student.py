@@ -13,7 +13,8 @@ from agents.learners import RecurrentStudentLearner
 from agents.run import resolve
 from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
 from baselines.learned.agent_policy import MOTION, PRIVILEGED
-from baselines.learned.augmentation import FEATURES, FILTERED, KNOWN, RECKONED, SHEET
+from baselines.learned.augmentation import FILTERED, RECKONED, SHEET
+from baselines.learned.controller_augmentation import FEATURES, KNOWN
 from baselines.learned.student import OUTPUTS, features_of, read_recurrent_student
 from tests.agents.agent_cases import actor, same_parameters, small
 from tests.agents.test_agents import as_evaluated

@@ -7,7 +7,7 @@ from typing import Any
 
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.executors import Executor
-from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
+from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import PolicyEntry
 
 CONFIG = BenchmarkConfig(sets=("payload", "drift"), episodes=36, duration=1.0)
@@ -18,8 +18,7 @@ TIMING = ("predict_time", "beside")
 
 def policies(*specs: str) -> list[PolicyEntry]:
     """Policies as the command line finds them."""
-    registry, trained = by_name(registered_policies(), "torque")
-    return load_policies(specs, registry, trained, open_archive)
+    return policies_for("torque", specs)
 
 
 def values(records: list[dict[str, Any]]) -> list[dict[str, Any]]:

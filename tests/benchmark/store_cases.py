@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from tracked_env.benchmark.metrics import METRICS, OPTIONAL
-from tracked_env.benchmark.store import Record, Store
+from tracked_env.benchmark.records import Record
+from tracked_env.benchmark.store import Store
 
 IDENTITY = {"seed": 0, "sensors": "rtk"}
 

@@ -11,7 +11,7 @@ from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import SETS, BenchmarkConfig, Store, load_policy, run
 from tracked_env.benchmark.executors import received, sent
-from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
+from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import PolicyEntry, frozen
 from tracked_env.benchmark.runner import drive
 
@@ -19,8 +19,7 @@ PAYLOAD = BenchmarkConfig(sets=("payload",), episodes=2, duration=6.0)
 
 
 def shipped(agent: str, env: str = "torque") -> PolicyEntry:
-    policies, trained = by_name(registered_policies(), env)
-    return load_policies([agent], policies, trained, open_archive)[0]
+    return policies_for(env, [agent])[0]
 
 
 def both(folder: Path, entries: list[PolicyEntry], config: BenchmarkConfig) -> dict[str, Any]:

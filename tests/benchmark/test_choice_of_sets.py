@@ -13,9 +13,9 @@ from scipy.stats import spearmanr
 from benchmarks.studies import choice_of_sets as choosing
 from tests.benchmark.test_report import EASY, records
 from tracked_env import TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark import relative_errors
 from tracked_env.benchmark.evaluation_sets import DEVELOPMENT, SETS, TORQUE_SETS, UNLIKE_SETS
-from tracked_env.benchmark.store import READS_TRUTH
+from tracked_env.benchmark.records import READS_TRUTH
+from tracked_env.benchmark.statistics import correlations
 from tracked_env.benchmark.summary import rows_of, summarise
 
 TRUTHFUL = ("oracle", "mpc-oracle")
@@ -85,8 +85,8 @@ def test_rank_correlations_are_those_of_an_independent_implementation_ties_inclu
         one, other = rng.integers(0, 6, 9) / 6.0, rng.normal(size=9)
         pair = [{f"p{i}": float(v) for i, v in enumerate(of)} for of in (one, other)]
         expected = spearmanr(one, other).statistic
-        assert relative_errors.rank_correlation(*pair) == pytest.approx(expected, abs=1e-12)
-    assert np.isnan(relative_errors.rank_correlation({"a": 1.0, "b": 1.0}, {"a": 1.0, "b": 2.0}))
+        assert correlations(pair)[0, 1] == pytest.approx(expected, abs=1e-12)
+    assert np.isnan(correlations([{"a": 1.0, "b": 1.0}, {"a": 1.0, "b": 2.0}])[0, 1])
 
 
 def test_two_chosen_sets_that_rank_the_policies_alike_are_named() -> None:
@@ -150,7 +150,7 @@ def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_l
     """Without it both rank the others alike."""
     first = {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0, "e": 5.0}
     second = {**first, "a": 9.0}
-    assert relative_errors.rank_correlation(first, second) == pytest.approx(0.0)
+    assert correlations([first, second])[0, 1] == pytest.approx(0.0)
     np.testing.assert_allclose(choosing.without_one([first, second]), 1.0)
     turned = dict(zip(first, reversed(first.values()), strict=True))
     np.testing.assert_allclose(choosing.without_one([first, turned])[0, 1], -1.0)

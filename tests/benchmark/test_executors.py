@@ -1,5 +1,6 @@
-"""Chunks in other processes: the records of the serial run, whatever happens to the processes."""
+"""Chunks in other processes and shards: the records of the serial run, whatever happens."""
 
+import json
 import os
 import signal
 import subprocess
@@ -16,21 +17,21 @@ from tests.benchmark.mortal_policies import MARK
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN
-from tracked_env.benchmark.executors import WorkerPool, make_executor, parse_shard
+from tracked_env.benchmark.executors import Shard, WorkerPool, make_executor, parse_shard
 from tracked_env.benchmark.policy_interface import PolicyError
-from tracked_env.benchmark.runner import chunk_size
+from tracked_env.benchmark.runner import chunk_size, pending
 from tracked_env.cli.main import main
 
 STUBS = "mortal_policies"
 
 
 @pytest.fixture(autouse=True)
-def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
+def stubs(monkeypatch):
     """Modules of this folder can be imported by their name, in other processes too."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
 
 
-def test_workers_give_the_records_and_traces_of_the_serial_run(tmp_path: Path) -> None:
+def test_workers_give_the_records_and_traces_of_the_serial_run(tmp_path):
     entries = policies("adaptive", f"mine={STUBS}:Constant")
     assert chunk_size(CONFIG, 2, 2) < CONFIG.episodes  # the chunks differ
     serial = records_of(tmp_path / "serial", entries)
@@ -47,7 +48,7 @@ def test_workers_give_the_records_and_traces_of_the_serial_run(tmp_path: Path) -
                 np.testing.assert_array_equal(array, other[key])
 
 
-def test_figures_are_the_same_whatever_the_chunks(tmp_path: Path) -> None:
+def test_figures_are_the_same_whatever_the_chunks(tmp_path):
     entries = policies(f"spin={STUBS}:Spin", "adaptive")  # one leaves the path, at various times
     config = BenchmarkConfig(sets=("nominal",), episodes=70, duration=6.0)
     traces = []
@@ -68,9 +69,7 @@ def test_figures_are_the_same_whatever_the_chunks(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_its_chunk_alone_and_it_runs_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_killed_worker_costs_its_chunk_alone_and_it_runs_again(tmp_path, monkeypatch, capfd):
     monkeypatch.setenv(MARK, str(tmp_path / "mark"))
     entries = policies(f"{STUBS}:Mortal", "nominal")
     parallel = records_of(tmp_path / "parallel", entries, WorkerPool(2))
@@ -84,14 +83,12 @@ def test_a_killed_worker_costs_its_chunk_alone_and_it_runs_again(
 
 
 @pytest.mark.slow
-def test_a_chunk_that_is_lost_again_and_again_is_an_error_that_names_it(tmp_path: Path) -> None:
+def test_a_chunk_that_is_lost_again_and_again_is_an_error_that_names_it(tmp_path):
     with pytest.raises(OSError, match=r"Deadly, episodes 0 to \d+, was lost 3 times.*memory"):
         records_of(tmp_path, policies(f"{STUBS}:Deadly"), WorkerPool(1))
 
 
-def test_an_error_of_a_policy_in_a_worker_is_blamed_on_it_and_what_ran_is_kept(
-    tmp_path: Path,
-) -> None:
+def test_an_error_of_a_policy_in_a_worker_is_blamed_on_it_and_what_ran_is_kept(tmp_path):
     entries = policies("nominal", f"{STUBS}:Wrong")
     said = r"policy '.*:Wrong', set 'payload', step 2: KeyError: 'lacking' .*mortal_policies.py"
     with pytest.raises(PolicyError, match=said):
@@ -100,14 +97,14 @@ def test_an_error_of_a_policy_in_a_worker_is_blamed_on_it_and_what_ran_is_kept(
 
 
 @pytest.mark.slow
-def test_a_rerun_does_only_the_chunks_that_are_missing(tmp_path: Path) -> None:
+def test_a_rerun_does_only_the_chunks_that_are_missing(tmp_path):
     entries = policies("nominal", "adaptive")
     store = Store(tmp_path, CONFIG.identity())
 
     class Interrupted(Exception):
         pass
 
-    def interrupt(steps: int, label: str) -> None:
+    def interrupt(steps, label):
         raise Interrupted
 
     with pytest.raises(Interrupted):
@@ -119,22 +116,20 @@ def test_a_rerun_does_only_the_chunks_that_are_missing(tmp_path: Path) -> None:
     assert len(stored) == len(set(stored)) == len(records) == 144
 
 
-def test_a_policy_that_another_process_cannot_make_is_refused_before_anything_runs(
-    tmp_path: Path,
-) -> None:
+def test_a_policy_that_another_process_cannot_make_is_refused_before_anything_runs(tmp_path):
     local = entry("local", lambda context: Constant())
     with pytest.raises(ValueError, match=r"'local' cannot be sent .*module:attribute"):
         records_of(tmp_path, [local], WorkerPool(1))
     assert episodes_stored(tmp_path) == []
 
 
-def test_a_worker_with_another_source_of_a_policy_says_so(tmp_path: Path) -> None:
+def test_a_worker_with_another_source_of_a_policy_says_so(tmp_path):
     (nominal,) = policies("nominal")
     with pytest.raises(ValueError, match="policy 'nominal' has another source on"):
         records_of(tmp_path, [nominal._replace(fingerprint="of before")], WorkerPool(1))
 
 
-def test_chunks_shrink_only_where_there_are_fewer_than_three_a_worker() -> None:
+def test_chunks_shrink_only_where_there_are_fewer_than_three_a_worker():
     many = BenchmarkConfig(sets=("payload",), episodes=640)
     assert [chunk_size(many, 1, workers) for workers in (1, 3, 4, 7, 1000)] == [64, 64, 32, 16, 16]
     assert chunk_size(many, 20, 66) == 64
@@ -142,8 +137,8 @@ def test_chunks_shrink_only_where_there_are_fewer_than_three_a_worker() -> None:
 
 
 def test_the_time_in_predict_of_parallel_runs_is_marked_as_not_comparable(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     tiny = ["evaluate", "--sets", "payload", "--episodes", "2", "--duration", "0.5",
             "--no-figures", "--policies", "nominal", "oracle"]  # fmt: skip
@@ -165,12 +160,8 @@ def test_the_time_in_predict_of_parallel_runs_is_marked_as_not_comparable(
     ],
 )
 def test_a_wrong_place_to_run_is_one_line_before_anything_runs(
-    options: tuple[str, ...],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    options, message, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     try:
         status = main(["evaluate", "--policies", "nominal", *options])
@@ -182,7 +173,7 @@ def test_a_wrong_place_to_run_is_one_line_before_anything_runs(
     assert not list(tmp_path.iterdir())
 
 
-def workers_of(process: int) -> list[int]:
+def workers_of(process):
     """Processes that a process has started, from /proc."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
@@ -196,9 +187,7 @@ def workers_of(process: int) -> list[int]:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the processes of the system")
-def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(
-    repository: Path, tmp_path: Path
-) -> None:
+def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(repository, tmp_path):
     mark = tmp_path / "mark"
     paths = os.pathsep.join([str(repository), str(Path(__file__).parent)])
     code = (
@@ -225,8 +214,8 @@ def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the processes of the system")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_when_the_process_that_asks_ends_its_workers_end_and_what_they_had_done_is_kept(
-    how: signal.Signals, repository: Path, tmp_path: Path
-) -> None:
+    how, repository, tmp_path
+):
     arguments = ["--sets", "payload", "drift", "--episodes", "48", "--no-figures", "--workers",
                  "2", "--policies", "nominal", "adaptive"]  # fmt: skip
     command = [sys.executable, str(repository / "evaluate.py"), *arguments]
@@ -262,6 +251,75 @@ def test_when_the_process_that_asks_ends_its_workers_end_and_what_they_had_done_
     assert len(episodes_stored(tmp_path)) == 192
 
 
-def test_without_an_option_everything_runs_in_this_process() -> None:
+def test_without_an_option_everything_runs_in_this_process():
     assert make_executor() is None
     assert make_executor(shard=parse_shard("2/2")) is None
+
+
+def test_shards_share_the_chunks_and_what_they_wrote_is_read_together(tmp_path):
+    entries = policies("nominal", "adaptive", "oracle")
+    serial = records_of(tmp_path / "serial", entries)
+    shards = [Shard(part, 3) for part in (1, 2, 3)]
+    open_together = [Store(tmp_path / "shards", CONFIG.identity(), shard) for shard in shards]
+    for store in open_together:
+        run(CONFIG, entries, store)
+        assert {c["policy"] for c in store.chunks} == {"nominal", "adaptive", "oracle"}
+    stored = episodes_stored(tmp_path / "shards")
+    assert len(stored) == len(set(stored)) == len(serial)
+    merged = Store(tmp_path / "shards", CONFIG.identity())
+    assert list(pending(CONFIG, entries, merged)) == []
+    assert values(run(CONFIG, entries, merged)) == values(serial)
+    assert merged.chunks == []  # nothing was copied or done twice
+    assert merged.load_trace("adaptive", "drift") is not None
+
+
+def test_a_shard_that_is_lost_is_made_up_for_by_the_run_that_merges(tmp_path):
+    entries = policies("nominal")
+    run(CONFIG, entries, Store(tmp_path / "shards", CONFIG.identity(), Shard(1, 2)))
+    torn = tmp_path / "shards" / "shard-1-of-2" / "episodes.jsonl"
+    torn.write_bytes(torn.read_bytes()[:-20])
+    store = Store(tmp_path / "shards", CONFIG.identity())
+    merged = run(CONFIG, entries, store)
+    assert store.notices == []
+    assert values(merged) == values(records_of(tmp_path / "serial", entries))
+    assert not torn.read_bytes().endswith(b"\n")  # the file of another process is left alone
+
+
+def test_two_processes_of_one_shard_are_refused(tmp_path, repository):
+    store = Store(tmp_path, CONFIG.identity(), Shard(1, 2))
+    code = (
+        "import sys; from pathlib import Path; from tracked_env.benchmark import *; "
+        "from tracked_env.benchmark.executors import Shard; "
+        "c = BenchmarkConfig(sets=('payload', 'drift'), episodes=36, duration=1.0); "
+        f"Store(Path({str(tmp_path)!r}), c.identity(), Shard(int(sys.argv[1]), 2))"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(repository)}
+
+    def opened(part):
+        command = [sys.executable, "-c", code, str(part)]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100)
+
+    same, other = opened(1), opened(2)
+    assert "shard-1-of-2: another process writes results there" in same.stderr
+    assert other.returncode == 0, other.stderr
+    assert store.chunks == []
+
+
+def test_the_parts_of_all_shards_are_everything_and_share_nothing():
+    for parts in (1, 2, 3, 7, 30):
+        dealt = [job for part in range(1, parts + 1) for job in Shard(part, parts).of(range(20))]
+        assert sorted(dealt) == list(range(20))
+
+
+def test_shards_from_the_command_line_end_in_the_tables_of_one_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    command = ["evaluate", "--sets", "payload", "--episodes", "40", "--duration", "0.5",
+               "--no-figures", "--policies", "nominal", "oracle"]  # fmt: skip
+    for part in ("1/2", "2/2"):
+        assert main([*command, "--shard", part]) == 0
+        assert f"shard {part} is done" in capsys.readouterr().out
+    assert not list(tmp_path.rglob("results.json"))
+    assert main(command) == 0
+    assert "80 of 80 episodes are already in" in capsys.readouterr().out
+    (document,) = tmp_path.rglob("results.json")
+    assert len(json.loads(document.read_text())["episodes"]) == 80

@@ -1,19 +1,21 @@
-"""The frozen sets: what is drawn is what was drawn, and whoever deviates is told."""
+"""The frozen sets and the splits of seeds: what is drawn is what was drawn, none is shared."""
 
 import json
 import os
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
+from itertools import combinations
 
 import numpy as np
 import pytest
 
-from benchmarks.studies.choice_of_sets import FEWEST, MOST
+from agents.folder import HELD_OUT_SEED
+from agents.run import ROWS, TRAININGS, random_seed
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, uncertainty
 from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
 from tracked_env.benchmark.evaluation_sets import (
+    AUDIT,
+    DEVELOPMENT,
     EPISODES,
     GOAL_REACHING,
     NEWEST,
@@ -21,18 +23,20 @@ from tracked_env.benchmark.evaluation_sets import (
     PLANAR,
     SLOPES,
     SPEED_SETS,
+    SPLITS,
     TERRAIN_SETS,
     TORQUE_SETS,
     UNLIKE_SETS,
     VERSIONS,
-    Version,
     default_sets,
     group_of,
     in_groups,
     names_of,
     of_version,
+    seeds_of,
     version_of,
 )
+from tracked_env.benchmark.runner import episode_digest
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.sensors import UNMEASURED, make_sensors
 
@@ -44,7 +48,7 @@ ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
     [(TORQUE_ID, PLANAR), (SPEED_ID, PLANAR), (TERRAIN_ID, SLOPES), (SPEED_ID, GOAL_REACHING),
      *((version.envs[0], version) for version in (*NEWEST, UNLIKE_SETS))],
 )  # fmt: skip
-def test_every_set_draws_the_episodes_of_the_version(env: str, version: Version) -> None:
+def test_every_set_draws_the_episodes_of_the_version(env, version):
     of_env = tuple(name for name in names_of(version) if SETS[name].env == env)
     answer = check(BenchmarkConfig(sets=of_env, episodes=EPISODES, version=version.name))
     assert answer.comparable, answer.message
@@ -52,8 +56,8 @@ def test_every_set_draws_the_episodes_of_the_version(env: str, version: Version)
     assert answer.message == f"sets {version.name}, hash {answer.hash}, {EPISODES} episodes each"
 
 
-def test_the_kept_files_hold_every_set_and_their_own_hash() -> None:
-    documents = [frozen.kept(version) for version in VERSIONS.values()]
+def test_the_kept_files_hold_every_set_and_their_own_hash():
+    documents = [frozen.stored(version) for version in VERSIONS.values()]
     assert {name for document in documents for name in document["sets"]} == set(OF_VERSION)
     for version, document in zip(VERSIONS.values(), documents, strict=True):
         assert document["version"] == version.name
@@ -64,23 +68,23 @@ def test_the_kept_files_hold_every_set_and_their_own_hash() -> None:
 
 
 @pytest.mark.parametrize("version", [*NEWEST, UNLIKE_SETS], ids=lambda version: version.name)
-def test_a_version_in_groups_has_ten_to_twelve_sets_in_four_of_them(version: Version) -> None:
+def test_a_version_in_groups_has_ten_to_twelve_sets_in_four_of_them(version):
     assert tuple(version.groups) == ("memory", "identification", "mismatch", "out-of-distribution")
-    assert FEWEST <= len(set(version.sets)) == len(version.sets) <= MOST
-    for name, entry in frozen.kept(version)["sets"].items():
+    assert 10 <= len(set(version.sets)) == len(version.sets) <= 12
+    for name, entry in frozen.stored(version)["sets"].items():
         assert (entry["group"], entry["version"]) == (group_of(name, version), SETS[name].version)
     assert default_sets(version.envs[0], version.name) == version.sets
     assert (default_sets(version.envs[0]) == version.sets) is (version in NEWEST)
 
 
-def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch):
     monkeypatch.setattr(frozen, "EPISODES", 3)
     monkeypatch.setattr(frozen, "DRIVEN", 2)
     few = in_groups("few", TORQUE_ID, {"memory": ("late-gains", "alternating", "rare-pose-mixed")})
     before = frozen.document(few)
     changed = SETS["alternating"]._replace(sensors="strawa", version=2)
     monkeypatch.setitem(SETS, "alternating", changed)
-    monkeypatch.setattr(frozen, "kept", lambda version: before)
+    monkeypatch.setattr(frozen, "stored", lambda version: before)
     after, drawn_anew = frozen.document(few, ["alternating"]), frozen.document(few)
     assert after == drawn_anew
     before["sets"]["late-gains"]["driven"][0] += 1.0
@@ -96,29 +100,27 @@ def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch: pytest.Mon
         frozen.document(few, ["payload"])
 
 
-def test_the_same_episodes_on_another_plant_are_another_set() -> None:
+def test_the_same_episodes_on_another_plant_are_another_set():
     hashes = [
-        frozen.kept(TORQUE_SETS)["sets"][n]["hash"]
+        frozen.stored(TORQUE_SETS)["sets"][n]["hash"]
         for n in ("alternating", "distributed-alternating")
     ]
     assert hashes[0] != hashes[1]
 
 
-def test_a_set_of_another_version_than_the_kept_one_is_not_comparable(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_set_of_another_version_than_the_kept_one_is_not_comparable(monkeypatch):
     monkeypatch.setitem(SETS, "alternating", SETS["alternating"]._replace(version=2))
     answer = check(BenchmarkConfig(sets=("alternating",), episodes=2))
     assert not answer.comparable
     assert "alternating (version 2, kept is 1)" in answer.message
 
 
-def test_sets_of_closed_versions_are_not_changed() -> None:
+def test_sets_of_closed_versions_are_not_changed():
     for version in (PLANAR, SLOPES, GOAL_REACHING):
         assert {SETS[name].version for name in names_of(version)} == {1}
 
 
-def test_a_version_is_named_or_is_the_newest_one_with_all_the_sets() -> None:
+def test_a_version_is_named_or_is_the_newest_one_with_all_the_sets():
     assert version_of(TORQUE_ID) is TORQUE_SETS and version_of(SPEED_ID) is SPEED_SETS
     assert version_of(TORQUE_ID, ("distributed",)) is TORQUE_SETS
     assert version_of(TORQUE_ID, ("distributed", "drift")) is PLANAR
@@ -133,13 +135,13 @@ def test_a_version_is_named_or_is_the_newest_one_with_all_the_sets() -> None:
         BenchmarkConfig(sets=("hills",), version="v2")
 
 
-def test_the_version_of_the_sets_is_no_part_of_what_a_result_is() -> None:
+def test_the_version_of_the_sets_is_no_part_of_what_a_result_is():
     one, other = (BenchmarkConfig(sets=("distributed",), version=v) for v in ("v2", "v3"))
     assert one.identity() == other.identity()
     assert (check(one).version, check(other).version) == ("v2", "torque-v3")
 
 
-def test_sets_of_two_versions_are_comparable_with_neither() -> None:
+def test_sets_of_two_versions_are_comparable_with_neither():
     sets = ("friction", "goals")
     answer = check(BenchmarkConfig(sets=sets, episodes=EPISODES, version="v2"))
     assert not answer.comparable and "set goals" in answer.message
@@ -149,13 +151,11 @@ def test_sets_of_two_versions_are_comparable_with_neither() -> None:
     ("version", "published"),
     [(PLANAR, "d6cfd4ef1c09"), (SLOPES, "c71f88e9d41b"), (GOAL_REACHING, "0ceef5c8033b")],
 )
-def test_the_hash_of_a_version_is_the_one_that_results_were_published_with(
-    version: Version, published: str
-) -> None:
-    assert frozen.kept(version)["hash"] == published
+def test_the_hash_of_a_version_is_the_one_that_results_were_published_with(version, published):
+    assert frozen.stored(version)["hash"] == published
 
 
-def test_the_digests_of_slopes_take_in_the_ground_and_those_of_the_plane_do_not_need_it() -> None:
+def test_the_digests_of_slopes_take_in_the_ground_and_those_of_the_plane_do_not_need_it():
     env = BenchmarkConfig(sets=("hills",)).environment("hills", 1, truth=False)
     env.reset(seed=[0])
     (episode,) = env.simulation.episodes
@@ -167,7 +167,7 @@ def test_the_digests_of_slopes_take_in_the_ground_and_those_of_the_plane_do_not_
     assert of_version(higher, PLANAR) == of_version(episode, PLANAR)
 
 
-def test_fewer_episodes_are_a_part_of_the_version_and_more_are_not_in_it() -> None:
+def test_fewer_episodes_are_a_part_of_the_version_and_more_are_not_in_it():
     few = check(BenchmarkConfig(sets=("payload",), episodes=32))
     assert few.comparable
     assert "first 32 of 100" in few.message
@@ -179,19 +179,17 @@ def test_fewer_episodes_are_a_part_of_the_version_and_more_are_not_in_it() -> No
     [{"seed": 1}, {"sensors": "ideal"}, {"reference": "circle"}, {"duration": 20.0},
      {"lateral": "constrained"}, {"control_rate": 25.0}, {"error_limit": 4.0}],
 )  # fmt: skip
-def test_a_configuration_that_deviates_is_not_the_version_and_is_told_in_what(
-    change: dict[str, Any],
-) -> None:
+def test_a_configuration_that_deviates_is_not_the_version_and_is_told_in_what(change):
     answer = check(BenchmarkConfig(sets=("payload",), **change))
     assert not answer.comparable
     assert next(iter(change)) in answer.message
     assert len(change) == 1 < len(frozen.FIXED)
 
 
-def test_a_law_that_draws_otherwise_is_found_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_law_that_draws_otherwise_is_found_and_named(monkeypatch):
     law = uncertainty.UNCERTAINTY_SETS["slow-drive"]
 
-    def slower(*given: Any) -> uncertainty.Draw:
+    def slower(*given):
         draw = law(*given)
         lag = draw.parameters.drive_time_constant * (1.0 + 1e-6)
         return draw._replace(parameters=draw.parameters._replace(drive_time_constant=lag))
@@ -203,16 +201,16 @@ def test_a_law_that_draws_otherwise_is_found_and_named(monkeypatch: pytest.Monke
         assert words in answer.message
 
 
-def test_other_dynamics_of_the_same_episodes_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    document = frozen.kept()
+def test_other_dynamics_of_the_same_episodes_are_found(monkeypatch):
+    document = frozen.stored()
     document["sets"]["slow-drive"]["driven"][3] *= 1.0 + 1e-4
-    monkeypatch.setattr(frozen, "kept", lambda version: document)
+    monkeypatch.setattr(frozen, "stored", lambda version: document)
     answer = check(ONE)
     assert not answer.comparable
     assert "driven or measured differently" in answer.message
 
 
-def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_does() -> None:
+def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_does():
     values = np.random.default_rng(0).normal(size=1000) * 10.0 ** np.arange(-5, 5).repeat(100)
     bit = np.nextafter(values, np.inf)
     assert np.all(frozen.rounded(values) == frozen.rounded(bit))
@@ -234,8 +232,8 @@ def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_do
     ],
 )
 def test_the_command_that_makes_a_version_prints_what_is_kept_on_every_kind_of_processor(
-    repository: Path, kernels: str, version: Version, name: str
-) -> None:
+    repository, kernels, version, name
+):
     done = subprocess.run(
         [sys.executable, "-m", "tracked_env.benchmark.frozen", version.name],
         cwd=repository,
@@ -244,20 +242,20 @@ def test_the_command_that_makes_a_version_prints_what_is_kept_on_every_kind_of_p
         check=True,
         env={**os.environ, "OPENBLAS_CORETYPE": kernels},  # read by x86-64 builds of NumPy
     )
-    made, kept = json.loads(done.stdout), frozen.kept(version)
+    made, kept = json.loads(done.stdout), frozen.stored(version)
     assert list(made) == list(kept)
     assert made["hash"] == kept["hash"]
     assert made["sets"][name]["driven"] == pytest.approx(kept["sets"][name]["driven"])
 
 
-def test_a_set_keeps_its_sensors_unless_others_are_given() -> None:
+def test_a_set_keeps_its_sensors_unless_others_are_given():
     config = BenchmarkConfig(sets=("noisy", "payload"))
     assert config.context("noisy").sensors == make_sensors("strawa")
     assert config.context("payload").sensors == make_sensors("rtk")
     assert BenchmarkConfig(sensors="ideal").context("noisy").sensors == make_sensors("ideal")
 
 
-def test_memory_sets_drive_the_vehicles_of_soil_and_mass() -> None:
+def test_memory_sets_drive_the_vehicles_of_soil_and_mass():
     drawn = {}
     for name in ("soil-and-mass", "late-pose", "noisy", "no-velocity", "slow-drive"):
         env = BenchmarkConfig(sets=(name,)).environment(name, 3, truth=False)
@@ -270,7 +268,7 @@ def test_memory_sets_drive_the_vehicles_of_soil_and_mass() -> None:
     assert drawn["no-velocity"] == drawn["noisy"] == drawn["soil-and-mass"]
 
 
-def test_an_unmeasured_velocity_reads_zero_and_its_data_sheet_says_so() -> None:
+def test_an_unmeasured_velocity_reads_zero_and_its_data_sheet_says_so():
     env = TrackedVehicleEnv(sensors={"preset": "rtk", "velocity_measured": 0})
     plain = TrackedVehicleEnv(sensors="rtk")
     seen, _ = env.reset(seed=0)
@@ -294,6 +292,50 @@ def test_an_unmeasured_velocity_reads_zero_and_its_data_sheet_says_so() -> None:
         ({"velocity_measured": 0}, {"velocity_measured": 1}),
     ],
 )
-def test_a_velocity_is_measured_or_not_and_nothing_in_between(base: Any, given: Any) -> None:
+def test_a_velocity_is_measured_or_not_and_nothing_in_between(base, given):
     with pytest.raises(ValueError, match="velocity_measured"):
         make_sensors(given, base=make_sensors(base))
+
+
+def overlap(one, other):
+    return max(one.start, other.start) < min(one.stop, other.stop)
+
+
+def test_no_two_splits_share_a_seed():
+    splits = [seeds_of(name) for name in SPLITS]
+    assert not any(overlap(one, other) for one, other in combinations(splits, 2))
+    assert [seeds_of(name).start for name in ("development", "audit")] == [DEVELOPMENT, AUDIT]
+    assert all(len(split) >= EPISODES for split in splits)
+
+
+def test_trainings_and_their_held_out_episodes_have_seeds_of_no_split():
+    held_out = range(HELD_OUT_SEED, HELD_OUT_SEED + ROWS)
+    trainings = range(random_seed(0), random_seed(TRAININGS - 1) + ROWS)
+    assert not overlap(held_out, trainings)
+    for name in SPLITS:
+        assert not overlap(seeds_of(name), held_out)
+        assert not overlap(seeds_of(name), trainings)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_the_published_episodes_lie_in_the_frozen_split(version):
+    """As the kept file of the version says, not the constants of the program."""
+    document = frozen.stored(VERSIONS[version])
+    published = range(document["seed"], document["seed"] + document["episodes"])
+    assert published.start == seeds_of("frozen").start
+    assert published.stop <= seeds_of("frozen").stop
+
+
+def test_the_same_set_draws_other_episodes_in_every_split():
+    env = BenchmarkConfig(sets=("mixed",)).environment("mixed", 3, truth=False)
+    digests = set()
+    for first in SPLITS.values():
+        env.reset(seed=first)
+        digests |= {episode_digest(one) for one in env.simulation.episodes if one is not None}
+    env.close()
+    assert len(digests) == 3 * len(SPLITS)
+
+
+def test_an_unknown_split_is_refused_with_those_that_exist():
+    with pytest.raises(ValueError, match=r"unknown split of seeds 'develop'.*Did you mean"):
+        seeds_of("develop")

@@ -5,15 +5,16 @@ import pytest
 
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID
-from tracked_env.benchmark import BenchmarkConfig
+from tracked_env.benchmark import BenchmarkConfig, metrics
 from tracked_env.benchmark.evaluation_sets import GOAL_REACHING, default_sets, names_of, version_of
 from tracked_env.benchmark.leaderboard import goal_table, leaderboard
-from tracked_env.benchmark.metrics import GOAL_ANGLE, GOAL_DISTANCE, goals_of, reaching
+from tracked_env.benchmark.metrics import GOAL_ANGLE, GOAL_DISTANCE, goals_of
 from tracked_env.benchmark.policies import registered_policy
-from tracked_env.benchmark.report import markdown
+from tracked_env.benchmark.report import terminal
 from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.store import Store
 from tracked_env.benchmark.summary import rows_of, summarise
+from tracked_env.physics.parameters import VEHICLES
 
 LENGTH, PERIOD, STEPS = 0.7, 0.1, 50
 POWER = 3.0  # [W]
@@ -21,12 +22,15 @@ POWER = 3.0  # [W]
 
 def measured(x, yaw, steps=STEPS, goal=(4.0, 0.0, 0.0)):
     """The numbers of one episode that moves along x(t) with yaw(t)."""
-    poses = np.stack([x, np.zeros(STEPS), yaw])[:, :, None]
-    power = np.full((STEPS, 1), POWER)
-    found = reaching(
-        poses, power, np.array([steps]), np.array([goal]), LENGTH, PERIOD, STEPS * PERIOD
-    )
-    return [float(values[0]) for values in found]
+    values = np.zeros((STEPS, 1, len(metrics.CHANNELS)))
+    for name, channel in (("x", x), ("yaw", yaw)):
+        values[:, 0, metrics.CHANNELS.index(name)] = channel
+    none, one = np.zeros(1, bool), np.ones(1)
+    nominal = VEHICLES["strawa"]._replace(contact_length=LENGTH)
+    trace = metrics.Trace(values, np.array([steps]), STEPS, none, none, one, one, 5.0, PERIOD)
+    trace = trace._replace(nominal=nominal, goals=np.array([goal]))
+    found = metrics.goal_reaching(trace, np.full((STEPS, 1), POWER))
+    return [float(numbers[0]) for numbers in found.values()]
 
 
 def test_a_goal_is_reached_in_the_first_step_within_both_tolerances():
@@ -101,5 +105,5 @@ def test_a_policy_that_follows_the_plan_reaches_more_goals_than_one_that_stands(
     assert still["goal_time"] == 20.0 and slc["goal_time"] < 15.0
     assert slc["goal_miss"] < 0.1 < still["goal_miss"]
     board = leaderboard(summary, rows_of(records))
-    assert [row[:2] for row in goal_table(board)[1:]] == [["slc", "100%"], ["stands", "0%"]]
-    assert "goals reached" in markdown(summary)
+    assert [row[:2] for row in goal_table(board).rows[1:]] == [["slc", "100%"], ["stands", "0%"]]
+    assert "goals reached" in terminal(summary)

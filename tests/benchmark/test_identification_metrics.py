@@ -1,7 +1,4 @@
-"""Metrics of estimates whose error and claimed deviation are known."""
-
-from pathlib import Path
-from typing import Any
+"""Estimates: what is taken down beside which true value, and metrics whose values are known."""
 
 import numpy as np
 import pytest
@@ -9,15 +6,18 @@ import pytest
 from tests.benchmark.stub_policies import Believing, Constant, Tracking, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run, summarise
 from tracked_env.benchmark import identification_metrics as ident
-from tracked_env.benchmark.metrics import CHANNELS, KNOWN, Beliefs, Trace
+from tracked_env.benchmark.identification_metrics import ESTIMABLE, Beliefs, Recorder
+from tracked_env.benchmark.metrics import CHANNELS, Trace
+from tracked_env.benchmark.runner import drive
 from tracked_env.physics.parameters import VEHICLES
+from tracked_env.plants.lumped import PLANT as LUMPED
 
 PERIOD = 0.02  # [s]
 STEPS = 1000
 CONFIG = BenchmarkConfig(sets=("soil-and-mass",), episodes=3, duration=2.0)
 
 
-def trace(steps: int = STEPS, change: int | None = None) -> Trace:
+def trace(steps=STEPS, change=None):
     """One episode at rest; its mass doubles in step `change`."""
     values = np.ones((steps, 1, len(CHANNELS)))
     if change is not None:
@@ -36,13 +36,7 @@ def trace(steps: int = STEPS, change: int | None = None) -> Trace:
     )
 
 
-def measured(
-    value: Any,
-    truth: Any = 1000.0,
-    deviation: Any = 50.0,
-    name: str = "mass",
-    of: Trace | None = None,
-) -> dict[str, float | None]:
+def measured(value, truth=1000.0, deviation=50.0, name="mass", of=None):
     """Metrics of one episode; value, truth, deviation: numbers or (STEPS,)."""
     value, truth, deviation = (
         np.broadcast_to(np.asarray(part, dtype=np.float32), STEPS)[:, None, None]
@@ -54,45 +48,45 @@ def measured(
     return dict(found["identification"][name])
 
 
-def test_every_metric_is_computed_and_documented(repository: Path) -> None:
+def test_every_metric_is_computed_and_documented(repository):
     assert set(measured(1000.0)) == set(ident.ESTIMATION_METRICS)
     text = (repository / "docs" / "metrics.md").read_text(encoding="utf-8")
     for name, metric in ident.ESTIMATION_METRICS.items():
         assert f"| `{name}` | {metric.unit} | {metric.meaning} |" in text
 
 
-def test_a_constant_error_is_every_error() -> None:
+def test_a_constant_error_is_every_error():
     found = measured(900.0)
     assert found["relative_rmse"] == found["settled_relative_rmse"] == pytest.approx(0.1)
     assert found["final_relative_error"] == pytest.approx(-0.1)
 
 
-def test_the_error_is_relative_to_the_true_value_of_that_moment() -> None:
+def test_the_error_is_relative_to_the_true_value_of_that_moment():
     truth = np.where(np.arange(STEPS) < 500, 1000.0, 2000.0)
     assert measured(1.2 * truth, truth)["relative_rmse"] == pytest.approx(0.2)
     assert measured(1200.0, truth)["final_relative_error"] == pytest.approx(-0.4)
 
 
-def test_the_settled_error_leaves_out_the_first_five_seconds() -> None:
+def test_the_settled_error_leaves_out_the_first_five_seconds():
     value = np.where(np.arange(STEPS) * PERIOD < 5.0, 500.0, 1100.0)
     assert measured(value)["settled_relative_rmse"] == pytest.approx(0.1)
     assert measured(value)["relative_rmse"] == pytest.approx(np.sqrt(0.25 * 0.25 + 0.75 * 0.01))
 
 
-def test_the_nees_of_an_error_of_two_claimed_sigma_is_four() -> None:
+def test_the_nees_of_an_error_of_two_claimed_sigma_is_four():
     assert measured(1100.0, deviation=50.0)["nees"] == pytest.approx(4.0)
     assert measured(1100.0, deviation=50.0)["in_three_sigma"] == 1.0
     assert measured(1160.0, deviation=50.0)["in_three_sigma"] == 0.0
 
 
-def test_errors_that_follow_their_claim_have_a_nees_of_one_and_lie_in_three_sigma() -> None:
+def test_errors_that_follow_their_claim_have_a_nees_of_one_and_lie_in_three_sigma():
     noise = np.random.default_rng(0).normal(0.0, 50.0, STEPS)
     found = measured(1000.0 + noise)
     assert found["nees"] == pytest.approx(1.0, abs=0.15)
     assert found["in_three_sigma"] == pytest.approx(0.997, abs=0.005)
 
 
-def test_an_estimate_that_converges_settles_when_it_enters_ten_percent_for_good() -> None:
+def test_an_estimate_that_converges_settles_when_it_enters_ten_percent_for_good():
     time = np.arange(STEPS) * PERIOD
     found = measured(1000.0 * (1.0 - np.exp(-time / 2.0)))
     assert found["settling_time"] == pytest.approx(2.0 * np.log(10.0), abs=PERIOD)
@@ -102,14 +96,14 @@ def test_an_estimate_that_converges_settles_when_it_enters_ten_percent_for_good(
     assert measured(1000.0)["settling_time"] == 0.0
 
 
-def test_the_settling_time_counts_from_the_last_abrupt_change() -> None:
+def test_the_settling_time_counts_from_the_last_abrupt_change():
     truth = np.where(np.arange(STEPS) <= 400, 1000.0, 2000.0)  # row 401 is the first to see it
     late = np.where(np.arange(STEPS) < 401 + 150, 1000.0, 2000.0)
     assert measured(late, truth, of=trace(change=400))["settling_time"] == pytest.approx(3.0)
     assert measured(late, truth)["settling_time"] == pytest.approx((401 + 150) * PERIOD)
 
 
-def test_who_never_settles_has_no_settling_time() -> None:
+def test_who_never_settles_has_no_settling_time():
     found = measured(1200.0)
     assert found["settling_time"] is None
     assert found["settled"] == 0.0
@@ -126,13 +120,11 @@ def test_who_never_settles_has_no_settling_time() -> None:
         (np.inf, 1450.0, 1.0),
     ],
 )
-def test_diverged_is_who_ends_far_away_and_worse_than_the_nominal_value(
-    value: float, truth: float, diverged: float
-) -> None:
+def test_diverged_is_who_ends_far_away_and_worse_than_the_nominal_value(value, truth, diverged):
     assert measured(value, truth)["diverged"] == diverged
 
 
-def test_an_estimate_that_is_not_finite_lies_outside_and_leaves_the_rest_as_it_is() -> None:
+def test_an_estimate_that_is_not_finite_lies_outside_and_leaves_the_rest_as_it_is():
     gap = np.full(STEPS, 1100.0)
     gap[:250] = np.nan
     found = measured(gap)
@@ -144,13 +136,13 @@ def test_an_estimate_that_is_not_finite_lies_outside_and_leaves_the_rest_as_it_i
     assert nothing["nees"] is None
 
 
-def test_a_claim_of_no_uncertainty_has_no_nees_but_is_found_out() -> None:
+def test_a_claim_of_no_uncertainty_has_no_nees_but_is_found_out():
     found = measured(1001.0, deviation=0.0)
     assert found["nees"] is None
     assert found["in_three_sigma"] == 0.0
 
 
-def test_an_early_end_counts_only_the_time_driven() -> None:
+def test_an_early_end_counts_only_the_time_driven():
     value = np.where(np.arange(STEPS) < 400, 1100.0, np.nan)
     found = measured(value, of=trace(400))
     assert found["relative_rmse"] == pytest.approx(0.1)
@@ -159,19 +151,19 @@ def test_an_early_end_counts_only_the_time_driven() -> None:
     assert measured(value, of=trace(100))["settled_relative_rmse"] is None
 
 
-def test_the_slip_is_compared_as_it_is_and_a_parameter_near_zero_with_its_nominal_value() -> None:
+def test_the_slip_is_compared_as_it_is_and_a_parameter_near_zero_with_its_nominal_value():
     assert measured(0.05, 0.0, 0.01, "slip_left")["relative_rmse"] == pytest.approx(0.05)
     small = measured(0.001, 0.0, 1.0, "longitudinal_resistance")["relative_rmse"]
     assert small == pytest.approx(0.001 / (0.01 * 0.6))
 
 
-def test_what_may_be_estimated_has_a_true_and_a_nominal_value() -> None:
-    assert set(ident.nominal_values()) == set(KNOWN)
+def test_what_may_be_estimated_has_a_true_and_a_nominal_value():
+    assert set(ident.nominal_values()) == set(ESTIMABLE)
     effort = 0.3 * 2.0 * 70e3 + 0.5 * 1450.0 * 9.81 * np.tan(np.radians(38.4))
     assert ident.nominal_values()["effort_maximum"] == pytest.approx(effort)
 
 
-def test_the_first_second_after_a_change_is_told_apart() -> None:
+def test_the_first_second_after_a_change_is_told_apart():
     truth = np.where(np.arange(STEPS) < 400, 1000.0, 2000.0)
     late = np.where(np.arange(STEPS) < 400 + round(0.8 / PERIOD), 1000.0, 2000.0)
     found = measured(late, truth, of=trace(change=400))
@@ -179,11 +171,11 @@ def test_the_first_second_after_a_change_is_told_apart() -> None:
     assert found["nees_apart"] == 0.0 and found["in_three_sigma_apart"] == 1.0
 
 
-def test_the_claimed_deviation_is_relative_to_the_true_value() -> None:
+def test_the_claimed_deviation_is_relative_to_the_true_value():
     assert measured(900.0, 1000.0, 50.0)["claimed_deviation"] == pytest.approx(0.05)
 
 
-def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_path: Path) -> None:
+def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_path):
     names = ("mass", "lateral_resistance")
     policies = [
         entry("silent", lambda context: Constant()),
@@ -211,7 +203,7 @@ def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_pa
     assert list(summarise(records).identification["soil-and-mass"]) == ["tracking"]
 
 
-def test_the_size_of_a_chunk_does_not_change_a_number_of_the_estimates(tmp_path: Path) -> None:
+def test_the_size_of_a_chunk_does_not_change_a_number_of_the_estimates(tmp_path):
     policy = entry("tracking", lambda context: Tracking(("mass", "slip_left"), 1.05, 0.02))
     found = []
     for chunk in (3, 2):
@@ -221,7 +213,7 @@ def test_the_size_of_a_chunk_does_not_change_a_number_of_the_estimates(tmp_path:
     assert found[0] == found[1]
 
 
-def test_a_light_vehicle_is_judged_by_its_own_nominal_values(tmp_path: Path) -> None:
+def test_a_light_vehicle_is_judged_by_its_own_nominal_values(tmp_path):
     light = VEHICLES["focchi"].mass
     assert ident.nominal_values(VEHICLES["focchi"])["mass"] == light
     config = BenchmarkConfig(sets=("floor",), episodes=1, duration=0.5)  # nothing is unknown
@@ -231,3 +223,77 @@ def test_a_light_vehicle_is_judged_by_its_own_nominal_values(tmp_path: Path) -> 
     believed = record["identification"]["mass"]
     assert believed["relative_rmse"] == pytest.approx(5.0, rel=1e-6)
     assert believed["diverged"] == 1.0  # the nominal value is right, and of a heavy vehicle is not
+
+
+def test_the_truth_beside_an_estimate_is_the_one_in_force_when_it_was_made():
+    names = ("mass", "effort_maximum", "slip_left", "lateral_resistance")
+    config = BenchmarkConfig(sets=("payload",), duration=2.0)
+    env = config.environment("payload", 3, truth=True)
+    policy = Tracking(("mass", "lateral_resistance", "slip_left"), 1.0, 0.1)
+    recorder = Recorder(3, 100)
+    drive(policy, env, range(3), lambda: None, recorder)
+    beliefs = recorder.beliefs()
+    assert len(beliefs.value) == 100
+    assert np.array_equal(beliefs.value, beliefs.truth)
+    assert (np.ptp(beliefs.truth[:, 0], axis=0) > 500.0).all()  # the payload is in it
+    believing = Believing(dict.fromkeys(names, (1.0, 1.0)))
+    recorder = Recorder(3, 100)
+    drive(believing, env, range(3), lambda: None, recorder)
+    beliefs = recorder.beliefs()
+    weight = 9.81 * beliefs.truth[:, 0]
+    effort = 0.6 * VEHICLES["strawa"].cohesion + 0.5 * weight * np.tan(
+        VEHICLES["strawa"].friction_angle
+    )
+    assert beliefs.truth[:, 1] == pytest.approx(effort, rel=1e-5)
+
+
+def test_a_parameter_that_the_plant_does_not_read_has_no_truth_and_is_not_evaluated():
+    believing = Believing(dict.fromkeys(("mass", "lateral_resistance"), (1.0, 1.0)))
+    recorder = Recorder(3, 100, read=frozenset({"mass"}))
+    env = BenchmarkConfig(sets=("payload",), duration=2.0).environment("payload", 3, truth=True)
+    drive(believing, env, range(3), lambda: None, recorder)
+    assert recorder.beliefs().names == ("mass",)
+
+
+def test_asking_a_policy_changes_none_of_the_numbers_of_its_drive(tmp_path):
+    policies = [
+        entry("silent", lambda context: Constant(0.3, 0.3)),
+        entry("believing", lambda context: Believing({"mass": (1450.0, 100.0)})),
+    ]
+    records = run(CONFIG, policies, Store(tmp_path, CONFIG.identity()))
+    drop = ("policy", "predict_time", "identification", "nis")
+    plain = [{k: v for k, v in r.items() if k not in drop} for r in records]
+    assert plain[:3] == plain[3:]
+
+
+@pytest.mark.parametrize(
+    ("believed", "message"),
+    [
+        ({"mas": (1.0, 1.0)}, "estimates of .'mas'.; none of them"),
+        ({"mass": (1.0,)}, "estimate of mass has shapes"),
+        ({"mass": (np.ones(2), np.ones(2))}, "each \\(3,\\): one number per vehicle"),
+    ],
+)
+def test_estimates_that_are_not_understood_are_refused(tmp_path, believed, message):
+    policy = Constant()
+    policy.estimates = lambda: {
+        name: tuple(np.full(3, p) if np.ndim(p) == 0 else p for p in parts)
+        for name, parts in believed.items()
+    }
+    with pytest.raises(ValueError, match=message):
+        run(CONFIG, [entry("odd", lambda context: policy)], Store(tmp_path, CONFIG.identity()))
+
+
+def test_what_the_benchmark_has_no_truth_for_is_not_judged(tmp_path):
+    beliefs = {"gyro_bias": (0.0, 1.0), "mass": (1450.0, 1.0)}
+    policy = entry("more", lambda context: Believing(beliefs))
+    records = run(CONFIG, [policy], Store(tmp_path, CONFIG.identity()))
+    assert list(records[0]["identification"]) == ["mass"]
+
+
+def test_every_parameter_that_the_plant_reads_may_be_estimated(tmp_path):
+    policy = entry("all", lambda context: Believing(dict.fromkeys(ESTIMABLE, (1.0, 1.0))))
+    records = run(CONFIG, [policy], Store(tmp_path, CONFIG.identity()))
+    read = LUMPED.reads["torque"] - {"icr_forward"}  # of the constrained model alone
+    assert "lateral_resistance" in read
+    assert set(records[0]["identification"]) == {*read, "effort_maximum", "slip_left", "slip_right"}

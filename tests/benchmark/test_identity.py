@@ -2,16 +2,13 @@
 
 import ast
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import tracked_env
-from tracked_env.benchmark import (
-    BenchmarkConfig,
-)
+from tracked_env.benchmark import BenchmarkConfig
 from tracked_env.benchmark.benchmark_config import SOURCE, WITHOUT_INFLUENCE
-from tracked_env.benchmark.policy_interface import source_fingerprint
+from tracked_env.benchmark.files import source_fingerprint
 
 SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
 
@@ -21,13 +18,13 @@ SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
     [{"seed": 1}, {"sensors": "ideal"}, {"duration": 1.0}, {"reference": {"kind": "circle"}},
      {"lateral": "constrained"}, {"error_limit": 3.0}, {"control_rate": 25.0}],
 )  # fmt: skip
-def test_whatever_changes_numbers_is_part_of_the_identity(change: dict[str, Any]) -> None:
+def test_whatever_changes_numbers_is_part_of_the_identity(change):
     changed = BenchmarkConfig(**{"sets": SHORT.sets, "duration": 2.0, **change})
     assert changed.identity() != SHORT.identity()
 
 
 @pytest.fixture
-def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def copied(tmp_path, monkeypatch):
     """A copy of the package's source, which identities are then taken from."""
     source = Path(tracked_env.__file__).parent
     copy = tmp_path / "tracked_env"
@@ -39,10 +36,8 @@ def copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return copy
 
 
-def test_every_source_file_is_part_of_the_identity_or_named_as_without_influence(
-    copied: Path,
-) -> None:
-    def fingerprint() -> str:
+def test_every_source_file_is_part_of_the_identity_or_named_as_without_influence(copied):
+    def fingerprint():
         return source_fingerprint("tracked_env", WITHOUT_INFLUENCE)
 
     first = fingerprint()
@@ -66,7 +61,7 @@ def test_every_source_file_is_part_of_the_identity_or_named_as_without_influence
     assert all((copied / name).exists() for name in WITHOUT_INFLUENCE)
 
 
-def imports(path: Path) -> set[str]:
+def imports(path):
     """Modules that a file of the package names in an import, as paths relative to it."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -79,7 +74,7 @@ def imports(path: Path) -> set[str]:
     return found
 
 
-def test_the_simulation_takes_nothing_but_pictures_from_what_is_without_influence() -> None:
+def test_the_simulation_takes_nothing_but_pictures_from_what_is_without_influence():
     source = Path(tracked_env.__file__).parent
     left_out = {name.rstrip("/").removesuffix(".py") for name in WITHOUT_INFLUENCE}
     taken = {
@@ -92,14 +87,9 @@ def test_the_simulation_takes_nothing_but_pictures_from_what_is_without_influenc
     assert taken == {
         ("env.py", "rendering"),
         ("vector_env.py", "rendering"),
-        ("benchmark/runner.py", "benchmark/store"),
-        ("benchmark/runner.py", "benchmark/executors"),
-        ("benchmark/runner.py", "benchmark/figure_data"),
-        ("benchmark/runner.py", "benchmark/progress_bar"),
-        ("benchmark/runner.py", "benchmark/records"),
-        ("benchmark/runner.py", "benchmark/store"),
+        ("benchmark/benchmark_config.py", "benchmark/files"),
         *(
-            ("benchmark/__init__.py", f"benchmark/{name}")
-            for name in ("frozen", "report", "store", "summary")
+            ("benchmark/runner.py", f"benchmark/{name}")
+            for name in ("executors", "records", "store")
         ),
     }

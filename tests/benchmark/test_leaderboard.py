@@ -1,9 +1,8 @@
-"""The leaderboard: order, seeds, verdicts, and the same in every form."""
+"""The leaderboard: order, seeds, verdicts, lost sets, and the same in every form."""
 
 import importlib.util
 import json
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import leaderboard_page as page
+from tracked_env.benchmark import tables
 from tracked_env.benchmark.report import comparison_table, policy_table, terminal
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import rows_of, summarise
@@ -20,9 +20,7 @@ SEEDS = {f"ppo@{i}": (0.7 + 0.1 * i) * EASY for i in range(5)}
 FEW = {"few@3": 2.0 * EASY, "few@4": 2.0 * EASY}
 
 
-def board(
-    *sets: str, conditions: str = "sets v1", **rmse: Any
-) -> tuple[lb.Leaderboard, dict[str, Any]]:
+def board(*sets, conditions="sets v1", **rmse):
     given = [r for name in sets or ("a", "b") for r in records(name, **rmse)]
     rows = rows_of(given)
     return lb.leaderboard(summarise(given, rows), rows, conditions), rows
@@ -33,7 +31,7 @@ ALL: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_agents_are_ordered_by_their_relative_error_and_seeds_are_one_agent() -> None:
+def test_agents_are_ordered_by_their_relative_error_and_seeds_are_one_agent():
     found, _ = board(**ALL)
     assert [p.agent for p in found.places] == ["ppo", "oracle", "adaptive", "few", "nominal"]
     assert [p.seeds for p in found.places] == [5, 0, 0, 2, 0]
@@ -42,7 +40,7 @@ def test_agents_are_ordered_by_their_relative_error_and_seeds_are_one_agent() ->
     assert found.sets == ["a", "b"]
 
 
-def test_the_statistics_of_an_agent_are_those_of_all_seeds_and_episodes() -> None:
+def test_the_statistics_of_an_agent_are_those_of_all_seeds_and_episodes():
     found, _ = board("a", **ALL)
     pooled = np.concatenate(list(SEEDS.values()))
     assert found.places[0].overall.rmse_mean.value == pytest.approx(pooled.mean())
@@ -51,7 +49,7 @@ def test_the_statistics_of_an_agent_are_those_of_all_seeds_and_episodes() -> Non
     assert width["ppo"] > 2.0 * width["oracle"]  # seeds differ more than episodes
 
 
-def test_in_the_mean_of_the_sets_a_set_that_fails_is_seen_and_in_the_score_it_is_not() -> None:
+def test_in_the_mean_of_the_sets_a_set_that_fails_is_seen_and_in_the_score_it_is_not():
     given = [
         r
         for i in range(6)
@@ -70,7 +68,7 @@ def test_in_the_mean_of_the_sets_a_set_that_fails_is_seen_and_in_the_score_it_is
     assert found["oracle"].balanced == pytest.approx((1.0, 1.0, 1.0))
 
 
-def test_the_mean_of_the_sets_has_the_interval_of_seeds_that_are_the_same_in_all() -> None:
+def test_the_mean_of_the_sets_has_the_interval_of_seeds_that_are_the_same_in_all():
     found, _ = board("a", "b", "c", **ALL)
     one, _ = board("a", **ALL)
     many, single = found.places[0].balanced, one.places[0].balanced
@@ -79,13 +77,13 @@ def test_the_mean_of_the_sets_has_the_interval_of_seeds_that_are_the_same_in_all
     assert many.high - many.low > 0.9 * (single.high - single.low)  # not smaller by sqrt(3)
 
 
-def test_without_scores_the_smaller_error_comes_first() -> None:
+def test_without_scores_the_smaller_error_comes_first():
     found, _ = board(one=2.0 * EASY, two=EASY)
     assert [p.agent for p in found.places] == ["two", "one"]
     assert found.reference == "one"
 
 
-def test_agents_are_compared_with_the_adaptive_baseline() -> None:
+def test_agents_are_compared_with_the_adaptive_baseline():
     found, _ = board(**ALL)
     said = {p.agent: lb.verdict(p) for p in found.places}
     assert said == {
@@ -98,7 +96,7 @@ def test_agents_are_compared_with_the_adaptive_baseline() -> None:
     assert {p.agent: lb.verdict(p) for p in close.places}["x"] == "not certain"
 
 
-def test_the_verdict_is_of_the_ratio_and_says_where_the_mean_is_the_opposite() -> None:
+def test_the_verdict_is_of_the_ratio_and_says_where_the_mean_is_the_opposite():
     lost = np.where(np.arange(16) < 3, 40.0, 0.5) * EASY  # better but for three lost vehicles
     found, _ = board("a", nominal=3 * EASY, adaptive=EASY, x=lost)
     (place,) = (p for p in found.places if p.agent == "x")
@@ -121,9 +119,7 @@ def test_the_verdict_is_of_the_ratio_and_says_where_the_mean_is_the_opposite() -
     ("episodes", "seeds", "expected"),
     [(15, 0, "too few"), (16, 0, "better"), (16, 4, "too few"), (16, 5, "better")],
 )
-def test_no_verdict_is_given_below_sixteen_episodes_or_five_seeds(
-    episodes: int, seeds: int, expected: str
-) -> None:
+def test_no_verdict_is_given_below_sixteen_episodes_or_five_seeds(episodes, seeds, expected):
     easy = EASY[:episodes]
     names = [f"x@{i}" for i in range(seeds)] or ["x"]
     given = records("a", adaptive=4 * easy, **dict.fromkeys(names, easy))
@@ -134,11 +130,11 @@ def test_no_verdict_is_given_below_sixteen_episodes_or_five_seeds(
     assert lb.verdict(found["x"]) == lb.verdict(found["x"], settled=True).replace(
         "not certain", expected
     )
-    (line,) = (row for row in comparison_table(summary) if row[:2] == ["a", "x"])
+    (line,) = (row for row in comparison_table(summary).rows if row[:2] == ["a", "x"])
     assert line[4] == {"better": "yes"}.get(expected, expected)
 
 
-def test_an_agent_that_loses_a_set_is_not_called_better_and_the_set_is_named() -> None:
+def test_an_agent_that_loses_a_set_is_not_called_better_and_the_set_is_named():
     given = []
     for i in range(12):
         lost = i == 4
@@ -151,41 +147,41 @@ def test_an_agent_that_loses_a_set_is_not_called_better_and_the_set_is_named() -
     (place,) = (p for p in found.places if p.agent == "x")
     assert place.relative.whole.high < 1.0  # eleven good sets make up for it in the mean
     assert (lb.verdict(place), lb.verdict(place, settled=True)) == ("loses set4",) * 2
-    (row,) = (row for row in lb.table(found) if row[1] == "x")
+    (row,) = (row for row in lb.main_table(found).rows if row[1] == "x")
     assert row[5] == "100 set4"
 
 
-def test_an_agent_with_one_seed_has_no_interval() -> None:
+def test_an_agent_with_one_seed_has_no_interval():
     found, _ = board(nominal=3 * EASY, adaptive=EASY, **{"one@0": 0.5 * EASY}, oracle=EASY)
-    cells = {row[1]: row for row in lb.table(found)[1:]}
+    cells = {row[1]: row for row in lb.main_table(found).rows[1:]}
     assert "[" in cells["adaptive"][3] and "[" in cells["adaptive"][4]
     assert "[" not in "".join(cells["one *"])
 
 
-def test_the_reference_is_the_adaptive_policy_of_the_drive() -> None:
+def test_the_reference_is_the_adaptive_policy_of_the_drive():
     found, _ = board(uc=3 * EASY, **{"slc-adaptive": EASY, "slc-oracle": EASY})
     assert found.reference == "slc-adaptive"
 
 
-def test_fewer_than_five_seeds_are_marked_and_five_are_not() -> None:
+def test_fewer_than_five_seeds_are_marked_and_five_are_not():
     found, _ = board(**ALL)
-    names = [row[1] for row in lb.table(found)[1:]]
+    names = [row[1] for row in lb.main_table(found).rows[1:]]
     assert names == ["ppo", "oracle", "adaptive", "few *", "nominal"]
     assert "* fewer than 5 training seeds" in lb.terminal(found)
     given = records("a", **ALL)
-    assert "few *" in [row[1] for row in policy_table(summarise(given))]
+    assert "few *" in [row[1] for row in policy_table(summarise(given)).rows]
     assert "* fewer than 5" in terminal(summarise(given))
     assert "fewer" not in lb.terminal(board(nominal=EASY, mine=EASY)[0])
 
 
-def test_seeds_that_did_not_meet_the_same_episodes_are_not_pooled() -> None:
+def test_seeds_that_did_not_meet_the_same_episodes_are_not_pooled():
     given = records("a", **SEEDS)
     given[-1]["digest"] = "other"
     with pytest.raises(ValueError, match="'ppo@4' did not meet the same episodes"):
         summarise(given)
 
 
-def test_the_terminal_table_fits_and_markdown_and_json_say_the_same(tmp_path: Path) -> None:
+def test_the_terminal_table_fits_and_markdown_and_json_say_the_same(tmp_path):
     found, _ = board(**ALL)
     text = lb.terminal(found)
     assert max(map(len, text.splitlines())) <= 80
@@ -203,12 +199,10 @@ def test_the_terminal_table_fits_and_markdown_and_json_say_the_same(tmp_path: Pa
             assert len({line.count("|") for line in part.splitlines()}) == 1
 
 
-def test_markdown_and_figures_show_a_strange_name_as_it_is(
-    tmp_path: Path, repository: Path
-) -> None:
+def test_markdown_and_figures_show_a_strange_name_as_it_is(tmp_path, repository):
     name = "<script>|x\n$\\foo$"
     found, rows = board("payload", "drift", **{**ALL, name: EASY})
-    text = lb.markdown(found)
+    text = tables.markdown(lb.tables_of(found))
     assert "<script>" not in text
     assert r"&lt;script>\|x $\\foo$" in text
     publishing = script(repository, "publish")
@@ -220,11 +214,10 @@ def test_markdown_and_figures_show_a_strange_name_as_it_is(
     )
     assert "<script>" not in published
     assert r"| &lt;script>\|x $\\foo$ |" in published
-    pytest.importorskip("matplotlib")
     page.write(tmp_path, found, rows, {name: [[(1e5, 1.0), (1e6, 0.1)]]})
 
 
-def script(repository: Path, name: str) -> Any:
+def script(repository, name):
     """A script of benchmarks/ as a module."""
     spec = importlib.util.spec_from_file_location(name, repository / "benchmarks" / f"{name}.py")
     assert spec
@@ -234,7 +227,7 @@ def script(repository: Path, name: str) -> Any:
     return module
 
 
-def by_speed(given: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def by_speed(given):
     """The same records with sprocket speeds as actions, whose rate is 2.5 rad/s^2."""
     return [{**r, "torque_rate": None, "sprocket_speed_rate": 2.5} for r in given]
 
@@ -248,19 +241,112 @@ def by_speed(given: list[dict[str, Any]]) -> list[dict[str, Any]]:
     ],
 )
 def test_every_table_names_the_unit_of_the_action_rate(
-    repository: Path, rate: float, change: Any, short: str, cost: str, shown: tuple[str, str]
-) -> None:
+    repository, rate, change, short, cost, shown
+):
     given = [{**r, "torque_rate": rate} for r in records("payload", nominal=3 * EASY, oracle=EASY)]
     given = change(given)
     rows = rows_of(given)
     summary = summarise(given, rows)
-    head, line, _ = policy_table(summary)
+    head, line, _ = policy_table(summary).rows
     assert (head[-1], line[-1]) == (f"action rate [{short}]", shown[0])
     found = lb.leaderboard(summary, rows)
-    head, line, _ = lb.cost_table(found)
+    head, line, _ = lb.cost_table(found).rows
     assert (head[-3], line[-3]) == (f"action rate [{cost}]", shown[1])
     head_line, _, first, *_ = (
         script(repository, "publish").table(json.loads(json.dumps(lb.document(found)))).split("\n")
     )
     column = [cell.strip() for cell in head_line.split("|")].index(f"action rate [{short}]")
     assert first.split("|")[column].strip() == shown[0]
+
+
+LIMIT = 5.0  # [m] error of a lost episode
+
+
+def rows_with_losses(count=12, lost=0, share=1.0, **factors):
+    """Rows of `count` sets; of the first `lost`, a share of the episodes is lost by `x`."""
+    given: list[dict[str, Any]] = []
+    for number in range(count):
+        errors = {name: factor * EASY for name, factor in factors.items()}
+        gone = np.arange(len(EASY)) < (share * len(EASY) if number < lost else 0)
+        errors["x"] = np.where(gone, LIMIT, errors["x"])
+        for record in records(f"set{number}", **errors):
+            failed = record["policy"] == "x" and gone[record["episode"]]
+            settled = record["tracking_rmse"] / 2.0
+            given.append({**record, "success": float(not failed), "settled_rmse": settled})
+    return {name: row for name, row in rows_of(given).items() if name.startswith("set")}
+
+
+def test_the_same_factor_in_a_set_of_small_and_of_large_errors_counts_the_same():
+    given = records("small", adaptive=EASY, x=2.0 * EASY, y=EASY)
+    given += records("large", adaptive=9.0 * EASY, x=9.0 * EASY, y=18.0 * EASY)
+    sets = {name: row for name, row in rows_of(given).items() if name in ("small", "large")}
+    found = [lb.relative(sets, name, "adaptive") for name in ("x", "y")]
+    assert tuple(found[0].whole) == pytest.approx((2.0**0.5,) * 3)
+    assert tuple(found[1].whole) == pytest.approx((2.0**0.5,) * 3)
+    assert [of.worst_set for of in found] == ["small", "large"]
+    assert [of.worst for of in found] == pytest.approx([2.0, 2.0])
+
+
+def test_one_lost_set_of_twelve_makes_the_mean_half_as_large_again_and_is_named():
+    good, bad = (
+        lb.relative(rows_with_losses(lost=n, adaptive=1.0, x=1.0), "x", "adaptive") for n in (0, 1)
+    )
+    assert good.whole.value == pytest.approx(1.0)
+    assert bad.whole.value == pytest.approx((LIMIT / 0.05) ** (1.0 / 12.0)) and bad.whole.low > 1.4
+    assert (bad.worst_set, bad.lost, good.lost) == ("set0", ("set0",), ())
+    assert bad.worst == pytest.approx(LIMIT / 0.05)
+
+
+def test_a_set_is_lost_from_more_than_half_of_the_episodes_and_where_the_reference_is_not():
+    for share, lost in ((0.5, ()), (0.5625, ("set0", "set1"))):
+        of = rows_with_losses(count=3, lost=2, share=share, adaptive=1.0, x=1.0)
+        assert lb.relative(of, "x", "adaptive").lost == lost
+        assert lb.relative(of, "adaptive", "x").lost == ()
+    both = records("a", adaptive=EASY, x=EASY)
+    for record in both:
+        record["success"] = 0.0
+    assert lb.relative(rows_of(both), "x", "adaptive").lost == ()
+
+
+def test_the_order_by_another_statistic_shows_what_the_iqm_does_not():
+    of = rows_with_losses(count=2, lost=2, share=0.2, adaptive=1.0, x=0.9, z=3.0)
+    ranked = {
+        name: lb.relative(of, name, "adaptive").whole.value for name in ("x", "adaptive", "z")
+    }
+    assert sorted(ranked, key=lambda name: ranked[name]) == ["x", "adaptive", "z"]
+    found = lb.agreement(of, ranked)
+    assert set(found) == {*lb.OTHER, "1 unlike sets"}
+    assert found["median"] == found["IQM times power"] == 1.0
+    assert found["mean"] == found["worst tenth"] == pytest.approx(-1.0 / 3.0)  # x is last
+    assert found["success"] < 0.0
+
+
+def test_energy_is_weighed_per_time_driven_so_that_an_early_end_saves_nothing():
+    given = records("a", adaptive=EASY, x=EASY)
+    for record in given:
+        early = record["policy"] == "x"
+        record |= {"energy": 100.0 if early else 300.0, "driven_time": 10.0 if early else 30.0}
+    of = rows_of(given)
+    by = lb.OTHER["IQM times power"]
+    assert by([of["a"]], "x") == pytest.approx(by([of["a"]], "adaptive"))
+
+
+def test_learning_curves_are_read_where_there_are_any(tmp_path):
+    folders = [tmp_path / name for name in ("good", "none", "other", "empty")]
+    for folder in folders:
+        folder.mkdir()
+    (folders[0] / "curve.csv").write_text("steps,seconds,held_out_rmse\n10,1,nan\n20,2,0.5\n")
+    (folders[2] / "curve.csv").write_text("a,b\n1,2\n")
+    (folders[3] / "curve.csv").write_text("steps,held_out_rmse\n10,nan\n")
+    assert lb.read_curves({"x": folders, "y": folders[1:]}) == {"x": [[(20.0, 0.5)]]}
+
+
+def test_the_cost_of_training_is_that_of_the_last_row_a_mean_over_seeds(tmp_path):
+    folders = [tmp_path / name for name in ("a", "b", "none", "other")]
+    for folder in folders:
+        folder.mkdir()
+    (folders[0] / "curve.csv").write_text("steps,cpu_seconds\n10,1\n1000000,100\n")
+    (folders[1] / "curve.csv").write_text("steps,cpu_seconds\n3000000,200\n")
+    (folders[3] / "curve.csv").write_text("steps,held_out_rmse\n20,0.5\n")
+    assert lb.read_costs({"x": folders, "y": folders[2:]}) == {"x": lb.TrainingCost(2e6, 150.0)}
+    assert str(lb.TrainingCost(2e6, 150.0)) == "2 M steps, 150 s"

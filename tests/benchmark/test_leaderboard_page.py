@@ -6,8 +6,6 @@ import re
 import shutil
 import subprocess
 from html.parser import HTMLParser
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +14,12 @@ from tests.benchmark.test_leaderboard import ALL, board
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import leaderboard_page as page
-from tracked_env.benchmark.figures import MAX_DRAWN, colour, marks
+from tracked_env.benchmark.figures import figures
+from tracked_env.benchmark.leaderboard import MAX_DRAWN
+from tracked_env.benchmark.records import READS_TRUTH
 from tracked_env.benchmark.statistics import Estimate
-from tracked_env.benchmark.store import READS_TRUTH
 from tracked_env.benchmark.summary import rows_of, summarise
-from tracked_env.benchmark.text_tables import cell
+from tracked_env.benchmark.tables import colour, marks, number_cell
 
 CURVES = {"ppo": [[(1e5, 1.0), (1e6, 0.1)], [(1e5, 2.0), (1e6, 0.2)]]}
 ORIGIN = {
@@ -33,39 +32,38 @@ ORIGIN = {
 class Checker(HTMLParser):
     """Balanced tags, and what is fetched from where."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.open: list[str] = []
         self.sources: list[tuple[str, str]] = []
         self.seen: list[str] = []
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.seen.append(tag)
         self.sources += [(tag, v or "") for k, v in attrs if k in ("src", "href", "data", "srcset")]
         if tag not in ("meta", "br", "img", "input"):
             self.open.append(tag)
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_startendtag(self, tag, attrs):
         self.handle_starttag(tag, attrs)
         if tag not in ("meta", "br", "img", "input"):
             self.open.pop()
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         assert self.open.pop() == tag
 
 
-def written(folder: Path, draw: bool = True, **rmse: Any) -> str:
+def written(folder, draw=True, **rmse):
     """A page with every part but the figures of episodes."""
     given = [r for name in ("a", "b") for r in records(name, **(rmse or ALL))]
     rows = rows_of(given)
     summary = summarise(given, rows)
     found = lb.leaderboard(summary, rows, "sets v1")
-    path = page.write(folder, found, rows, CURVES, draw, (), summary, ORIGIN)
+    path = page.write(folder, found, rows, CURVES, draw, page.Provenance(ORIGIN, summary))
     return path.read_text(encoding="utf-8")
 
 
-def test_the_page_is_whole_escaped_and_fetches_nothing(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
+def test_the_page_is_whole_escaped_and_fetches_nothing(tmp_path):
     text = written(tmp_path, **{**ALL, "<b>&me": EASY})
     checker = Checker()
     checker.feed(text)
@@ -79,16 +77,14 @@ def test_the_page_is_whole_escaped_and_fetches_nothing(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["leaderboard.html"]
 
 
-def test_the_page_says_where_its_numbers_come_from(tmp_path: Path) -> None:
+def test_the_page_says_where_its_numbers_come_from(tmp_path):
     text = written(tmp_path, draw=False)
     assert "<h1>Leaderboard of <code>tracked_env/Torque-v0</code></h1>" in text
     for name, value in ORIGIN.items():
         assert f"<dt>{name}</dt><dd>{html.escape(value)}</dd>" in text
 
 
-def test_the_page_without_figures_has_the_tables_and_intervals_as_marks_and_text(
-    tmp_path: Path,
-) -> None:
+def test_the_page_without_figures_has_the_tables_and_intervals_as_marks_and_text(tmp_path):
     text = written(tmp_path, draw=False)
     assert "<figure" not in text and "Learning curves" not in text
     assert text.count('style="background:') == 5 * 2
@@ -99,7 +95,7 @@ def test_the_page_without_figures_has_the_tables_and_intervals_as_marks_and_text
     assert all("<th>" not in head and 'scope="col"' in head for head in heads)
 
 
-def test_ratios_around_one_differ_in_colour_and_large_ones_still_do() -> None:
+def test_ratios_around_one_differ_in_colour_and_large_ones_still_do():
     ratios = [0.02, 0.1, 0.3, 0.6, 0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.5, 3.0, 10.0, 50.0]
     backs = [colour(ratio)[0] for ratio in ratios]
     assert len(set(backs)) == len(ratios) and colour(1.0)[0] == "#ffffff"
@@ -110,44 +106,51 @@ def test_ratios_around_one_differ_in_colour_and_large_ones_still_do() -> None:
     assert all(red > blue for red, _, blue in shades[9:])
 
 
-def _luminance(code: str) -> float:
+def _luminance(code):
     full = code if len(code) == 7 else "#" + "".join(2 * c for c in code[1:])
     parts = np.array([int(full[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
     linear = np.where(parts <= 0.03928, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
     return float(linear @ [0.2126, 0.7152, 0.0722])
 
 
-def test_text_on_every_colour_of_the_scale_has_a_contrast_of_four_and_a_half() -> None:
+def test_text_on_every_colour_of_the_scale_has_a_contrast_of_four_and_a_half():
     for ratio in np.geomspace(1e-3, 1e3, 601):
         one, other = sorted(map(_luminance, colour(float(ratio))))
         assert (other + 0.05) / (one + 0.05) >= 4.5, ratio
 
 
-def test_below_sixteen_episodes_a_set_has_no_verdict_and_with_sixteen_it_has() -> None:
+def test_below_sixteen_episodes_a_set_has_no_verdict_and_with_sixteen_it_has():
     for episodes, expected in ((15, "too few"), (16, "better")):
         easy = EASY[:episodes]
         given = records("a", adaptive=4 * easy, x=easy) + records("b", adaptive=4 * EASY, x=EASY)
         rows = rows_of(given)
         found = lb.leaderboard(summarise(given, rows), rows)
         table = page.set_table(found, rows)
-        (row,) = (row for row in table.rows if row[0].text == "x")
+        (row,) = (row for row in table.body if row[0].text == "x")
         assert expected in row[2].more and "better" in row[3].more
 
 
-def test_a_mark_lies_inside_its_cell_and_the_dashed_line_is_at_a_ratio_of_one() -> None:
+def test_a_mark_lies_inside_its_cell_and_the_dashed_line_is_at_a_ratio_of_one():
     found = marks([Estimate(0.5, 0.4, 0.6), Estimate(1.0, 1.0, 1.0), Estimate(100.0, 50.0, 200.0)])
     assert found[1].value == found[1].one == found[0].one
     assert 0.0 < found[0].low < found[0].value < found[0].high < found[0].one
     assert found[0].one < found[2].low == found[2].high <= 160.0
 
 
-def test_cells_are_sorted_by_the_number_that_they_begin_with() -> None:
+def test_cells_are_sorted_by_the_number_that_they_begin_with():
     texts = ("0.52 [0.49, 0.55]", "~12.1", "79.7%", "2.5e+04", "-", "too few", ">1000%")
-    assert [cell(text).number for text in texts] == [0.52, 12.1, 79.7, 25e3, None, None, 1000.0]
+    assert [number_cell(text).number for text in texts] == [
+        0.52,
+        12.1,
+        79.7,
+        25e3,
+        None,
+        None,
+        1000.0,
+    ]
 
 
-def test_figures_draw_five_agents_the_reference_and_both_ends_of_the_score_among_them() -> None:
-    pytest.importorskip("matplotlib")
+def test_figures_draw_five_agents_the_reference_and_both_ends_of_the_score_among_them():
     others = {f"z{i}": (0.5 + 0.01 * i) * EASY for i in range(6)}
     found, rows = board(**{**ALL, **others})
     shown = lb.shown(found)
@@ -158,11 +161,11 @@ def test_figures_draw_five_agents_the_reference_and_both_ends_of_the_score_among
         record.update({READS_TRUTH: True} if record["policy"] == "few@3" else {})
     rows_truth = rows_of(given)
     assert "few" in lb.shown(lb.leaderboard(summarise(given, rows_truth), rows_truth))
-    drawn = page.figures(found, rows["all sets"], {"z0": CURVES["ppo"]})
+    drawn = figures(found, rows["all sets"], {"z0": CURVES["ppo"]})
     assert list(drawn) == ["Performance profile", "Learning curves"]
     legend = drawn["Performance profile"].axes[0].get_legend()
     assert [text.get_text() for text in legend.get_texts()] == shown
-    assert list(page.figures(found, rows["all sets"], {})) == ["Performance profile"]
+    assert list(figures(found, rows["all sets"], {})) == ["Performance profile"]
 
 
 BROWSER = next(
@@ -173,7 +176,7 @@ needs_browser = pytest.mark.skipif(
 )
 
 
-def in_browser(folder: Path, text: str, width: int, script: str) -> Any:
+def in_browser(folder, text, width, script):
     """What a script returns in the page (`w`: its window), in a frame of this width."""
     wrapper = folder / "wrapper.html"
     frame = html.escape(text, quote=True)
@@ -197,8 +200,8 @@ def in_browser(folder: Path, text: str, width: int, script: str) -> Any:
 @needs_browser
 @pytest.mark.parametrize("width", [1280, 390])
 def test_in_a_browser_nothing_is_wider_than_the_page_and_agent_and_verdict_stay_in_view(
-    tmp_path: Path, width: int
-) -> None:
+    tmp_path, width
+):
     name = "an-agent-with-a-name-that-is-very-long-and_without_any_place_to_break"
     text = written(tmp_path, **{**ALL, name: 2 * EASY})
     found = in_browser(tmp_path, text, width, """
@@ -225,9 +228,7 @@ def test_in_a_browser_nothing_is_wider_than_the_page_and_agent_and_verdict_stay_
 
 
 @needs_browser
-def test_in_a_browser_columns_sort_by_number_rows_filter_and_the_theme_changes(
-    tmp_path: Path,
-) -> None:
+def test_in_a_browser_columns_sort_by_number_rows_filter_and_the_theme_changes(tmp_path):
     found = in_browser(tmp_path, written(tmp_path, draw=False), 1280, """
         const table = d.querySelector("#leaderboard table"), seen = {};
         const agents = () => [...table.tBodies[0].rows].filter((row) => !row.hidden)

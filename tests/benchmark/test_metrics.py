@@ -1,12 +1,22 @@
-"""Metrics of made-up traces whose values are known."""
+"""Metrics of made-up traces whose values are known; abrupt changes and recovery from them."""
 
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.benchmark.stub_policies import Constant
 from tracked_env.benchmark import metrics
-from tracked_env.benchmark.metrics import CHANGING, Trace
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.metrics import (
+    ABRUPT_TIME,
+    CHANGING,
+    Change,
+    Trace,
+    abrupt_changes,
+    recovery,
+)
+from tracked_env.benchmark.runner import drive
 from tracked_env.engine.env_config import DRIVES
 
 PERIOD = 0.02  # [s]
@@ -14,7 +24,7 @@ STEPS = 1000
 LIMIT = 5.0  # [m]
 
 
-def trace(steps: int = STEPS, max_steps: int = STEPS, **channels: Any) -> Trace:
+def trace(steps=STEPS, max_steps=STEPS, **channels):
     """One episode with the given channels, numbers or (steps,), and 0 everywhere else."""
     values = np.zeros((steps, 1, len(metrics.CHANNELS)))
     for name, channel in channels.items():
@@ -26,32 +36,32 @@ def trace(steps: int = STEPS, max_steps: int = STEPS, **channels: Any) -> Trace:
     )  # fmt: skip
 
 
-def value(of: Trace, name: str) -> float:
+def value(of, name):
     return float(metrics.evaluate(of)[name][0])
 
 
-def test_every_metric_is_computed_and_documented() -> None:
+def test_every_metric_is_computed_and_documented():
     assert set(metrics.evaluate(trace())) == set(metrics.METRICS)
 
 
-def test_the_rmse_of_a_constant_error_is_that_error() -> None:
+def test_the_rmse_of_a_constant_error_is_that_error():
     constant = trace(error=0.3)
     for name in ("tracking_rmse", "settled_rmse", "max_error", "final_error"):
         assert value(constant, name) == pytest.approx(0.3)
 
 
-def test_the_settled_rmse_leaves_out_the_first_five_seconds() -> None:
+def test_the_settled_rmse_leaves_out_the_first_five_seconds():
     error = np.where(np.arange(1, STEPS + 1) * PERIOD <= 5.0, 1.0, 0.1)
     assert value(trace(error=error), "settled_rmse") == pytest.approx(0.1)
     assert value(trace(error=error), "tracking_rmse") == pytest.approx(np.sqrt(0.25 + 0.75 * 0.01))
 
 
-def test_the_settled_rmse_of_a_short_episode_is_that_of_its_second_half() -> None:
+def test_the_settled_rmse_of_a_short_episode_is_that_of_its_second_half():
     short = trace(100, 100, error=np.repeat([1.0, 0.1], 50))
     assert value(short, "settled_rmse") == pytest.approx(0.1)
 
 
-def test_the_time_after_a_crash_counts_with_the_error_limit() -> None:
+def test_the_time_after_a_crash_counts_with_the_error_limit():
     crashed = trace(STEPS // 2, error=0.0)
     assert value(crashed, "tracking_rmse") == pytest.approx(LIMIT / np.sqrt(2.0))
     assert value(crashed, "max_error") == value(crashed, "final_error") == LIMIT
@@ -61,7 +71,7 @@ def test_the_time_after_a_crash_counts_with_the_error_limit() -> None:
 
 
 @pytest.mark.parametrize("steps", [1, 100, 500, 999])
-def test_leaving_the_path_is_never_better_than_staying_at_the_limit(steps: int) -> None:
+def test_leaving_the_path_is_never_better_than_staying_at_the_limit(steps):
     stays = trace(error=np.r_[np.full(steps, 0.2), np.full(STEPS - steps, 0.999 * LIMIT)])
     leaves = trace(steps, error=0.2)
     for name in ("tracking_rmse", "settled_rmse", "max_error", "final_error"):
@@ -69,7 +79,7 @@ def test_leaving_the_path_is_never_better_than_staying_at_the_limit(steps: int) 
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 80.0])
-def test_a_state_that_is_not_finite_counts_as_the_limit_and_spoils_nothing(bad: float) -> None:
+def test_a_state_that_is_not_finite_counts_as_the_limit_and_spoils_nothing(bad):
     moving = [name for name in metrics.CHANNELS if name not in CHANGING]
     channels = {name: np.r_[np.zeros(9), bad] for name in moving}
     diverged = metrics.evaluate(trace(10, **channels))
@@ -80,20 +90,20 @@ def test_a_state_that_is_not_finite_counts_as_the_limit_and_spoils_nothing(bad: 
     assert diverged["max_error"][0] == LIMIT
 
 
-def test_how_an_episode_ended_is_told_apart() -> None:
+def test_how_an_episode_ended_is_told_apart():
     assert metrics.ending(trace()) == ["time"]
     assert metrics.ending(trace(10, error=5.1)) == ["off-path"]
     assert metrics.ending(trace(10, x=np.nan)) == ["non-finite"]
 
 
-def test_the_energy_is_power_times_time_whatever_the_signs() -> None:
+def test_the_energy_is_power_times_time_whatever_the_signs():
     driving = trace(
         torque_left=1000.0, sprocket_speed_left=-2.0, torque_right=-500.0, sprocket_speed_right=-4.0
     )
     assert value(driving, "energy") == pytest.approx(4000.0 * STEPS * PERIOD)
 
 
-def test_saturation_counts_the_steps_and_sides_at_the_limit_of_the_demand() -> None:
+def test_saturation_counts_the_steps_and_sides_at_the_limit_of_the_demand():
     action = np.zeros(STEPS)
     action[:100] = 1.0
     assert value(trace(action_left=action), "saturation_share") == pytest.approx(0.05)
@@ -107,9 +117,7 @@ def test_saturation_counts_the_steps_and_sides_at_the_limit_of_the_demand() -> N
         ("speed", 10.0, "sprocket_speed_rate", "torque_rate"),  # [rad/s]
     ],
 )
-def test_the_action_rate_is_the_mean_rate_of_the_demand_in_its_own_unit(
-    drive: str, limit: float, name: str, other: str
-) -> None:
+def test_the_action_rate_is_the_mean_rate_of_the_demand_in_its_own_unit(drive, limit, name, other):
     given: dict[str, Any] = {"drive": drive, "demand_limit": np.array([limit])}
     ramp = trace(action_left=np.linspace(0.0, 1.0, STEPS), action_right=0.5)._replace(**given)
     assert value(ramp, name) == pytest.approx(limit / (STEPS * PERIOD) / 2)
@@ -118,19 +126,19 @@ def test_the_action_rate_is_the_mean_rate_of_the_demand_in_its_own_unit(
     assert np.isnan(value(alternating, other))
 
 
-def test_every_drive_has_an_action_rate_and_every_unit_of_a_record_is_one_unit() -> None:
+def test_every_drive_has_an_action_rate_and_every_unit_of_a_record_is_one_unit():
     assert set(metrics.ACTION_RATES) == set(DRIVES)
     units = [metrics.METRICS[name].unit for name in metrics.ACTION_RATES.values()]
     assert units == ["N m/s", "rad/s^2"]
 
 
-def test_heading_and_speed_are_measured_over_the_time_driven() -> None:
+def test_heading_and_speed_are_measured_over_the_time_driven():
     crashed = trace(100, heading_error=-0.2, speed_error=0.5)
     assert value(crashed, "heading_rmse") == pytest.approx(0.2)
     assert value(crashed, "speed_rmse") == pytest.approx(0.5)
 
 
-def test_rows_past_the_end_of_an_episode_are_void() -> None:
+def test_rows_past_the_end_of_an_episode_are_void():
     both = trace()
     values = np.zeros((STEPS, 2, len(metrics.CHANNELS)))
     values[100:, 1] = 1e9  # whatever lies there
@@ -145,3 +153,121 @@ def test_rows_past_the_end_of_an_episode_are_void() -> None:
     alone = metrics.evaluate(trace(100))
     for name, column in metrics.evaluate(pair).items():
         assert column[1] == alone[name][0] or np.isnan([column[1], alone[name][0]]).all()
+
+
+def history(**changes):
+    """(T, 4) constant ones, but for the named parameters."""
+    values = np.ones((STEPS, len(CHANGING)))
+    for name, column in changes.items():
+        values[:, CHANGING.index(name)] = column
+    return values
+
+
+def ramp(first, last, low=1.0, high=2.0):
+    """(T,) constant, then linear so that the first new value is in step `first`, then constant."""
+    return np.interp(np.arange(STEPS), [first - 1, last], [low, high])
+
+
+def test_a_step_is_a_change_at_the_step_from_which_on_it_is_in_force():
+    payload = history(mass=ramp(400, 400), inertia=ramp(400, 400))
+    assert abrupt_changes(payload, PERIOD) == [Change(400, 400)]
+
+
+def test_a_border_lasts_from_its_first_to_its_last_change():
+    assert abrupt_changes(history(longitudinal_resistance=ramp(300, 340)), PERIOD) == [
+        Change(300, 340)
+    ]
+
+
+@pytest.mark.parametrize("duration", [ABRUPT_TIME, 10.0])
+def test_what_takes_longer_than_two_seconds_is_a_drift(duration):
+    slow = ramp(100, 100 + round(duration / PERIOD))
+    assert abrupt_changes(history(mass=slow), PERIOD) == []
+
+
+def test_a_step_is_seen_beside_the_drift_of_another_parameter():
+    both = history(mass=ramp(400, 400), lateral_resistance=ramp(1, STEPS - 1))
+    assert abrupt_changes(both, PERIOD) == [Change(400, 400)]
+
+
+def test_what_varies_at_the_start_or_the_end_of_the_episode_is_not_a_whole_change():
+    for fast in (ramp(1, 40), ramp(STEPS - 40, STEPS - 1), ramp(STEPS - 40, STEPS + 40)):
+        assert abrupt_changes(history(lateral_resistance=fast), PERIOD) == []
+    assert abrupt_changes(history(mass=ramp(STEPS - 5, STEPS - 5)), PERIOD) != []
+
+
+def test_a_small_change_is_not_felt():
+    assert abrupt_changes(history(mass=ramp(400, 400, 1.0, 1.01)), PERIOD) == []
+
+
+def test_a_border_that_is_crossed_twice_is_two_changes_and_one_with_a_halt_on_it_one():
+    there_and_back = ramp(300, 320) + ramp(600, 620, 0.0, -1.0)
+    assert abrupt_changes(history(mass=there_and_back), PERIOD) == [
+        Change(300, 320),
+        Change(600, 620),
+    ]
+    halting = ramp(300, 310, 1.0, 1.5) + ramp(330, 340, 0.0, 0.5)
+    assert abrupt_changes(history(mass=halting), PERIOD) == [Change(300, 340)]
+
+
+def test_overlapping_runs_of_two_parameters_are_one_change():
+    both = {"mass": ramp(300, 330), "inertia": ramp(320, 350)}
+    earlier = history(**both, lateral_resistance=ramp(100, 110))
+    assert abrupt_changes(earlier, PERIOD) == [Change(100, 110), Change(300, 350)]
+
+
+def test_an_error_that_decays_recovers_when_it_falls_below_the_threshold():
+    time = PERIOD * (1 + np.arange(STEPS))  # entry k is taken after step k
+    error = np.where(time > 6.0, np.exp(-(time - 6.0) / 2.0), 0.01)
+    found, peak, _ = recovery(error, [Change(300, 300)], PERIOD, 0.1)
+    assert found == pytest.approx(2.0 * np.log(1.0 / 0.1), abs=PERIOD)
+    assert peak == pytest.approx(np.exp(-0.01))
+
+
+def test_the_time_to_recover_counts_from_the_end_and_the_peak_from_the_start_of_a_change():
+    error = np.zeros(STEPS)
+    error[300:310], error[340:390] = 0.9, 0.2
+    assert recovery(error, [Change(300, 340)], PERIOD, 0.1) == (
+        pytest.approx(1.0), 0.9, pytest.approx(np.sqrt((10 * 0.81 + 50 * 0.04) / (STEPS - 300))),
+    )  # fmt: skip
+
+
+def test_who_leaves_the_threshold_again_has_not_recovered_before():
+    error = np.zeros(STEPS)
+    error[500], error[900] = 1.0, 0.5
+    assert recovery(error, [Change(400, 400)], PERIOD, 0.1)[0] == pytest.approx(501 * PERIOD)
+
+
+def test_who_never_recovers_takes_the_time_that_is_left_or_that_to_the_next_change():
+    error = np.full(STEPS, 0.5)
+    assert recovery(error, [Change(400, 400)], PERIOD, 0.1)[0] == pytest.approx(600 * PERIOD)
+    two = [Change(400, 400), Change(500, 500)]
+    assert recovery(error, two, PERIOD, 0.1)[0] == pytest.approx(100 * PERIOD)
+
+
+def test_who_is_not_disturbed_recovers_at_once():
+    assert recovery(np.full(STEPS, 0.05), [Change(400, 420)], PERIOD, 0.1) == (
+        0.0, 0.05, pytest.approx(0.05),
+    )  # fmt: skip
+
+
+def test_without_a_change_there_is_nothing_to_recover_from():
+    assert np.isnan(recovery(np.ones(STEPS), [], PERIOD, 0.1)).all()
+
+
+def test_the_payload_step_of_a_real_episode_is_found_where_its_schedule_has_it():
+    config = BenchmarkConfig(sets=("payload",), duration=4.0)
+    env = config.environment("payload", 4, truth=False)
+    trace, _ = drive(Constant(0.2, 0.2), env, range(4), lambda: None)
+    for i, changes in enumerate(trace.changes()):
+        episode = env.simulation.episodes[i]
+        assert episode is not None
+        step = int(np.ceil(episode.events[0, 3] / PERIOD))
+        assert changes == [Change(step, step)]
+
+
+@pytest.mark.parametrize("name", ["soil-and-mass", "drift", "resistance-map"])
+def test_sets_without_steps_and_borders_have_no_abrupt_change(name):
+    env = BenchmarkConfig(duration=20.0).environment(name, 4, truth=False)
+    trace, _ = drive(Constant(0.25, 0.25), env, range(4), lambda: None)
+    assert trace.changes() == [[]] * 4

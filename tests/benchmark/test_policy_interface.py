@@ -3,7 +3,6 @@
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,14 +10,14 @@ import pytest
 from baselines.registry import BY_DRIVE, POLICIES, PREDICTIVE
 from tests.benchmark.stub_policies import Constant
 from tracked_env.benchmark import BenchmarkConfig
+from tracked_env.benchmark.files import source_fingerprint
+from tracked_env.benchmark.policies import load_policy
 from tracked_env.benchmark.policy_interface import (
     PolicyContext,
     PolicyEntry,
     PolicyError,
     checked_policy,
-    load_policy,
     needs_truth,
-    source_fingerprint,
 )
 from tracked_env.benchmark.runner import drive
 from tracked_env.observation import SIZE
@@ -28,7 +27,7 @@ CONTEXT = PolicyContext(control_period=0.05, lateral="constrained")
 
 
 @pytest.fixture
-def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def module(tmp_path, monkeypatch):
     """Name of an importable module with the stub policies in it."""
     source = Path(__file__).with_name("stub_policies.py").read_text(encoding="utf-8")
     (tmp_path / "their_policies.py").write_text(source, encoding="utf-8")
@@ -37,30 +36,30 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "their_policies"
 
 
-def made(spec: str) -> Any:
+def made(spec):
     return checked_policy(load_policy(spec, POLICIES), CONTEXT)
 
 
-def test_a_registered_name_makes_a_fresh_policy_each_time() -> None:
+def test_a_registered_name_makes_a_fresh_policy_each_time():
     entry = load_policy("nominal", POLICIES)
     assert entry.name == "nominal"
     assert checked_policy(entry, CONTEXT) is not checked_policy(entry, CONTEXT)
 
 
 @pytest.mark.parametrize("name", [n for n in BY_DRIVE["torque"] if n not in PREDICTIVE])
-def test_named_policies_get_clock_and_lateral_model_of_the_environment(name: str) -> None:
+def test_named_policies_get_clock_and_lateral_model_of_the_environment(name):
     policy = made(name)
     controller = getattr(policy, "controller", policy)
     assert (controller.control_period, controller.lateral) == (0.05, "constrained")
 
 
-def test_only_the_oracle_asks_for_the_truth() -> None:
+def test_only_the_oracle_asks_for_the_truth():
     sliding = CONTEXT._replace(lateral="sliding")
     truthful = [name for name in BY_DRIVE["torque"] if needs_truth(POLICIES[name](sliding))]
     assert truthful == ["oracle", "mpc-oracle"]
 
 
-def test_the_oracle_controls_with_the_parameters_it_is_told_and_nominal_with_its_own() -> None:
+def test_the_oracle_controls_with_the_parameters_it_is_told_and_nominal_with_its_own():
     truth = {name: np.full(3, value) for name, value in plant_parameters()._asdict().items()}
     truth["mass"] = np.array([1000.0, 1450.0, 2000.0])
     truth["x"] = np.zeros(3)  # the state is there too, and ignored
@@ -75,17 +74,17 @@ def test_the_oracle_controls_with_the_parameters_it_is_told_and_nominal_with_its
     assert told[0, 0] < own[0, 0] < told[2, 0]
 
 
-def test_an_instance_in_a_module_is_used_as_it_is(module: str) -> None:
+def test_an_instance_in_a_module_is_used_as_it_is(module):
     assert made(f"{module}:INSTANCE") is made(f"{module}:INSTANCE")
 
 
-def test_a_class_in_a_module_is_instantiated(module: str) -> None:
+def test_a_class_in_a_module_is_instantiated(module):
     policy = made(f"{module}:Constant")
     assert policy.action == (0.3, 0.3)
     assert policy is not made(f"{module}:Constant")
 
 
-def test_a_factory_with_an_argument_named_context_gets_it(module: str) -> None:
+def test_a_factory_with_an_argument_named_context_gets_it(module):
     assert made(f"{module}:WithContext").context == CONTEXT
 
 
@@ -102,9 +101,7 @@ def test_a_factory_with_an_argument_named_context_gets_it(module: str) -> None:
         ("{module}:", "has no attribute ''"),
     ],
 )
-def test_what_is_no_policy_is_refused_with_what_would_be_one(
-    module: str, spec: str, message: str
-) -> None:
+def test_what_is_no_policy_is_refused_with_what_would_be_one(module, spec, message):
     with pytest.raises(ValueError, match=message):
         load_policy(spec.format(module=module), POLICIES)
 
@@ -122,8 +119,8 @@ def test_what_is_no_policy_is_refused_with_what_would_be_one(
     ],
 )
 def test_a_module_that_cannot_be_imported_is_named_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, message: str
-) -> None:
+    tmp_path, monkeypatch, source, message
+):
     (tmp_path / "broken.py").write_text(source)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "broken", raising=False)
@@ -144,15 +141,15 @@ def test_a_module_that_cannot_be_imported_is_named_in_one_line(
         ("math:sin", "TypeError"),
     ],
 )
-def test_a_callable_that_makes_no_policy_is_named_in_one_line(spec: str, message: str) -> None:
+def test_a_callable_that_makes_no_policy_is_named_in_one_line(spec, message):
     with pytest.raises(PolicyError, match=f"^policy '{spec}', when it was made: .*{message}") as no:
         made(spec)
     assert "\n" not in str(no.value)
 
 
 @pytest.mark.parametrize("error", [ValueError("no\nsuch file"), RuntimeError(), SystemExit(0)])
-def test_a_constructor_that_raises_or_exits_is_named_in_one_line(error: BaseException) -> None:
-    def make(context: PolicyContext) -> Any:
+def test_a_constructor_that_raises_or_exits_is_named_in_one_line(error):
+    def make(context):
         raise error
 
     with pytest.raises(PolicyError, match=r"^policy 'bad', when it was made: .*\(.*line") as caught:
@@ -160,27 +157,27 @@ def test_a_constructor_that_raises_or_exits_is_named_in_one_line(error: BaseExce
     assert "\n" not in str(caught.value)
 
 
-def test_an_interruption_is_not_taken_for_an_error_of_the_policy() -> None:
-    def make(context: PolicyContext) -> Any:
+def test_an_interruption_is_not_taken_for_an_error_of_the_policy():
+    def make(context):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         checked_policy(PolicyEntry("slow", make, "1"), CONTEXT)
 
 
-def test_a_factory_that_makes_something_else_is_refused() -> None:
+def test_a_factory_that_makes_something_else_is_refused():
     with pytest.raises(ValueError, match="no method `predict`"):
-        checked_policy(PolicyEntry("wrong", lambda context: 3, "1"), CONTEXT)  # type: ignore[arg-type,return-value]
+        checked_policy(PolicyEntry("wrong", lambda context: 3, "1"), CONTEXT)
 
 
-def test_a_policy_that_needs_the_truth_but_cannot_hear_it_is_refused() -> None:
+def test_a_policy_that_needs_the_truth_but_cannot_hear_it_is_refused():
     deaf = type("Deaf", (), {"needs_truth": True, "predict": lambda self: None})
     with pytest.raises(ValueError, match="no `observe_truth`"):
         checked_policy(PolicyEntry("deaf", lambda context: deaf(), "1"), CONTEXT)
 
 
 @pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def package(tmp_path, monkeypatch):
     """A package of others, importable as `their_package`."""
     folder = tmp_path / "their_package"
     (folder / "deep").mkdir(parents=True)
@@ -190,18 +187,18 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def fingerprint() -> str:
+def fingerprint():
     return source_fingerprint("their_package.deep", without={"plots.py", "pictures/"})
 
 
 @pytest.mark.parametrize("name", ["__init__.py", "deep/__init__.py", "deep/law.py"])
-def test_the_fingerprint_changes_with_every_file_of_the_package(package: Path, name: str) -> None:
+def test_the_fingerprint_changes_with_every_file_of_the_package(package, name):
     first = fingerprint()
     (package / name).write_text("A = 2\n")
     assert fingerprint() != first
 
 
-def test_the_fingerprint_does_not_change_with_what_is_left_out_by_its_path(package: Path) -> None:
+def test_the_fingerprint_does_not_change_with_what_is_left_out_by_its_path(package):
     first = fingerprint()
     (package / "plots.py").write_text("A = 2\n")
     (package / "pictures").mkdir()
@@ -211,7 +208,7 @@ def test_the_fingerprint_does_not_change_with_what_is_left_out_by_its_path(packa
     assert fingerprint() != first
 
 
-def test_the_fingerprint_tells_the_same_bytes_in_other_files_apart(package: Path) -> None:
+def test_the_fingerprint_tells_the_same_bytes_in_other_files_apart(package):
     first_file, second_file = package / "deep" / "a.py", package / "deep" / "b.py"
     found = []
     for one, two in (("#1", "#2deep/b.py#3"), ("#1deep/b.py#2", "#3")):  # the end of one slides
@@ -225,16 +222,14 @@ def test_the_fingerprint_tells_the_same_bytes_in_other_files_apart(package: Path
 class SlowAtFirst(Constant):
     """Needs a tenth of a second for its first action, as a policy that compiles in it."""
 
-    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+    def predict(self, *args, **kwargs):
         if not self.calls:
             time.sleep(0.1)
         return super().predict(*args, **kwargs)
 
 
 @pytest.mark.parametrize(("rate", "least", "most"), [(50.0, 0.0, 0.02), (10.0, 0.1, 1.0)])
-def test_the_first_call_of_predict_is_timed_only_where_it_is_the_only_one(
-    rate: float, least: float, most: float
-) -> None:
+def test_the_first_call_of_predict_is_timed_only_where_it_is_the_only_one(rate, least, most):
     config = BenchmarkConfig(episodes=2, duration=0.1, control_rate=rate)
     env = config.environment("nominal", 2, truth=False)
     policy = SlowAtFirst()

@@ -3,7 +3,6 @@
 import json
 import re
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -15,7 +14,7 @@ from tracked_env.benchmark.files import replace_block
 TRACKS = ("Torque-v0", "Speed-v0", "Terrain-v0")
 
 
-def block(path: Path, name: str) -> str:
+def block(path, name):
     """What stands between the markers `name` of a page."""
     (found,) = re.findall(
         f"<!-- {name}: begin -->\n(.*?)\n<!-- {name}: end -->", path.read_text(), flags=re.DOTALL
@@ -23,7 +22,7 @@ def block(path: Path, name: str) -> str:
     return str(found)
 
 
-def pages(root: Path) -> None:
+def pages(root):
     """Pages with empty blocks, and the folder of the agents."""
     for name, prefix in (("docs/results.md", ""), ("README.md", "short ")):
         (root / name).parent.mkdir(exist_ok=True)
@@ -32,14 +31,12 @@ def pages(root: Path) -> None:
     (root / "agents" / "pretrained").mkdir(parents=True)
 
 
-def test_the_readme_is_at_most_150_lines_long(repository: Path) -> None:
+def test_the_readme_is_at_most_150_lines_long(repository):
     assert (repository / "README.md").read_text().count("\n") <= 150
 
 
 @pytest.mark.parametrize("track", TRACKS)
-def test_the_table_of_the_readme_is_the_one_of_the_results_page_with_few_columns(
-    track: str, repository: Path
-) -> None:
+def test_the_table_of_the_readme_is_the_one_of_the_results_page_with_few_columns(track, repository):
     full = block(repository / "docs" / "results.md", f"leaderboard of {track}")
     shown = block(repository / "README.md", f"short leaderboard of {track}")
     assert shown == script(repository, "publish").short_table(full)
@@ -49,8 +46,8 @@ def test_the_table_of_the_readme_is_the_one_of_the_results_page_with_few_columns
 
 
 def test_publishing_writes_one_table_into_two_pages_and_leaves_the_rest(
-    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    repository, tmp_path, monkeypatch
+):
     publishing = script(repository, "publish")
     monkeypatch.setattr(publishing, "ROOT", tmp_path)
     monkeypatch.setattr(publishing, "PRETRAINED", tmp_path / "agents" / "pretrained")
@@ -72,11 +69,8 @@ def test_publishing_writes_one_table_into_two_pages_and_leaves_the_rest(
 
 
 def test_another_version_of_the_sets_is_published_beside_the_default_one(
-    repository: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    repository, tmp_path, monkeypatch, capsys
+):
     publishing = script(repository, "publish")
     monkeypatch.setattr(publishing, "ROOT", tmp_path)
     pages(tmp_path)
@@ -110,7 +104,7 @@ def test_another_version_of_the_sets_is_published_beside_the_default_one(
         2 * "<!-- x: begin --><!-- x: end -->",
     ],
 )
-def test_a_page_without_its_block_is_refused_and_stays(text: str, tmp_path: Path) -> None:
+def test_a_page_without_its_block_is_refused_and_stays(text, tmp_path):
     page = tmp_path / "page.md"
     page.write_text(text)
     with pytest.raises(ValueError, match=r"page.md has no block between <!-- x: begin"):
@@ -118,9 +112,7 @@ def test_a_page_without_its_block_is_refused_and_stays(text: str, tmp_path: Path
     assert page.read_text() == text
 
 
-def test_measured_speeds_are_published_between_the_markers(
-    repository: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_measured_speeds_are_published_between_the_markers(repository, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(repository / "benchmarks")
     speed = script(repository, "speed")
     block(repository / "docs" / "speed.md", "speed table")  # the page has one

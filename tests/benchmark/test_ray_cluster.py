@@ -7,7 +7,6 @@ import shlex
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ HERE = Path(__file__).parent
 class TwoNodes:
     """A cluster whose second node can end."""
 
-    def __init__(self, marks: Path) -> None:
+    def __init__(self, marks):
         self.ray = pytest.importorskip(
             "ray", reason="Ray is not installed: pip install 'tracked-env[cluster]'"
         )
@@ -42,23 +41,23 @@ class TwoNodes:
             runtime_env={"env_vars": {"RAY_USAGE_STATS_ENABLED": "0"}},
         )  # fmt: skip
 
-    def end_second(self) -> None:
+    def end_second(self):
         """Kill the second node with everything on it."""
         second, self.second = self.second, None
         self.cluster.remove_node(second, allow_graceful=False)
 
-    def be_two(self) -> None:
+    def be_two(self):
         """Another node takes the place of one that was killed."""
         if self.second is None:
             self.second = self.cluster.add_node(num_cpus=1)
 
-    def end(self) -> None:
+    def end(self):
         self.ray.shutdown()
         self.cluster.shutdown()
 
 
 @pytest.fixture(scope="module")
-def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoNodes]:
+def nodes(tmp_path_factory):
     """One cluster for all tests; what it starts inherits paths and variables."""
     marks = tmp_path_factory.mktemp("marks")
     with pytest.MonkeyPatch.context() as patch:
@@ -71,15 +70,15 @@ def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TwoNodes]:
         two.end()
 
 
-def records_of(folder: Path, *specs: str, ray: bool = True) -> list[dict[str, Any]]:
+def records_of(folder, *specs, ray=True):
     executor = make_executor(ray="auto") if ray else None
     return run(CONFIG, policies(*specs), Store(folder, CONFIG.identity()), executor=executor)
 
 
-def when(it_is_time: Callable[[], bool], act: Callable[[], None]) -> threading.Thread:
+def when(it_is_time, act):
     """Do something in another thread as soon as it is time."""
 
-    def wait() -> None:
+    def wait():
         until = time.monotonic() + 100
         while not it_is_time() and time.monotonic() < until:
             time.sleep(0.01)
@@ -90,16 +89,14 @@ def when(it_is_time: Callable[[], bool], act: Callable[[], None]) -> threading.T
     return thread
 
 
-def test_a_cluster_gives_the_records_of_the_serial_run(nodes: TwoNodes, tmp_path: Path) -> None:
+def test_a_cluster_gives_the_records_of_the_serial_run(nodes, tmp_path):
     specs = "adaptive", "ppo-blind", f"mine={STUBS}:Constant"
     found = records_of(tmp_path / "ray", *specs)
     assert values(found) == values(records_of(tmp_path / "serial", *specs, ray=False))
     assert {record["beside"] for record in found} == {2}
 
 
-def test_a_node_that_ends_in_an_evaluation_costs_its_chunks_alone(
-    nodes: TwoNodes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_node_that_ends_in_an_evaluation_costs_its_chunks_alone(nodes, tmp_path, capfd):
     nodes.be_two()
     specs = f"{STUBS}:Pausing", "nominal"
     (nodes.marks / "doomed").write_text(nodes.second.node_id)
@@ -116,19 +113,19 @@ def test_a_node_that_ends_in_an_evaluation_costs_its_chunks_alone(
     assert "it runs again" in said
 
 
-def test_an_error_of_a_policy_on_a_node_is_blamed_on_it(nodes: TwoNodes, tmp_path: Path) -> None:
+def test_an_error_of_a_policy_on_a_node_is_blamed_on_it(nodes, tmp_path):
     with pytest.raises(PolicyError, match=r":Wrong', set 'payload', step 2: KeyError: 'lacking'"):
         records_of(tmp_path, f"{STUBS}:Wrong")
 
 
 def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_checkpoint(
-    nodes: TwoNodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    nodes, tmp_path, monkeypatch,
+    capfd,
+):  # fmt: skip
     from dataclasses import replace
 
     import train
-    from agents.sweep import train_all
+    from agents.several_trainings import train_all
 
     nodes.be_two()
     monkeypatch.chdir(tmp_path)
@@ -138,7 +135,7 @@ def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_chec
         train.prepared(each)
     second = nodes.second.node_id
 
-    def on_the_second_node() -> bool:
+    def on_the_second_node():
         notes = {name: Path(f"{name}.node") for name in swept}
         there = [n for n, note in notes.items() if note.exists() and note.read_text() == second]
         return any(Path(name, "checkpoint-before.zip").exists() for name in there)
@@ -159,7 +156,7 @@ def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_chec
         assert all((one[key] == other[key]).all() for key in other)
 
 
-def test_a_cluster_that_cannot_be_reached_is_one_line(tmp_path: Path) -> None:
+def test_a_cluster_that_cannot_be_reached_is_one_line(tmp_path):
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'tracked-env[cluster]'")
     with pytest.raises(ValueError, match=r"ray = '127.0.0.1:1': nothing answers there.*ray start"):
         make_executor(ray="127.0.0.1:1")
@@ -167,7 +164,7 @@ def test_a_cluster_that_cannot_be_reached_is_one_line(tmp_path: Path) -> None:
         make_executor(ray="nowhere")
 
 
-def test_without_ray_the_option_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ray_the_option_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(ValueError, match=r"not installed: pip install 'tracked-env\[cluster\]'"):
         make_executor(ray="local")

@@ -1,7 +1,8 @@
 """The paired runner: same episodes for all, nothing lost, nothing seen that must not be."""
 
+import sys
+import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,16 +19,12 @@ from tracked_env.benchmark import (
     default_sets,
     load_policy,
     run,
+    runner,
 )
 from tracked_env.benchmark.evaluation_sets import NEWEST
-from tracked_env.benchmark.files import figure_data
 from tracked_env.benchmark.metrics import METRICS
-from tracked_env.benchmark.policy_interface import (
-    PolicyContext,
-    PolicyEntry,
-    PolicyError,
-    checked_answer,
-)
+from tracked_env.benchmark.policy_interface import PolicyError, checked_answer
+from tracked_env.benchmark.records import figure_data
 from tracked_env.benchmark.runner import drive, pending
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.sensors import STRAWA
@@ -35,25 +32,21 @@ from tracked_env.uncertainty import UNCERTAINTY_SETS
 
 NOMINAL = VEHICLES["strawa"]
 SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
-BRIEF = BenchmarkConfig(duration=1.0)  # 50 steps: too short to leave the path
+SECOND = BenchmarkConfig(duration=1.0)  # 50 steps: too short to leave the path
 COAST = entry("coast", lambda context: Constant(0.0, 0.0))
 SPIN = entry("spin", lambda context: Constant(-1.0, 1.0))
 
 
-def done(
-    folder: Path, config: BenchmarkConfig, *policies: PolicyEntry, **options: Any
-) -> list[dict[str, Any]]:
+def done(folder, config, *policies, **options):
     return run(config, policies, Store(folder, config.identity()), **options)
 
 
-def values(records: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def values(records):
     """Records without the time that a computer took."""
     return [{k: v for k, v in r.items() if k != "predict_time"} for r in records]
 
 
-def test_there_is_one_record_per_set_policy_and_episode_in_the_order_asked_for(
-    tmp_path: Path,
-) -> None:
+def test_there_is_one_record_per_set_policy_and_episode_in_the_order_asked_for(tmp_path):
     config = BenchmarkConfig(sets=("payload", "ood"), episodes=3, duration=0.5, seed=7)
     records = done(tmp_path, config, SPIN, COAST)
     assert [(r["set"], r["policy"], r["episode"], r["seed"]) for r in records] == [
@@ -62,14 +55,14 @@ def test_there_is_one_record_per_set_policy_and_episode_in_the_order_asked_for(
     assert all(set(METRICS) <= set(r) for r in records)
 
 
-def test_every_policy_meets_the_same_episodes(tmp_path: Path) -> None:
+def test_every_policy_meets_the_same_episodes(tmp_path):
     records = done(tmp_path, SHORT, COAST, SPIN)
     digests = [[r["digest"] for r in records if r["policy"] == p] for p in ("coast", "spin")]
     assert digests[0] == digests[1]
     assert len(set(digests[0])) == SHORT.episodes
 
 
-def test_every_policy_meets_the_same_noise_however_it_drives() -> None:
+def test_every_policy_meets_the_same_noise_however_it_drives():
     noises = []
     for action in ((0.0, 0.0), (-1.0, 1.0)):
         policy = Constant(*action)
@@ -83,21 +76,21 @@ def test_every_policy_meets_the_same_noise_however_it_drives() -> None:
     assert np.allclose(noises[0], noises[1], atol=1e-5)
 
 
-def test_the_size_of_a_chunk_does_not_change_a_number(tmp_path: Path) -> None:
+def test_the_size_of_a_chunk_does_not_change_a_number(tmp_path):
     nominal = load_policy("nominal", POLICIES)
     whole = done(tmp_path / "whole", SHORT, nominal)
     parts = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0, chunk=3)
     assert values(done(tmp_path / "parts", parts, nominal)) == values(whole)
 
 
-def test_the_rmse_is_the_one_that_the_environment_counts() -> None:
-    env = BRIEF.environment("soil-and-mass", 3, truth=False)
+def test_the_rmse_is_the_one_that_the_environment_counts():
+    env = SECOND.environment("soil-and-mass", 3, truth=False)
     trace, _ = drive(Constant(0.2, 0.3), env, [0, 1, 2], lambda: None)
     error = trace.channel("error")
     assert np.sqrt(np.mean(error**2, axis=0)) == pytest.approx(env.simulation.rmse, rel=1e-12)
 
 
-def test_an_episode_that_leaves_the_path_ends_alone_and_counts_the_limit(tmp_path: Path) -> None:
+def test_an_episode_that_leaves_the_path_ends_alone_and_counts_the_limit(tmp_path):
     config = BenchmarkConfig(sets=("nominal",), episodes=4, duration=8.0)
     records = done(tmp_path, config, SPIN)
     assert {r["ended"] for r in records} == {"off-path"}
@@ -108,17 +101,17 @@ def test_an_episode_that_leaves_the_path_ends_alone_and_counts_the_limit(tmp_pat
         assert record["final_error"] == 5.0
 
 
-def test_a_policy_gets_its_state_back_and_is_told_of_the_start_once() -> None:
+def test_a_policy_gets_its_state_back_and_is_told_of_the_start_once():
     policy = Constant()
-    drive(policy, BRIEF.environment("payload", 2, truth=False), [0, 1], lambda: None)
+    drive(policy, SECOND.environment("payload", 2, truth=False), [0, 1], lambda: None)
     assert [state for state, _ in policy.calls] == [None, *range(1, 50)]
     assert [start.tolist() for _, start in policy.calls[:2]] == [[True, True], [False, False]]
     assert not any(start.any() for _, start in policy.calls[1:])
 
 
-def test_the_truth_is_handed_over_before_every_action_and_holds_what_changes() -> None:
+def test_the_truth_is_handed_over_before_every_action_and_holds_what_changes():
     policy = Truthful()
-    drive(policy, BRIEF.environment("payload", 3, truth=True), [0, 1, 2], lambda: None)
+    drive(policy, SECOND.environment("payload", 3, truth=True), [0, 1, 2], lambda: None)
     assert len(policy.told) == len(policy.calls) == 50
     assert set(PARAMETER_NAMES) <= set(policy.told[0])
     assert not [name for name in policy.told[0] if name.startswith("_")]
@@ -126,15 +119,13 @@ def test_the_truth_is_handed_over_before_every_action_and_holds_what_changes() -
     assert np.all(policy.told[-1]["mass"] != NOMINAL.mass)  # the payload has stepped
 
 
-def test_a_policy_is_told_the_data_sheet_of_the_sensors_and_nothing_of_the_truth(
-    tmp_path: Path,
-) -> None:
+def test_a_policy_is_told_the_data_sheet_of_the_sensors_and_nothing_of_the_truth(tmp_path):
     config = BenchmarkConfig(
         sets=("ood",), episodes=1, duration=0.5, sensors={"preset": "strawa", "gyro_noise": 0.5}
     )
     told: list[Any] = []
 
-    def make(context: PolicyContext) -> Constant:
+    def make(context):
         told.append(context)
         return Constant()
 
@@ -147,7 +138,7 @@ def test_a_policy_is_told_the_data_sheet_of_the_sensors_and_nothing_of_the_truth
     )  # fmt: skip
 
 
-def test_no_other_policy_is_handed_the_truth(tmp_path: Path) -> None:
+def test_no_other_policy_is_handed_the_truth(tmp_path):
     records = done(tmp_path, SHORT, entry("curious", lambda context: Curious()))
     assert len(records) == SHORT.episodes
 
@@ -155,18 +146,18 @@ def test_no_other_policy_is_handed_the_truth(tmp_path: Path) -> None:
 class Interrupting(Constant):
     """Ctrl-C when the clock has run `after` steps in all."""
 
-    def __init__(self, clock: list[int], after: int) -> None:
+    def __init__(self, clock, after):
         super().__init__(0.0, 0.0)
         self.clock, self.after = clock, after
 
-    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+    def predict(self, *args, **kwargs):
         self.clock[0] += 1
         if self.clock[0] == self.after:
             raise KeyboardInterrupt
         return super().predict(*args, **kwargs)
 
 
-def test_an_interruption_loses_only_the_chunk_in_progress(tmp_path: Path) -> None:
+def test_an_interruption_loses_only_the_chunk_in_progress(tmp_path):
     config = BenchmarkConfig(sets=("payload", "ood"), episodes=4, duration=1.0, chunk=2)
     clock = [0]
     policy = entry("coast", lambda context: Interrupting(clock, after=130))
@@ -182,16 +173,16 @@ def test_an_interruption_loses_only_the_chunk_in_progress(tmp_path: Path) -> Non
     assert values(continued) == values(done(tmp_path / "new", config, COAST))
 
 
-def test_a_finished_benchmark_runs_nothing_again(tmp_path: Path) -> None:
+def test_a_finished_benchmark_runs_nothing_again(tmp_path):
     first = done(tmp_path, SHORT, COAST)
 
-    def refuse(context: Any) -> Any:
+    def refuse(context):
         raise AssertionError("a finished episode ran again")
 
     assert done(tmp_path, SHORT, entry("coast", refuse)) == first
 
 
-def test_more_episodes_sets_and_policies_continue_in_the_same_folder(tmp_path: Path) -> None:
+def test_more_episodes_sets_and_policies_continue_in_the_same_folder(tmp_path):
     done(tmp_path, SHORT, COAST)
     more = BenchmarkConfig(sets=("soil-and-mass", "ood"), episodes=6, duration=2.0)
     store = Store(tmp_path, more.identity())
@@ -204,16 +195,14 @@ def test_more_episodes_sets_and_policies_continue_in_the_same_folder(tmp_path: P
     ]
 
 
-def test_a_policy_whose_source_has_changed_runs_again_and_the_others_do_not(
-    tmp_path: Path,
-) -> None:
+def test_a_policy_whose_source_has_changed_runs_again_and_the_others_do_not(tmp_path):
     done(tmp_path, SHORT, COAST, SPIN)
     store = Store(tmp_path, SHORT.identity())
     changed = entry("spin", SPIN.make, fingerprint="2")
     assert [task.policy.name for task in pending(SHORT, [COAST, changed], store)] == ["spin"]
 
 
-def test_an_error_of_a_policy_says_whose_it_was_and_where(tmp_path: Path) -> None:
+def test_an_error_of_a_policy_says_whose_it_was_and_where(tmp_path):
     said = "policy 'diverging', set 'soil-and-mass', step 2: .*must be finite"
     with pytest.raises(PolicyError, match=said):
         done(tmp_path, SHORT, entry("diverging", lambda context: Diverging()))
@@ -222,11 +211,11 @@ def test_an_error_of_a_policy_says_whose_it_was_and_where(tmp_path: Path) -> Non
 class Answering(Constant):
     """Answers with what it was built with, or raises it."""
 
-    def __init__(self, answer: Any) -> None:
+    def __init__(self, answer):
         super().__init__()
         self.answer = answer
 
-    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+    def predict(self, *args, **kwargs):
         if isinstance(self.answer, BaseException):
             raise self.answer
         return self.answer
@@ -260,8 +249,8 @@ ACTIONS = np.zeros((4, 2), np.float32)
     ],
 )
 def test_a_policy_that_answers_wrongly_raises_or_exits_is_named_in_one_line(
-    tmp_path: Path, answer: Any, message: str
-) -> None:
+    tmp_path, answer, message
+):
     said = f"^policy 'wrong', set 'soil-and-mass', step 0: .*{message}"
     with pytest.raises(PolicyError, match=said) as caught:
         done(tmp_path, SHORT, entry("wrong", lambda context: Answering(answer)))
@@ -269,7 +258,7 @@ def test_a_policy_that_answers_wrongly_raises_or_exits_is_named_in_one_line(
     assert Store(tmp_path, SHORT.identity()).chunks == []
 
 
-def test_actions_beyond_the_limits_and_of_other_types_are_taken_as_the_environment_does() -> None:
+def test_actions_beyond_the_limits_and_of_other_types_are_taken_as_the_environment_does():
     given = np.array([[2.0, -1e300], [0.1, 1.0]])
     action, state = checked_answer((given, "mine"), 2)
     assert action.dtype == np.float32
@@ -281,7 +270,7 @@ def test_actions_beyond_the_limits_and_of_other_types_are_taken_as_the_environme
 class Alternating(Constant):
     """Demands 0.3 and 0.2 of the limit in turn, on both sides."""
 
-    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+    def predict(self, *args, **kwargs):
         self.action = (0.3, 0.3) if len(self.calls) % 2 else (0.2, 0.2)
         return super().predict(*args, **kwargs)
 
@@ -294,15 +283,15 @@ class Alternating(Constant):
     ],
 )
 def test_the_action_rate_of_an_environment_is_that_of_what_its_action_commands(
-    tmp_path: Path, name: str, rate: str, limit: float, lacking: str
-) -> None:
+    tmp_path, name, rate, limit, lacking
+):
     config = BenchmarkConfig(sets=(name,), episodes=1, duration=1.0)  # 49 changes in 50 steps
     (record,) = done(tmp_path, config, entry("alternating", lambda context: Alternating()))
     assert record[rate] == pytest.approx(0.1 * limit / 0.02 * 49 / 50, rel=1e-5)
     assert record[lacking] is None
 
 
-def test_progress_adds_up_to_every_step_of_every_vehicle(tmp_path: Path) -> None:
+def test_progress_adds_up_to_every_step_of_every_vehicle(tmp_path):
     config = BenchmarkConfig(sets=("nominal",), episodes=4, duration=8.0)  # SPIN ends early
     reported: list[int] = []
     report: Callable[[int, str], None] = lambda steps, label: reported.append(steps)  # noqa: E731
@@ -311,7 +300,7 @@ def test_progress_adds_up_to_every_step_of_every_vehicle(tmp_path: Path) -> None
     assert min(reported) >= 0
 
 
-def test_what_is_kept_for_the_figures_is_small() -> None:
+def test_what_is_kept_for_the_figures_is_small():
     env = BenchmarkConfig(episodes=8).environment("drift", 8, truth=False)
     trace, _ = drive(Constant(0.0, 0.0), env, range(8), lambda: None)
     kept = figure_data(trace)
@@ -320,7 +309,7 @@ def test_what_is_kept_for_the_figures_is_small() -> None:
     assert sum(array.nbytes for array in kept.values()) < 600_000
 
 
-def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
+def test_the_default_sets_are_those_in_which_something_is_unknown():
     named = {*DEFAULT_SETS, *default_sets(SPEED_ID), *default_sets(TERRAIN_ID)}
     assert named == {name for version in NEWEST for name in version.sets}
     assert not named & {"nominal", "floor", "level"}
@@ -341,6 +330,34 @@ def test_the_default_sets_are_those_in_which_something_is_unknown() -> None:
         ({"reference": "cirle"}, "must be one of straight, circle"),
     ],
 )
-def test_a_wrong_configuration_is_refused_at_once(wrong: dict[str, Any], message: str) -> None:
+def test_a_wrong_configuration_is_refused_at_once(wrong, message):
     with pytest.raises(ValueError, match=message):
         BenchmarkConfig(**wrong)
+
+
+@pytest.mark.parametrize(("period", "lines"), [(0.0, 10), (0.2, 3)])
+def test_in_a_log_progress_is_a_plain_line_at_most_every_period(period, lines, capsys, monkeypatch):
+    monkeypatch.setattr(runner, "LOG_PERIOD", period)
+    with runner.progress_bar(1000) as report:
+        for _ in range(10):
+            report(100, "payload: oracle")
+            time.sleep(0.05)
+    shown = capsys.readouterr()
+    assert shown.out == "" and "\r" not in shown.err
+    assert lines - 2 <= shown.err.count("\n") <= lines + 2
+    assert "payload: oracle" in shown.err and "100%" in shown.err
+
+
+def test_a_run_that_is_short_writes_no_line(capsys):
+    with runner.progress_bar(10) as report:
+        report(10, "drift: adaptive")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_quiet_shows_no_progress_on_a_terminal_and_in_a_log(terminal, capsys, monkeypatch):
+    monkeypatch.setattr(runner, "LOG_PERIOD", 0.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    with runner.progress_bar(10, quiet=True) as report:
+        report(10, "drift: adaptive")
+    assert capsys.readouterr().err == ""

@@ -3,8 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,24 +15,24 @@ MODES = ("calm", "random", "episodes")
 
 
 @pytest.fixture
-def speed(repository: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def speed(repository, monkeypatch):
     """benchmarks/speed.py."""
     monkeypatch.syspath_prepend(repository / "benchmarks")
     return script(repository, "speed")
 
 
-def row(speed: Any, name: str) -> Any:
+def row(speed, name):
     """The row of this name, made."""
     (found,) = [row for row in speed.speed_rows.rows([]) if row.name == name]
     return found.make()
 
 
-def simulation(load: Any) -> Any:
+def simulation(load):
     """Of the environment that a row steps."""
     return load.prepare.__self__.unwrapped.simulation
 
 
-def test_every_plant_drive_and_registered_controller_has_rows(speed: Any) -> None:
+def test_every_plant_drive_and_registered_controller_has_rows(speed):
     names = [row.name for row in speed.speed_rows.rows(speed.speed_rows.controllers())]
     assert len(names) == len(set(names))
     for mode in MODES:
@@ -50,7 +48,7 @@ def test_every_plant_drive_and_registered_controller_has_rows(speed: Any) -> Non
     assert peers <= {*names} and speed.TRAINING_PEER in names
 
 
-def test_every_plant_has_rows_with_every_drive_that_it_accepts(speed: Any) -> None:
+def test_every_plant_has_rows_with_every_drive_that_it_accepts(speed):
     timed = set()
     for _, env_id, arguments, _ in speed.speed_rows.ENVIRONMENTS:
         config = speed.gymnasium.make(env_id, **arguments).unwrapped.simulation.config
@@ -60,7 +58,7 @@ def test_every_plant_has_rows_with_every_drive_that_it_accepts(speed: Any) -> No
 
 
 @pytest.mark.parametrize("name", ["Torque-v0 step, calm", "Torque-v0 vector, 64, calm"])
-def test_no_vehicle_ends_in_a_calm_pass(speed: Any, name: str) -> None:
+def test_no_vehicle_ends_in_a_calm_pass(speed, name):
     load = row(speed, name)
     assert speed.speed_rows.calls_of_a_pass(load, 1e3) == load.calls
     for _ in range(2):
@@ -70,7 +68,7 @@ def test_no_vehicle_ends_in_a_calm_pass(speed: Any, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["Torque-v0 step, episodes", "Torque-v0 vector, 64, episodes"])
-def test_a_pass_of_episodes_is_one_whole_episode_and_its_reset(speed: Any, name: str) -> None:
+def test_a_pass_of_episodes_is_one_whole_episode_and_its_reset(speed, name):
     load = row(speed, name)
     assert speed.speed_rows.calls_of_a_pass(load, 1e-9) == load.calls
     load.prepare()
@@ -83,20 +81,18 @@ def test_a_pass_of_episodes_is_one_whole_episode_and_its_reset(speed: Any, name:
 
 
 @pytest.mark.parametrize("name", ["Torque-v0 step, random", "Torque-v0 vector, 64, random"])
-def test_ends_under_random_actions_are_counted(speed: Any, name: str) -> None:
+def test_ends_under_random_actions_are_counted(speed, name):
     assert 1.0 < row(speed, name).ends() < 30.0
 
 
-def test_every_pass_has_its_share_of_new_noise(speed: Any) -> None:
+def test_every_pass_has_its_share_of_new_noise(speed):
     for name in ("Torque-v0 step, calm", "Torque-v0 vector, 64, random"):
         load = row(speed, name)
         for seconds in (1e-9, 1e-2):
             assert speed.speed_rows.calls_of_a_pass(load, seconds) % speed.speed_rows.NOISE == 0
 
 
-def test_the_best_of_the_same_number_of_passes_counts(
-    speed: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_best_of_the_same_number_of_passes_counts(speed, monkeypatch):
     rows, times = speed.speed_rows, iter([3.0, 1.0, 2.0, 5.0, 4.0, 6.0, 7.0] * 2)
     monkeypatch.setattr(rows, "time_of_a_pass", lambda load, calls: next(times))
     made = [rows.Row(name, 4, "a", lambda: rows.Load(lambda: None)) for name in "ab"]
@@ -104,7 +100,7 @@ def test_the_best_of_the_same_number_of_passes_counts(
     assert [r.microseconds for r in measured] == [1e6 / 4] * 2 and next(times, None) is None
 
 
-def run(repository: Path, *arguments: str) -> Any:
+def run(repository, *arguments):
     """The script in a process of its own."""
     return subprocess.run(
         [sys.executable, str(repository / "benchmarks" / "speed.py"), *arguments],
@@ -114,9 +110,7 @@ def run(repository: Path, *arguments: str) -> Any:
 
 
 @pytest.mark.slow
-def test_two_checkouts_are_timed_in_alternation_and_a_missing_row_is_said(
-    repository: Path, tmp_path: Path
-) -> None:
+def test_two_checkouts_are_timed_in_alternation_and_a_missing_row_is_said(repository, tmp_path):
     package = tmp_path / "other" / "tracked_env"
     package.mkdir(parents=True)
     (package / "__init__.py").write_text("")  # another version, without environments
@@ -140,14 +134,12 @@ def test_two_checkouts_are_timed_in_alternation_and_a_missing_row_is_said(
         (("--rows", "CartPole", "--publish"), "--publish needs all rows"),
     ],
 )
-def test_wrong_options_are_refused_before_anything_is_timed(
-    repository: Path, arguments: tuple[str, ...], says: str
-) -> None:
+def test_wrong_options_are_refused_before_anything_is_timed(repository, arguments, says):
     done = run(repository, *arguments)
     assert done.returncode != 0 and says in done.stderr and "Traceback" not in done.stderr
 
 
-def test_rows_of_the_same_speed_are_not_called_slower(speed: Any) -> None:
+def test_rows_of_the_same_speed_are_not_called_slower(speed):
     pair = speed.speed_against.Pair
     assert "slower" not in speed.speed_against.line(pair("a", 1.02, 1.0))
     assert speed.speed_against.line(pair("a", 1.1, 1.0)) == "| a | 1.100 | 1.000 | 1.100 slower |"

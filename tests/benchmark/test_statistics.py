@@ -1,88 +1,304 @@
-"""Interquartile mean and bootstrap against closed forms and published values."""
+"""Statistics over training seeds and episodes, against closed forms and published values."""
 
 import numpy as np
 import pytest
-from scipy.stats import kendalltau, trim_mean
+from scipy.stats import bootstrap, kendalltau, mannwhitneyu, norm, t, trim_mean
 
 from tracked_env.benchmark import statistics as stats
 
+RNG = np.random.default_rng(20)
+
+
+def redrawn(values, sizes=None, agent=0):
+    return stats.redraw(values, stats.Redraws(sizes or [values.shape[1]]), agent)
+
+
 # Efron and Tibshirani (1993), Table 2.1: survival of treated mice [days]; Table 2.2 gives the
-# bootstrap standard errors of mean and median in the limit of many resamples.
+# bootstrap standard error of the mean in the limit of many resamples.
 MICE = [94.0, 197.0, 16.0, 38.0, 99.0, 141.0, 23.0]
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 7, 8, 9, 32, 101])
-def test_the_interquartile_mean_is_the_mean_trimmed_by_a_quarter_at_each_end(count: int) -> None:
+def test_the_interquartile_mean_is_the_mean_trimmed_by_a_quarter_at_each_end(count):
     values = np.random.default_rng(count).standard_cauchy(count)
     assert stats.interquartile_mean(values) == pytest.approx(trim_mean(values, 0.25), rel=1e-12)
 
 
-def test_the_interquartile_mean_of_a_worked_example_is_six_and_a_half() -> None:
+def test_the_interquartile_mean_of_a_worked_example_is_six_and_a_half():
     assert stats.interquartile_mean([5, 8, 4, 38, 8, 6, 9, 7, 7, 3, 1, 6]) == 6.5
 
 
-def test_one_wild_episode_does_not_move_the_interquartile_mean() -> None:
+def test_one_wild_episode_does_not_move_the_interquartile_mean():
     values = np.linspace(0.1, 0.2, 16)
     wild = values.copy()
     wild[-1] = 1e6
     assert stats.interquartile_mean(wild) == stats.interquartile_mean(values)
 
 
-def test_statistics_work_on_the_last_axis_of_any_array() -> None:
+def test_statistics_work_on_the_last_axis_of_any_array():
     values = np.random.default_rng(0).normal(size=(3, 4, 10))
     assert stats.interquartile_mean(values).shape == (3, 4)
     assert stats.interquartile_mean(values)[1, 2] == stats.interquartile_mean(values[1, 2])
 
 
-@pytest.mark.parametrize(
-    ("statistic", "published"), [(stats.mean, 23.36), (lambda v: np.median(v, axis=-1), 37.83)]
-)
-def test_bootstrap_standard_errors_of_the_mouse_data_are_those_published(
-    statistic: stats.Statistic, published: float
-) -> None:
-    distribution = stats.bootstrap([MICE], statistic, resamples=100_000)
-    assert distribution.std() == pytest.approx(published, rel=0.01)
+def test_the_bootstrap_standard_error_of_the_mouse_data_is_the_one_published():
+    found = stats.redraw(np.array([MICE]), stats.Redraws([7], resamples=100_000))
+    assert found.mean[0].std() == pytest.approx(23.36, rel=0.01)
 
 
-def test_the_bootstrap_interval_of_a_mean_tends_to_the_normal_one() -> None:
+def test_the_bootstrap_interval_of_a_mean_tends_to_the_normal_one():
     values = np.random.default_rng(1).normal(2.0, 3.0, 400)
-    value, low, high = stats.estimate([values], stats.mean)
+    low, high = stats.interval(redrawn(values[None]).mean, 1)
     half = 1.96 * values.std() / np.sqrt(400)
-    assert value == pytest.approx(values.mean())
-    assert (low, high) == pytest.approx((value - half, value + half), abs=0.06 * half)
+    assert (low, high) == pytest.approx(
+        (values.mean() - half, values.mean() + half), abs=0.06 * half
+    )
 
 
-@pytest.mark.parametrize("statistic", [stats.mean, stats.interquartile_mean])
-def test_about_95_percent_of_the_intervals_cover_the_true_value(
-    statistic: stats.Statistic,
-) -> None:
+@pytest.mark.parametrize("statistic", ["mean", "iqm"])
+def test_about_95_percent_of_the_intervals_cover_the_true_value(statistic):
     rng = np.random.default_rng(2)
     covered = []
     for seed in range(400):
-        values = rng.normal(1.0, 0.5, 32)
-        low, high = stats.interval(stats.bootstrap([values], statistic, 500, seed))
+        values = rng.normal(1.0, 0.5, (1, 32))
+        found = stats.redraw(values, stats.Redraws([32], 500, seed))
+        low, high = stats.interval(getattr(found, statistic), 1)
         covered.append(low <= 1.0 <= high)
     assert 0.90 <= np.mean(covered) <= 0.97  # 0.92 .. 0.95 expected of a percentile interval
 
 
-def test_strata_are_redrawn_within_themselves() -> None:
-    strata = [np.zeros(10), np.ones(30)]
-    distribution = stats.bootstrap(strata, stats.mean, resamples=200)
-    assert np.all(distribution == 0.75)  # no resample mixes them
-    assert stats.bootstrap([np.concatenate(strata)], stats.mean, resamples=200).std() > 0.05
+def test_with_one_seed_it_is_the_percentile_bootstrap_of_scipy_redraw_by_redraw():
+    values = RNG.exponential(size=22)
+    found = redrawn(values[None])
+    for ours, statistic in (
+        (found.mean, np.mean),
+        (found.iqm, stats.interquartile_mean),
+        (found.worst, stats.worst_tenth),
+    ):
+        theirs = bootstrap(
+            (values,),
+            statistic,
+            n_resamples=5000,
+            method="percentile",
+            random_state=np.random.default_rng(stats.SEED),
+            vectorized=False,
+        )
+        assert ours[0] == pytest.approx(theirs.bootstrap_distribution, rel=1e-12)
+        assert ours[1] == pytest.approx(np.full(5000, statistic(values)), rel=1e-12)
+        interval = theirs.confidence_interval
+        assert tuple(stats.interval(ours, 1)) == pytest.approx((interval.low, interval.high))
 
 
-def test_the_same_values_give_the_same_interval() -> None:
-    values = np.random.default_rng(4).normal(size=20)
-    assert stats.estimate([values]) == stats.estimate([values])
+def test_counts_give_the_statistics_of_what_was_drawn_seeds_and_episodes_crossed():
+    values = RNG.normal(size=(3, 9))
+    values[1, 2] = values[0, 4]  # a tie
+    draws = stats.Redraws([4, 5], resamples=50)
+    found = stats.redraw(values, draws, agent=2)
+    assert draws.episodes[:, :4].sum(axis=1).tolist() == [4] * 50
+    for b in range(50):
+        alone = np.repeat(values, found.seeds[b], 0)
+        for kind, rows in enumerate((np.repeat(alone, draws.episodes[b], 1), alone)):
+            drawn = rows.ravel()
+            assert drawn.size == 27
+            assert found.iqm[kind, b] == pytest.approx(stats.interquartile_mean(drawn))
+            assert found.worst[kind, b] == pytest.approx(stats.worst_tenth(drawn))
+            assert found.mean[kind, b] == pytest.approx(drawn.mean())
 
 
-def test_an_empty_stratum_is_refused() -> None:
-    with pytest.raises(ValueError, match="no values"):
-        stats.bootstrap([np.ones(3), np.ones(0)], stats.mean)
+def test_the_variance_of_the_mean_is_that_of_two_crossed_random_effects():
+    seeds, episodes = RNG.normal(size=8), RNG.normal(size=40)
+    found = redrawn(seeds[:, None] + episodes[None, :])
+    both, alone = found.mean.var(axis=1)
+    assert both == pytest.approx(seeds.var() / 8 + episodes.var() / 40, rel=0.06)
+    assert alone == pytest.approx(seeds.var() / 8, rel=0.06)
 
 
-def test_kendalls_tau_is_that_of_scipy_with_and_without_ties() -> None:
+def test_where_seeds_decide_the_interval_is_students_with_their_degrees_of_freedom():
+    values = np.linspace(0.1, 0.5, 40)[:, None] + np.zeros((40, 25))
+    low, high = stats.interval(redrawn(values).mean, 40)
+    half = t.ppf(0.975, 39) * np.std(values[:, 0], ddof=1) / np.sqrt(40)
+    assert (low, high) == pytest.approx((0.3 - half, 0.3 + half), abs=0.05 * half)
+
+
+def test_where_episodes_decide_the_interval_is_the_percentile_interval():
+    values = np.tile(RNG.exponential(size=60), (5, 1))
+    found = redrawn(values)
+    expected = tuple(np.quantile(found.mean[0], [0.025, 0.975]))
+    assert tuple(stats.interval(found.mean, 5)) == pytest.approx(expected)
+    assert tuple(stats.interval(found.mean, 1)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("seed_part", "episode_part", "least"), [(1.0, 0.0, 0.88), (0.4, 6.0, 0.92), (0.0, 6.0, 0.92)]
+)
+def test_intervals_over_five_seeds_cover_what_they_say(seed_part, episode_part, least):
+    rng = np.random.default_rng(3)
+    draws = stats.Redraws([40], resamples=400)
+    covered = []
+    for trial in range(400):
+        values = seed_part * rng.normal(size=(5, 1)) + episode_part * rng.normal(size=40)
+        low, high = stats.interval(stats.redraw(values, draws, trial).mean, 5)
+        covered.append(low <= 0.0 <= high)
+    assert least <= np.mean(covered) <= 0.985
+
+
+def test_the_degrees_of_freedom_of_two_agents_are_those_of_the_one_with_fewer_seeds():
+    one, three, five = (redrawn(RNG.normal(size=(n, 8))) for n in (1, 3, 5))
+    assert [stats.fewest(one), stats.fewest(one, five), stats.fewest(five, three)] == [1, 5, 3]
+
+
+def test_the_hardness_of_an_episode_cancels_between_agents_and_seeds_do_not():
+    hardness = RNG.exponential(5.0, 50)
+    one, two = (
+        stats.redraw(hardness[None] + c, stats.Redraws([50]), a) for a, c in ((0, 1.0), (1, 0))
+    )
+    assert (one.mean - two.mean) == pytest.approx(1.0)
+    seeds = RNG.normal(size=(5, 1)) + np.zeros((5, 50))
+    first, second = (stats.redraw(seeds, stats.Redraws([50]), agent) for agent in (0, 1))
+    assert np.var(first.mean[0] - second.mean[0]) == pytest.approx(
+        2.0 * first.mean[0].var(), rel=0.1
+    )
+
+
+def test_the_mean_of_the_worst_tenth_is_that_of_the_ten_largest_of_a_hundred():
+    assert stats.worst_tenth(RNG.permutation(np.arange(1.0, 101.0))) == 95.5
+    assert stats.worst_tenth([3.0, 1.0, 2.0]) == 3.0
+    assert stats.worst_tenth(np.arange(11.0)) == 9.5
+    sample = np.random.default_rng(1).normal(size=200_000)
+    assert stats.worst_tenth(sample) == pytest.approx(norm.pdf(norm.ppf(0.9)) / 0.1, rel=0.01)
+
+
+def test_the_probability_of_improvement_is_mann_whitneys_u_over_the_pairs():
+    x, y = RNG.integers(0, 4, (5, 30)).astype(float), RNG.integers(0, 5, (6, 30)).astype(float)
+    expected = [mannwhitneyu(y[:, n], x[:, n]).statistic / 30 for n in range(30)]
+    draws = stats.Redraws([30])
+    found = stats.improvement(stats.redraw(x, draws, 0), stats.redraw(y, draws, 1), draws)
+    assert found.value == pytest.approx(np.mean(expected))
+    back = stats.improvement(stats.redraw(y, draws, 1), stats.redraw(x, draws, 0), draws)
+    assert found.value + back.value == pytest.approx(1.0)
+    assert found.low < found.value < found.high
+    assert (found.low, found.high) == pytest.approx((1.0 - back.high, 1.0 - back.low))
+
+
+def test_the_probability_against_itself_is_a_half_and_against_something_worse_one():
+    values = RNG.normal(size=(1, 20))
+    draws = stats.Redraws([20])
+    own, worse = stats.redraw(values, draws, 0), stats.redraw(values + 1.0, draws, 1)
+    assert stats.improvement(own, own, draws) == (0.5, 0.5, 0.5)
+    assert stats.improvement(own, worse, draws) == (1.0, 1.0, 1.0)
+
+
+def test_the_interval_of_the_probability_is_that_of_a_share_when_seeds_do_not_matter():
+    first = np.where(np.arange(400) < 280, 0.0, 2.0)[None]
+    draws = stats.Redraws([400])
+    found = stats.improvement(
+        stats.redraw(first, draws, 0), stats.redraw(np.ones((1, 400)), draws, 1), draws
+    )
+    half = norm.ppf(0.975) * np.sqrt(0.7 * 0.3 / 400)
+    assert found == pytest.approx((0.7, 0.7 - half, 0.7 + half), abs=0.004)
+
+
+def test_a_performance_profile_is_the_empirical_distribution_with_a_band_around_it():
+    values = RNG.exponential(size=(4, 60))
+    tau = np.array([0.0, 0.5, 1.0, 2.0, 1e3])
+    draws = stats.Redraws([60])
+    share, low, high = stats.profile(stats.redraw(values, draws), draws, tau)
+    assert share == pytest.approx([(values <= t).mean() for t in tau])
+    assert np.all(np.diff(share) >= 0)
+    assert np.all((low <= share) & (share <= high))
+    assert np.all(low[1:4] < high[1:4])
+    assert (low[-1], high[-1]) == (1.0, 1.0)
+
+
+def test_the_score_is_the_part_of_the_gap_and_there_is_none_without_a_certain_gap():
+    base = np.linspace(0.04, 0.06, 16)
+    draws = stats.Redraws([16])
+    low, high, mine = (stats.redraw(f * base[None], draws) for f in (3.0, 1.0, 1.5))
+    found = stats.score((0.15, 0.05, 0.075), low, high, mine)
+    assert found == pytest.approx((0.75, 0.75, 0.75))
+    assert stats.score((0.05, 0.15, 0.075), high, low, mine) is None
+    assert stats.score((0.05, 0.05, 0.075), low, low, mine) is None
+
+
+def test_the_ratio_to_a_policy_without_any_error_is_infinite():
+    assert stats.ratio(np.array([1.0, 2.0]), np.array([0.0, 4.0])).tolist() == [np.inf, 0.5]
+
+
+def test_sets_of_one_size_are_redrawn_together():
+    """Copies of a set say nothing that the set does not say already."""
+    values = RNG.exponential(size=(2, 20))
+    one, three = redrawn(values), redrawn(np.tile(values, 3), [20, 20, 20])
+    assert three.mean == pytest.approx(one.mean)
+    assert three.worst[1] == pytest.approx(one.worst[1])
+    draws = stats.Redraws([20, 30, 20])
+    assert np.array_equal(draws.episodes[:, :20], draws.episodes[:, 50:])
+    assert not np.array_equal(draws.episodes[:, :20], draws.episodes[:, 20:40])
+
+
+def test_a_set_without_episodes_is_refused():
+    with pytest.raises(ValueError, match="no episodes"):
+        stats.Redraws([3, 0])
+
+
+def test_the_relative_error_is_the_geometric_mean_of_the_ratios_and_its_own_reference_is_one():
+    draws = stats.Redraws([16])
+    base = [stats.redraw(RNG.uniform(0.1, 0.2, (1, 16)), draws, 0) for _ in range(3)]
+    factors = (0.5, 1.0, 4.0)
+    pairs = [
+        (stats.redraw(f * of.values, draws, 1), of) for f, of in zip(factors, base, strict=True)
+    ]
+    found = stats.relative_error(pairs)
+    assert tuple(found) == pytest.approx((2.0 ** (1.0 / 3.0),) * 3)  # the same episodes: certain
+    assert tuple(stats.relative_error([(of, of) for of in base])) == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_the_relative_error_of_redraws_is_that_of_an_independent_bootstrap_of_all_sets():
+    shape = (5, 24)
+    agents = [RNG.lognormal(size=shape) for _ in range(3)]
+    others = [RNG.lognormal(size=(1, 24)) for _ in range(3)]
+    draws = stats.Redraws([24], resamples=40)
+    pairs = [
+        (stats.redraw(a, draws, 1), stats.redraw(b, draws, 0))
+        for a, b in zip(agents, others, strict=True)
+    ]
+    seeds, logs = draws.seeds(5, 1), np.zeros((2, 40))
+    for b in range(40):
+        rows = np.repeat(np.arange(5), seeds[b])
+        for kind, columns in enumerate((np.repeat(np.arange(24), draws.episodes[b]), range(24))):
+            for agent, other in zip(agents, others, strict=True):
+                drawn = agent[np.ix_(rows, columns)].ravel(), other[:, columns].ravel()
+                logs[kind, b] += np.subtract(*np.log([trim_mean(x, 0.25) for x in drawn])) / 3.0
+    found = stats.relative_error(pairs)
+    assert (found.low, found.high) == pytest.approx(tuple(np.exp(stats.interval(logs, 5))))
+    alone = [np.log(trim_mean(of, 0.25, axis=None)) for of in (*agents, *others)]
+    assert found.value == pytest.approx(np.exp((sum(alone[:3]) - sum(alone[3:])) / 3.0))
+
+
+@pytest.mark.parametrize(("seeds", "spread", "least"), [(1, 0.0, 0.91), (5, 0.1, 0.90)])
+def test_the_interval_of_the_relative_error_covers_what_it_says(seeds, spread, least):
+    # Episode k is as hard in every set (sigma 0.5), what else differs is of its own (sigma 0.3);
+    # the agent's errors are 0.8 of the reference's, times what its seed makes of them in all sets.
+    rng, covered = np.random.default_rng(8), []
+    draws = stats.Redraws([32], resamples=300)
+    for trial in range(200):
+        hardness = 0.5 * rng.normal(size=32)
+        seed = spread * rng.normal(size=(seeds, 1))
+        pairs = []
+        for _ in range(4):
+            agent = np.exp(seed + hardness + 0.3 * rng.normal(size=(seeds, 32)))
+            other = np.exp(hardness + 0.3 * rng.normal(size=(1, 32)))
+            pairs.append((stats.redraw(0.8 * agent, draws, 2 * trial), stats.redraw(other, draws)))
+        _, low, high = stats.relative_error(pairs)
+        covered.append(low <= 0.8 <= high)
+    assert least <= np.mean(covered) <= 0.99
+
+
+def test_a_verdict_needs_sixteen_episodes_and_five_seeds_of_what_is_trained():
+    assert stats.enough(16) and stats.enough(16, 0, 5)
+    assert not stats.enough(15) and not stats.enough(100, 5, 4)
+
+
+def test_kendalls_tau_is_that_of_scipy_with_and_without_ties():
     rng = np.random.default_rng(4)
     for largest in (3, 1000):
         for _ in range(20):

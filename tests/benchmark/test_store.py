@@ -1,33 +1,33 @@
-"""What of a store survives on disk, and what is refused."""
+"""What of a store survives on disk, and what is refused: results and traces."""
 
+import io
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.benchmark.store_cases import IDENTITY, PRINTS, chunk, record, two_chunks
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
-from tracked_env.benchmark.store import FILE, Record, Store
+from tracked_env.benchmark.metrics import CHANNELS
+from tracked_env.benchmark.store import FILE, Store
 
 ESTIMATE = dict.fromkeys(ESTIMATION_METRICS, 0.1)
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """A folder with two finished chunks."""
     return two_chunks(tmp_path / "run")
 
 
-def test_finished_chunks_are_there_after_reopening(folder: Path) -> None:
+def test_finished_chunks_are_there_after_reopening(folder):
     records = Store(folder, IDENTITY).records(PRINTS)
     assert [record["episode"] for record in records] == [0, 1, 2, 3]
     assert records[0] == {"set": "s", "policy": "a", "predict_time": 1e-6, **record(0)}
 
 
 @pytest.mark.parametrize("keep", [1, 40, -1])
-def test_a_torn_last_line_is_dropped_with_a_notice(folder: Path, keep: int) -> None:
+def test_a_torn_last_line_is_dropped_with_a_notice(folder, keep):
     line = json.dumps(chunk(4)) + "\n"
     with (folder / FILE).open("a") as file:
         file.write(line[:keep])
@@ -41,7 +41,7 @@ def test_a_torn_last_line_is_dropped_with_a_notice(folder: Path, keep: int) -> N
     assert len(again.records(PRINTS)) == 6
 
 
-def test_a_last_line_of_rubbish_is_dropped_too(folder: Path) -> None:
+def test_a_last_line_of_rubbish_is_dropped_too(folder):
     with (folder / FILE).open("ab") as file:
         file.write(b"\x00\x00\x00\x00\n")  # what a power cut leaves on some file systems
     store = Store(folder, IDENTITY)
@@ -49,7 +49,7 @@ def test_a_last_line_of_rubbish_is_dropped_too(folder: Path) -> None:
     assert len(store.records(PRINTS)) == 4
 
 
-def test_damage_before_the_last_line_is_an_error_that_names_the_line(folder: Path) -> None:
+def test_damage_before_the_last_line_is_an_error_that_names_the_line(folder):
     lines = (folder / FILE).read_text().splitlines(keepends=True)
     lines[1] = lines[1][:20] + "\n"
     (folder / FILE).write_text("".join(lines))
@@ -57,21 +57,19 @@ def test_damage_before_the_last_line_is_an_error_that_names_the_line(folder: Pat
         Store(folder, IDENTITY)
 
 
-def test_another_configuration_in_the_same_folder_is_an_error_that_says_what_differs(
-    folder: Path,
-) -> None:
+def test_another_configuration_in_the_same_folder_is_an_error_that_says_what_differs(folder):
     with pytest.raises(ValueError, match="sensors: there 'rtk', now 'ideal'"):
         Store(folder, {**IDENTITY, "sensors": "ideal"})
     assert len(Store(folder, IDENTITY).records(PRINTS)) == 4
 
 
-def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_none_of_ours_is_refused(tmp_path):
     (tmp_path / FILE).write_text('{"format": 99}\n')
     with pytest.raises(ValueError, match="not a result file of format"):
         Store(tmp_path, IDENTITY)
 
 
-def test_results_of_a_policy_whose_source_has_changed_are_skipped(folder: Path) -> None:
+def test_results_of_a_policy_whose_source_has_changed_are_skipped(folder):
     store = Store(folder, IDENTITY)
     assert store.records({"a": "2"}) == []
     store.append(chunk(0, fingerprint="2", rmse=0.1))
@@ -79,21 +77,21 @@ def test_results_of_a_policy_whose_source_has_changed_are_skipped(folder: Path) 
     assert [r["tracking_rmse"] for r in store.records({"a": "1"})] == [0.5] * 4
 
 
-def test_a_number_that_json_does_not_know_is_refused_and_leaves_no_trace(folder: Path) -> None:
+def test_a_number_that_json_does_not_know_is_refused_and_leaves_no_trace(folder):
     store = Store(folder, IDENTITY)
     with pytest.raises(ValueError, match="JSON compliant"):
         store.append(chunk(4, rmse=float("nan")))
     assert len(Store(folder, IDENTITY).records(PRINTS)) == 4
 
 
-def test_the_header_says_what_was_run_with_what_and_where(folder: Path) -> None:
+def test_the_header_says_what_was_run_with_what_and_where(folder):
     header = json.loads((folder / FILE).read_text().splitlines()[0])
     assert header["identity"] == IDENTITY
     assert header["versions"]["numpy"] == np.__version__
     assert header["machine"]["cores"] >= 1
 
 
-def edited(folder: Path, line: int, change: Any) -> None:
+def edited(folder, line, change):
     """Put something else into a line of the results."""
     path = folder / FILE
     lines = path.read_text().splitlines()
@@ -102,7 +100,7 @@ def edited(folder: Path, line: int, change: Any) -> None:
 
 
 @pytest.mark.parametrize("header", ["[]", "5", "null", "{}", '"text"', "[" * 100_000, "\x00"])
-def test_a_damaged_header_is_one_line_that_names_the_file(folder: Path, header: str) -> None:
+def test_a_damaged_header_is_one_line_that_names_the_file(folder, header):
     edited(folder, 0, header)
     with pytest.raises(ValueError, match=r"episodes\.jsonl cannot be continued: .*") as caught:
         Store(folder, IDENTITY)
@@ -114,7 +112,7 @@ def test_a_damaged_header_is_one_line_that_names_the_file(folder: Path, header: 
     [{"hash": 5}, {"hash": "0" * 12}, {"identity": []}, {"identity": {"seed": 1}},
      {"versions": None}, {"machine": "mine"}, {"more": 1}, {"format": "2"}],
 )  # fmt: skip
-def test_a_header_with_wrong_types_or_another_hash_is_refused(folder: Path, wrong: Record) -> None:
+def test_a_header_with_wrong_types_or_another_hash_is_refused(folder, wrong):
     edited(folder, 0, lambda line: json.dumps({**json.loads(line), **wrong}))
     with pytest.raises(ValueError, match="cannot be continued"):
         Store(folder, IDENTITY)
@@ -122,16 +120,14 @@ def test_a_header_with_wrong_types_or_another_hash_is_refused(folder: Path, wron
 
 @pytest.mark.parametrize("line", [1, 2])
 @pytest.mark.parametrize("text", ["[]", "5", "null", "{}", '"text"', "true"])
-def test_a_line_that_is_no_chunk_is_refused_wherever_it_is(
-    folder: Path, line: int, text: str
-) -> None:
+def test_a_line_that_is_no_chunk_is_refused_wherever_it_is(folder, line, text):
     edited(folder, line, text)
     with pytest.raises(ValueError, match=f"line {line + 1} is damaged") as caught:
         Store(folder, IDENTITY)
     assert "\n" not in str(caught.value)
 
 
-def test_records_of_every_kind_that_the_runner_makes_are_read(folder: Path) -> None:
+def test_records_of_every_kind_that_the_runner_makes_are_read(folder):
     Store(folder, IDENTITY).append(
         {**chunk(4), "episodes": [
             {**record(4), "recovery_time": 0.0, "identification": {"mass": ESTIMATE},
@@ -167,10 +163,8 @@ def test_records_of_every_kind_that_the_runner_makes_are_read(folder: Path) -> N
         ("nis", {"filter": float("nan")}, "filter of episode 0 = nan"),
     ],
 )
-def test_a_record_with_text_or_no_number_is_refused_when_it_is_read(
-    folder: Path, place: str, value: Any, message: str
-) -> None:
-    def change(line: str) -> str:
+def test_a_record_with_text_or_no_number_is_refused_when_it_is_read(folder, place, value, message):
+    def change(line):
         found = json.loads(line)
         found["episodes"][0][place] = value
         return json.dumps(found)
@@ -181,8 +175,101 @@ def test_a_record_with_text_or_no_number_is_refused_when_it_is_read(
 
 
 @pytest.mark.parametrize("name", ["policy", "fingerprint", "set", "predict_time", "episodes"])
-def test_a_chunk_with_a_wrong_type_is_refused(folder: Path, name: str) -> None:
+def test_a_chunk_with_a_wrong_type_is_refused(folder, name):
     for wrong in (None, 5 if name != "predict_time" else "5", {}):
         edited(folder, 1, json.dumps({**chunk(0), name: wrong}))
         with pytest.raises(ValueError, match=f"line 2 is damaged .{name} of the chunk"):
             Store(folder, IDENTITY)
+
+
+def motion():
+    """A trace as `figure_data` makes it."""
+    return {
+        "time": np.arange(3.0), "error": np.zeros((3, 2), np.float32),
+        "change": np.array([1.0, np.nan]),
+        "motion": np.zeros((3, 2, len(CHANNELS)), np.float32), "control_period": np.array(0.02),
+    }  # fmt: skip
+
+
+def test_traces_come_back_under_any_policy_name(tmp_path):
+    store = Store(tmp_path, IDENTITY)
+    assert store.load_trace("my.module:make", "s") is None
+    store.save_trace("my.module:make", "s", motion())
+    loaded = store.load_trace("my.module:make", "s")
+    assert loaded is not None
+    assert loaded["time"].tolist() == [0.0, 1.0, 2.0]
+    assert [path.suffix for path in (tmp_path / "traces").iterdir()] == [".npz"]
+
+
+def test_no_two_policies_or_sets_share_a_file_on_any_file_system(tmp_path):
+    store = Store(tmp_path, IDENTITY)
+    names = [
+        "a_b",
+        "a/b",
+        "a\\b",
+        "A_b",
+        "a b",
+        "a:b",
+        "ä",
+        "a\u0308",
+        "..",
+        "",
+        "a|b",
+        "a--b",
+        "b",
+        "b--b",
+    ]
+    names += ["x" * 300, "x" * 301, "x" * 60, "a@0", "a~0", "a_", "_a"]
+    pairs = [(policy, of_set) for policy in names for of_set in names]
+    files = {store.trace_path(*pair).name.lower() for pair in pairs}
+    assert len(files) == len(pairs)
+    assert all(name.isascii() and len(name) < 200 for name in files)
+    assert store.trace_path("nominal", "weak-soil").name == "weak-soil--nominal.npz"
+    for number, name in enumerate(names):
+        store.save_trace(name, "s", {**motion(), "time": np.full(3, float(number))})
+    for number, name in enumerate(names):
+        loaded = store.load_trace(name, "s")
+        assert loaded is not None
+        assert loaded["time"][0] == number
+
+
+def damaged_traces():
+    """Bytes or arrays that are none of a trace."""
+    whole = io.BytesIO()
+    np.savez(whole, **motion())
+    single = io.BytesIO()
+    np.save(single, np.zeros(3))
+    data = whole.getvalue()
+    return {
+        "empty": b"", "text": b"mine", "torn": data[:500],
+        "spoilt": data[:70] + b"\xff" * 60 + data[130:],
+        "array": single.getvalue(), "nothing": {}, "flat": {**motion(), "motion": np.zeros(3)},
+        "few channels": {**motion(), "motion": np.zeros((3, 2, 4))},
+        "no rows": {**motion(), "motion": np.zeros((0, 2, len(CHANNELS)))},
+        "other times": {**motion(), "time": np.zeros(4)},
+        "text inside": {**motion(), "error": np.full((3, 2), "x")},
+        "objects": {**motion(), "error": np.full((3, 2), None)},
+        "half a belief": {**motion(), "believed_names": np.array(["mass"])},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", damaged_traces())
+def test_a_damaged_trace_is_left_out_with_a_notice(tmp_path, kind):
+    store = Store(tmp_path, IDENTITY)
+    given = damaged_traces()[kind]
+    path = store.trace_path("a", "s")
+    if isinstance(given, bytes):
+        path.parent.mkdir()
+        path.write_bytes(given)
+    else:
+        store.save_trace("a", "s", given)
+    assert store.load_trace("a", "s") is None
+    (notice,) = store.notices
+    assert f"{path} is damaged and left out of the figures" in notice
+
+
+def test_a_trace_that_is_a_folder_is_left_out_with_a_notice(tmp_path):
+    store = Store(tmp_path, IDENTITY)
+    store.trace_path("a", "s").mkdir(parents=True)
+    assert store.load_trace("a", "s") is None
+    assert len(store.notices) == 1

@@ -5,13 +5,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.benchmark.store_cases import IDENTITY, PRINTS, chunk, two_chunks
-from tracked_env.benchmark.store import FILE, LOCK, Store, write_atomically
+from tracked_env.benchmark.files import write_atomically
+from tracked_env.benchmark.store import FILE, LOCK, Store
 
 LIMITED = """
 import resource, signal, sys
@@ -42,13 +42,13 @@ time.sleep(600)
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """A folder with two finished chunks."""
     return two_chunks(tmp_path / "run")
 
 
 @pytest.mark.parametrize("kind", ["file", "below a file", "too long", "proc", "results", "lock"])
-def test_a_folder_that_cannot_hold_results_is_one_line(tmp_path: Path, kind: str) -> None:
+def test_a_folder_that_cannot_hold_results_is_one_line(tmp_path, kind):
     (tmp_path / "file").write_text("mine")
     folder = {
         "file": tmp_path / "file", "below a file": tmp_path / "file" / "below",
@@ -65,9 +65,7 @@ def test_a_folder_that_cannot_hold_results_is_one_line(tmp_path: Path, kind: str
 
 
 @pytest.mark.parametrize("written", [0, 100])
-def test_a_short_write_fails_and_leaves_the_file_as_it_was(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, written: int
-) -> None:
+def test_a_short_write_fails_and_leaves_the_file_as_it_was(folder, monkeypatch, written):
     store = Store(folder, IDENTITY)
     before = (folder / FILE).read_bytes()
     write = os.write
@@ -85,10 +83,8 @@ def test_a_short_write_fails_and_leaves_the_file_as_it_was(
 
 
 @pytest.mark.parametrize("failing", ["fsync", "write"])
-def test_an_error_while_writing_leaves_the_file_as_it_was(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, failing: str
-) -> None:
-    def full(*arguments: Any) -> int:
+def test_an_error_while_writing_leaves_the_file_as_it_was(folder, monkeypatch, failing):
+    def full(*arguments):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     store = Store(folder, IDENTITY)
@@ -100,9 +96,7 @@ def test_an_error_while_writing_leaves_the_file_as_it_was(
     assert len(store.chunks) == 2
 
 
-def test_a_limit_of_the_system_on_files_fails_clearly_and_a_rerun_goes_on(
-    folder: Path, repository: Path
-) -> None:
+def test_a_limit_of_the_system_on_files_fails_clearly_and_a_rerun_goes_on(folder, repository):
     pytest.importorskip("resource", reason="limits of processes are those of POSIX")
     done = subprocess.run(
         [sys.executable, "-c", LIMITED, str(folder)], cwd=repository, capture_output=True,
@@ -118,7 +112,7 @@ def test_a_limit_of_the_system_on_files_fails_clearly_and_a_rerun_goes_on(
     assert len(Store(folder, IDENTITY).records(PRINTS)) == 6
 
 
-def test_results_that_were_deleted_meanwhile_are_not_begun_without_a_header(folder: Path) -> None:
+def test_results_that_were_deleted_meanwhile_are_not_begun_without_a_header(folder):
     store = Store(folder, IDENTITY)
     (folder / FILE).unlink()
     with pytest.raises(OSError, match="No such file"):
@@ -126,12 +120,10 @@ def test_results_that_were_deleted_meanwhile_are_not_begun_without_a_header(fold
     assert not (folder / FILE).exists()
 
 
-def test_no_temporary_file_survives_a_failure_or_a_rerun(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_temporary_file_survives_a_failure_or_a_rerun(folder, monkeypatch):
     store = Store(folder, IDENTITY)
 
-    def full(*arguments: Any) -> None:
+    def full(*arguments):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
@@ -155,8 +147,8 @@ def test_no_temporary_file_survives_a_failure_or_a_rerun(
 
 
 def test_a_folder_is_open_in_one_process_at_a_time_and_a_killed_one_blocks_nothing(
-    folder: Path, repository: Path
-) -> None:
+    folder, repository
+):
     partial = folder / ".results.json.4711.tmp"
     with subprocess.Popen(
         [sys.executable, "-c", HOLDING, str(folder)], cwd=repository, stdout=subprocess.PIPE,
@@ -178,7 +170,7 @@ def test_a_folder_is_open_in_one_process_at_a_time_and_a_killed_one_blocks_nothi
     assert not partial.exists()
 
 
-def test_a_process_may_open_its_folder_again(folder: Path) -> None:
+def test_a_process_may_open_its_folder_again(folder):
     first, second = Store(folder, IDENTITY), Store(folder, IDENTITY)
     first.append(chunk(4))
     del first

@@ -1,7 +1,7 @@
 """The search of settings: what it finds, spends, refuses and counts."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -10,7 +10,6 @@ from tracked_env.benchmark.tuning import (
     FACTORS,
     LOST,
     Candidate,
-    Evaluate,
     Outcome,
     Ranges,
     Settings,
@@ -33,11 +32,11 @@ class Given(NamedTuple):
     share: float = 0.9
 
 
-def bowl(refused: float = math.inf) -> tuple[Evaluate, list[Settings]]:
+def bowl(refused=math.inf):
     """An objective with its optimum at OPTIMUM that refuses gains from `refused` on."""
     asked: list[Settings] = []
 
-    def evaluate(stage: str, settings: Settings) -> Candidate | None:
+    def evaluate(stage, settings):
         if settings["gain"] >= refused:
             return None
         asked.append(settings)
@@ -48,7 +47,7 @@ def bowl(refused: float = math.inf) -> tuple[Evaluate, list[Settings]]:
     return evaluate, asked
 
 
-def test_the_search_finds_the_optimum_of_a_bowl_within_its_finest_step() -> None:
+def test_the_search_finds_the_optimum_of_a_bowl_within_its_finest_step():
     evaluate, _ = bowl()
     found = list(searched(RANGES, DEFAULT, 60, evaluate))
     best = min(found, key=lambda one: one.cost)
@@ -57,7 +56,7 @@ def test_the_search_finds_the_optimum_of_a_bowl_within_its_finest_step() -> None
 
 
 @pytest.mark.parametrize("budget", [3, 4, 17, 30])
-def test_the_budget_is_what_is_driven_and_nothing_is_driven_twice(budget: int) -> None:
+def test_the_budget_is_what_is_driven_and_nothing_is_driven_twice(budget):
     evaluate, asked = bowl()
     found = list(searched(RANGES, DEFAULT, budget, evaluate))
     assert len(found) == len(asked) == budget
@@ -66,7 +65,7 @@ def test_the_budget_is_what_is_driven_and_nothing_is_driven_twice(budget: int) -
     assert stages.count("search") == (budget + 1) // 2 - 1
 
 
-def test_settings_that_are_refused_are_not_counted_and_the_search_goes_round_them() -> None:
+def test_settings_that_are_refused_are_not_counted_and_the_search_goes_round_them():
     evaluate, asked = bowl(refused=20.0)
     found = list(searched(RANGES, DEFAULT, 30, evaluate))
     assert 25 <= len(found) == len(asked) <= 30  # it may end at its finest step
@@ -74,11 +73,11 @@ def test_settings_that_are_refused_are_not_counted_and_the_search_goes_round_the
     assert best["gain"] < 20.0 and best["gain"] > 15.0
 
 
-def test_a_refusal_costs_nothing_of_the_budget_in_either_stage() -> None:
+def test_a_refusal_costs_nothing_of_the_budget_in_either_stage():
     evaluate, _ = bowl(refused=20.0)
     refused: list[str] = []
 
-    def watched(stage: str, settings: Settings) -> Candidate | None:
+    def watched(stage, settings):
         found = evaluate(stage, settings)
         if found is None:
             refused.append(stage)
@@ -88,8 +87,8 @@ def test_a_refusal_costs_nothing_of_the_budget_in_either_stage() -> None:
     assert set(refused) == {"search", "refine"}
 
 
-def test_the_search_covers_the_ranges_and_is_the_same_each_time() -> None:
-    def points() -> list[Settings]:
+def test_the_search_covers_the_ranges_and_is_the_same_each_time():
+    def points():
         found = searched(RANGES, DEFAULT, 40, bowl()[0])
         return [one.settings for one in found if one.stage == "search"]
 
@@ -100,14 +99,14 @@ def test_the_search_covers_the_ranges_and_is_the_same_each_time() -> None:
         assert min(values) < 0.12 and max(values) > 0.88
 
 
-def test_points_and_settings_are_inverse_and_stay_in_their_ranges() -> None:
+def test_points_and_settings_are_inverse_and_stay_in_their_ranges():
     settings = unscaled(RANGES, scaled(RANGES, OPTIMUM))
     assert settings == pytest.approx(OPTIMUM, rel=1e-3)
     assert scaled(RANGES, {"gain": math.inf, "share": -1.0}).tolist() == [1.0, 0.0]
     assert unscaled(RANGES, np.array([1.5, -0.5])) == {"gain": 100.0, "share": 0.0}
 
 
-def test_the_cost_is_the_geometric_mean_of_the_errors_with_a_price_on_failures() -> None:
+def test_the_cost_is_the_geometric_mean_of_the_errors_with_a_price_on_failures():
     sets = [Outcome(0.04, 0.01, 0.0, 1.0), Outcome(0.16, 0.04, 0.02, 1.0)]
     assert cost(sets[:1]) == pytest.approx(0.02)
     assert cost(sets) == pytest.approx(0.04 * (1.0 + LOST * 0.01))
@@ -115,21 +114,21 @@ def test_the_cost_is_the_geometric_mean_of_the_errors_with_a_price_on_failures()
     assert cost([sets[0]._replace(rmse=0.08), sets[1]]) > cost(sets)
 
 
-def test_each_setting_is_varied_alone_but_for_those_without_a_scale() -> None:
+def test_each_setting_is_varied_alone_but_for_those_without_a_scale():
     rows = dict(varied({"gain": 10.0, "none": 0.0, "all": math.inf}))
     assert list(rows) == [f"gain x {factor:g}" for factor in FACTORS]
     assert rows["gain x 0.5"] == {"gain": 5.0, "none": 0.0, "all": math.inf}
 
 
-def declared(**attributes: Any) -> Any:
-    def make(context: Any, **settings: float) -> None: ...
+def declared(**attributes):
+    def make(context, **settings): ...
 
     for name, value in attributes.items():
         setattr(make, name, value)
     return make
 
 
-def test_a_policy_without_ranges_or_with_wrong_ones_is_refused() -> None:
+def test_a_policy_without_ranges_or_with_wrong_ones_is_refused():
     with pytest.raises(ValueError, match=r"'blind' declares no settings.*Is it an agent"):
         tunable("blind", declared())
     wrong = declared(TUNABLE={"gain": (0.0, 1.0, True)}, SETTINGS=Given)

@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.cli import evaluate_command
-from tracked_env.cli import evaluate_command as clone
+from tracked_env.cli import command_line, evaluate_command
 from tracked_env.cli.evaluate_options import Config, env_of, parsed
 from tracked_env.cli.main import COMMANDS, main
 
@@ -197,7 +196,7 @@ def test_leaderboard_evaluates_everything_on_every_environment(
 ) -> None:
     asked: list[Config] = []
     monkeypatch.setattr(
-        "tracked_env.cli.leaderboard_command.run_config",
+        "tracked_env.cli.evaluate_command.run_config",
         lambda config, program: asked.append(config) or 0,
     )
     assert main(["leaderboard", "--episodes", "3", "--output", "board"]) == 0
@@ -220,7 +219,7 @@ def test_what_only_a_clone_has_is_one_line_that_says_how_to_get_it(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(clone, "ROOT", tmp_path)
+    monkeypatch.setattr(command_line, "ROOT", tmp_path)
     assert main(arguments) == 2
     error = capsys.readouterr().err
     assert message in error and "Clone the repository" in error and error.count("\n") == 1

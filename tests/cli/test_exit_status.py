@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tracked_env.benchmark.policy_interface import PolicyError
-from tracked_env.cli.exit_status import one_line, reported
+from tracked_env.cli.command_line import one_line, reported
 
 
 @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(
             assert workers == 1
 
         def results(self, function: Any, shared: Any, jobs: list[int]) -> Any:
-            asked.append((function, shared.specs))
+            asked.append((function, shared[1]))
             return iter(())
 
     monkeypatch.setattr(evaluate_command, "WorkerPool", Pool)

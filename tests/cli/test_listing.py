@@ -69,7 +69,7 @@ def test_envs_lists_every_environment_and_evaluation_set(
     for env, first in zip(ids, firsts, strict=True):
         version = version_of(env)
         assert version is not None and first.split()[0] == version.sets[0]
-        entry = frozen.kept(version)["sets"][version.sets[0]]
+        entry = frozen.stored(version)["sets"][version.sets[0]]
         mark = f"[{version.name}, {entry['group']}, version 1, hash {entry['hash']}]"
         assert first.endswith(mark)
     assert [line.split()[0] for line in lines if not line.startswith("  ")] == ids

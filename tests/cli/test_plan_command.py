@@ -9,7 +9,7 @@ import pytest
 
 from baselines.planners.plan import planned
 from tracked_env import entry_points
-from tracked_env.cli.exit_status import COMPILING
+from tracked_env.cli.command_line import COMPILING
 from tracked_env.cli.main import main
 from tracked_env.cli.plan_command import outline
 
@@ -70,7 +70,7 @@ def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(
         return planned((2.0, 2.5, -0.4), method="dubins", slips=False)
 
     monkeypatch.setattr("tracked_env.cli.plan_command.command_function", lambda name: slow)
-    monkeypatch.setattr("tracked_env.cli.exit_status.PATIENCE", 0.05)
+    monkeypatch.setattr("tracked_env.cli.command_line.PATIENCE", 0.05)
     assert main([*QUICK]) == 0
     assert capsys.readouterr().err == f"{COMPILING}\n"
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.plants.mirrored import assert_mirrored
+from tracked_env.arrays import RELIEF_COLUMNS
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.terrain_motion import NOMINAL_BODY
 from tracked_env.plants.standalone import Rig, TerrainRig
 from tracked_env.plants.terrain import RELIEF
-from tracked_env.terrain.ground import RELIEF_COLUMNS
 
 FOCCHI = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
 GRAVITY, HEIGHT, HALF_LENGTH, RADIUS = 9.81, 0.25, 0.35, 0.0856
@@ -37,11 +37,7 @@ def driven(rig, speed, duration=4.0):
 
 @pytest.mark.parametrize(
     ("load", "aside", "tilt"),
-    [
-        ("nonuniform", False, 6.56e-3),
-        ("uniform", False, 6.47e-3),
-        ("uniform", True, 2.827e-3),
-    ],
+    [("nonuniform", False, 6.56e-3), ("uniform", False, 6.47e-3), ("uniform", True, 2.827e-3)],
 )
 def test_a_vehicle_holds_on_a_slope_and_leans_as_its_springs_allow(load, aside, tilt):
     rig = on_slope(STEEP, load=load, aside=aside)

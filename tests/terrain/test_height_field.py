@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from tracked_env.terrain.ground import STEEPEST, fill_places
+from tracked_env.arrays import STEEPEST
+from tracked_env.terrain.ground import fill_places
 from tracked_env.terrain.height_field import KINDS, make_height_field
 
 RNG = np.random.default_rng(0)

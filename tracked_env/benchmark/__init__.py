@@ -1,35 +1,35 @@
-"""Paired comparison of policies on named uncertainty sets; docs/evaluation.md shows its use."""
+"""Paired comparison of policies on named uncertainty sets; docs/evaluation.md shows its use.
 
-from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.evaluation_sets import DEFAULT_SETS, SETS, BenchmarkSet, default_sets
-from tracked_env.benchmark.frozen import check
-from tracked_env.benchmark.policy_interface import (
-    Policy,
-    PolicyContext,
-    PolicyEntry,
-    PolicyFactory,
-    load_policy,
-)
-from tracked_env.benchmark.report import terminal
-from tracked_env.benchmark.runner import run
-from tracked_env.benchmark.store import Store
-from tracked_env.benchmark.summary import Summary, summarise
+What a policy is, is imported at once; the rest when it is first named, so that a training or a
+controller does not load tables, figures and the runner.
+"""
 
-__all__ = [
-    "DEFAULT_SETS",
-    "SETS",
-    "BenchmarkConfig",
-    "BenchmarkSet",
-    "Policy",
-    "PolicyContext",
-    "PolicyEntry",
-    "PolicyFactory",
-    "Store",
-    "Summary",
-    "check",
-    "default_sets",
-    "load_policy",
-    "run",
-    "summarise",
-    "terminal",
-]
+from importlib import import_module
+from typing import Any
+
+from tracked_env.benchmark.policy_interface import Policy, PolicyContext, PolicyEntry, PolicyFactory
+
+_MODULES = {
+    "BenchmarkConfig": "benchmark_config",
+    "BenchmarkSet": "evaluation_sets",
+    "DEFAULT_SETS": "evaluation_sets",
+    "SETS": "evaluation_sets",
+    "default_sets": "evaluation_sets",
+    "check": "frozen",
+    "load_policies": "policies",
+    "load_policy": "policies",
+    "policies_for": "policies",
+    "terminal": "report",
+    "run": "runner",
+    "Store": "store",
+    "Summary": "summary",
+    "summarise": "summary",
+}
+
+__all__ = ["Policy", "PolicyContext", "PolicyEntry", "PolicyFactory", *_MODULES]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

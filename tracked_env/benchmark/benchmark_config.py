@@ -14,7 +14,8 @@ from tracked_env.benchmark.evaluation_sets import (
     Version,
     version_of,
 )
-from tracked_env.benchmark.policy_interface import PolicyContext, source_fingerprint
+from tracked_env.benchmark.files import source_fingerprint
+from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.observation import make_layout
 from tracked_env.physics.kernel_cache import imported_source
 from tracked_env.sensors import make_sensors
@@ -30,22 +31,19 @@ WITHOUT_INFLUENCE = {
     "cli/": "command lines",
     "rendering/": "pictures of a state",
     "sb3.py": "another interface to the vector environment",
+    "benchmark/executors.py": "where chunks of episodes run",
     "benchmark/figures.py": "figures from records",
-    "benchmark/executors/": "where chunks of episodes run",
-    "benchmark/files.py": "writes records",
-    "benchmark/text_tables.py": "tables from cells",
-    "benchmark/frozen.py": "compares what is drawn with what is kept",
+    "benchmark/files.py": "writes records, digests of sources",
+    "benchmark/frozen.py": "compares what is drawn with what is stored",
     "benchmark/leaderboard.py": "tables from records",
-    "benchmark/progress_bar.py": "shows how far it is",
-    "benchmark/store.py": "names machine and packages in records",
-    "benchmark/policies.py": "finds policies; each record has its own fingerprint",
     "benchmark/leaderboard_page.py": "tables from records",
-    "benchmark/relative_errors.py": "statistics of records",
-    "benchmark/reliability.py": "statistics of records",
+    "benchmark/policies.py": "finds policies; each record has its own fingerprint",
+    "benchmark/records.py": "checks of what is read, the motion that is stored for figures",
     "benchmark/report.py": "tables from records",
     "benchmark/statistics.py": "statistics of records",
+    "benchmark/store.py": "writes and reads records",
     "benchmark/summary.py": "statistics of records",
-    "benchmark/training_curves.py": "what trainings left beside their archives",
+    "benchmark/tables.py": "tables from cells",
     "benchmark/tuning.py": "chooses settings of policies; each record has its own fingerprint",
     "benchmark/video.py": "pictures of an episode",
 }
@@ -85,21 +83,19 @@ class BenchmarkConfig:
             raise ValueError(f"sets = {self.sets} are of {sorted(ids)}; must be of one environment")
         if len(set(self.sets)) != len(self.sets) or not self.sets:
             raise ValueError(f"sets = {self.sets}; must be one or more, each named once")
-        for name in ("episodes", "chunk"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} = {getattr(self, name)}; must be at least 1")
+        for name, least in (("episodes", 1), ("chunk", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} = {getattr(self, name)}; must be at least {least}")
         version_of(self.env, self.sets, self.version)
-        if self.seed < 0:
-            raise ValueError(f"seed = {self.seed}; must be at least 0")
         for name in self.sets:
             self.environment(name, 1, truth=False).close()
 
     def identity(self) -> dict[str, Any]:
         """Everything that changes the numbers of an episode, the policy apart."""
-        fields = asdict(self)
+        identity = {**asdict(self), "source": SOURCE}
         for name in ("sets", "episodes", "chunk", "version"):
-            del fields[name]
-        own = {
+            del identity[name]
+        others = {
             name: [
                 repr(part) if field != "uncertainty" else fingerprint(make_uncertainty(part))
                 for field, part in sorted(SETS[name]._asdict().items())
@@ -107,8 +103,7 @@ class BenchmarkConfig:
             for name in self.sets
             if name not in OF_VERSION
         }
-        identity = {**fields, "source": SOURCE}
-        return {**identity, "own_sets": own} if own else identity
+        return {**identity, "own_sets": others} if others else identity
 
     @property
     def env(self) -> str:
@@ -122,26 +117,26 @@ class BenchmarkConfig:
 
     def evaluation_set(self, name: str) -> BenchmarkSet:
         """A set, with the settings of this configuration in place of its own."""
-        given = {key: getattr(self, key) for key in ("reference", "sensors", "duration")}
-        return SETS[name]._replace(**{k: v for k, v in given.items() if v is not None})
+        settings = {key: getattr(self, key) for key in ("reference", "sensors", "duration")}
+        return SETS[name]._replace(**{k: v for k, v in settings.items() if v is not None})
 
     def context(self, name: str) -> PolicyContext:
         """Information on the environment of a set that a policy may use."""
         chosen = self.evaluation_set(name)
-        known = {k: v for k, v in chosen.arguments.items() if k in ("drive", "vehicle")}
-        shown = make_layout(chosen.arguments.get("observation", "v0")).names
+        vehicle = {k: v for k, v in chosen.arguments.items() if k in ("drive", "vehicle")}
+        fields = make_layout(chosen.arguments.get("observation", "v0")).names
         sensors = make_sensors(chosen.sensors)
         period = 1.0 / self.control_rate
-        return PolicyContext(period, self.lateral, sensors, **known, observation=shown)
+        return PolicyContext(period, self.lateral, sensors, **vehicle, observation=fields)
 
     def arguments(self, name: str, truth: bool) -> dict[str, Any]:
         """Arguments of an environment for a set; truth: whether it exposes it."""
         chosen = self.evaluation_set(name)
         limit = {} if self.error_limit is None else {"error_limit": self.error_limit}
         registered = gymnasium.registry.get(chosen.env)
-        own = {} if registered is None else registered.kwargs
+        usual = {} if registered is None else registered.kwargs
         return {
-            **{name: value for name, value in own.items() if name == "base_vehicle"},
+            **{name: value for name, value in usual.items() if name == "base_vehicle"},
             **chosen.arguments,
             **limit,
             "reference": chosen.reference,

@@ -1,20 +1,4 @@
-"""Splits of the seeds: which episodes choose, which check, and which are published.
-
-Episode i of an evaluation set is drawn from the seed FIRST + i of its split:
-    FROZEN       the published episodes; nothing is ever chosen on them
-    DEVELOPMENT  gains, settings and designs are chosen on these
-    AUDIT        conclusions are checked on these, once, at the end
-    OBSERVER     noise levels and gates of the estimators are chosen and confirmed on these
-Trainings and their held-out episodes begin at seeds far above (`agents.training`).
-
-The evaluation sets: laws with sensors, reference, plant and duration of their episodes.
-
-Which of them are frozen, and in which version, is in `tracked_env.benchmark.evaluation_sets`; those of no
-version are candidates, run where they are named. A set that is changed gets the next `version`,
-and its digests are made anew; those of all other sets stay. Sets in FIRST are held by versions that
-do not change: what is to be another one there gets another name.
-
-The evaluation sets, in each version the same episodes for every policy.
+"""The evaluation sets, in each version the same episodes for every policy, and the splits of seeds.
 
 A set is a law of vehicles, soils and changes (`tracked_env.uncertainty`), with the environment id,
 the sensors, the reference and the duration of its episodes; episode i is drawn from seed SEED + i.
@@ -22,14 +6,24 @@ Digests of the first EPISODES are kept in one file per version (`Version.file`),
 compares with them. A set belongs here if it separates policies: nominal from oracle or, in the sets
 that need memory, policies of one observation from policies of many.
 
-The sets are defined in `set_catalogue`. Those of a version are in groups, by what decides there:
+The sets of a version are in groups, by what decides there:
     memory               what was observed before
     identification       parameters that are found under way
     mismatch             the plant is not the model of any controller
     out-of-distribution  not met in any training
-To change a set of the newest versions is to count its `version` up, to make its digests anew and to
-leave all others; older versions stay as they are. `register` adds a set of one's own, which is run
-where it is named and belongs to no version.
+Those of no version are candidates, run where they are named. To change a set of the newest versions
+is to count its `version` up, to make its digests anew and to leave all others; older versions stay
+as they are. Sets in FIRST are held by versions that do not change: what is to be another one there
+gets another name. `register` adds a set of one's own, which is run where it is named and belongs to
+no version.
+
+Which episodes choose, which check, and which are published: those of a split have the seeds from
+its first one on,
+    FROZEN       the published episodes; nothing is ever chosen on them
+    DEVELOPMENT  gains, settings and designs are chosen on these
+    AUDIT        conclusions are checked on these, once, at the end
+    OBSERVER     noise levels and gates of the estimators are chosen and confirmed on these
+Trainings and their held-out episodes begin at seeds far above.
 """
 
 from collections.abc import Mapping, Sequence
@@ -44,14 +38,11 @@ from tracked_env.physics.parameters import STATE_NAMES
 from tracked_env.uncertainty import Spec
 from tracked_env.validation import unknown
 
-FROZEN = 0
-DEVELOPMENT = 50_000
-AUDIT = 60_000
-OBSERVER = 70_000
+FROZEN, DEVELOPMENT, AUDIT, OBSERVER = 0, 50_000, 60_000, 70_000
+SPLITS = {"frozen": FROZEN, "development": DEVELOPMENT, "audit": AUDIT, "observer": OBSERVER}
 LENGTH = 10_000  # [-] seeds of a split, at most
-SPLITS = {
-    "frozen": FROZEN, "development": DEVELOPMENT, "audit": AUDIT, "observer": OBSERVER
-}  # fmt: skip
+EPISODES = 100  # of each set, that are compared with those of the version
+SEED = FROZEN  # of the first episode
 
 
 def seeds_of(split: str) -> range:
@@ -75,263 +66,231 @@ class BenchmarkSet(NamedTuple):
     version: int = 1  # counts the changes of this set
 
 
-def _indoors(name: str, uncertainty: str, about: str, **given: Any) -> BenchmarkSet:
-    """A set of Speed-v0."""
-    further = ("vehicle", "plant", "drive", "error_limit")
-    arguments = {key: given.get(key, SPEED[key]) for key in further}
-    sensors = given.get("sensors", SPEED["sensors"])
-    reference = given.get("reference", SPEED["reference"])
-    return BenchmarkSet(
-        name, uncertainty, about, sensors, reference, 30.0, SPEED_ID, MappingProxyType(arguments)
+def _sets(
+    env: str,
+    rows: Sequence[tuple[Any, ...]],
+    usual: Mapping[str, Any] = MappingProxyType({}),
+    duration: float = 30.0,
+    **more: Any,
+) -> tuple[BenchmarkSet, ...]:
+    """Sets of an id from rows: name, law, what is asked, then sensors, reference and plant.
+
+    usual: arguments that the id is registered with, where a row does not say them; more: others.
+    """
+    defaults = usual.get("sensors", "rtk"), usual.get("reference", "random")
+    names = [name for name in ("vehicle", "plant", "drive", "error_limit") if name in usual]
+    sets = []
+    for name, law, about, *of in rows:
+        sensors, reference, *plant = (*of, *defaults[len(of) :])
+        arguments = {key: usual[key] for key in names} | more
+        if plant:
+            arguments["plant"] = plant[0]
+        proxy = MappingProxyType(arguments)
+        sets.append(BenchmarkSet(name, law, about, sensors, reference, duration, env, proxy))
+    return tuple(sets)
+
+
+# The reference to a goal is a plan in closed form, because the last bits of what is searched for
+# depend on the processor. It takes 4 to 16 s.
+_PLAN = {"kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"curvature": 2.0}}
+# What is shown: where there are goals, the goal too; on slopes the heights around the vehicle.
+_SHOWN_TO_GOALS = (*V0.groups, "goal")
+_SHOWN_ON_SLOPES = (*TERRAIN["observation"], "height_scan")
+# Rows of sets: name, law, what is asked, sensors, reference, plant. Sensors outdoors and indoors:
+_RTK = "rtk"
+_GAPS, _GAPS_INDOORS = "rtk-outages", "mocap-outages"  # no pose for 3 to 10 s; the others stay
+_BLIND_GAPS = {"preset": _GAPS, "velocity_measured": 0.0}
+_BLIND = {"preset": "rtk", "velocity_measured": 0.0}
+_BLIND_INDOORS = {"preset": "mocap", "velocity_measured": 0.0}
+_RARE = {"preset": "rtk", "pose_rate": 1.0}
+_RARE_INDOORS = {"preset": "mocap", "pose_rate": 1.0}
+_LATE = {"preset": "rtk", "pose_delay": 0.2}
+_LATER = {"preset": "rtk", "pose_delay": 0.5}
+_LATE_INDOORS = {"preset": "mocap", "pose_delay": 0.1}
+_NOISY = "strawa"
+_NOISY_INDOORS = {"preset": "mocap", "position_noise": 0.05}
+_MOCAP = SPEED["sensors"]
+_LIMITS = {"yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
+_FAST = {"kind": "random", "speed_range": [2.0, 5.0], **_LIMITS}
+_BACKWARD = {"kind": "random", "speed_range": [-3.0, -1.0]}
+_BACKWARD_INDOORS = {**SPEED["reference"], "speed_range": [-0.5, -0.1]}
+_BACKWARD_ON_SLOPES = {**TERRAIN["reference"], "speed_range": [-0.5, -0.1]}
+_PATCHES = "distributed"  # another plant than any controller's model: shear under the tracks
+
+# Frozen in v2, terrain-v1 and goals-v1.
+_FIRST_OUTDOORS = (
+    ("nominal", "nominal", "nothing is unknown"),
+    ("soil-and-mass", "soil-and-mass", "unknown vehicle on unknown soil"),
+    ("payload", "payload", "the mass steps"),
+    ("resistance-map", "resistance-map", "the resistance varies in the plane"),
+    ("weak-soil", "weak-soil", "large slip, little traction"),
+    ("terrain-transition", "terrain-transition", "a border to another soil"),
+    ("drift", "drift", "everything slides away slowly"),
+    ("mixed", "mixed", "several changes at once"),
+    ("ood", "ood", "outside the ranges of all other sets"),
+    # One observation does not determine the position or the velocity of the vehicle.
+    ("late-pose", "soil-and-mass", "position, heading, velocity come 0.2 s late", _LATE),
+    ("noisy", "soil-and-mass", "position noise of 1 m", _NOISY),
+    ("no-velocity", "soil-and-mass", "the velocity is not measured", _BLIND),
+    ("slow-drive", "slow-drive", "the motors lag 0.15 to 0.3 s"),
+    (
+        "distributed",
+        "loose-soil",
+        "patches under the tracks: model mismatch for all controllers",
+        _RTK,
+        "random",
+        _PATCHES,
+    ),
+)
+_FIRST_INDOORS = (
+    ("floor", "nominal", "nothing is unknown, indoors"),
+    ("friction", "friction", "unknown vehicle on an unknown floor"),
+    ("friction-step", "friction-step", "a border to another floor"),
+    ("friction-drift", "friction-drift", "the floor gets wet, or dries"),
+    ("floor-mixed", "floor-mixed", "another load, another floor"),
+    ("floor-ood", "floor-ood", "ice or soil, heavy loads, drives that lag"),
+    ("floor-late-pose", "friction", "position, heading, velocity come 0.1 s late", _LATE_INDOORS),
+)
+_FIRST_ON_SLOPES = (
+    ("level", "nominal", "nothing is unknown, level ground"),
+    ("slope", "slope", "unknown vehicle on an unknown slope"),
+    ("hills", "hills", "unknown vehicle on unknown hills"),
+    ("slope-step", "slope-step", "on a slope, a border to another floor"),
+    ("soft-patches", "soft-patches", "hills with soft ground on the path"),
+    ("hills-ood", "hills-ood", "steeper hills, heavy loads, little friction"),
+    ("slope-payload", "slope-payload", "a load off the middle is put down or taken up"),
+    ("hills-late-pose", "hills", "position, heading, velocity come 0.1 s late", _LATE_INDOORS),
+)
+_FIRST_TO_GOALS = (
+    ("goals", "friction", "a goal to be reached on an unknown floor"),
+    ("goals-step", "friction-step", "a goal across a border to another floor"),
+)
+
+
+def _of_all_ids(
+    outdoors: Sequence[tuple[Any, ...]],
+    indoors: Sequence[tuple[Any, ...]],
+    on_slopes: Sequence[tuple[Any, ...]],
+    to_goals: Sequence[tuple[Any, ...]],
+) -> tuple[BenchmarkSet, ...]:
+    planned = {**SPEED, "reference": _PLAN}
+    return (
+        *_sets(TORQUE_ID, outdoors),
+        *_sets(SPEED_ID, indoors, SPEED),
+        *_sets(TERRAIN_ID, on_slopes, TERRAIN, observation=_SHOWN_ON_SLOPES),
+        *_sets(SPEED_ID, to_goals, planned, 20.0, observation=_SHOWN_TO_GOALS),
     )
 
 
-# Sets of Terrain-v0 show the heights around the vehicle too, behind the groups of the id.
-_SHOWN = (*TERRAIN["observation"], "height_scan")
-
-
-def _on_slopes(
-    name: str,
-    uncertainty: str,
-    about: str,
-    sensors: str | Mapping[str, Any] = TERRAIN["sensors"],
-    reference: Mapping[str, Any] = TERRAIN["reference"],
-) -> BenchmarkSet:
-    """A set of Terrain-v0."""
-    arguments = {key: TERRAIN[key] for key in ("vehicle", "plant", "drive", "error_limit")}
-    arguments["observation"] = _SHOWN
-    return BenchmarkSet(
-        name, uncertainty, about, sensors, reference, 30.0, TERRAIN_ID,
-        MappingProxyType(arguments),
-    )  # fmt: skip
-
-
-# Sets with a goal, which is shown too. The reference is a plan in closed form, because the last
-# bits of what is searched for depend on the processor. It takes 4 to 16 s.
-_PLAN = {"kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"curvature": 2.0}}
-_TO_GOALS = (*V0.groups, "goal")
-_GOAL_TIME = 20.0  # [s]
-
-
-def _to_goals(name: str, uncertainty: str, about: str, **given: Any) -> BenchmarkSet:
-    """A set of Speed-v0 with goals."""
-    indoors = _indoors(name, uncertainty, about, reference=_PLAN, **given)
-    arguments = MappingProxyType({**indoors.arguments, "observation": _TO_GOALS})
-    return indoors._replace(duration=_GOAL_TIME, arguments=arguments)
-
-
-# Frozen in v2, terrain-v1 and goals-v1.
-FIRST = (
-    BenchmarkSet("nominal", "nominal", "nothing is unknown"),
-    BenchmarkSet("soil-and-mass", "soil-and-mass", "unknown vehicle on unknown soil"),
-    BenchmarkSet("payload", "payload", "the mass steps"),
-    BenchmarkSet("resistance-map", "resistance-map", "the resistance varies in the plane"),
-    BenchmarkSet("weak-soil", "weak-soil", "large slip, little traction"),
-    BenchmarkSet("terrain-transition", "terrain-transition", "a border to another soil"),
-    BenchmarkSet("drift", "drift", "everything slides away slowly"),
-    BenchmarkSet("mixed", "mixed", "several changes at once"),
-    BenchmarkSet("ood", "ood", "outside the ranges of all other sets"),
-    # One observation does not determine the position or the velocity of the vehicle.
-    BenchmarkSet(
-        "late-pose", "soil-and-mass", "position, heading, velocity come 0.2 s late",
-        {"preset": "rtk", "pose_delay": 0.2},
-    ),
-    BenchmarkSet("noisy", "soil-and-mass", "position noise of 1 m", "strawa"),
-    BenchmarkSet(
-        "no-velocity", "soil-and-mass", "the velocity is not measured",
-        {"preset": "rtk", "velocity_measured": 0.0},
-    ),
-    BenchmarkSet("slow-drive", "slow-drive", "the motors lag 0.15 to 0.3 s"),
-    # Another plant than any controller's model: the shear of patches under the tracks.
-    BenchmarkSet(
-        "distributed", "loose-soil", "patches under the tracks: model mismatch for all controllers",
-        arguments=MappingProxyType({"plant": "distributed"}),
-    ),
-    _indoors("floor", "nominal", "nothing is unknown, indoors"),
-    _indoors("friction", "friction", "unknown vehicle on an unknown floor"),
-    _indoors("friction-step", "friction-step", "a border to another floor"),
-    _indoors("friction-drift", "friction-drift", "the floor gets wet, or dries"),
-    _indoors("floor-mixed", "floor-mixed", "another load, another floor"),
-    _indoors("floor-ood", "floor-ood", "ice or soil, heavy loads, drives that lag"),
-    _indoors(
-        "floor-late-pose", "friction", "position, heading, velocity come 0.1 s late",
-        sensors={"preset": "mocap", "pose_delay": 0.1},
-    ),
-    _on_slopes("level", "nominal", "nothing is unknown, level ground"),
-    _on_slopes("slope", "slope", "unknown vehicle on an unknown slope"),
-    _on_slopes("hills", "hills", "unknown vehicle on unknown hills"),
-    _on_slopes("slope-step", "slope-step", "on a slope, a border to another floor"),
-    _on_slopes("soft-patches", "soft-patches", "hills with soft ground on the path"),
-    _on_slopes("hills-ood", "hills-ood", "steeper hills, heavy loads, little friction"),
-    _on_slopes("slope-payload", "slope-payload", "a load off the middle is put down or taken up"),
-    _on_slopes(
-        "hills-late-pose", "hills", "position, heading, velocity come 0.1 s late",
-        sensors={"preset": "mocap", "pose_delay": 0.1},
-    ),
-    _to_goals("goals", "friction", "a goal to be reached on an unknown floor"),
-    _to_goals("goals-step", "friction-step", "a goal across a border to another floor"),
-)  # fmt: skip
+FIRST = _of_all_ids(_FIRST_OUTDOORS, _FIRST_INDOORS, _FIRST_ON_SLOPES, _FIRST_TO_GOALS)
 # The others: of v3, or candidates for it.
-_RARE = {"preset": "rtk", "pose_rate": 1.0}
-_LATE = {"preset": "rtk", "pose_delay": 0.2}
-_LATER = {"preset": "rtk", "pose_delay": 0.5}
-_BLIND_OUTAGES = {"preset": "rtk-outages", "velocity_measured": 0.0}
-_PATCHES = MappingProxyType({"plant": "distributed"})
-_FAST = {
-    "kind": "random", "speed_range": [2.0, 5.0], "yaw_rate_limit": 0.8,
-    "lateral_acceleration_limit": 3.0,
-}  # fmt: skip
-_BACKWARD = {"kind": "random", "speed_range": [-3.0, -1.0]}
-_IN_FIELD = (
-    BenchmarkSet("weak-actuator", "weak-actuator", "drives give 0.4 to 0.7 of the command"),
-    BenchmarkSet("actuator-fault", "actuator-fault", "one drive loses torque on the way"),
-    BenchmarkSet("alternating-gains", "alternating-gains", "other gains of the drives every 4 s"),
-    BenchmarkSet("alternating", "alternating-soils", "another soil every 2 s"),
-    # Outages of the pose, of 3 to 10 s; inertial and drive group stay.
-    BenchmarkSet("outages", "soil-and-mass", "seconds without pose", "rtk-outages"),
-    BenchmarkSet(
-        "outages-weak-soil", "weak-soil", "no pose for seconds, large slip", "rtk-outages"
+_OUTDOORS = (
+    ("weak-actuator", "weak-actuator", "drives give 0.4 to 0.7 of the command"),
+    ("actuator-fault", "actuator-fault", "one drive loses torque on the way"),
+    ("alternating-gains", "alternating-gains", "other gains of the drives every 4 s"),
+    ("alternating", "alternating-soils", "another soil every 2 s"),
+    ("outages", "soil-and-mass", "seconds without pose", _GAPS),
+    ("outages-weak-soil", "weak-soil", "no pose for seconds, large slip", _GAPS),
+    (
+        "outages-alternating",
+        "alternating-soils",
+        "no pose for seconds, another soil every 2 s",
+        _GAPS,
     ),
-    BenchmarkSet(
-        "outages-alternating", "alternating-soils", "no pose for seconds, another soil every 2 s",
-        "rtk-outages",
+    ("outages-payload", "payload", "no pose for seconds, the mass steps", _GAPS),
+    ("outages-mixed", "mixed", "no pose for seconds, several changes", _GAPS),
+    ("outages-ood", "ood", "no pose for seconds, outside all ranges", _GAPS),
+    ("outages-fault", "actuator-fault", "no pose for seconds, a weak drive", _GAPS),
+    ("outages-gains", "alternating-gains", "no pose for seconds, other gains every 4 s", _GAPS),
+    ("outages-no-velocity", "soil-and-mass", "no pose for seconds, no velocity", _BLIND_GAPS),
+    ("outages-slow-drive", "slow-drive", "no pose for seconds, motors lag 0.15 to 0.3 s", _GAPS),
+    ("rare-pose", "soil-and-mass", "a pose a second", _RARE),
+    ("rare-pose-weak-soil", "weak-soil", "a pose a second, large slip", _RARE),
+    ("rare-pose-mixed", "mixed", "a pose a second, several changes", _RARE),
+    ("rare-pose-gains", "alternating-gains", "a pose a second, other gains every 4 s", _RARE),
+    ("noisy-weak-soil", "weak-soil", "position noise of 1 m, large slip", _NOISY),
+    ("noisy-payload", "payload", "position noise of 1 m, the mass steps", _NOISY),
+    ("noisy-gains", "alternating-gains", "position noise of 1 m, other gains every 4 s", _NOISY),
+    ("noisy-fast", "soil-and-mass", "position noise of 1 m, 2 to 5 m/s", _NOISY, _FAST),
+    ("later-pose", "soil-and-mass", "the pose is 0.5 s late", _LATER),
+    ("slow-drive-late", "slow-drive", "motors lag, the pose is 0.2 s late", _LATE),
+    ("late-weak-soil", "weak-soil", "the pose is 0.2 s late, large slip", _LATE),
+    ("late-gains", "alternating-gains", "the pose is 0.2 s late, other gains every 4 s", _LATE),
+    ("fast", "soil-and-mass", "2 to 5 m/s, near the limit of the soil", _RTK, _FAST),
+    ("fast-weak-soil", "weak-soil", "2 to 5 m/s, beyond the limit of the soil", _RTK, _FAST),
+    ("fast-payload", "payload", "2 to 5 m/s, the mass steps", _RTK, _FAST),
+    ("reversing", "soil-and-mass", "driven backward", _RTK, _BACKWARD),
+    ("reversing-payload", "payload", "driven backward, the mass steps", _RTK, _BACKWARD),
+    (
+        "outages-distributed",
+        "loose-soil",
+        "no pose for seconds, on patches",
+        _GAPS,
+        "random",
+        _PATCHES,
     ),
-    BenchmarkSet(
-        "outages-payload", "payload", "no pose for seconds, the mass steps", "rtk-outages"
+    (
+        "distributed-alternating",
+        "alternating-soils",
+        "patches, another soil every 2 s",
+        _RTK,
+        "random",
+        _PATCHES,
     ),
-    BenchmarkSet("outages-mixed", "mixed", "no pose for seconds, several changes", "rtk-outages"),
-    BenchmarkSet("outages-ood", "ood", "no pose for seconds, outside all ranges", "rtk-outages"),
-    BenchmarkSet(
-        "outages-fault", "actuator-fault", "no pose for seconds, a weak drive", "rtk-outages"
-    ),
-    BenchmarkSet(
-        "outages-gains", "alternating-gains", "no pose for seconds, other gains every 4 s",
-        "rtk-outages",
-    ),
-    BenchmarkSet(
-        "outages-no-velocity", "soil-and-mass", "no pose for seconds, no velocity", _BLIND_OUTAGES
-    ),
-    BenchmarkSet(
-        "outages-slow-drive", "slow-drive", "no pose for seconds, motors lag 0.15 to 0.3 s",
-        "rtk-outages",
-    ),
-    BenchmarkSet("rare-pose", "soil-and-mass", "a pose a second", _RARE),
-    BenchmarkSet("rare-pose-weak-soil", "weak-soil", "a pose a second, large slip", _RARE),
-    BenchmarkSet("rare-pose-mixed", "mixed", "a pose a second, several changes", _RARE),
-    BenchmarkSet(
-        "rare-pose-gains", "alternating-gains", "a pose a second, other gains every 4 s", _RARE
-    ),
-    BenchmarkSet("noisy-weak-soil", "weak-soil", "position noise of 1 m, large slip", "strawa"),
-    BenchmarkSet("noisy-payload", "payload", "position noise of 1 m, the mass steps", "strawa"),
-    BenchmarkSet(
-        "noisy-gains", "alternating-gains", "position noise of 1 m, other gains every 4 s", "strawa"
-    ),
-    BenchmarkSet(
-        "noisy-fast", "soil-and-mass", "position noise of 1 m, 2 to 5 m/s", "strawa", _FAST
-    ),
-    BenchmarkSet("later-pose", "soil-and-mass", "the pose is 0.5 s late", _LATER),
-    BenchmarkSet("slow-drive-late", "slow-drive", "motors lag, the pose is 0.2 s late", _LATE),
-    BenchmarkSet("late-weak-soil", "weak-soil", "the pose is 0.2 s late, large slip", _LATE),
-    BenchmarkSet(
-        "late-gains", "alternating-gains", "the pose is 0.2 s late, other gains every 4 s", _LATE
-    ),
-    BenchmarkSet(
-        "fast", "soil-and-mass", "2 to 5 m/s, near the limit of the soil", reference=_FAST
-    ),
-    BenchmarkSet(
-        "fast-weak-soil", "weak-soil", "2 to 5 m/s, beyond the limit of the soil", reference=_FAST
-    ),
-    BenchmarkSet("fast-payload", "payload", "2 to 5 m/s, the mass steps", reference=_FAST),
-    BenchmarkSet("reversing", "soil-and-mass", "driven backward", reference=_BACKWARD),
-    BenchmarkSet(
-        "reversing-payload", "payload", "driven backward, the mass steps", reference=_BACKWARD
-    ),
-    BenchmarkSet(
-        "outages-distributed", "loose-soil", "no pose for seconds, on patches", "rtk-outages",
-        arguments=_PATCHES,
-    ),
-    BenchmarkSet(
-        "distributed-alternating", "alternating-soils", "patches, another soil every 2 s",
-        arguments=_PATCHES,
-    ),
-    BenchmarkSet(
-        "distributed-slow-drive", "slow-drive", "patches, motors that lag", arguments=_PATCHES
-    ),
-    BenchmarkSet(
-        "distributed-fast", "loose-soil", "patches, 2 to 5 m/s", reference=_FAST,
-        arguments=_PATCHES,
-    ),
-)  # fmt: skip
-_RARE_INDOORS = {"preset": "mocap", "pose_rate": 1.0}
-_NOISY_INDOORS = {"preset": "mocap", "position_noise": 0.05}
-_NO_VELOCITY_INDOORS = {"preset": "mocap", "velocity_measured": 0.0}
-_LATE_INDOORS = {"preset": "mocap", "pose_delay": 0.1}
-_BACKWARD_INDOORS = {**SPEED["reference"], "speed_range": [-0.5, -0.1]}
-_ON_FLOORS = (
-    _indoors(
-        "floor-outages", "friction", "seconds without pose on an unknown floor",
-        sensors="mocap-outages",
-    ),
-    _indoors(
-        "floor-outages-step", "friction-step", "no pose for seconds, a border to another floor",
-        sensors="mocap-outages",
-    ),
-    _indoors(
-        "floor-outages-alternating", "alternating-floors",
-        "no pose for seconds, another floor every 3 s", sensors="mocap-outages",
-    ),
-    _indoors(
-        "floor-outages-ood", "floor-ood", "no pose for seconds, ice or soil",
-        sensors="mocap-outages",
-    ),
-    _indoors(
-        "floor-outages-slow-drive", "slow-floor-drive", "no pose for seconds, motors lag",
-        sensors="mocap-outages",
-    ),
-    _indoors("floor-alternating", "alternating-floors", "another floor every 3 s"),
-    _indoors("floor-slow-drive", "slow-floor-drive", "the motors lag 0.15 to 0.3 s"),
-    _indoors("floor-rare-pose", "friction", "a pose a second", sensors=_RARE_INDOORS),
-    _indoors(
-        "floor-rare-pose-step", "friction-step", "a pose a second, a border",
-        sensors=_RARE_INDOORS,
-    ),
-    _indoors("floor-noisy", "friction", "position noise of 5 cm", sensors=_NOISY_INDOORS),
-    _indoors(
-        "floor-no-velocity", "friction", "the velocity is not measured",
-        sensors=_NO_VELOCITY_INDOORS,
-    ),
-    _indoors(
-        "floor-slow-drive-late", "slow-floor-drive", "motors lag, the pose is 0.1 s late",
-        sensors=_LATE_INDOORS,
-    ),
-    _indoors("floor-reversing", "friction", "driven backward", reference=_BACKWARD_INDOORS),
-    _to_goals("goals-outages", "friction", "a goal, no pose for seconds", sensors="mocap-outages"),
-)  # fmt: skip
-_BACKWARD_ON_SLOPES = {**TERRAIN["reference"], "speed_range": [-0.5, -0.1]}
-_UNEVEN = (
-    _on_slopes("hills-outages", "hills", "seconds without pose", "mocap-outages"),
-    _on_slopes("slope-outages", "slope", "no pose for seconds, on a plane", "mocap-outages"),
-    _on_slopes(
-        "slope-step-outages", "slope-step", "no pose for seconds, a border", "mocap-outages"
-    ),
-    _on_slopes(
-        "soft-patches-outages", "soft-patches", "no pose for seconds, soft ground", "mocap-outages"
-    ),
-    _on_slopes(
-        "slope-payload-outages", "slope-payload", "no pose for seconds, a load", "mocap-outages"
-    ),
-    _on_slopes("hills-rare-pose", "hills", "a pose a second", _RARE_INDOORS),
-    _on_slopes("slope-rare-pose", "slope", "a pose a second, on a plane", _RARE_INDOORS),
-    _on_slopes("hills-noisy", "hills", "position noise of 5 cm", _NOISY_INDOORS),
-    _on_slopes("hills-no-velocity", "hills", "the velocity is not measured", _NO_VELOCITY_INDOORS),
-    _on_slopes("slope-step-late", "slope-step", "a border, the pose is 0.1 s late", _LATE_INDOORS),
-    _on_slopes("hills-reversing", "hills", "driven backward", reference=_BACKWARD_ON_SLOPES),
+    ("distributed-slow-drive", "slow-drive", "patches, motors that lag", _RTK, "random", _PATCHES),
+    ("distributed-fast", "loose-soil", "patches, 2 to 5 m/s", _RTK, _FAST, _PATCHES),
 )
-CATALOGUE = {each.name: each for each in (*FIRST, *_IN_FIELD, *_ON_FLOORS, *_UNEVEN)}
-
-
-EPISODES = 100  # of each set, that are compared with those of the version
-SEED = FROZEN  # of the first episode
+_INDOORS = (
+    ("floor-outages", "friction", "seconds without pose on an unknown floor", _GAPS_INDOORS),
+    (
+        "floor-outages-step",
+        "friction-step",
+        "no pose for seconds, a border to another floor",
+        _GAPS_INDOORS,
+    ),
+    (
+        "floor-outages-alternating",
+        "alternating-floors",
+        "no pose for seconds, another floor every 3 s",
+        _GAPS_INDOORS,
+    ),
+    ("floor-outages-ood", "floor-ood", "no pose for seconds, ice or soil", _GAPS_INDOORS),
+    (
+        "floor-outages-slow-drive",
+        "slow-floor-drive",
+        "no pose for seconds, motors lag",
+        _GAPS_INDOORS,
+    ),
+    ("floor-alternating", "alternating-floors", "another floor every 3 s"),
+    ("floor-slow-drive", "slow-floor-drive", "the motors lag 0.15 to 0.3 s"),
+    ("floor-rare-pose", "friction", "a pose a second", _RARE_INDOORS),
+    ("floor-rare-pose-step", "friction-step", "a pose a second, a border", _RARE_INDOORS),
+    ("floor-noisy", "friction", "position noise of 5 cm", _NOISY_INDOORS),
+    ("floor-no-velocity", "friction", "the velocity is not measured", _BLIND_INDOORS),
+    (
+        "floor-slow-drive-late",
+        "slow-floor-drive",
+        "motors lag, the pose is 0.1 s late",
+        _LATE_INDOORS,
+    ),
+    ("floor-reversing", "friction", "driven backward", _MOCAP, _BACKWARD_INDOORS),
+)
+_ON_SLOPES = (
+    ("hills-outages", "hills", "seconds without pose", _GAPS_INDOORS),
+    ("slope-outages", "slope", "no pose for seconds, on a plane", _GAPS_INDOORS),
+    ("slope-step-outages", "slope-step", "no pose for seconds, a border", _GAPS_INDOORS),
+    ("soft-patches-outages", "soft-patches", "no pose for seconds, soft ground", _GAPS_INDOORS),
+    ("slope-payload-outages", "slope-payload", "no pose for seconds, a load", _GAPS_INDOORS),
+    ("hills-rare-pose", "hills", "a pose a second", _RARE_INDOORS),
+    ("slope-rare-pose", "slope", "a pose a second, on a plane", _RARE_INDOORS),
+    ("hills-noisy", "hills", "position noise of 5 cm", _NOISY_INDOORS),
+    ("hills-no-velocity", "hills", "the velocity is not measured", _BLIND_INDOORS),
+    ("slope-step-late", "slope-step", "a border, the pose is 0.1 s late", _LATE_INDOORS),
+    ("hills-reversing", "hills", "driven backward", TERRAIN["sensors"], _BACKWARD_ON_SLOPES),
+)
+_TO_GOALS = (("goals-outages", "friction", "a goal, no pose for seconds", _GAPS_INDOORS),)
+_OTHERS = _of_all_ids(_OUTDOORS, _INDOORS, _ON_SLOPES, _TO_GOALS)
+CATALOGUE = {each.name: each for each in (*FIRST, *_OTHERS)}
 
 
 class Version(NamedTuple):
@@ -355,30 +314,31 @@ class Version(NamedTuple):
         return f"sets_{self.name}.json"
 
 
-_PLANAR_STATE = (
-    "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "torque_left", "torque_right", "slip_left",
-    "slip_right", "sprocket_speed_left", "sprocket_speed_right", "effort_left", "effort_right",
-    "acceleration_x", "acceleration_y", "yaw_acceleration",
-)  # fmt: skip
-_PLANAR_PARAMETERS = (
-    "mass", "inertia", "track_gauge", "track_width", "contact_length", "sprocket_radius",
-    "torque_limit", "sprocket_speed_limit", "drive_time_constant", "sprocket_inertia", "cohesion",
-    "friction_angle", "shear_deformation_modulus", "longitudinal_resistance",
-    "lateral_resistance", "turning_resistance_factor", "icr_forward",
-)  # fmt: skip
-_PLANAR_EPISODE = (
-    "parameters", "events", "profile", "sensors", "state", "noise_seed", "relief",
-)  # fmt: skip
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(text.split())
+
+
+_PLANAR_STATE = _names(
+    "x y yaw v_x v_y yaw_rate torque_left torque_right slip_left slip_right sprocket_speed_left "
+    "sprocket_speed_right effort_left effort_right acceleration_x acceleration_y yaw_acceleration"
+)
+_PLANAR_PARAMETERS = _names(
+    "mass inertia track_gauge track_width contact_length sprocket_radius torque_limit "
+    "sprocket_speed_limit drive_time_constant sprocket_inertia cohesion friction_angle "
+    "shear_deformation_modulus longitudinal_resistance lateral_resistance "
+    "turning_resistance_factor icr_forward"
+)
+_PLANAR_EPISODE = _names("parameters events profile sensors state noise_seed relief")
 PLANAR = Version("v2", (TORQUE_ID, SPEED_ID), _PLANAR_STATE, _PLANAR_PARAMETERS, _PLANAR_EPISODE)
-_SLOPE_PARAMETERS = (
-    *_PLANAR_PARAMETERS, "centre_of_mass_x", "centre_of_mass_y", "centre_of_mass_z",
-    "roll_inertia_ratio", "pitch_inertia_ratio", "ground_stiffness_factor",
-)  # fmt: skip
+_SLOPE_PARAMETERS = _PLANAR_PARAMETERS + _names(
+    "centre_of_mass_x centre_of_mass_y centre_of_mass_z roll_inertia_ratio pitch_inertia_ratio "
+    "ground_stiffness_factor"
+)
 SLOPES = Version("terrain-v1", (TERRAIN_ID,), STATE_NAMES, _SLOPE_PARAMETERS, Episode._fields)
+_GOALS = ("goals", "goals-step")
 GOAL_REACHING = Version(
-    "goals-v1", (SPEED_ID,), _PLANAR_STATE, _PLANAR_PARAMETERS, _PLANAR_EPISODE,
-    ("goals", "goals-step"),
-)  # fmt: skip
+    "goals-v1", (SPEED_ID,), _PLANAR_STATE, _PLANAR_PARAMETERS, _PLANAR_EPISODE, _GOALS
+)
 _ALL_PARAMETERS = (*_SLOPE_PARAMETERS, "actuator_gain_left", "actuator_gain_right")
 
 
@@ -390,32 +350,52 @@ def in_groups(name: str, env: str, groups: Mapping[str, tuple[str, ...]]) -> Ver
     )
 
 
-TORQUE_SETS = in_groups("torque-v3", TORQUE_ID, {
-    "memory": ("outages-alternating", "outages-gains", "rare-pose-mixed", "noisy-gains"),
-    "identification": ("alternating", "actuator-fault", "late-weak-soil", "late-gains"),
-    "mismatch": ("distributed", "distributed-alternating"),
-    "out-of-distribution": ("noisy-fast", "reversing-payload"),
-})  # fmt: skip
-SPEED_SETS = in_groups("speed-v3", SPEED_ID, {
-    "memory": ("floor-outages-alternating", "floor-rare-pose-step", "floor-no-velocity",
-               "goals-outages"),
-    "identification": ("friction-step", "floor-mixed", "goals-step"),
-    "mismatch": ("floor-slow-drive-late",),
-    "out-of-distribution": ("floor-ood", "floor-reversing"),
-})  # fmt: skip
-TERRAIN_SETS = in_groups("terrain-v3", TERRAIN_ID, {
-    "memory": ("hills-outages", "slope-payload-outages", "slope-rare-pose", "hills-noisy"),
-    "identification": ("slope", "slope-step-late"),
-    "mismatch": ("soft-patches", "slope-payload"),
-    "out-of-distribution": ("hills-ood", "hills-reversing"),
-})  # fmt: skip
+TORQUE_SETS = in_groups(
+    "torque-v3",
+    TORQUE_ID,
+    {
+        "memory": ("outages-alternating", "outages-gains", "rare-pose-mixed", "noisy-gains"),
+        "identification": ("alternating", "actuator-fault", "late-weak-soil", "late-gains"),
+        "mismatch": ("distributed", "distributed-alternating"),
+        "out-of-distribution": ("noisy-fast", "reversing-payload"),
+    },
+)
+SPEED_SETS = in_groups(
+    "speed-v3",
+    SPEED_ID,
+    {
+        "memory": (
+            "floor-outages-alternating",
+            "floor-rare-pose-step",
+            "floor-no-velocity",
+            "goals-outages",
+        ),
+        "identification": ("friction-step", "floor-mixed", "goals-step"),
+        "mismatch": ("floor-slow-drive-late",),
+        "out-of-distribution": ("floor-ood", "floor-reversing"),
+    },
+)
+TERRAIN_SETS = in_groups(
+    "terrain-v3",
+    TERRAIN_ID,
+    {
+        "memory": ("hills-outages", "slope-payload-outages", "slope-rare-pose", "hills-noisy"),
+        "identification": ("slope", "slope-step-late"),
+        "mismatch": ("soft-patches", "slope-payload"),
+        "out-of-distribution": ("hills-ood", "hills-reversing"),
+    },
+)
 # No two of them rank the policies alike, whichever policy is left out: run where it is named.
-UNLIKE_SETS = in_groups("torque-unlike-v1", TORQUE_ID, {
-    "memory": ("outages-no-velocity", "noisy-gains"),
-    "identification": ("alternating-gains", "rare-pose-weak-soil"),
-    "mismatch": ("distributed", "distributed-alternating", "distributed-slow-drive"),
-    "out-of-distribution": ("fast-weak-soil", "distributed-fast", "reversing-payload"),
-})  # fmt: skip
+UNLIKE_SETS = in_groups(
+    "torque-unlike-v1",
+    TORQUE_ID,
+    {
+        "memory": ("outages-no-velocity", "noisy-gains"),
+        "identification": ("alternating-gains", "rare-pose-weak-soil"),
+        "mismatch": ("distributed", "distributed-alternating", "distributed-slow-drive"),
+        "out-of-distribution": ("fast-weak-soil", "distributed-fast", "reversing-payload"),
+    },
+)
 NEWEST = (TORQUE_SETS, SPEED_SETS, TERRAIN_SETS)
 VERSIONS = {v.name: v for v in (*NEWEST, PLANAR, SLOPES, GOAL_REACHING, UNLIKE_SETS)}
 

@@ -1,32 +1,18 @@
-"""Policies as other processes get them: how to make one, not the policy itself.
-
-A policy is sent as the function that found it and its arguments (`PolicyEntry.source`): a name that
-a package registers, `module:attribute`, or the bytes of an archive. The other process finds it anew
-and compares fingerprints, so that it has the same source, or says that it has not.
-
-A fixed part of the jobs, for arrays of independent processes such as those of SLURM.
-
-Where independent jobs run: in this process, in others of this machine, or on other machines.
+"""Where independent jobs run: in this process, in others of this machine, or on other machines.
 
     serial          no executor: one job after the other, in this process
-    worker_pool     processes of this machine, of the standard library
-    ray_cluster     the machines of a Ray cluster (extra `cluster`)
-    shard           a fixed part of the jobs, with results of its own (arrays of SLURM); no executor
+    WorkerPool      processes of this machine, of the standard library
+    RayCluster      the machines of a Ray cluster (extra `cluster`)
+    Shard           a fixed part of the jobs, with results of its own (arrays of SLURM); no executor
 
 An executor calls one function of an importable module for many jobs. The process that asks writes
 all results, so no two processes write one file. A job that was lost with its process or its machine
 runs again elsewhere.
 
-The machines of a Ray cluster, each job on one processor of one of them.
-
-Tasks are functions of importable modules: every node has the same packages installed, and nothing
-is sent to it but arguments. Ray begins no task again by itself; a job whose worker or node has
-ended is given out anew from here, so that it is known and said what was lost.
-
-Processes of this machine, started afresh (spawn), each with one job at a time.
-
-A process that ends, however it ends, costs the job that it ran; another takes its place. When the
-process that asks ends, its workers end at once. Ctrl-C reaches that process alone.
+A policy is sent to another process as the function that found it and its arguments
+(`PolicyEntry.source`): a name that a package registers, `module:attribute`, or the bytes of an
+archive. That process finds it anew and compares fingerprints, so that it has the same source, or
+says that it has not.
 """
 
 import logging
@@ -50,88 +36,36 @@ from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import SETS
 from tracked_env.benchmark.policy_interface import PolicyEntry
 
+ATTEMPTS = 3  # times that a job is begun before the loss of its process counts as its own fault
+JOIN_LIMIT = 5.0  # [s] for a process that has nothing left to do
+INSTALL = "pip install 'tracked-env[cluster]'"
+REACH = 5.0  # [s] for the head node of a cluster to answer
+REFRESH = 5.0  # [s] between two looks at the size of the cluster
+AHEAD = 2  # tasks given out per processor of a cluster: one that runs, one that waits there
+_SPAWN = multiprocessing.get_context("spawn")
+# One thread of BLAS per process, as the processes share the processor.
+_THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
-class SentPolicy(NamedTuple):
-    """A policy without what only one process can have."""
-
-    name: str
-    fingerprint: str
-    data: bytes  # a pickled `PolicyEntry.source`, or the factory itself
-    frozen: bool = False
-
-
-class Comparison(NamedTuple):
-    """What all chunks of a comparison share."""
-
-    config: BenchmarkConfig
-    source: str  # of the simulation
-    policies: Mapping[str, SentPolicy]
+Function = Callable[[Any, Any], Any]  # (what all jobs share, job) -> result
 
 
-# What this process has found, by name and fingerprint.
-_FOUND: dict[tuple[str, str], PolicyEntry] = {}
+class Executor(Protocol):
+    """Runs jobs elsewhere."""
 
+    @property
+    def workers(self) -> int:
+        """Jobs that run at the same time. Raises ValueError where that cannot be found out."""
 
-def sent(config: BenchmarkConfig, policies: Sequence[PolicyEntry]) -> Comparison:
-    """A comparison as other processes get it.
+    def results(
+        self, function: Function, shared: Any, jobs: Sequence[Any]
+    ) -> Generator[tuple[int, Any]]:
+        """The number of each job and its result, in the order in which they end.
 
-    Raises ValueError for a policy that cannot be sent.
-    """
-    known = {
-        entry.name: SentPolicy(entry.name, entry.fingerprint, _data(entry), entry.frozen)
-        for entry in policies
-    }
-    return Comparison(config, config.identity()["source"], known)
-
-
-def _data(entry: PolicyEntry) -> bytes:
-    try:
-        return pickle.dumps(entry.make if entry.source is None else entry.source)
-    except Exception as error:
-        raise ValueError(
-            f"policy {entry.name!r} cannot be sent to another process ({error}). Name it as "
-            "module:attribute, or define its factory at the top of a module"
-        ) from error
-
-
-def received(comparison: Comparison, name: str) -> PolicyEntry:
-    """A policy in the process that has got it.
-
-    Raises ValueError where this process has another source, of the policy or the simulation.
-    """
-    policy = comparison.policies[name]
-    key = policy.name, policy.fingerprint
-    if key not in _FOUND:
-        found: Any = pickle.loads(policy.data)
-        if isinstance(found, tuple):
-            function, arguments = found
-            entry = function(*arguments)._replace(name=name, frozen=policy.frozen)
-            if entry.fingerprint != policy.fingerprint:
-                raise _differs(f"policy {name!r}")
-        else:
-            entry = PolicyEntry(name, found, policy.fingerprint, frozen=policy.frozen)
-        _check_simulation(comparison)
-        _FOUND[key] = entry
-    return _FOUND[key]
-
-
-def _check_simulation(comparison: Comparison) -> None:
-    """Raises ValueError where this process would simulate something else."""
-    unknown = [name for name in comparison.config.sets if name not in SETS]
-    if unknown:
-        raise ValueError(
-            f"evaluation set {unknown[0]!r} is not known on {platform.node()}: register it in the "
-            "module of a policy, which every process imports"
-        )
-    if comparison.config.identity()["source"] != comparison.source:
-        raise _differs("the simulation")
-
-
-def _differs(what: str) -> ValueError:
-    return ValueError(
-        f"{what} has another source on {platform.node()} than here: install the same version of "
-        "the same packages there"
-    )
+        Each job has one result, whatever was lost meanwhile. The first error that `function` raises
+        ends it: jobs that run are let end and have their results, no new one begins, then the
+        error is raised. Raises OSError for a job that was lost ATTEMPTS times. Closing the iterator
+        drops what runs.
+        """
 
 
 class Shard(NamedTuple):
@@ -166,34 +100,16 @@ def parse_shard(text: str) -> Shard:
     return shard
 
 
-ATTEMPTS = 3  # times that a job is begun before the loss of its process counts as its own fault
-
-Function = Callable[[Any, Any], Any]  # (what all jobs share, job) -> result
-
-
-class Executor(Protocol):
-    """Runs jobs elsewhere."""
-
-    @property
-    def workers(self) -> int:
-        """Jobs that run at the same time. Raises ValueError where that cannot be found out."""
-
-    def results(
-        self, function: Function, shared: Any, jobs: Sequence[Any]
-    ) -> Generator[tuple[int, Any]]:
-        """The number of each job and its result, in the order in which they end.
-
-        Each job has one result, whatever was lost meanwhile. The first error that `function` raises
-        ends it: jobs that run are let end and have their results, no new one begins, then the
-        error is raised. Raises OSError for a job that was lost ATTEMPTS times. Closing the iterator
-        drops what runs.
-        """
-
-
 class Failure(NamedTuple):
     """What a job raised, as a result that any process can read."""
 
     error: Exception
+
+
+class Loss(NamedTuple):
+    """In the place of a result: its process or its machine has ended, and how."""
+
+    how: str
 
 
 def outcome(function: Function, shared: Any, job: Any) -> Any:
@@ -207,20 +123,47 @@ def outcome(function: Function, shared: Any, job: Any) -> Any:
         return Failure(RuntimeError(f"{type(error).__name__}: {error}"))
 
 
-def say(text: str) -> None:
-    """A notice, on a line of its own."""
-    print(f"\n{text}", file=sys.stderr, flush=True)
-
-
-def lost(job: Any, how: str, attempts: int) -> None:
+def _say_lost(job: Any, how: str, attempts: int) -> None:
     """Say that a job was lost and runs again. Raises OSError after the last attempt."""
-    name = str(job)
     if attempts >= ATTEMPTS:
         raise OSError(
-            f"{name} was lost {attempts} times, the last time because {how}. Does it need more "
+            f"{job} was lost {attempts} times, the last time because {how}. Does it need more "
             "memory than there is? Finished results are kept"
         )
-    say(f"{name} was lost because {how}; it runs again")
+    print(f"\n{job} was lost because {how}; it runs again", file=sys.stderr, flush=True)
+
+
+def _dispatched(
+    jobs: Sequence[Any],
+    most: Callable[[], int],
+    begin: Callable[[int], None],
+    ended: Callable[[], list[tuple[int, Any]]],
+) -> Generator[tuple[int, Any]]:
+    """`Executor.results` of any executor.
+
+    most: jobs at the same time; begin: starts a job of this number; ended: waits for jobs to end,
+    number and result (or Failure, or Loss) of each.
+    """
+    left, attempts, running = deque(range(len(jobs))), [0] * len(jobs), 0
+    failure: Failure | None = None
+    while True:
+        while left and failure is None and running < most():
+            attempts[left[0]] += 1
+            begin(left.popleft())
+            running += 1
+        if not running:
+            break
+        for number, result in ended():
+            running -= 1
+            if isinstance(result, Loss):
+                _say_lost(jobs[number], result.how, attempts[number])
+                left.appendleft(number)
+            elif isinstance(result, Failure):
+                failure = failure or result
+            else:
+                yield number, result
+    if failure is not None:
+        raise failure.error
 
 
 def make_executor(
@@ -230,135 +173,13 @@ def make_executor(
 
     Raises ValueError, and where Ray is not installed, says what to install.
     """
-    given = {"--workers": workers, "--ray": ray, "--shard": shard}
-    chosen = [name for name, value in given.items() if value is not None]
+    options = {"--workers": workers, "--ray": ray, "--shard": shard}
+    chosen = [name for name, value in options.items() if value is not None]
     if len(chosen) > 1:
         raise ValueError(f"{' and '.join(chosen)} are given; choose one of them")
     if workers is not None:
         return WorkerPool(workers)
-    if ray is not None:
-        return RayCluster(ray)
-    return None
-
-
-INSTALL = "pip install 'tracked-env[cluster]'"
-REACH = 5.0  # [s] for the head node to answer
-REFRESH = 5.0  # [s] between two looks at the size of the cluster
-AHEAD = 2  # tasks given out per processor: one that runs, one that waits there
-
-
-class RayCluster:
-    """An executor on a Ray cluster: `local` starts one here, `auto` finds one, or HOST:PORT."""
-
-    def __init__(self, address: str) -> None:
-        """Raises ValueError where Ray is not installed, or no cluster answers at the address."""
-        # Before Ray is imported: it reports nothing about its users, and leaves GPUs alone.
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-        try:
-            import ray
-        except ImportError as error:
-            raise ValueError(f"--ray needs Ray, which is not installed: {INSTALL}") from error
-        _check(address)
-        self.ray: Any = ray
-        self._known = 0, -REFRESH  # processors, and when they were counted
-        if ray.is_initialized():
-            return
-        more: dict[str, Any] = {"include_dashboard": False} if address == "local" else {}
-        try:
-            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **more)
-        except Exception as error:  # Ray raises what happens to go wrong
-            reason = " ".join(str(error).split())[:300]
-            raise ValueError(
-                f"ray = {address!r}: cannot connect ({reason}). Does `ray start` run there, with "
-                "the same versions of Python and Ray, and the same token (ray get-auth-token)?"
-            ) from error
-
-    @property
-    def workers(self) -> int:
-        """Processors of the cluster, as it is now."""
-        count, when = self._known
-        if time.monotonic() - when >= REFRESH:
-            count = max(int(self.ray.cluster_resources().get("CPU", 0)), 1)
-            self._known = count, time.monotonic()
-        return count
-
-    def results(
-        self, function: Function, shared: Any, jobs: Sequence[Any]
-    ) -> Generator[tuple[int, Any]]:
-        """As `Executor.results`."""
-        ray = self.ray
-        gone = (
-            ray.exceptions.WorkerCrashedError, ray.exceptions.NodeDiedError,
-            ray.exceptions.LocalRayletDiedError, ray.exceptions.ObjectLostError,
-            ray.exceptions.OutOfMemoryError,
-        )  # fmt: skip
-        task = ray.remote(num_cpus=1, max_retries=0)(outcome)
-        given = ray.put(shared)
-        left, attempts = deque(range(len(jobs))), [0] * len(jobs)
-        under_way: dict[Any, int] = {}
-        failure: Failure | None = None
-        try:
-            while True:
-                while left and failure is None and len(under_way) < AHEAD * self.workers:
-                    number = left.popleft()
-                    attempts[number] += 1
-                    under_way[task.remote(function, given, jobs[number])] = number
-                if not under_way:
-                    break
-                (done,), _ = ray.wait(list(under_way), num_returns=1)
-                number = under_way.pop(done)
-                try:
-                    result = ray.get(done)
-                except gone as error:
-                    kind = type(error).__name__
-                    lost(jobs[number], f"its worker or its node ended ({kind})", attempts[number])
-                    left.appendleft(number)
-                    continue
-                except ray.exceptions.RayError as error:
-                    failure = failure or Failure(_unusable(error))
-                    continue
-                if isinstance(result, Failure):
-                    failure = failure or result
-                else:
-                    yield number, result
-            if failure is not None:
-                raise failure.error
-        finally:
-            for task_left in under_way:
-                with suppress(Exception):
-                    ray.cancel(task_left, force=True)
-
-
-def _check(address: str) -> None:
-    """Raises ValueError for an address that is none, or where nothing answers."""
-    if address in ("local", "auto"):
-        return
-    match = re.fullmatch(r"([\w.-]+):(\d{1,5})", address)
-    if match is None or not 0 < int(match[2]) < 2**16:
-        raise ValueError(f"ray = {address!r:.60}; must be local, auto or HOST:PORT, as head:6379")
-    try:
-        socket.create_connection((match[1], int(match[2])), timeout=REACH).close()
-    except OSError as error:
-        raise ValueError(
-            f"ray = {address!r}: nothing answers there ({error}). Does `ray start --head --port "
-            f"{match[2]}` run on {match[1]}, and may this machine reach it?"
-        ) from error
-
-
-def _unusable(error: Exception) -> ValueError:
-    """What a worker without our packages ends with."""
-    reason = " ".join(str(error).split())[-300:]
-    return ValueError(
-        f"a worker of the cluster could not begin ({reason}). Is the same wheel installed on "
-        "every node?"
-    )
-
-
-PATIENCE = 5.0  # [s] for a process that has nothing left to do
-_SPAWN = multiprocessing.get_context("spawn")
-# One thread of BLAS per process, as the processes share the processor.
-_THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    return None if ray is None else RayCluster(ray)
 
 
 def _serve(connection: Connection) -> None:
@@ -414,24 +235,33 @@ class _Worker:
         with suppress(OSError):
             self.connection.send(job)
 
+    def answer(self) -> tuple[int, Any]:
+        """The job that has ended, and its result or Loss."""
+        number, self.job = self.job, None
+        assert number is not None
+        try:
+            return number, self.connection.recv()
+        except (EOFError, OSError):
+            self.process.join()
+            code = self.process.exitcode or 0
+            kind = f"signal {-code}" if code < 0 else f"exit status {code}"
+            return number, Loss(f"its process ended ({kind})")
+
     def end(self) -> None:
         """End the process: one that waits for a job by itself, another one at once."""
         self.connection.close()
         if self.job is None:
-            self.process.join(PATIENCE)
+            self.process.join(JOIN_LIMIT)
         self.process.kill()
         self.process.join()
 
-    def ended(self) -> str:
-        """How it ended."""
-        self.process.join()
-        code = self.process.exitcode or 0
-        kind = f"signal {-code}" if code < 0 else f"exit status {code}"
-        return f"its process ended ({kind})"
-
 
 class WorkerPool:
-    """An executor of `workers` processes."""
+    """An executor of `workers` processes of this machine, started afresh (spawn).
+
+    A process that ends, however it ends, costs the job that it ran; another takes its place. When
+    the process that asks ends, its workers end at once. Ctrl-C reaches that process alone.
+    """
 
     def __init__(self, workers: int) -> None:
         """Raises ValueError for a number that is not positive."""
@@ -443,37 +273,194 @@ class WorkerPool:
         self, function: Function, shared: Any, jobs: Sequence[Any]
     ) -> Generator[tuple[int, Any]]:
         """As `Executor.results`."""
-        left, attempts = deque(range(len(jobs))), [0] * len(jobs)
         pool: list[_Worker] = []
-        failure: Failure | None = None
+
+        def begin(number: int) -> None:
+            idle = [worker for worker in pool if worker.job is None]
+            if not idle:
+                idle = [_Worker(function, shared)]
+                pool.append(idle[0])
+            idle[0].ask(number, jobs[number])
+
+        def ended() -> list[tuple[int, Any]]:
+            busy = {worker.connection: worker for worker in pool if worker.job is not None}
+            workers = [busy[connection] for connection in wait(list(busy))]  # type: ignore[index]
+            answers = [worker.answer() for worker in workers]
+            for worker, (_, result) in zip(workers, answers, strict=True):
+                if isinstance(result, Loss):
+                    pool.remove(worker)
+            return answers
+
         try:
-            while True:
-                while left and failure is None and len(pool) < self.workers:
-                    pool.append(_Worker(function, shared))
-                for worker in pool:
-                    if worker.job is None and left and failure is None:
-                        attempts[left[0]] += 1
-                        worker.ask(left[0], jobs[left.popleft()])
-                busy = {worker.connection: worker for worker in pool if worker.job is not None}
-                if not busy:
-                    break
-                for connection in wait(list(busy)):
-                    worker = busy[connection]  # type: ignore[index]
-                    assert worker.job is not None
-                    number, worker.job = worker.job, None
-                    try:
-                        result = worker.connection.recv()
-                    except (EOFError, OSError):
-                        pool.remove(worker)
-                        lost(jobs[number], worker.ended(), attempts[number])
-                        left.appendleft(number)
-                        continue
-                    if isinstance(result, Failure):
-                        failure = failure or result
-                    else:
-                        yield number, result
-            if failure is not None:
-                raise failure.error
+            yield from _dispatched(jobs, lambda: self.workers, begin, ended)
         finally:
             for worker in pool:
                 worker.end()
+
+
+class RayCluster:
+    """An executor on a Ray cluster: `local` starts one here, `auto` finds one, or HOST:PORT.
+
+    Each job runs on one processor. Tasks are functions of importable modules: every node has the
+    same packages installed, and nothing is sent to it but arguments. Ray begins no task again by
+    itself; a job whose worker or node has ended is given out anew from here, so that it is known
+    and said what was lost.
+    """
+
+    def __init__(self, address: str) -> None:
+        """Raises ValueError where Ray is not installed, or no cluster answers at the address."""
+        # Before Ray is imported: it reports nothing about its users, and leaves GPUs alone.
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+        try:
+            import ray
+        except ImportError as error:
+            raise ValueError(f"--ray needs Ray, which is not installed: {INSTALL}") from error
+        _check_address(address)
+        self.ray: Any = ray
+        self._size = 0, -REFRESH  # processors, and when they were counted
+        if ray.is_initialized():
+            return
+        more: dict[str, Any] = {"include_dashboard": False} if address == "local" else {}
+        try:
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **more)
+        except Exception as error:  # Ray raises what happens to go wrong
+            reason = " ".join(str(error).split())[:300]
+            raise ValueError(
+                f"ray = {address!r}: cannot connect ({reason}). Does `ray start` run there, with "
+                "the same versions of Python and Ray, and the same token (ray get-auth-token)?"
+            ) from error
+
+    @property
+    def workers(self) -> int:
+        """Processors of the cluster, as it is now."""
+        count, when = self._size
+        if time.monotonic() - when >= REFRESH:
+            count = max(int(self.ray.cluster_resources().get("CPU", 0)), 1)
+            self._size = count, time.monotonic()
+        return count
+
+    def results(
+        self, function: Function, shared: Any, jobs: Sequence[Any]
+    ) -> Generator[tuple[int, Any]]:
+        """As `Executor.results`."""
+        ray, errors = self.ray, self.ray.exceptions
+        gone = (errors.WorkerCrashedError, errors.NodeDiedError, errors.LocalRayletDiedError,
+                errors.ObjectLostError, errors.OutOfMemoryError)  # fmt: skip
+        task = ray.remote(num_cpus=1, max_retries=0)(outcome)
+        stored = ray.put(shared)
+        under_way: dict[Any, int] = {}
+
+        def begin(number: int) -> None:
+            under_way[task.remote(function, stored, jobs[number])] = number
+
+        def ended() -> list[tuple[int, Any]]:
+            (done,), _ = ray.wait(list(under_way), num_returns=1)
+            number = under_way.pop(done)
+            try:
+                return [(number, ray.get(done))]
+            except gone as error:
+                return [(number, Loss(f"its worker or its node ended ({type(error).__name__})"))]
+            except errors.RayError as error:  # a worker without our packages
+                reason = " ".join(str(error).split())[-300:]
+                message = (
+                    f"a worker of the cluster could not begin ({reason}). Is the same wheel "
+                    "installed on every node?"
+                )
+                return [(number, Failure(ValueError(message)))]
+
+        try:
+            yield from _dispatched(jobs, lambda: AHEAD * self.workers, begin, ended)
+        finally:
+            for task_left in under_way:
+                with suppress(Exception):
+                    ray.cancel(task_left, force=True)
+
+
+def _check_address(address: str) -> None:
+    """Raises ValueError for an address that is none, or where nothing answers."""
+    if address in ("local", "auto"):
+        return
+    match = re.fullmatch(r"([\w.-]+):(\d{1,5})", address)
+    if match is None or not 0 < int(match[2]) < 2**16:
+        raise ValueError(f"ray = {address!r:.60}; must be local, auto or HOST:PORT, as head:6379")
+    try:
+        socket.create_connection((match[1], int(match[2])), timeout=REACH).close()
+    except OSError as error:
+        raise ValueError(
+            f"ray = {address!r}: nothing answers there ({error}). Does `ray start --head --port "
+            f"{match[2]}` run on {match[1]}, and may this machine reach it?"
+        ) from error
+
+
+class SentPolicy(NamedTuple):
+    """A policy without what only one process can have."""
+
+    name: str
+    fingerprint: str
+    data: bytes  # a pickled `PolicyEntry.source`, or the factory itself
+    frozen: bool = False
+
+
+class SentComparison(NamedTuple):
+    """What all chunks of a comparison share."""
+
+    config: BenchmarkConfig
+    source: str  # of the simulation
+    policies: Mapping[str, SentPolicy]
+
+
+_RECEIVED: dict[tuple[str, str], PolicyEntry] = {}  # by name and fingerprint, in this process
+
+
+def sent(config: BenchmarkConfig, policies: Sequence[PolicyEntry]) -> SentComparison:
+    """A comparison as other processes get it.
+
+    Raises ValueError for a policy that cannot be sent.
+    """
+    parts = {}
+    for entry in policies:
+        try:
+            data = pickle.dumps(entry.make if entry.source is None else entry.source)
+        except Exception as error:
+            raise ValueError(
+                f"policy {entry.name!r} cannot be sent to another process ({error}). Name it as "
+                "module:attribute, or define its factory at the top of a module"
+            ) from error
+        parts[entry.name] = SentPolicy(entry.name, entry.fingerprint, data, entry.frozen)
+    return SentComparison(config, config.identity()["source"], parts)
+
+
+def received(comparison: SentComparison, name: str) -> PolicyEntry:
+    """A policy in the process that has got it.
+
+    Raises ValueError where this process has another source, of the policy or the simulation.
+    """
+    policy = comparison.policies[name]
+    key = policy.name, policy.fingerprint
+    if key not in _RECEIVED:
+        source: Any = pickle.loads(policy.data)
+        if isinstance(source, tuple):
+            function, arguments = source
+            entry = function(*arguments)._replace(name=name, frozen=policy.frozen)
+            if entry.fingerprint != policy.fingerprint:
+                raise _differs(f"policy {name!r}")
+        else:
+            entry = PolicyEntry(name, source, policy.fingerprint, frozen=policy.frozen)
+        unknown = [one for one in comparison.config.sets if one not in SETS]
+        if unknown:
+            raise ValueError(
+                f"evaluation set {unknown[0]!r} is not known on {platform.node()}: register it in "
+                "the module of a policy, which every process imports"
+            )
+        if comparison.config.identity()["source"] != comparison.source:
+            raise _differs("the simulation")
+        _RECEIVED[key] = entry
+    return _RECEIVED[key]
+
+
+def _differs(what: str) -> ValueError:
+    return ValueError(
+        f"{what} has another source on {platform.node()} than here: install the same version of "
+        "the same packages there"
+    )

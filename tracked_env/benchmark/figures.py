@@ -1,53 +1,44 @@
-"""Common parts of all figures of the benchmark: colours, sizes, title and legend.
-
-Colours are those of Okabe and Ito, distinguishable with any colour vision; every policy has a
-line style and a marker of its own as well.
-
-A ratio r is coloured by x = ln r / (|ln r| + ln SOFT): blue below 1, red above, white at 1; the
-slope is largest at 1, where the leaders differ, and no finite ratio reaches the end of the scale.
-
-Figures of a finished benchmark, as SVG; needs matplotlib (extra `render`).
+"""Figures of a finished benchmark, as SVG.
 
 overview.svg        tracking RMSE of every episode, per set and policy
 errors.svg          distance to the reference over time: median and quartiles
 paths-<set>.svg     reference and driven paths of the first episodes, and their errors over time
 drive-<set>.svg     error, torque and slip of one episode over time
 beliefs-<set>.svg   true and estimated parameters over time, if a policy estimates any
+and on the page of the leaderboard performance profiles and learning curves.
+
+Colours are those of Okabe and Ito, distinguishable with any colour vision; every policy has a
+line style and a marker of its own as well.
 """
 
-import html
 import io
-import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from tracked_env.benchmark.files import write_atomically
+from tracked_env.benchmark.leaderboard import MAX_DRAWN, Leaderboard, shown
 from tracked_env.benchmark.metrics import CHANNELS
-from tracked_env.benchmark.statistics import Estimate
-from tracked_env.benchmark.store import Record, Store, write_atomically
-from tracked_env.benchmark.summary import agent_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
+from tracked_env.benchmark.policy_interface import agent_of
+from tracked_env.benchmark.records import Record
+from tracked_env.benchmark.statistics import profile
+from tracked_env.benchmark.store import Store
+from tracked_env.benchmark.summary import Row
 
 PALETTE = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe-Ito
 LINE_STYLES = ("--", "-", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 MARKERS = ("v", "o", "s", "D", "^", "P")
 REFERENCE_COLOUR = "0.55"
 DPI = 120  # [1/inch]
-MAX_DRAWN = 5  # policies in a figure; more cannot be told apart
-SOFT = 1.25  # [-] ratio at half of the colour scale
-BLUE, WHITE, RED = (
-    np.array(c, dtype=np.float64) for c in ((20, 88, 160), (255,) * 3, (172, 50, 14))
-)
-MARK_WIDTH = 160.0  # [px] of an interval in a cell
-MARK_LIMIT = 8.0  # [-] ratios beyond it, or below its inverse, lie at the end of the mark
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
@@ -59,6 +50,20 @@ STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "path.simplify_threshold": 0.3,  # [px] keeps vector files of long episodes small
 }
+# Names of policies are shown as they are: a dollar sign in one begins no formula.
+_OF_POLICIES = {**STYLE, "text.parse_math": False}
+BELIEFS = {  # drawn, with their labels
+    "mass": "mass [kg]",
+    "inertia": "inertia [kg m²]",
+    "longitudinal_resistance": "longitudinal resistance [-]",
+    "lateral_resistance": "lateral resistance [-]",
+}
+SMALLEST_DRAWN = 1e-3  # [m] of errors on a logarithmic axis
+MARKER_TIME = 5.0  # [s] between two markers on a path
+THRESHOLDS = 80  # of the performance profile
+LEARNING = "Learning curves"
+Curves = Mapping[str, Sequence[Sequence[tuple[float, ...]]]]  # of each agent, by seed
+Traces = dict[str, dict[str, NDArray[Any]]]  # of one set, by policy
 
 
 class Look(NamedTuple):
@@ -68,14 +73,14 @@ class Look(NamedTuple):
     line_style: Any
     marker: str
 
+    def line(self, width: float, **more: Any) -> dict[str, Any]:
+        """Arguments of a line of this width."""
+        shape = {"linestyle": self.line_style, "color": self.colour, "linewidth": width}
+        return {**shape, **more}
 
-class Mark(NamedTuple):
-    """An interval on a logarithmic axis, places in pixels."""
-
-    value: float
-    low: float
-    high: float
-    one: float  # where the ratio is 1
+    def marked(self, width: float, size: float, **more: Any) -> dict[str, Any]:
+        """Arguments of a line of this width, with markers of this size."""
+        return self.line(width, marker=self.marker, markersize=size, **more)
 
 
 def looks(policies: Sequence[str]) -> dict[str, Look]:
@@ -99,8 +104,6 @@ def new_figure(
     panel, gap: width and height of a panel and between two [inch]; left: left margin [inch].
     Fixed margins, because measuring the labels takes longer than drawing the figure.
     """
-    from matplotlib.figure import Figure
-
     right, top, bottom = 0.15, 0.9, 0.55
     width = left + columns * panel[0] + (columns - 1) * gap[0] + right
     height = bottom + rows * panel[1] + (rows - 1) * gap[1] + top
@@ -116,16 +119,14 @@ def new_figure(
     return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **shared)
 
 
-def plain_ticks(axis: "Axis", places: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+def plain_ticks(axis: Axis, places: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
     """Ticks of a logarithmic axis at these places of each decade, written as plain numbers."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     axis.set_major_locator(LogLocator(subs=places))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 
 
-def head(figure: "Figure", axes: "Axes", title: str, style: dict[str, Look]) -> None:
+def head(figure: Figure, axes: Axes, title: str, style: dict[str, Look]) -> None:
     """Title at the upper left, and below it one legend for all panels."""
     width, height = figure.get_size_inches()
     handles, labels = axes.get_legend_handles_labels()
@@ -150,85 +151,17 @@ def head(figure: "Figure", axes: "Axes", title: str, style: dict[str, Look]) -> 
     figure.suptitle(title, x=0.12 / width, y=1.0 - 0.12 / height, ha="left", va="top", fontsize=11)
 
 
-def svg_text(figure: "Figure", title: str) -> str:
+def svg_text(figure: Figure, title: str) -> str:
     """A figure as SVG, the same text for the same figure; its letters stay text."""
-    import matplotlib
-
-    buffer = io.StringIO()
+    buffer, without = io.StringIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    size: dict[str, Any] = {"bbox_inches": "tight", "pad_inches": 0.1}
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": title}):
-        figure.savefig(
-            buffer, format="svg", bbox_inches="tight", pad_inches=0.1,
-            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
-        )  # fmt: skip
+        figure.savefig(buffer, format="svg", metadata=without, **size)
     # A tenth of a point is not seen; the digits behind it are half of a file.
     return re.sub(r' d="[^"]+"', lambda of: re.sub(r"(\.\d)\d+", r"\1", of[0]), buffer.getvalue())
 
 
-# What a figure inside a page takes over from it: colours of text, grid and background.
-_OF_PAGE = {
-    "#000000": "currentColor", "#262626": "currentColor", "#e6e6e6": "var(--grid)",
-    "#ffffff": "none",
-}  # fmt: skip
-
-
-def inline_svg(text: str, title: str) -> str:
-    """An SVG file as an element of HTML; black, white and the grid follow the page's colours."""
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r' xmlns(?::\w+)?="[^"]*"', "", text).replace("xlink:href", "href")
-    text = re.sub(r' id="\w+_\d+"', "", text)  # the same in every figure
-    for colour, own in _OF_PAGE.items():
-        text = text.replace(colour, own)
-    label = html.escape(title, quote=True)
-    return text.replace("<svg", f'<svg role="img" aria-label="{label}" fill="currentColor"', 1)
-
-
-def colour(ratio: float) -> tuple[str, str]:
-    """Background and text colour of a ratio of errors."""
-    step = math.log(min(max(ratio, 1e-9), 1e9))
-    x = step / (abs(step) + math.log(SOFT))
-    mixed = (WHITE + abs(x) * ((BLUE if x < 0.0 else RED) - WHITE)).round()
-    linear = np.where(mixed <= 10.31, mixed / 3294.6, ((mixed / 255 + 0.055) / 1.055) ** 2.4)
-    light = float(linear @ (0.2126, 0.7152, 0.0722))  # relative luminance
-    # Contrast is (light + 0.05) / 0.05 with black and 1.05 / (light + 0.05) with white.
-    text = "#000" if (light + 0.05) ** 2 > 1.05 * 0.05 else "#fff"
-    return "#" + "".join(f"{int(part):02x}" for part in mixed), text
-
-
-def marks(estimates: Sequence[Estimate]) -> list[Mark]:
-    """Intervals of one column on one axis, which holds 1 and ends at MARK_LIMIT at most."""
-    low = max(min(1 / 1.1, *(e.low for e in estimates)), 1.0 / MARK_LIMIT)
-    high = min(max(1.1, *(e.high for e in estimates)), MARK_LIMIT)
-    scale = (MARK_WIDTH - 8.0) / math.log(high / low)
-
-    def place(ratio: float) -> float:
-        return round(4.0 + scale * math.log(min(max(ratio, low), high) / low), 1)
-
-    return [Mark(place(e.value), place(e.low), place(e.high), place(1.0)) for e in estimates]
-
-
-Traces = dict[str, dict[str, NDArray[Any]]]  # of one set, by policy
-
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-__all__ = [
-    "DPI", "PALETTE", "REFERENCE_COLOUR", "STYLE", "Look", "Record", "Traces", "beliefs", "drive",
-    "errors", "looks", "overview", "paths", "save_all",
-]  # fmt: skip
-
-BELIEFS = {  # drawn, with their labels
-    "mass": "mass [kg]",
-    "inertia": "inertia [kg m²]",
-    "longitudinal_resistance": "longitudinal resistance [-]",
-    "lateral_resistance": "lateral resistance [-]",
-}
-SMALLEST_DRAWN = 1e-3  # [m] of errors on a logarithmic axis
-MARKER_TIME = 5.0  # [s] between two markers on a path
-
-
-def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Look]) -> "Figure":
+def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Look]) -> Figure:
     """Every episode as a point, quartiles as a box; RMSE on a logarithmic axis."""
     figure, grid = new_figure((7.0, 0.24 * len(sets) * (len(style) + 1)), left=1.4)
     axes = grid[0, 0]
@@ -240,18 +173,18 @@ def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Lo
             )
             y = row + (k - 0.5 * (len(style) - 1)) * 0.8 / len(style)
             height = 0.55 / len(style)
-            axes.boxplot(
-                rmse, positions=[y], orientation="horizontal", widths=height, showfliers=False,
-                manage_ticks=False, patch_artist=True,
-                boxprops={"facecolor": look.colour, "alpha": 0.35, "edgecolor": look.colour},
-                medianprops={"color": look.colour, "linewidth": 2.0},
-                whiskerprops={"color": look.colour}, capprops={"color": look.colour},
-            )  # fmt: skip
+            colours = {
+                "boxprops": {"facecolor": look.colour, "alpha": 0.35, "edgecolor": look.colour},
+                "medianprops": {"color": look.colour, "linewidth": 2.0},
+                "whiskerprops": {"color": look.colour},
+                "capprops": {"color": look.colour},
+            }
+            box = {"showfliers": False, "manage_ticks": False, "patch_artist": True, **colours}
+            axes.boxplot(rmse, positions=[y], orientation="horizontal", widths=height, **box)
             scatter = y + height * rng.uniform(-0.4, 0.4, len(rmse))
-            axes.plot(
-                rmse, scatter, look.marker, color=look.colour, markersize=3.0, alpha=0.6,
-                markeredgewidth=0.0, label=policy if row == 0 else None,
-            )  # fmt: skip
+            points = {"markersize": 3.0, "alpha": 0.6, "markeredgewidth": 0.0}
+            label = policy if row == 0 else None
+            axes.plot(rmse, scatter, look.marker, color=look.colour, label=label, **points)
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(sets)), sets)
@@ -265,7 +198,7 @@ def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Lo
     return figure
 
 
-def errors(traces: dict[str, Traces], style: dict[str, Look]) -> "Figure":
+def errors(traces: dict[str, Traces], style: dict[str, Look]) -> Figure:
     """One panel per set: median of the error over the episodes, and the quartiles as a band."""
     columns = min(len(traces), 4)
     rows = -(-len(traces) // columns)
@@ -276,9 +209,7 @@ def errors(traces: dict[str, Traces], style: dict[str, Look]) -> "Figure":
             low, median, high = np.quantile(trace["error"], [0.25, 0.5, 0.75], axis=1)
             look = style[policy]
             axes.fill_between(trace["time"], low, high, color=look.colour, alpha=0.25, linewidth=0)
-            axes.plot(
-                trace["time"], median, linestyle=look.line_style, color=look.colour, label=policy
-            )
+            axes.plot(trace["time"], median, **look.line(1.5), label=policy)
         axes.set_title(name)
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
@@ -299,7 +230,7 @@ def _motion(trace: dict[str, NDArray[Any]], name: str, episode: int) -> NDArray[
     return np.asarray(trace["motion"][:, episode, CHANNELS.index(name)], dtype=np.float64)
 
 
-def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figure":
+def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> Figure:
     """Reference and driven paths of the first episodes of a set, and their errors over time.
 
     Errors of centimetres are not seen beside paths of many metres: hence the lower row. Markers
@@ -311,24 +242,18 @@ def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figu
     figure, grid = new_figure((2.4, 2.2), 2, count, gap=(0.5, 0.5))
     for episode, (axes, below) in enumerate(grid.T):
         x, y = (_motion(longest, f"reference_{axis}", episode) for axis in "xy")
-        axes.plot(
-            x, y, color=REFERENCE_COLOUR, linewidth=5.0, alpha=0.5, label="reference",
-            marker="o", markersize=6.0, markevery=(every - 1, every),
-        )  # fmt: skip
+        wide = Look(REFERENCE_COLOUR, "-", "o").marked(5.0, 6.0, markevery=(every - 1, every))
+        axes.plot(x, y, alpha=0.5, label="reference", **wide)
         for policy, trace in reversed(traces.items()):  # the baseline on top
             look = style[policy]
             x, y = _motion(trace, "x", episode), _motion(trace, "y", episode)
-            axes.plot(
-                x, y, linestyle=look.line_style, color=look.colour, linewidth=1.3, label=policy,
-                marker=look.marker, markersize=4.0, markevery=(every - 1, every),
-            )  # fmt: skip
+            axes.plot(x, y, label=policy, **look.marked(1.3, 4.0, markevery=(every - 1, every)))
             if np.isnan(x).any() or len(x) < len(longest["motion"]):  # it ended early: mark where
                 end = np.flatnonzero(np.isfinite(x))[-1]
                 axes.plot(x[end], y[end], "X", color=look.colour, markersize=8.0)
             error = _motion(trace, "error", episode)
             time = np.arange(1, len(error) + 1) * trace["control_period"]
-            line = {"linestyle": look.line_style, "color": look.colour, "linewidth": 1.1}
-            below.plot(time, np.maximum(error, SMALLEST_DRAWN), **line)
+            below.plot(time, np.maximum(error, SMALLEST_DRAWN), **look.line(1.1))
         axes.set_aspect("equal", adjustable="datalim")
         axes.set_title(f"episode {episode} (seed {seed + episode})")
         axes.set_xlabel("x [m]")
@@ -341,15 +266,14 @@ def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figu
     return figure
 
 
-def drive(name: str, traces: Traces, style: dict[str, Look], episode: int = 0) -> "Figure":
+def drive(name: str, traces: Traces, style: dict[str, Look], episode: int = 0) -> Figure:
     """Error, torque and slip of one episode of a set over time; a column per side."""
     figure, grid = new_figure((4.0, 1.6), 3, 2, gap=(0.75, 0.4), sharex=True)
     for row in grid[1:]:
         row[1].sharey(row[0])
     for policy, trace in reversed(traces.items()):  # the baseline on top
-        look = style[policy]
+        line = style[policy].line(1.1)
         time = np.arange(1, len(trace["motion"]) + 1) * trace["control_period"]
-        line = {"linestyle": look.line_style, "color": look.colour, "linewidth": 1.1}
         grid[0, 0].plot(time, _motion(trace, "error", episode), label=policy, **line)
         heading = np.degrees(_motion(trace, "heading_error", episode))
         grid[0, 1].plot(time, heading, **line)
@@ -375,22 +299,22 @@ def _believed(trace: dict[str, NDArray[Any]], name: str, episode: int) -> NDArra
     return np.array([trace["believed_time"], *parts], dtype=np.float64)
 
 
-def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Figure | None":
+def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> Figure | None:
     """True and estimated parameters with a band of two claimed sigma; a column per episode.
 
     None when no policy estimates one of BELIEFS. The axes show truth and estimates, a band that
     is wider is cut off.
     """
-    known = {policy: set(map(str, t.get("believed_names", ()))) for policy, t in traces.items()}
-    rows = [parameter for parameter in BELIEFS if any(parameter in of for of in known.values())]
+    names = {policy: set(map(str, t.get("believed_names", ()))) for policy, t in traces.items()}
+    rows = [parameter for parameter in BELIEFS if any(parameter in of for of in names.values())]
     if not rows:
         return None
-    count = min(traces[policy]["believed_value"].shape[2] for policy, of in known.items() if of)
+    count = min(traces[policy]["believed_value"].shape[2] for policy, of in names.items() if of)
     figure, grid = new_figure(
         (2.5, 1.35), len(rows), count, left=0.75, gap=(0.25, 0.2), sharex=True, sharey="row"
     )
     for parameter, panels in zip(rows, grid, strict=True):
-        policies = [policy for policy, of in known.items() if parameter in of]
+        policies = [policy for policy, of in names.items() if parameter in of]
         extremes = []
         for episode, axes in enumerate(panels):
             drawn = {p: _believed(traces[p], parameter, episode) for p in policies}
@@ -401,8 +325,7 @@ def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> "Fi
                 look = style[policy]
                 band = value - 2.0 * deviation, value + 2.0 * deviation
                 axes.fill_between(time, *band, color=look.colour, alpha=0.2, linewidth=0)
-                line = {"linestyle": look.line_style, "color": look.colour, "linewidth": 1.2}
-                axes.plot(time, value, label=policy, **line)
+                axes.plot(time, value, label=policy, **look.line(1.2))
                 finite = value[np.isfinite(value)]
                 if finite.size:
                     extremes.append(list(np.quantile(finite, [0.01, 0.99])))
@@ -426,17 +349,11 @@ def save_all(
     seed: int,
     agents: Sequence[str] | None = None,
 ) -> list[Path]:
-    """Draw everything into `folder`; returns the files. Raises ImportError without matplotlib.
+    """Draw everything into `folder`; returns the files.
 
     agents: those that are drawn, by default the first ones; MAX_DRAWN of them. Of an agent with
     several seeds the first one is drawn.
     """
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise ImportError(
-            "figures need matplotlib: pip install 'tracked-env[render]', or pass --no-figures"
-        ) from error
     folder.mkdir(parents=True, exist_ok=True)
     first: dict[str, str] = {}
     for record in records:
@@ -445,26 +362,75 @@ def save_all(
     first = {agent: first[agent] for agent in chosen}  # in this order, as their colours
     records = [record for record in records if record["policy"] in first.values()]
     style = looks(list(first.values()))
-    found: dict[str, Traces] = {}
+    by_set: dict[str, Traces] = {}
     for name in sets:
         loaded = {policy: store.load_trace(policy, name) for policy in style}
-        traces = {policy: trace for policy, trace in loaded.items() if trace is not None}
-        if traces:
-            found[name] = traces
-    # Names of policies are shown as they are: a dollar sign in one begins no formula.
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        by_set[name] = {policy: trace for policy, trace in loaded.items() if trace is not None}
+    by_set = {name: traces for name, traces in by_set.items() if traces}
+    with matplotlib.rc_context(_OF_POLICIES):
         drawn = {"overview": overview(records, sets, style)}
-        if found:
-            drawn["errors"] = errors(found, style)
-        for name, traces in found.items():
+        if by_set:
+            drawn["errors"] = errors(by_set, style)
+        for name, traces in by_set.items():
             drawn[f"paths-{name}"] = paths(name, traces, style, seed)
             drawn[f"drive-{name}"] = drive(name, traces, style)
-            believed = beliefs(name, traces, style, seed)
-            if believed is not None:
-                drawn[f"beliefs-{name}"] = believed
-        files = []
+            if (figure := beliefs(name, traces, style, seed)) is not None:
+                drawn[f"beliefs-{name}"] = figure
         for title, figure in drawn.items():
-            path = folder / f"{title}.svg"
-            write_atomically(path, svg_text(figure, title).encode())
-            files.append(path)
-    return files
+            write_atomically(folder / f"{title}.svg", svg_text(figure, title).encode())
+    return [folder / f"{title}.svg" for title in drawn]
+
+
+def profiles(row: Row, board: Leaderboard, style: dict[str, Look]) -> Figure:
+    """Share of seeds and episodes with an RMSE below a threshold, with 95 % bands."""
+    values = np.concatenate([row.redrawn[agent].values.ravel() for agent in style])
+    low, high = max(float(values.min()), 1e-3), max(float(values.max()), 2e-3)
+    tau = np.geomspace(low, high, THRESHOLDS)
+    figure, grid = new_figure((6.5, 3.2))
+    axes = grid[0, 0]
+    for place in [p for p in board.places if p.agent in style]:
+        look = style[place.agent]
+        share, below, above = profile(row.redrawn[place.agent], row.redraws, tau)
+        axes.fill_between(tau, below, above, color=look.colour, alpha=0.2, linewidth=0)
+        axes.plot(tau, share, label=place.agent, **look.marked(1.5, 4.0, markevery=(5, 15)))
+    axes.set_xscale("log")
+    plain_ticks(axes.xaxis)
+    axes.set_ylim(0.0, 1.02)
+    axes.set_xlabel("threshold of the RMSE [m]")
+    axes.set_ylabel("share of episodes with RMSE ≤ threshold")
+    _legend(axes, "Performance profile over all sets: further left is better")
+    return figure
+
+
+def learning(curves: Curves, board: Leaderboard, style: dict[str, Look]) -> Figure:
+    """RMSE on held-out episodes over the steps of the training, a line per seed."""
+    figure, grid = new_figure((6.5, 3.2))
+    axes = grid[0, 0]
+    for place in (p for p in board.places if p.agent in curves and p.agent in style):
+        for seed, curve in enumerate(curves[place.agent]):
+            steps, rmse = np.array(curve).T
+            label = place.agent if seed == 0 else None
+            axes.plot(steps, rmse, label=label, **style[place.agent].marked(1.2, 3.5))
+    axes.set_yscale("log")
+    plain_ticks(axes.yaxis)
+    axes.xaxis.set_major_formatter(lambda x, _: f"{x / 1e6:g}")
+    axes.set_xlabel("environment steps [millions]")
+    axes.set_ylabel("RMSE on held-out episodes [m]")
+    _legend(axes, "Learning curves, a line per seed")
+    return figure
+
+
+def _legend(axes: Axes, title: str) -> None:
+    """Title above, and beside the panel a legend in the order of the leaderboard."""
+    axes.set_title(title, loc="left")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), handlelength=3.0)
+
+
+def figures(board: Leaderboard, row: Row, curves: Curves) -> dict[str, Figure]:
+    """The figures of all sets by title. row: that of all sets."""
+    style = looks(shown(board))
+    with matplotlib.rc_context(_OF_POLICIES):
+        drawn = {"Performance profile": profiles(row, board, style)}
+        if any(agent in curves for agent in style):
+            drawn[LEARNING] = learning(curves, board, style)
+    return drawn

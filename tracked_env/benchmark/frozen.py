@@ -42,8 +42,8 @@ BITS = 20  # of the mantissa that count, about 6 significant digits; kernels of 
 FLOOR = 1e-9  # [SI] a smaller number is rounding of 0
 TOLERANCE = 1e-5  # [-] relative, of the driven numbers: far above rounding, far below a change
 # What a configuration may not say differently, with what it is in every version.
-FIXED = {"seed": SEED, "reference": None, "sensors": None, "duration": None,
-         "control_rate": 50.0, "lateral": "sliding", "error_limit": None}  # fmt: skip
+FIXED = dict.fromkeys(("reference", "sensors", "duration", "error_limit"))
+FIXED |= {"seed": SEED, "control_rate": 50.0, "lateral": "sliding"}
 
 
 class Check(NamedTuple):
@@ -73,7 +73,7 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(rounded(value).tobytes())
 
 
-def look(name: str, version: Version | None = None) -> dict[str, Any]:
+def draw(name: str, version: Version | None = None) -> dict[str, Any]:
     """Digest of the episodes of a set as drawn now: {"hash": digest, "driven": numbers}.
 
     version: knows which fields count; None for the newest one with the set.
@@ -103,13 +103,13 @@ def look(name: str, version: Version | None = None) -> dict[str, Any]:
     return {"hash": digest.hexdigest()[:12], "driven": numbers}
 
 
-def total(found: Mapping[str, Mapping[str, Any]]) -> str:
+def total(sets: Mapping[str, Mapping[str, Any]]) -> str:
     """One hash of the digests of all sets."""
-    text = json.dumps({name: found[name]["hash"] for name in sorted(found)})
+    text = json.dumps({name: sets[name]["hash"] for name in sorted(sets)})
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def kept(version: Version = PLANAR) -> dict[str, Any]:
+def stored(version: Version = PLANAR) -> dict[str, Any]:
     """The numbers of a version, as they are in the package."""
     text = files("tracked_env.benchmark").joinpath(version.file).read_text(encoding="utf-8")
     return dict(json.loads(text))
@@ -117,20 +117,20 @@ def kept(version: Version = PLANAR) -> dict[str, Any]:
 
 def _deviations(config: BenchmarkConfig, version: Version | None) -> list[str]:
     """Settings that differ from those of the sets, in words."""
-    said = [
+    settings = [
         f"{name} = {getattr(config, name)!r}"
         for name, fixed in FIXED.items()
         if getattr(config, name) != fixed
     ]
-    known = () if version is None else names_of(version)
-    return said + [f"set {name}" for name in config.sets if name not in known]
+    of_version = () if version is None else names_of(version)
+    return settings + [f"set {name}" for name in config.sets if name not in of_version]
 
 
-def _changed(names: Sequence[str], known: Mapping[str, Any], version: Version) -> list[str]:
+def _changed(names: Sequence[str], sets: Mapping[str, Any], version: Version) -> list[str]:
     """The sets that are no longer what they were, and in what."""
     changed = []
     for name in names:
-        now, then = look(name, version), known.get(name)
+        now, then = draw(name, version), sets.get(name)
         if then is not None and then.get("version", 1) != SETS[name].version:
             changed.append(
                 f"{name} (version {SETS[name].version}, kept is {then.get('version', 1)})"
@@ -148,7 +148,7 @@ def check(config: BenchmarkConfig) -> Check:
     deviations = _deviations(config, version)
     if version is None:
         return Check("-", "-", False, f"sets of your own: {', '.join(deviations)}")
-    document = kept(version)
+    document = stored(version)
     mark = f"{version.name}, hash {document['hash']}"
 
     def answer(comparable: bool, text: str) -> Check:
@@ -182,30 +182,25 @@ def document(version: Version, sets: Sequence[str] = ()) -> dict[str, Any]:
     names = names_of(version)
     for name in sets:
         checked_choice(f"evaluation set of {version.name}", name, names)
-    found = {} if not sets else {n: e for n, e in kept(version)["sets"].items() if n in names}
+    entries = dict(stored(version)["sets"]) if sets else {}
     for name in names:
-        if name not in found or name in sets:
-            found[name] = {**_of_set(name, version), **look(name, version)}
-    found = {name: found[name] for name in names}
+        if name not in entries or name in sets:
+            group = {"version": SETS[name].version, "group": group_of(name, version)}
+            entries[name] = {**(group if version.groups else {}), **draw(name, version)}
+    entries = {name: entries[name] for name in names}
     return {
         "version": version.name,
-        "hash": total(found),
+        "hash": total(entries),
         "numpy": np.__version__,
         "episodes": EPISODES,
         "seed": SEED,
-        "sets": found,
+        "sets": entries,
     }
-
-
-def _of_set(name: str, version: Version) -> dict[str, Any]:
-    """What a version in groups says of a set beside its numbers."""
-    known = {"version": SETS[name].version, "group": group_of(name, version)}
-    return known if version.groups else {}
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Print the digests of a version of the sets.")
     parser.add_argument("version", choices=tuple(VERSIONS))
     parser.add_argument("--sets", nargs="+", default=(), help="draw these; all others stay")
-    given = parser.parse_args()
-    print(json.dumps(document(VERSIONS[given.version], given.sets), indent=1))
+    options = parser.parse_args()
+    print(json.dumps(document(VERSIONS[options.version], options.sets), indent=1))

@@ -1,8 +1,10 @@
-"""Accuracy of the estimates of a policy: metrics from its estimates and the true values.
+"""Accuracy of the estimates of a policy, taken down step by step beside the true values.
 
-Row k of its beliefs (`benchmark.beliefs`) has the estimate x_k, its standard deviation sigma_k and
-the true value p_k. With the scale P_k = max(|p_k|, 1 % of the nominal value), 1 for the slips, and
-the K rows of the time driven:
+A policy with the hook `estimates` is asked after each `predict`. Row k holds its estimate x_k and
+standard deviation sigma_k at time k h, when it has seen k + 1 observations, and the true value p_k
+that was in force when the last of them was taken. Estimates of parameters outside ESTIMABLE, or
+that the plant does not read, have no true value and are not taken down. With the scale P_k =
+max(|p_k|, 1 % of the nominal value), 1 for the slips, and the K rows of the time driven:
     relative error       r_k = (x_k - p_k) / P_k
     relative RMSE        sqrt(mean r_k^2), over all rows and over those after SETTLING_TIME
     settling time        smallest tau >= 0 with |r_k| <= SETTLED for all rows from t_0 + tau on,
@@ -24,10 +26,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.benchmark.metrics import SLIPS, Beliefs, Metric, Trace, last_outside, settled_step
+from tracked_env.arrays import columns
+from tracked_env.benchmark.metrics import Metric, Trace, last_outside, settled_step
 from tracked_env.physics.lumped import drive_limits
-from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 
+FloatArray = NDArray[np.float64]
+
+SLIPS = ("slip_left", "slip_right")
+ESTIMABLE = (*PARAMETER_NAMES, "effort_maximum", *SLIPS)  # what may be estimated
 SETTLED = 0.1  # [-] relative error within which an estimate is settled
 DIVERGED = 0.5  # [-] relative error from which on an estimate may count as diverged
 APART = 1.0  # [s] after an abrupt change, in which no estimator can know of it
@@ -51,27 +58,99 @@ ESTIMATION_METRICS = {
 LATER = ("nees_apart", "in_three_sigma_apart", "claimed_deviation")
 
 
+class Beliefs(NamedTuple):
+    """Estimates of a policy for n vehicles over T control steps, and the true values."""
+
+    names: tuple[str, ...]  # (P,)
+    value: NDArray[np.float32]  # (T, P, n) SI
+    deviation: NDArray[np.float32]  # (T, P, n)
+    truth: NDArray[np.float32]  # (T, P, n)
+    excited: NDArray[np.bool_]  # (T, P, n)
+    reports_excitation: tuple[bool, ...]  # (P,) whether `excited` is known
+    nis: dict[str, NDArray[np.float32]]  # (T, n) by filter
+
+
+class Recorder:
+    """Takes down the beliefs of one batch, step by step."""
+
+    def __init__(
+        self, count: int, max_steps: int, read: frozenset[str] = frozenset(ESTIMABLE)
+    ) -> None:
+        """read: parameters that the plant reads; others have no true value."""
+        self.with_truth = read | {"effort_maximum", *SLIPS}
+        self.count, self.max_steps = count, max_steps
+        self.rows = 0
+        self.names: tuple[str, ...] = ()
+        self.reports_excitation: tuple[bool, ...] = ()
+        self._columns: list[int] = []
+
+    def _allocate(self, estimates: Mapping[str, Any], excited: Mapping[str, Any]) -> None:
+        """Fix the names by the first answer. Raises ValueError if none of them is known."""
+        self.names = tuple(n for n in estimates if n in ESTIMABLE and n in self.with_truth)
+        if not self.names:
+            raise ValueError(f"estimates of {sorted(estimates)}; none of them is in {ESTIMABLE}")
+        for name in self.names:
+            answer = estimates[name]
+            if len(answer) != 2 or any(np.shape(part) != (self.count,) for part in answer):
+                raise ValueError(
+                    f"estimate of {name} has shapes {[np.shape(part) for part in answer]}; must be "
+                    f"(value, standard deviation), each ({self.count},): one number per vehicle"
+                )
+        self.reports_excitation = tuple(name in excited for name in self.names)
+        self._columns = columns(self.names)
+        shape = (self.max_steps, len(self.names), self.count)
+        self.value, self.deviation, self.truth = (np.empty(shape, np.float32) for _ in range(3))
+        self.excited = np.zeros(shape, dtype=bool)
+        self.nis: dict[str, NDArray[np.float32]] = {}
+
+    def take(self, policy: Any, floats: FloatArray) -> None:
+        """One row. floats: those of the batch, before the step that follows.
+
+        Raises ValueError for names or shapes that are not understood.
+        """
+        k = self.rows
+        estimates = policy.estimates()
+        excited = policy.excited() if hasattr(policy, "excited") else {}
+        if k == 0:
+            self._allocate(estimates, excited)
+        for j, name in enumerate(self.names):
+            self.value[k, j], self.deviation[k, j] = estimates[name]
+            if self.reports_excitation[j]:
+                self.excited[k, j] = excited[name]
+        self.truth[k] = floats[:, self._columns].T
+        for name, nis in (policy.nis() if hasattr(policy, "nis") else {}).items():
+            if name not in self.nis:
+                self.nis[name] = np.full((self.max_steps, self.count), np.nan, dtype=np.float32)
+            self.nis[name][k] = nis
+        self.rows += 1
+
+    def beliefs(self) -> Beliefs:
+        """All that was taken down."""
+        n = self.rows
+        parts = (self.value[:n], self.deviation[:n], self.truth[:n], self.excited[:n])
+        nis = {name: values[:n] for name, values in self.nis.items()}
+        return Beliefs(self.names, *parts, self.reports_excitation, nis)
+
+
 @lru_cache
 def nominal_values(nominal: PlantParameters = VEHICLES["strawa"]) -> dict[str, float]:
-    """The nominal value of each of KNOWN: the estimate of a policy that identifies nothing."""
+    """Nominal value of each of ESTIMABLE: the estimate of a policy that identifies nothing."""
     effort = float(drive_limits(nominal).effort_maximum)
     return {**nominal._asdict(), "effort_maximum": effort, **dict.fromkeys(SLIPS, 0.0)}
 
 
-def scales(
-    names: Sequence[str], truth: NDArray[np.float64], known: Mapping[str, float]
-) -> NDArray[np.float64]:
+def scales(names: Sequence[str], truth: FloatArray, nominal: Mapping[str, float]) -> FloatArray:
     """Scale of a relative error, (P, K): the true value, not too close to 0; 1 in SI units for
     slips and for what is nominally 0.
 
-    known: the nominal values.
+    nominal: the nominal values.
     """
-    floor = [[LEAST_SCALE * abs(known[name])] for name in names]
-    absolute = [[name in SLIPS or known[name] == 0.0] for name in names]
+    floor = [[LEAST_SCALE * abs(nominal[name])] for name in names]
+    absolute = [[name in SLIPS or nominal[name] == 0.0] for name in names]
     return np.where(absolute, 1.0, np.maximum(np.abs(truth), floor))
 
 
-def _mean(values: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _mean(values: FloatArray, valid: NDArray[np.bool_]) -> FloatArray:
     """Mean over the valid entries of the last axis; NaN where there is none."""
     if valid.size and valid.all():
         return np.asarray(values.mean(axis=-1))
@@ -91,7 +170,7 @@ def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
     The metrics are those of ESTIMATION_METRICS, None where there is nothing to measure.
     """
     changes = trace.changes()
-    known = nominal_values(trace.nominal)
+    nominal = nominal_values(trace.nominal)
     # Vehicle first and time last: neighbours in memory, and the same sums for every batch.
     parts = (beliefs.value, beliefs.deviation, beliefs.truth, beliefs.excited)
     by_vehicle = [np.ascontiguousarray(part.T) for part in parts]
@@ -102,10 +181,10 @@ def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
         apart = np.ones(steps, dtype=bool)
         for change in changes[i]:
             apart[change.first : change.last + round(APART / trace.control_period)] = False
-        columns = _episode(beliefs, rows, origin, settled_step(trace), known, apart)
-        columns["settling_time"] = columns["settling_time"] * trace.control_period
+        metrics = _episode(beliefs, rows, origin, settled_step(trace), nominal, apart)
+        metrics["settling_time"] = metrics["settling_time"] * trace.control_period
         parameters = {
-            name: {metric: optional(column[j]) for metric, column in columns.items()}
+            name: {metric: optional(values[j]) for metric, values in metrics.items()}
             for j, name in enumerate(beliefs.names)
         }
         nis = {}
@@ -118,102 +197,84 @@ def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
 
 def _episode(
     beliefs: Beliefs,
-    rows: Sequence[NDArray[np.float64]],
+    rows: Sequence[FloatArray],
     origin: int,
     settled: int,
-    known: Mapping[str, float],
+    nominal: Mapping[str, float],
     apart: NDArray[np.bool_],
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, FloatArray]:
     """Every metric of one episode, (P,) each; the settling time in rows.
 
     rows: value, deviation, truth and excited, each (P, K); origin: first row after the last change;
-    known: the nominal values. apart (K,): rows that are not shortly after an abrupt change.
+    nominal: values. apart (K,): rows that are not shortly after an abrupt change.
     """
     value, deviation, truth, excited = rows
     finite = np.isfinite(value) & np.isfinite(truth)
     error = np.where(finite, value - np.where(finite, truth, 0.0), np.nan)
-    scale = scales(beliefs.names, truth, known)
+    scale = scales(beliefs.names, truth, nominal)
     relative = error / scale
     squared = relative * relative
     outside = ~(np.abs(relative) <= SETTLED)[:, origin:]
     settling = np.array([last_outside(row) for row in outside], dtype=np.float64)
     never = settling >= outside.shape[1]
     claimed = finite & (deviation > 0.0) & np.isfinite(deviation)
-    nominal = np.array([known[name] for name in beliefs.names])
     last = np.abs(relative[:, -1])
-    others = np.abs(nominal - truth[:, -1]) / scale[:, -1]
-    seen = outside.shape[1] > 0
+    constant = np.array([nominal[name] for name in beliefs.names])
+    of_nominal = np.abs(constant - truth[:, -1]) / scale[:, -1]
+    diverged = ~np.isfinite(value[:, -1]) | ((last > DIVERGED) & (last > of_nominal))
     normalised = (error / np.where(claimed, deviation, 1.0)) ** 2
     inside = (np.abs(error) <= 3.0 * deviation).astype(np.float64)
-    every = np.broadcast_to(apart, inside.shape)
     return {
         "relative_rmse": np.sqrt(_mean(squared, finite)),
         "settled_relative_rmse": np.sqrt(_mean(squared[:, settled:], finite[:, settled:])),
         "final_relative_error": relative[:, -1],
         "settling_time": np.where(never, np.inf, settling),
-        "settled": np.where(seen, (~never).astype(np.float64), np.nan),
+        "settled": np.where(outside.shape[1] > 0, (~never).astype(np.float64), np.nan),
         "nees": _mean(normalised, claimed),
         "in_three_sigma": inside.mean(axis=-1),
         "nees_apart": _mean(normalised, claimed & apart),
-        "in_three_sigma_apart": _mean(inside, every),
+        "in_three_sigma_apart": _mean(inside, np.broadcast_to(apart, inside.shape)),
         "claimed_deviation": np.median(deviation / scale, axis=-1),
         "excited": np.where(beliefs.reports_excitation, excited.mean(axis=-1), np.nan),
-        "diverged": (~np.isfinite(value[:, -1]) | ((last > DIVERGED) & (last > others))).astype(
-            np.float64
-        ),
+        "diverged": diverged.astype(np.float64),
     }
 
 
-class IdentificationSummary(NamedTuple):
-    """One parameter as one policy estimates it on one set."""
-
-    episodes: int
-    relative_rmse: float  # [-] median over the episodes
-    settled_relative_rmse: float  # [-] median
-    final_relative_error: float  # [-] median of the magnitude
-    settling_time: float  # [s] median, inf when most episodes never settle
-    settled: float  # [-] share of the episodes
-    nees: float  # [-] mean
-    in_three_sigma: float  # [-] mean
-    nees_apart: float  # [-] mean, NaN where records lack it, as the next two
-    in_three_sigma_apart: float  # [-] mean
-    claimed_deviation: float  # [-] median
-    excited: float  # [-] mean, NaN when the policy does not say
-    diverged: float  # [-] share of the episodes
+# Metrics of which a summary has the median over the episodes (of the final error, of its magnitude;
+# of the settling time inf when most episodes never settle); of the others it has the mean.
+MEDIANS = {"relative_rmse", "settled_relative_rmse", "final_relative_error"}
+MEDIANS |= {"settling_time", "claimed_deviation"}
 
 
-def summarise(records: Sequence[Mapping[str, Any]]) -> dict[str, IdentificationSummary]:
-    """Summary of one policy on one set, by parameter; empty when it estimates nothing."""
-    found: dict[str, list[Mapping[str, Any]]] = {}
+def summarise(records: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
+    """{parameter: {metric: number}} of one policy on one set, and `episodes`; empty when it
+    estimates nothing. NaN where records lack a metric."""
+    by_parameter: dict[str, list[Mapping[str, Any]]] = {}
     for record in records:
         for name, values in record.get("identification", {}).items():
-            found.setdefault(name, []).append(values)
-    return {name: _summary(rows) for name, rows in found.items()}
+            by_parameter.setdefault(name, []).append(values)
+    return {name: _summary(rows) for name, rows in by_parameter.items()}
 
 
-def _summary(rows: Sequence[Mapping[str, Any]]) -> IdentificationSummary:
-    columns = {
+def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    metrics = {
         metric: np.array([row.get(metric) for row in rows], dtype=np.float64)
         for metric in ESTIMATION_METRICS
     }
-    columns["final_relative_error"] = np.abs(columns["final_relative_error"])
-    columns["settling_time"][columns["settled"] == 0.0] = np.inf
-    median = (
-        "relative_rmse", "settled_relative_rmse", "final_relative_error", "settling_time",
-        "claimed_deviation",
-    )  # fmt: skip
-    values = {}
-    for metric, column in columns.items():
-        known = column[~np.isnan(column)]
-        centre = np.median if metric in median else np.mean
-        values[metric] = float(centre(known)) if known.size else np.nan
-    return IdentificationSummary(len(rows), **values)
+    metrics["final_relative_error"] = np.abs(metrics["final_relative_error"])
+    metrics["settling_time"][metrics["settled"] == 0.0] = np.inf
+    centres = {}
+    for metric, column in metrics.items():
+        values = column[~np.isnan(column)]
+        centre = np.median if metric in MEDIANS else np.mean
+        centres[metric] = float(centre(values)) if values.size else np.nan
+    return {"episodes": len(rows), **centres}
 
 
 def mean_nis(records: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Mean normalised innovation squared of one policy on one set, by filter."""
-    found: dict[str, list[float]] = {}
+    by_filter: dict[str, list[float]] = {}
     for record in records:
         for name, value in record.get("nis", {}).items():
-            found.setdefault(name, []).extend([] if value is None else [value])
-    return {name: float(np.mean(values)) if values else np.nan for name, values in found.items()}
+            by_filter.setdefault(name, []).extend([] if value is None else [value])
+    return {name: float(np.mean(each)) if each else np.nan for name, each in by_filter.items()}

@@ -13,37 +13,24 @@ largest one. The action rate is therefore one of two metrics: `torque_rate` [N m
 An episode that ends early counts e_k = E for the time it lacks, and e_k never counts more than
 E: leaving the path is never better than staying on it. Heading, speed, effort, energy, saturation
 and action rate are taken over the time driven; read them beside the share of terminations.
-Recovery, peak and RMSE after an abrupt change of the true parameters are defined in `changes`; they
-are NaN where there is none. Goals are those of planned references, see `goal_metrics`.
 
-Beliefs of a policy: its estimates, taken down step by step beside the true values.
-
-A policy with the hook `estimates` is asked after each `predict`. Row k holds its estimate and
-standard deviation at time k h, when it has seen k + 1 observations, and the true value that was in
-force when the last of them was taken. Estimates of parameters outside KNOWN, or that the plant does
-not read, have no true value and are not taken down. `identification_metrics` evaluates the rows.
-
-Abrupt changes of the true parameters inside an episode, and how a policy gets over the first.
-
-A parameter of CHANGING changes in step k when its value in force differs from that of step k - 1
-by more than RESOLUTION of it. Steps less than JOIN_TIME apart make one run, per parameter; a run is
+Changes. A parameter of CHANGING changes in step k when its value in force differs from that of
+step k - 1 by more than RESOLUTION of it. Steps less than JOIN_TIME apart make one run, per
+parameter; a run is
     abrupt    when it lasts less than ABRUPT_TIME and moves the parameter by at least
               ABRUPT_CHANGE of its value before it (a payload step, the crossing of a border),
               and, unless it is a single step, lies JOIN_TIME away from both ends of the episode
     slow      otherwise (drift, a resistance map): it is no change in the sense of this file
 Abrupt runs of all parameters that overlap are one change. With t_s and t_e start and end of the
-first change, t_n the start of the next (or the end of the episode) and e(t) the distance to the
-reference, counted as in `metrics`:
+first change, t_n the start of the next (or the end of the episode), l the contact length:
     recovery time        smallest tau >= 0 with e(t) < RECOVERED l for all t_e + tau < t <= t_n;
                          t_n - t_e when there is none
     peak after change    max of e(t) over t_s < t <= t_n
     RMSE after change    sqrt(mean e(t)^2) over t_s < t <= t_n
 All are NaN without an abrupt change in the time driven.
 
-Whether a vehicle reaches the goal of its reference, when, and at what cost.
-
-With d_k the distance of the pose to the goal after control step k, h the control period, P_k the
-power of both sprockets, l the contact length and N the steps driven:
+Goals, of references that have one. With d_k the distance of the pose to the goal after control step
+k, P_k the power of both sprockets and N the steps driven:
     reached    d_k <= GOAL_DISTANCE l and |yaw - goal's| <= GOAL_ANGLE in some step
     time       h k of the first such step; the length of the episode where there is none
     energy     sum of h P_k until then; of the whole drive where there is none
@@ -51,237 +38,32 @@ power of both sprockets, l the contact length and N the steps driven:
 All are NaN in episodes whose reference has no goal.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.arrays import columns
 from tracked_env.engine.episode import Episode
-from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
 FloatArray = NDArray[np.float64]
-
-
-SLIPS = ("slip_left", "slip_right")
-KNOWN = (*PARAMETER_NAMES, "effort_maximum", *SLIPS)  # what may be estimated
-
-
-class Beliefs(NamedTuple):
-    """Estimates of a policy for n vehicles over T control steps, and the true values."""
-
-    names: tuple[str, ...]  # (P,)
-    value: NDArray[np.float32]  # (T, P, n) SI
-    deviation: NDArray[np.float32]  # (T, P, n)
-    truth: NDArray[np.float32]  # (T, P, n)
-    excited: NDArray[np.bool_]  # (T, P, n)
-    reports_excitation: tuple[bool, ...]  # (P,) whether `excited` is known
-    nis: dict[str, NDArray[np.float32]]  # (T, n) by filter
-
-
-class Recorder:
-    """Takes down the beliefs of one batch, step by step."""
-
-    def __init__(self, count: int, max_steps: int, read: frozenset[str] = frozenset(KNOWN)) -> None:
-        """read: parameters that the plant reads; others have no true value."""
-        self.truths = read | {"effort_maximum", *SLIPS}
-        self.count, self.max_steps = count, max_steps
-        self.rows = 0
-        self.names: tuple[str, ...] = ()
-        self.reports_excitation: tuple[bool, ...] = ()
-        self._columns: list[int] = []
-
-    def _allocate(self, estimates: Mapping[str, Any], excited: Mapping[str, Any]) -> None:
-        """Fix the names by the first answer. Raises ValueError if none of them is known."""
-        self.names = tuple(name for name in estimates if name in KNOWN and name in self.truths)
-        if not self.names:
-            raise ValueError(f"estimates of {sorted(estimates)}; none of them is in {KNOWN}")
-        for name in self.names:
-            answer = estimates[name]
-            if len(answer) != 2 or any(np.shape(part) != (self.count,) for part in answer):
-                raise ValueError(
-                    f"estimate of {name} has shapes {[np.shape(part) for part in answer]}; must be "
-                    f"(value, standard deviation), each ({self.count},): one number per vehicle"
-                )
-        self.reports_excitation = tuple(name in excited for name in self.names)
-        self._columns = columns(self.names)
-        shape = (self.max_steps, len(self.names), self.count)
-        self.value, self.deviation, self.truth = (np.empty(shape, np.float32) for _ in range(3))
-        self.excited = np.zeros(shape, dtype=bool)
-        self.nis: dict[str, NDArray[np.float32]] = {}
-
-    def take(self, policy: Any, floats: NDArray[np.float64]) -> None:
-        """One row. floats: those of the batch, before the step that follows.
-
-        Raises ValueError for names or shapes that are not understood.
-        """
-        k = self.rows
-        estimates = policy.estimates()
-        excited = policy.excited() if hasattr(policy, "excited") else {}
-        if k == 0:
-            self._allocate(estimates, excited)
-        for j, name in enumerate(self.names):
-            self.value[k, j], self.deviation[k, j] = estimates[name]
-            if self.reports_excitation[j]:
-                self.excited[k, j] = excited[name]
-        self.truth[k] = floats[:, self._columns].T
-        for name, nis in (policy.nis() if hasattr(policy, "nis") else {}).items():
-            if name not in self.nis:
-                self.nis[name] = np.full((self.max_steps, self.count), np.nan, dtype=np.float32)
-            self.nis[name][k] = nis
-        self.rows += 1
-
-    def beliefs(self) -> Beliefs:
-        """All that was taken down."""
-        n = self.rows
-        parts = (self.value[:n], self.deviation[:n], self.truth[:n], self.excited[:n])
-        return Beliefs(
-            self.names,
-            *parts,
-            self.reports_excitation,
-            {name: nis[:n] for name, nis in self.nis.items()},
-        )
-
-
-CHANGING = (
-    "mass",
-    "inertia",
-    "longitudinal_resistance",
-    "lateral_resistance",
-    "friction_angle",
-    "actuator_gain_left",
-    "actuator_gain_right",
-)
-RESOLUTION = 1e-9  # [-] smaller relative changes are rounding
-ABRUPT_TIME = 2.0  # [s] a change that takes longer is a drift, which a policy can follow
-ABRUPT_CHANGE = 0.02  # [-] less is not felt: a graze of a border
-JOIN_TIME = 0.5  # [s] a vehicle that stops on a border and goes on crosses it once
-RECOVERED = 0.05  # [-] of the contact length l: 0.1 m for 2 m, a fifth of a failure
-
-
-class Change(NamedTuple):
-    """One abrupt change; the parameters are new from step `first`, and constant from `last`."""
-
-    first: int  # [control steps] it starts at time `first` times the control period
-    last: int  # [control steps] and ends at time `last` times the control period
-
-
-def _runs(values: FloatArray, join: int) -> list[Change]:
-    """Runs of changing steps of one parameter, (T,), that lie less than `join` steps apart."""
-    step = np.abs(np.diff(values))
-    moved = np.flatnonzero(step > RESOLUTION * np.abs(values[:-1])) + 1
-    if moved.size == 0:
-        return []
-    breaks = np.flatnonzero(np.diff(moved) >= join)
-    firsts = moved[np.concatenate([[0], breaks + 1])]
-    lasts = moved[np.concatenate([breaks, [moved.size - 1]])]
-    return [Change(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
-
-
-def abrupt_changes(parameters: FloatArray, period: float) -> list[Change]:
-    """The abrupt changes of one episode, in their order.
-
-    parameters: (T, P) values in force during each control step driven; period [s] of a step.
-    """
-    join = max(round(JOIN_TIME / period), 2)
-    found = []
-    for values in parameters.T:
-        if values[0] == values[-1] and (values == values[0]).all():
-            continue
-        for run in _runs(values, join):
-            before, after = values[run.first - 1], values[run.last]
-            large = abs(after - before) >= ABRUPT_CHANGE * abs(before)
-            whole = run.first == run.last or join < run.first <= run.last < len(values) - join
-            if large and whole and (run.last - run.first) * period < ABRUPT_TIME:
-                found.append(run)
-    merged: list[Change] = []
-    for run in sorted(found):
-        if merged and run.first <= merged[-1].last:
-            merged[-1] = Change(merged[-1].first, max(merged[-1].last, run.last))
-        else:
-            merged.append(run)
-    return merged
-
-
-def last_outside(outside: NDArray[np.bool_]) -> int:
-    """Number of leading entries up to the last that is True; 0 when none is."""
-    found = np.flatnonzero(outside)
-    return int(found[-1]) + 1 if found.size else 0
-
-
-def recovery(
-    error: FloatArray, changes: list[Change], period: float, recovered: float
-) -> tuple[float, float, float]:
-    """Recovery time [s], peak and RMSE [m] after the first change; NaN when there is none.
-
-    error: (T,) counted distance to the reference [m] after each control step of the whole
-    episode, also past an early end; period [s] of a step; recovered [m]: what counts as such.
-    """
-    if not changes:
-        return np.nan, np.nan, np.nan
-    first, last = changes[0]
-    until = changes[1].first if len(changes) > 1 else len(error)
-    # Entry k of the error is taken at time (k + 1) periods.
-    after = error[last:until]
-    since = error[first:until]
-    time = period * last_outside(after >= recovered)
-    return time, float(since.max()), float(np.sqrt(np.mean(since * since)))
-
-
-GOAL_DISTANCE = 1.0 / 7.0  # [-] of the contact length: 0.1 m for 0.7 m
-GOAL_ANGLE = 0.1  # [rad]
-
-
-class GoalReaching(NamedTuple):
-    """The four numbers of n episodes, (n,) each."""
-
-    reached: FloatArray  # [-] 1 or 0
-    time: FloatArray  # [s]
-    energy: FloatArray  # [J]
-    miss: FloatArray  # [m]
-
-
-def goals_of(episodes: list[Episode]) -> FloatArray:
-    """Goals (n, 3) x, y [m], yaw [rad]; NaN where a reference has none."""
-    goals = np.full((len(episodes), 3), np.nan)
-    for i, episode in enumerate(episodes):
-        if episode.profile.knots.size:
-            goals[i] = episode.profile.knots[-1, 1:4]
-    return goals
-
-
-def reaching(
-    poses: FloatArray, power: FloatArray, steps: NDArray[np.int64], goals: FloatArray,
-    contact_length: float, period: float, whole: float,
-) -> GoalReaching:  # fmt: skip
-    """Of n episodes with true poses (3, T, n) and power [W] (T, n) in `steps` (n,) driven steps.
-
-    goals (n, 3); contact_length [m] of the nominal vehicle; period [s] of a step, whole [s] of an
-    episode.
-    """
-    x, y, yaw = np.where(np.isfinite(poses), poses, np.nan) - goals.T[:, None]
-    away = np.hypot(x, y)
-    turned = np.abs(np.remainder(yaw + np.pi, 2.0 * np.pi) - np.pi)
-    driven = np.arange(len(away))[:, None] < steps
-    there = driven & (away <= GOAL_DISTANCE * contact_length) & (turned <= GOAL_ANGLE)
-    reached, first = there.any(axis=0), there.argmax(axis=0)
-    last = np.where(reached, first, steps - 1)
-    spent = np.where(np.arange(len(away))[:, None] <= last, power, 0.0)
-    spent = np.where(np.isfinite(spent), spent, 0.0)
-    energy = np.ascontiguousarray(spent.T).sum(axis=-1) * period
-    ends = np.where(driven & np.isfinite(away), np.arange(len(away))[:, None], 0).max(axis=0)
-    miss = away[ends, np.arange(len(steps))]
-    known = np.isfinite(goals).all(axis=1)
-    found = (reached.astype(float), np.where(reached, (first + 1) * period, whole), energy, miss)
-    return GoalReaching(*(np.where(known, values, np.nan) for values in found))
-
 
 SETTLING_TIME = 5.0  # [s] start of the settled part; half the episode when it is shorter than 10 s
 SATURATED = 0.999  # [-] of the limit of the demand
 # Metric of the action rate by drive, what the actions are.
 ACTION_RATES = {"torque": "torque_rate", "speed": "sprocket_speed_rate"}
 ENDINGS = ("time", "off-path", "non-finite")
+
+CHANGING = ("mass", "inertia", "longitudinal_resistance", "lateral_resistance", "friction_angle",
+            "actuator_gain_left", "actuator_gain_right")  # fmt: skip
+RESOLUTION = 1e-9  # [-] smaller relative changes are rounding
+ABRUPT_TIME = 2.0  # [s] a change that takes longer is a drift, which a policy can follow
+ABRUPT_CHANGE = 0.02  # [-] less is not felt: a graze of a border
+JOIN_TIME = 0.5  # [s] a vehicle that stops on a border and goes on crosses it once
+RECOVERED = 0.05  # [-] of the contact length l: 0.1 m for 2 m, a fifth of a failure
+
+GOAL_DISTANCE = 1.0 / 7.0  # [-] of the contact length: 0.1 m for 0.7 m
+GOAL_ANGLE = 0.1  # [rad]
 
 # Columns of a trace, all true values.
 CHANNELS = (
@@ -295,6 +77,13 @@ CHANNELS = (
     "slip_left", "slip_right",  # [-]
     *CHANGING,  # [SI] parameters that were in force during the step
 )  # fmt: skip
+
+
+class Change(NamedTuple):
+    """One abrupt change; the parameters are new from step `first`, and constant from `last`."""
+
+    first: int  # [control steps] it starts at time `first` times the control period
+    last: int  # [control steps] and ends at time `last` times the control period
 
 
 class Trace(NamedTuple):
@@ -337,6 +126,10 @@ class Metric(NamedTuple):
     meaning: str
 
 
+AFTER_CHANGE = ("recovery_time", "peak_after_change", "rmse_after_change")
+OF_GOALS = ("goal_reached", "goal_time", "goal_energy", "goal_miss")
+# Metrics that an episode may lack: of the other drive, without an abrupt change, without a goal.
+OPTIONAL = (*ACTION_RATES.values(), *AFTER_CHANGE, *OF_GOALS)
 METRICS = {
     "tracking_rmse": Metric("m", "RMSE of the distance to the reference, whole episode"),
     "settled_rmse": Metric("m", f"the same after {SETTLING_TIME:g} s"),
@@ -364,10 +157,104 @@ METRICS = {
     "goal_energy": Metric("J", "work of the sprockets until then"),
     "goal_miss": Metric("m", "distance to the goal at the end"),
 }
-OF_GOALS = ("goal_reached", "goal_time", "goal_energy", "goal_miss")
-# Metrics that an episode may lack: of the other drive, without an abrupt change, without a goal.
-AFTER_CHANGE = ("recovery_time", "peak_after_change", "rmse_after_change")
-OPTIONAL = (*ACTION_RATES.values(), *AFTER_CHANGE, *OF_GOALS)
+
+
+def _runs(values: FloatArray, join: int) -> list[Change]:
+    """Runs of changing steps of one parameter, (T,), that lie less than `join` steps apart."""
+    step = np.abs(np.diff(values))
+    moved = np.flatnonzero(step > RESOLUTION * np.abs(values[:-1])) + 1
+    if moved.size == 0:
+        return []
+    breaks = np.flatnonzero(np.diff(moved) >= join)
+    firsts = moved[np.concatenate([[0], breaks + 1])]
+    lasts = moved[np.concatenate([breaks, [moved.size - 1]])]
+    return [Change(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
+
+
+def abrupt_changes(parameters: FloatArray, period: float) -> list[Change]:
+    """The abrupt changes of one episode, in their order.
+
+    parameters: (T, P) values in force during each control step driven; period [s] of a step.
+    """
+    join = max(round(JOIN_TIME / period), 2)
+    abrupt = []
+    for values in parameters.T:
+        if values[0] == values[-1] and (values == values[0]).all():
+            continue
+        for run in _runs(values, join):
+            before, after = values[run.first - 1], values[run.last]
+            large = abs(after - before) >= ABRUPT_CHANGE * abs(before)
+            whole = run.first == run.last or join < run.first <= run.last < len(values) - join
+            if large and whole and (run.last - run.first) * period < ABRUPT_TIME:
+                abrupt.append(run)
+    merged: list[Change] = []
+    for run in sorted(abrupt):
+        if merged and run.first <= merged[-1].last:
+            merged[-1] = Change(merged[-1].first, max(merged[-1].last, run.last))
+        else:
+            merged.append(run)
+    return merged
+
+
+def last_outside(outside: NDArray[np.bool_]) -> int:
+    """Number of leading entries up to the last that is True; 0 when none is."""
+    places = np.flatnonzero(outside)
+    return int(places[-1]) + 1 if places.size else 0
+
+
+def recovery(
+    error: FloatArray, changes: list[Change], period: float, recovered: float
+) -> tuple[float, float, float]:
+    """Recovery time [s], peak and RMSE [m] after the first change; NaN when there is none.
+
+    error: (T,) counted distance to the reference [m] after each control step of the whole
+    episode, also past an early end; period [s] of a step; recovered [m]: what counts as such.
+    """
+    if not changes:
+        return np.nan, np.nan, np.nan
+    first, last = changes[0]
+    until = changes[1].first if len(changes) > 1 else len(error)
+    # Entry k of the error is taken at time (k + 1) periods.
+    since = error[first:until]
+    time = period * last_outside(error[last:until] >= recovered)
+    return time, float(since.max()), float(np.sqrt(np.mean(since * since)))
+
+
+def goals_of(episodes: list[Episode]) -> FloatArray:
+    """Goals (n, 3) x, y [m], yaw [rad]; NaN where a reference has none."""
+    goals = np.full((len(episodes), 3), np.nan)
+    for i, episode in enumerate(episodes):
+        if episode.profile.knots.size:
+            goals[i] = episode.profile.knots[-1, 1:4]
+    return goals
+
+
+def goal_reaching(trace: Trace, power: FloatArray) -> dict[str, FloatArray]:
+    """The metrics of OF_GOALS, (n,) each; power [W] (T, n) of both sprockets."""
+    count, steps, period = len(trace.steps), trace.steps, trace.control_period
+    goals = np.full((count, 3), np.nan) if trace.goals is None else trace.goals
+    poses = np.stack([trace.channel(name) for name in ("x", "y", "yaw")])
+    x, y, yaw = np.where(np.isfinite(poses), poses, np.nan) - goals.T[:, None]
+    away = np.hypot(x, y)
+    turned = np.abs(np.remainder(yaw + np.pi, 2.0 * np.pi) - np.pi)
+    number, driven = np.arange(len(away))[:, None], trace.driven()
+    length = trace.nominal.contact_length
+    there = driven & (away <= GOAL_DISTANCE * length) & (turned <= GOAL_ANGLE)
+    reached, first = there.any(axis=0), there.argmax(axis=0)
+    last = np.where(reached, first, steps - 1)
+    spent = np.where((number <= last) & np.isfinite(power), power, 0.0)
+    ends = np.where(driven & np.isfinite(away), number, 0).max(axis=0)
+    values = (
+        reached.astype(float),
+        np.where(reached, (first + 1) * period, trace.max_steps * period),
+        _total(spent) * period,
+        away[ends, np.arange(count)],
+    )
+    has_goal = np.isfinite(goals).all(axis=1)
+    return {
+        name: np.where(has_goal, value, np.nan)
+        for name, value in zip(OF_GOALS, values, strict=True)
+    }
 
 
 def counted_error(trace: Trace) -> FloatArray:
@@ -413,23 +300,14 @@ def ending(trace: Trace) -> list[str]:
     return [ENDINGS[k] for k in kind]
 
 
-def _reaching(trace: Trace, power: FloatArray) -> GoalReaching:
-    """The numbers of OF_GOALS; power [W] (T, n)."""
-    goals = np.full((len(trace.steps), 3), np.nan) if trace.goals is None else trace.goals
-    poses = np.stack([trace.channel(name) for name in ("x", "y", "yaw")])
-    period = trace.control_period
-    length = trace.nominal.contact_length
-    return reaching(poses, power, trace.steps, goals, length, period, trace.max_steps * period)
-
-
 def evaluate(trace: Trace) -> dict[str, FloatArray]:
     """Every metric of METRICS, (n,) each; NaN only in OPTIONAL ones."""
     period = trace.control_period
     error = counted_error(trace)
     settled = settled_step(trace)
     after = [
-        recovery(error[:, i], c, period, RECOVERED * trace.contact_length[i])
-        for i, c in enumerate(trace.changes())
+        recovery(error[:, i], changes, period, RECOVERED * trace.contact_length[i])
+        for i, changes in enumerate(trace.changes())
     ]
     power = np.abs(_sides(trace, "torque") * _sides(trace, "sprocket_speed")).sum(axis=0)
     action = _sides(trace, "action")
@@ -453,5 +331,5 @@ def evaluate(trace: Trace) -> dict[str, FloatArray]:
         "terminated": trace.terminated.astype(np.float64),
         "driven_time": trace.steps * period,
         **dict(zip(AFTER_CHANGE, np.array(after).T, strict=True)),
-        **dict(zip(OF_GOALS, _reaching(trace, power), strict=True)),
+        **goal_reaching(trace, power),
     }

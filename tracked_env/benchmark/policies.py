@@ -1,37 +1,38 @@
-"""Policies from what a command line says: names, modules, archives of agents, several seeds.
+"""Policies by name: registered ones, modules, archives of agents, several training seeds.
 
-    name                  that a package registers (`registered_policies`)
+A command line names a policy as one of
+    name                  that a package registers
     module:attribute      an object with `predict`, or a class or function that makes one
-    NAME@SEED             one training of such an agent
-    path/to/agent.zip     a trained agent; opened by a function that the caller passes in
+    NAME@SEED             one training of a registered agent
+    path/to/agent.zip     a trained agent; opened by a function of the group `tracked_env.archives`
     NAME=any of these     under another name; the path may be a pattern: every file that matches
                           is one training of the agent NAME
+
+Packages register policies by entry point:
+    [project.entry-points."tracked_env.policies"]
+    mine = "my_package.policies:Mine"
+The object is what `module:attribute` may name. Its attribute `drive`, if it has one, says which
+environment it is compared on by default: "torque" (Torque-v0), "speed" (Speed-v0), or an id such as
+"tracked_env/Terrain-v0". One entry may also register many: an object with a function
+    policies() -> {drive or id: {name: policy, or a list of archives, one per training seed}}
+An empty list says that the agent is known and its archives are not installed: it is refused by name
+and not compared by default.
+
+Archives are opened by the entries of the group `tracked_env.archives`: functions that take a path
+and return an object with `make(context)` and `sources`, the folders whose code its actions depend
+on, or raise ValueError. Functions that commands of `tracked-env` call are in the group
+`tracked_env.commands`, under the name of the command.
 
 Trainings of one agent are policies `name@seed` and are summarised together: those of one NAME, and
 archives whose names differ only in the seed (ppo-seed0, ppo-seed1). The seed is the number at the
 end of the name of the archive, or of its folder if train.py has named it, else the files are
 counted.
-
-Policies that packages register by entry point, so that a command line knows them by name.
-
-    [project.entry-points."tracked_env.policies"]
-    mine = "my_package.policies:Mine"
-The object is what `module:attribute` of a command line may name: a policy, or a class or function
-that makes one. Its attribute `drive`, if it has one, says which environment it is compared on by
-default: "torque" (Torque-v0), "speed" (Speed-v0), or an id such as "tracked_env/Terrain-v0". One
-entry may also register many: an object with a function
-    policies() -> {drive or id: {name: policy, or a list of archives, one per training seed}}
-An empty list says that the agent is known and its archives are not installed: it is refused by name
-and not compared by default.
-
-Archives of agents are opened by the entries of the group `tracked_env.archives`, functions that
-take a path and return an object with `make(context)` and `sources`, the folders whose code its
-actions depend on, or raise ValueError. Functions that commands of `tracked-env` call are in the
-group `tracked_env.commands`, under the name of the command.
 """
 
 import glob
 import hashlib
+import importlib
+import inspect
 import os
 import re
 import sys
@@ -39,44 +40,218 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env.benchmark.files import folder_digest, source_fingerprint
 from tracked_env.benchmark.policy_interface import (
-    Policy,
-    PolicyContext,
+    SEED_MARK,
     PolicyEntry,
+    PolicyError,
     PolicyFactory,
-    as_factory,
-    folder_digest,
-    load_policy,
-    source_fingerprint,
+    blamed,
 )
-from tracked_env.benchmark.summary import SEED_MARK
 from tracked_env.entry_points import declared
 from tracked_env.validation import unknown
 
+POLICIES, ARCHIVES = "tracked_env.policies", "tracked_env.archives"  # groups of entry points
+COMMANDS = "tracked_env.commands"
+# Where policies are compared by default, by what they may call it.
+ENVIRONMENTS = {"torque": TORQUE_ID, "speed": SPEED_ID}
+ENVIRONMENTS |= {env: env for env in (TORQUE_ID, SPEED_ID, TERRAIN_ID)}
 ARCHIVE = ".zip"
 NAME_LIMIT = 200  # [characters] of the name of a policy
 GENERIC = ("agent", "last")  # names that say nothing: the folder has a better one
-Opener = Callable[[Path], PolicyEntry]
-
 _SEEDED = re.compile(rf"(.+?)[-_ ]?(?:seed|{SEED_MARK})[-_ ]?(\d+)")
 
+Opener = Callable[[Path], PolicyEntry]
+OpenArchive = Callable[[Path], Any]  # of the group `tracked_env.archives`
+Known = Mapping[str, Any]  # by name: a factory, an entry, or a list of archives
+Warn = Callable[[str], None]
 
-class OpenedArchive(Protocol):
-    """An archive of an agent that has been opened."""
+
+class Registered(NamedTuple):
+    """A policy under its name."""
+
+    name: str
+    env: str | None  # id on which it is compared by default; None: on none, only by its name
+    policy: Any  # what `module:attribute` names, or a list of archives
+    module: str  # whose package is its source
+    distribution: str  # that registers it
 
     @property
-    def make(self) -> PolicyFactory:
-        """Makes a fresh policy of it."""
+    def is_trained(self) -> bool:
+        """Whether it is a list of archives."""
+        return isinstance(self.policy, list)
 
     @property
-    def sources(self) -> tuple[Path, ...]:
-        """Folders whose code its actions depend on."""
+    def summary(self) -> str:
+        """One line for a list."""
+        if not self.is_trained:
+            text = getattr(self.policy, "__doc__", None) or ""
+            return text.strip().partition("\n")[0]
+        seeds = len(self.policy)
+        if not seeds:
+            return "trained agent, its archives are not installed"
+        return f"trained agent, {seeds} seed{'s' * (seeds > 1)}"
 
 
-def archive_entry(path: Path, open_one: Callable[[Path], OpenedArchive]) -> PolicyEntry:
+def _to_stderr(text: str) -> None:
+    print(f"warning: {text}", file=sys.stderr)
+
+
+def _left_out(distribution: str, entry: EntryPoint, error: BaseException) -> str:
+    reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    what = f"{entry.group.removeprefix('tracked_env.')} {entry.name!r} of {distribution}"
+    return f"{what} ({entry.value}) are left out: {reason}"
+
+
+def _loaded(group: str, warn: Warn) -> list[tuple[str, EntryPoint, Any]]:
+    """What can be imported; the others are left out with a warning."""
+    loaded = []
+    for distribution, entry in declared(group):
+        try:
+            loaded.append((distribution, entry, entry.load()))
+        except (Exception, SystemExit) as error:
+            warn(_left_out(distribution, entry, error))
+    return loaded
+
+
+def _policies_of(entry: EntryPoint, loaded: Any) -> list[tuple[str, str | None, Any]]:
+    """Name, environment and policy of everything that an entry registers."""
+    if not callable(getattr(loaded, "policies", None)):
+        drive = getattr(loaded, "drive", None)
+        if drive is not None and drive not in ENVIRONMENTS:
+            raise ValueError(f"its drive is {drive!r}; must be one of {', '.join(ENVIRONMENTS)}")
+        policies = [(entry.name, None if drive is None else ENVIRONMENTS[drive], loaded)]
+    else:
+        many: Mapping[str, Mapping[str, Any]] = loaded.policies()
+        if set(many) - {*ENVIRONMENTS}:
+            allowed = ", ".join(ENVIRONMENTS)
+            raise ValueError(f"it has policies of {sorted(many)}; known are {allowed}")
+        policies = [
+            (name, ENVIRONMENTS[env], one) for env, of in many.items() for name, one in of.items()
+        ]
+    for name, _, one in policies:
+        if not isinstance(one, list):
+            as_factory(name, one)
+    return policies
+
+
+def registered_policies(warn: Warn = _to_stderr) -> list[Registered]:
+    """Everything that is registered. warn: called with what is left out, and why."""
+    known: dict[tuple[str, str | None], Registered] = {}
+    for distribution, entry, loaded in _loaded(POLICIES, warn):
+        try:
+            policies = _policies_of(entry, loaded)
+        except (Exception, SystemExit) as error:
+            warn(_left_out(distribution, entry, error))
+            continue
+        for name, env, one in policies:
+            new = Registered(name, env, one, entry.module, distribution)
+            other = known.setdefault((name, env), new)
+            if other is not new:
+                warn(f"policy {name!r} of {distribution} is left out: {other.distribution} has it")
+    return list(known.values())
+
+
+def default_names(policies: Sequence[Registered], env: str) -> tuple[str, ...]:
+    """Names of all that are compared on an environment by default; env: as in ENVIRONMENTS."""
+    here = (policy for policy in policies if policy.env == ENVIRONMENTS[env])
+    return tuple(policy.name for policy in here if not policy.is_trained or policy.policy)
+
+
+def by_name(policies: Sequence[Registered], env: str) -> dict[str, Any]:
+    """Policies and archives for `load_policies`; of one name, the one for this environment.
+
+    env: as in ENVIRONMENTS. Policies for other environments are there too: they say themselves
+    what they cannot drive.
+    """
+    here = ENVIRONMENTS[env]
+    chosen: dict[str, Registered] = {}
+    for policy in sorted(policies, key=lambda each: (each.env != here, each.env is not None)):
+        chosen.setdefault(policy.name, policy)
+    return {
+        name: of.policy
+        if of.is_trained
+        else PolicyEntry(
+            name,
+            as_factory(name, of.policy),
+            source_fingerprint(of.module),
+            (registered_policy, (name, env)),
+        )
+        for name, of in chosen.items()
+    }
+
+
+def registered_policy(name: str, env: str) -> PolicyEntry:
+    """A policy that is registered under a name. Raises ValueError for an unknown one."""
+    known = by_name(registered_policies(lambda warning: None), env)
+    entries = {name: one for name, one in known.items() if isinstance(one, PolicyEntry)}
+    if name not in entries:
+        raise unknown("policy", name, entries)
+    return entries[name]
+
+
+def as_factory(spec: str, named: Any) -> PolicyFactory:
+    """What a specification names, as a factory: a policy, or a class or function that makes one.
+
+    Raises PolicyError for anything else.
+    """
+    if not isinstance(named, type) and hasattr(named, "predict"):
+        return lambda context: named
+    if not callable(named):
+        text = " ".join(repr(named).split())[:200]
+        raise PolicyError(f"policy {spec!r} is {text}; it has no `predict` and is no factory")
+    try:
+        takes_context = "context" in inspect.signature(named).parameters
+    except ValueError:  # some built-in functions have no signature
+        takes_context = False
+    return (lambda context: named(context=context)) if takes_context else lambda context: named()
+
+
+def _from_module(spec: str) -> PolicyEntry:
+    """`module:attribute`; a class or function is called, with the context if it takes one."""
+    module_name, _, attribute = spec.partition(":")
+    try:
+        named: Any = importlib.import_module(module_name)
+        for part in attribute.split("."):
+            if not hasattr(named, part):
+                raise PolicyError(f"policy {spec!r}: {module_name} has no attribute {attribute!r}")
+            named = getattr(named, part)
+        fingerprint = source_fingerprint(module_name)
+        return PolicyEntry(spec, as_factory(spec, named), fingerprint, (_from_module, (spec,)))
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"policy {spec!r}: {error}. Is the module installed, or in the current folder?"
+        ) from error
+    except (Exception, SystemExit) as error:
+        raise blamed(error, spec, f"when {module_name or 'it'} was imported") from error
+
+
+def load_policy(spec: str, known: Known) -> PolicyEntry:
+    """The policy of a known name, or of `module:attribute`: an object with `predict`, or a class
+    or function that makes one (an argument named `context` receives the PolicyContext).
+
+    Raises ValueError for anything else, and says what there is.
+    """
+    if spec in known:
+        named = known[spec]
+        if isinstance(named, PolicyEntry):
+            return named
+        return PolicyEntry(spec, named, source_fingerprint(named.__module__))
+    if spec.endswith(ARCHIVE):
+        raise ValueError(
+            f"policy {spec!r}: archives of agents are not loaded by the harness. Wrap it: a module "
+            "with a function that loads the archive and returns it, passed as module:function. "
+            f"Named policies are {sorted(known)}."
+        )
+    if ":" in spec:
+        return _from_module(spec)
+    raise unknown("policy (or module:attribute)", spec, known)
+
+
+def archive_entry(path: Path, open_one: OpenArchive) -> PolicyEntry:
     """An archive as a policy, named after its file or folder. Raises ValueError.
 
     The fingerprint changes with the archive, and with the code that turns it into actions.
@@ -90,9 +265,7 @@ def archive_entry(path: Path, open_one: Callable[[Path], OpenedArchive]) -> Poli
     return PolicyEntry(own_name(path), opened.make, digest.hexdigest()[:12], source)
 
 
-def archive_of_bytes(
-    open_one: Callable[[Path], OpenedArchive], name: str, data: bytes
-) -> PolicyEntry:
+def archive_of_bytes(open_one: OpenArchive, name: str, data: bytes) -> PolicyEntry:
     """An archive as a policy, where its file need not be. Raises ValueError."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, name)
@@ -100,272 +273,10 @@ def archive_of_bytes(
         return archive_entry(path, open_one)
 
 
-def _parts(name: str) -> tuple[str, str | None]:
-    """Name of the agent and of the seed, if a name says both."""
-    match = _SEEDED.fullmatch(name)
-    return (match[1], match[2]) if match else (name, None)
-
-
-def _label(path: Path) -> str | None:
-    """The number at the end of the name of an archive."""
-    match = re.search(r"(\d+)$", own_name(path))
-    return str(int(match[1])) if match else None
-
-
-def named(spec: str) -> tuple[str, str]:
-    """(own name, "" for none; policy) of an item of the command line, NAME=POLICY.
-
-    The path of an archive may hold "=" itself: what exists is a path as a whole, and a name before
-    a path has no "/".
-    """
-    if not spec.endswith(ARCHIVE):
-        name, _, source = spec.rpartition("=")
-        return name, source
-    name, equals, source = spec.partition("=")
-    is_path = "/" in name or os.sep in name or Path(spec).exists() or bool(glob.glob(spec))
-    return (name, source) if equals and not is_path else ("", spec)
-
-
-def archives(spec: str, shipped: Mapping[str, Sequence[Path]]) -> list[tuple[str, Path]]:
-    """Name of the agent and file of every archive that an item of the command line names.
-
-    Raises ValueError for an agent of `shipped` without archives.
-    """
-    given, source = named(spec)
-    if source in shipped:
-        if not shipped[source]:
-            raise ValueError(
-                f"policy {source!r} is a trained agent with 0 archives in this installation; must "
-                "have one at least. Source distributions leave them out: install the wheel (pip "
-                "install --only-binary tracked-env tracked-env), or use a clone of the repository"
-            )
-        return [(given or source, path) for path in shipped[source]]
-    agent, _, seed = source.rpartition(SEED_MARK)
-    if agent in shipped:
-        one = dict(zip(_seeds(shipped[agent]), shipped[agent], strict=True))
-        if seed not in one:
-            raise unknown(f"seed of {agent!r}", seed, one)
-        return [(given or agent, one[seed])]
-    if not source.endswith(ARCHIVE):
-        return []
-    paths = [Path(found) for found in sorted(glob.glob(source))] or [Path(source)]
-    return [(given or _parts(own_name(path))[0], path) for path in paths]
-
-
-def own_name(path: Path) -> str:
-    """What an archive is called: its file, or the folder of one that train.py has named."""
-    return path.resolve().parent.name if path.stem in GENERIC else path.stem
-
-
-def _seeds(paths: Sequence[Path]) -> list[str]:
-    """Names of the seeds of one agent."""
-    labels = [_label(path) for path in paths]
-    if None in labels or len(set(labels)) < len(labels):
-        return [str(number) for number in range(len(paths))]
-    return [str(label) for label in labels]
-
-
-def load_policies(
-    specs: Sequence[str],
-    registry: Mapping[str, PolicyFactory | PolicyEntry],
-    shipped: Mapping[str, Sequence[Path]] | None = None,
-    opener: Opener | None = None,
-) -> list[PolicyEntry]:
-    """Everything that a command line names, in its order, see the head of this file.
-
-    shipped: archives of agents by name, none where they are not installed. opener: loads an
-    archive; it is called for nothing else. Raises ValueError for what is not known or not there,
-    and for two policies of one name.
-    """
-    shipped = {} if shipped is None or opener is None else shipped
-    entries: list[PolicyEntry] = []
-    trained: dict[str, list[Path]] = {}
-    for spec in dict.fromkeys(specs):
-        given, source = named(spec)
-        found = [] if source in registry or opener is None else archives(spec, shipped)
-        if not found:
-            entry = load_policy(source, {**dict.fromkeys(shipped, _nothing), **registry})
-            entries.append(entry._replace(name=given or entry.name))
-        for name, path in found:
-            if name not in trained:  # its place in the order; filled in below
-                entries.append(PolicyEntry(name, _nothing, ""))
-            paths = trained.setdefault(name, [])
-            if path not in paths:  # as `NAME` and `NAME@SEED` have it
-                paths.append(path)
-    names = [entry.name for entry in entries]
-    for name in names:
-        if not name.isprintable() or len(name) > NAME_LIMIT or SEED_MARK in name:
-            raise ValueError(
-                f"policy {name!r:.60}: a name is at most {NAME_LIMIT} characters that can be "
-                f"printed, without {SEED_MARK}, which marks seeds; give one: NAME=PATH"
-            )
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"two policies are called {name!r}; give one a name: NAME=PATH")
-    return [
-        one
-        for entry in entries
-        for one in ([entry] if entry.name not in trained else _opened(entry.name, trained, opener))
-    ]
-
-
-def _nothing(context: PolicyContext) -> Policy:
-    """Stands for archives that are opened later."""
-    raise NotImplementedError
-
-
-def _opened(
-    name: str, trained: Mapping[str, Sequence[Path]], opener: Opener | None
-) -> list[PolicyEntry]:
-    """The trainings of one agent."""
-    assert opener is not None
-    paths = trained[name]
-    return [
-        opener(path)._replace(name=f"{name}{SEED_MARK}{seed}")
-        for seed, path in zip(_seeds(paths), paths, strict=True)
-    ]
-
-
-POLICIES, ARCHIVES = "tracked_env.policies", "tracked_env.archives"  # groups of entry points
-COMMANDS = "tracked_env.commands"
-# Where policies are compared by default, by what they may call it.
-ENVIRONMENTS = {
-    "torque": TORQUE_ID, "speed": SPEED_ID,
-    **{env: env for env in (TORQUE_ID, SPEED_ID, TERRAIN_ID)},
-}  # fmt: skip
-
-
-class Registered(NamedTuple):
-    """A policy under its name."""
-
-    name: str
-    env: str | None  # id on which it is compared by default; None: on none, only by its name
-    found: Any  # what `module:attribute` names, or a list of archives
-    module: str  # whose package is its source
-    distribution: str  # that registers it
-
-    @property
-    def is_trained(self) -> bool:
-        """Whether it is a list of archives."""
-        return isinstance(self.found, list)
-
-    @property
-    def summary(self) -> str:
-        """One line for a list."""
-        if self.is_trained:
-            seeds = len(self.found)
-            if not seeds:
-                return "trained agent, its archives are not installed"
-            return f"trained agent, {seeds} seed{'s' * (seeds > 1)}"
-        text = getattr(self.found, "__doc__", None) or ""
-        return text.strip().partition("\n")[0]
-
-
-def _loaded(group: str, warn: Callable[[str], None]) -> list[tuple[str, EntryPoint, Any]]:
-    """What can be imported; the others are left out with a warning."""
-    loaded = []
-    for distribution, entry in declared(group):
-        try:
-            loaded.append((distribution, entry, entry.load()))
-        except (Exception, SystemExit) as error:
-            warn(_left_out(distribution, entry, error))
-    return loaded
-
-
-def _left_out(distribution: str, entry: EntryPoint, error: BaseException) -> str:
-    said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-    what = f"{entry.group.removeprefix('tracked_env.')} {entry.name!r} of {distribution}"
-    return f"{what} ({entry.value}) are left out: {said}"
-
-
-def _policies_of(entry: EntryPoint, found: Any) -> list[tuple[str, str | None, Any]]:
-    """Name, environment and policy of everything that an entry registers."""
-    if not callable(getattr(found, "policies", None)):
-        drive = getattr(found, "drive", None)
-        if drive is not None and drive not in ENVIRONMENTS:
-            raise ValueError(f"its drive is {drive!r}; must be one of {', '.join(ENVIRONMENTS)}")
-        policies = [(entry.name, None if drive is None else ENVIRONMENTS[drive], found)]
-    else:
-        many: Mapping[str, Mapping[str, Any]] = found.policies()
-        if set(many) - {*ENVIRONMENTS}:
-            raise ValueError(
-                f"it has policies of {sorted(many)}; known are {', '.join(ENVIRONMENTS)}"
-            )
-        policies = [
-            (name, ENVIRONMENTS[key], one) for key, of in many.items() for name, one in of.items()
-        ]
-    for name, _, one in policies:
-        if not isinstance(one, list):
-            as_factory(name, one)
-    return policies
-
-
-def _to_stderr(text: str) -> None:
-    print(f"warning: {text}", file=sys.stderr)
-
-
-def registered_policies(warn: Callable[[str], None] = _to_stderr) -> list[Registered]:
-    """Everything that is registered. warn: called with what is left out, and why."""
-    known: dict[tuple[str, str | None], Registered] = {}
-    for distribution, entry, found in _loaded(POLICIES, warn):
-        try:
-            of_entry = _policies_of(entry, found)
-        except (Exception, SystemExit) as error:
-            warn(_left_out(distribution, entry, error))
-            continue
-        for name, env, one in of_entry:
-            new = Registered(name, env, one, entry.module, distribution)
-            other = known.setdefault((name, env), new)
-            if other is not new:
-                warn(f"policy {name!r} of {distribution} is left out: {other.distribution} has it")
-    return list(known.values())
-
-
-def default_names(policies: list[Registered], env: str) -> tuple[str, ...]:
-    """Names of all that are compared on an environment by default; env: as in ENVIRONMENTS."""
-    here = (policy for policy in policies if policy.env == ENVIRONMENTS[env])
-    return tuple(policy.name for policy in here if not policy.is_trained or policy.found)
-
-
-def by_name(
-    policies: list[Registered], env: str
-) -> tuple[dict[str, PolicyFactory | PolicyEntry], dict[str, list[Path]]]:
-    """Policies and archives for `load_policies`; of one name, the one for this environment.
-
-    env: as in ENVIRONMENTS. Policies for other environments are there too: they say themselves
-    what they cannot drive.
-    """
-    here = ENVIRONMENTS[env]
-    chosen: dict[str, Registered] = {}
-    for policy in sorted(policies, key=lambda each: (each.env != here, each.env is not None)):
-        chosen.setdefault(policy.name, policy)
-    registry: dict[str, PolicyFactory | PolicyEntry] = {
-        name: PolicyEntry(
-            name,
-            as_factory(name, of.found),
-            source_fingerprint(of.module),
-            (registered_policy, (name, env)),
-        )
-        for name, of in chosen.items()
-        if not of.is_trained
-    }
-    return registry, {name: of.found for name, of in chosen.items() if of.is_trained}
-
-
-def registered_policy(name: str, env: str) -> PolicyEntry:
-    """A policy that is registered under a name. Raises ValueError for an unknown one."""
-    registry, _ = by_name(registered_policies(lambda warning: None), env)
-    entry = registry.get(name)
-    if not isinstance(entry, PolicyEntry):
-        raise unknown("policy", name, registry)
-    return entry
-
-
 def open_archive(path: Path) -> PolicyEntry:
     """A trained agent, by the first registered function that can open it. Raises ValueError."""
     first: ValueError | None = None
-    for _, _, opened in _loaded(ARCHIVES, _to_stderr):
-        open_one: Callable[[Path], OpenedArchive] = opened
+    for _, _, open_one in _loaded(ARCHIVES, _to_stderr):
         try:
             return archive_entry(path, open_one)
         except ValueError as error:
@@ -380,3 +291,117 @@ def command_function(name: str) -> Callable[..., Any]:
             function: Callable[..., Any] = entry.load()
             return function
     raise ValueError(f"no installed package registers {name!r} in the group {COMMANDS!r}")
+
+
+def own_name(path: Path) -> str:
+    """What an archive is called: its file, or the folder of one that train.py has named."""
+    return path.resolve().parent.name if path.stem in GENERIC else path.stem
+
+
+def _name_and_policy(spec: str) -> tuple[str, str]:
+    """NAME ("" for none) and the rest of an item of the command line, NAME=POLICY.
+
+    The path of an archive may hold "=" itself: what exists is a path as a whole, and a name before
+    a path has no "/".
+    """
+    if not spec.endswith(ARCHIVE):
+        name, _, source = spec.rpartition("=")
+        return name, source
+    name, equals, source = spec.partition("=")
+    is_path = "/" in name or os.sep in name or Path(spec).exists() or bool(glob.glob(spec))
+    return (name, source) if equals and not is_path else ("", spec)
+
+
+def archives(spec: str, known: Known) -> list[tuple[str, Path]]:
+    """Name of the agent and file of every archive that an item of the command line names.
+
+    Raises ValueError for a known agent without archives.
+    """
+    shipped = {name: one for name, one in known.items() if isinstance(one, list)}
+    name, source = _name_and_policy(spec)
+    if source in shipped:
+        if not shipped[source]:
+            raise ValueError(
+                f"policy {source!r} is a trained agent with 0 archives in this installation; must "
+                "have one at least. Source distributions leave them out: install the wheel (pip "
+                "install --only-binary tracked-env tracked-env), or use a clone of the repository"
+            )
+        return [(name or source, path) for path in shipped[source]]
+    agent, _, seed = source.rpartition(SEED_MARK)
+    if agent in shipped:
+        one = dict(zip(_seeds(shipped[agent]), shipped[agent], strict=True))
+        if seed not in one:
+            raise unknown(f"seed of {agent!r}", seed, one)
+        return [(name or agent, one[seed])]
+    if not source.endswith(ARCHIVE):
+        return []
+    paths = [Path(path) for path in sorted(glob.glob(source))] or [Path(source)]
+    return [(name or _agent_named(own_name(path)), path) for path in paths]
+
+
+def _agent_named(name: str) -> str:
+    """The agent that the name of an archive says, without its seed."""
+    match = _SEEDED.fullmatch(name)
+    return match[1] if match else name
+
+
+def _seeds(paths: Sequence[Path]) -> list[str]:
+    """Names of the seeds of one agent: the numbers at the end of its archives, else counted."""
+    numbers = [re.search(r"(\d+)$", own_name(path)) for path in paths]
+    labels = {str(int(number[1])) for number in numbers if number}
+    if len(labels) < len(paths):
+        return [str(number) for number in range(len(paths))]
+    return [str(int(number[1])) for number in numbers if number]
+
+
+def load_policies(
+    specs: Sequence[str], known: Known, opener: Opener | None = None
+) -> list[PolicyEntry]:
+    """Everything that a command line names, in its order, see the head of this file.
+
+    known: policies and lists of archives by name. opener: loads an archive; without one, archives
+    are refused. Raises ValueError for what is not known or not there, and for two policies of one
+    name.
+    """
+    named = {name: one for name, one in known.items() if opener or not isinstance(one, list)}
+    entries: list[PolicyEntry | str] = []  # a name stands for the trainings of that agent
+    trained: dict[str, list[Path]] = {}
+    for spec in dict.fromkeys(specs):
+        name, source = _name_and_policy(spec)
+        files = [] if opener is None else archives(spec, named)
+        if not files:
+            entry = load_policy(source, named)
+            entries.append(entry._replace(name=name or entry.name))
+        for agent, path in files:
+            if agent not in trained:
+                entries.append(agent)
+            paths = trained.setdefault(agent, [])
+            if path not in paths:  # as `NAME` and `NAME@SEED` have it
+                paths.append(path)
+    names = [entry if isinstance(entry, str) else entry.name for entry in entries]
+    for name in names:
+        if not name.isprintable() or len(name) > NAME_LIMIT or SEED_MARK in name:
+            raise ValueError(
+                f"policy {name!r:.60}: a name is at most {NAME_LIMIT} characters that can be "
+                f"printed, without {SEED_MARK}, which marks seeds; give one: NAME=PATH"
+            )
+        if names.count(name) > 1:
+            raise ValueError(f"two policies are called {name!r}; give one a name: NAME=PATH")
+    loaded: list[PolicyEntry] = []
+    for one in entries:
+        if isinstance(one, PolicyEntry):
+            loaded.append(one)
+        elif opener is not None:
+            for seed, path in zip(_seeds(trained[one]), trained[one], strict=True):
+                loaded.append(opener(path)._replace(name=f"{one}{SEED_MARK}{seed}"))
+    return loaded
+
+
+def policies_for(env: str, specs: Sequence[str] | None = None) -> list[PolicyEntry]:
+    """The policies that a command line names for an environment; env: as in ENVIRONMENTS.
+
+    specs: by default all that are compared there. Raises ValueError as `load_policies`.
+    """
+    policies = registered_policies()
+    names = specs or default_names(policies, env)
+    return load_policies(names, by_name(policies, env), open_archive)

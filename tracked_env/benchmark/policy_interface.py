@@ -1,4 +1,4 @@
-"""What a policy is to the benchmark, and how one is found from a name.
+"""What a policy is to the benchmark.
 
 A policy is any object with the `predict` of Stable-Baselines3:
     action, state = predict(observation, state=None, episode_start=None, deterministic=True)
@@ -9,12 +9,12 @@ A policy that declares `needs_truth = True` gets, before each `predict`, the tru
 parameters through `observe_truth(truth)`, {name: (N,)}. No other policy ever sees them.
 
 A policy that identifies parameters may say what it believes; the benchmark asks after each
-`predict` and compares with the truth (see `beliefs`). It has a method
+`predict` and compares with the truth (see `identification_metrics`). It has a method
     estimates() -> {name: (value (N,), standard deviation (N,))}       SI
 and, if it likes,
     excited()   -> {name: (N,) bool}   whether the data say something about that parameter now
     nis()       -> {filter: (N,)}      normalised innovation squared of its filters, NaN = no sample
-The names are the same in every call; estimates of what is not in `beliefs.KNOWN` are not
+The names are the same in every call; estimates of names that are not in ESTIMABLE there are not
 evaluated. The answers must not change what the policy does.
 
 A policy that learns under way may have a method
@@ -23,13 +23,9 @@ What that is: parameters, a history, a hidden state; the filter of the motion go
 starts an episode learns again. With it the benchmark measures what adapting was worth (`frozen`).
 """
 
-import hashlib
-import importlib
-import importlib.util
-import inspect
 import sysconfig
 import traceback
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -39,8 +35,8 @@ from numpy.typing import NDArray
 from tracked_env.observation import NAMES
 from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.sensors import RTK, Sensors
-from tracked_env.validation import unknown
 
+SEED_MARK = "@"  # between the name of an agent and that of one of its seeds
 FROZEN_NAME = "frozen"  # behind the name of a policy that learns no more after a change
 # Where Python and installed packages lie; an error is located in the policy's own source first.
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
@@ -85,6 +81,11 @@ class PolicyEntry(NamedTuple):
     frozen: bool = False  # each vehicle's `freeze` is called at its first abrupt change
 
 
+def agent_of(policy: str) -> str:
+    """The agent that a policy `name@seed` is a training of; other names stay."""
+    return policy.rpartition(SEED_MARK)[0] or policy
+
+
 class PolicyError(ValueError):
     """A policy that fails; one line says which, where, and what it did."""
 
@@ -96,127 +97,21 @@ def blamed(error: BaseException, policy: str, where: str) -> PolicyError:
     """
     if isinstance(error, PolicyError):
         return error
-    kind = type(error).__name__
     text = " ".join(str(error).split())
-    said = f"{kind}: {text}" if text else kind
+    what = f"{type(error).__name__}: {text}" if text else type(error).__name__
     if isinstance(error, SystemExit):
-        said = f"it called sys.exit({error.code!r}), which a policy must not do"
+        what = f"it called sys.exit({error.code!r}), which a policy must not do"
     frames = [
         frame
         for frame in traceback.extract_tb(error.__traceback__)
         if Path(frame.filename).parent != Path(__file__).parent and frame.filename[:1] != "<"
     ]
-    own = [frame for frame in frames if not frame.filename.startswith(_LIBRARIES)]
+    outside = [frame for frame in frames if not frame.filename.startswith(_LIBRARIES)]
     place = ""
     if frames:
-        frame = (own or frames)[-1]
+        frame = (outside or frames)[-1]
         place = f" ({frame.filename}, line {frame.lineno}, in {frame.name})"
-    return PolicyError(f"policy {policy!r}, {where}: {said}{place}")
-
-
-def folder_digest(
-    folder: Path, without: Collection[str] = (), read: Callable[[Path], bytes] = Path.read_bytes
-) -> str:
-    """Digest of every Python file below a folder: path relative to it, length and content.
-
-    without: relative paths that are left out, of files and, with a slash at the end, of folders;
-    read: gives the content of a file.
-    """
-    digest = hashlib.sha256()
-    files = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*.py")}
-    for name in sorted(files):
-        if name in without or any(of.endswith("/") and name.startswith(of) for of in without):
-            continue
-        content = read(files[name])
-        digest.update(f"{name}\0{len(content)}\0".encode())
-        digest.update(content)
-    return digest.hexdigest()[:12]
-
-
-def source_fingerprint(
-    module: str, without: Collection[str] = (), read: Callable[[Path], bytes] = Path.read_bytes
-) -> str:
-    """Digest of the Python source of a module, and of its whole package if it is in one.
-
-    without, read: as of `folder_digest`. Raises ModuleNotFoundError.
-    """
-    spec = importlib.util.find_spec(module.partition(".")[0])
-    if spec is None:
-        raise ModuleNotFoundError(f"no module named {module!r}")
-    if spec.submodule_search_locations:
-        digests = [folder_digest(Path(at), without, read) for at in spec.submodule_search_locations]
-        return digests[0] if len(digests) == 1 else _digest("".join(digests).encode())
-    source = Path(spec.origin) if spec.origin else None
-    return _digest(read(source) if source and source.is_file() else b"")
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:12]
-
-
-def _from_module(spec: str) -> PolicyEntry:
-    """`module:attribute`; a class or function is called, with the context if it takes one."""
-    module_name, _, attribute = spec.partition(":")
-    try:
-        found: Any = importlib.import_module(module_name)
-        for part in attribute.split("."):
-            if not hasattr(found, part):
-                raise PolicyError(f"policy {spec!r}: {module_name} has no attribute {attribute!r}")
-            found = getattr(found, part)
-        fingerprint = source_fingerprint(module_name)
-        return PolicyEntry(spec, as_factory(spec, found), fingerprint, (_from_module, (spec,)))
-    except ModuleNotFoundError as error:
-        raise ValueError(
-            f"policy {spec!r}: {error}. Is the module installed, or in the current folder?"
-        ) from error
-    except (Exception, SystemExit) as error:
-        raise blamed(error, spec, f"when {module_name or 'it'} was imported") from error
-
-
-def as_factory(spec: str, found: Any) -> PolicyFactory:
-    """What a specification names, as a factory: a policy, or a class or function that makes one.
-
-    Raises PolicyError for anything else.
-    """
-    if not isinstance(found, type) and hasattr(found, "predict"):
-        return lambda context: found
-    if not callable(found):
-        said = " ".join(repr(found).split())[:200]
-        raise PolicyError(f"policy {spec!r} is {said}; it has no `predict` and is no factory")
-    return _factory(found)
-
-
-def _factory(found: Callable[..., Any]) -> PolicyFactory:
-    try:
-        takes_context = "context" in inspect.signature(found).parameters
-    except ValueError:  # some built-in functions have no signature
-        takes_context = False
-    if takes_context:
-        return lambda context: found(context=context)
-    return lambda context: found()
-
-
-def load_policy(spec: str, registry: Mapping[str, PolicyFactory | PolicyEntry]) -> PolicyEntry:
-    """The policy that a command line names.
-
-    spec: a name of the registry, or `module:attribute`: an object with `predict`, or a class
-    or function that makes one (an argument named `context` receives the PolicyContext).
-    Raises ValueError for anything else, and says what there is.
-    """
-    if spec in registry:
-        make = registry[spec]
-        if isinstance(make, PolicyEntry):
-            return make
-        return PolicyEntry(spec, make, source_fingerprint(make.__module__))
-    if spec.endswith(".zip"):
-        raise ValueError(
-            f"policy {spec!r}: archives of agents are not loaded by the harness. Wrap it: a module "
-            "with a function that loads the archive and returns it, passed as module:function. "
-            f"Named policies are {sorted(registry)}."
-        )
-    if ":" in spec:
-        return _from_module(spec)
-    raise unknown("policy (or module:attribute)", spec, registry)
+    return PolicyError(f"policy {policy!r}, {where}: {what}{place}")
 
 
 def checked_policy(entry: PolicyEntry, context: PolicyContext) -> Policy:
@@ -265,24 +160,23 @@ def tell_plant(policy: Policy, reads: Collection[str]) -> None:
 
     It asks by a method `observe_plant(without_effect)`. reads: names of those that it reads.
     """
-    if needs_truth(policy) and callable(getattr(policy, "observe_plant", None)):
-        policy.observe_plant(  # type: ignore[attr-defined]
-            tuple(name for name in PARAMETER_NAMES if name not in reads)
-        )
+    observe = getattr(policy, "observe_plant", None)
+    if needs_truth(policy) and callable(observe):
+        observe(tuple(name for name in PARAMETER_NAMES if name not in reads))
 
 
 def frozen(entry: PolicyEntry) -> PolicyEntry:
     """The same policy, which learns no more from the first abrupt change on, under a name of it."""
-    agent, mark, seed = entry.name.rpartition("@")
+    agent, mark, seed = entry.name.rpartition(SEED_MARK)
     name = f"{agent} {FROZEN_NAME}{mark}{seed}" if mark else f"{entry.name} {FROZEN_NAME}"
     return entry._replace(name=name, frozen=True)
-
-
-def can_freeze(policy: Policy) -> bool:
-    """Whether a policy can keep what it has learned."""
-    return callable(getattr(policy, "freeze", None))
 
 
 def identifies(policy: Policy) -> bool:
     """Whether a policy says what it believes of the parameters."""
     return callable(getattr(policy, "estimates", None))
+
+
+def can_freeze(policy: Policy) -> bool:
+    """Whether a policy can keep what it has learned."""
+    return callable(getattr(policy, "freeze", None))

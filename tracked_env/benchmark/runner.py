@@ -1,17 +1,18 @@
 """Paired runner: every policy drives the same episodes of the same sets.
 
-Episode i of a set (see `sets`) is seeded `seed + i`, whatever the policy and the size of the batch:
-vehicle, soil, reference, start and every sensor noise sample are the same for all. A chunk of
-episodes runs as one batch; it is stored when it has ended, so an interruption costs at most one
-chunk. Chunks may run in other processes and on other machines (`executors`); this one alone stores.
-
-Chunks of episodes: what one task of a benchmark is, and which of them a store lacks.
+Episode i of a set (see `evaluation_sets`) is seeded `seed + i`, whatever the policy and the size of
+the batch: vehicle, soil, reference, start and every sensor noise sample are the same for all. A
+chunk of episodes runs as one batch; it is stored when it has ended, so an interruption costs at
+most one chunk. Chunks may run in other processes and on other machines (`executors`); this one
+alone stores.
 """
 
 import hashlib
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,9 +21,8 @@ from numpy.typing import NDArray
 from tracked_env.arrays import columns
 from tracked_env.benchmark import identification_metrics, metrics
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN, BenchmarkConfig
-from tracked_env.benchmark.executors import Comparison, Executor, received, sent
-from tracked_env.benchmark.files import FIGURE_ERRORS, figure_data
-from tracked_env.benchmark.metrics import Recorder, goals_of
+from tracked_env.benchmark.executors import Executor, SentComparison, received, sent
+from tracked_env.benchmark.identification_metrics import Recorder, optional
 from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
@@ -34,12 +34,22 @@ from tracked_env.benchmark.policy_interface import (
     needs_truth,
     tell_plant,
 )
-from tracked_env.benchmark.progress_bar import Progress, no_progress
-from tracked_env.benchmark.store import READS_TRUTH, Record, Store
+from tracked_env.benchmark.records import FIGURE_ERRORS, READS_TRUTH, Record, figure_data
+from tracked_env.benchmark.store import Store
 from tracked_env.engine.episode import Episode
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
+Progress = Callable[[int, str], None]  # (vehicle steps done since the last call, what runs)
+
 TASKS = 3  # per worker, so that none is idle for long at the end
+REPORT_EVERY = 50  # [control steps] between two calls of `progress`
+LOG_PERIOD = 30.0  # [s] between two lines where stderr is not a terminal
+
+# Channels of a trace that have another name in the simulation; of `speed_error` the vehicle's speed
+# is subtracted.
+_RENAMED = {"error": "distance", "speed_error": "reference_speed"}
+_COLUMNS = columns(_RENAMED.get(name, name) for name in metrics.CHANNELS)
+_SPEED_ERROR = metrics.CHANNELS.index("speed_error")
 
 
 class Task(NamedTuple):
@@ -74,6 +84,62 @@ class Finished(NamedTuple):
     trace: dict[str, NDArray[Any]] | None  # of the first episodes, for the figures
 
 
+def no_progress(steps: int, label: str) -> None:
+    """Report no progress."""
+
+
+@contextmanager
+def progress_bar(total: int, quiet: bool = False) -> Iterator[Progress]:
+    """A function that reports control steps of vehicles; nothing is shown when quiet.
+
+    Where stderr is no terminal, it is a plain line at most every LOG_PERIOD.
+    """
+    from tqdm import tqdm
+
+    period = 0.1 if sys.stderr.isatty() else LOG_PERIOD
+    with tqdm(
+        total=total,
+        unit=" steps",
+        unit_scale=True,
+        bar_format="{desc:<28} {percentage:3.0f}% |{bar}| [{elapsed}<{remaining}, {rate_fmt}]",
+        dynamic_ncols=True,
+        disable=quiet,
+        mininterval=period,
+        delay=0.0 if sys.stderr.isatty() else LOG_PERIOD,
+        file=sys.stderr if sys.stderr.isatty() else SimpleNamespace(write=_line, flush=_line),
+    ) as bar:
+
+        def progress(steps: int, label: str) -> None:
+            bar.set_description_str(label, refresh=False)
+            bar.update(steps)
+
+        yield progress
+
+
+def _line(text: str = "") -> None:
+    """Write a line of a log, which has no carriage returns."""
+    if text := text.strip():
+        print(text, file=sys.stderr, flush=True)
+
+
+class StepCounter:
+    """Reports the control steps of a batch of `count` vehicles, REPORT_EVERY of them at once."""
+
+    def __init__(self, progress: Progress, count: int, label: str) -> None:
+        self.steps = self._reported = 0
+        self._progress, self._count, self._label = progress, count, label
+
+    def __call__(self) -> None:
+        self.steps += 1
+        if self.steps - self._reported == REPORT_EVERY:
+            self.end(self.steps)
+
+    def end(self, steps: int) -> None:
+        """Report what is left of so many steps."""
+        self._progress((steps - self._reported) * self._count, self._label)
+        self._reported = steps
+
+
 def chunk_size(config: BenchmarkConfig, policies: int, workers: int) -> int:
     """Episodes of a chunk: smaller ones than asked for only below TASKS tasks a worker."""
     size = config.chunk
@@ -90,39 +156,30 @@ def pending(
 ) -> Iterator[Task]:
     """The chunks that the store lacks, set by set, all policies on a chunk in turn.
 
-    workers: how many run at the same time. The store of a shard gets the chunks of that shard.
+    workers: how many run at the same time. The store of a shard gets the chunks of that shard: all
+    shards deal out the same ones.
     """
-    return (
-        task for task in store.share(_chunks(config, policies, store, workers)) if task.episodes
-    )
-
-
-def _chunks(
-    config: BenchmarkConfig, policies: Sequence[PolicyEntry], store: Store, workers: int
-) -> Iterator[Task]:
-    """All chunks, with the episodes that the store lacks, if any: the same ones for every shard."""
-    have = {
-        (r["set"], r["policy"], r["episode"])
-        for r in store.records({entry.name: entry.fingerprint for entry in policies})
-    }
+    done = {(r["set"], r["policy"], r["episode"]) for r in store.records(_fingerprints(policies))}
     size = chunk_size(config, len(policies), max(workers, store.shards))
-    for name in config.sets:
-        for first in range(0, config.episodes, size):
-            chunk = range(first, min(first + size, config.episodes))
-            for entry in policies:
-                missing = tuple(i for i in chunk if (name, entry.name, i) not in have)
-                yield Task(entry, name, missing)
+    tasks = (
+        Task(
+            entry,
+            name,
+            tuple(
+                i
+                for i in range(first, min(first + size, config.episodes))
+                if (name, entry.name, i) not in done
+            ),
+        )
+        for name in config.sets
+        for first in range(0, config.episodes, size)
+        for entry in policies
+    )
+    return (task for task in store.share(tasks) if task.episodes)
 
 
-REPORT_EVERY = 50  # [control steps] between two calls of `progress`
-
-# Channels of a trace that have another name in the simulation.
-_RENAMED = {
-    "error": "distance",
-    "speed_error": "reference_speed",  # the vehicle's is subtracted
-}
-_COLUMNS = columns(_RENAMED.get(name, name) for name in metrics.CHANNELS)
-_SPEED_ERROR = metrics.CHANNELS.index("speed_error")
+def _fingerprints(policies: Sequence[PolicyEntry]) -> dict[str, str]:
+    return {entry.name: entry.fingerprint for entry in policies}
 
 
 def episode_digest(episode: Episode) -> str:
@@ -159,7 +216,7 @@ def drive(
     observation, info = env.reset(seed=list(seeds))
     max_steps = simulation.settings.max_steps
     tell_plant(policy, solver.reads.names)
-    goals = goals_of([episode for episode in simulation.episodes if episode is not None])
+    goals = metrics.goals_of([episode for episode in simulation.episodes if episode is not None])
     values = np.empty((max_steps, env.num_envs, len(_COLUMNS)))
     over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
     start: NDArray[np.bool_] = np.ones(env.num_envs, dtype=bool)
@@ -218,44 +275,33 @@ def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progre
     env = config.environment(task.uncertainty_set, count, needs_truth(policy))
     recorder = None
     if identifies(policy):
-        solver = env.simulation.solver
-        recorder = Recorder(count, env.simulation.settings.max_steps, frozenset(solver.reads.names))
-    reported, steps = 0, 0
-
-    def on_step() -> None:
-        nonlocal reported, steps
-        steps += 1
-        if steps % REPORT_EVERY == 0:
-            progress((steps - reported) * count, task.label)
-            reported = steps
-
+        reads = frozenset(env.simulation.solver.reads.names)
+        recorder = Recorder(count, env.simulation.settings.max_steps, reads)
+    counter = StepCounter(progress, count, task.label)
     seeds = [config.seed + i for i in task.episodes]
     try:
         freeze_at = None
         if task.policy.frozen and can_freeze(policy):
             freeze_at = change_steps(drive(policy, env, seeds, lambda: None)[0])
             policy = checked_policy(task.policy, config.context(task.uncertainty_set))
-        trace, predict_time = drive(policy, env, seeds, on_step, recorder, freeze_at)
+        trace, predict_time = drive(policy, env, seeds, counter, recorder, freeze_at)
     except (Exception, SystemExit) as error:
-        where = f"set {task.uncertainty_set!r}, step {steps}"
+        where = f"set {task.uncertainty_set!r}, step {counter.steps}"
         raise blamed(error, task.policy.name, where) from error
     finally:
         env.close()
-    columns = metrics.evaluate(trace)
-    endings = metrics.ending(trace)
-    beliefs = recorder.beliefs() if recorder is not None else None
-    believed: list[dict[str, Any]] = [{}] * count
+    values, endings = metrics.evaluate(trace), metrics.ending(trace)
+    beliefs = None if recorder is None else recorder.beliefs()
+    estimates: list[dict[str, Any]] = [{}] * count
     if beliefs is not None:
-        believed = identification_metrics.evaluate(beliefs, trace)
+        estimates = identification_metrics.evaluate(beliefs, trace)
     episodes: list[Record] = []
     for row, (episode, seed) in enumerate(zip(task.episodes, seeds, strict=True)):
         drawn = env.simulation.episodes[row]
         assert drawn is not None
-        known = {"episode": episode, "seed": seed, "digest": episode_digest(drawn)}
-        values = {
-            name: identification_metrics.optional(column[row]) for name, column in columns.items()
-        }
-        episodes.append({**known, "ended": endings[row], **values, **believed[row]})
+        head = {"episode": episode, "seed": seed, "digest": episode_digest(drawn)}
+        numbers = {name: optional(column[row]) for name, column in values.items()}
+        episodes.append({**head, "ended": endings[row], **numbers, **estimates[row]})
     chunk = {
         "policy": task.policy.name,
         "fingerprint": task.policy.fingerprint,
@@ -264,18 +310,18 @@ def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progre
         "episodes": episodes,
         **({READS_TRUTH: True} if needs_truth(policy) else {}),
     }
-    progress((trace.max_steps - reported) * count, task.label)
-    kept = task.episodes[0] < FIGURE_ERRORS
-    return Finished(chunk, figure_data(trace, beliefs, task.episodes) if kept else None)
+    counter.end(trace.max_steps)
+    is_drawn = task.episodes[0] < FIGURE_ERRORS
+    return Finished(chunk, figure_data(trace, beliefs, task.episodes) if is_drawn else None)
 
 
-def run_sent(comparison: Comparison, task: SentTask) -> Finished:
+def run_sent(comparison: SentComparison, task: SentTask) -> Finished:
     """Run one chunk in the process that has got it. Raises PolicyError, ValueError."""
     entry = received(comparison, task.policy)
     return run_task(Task(entry, task.uncertainty_set, task.episodes), comparison.config)
 
 
-def keep(finished: Finished, store: Store, workers: int) -> None:
+def save(finished: Finished, store: Store, workers: int) -> None:
     """Store a chunk, one of `workers` at the same time. Raises OSError when it cannot be stored."""
     chunk = finished.chunk
     if finished.trace is not None:
@@ -298,7 +344,7 @@ def run(
     """
     if executor is None:
         for task in list(pending(config, policies, store)):
-            keep(run_task(task, config, progress), store, store.shards)
+            save(run_task(task, config, progress), store, store.shards)
         return chosen_records(config, policies, store)
     comparison = sent(config, policies)
     tasks = list(pending(config, policies, store, executor.workers))
@@ -306,9 +352,23 @@ def run(
     with closing(executor.results(run_sent, comparison, jobs)) as results:
         for number, finished in results:
             task = tasks[number]
-            keep(finished, store, executor.workers)
+            save(finished, store, executor.workers)
             progress(config.max_steps(task.uncertainty_set) * len(task.episodes), task.label)
     return chosen_records(config, policies, store)
+
+
+def run_with_bar(
+    config: BenchmarkConfig,
+    policies: Sequence[PolicyEntry],
+    store: Store,
+    executor: Executor | None = None,
+    quiet: bool = False,
+) -> list[Record]:
+    """`run` with a bar of its progress."""
+    tasks = pending(config, policies, store, executor.workers if executor else 1)
+    steps = sum(len(task.episodes) * config.max_steps(task.uncertainty_set) for task in tasks)
+    with progress_bar(steps, quiet) as progress:
+        return run(config, policies, store, progress, executor)
 
 
 def chosen_records(
@@ -317,9 +377,9 @@ def chosen_records(
     """The finished records of the sets and policies of a configuration, in their order."""
     sets = {name: i for i, name in enumerate(config.sets)}
     order = {entry.name: i for i, entry in enumerate(policies)}
-    wanted = [
-        r
-        for r in store.records({entry.name: entry.fingerprint for entry in policies})
-        if r["set"] in sets and r["episode"] < config.episodes
+    records = [
+        record
+        for record in store.records(_fingerprints(policies))
+        if record["set"] in sets and record["episode"] < config.episodes
     ]
-    return sorted(wanted, key=lambda r: (sets[r["set"]], order[r["policy"]], r["episode"]))
+    return sorted(records, key=lambda r: (sets[r["set"]], order[r["policy"]], r["episode"]))

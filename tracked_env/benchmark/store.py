@@ -10,31 +10,14 @@ A line is appended by a single write and synced, so a kill at any moment costs a
 chunk in progress; a torn last line is cut off when the folder is opened again, and temporary files
 of processes that were killed are removed. Lines of a policy whose source has changed since are
 skipped.
-
-Checks of the lines of stored results: damaged or edited ones are refused when read.
-
-    header   {format, hash, identity, versions, machine}
-    chunk    {policy, fingerprint, set, predict_time, episodes: [record, ...]}, where other
-             processes ran at the same time, how many: beside, and of a policy that is handed the
-             true parameters reads_truth: true
-    record   {episode, seed, digest, ended, every metric of METRICS}, and of a policy that
-             estimates {identification: {parameter: {metric: number}}, nis: {filter: number}}
-Numbers are finite. Metrics are >= 0, shares at most 1; None stands for what an episode lacks.
-All functions raise ValueError.
-
-Which machine and which packages a result comes from.
 """
 
 import hashlib
 import io
 import json
-import math
 import os
-import platform
-import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
@@ -43,146 +26,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.executors import Shard
-from tracked_env.benchmark.files import (
-    Lock,
+from tracked_env.benchmark.files import Lock, file_name, machine, sweep, versions, write_atomically
+from tracked_env.benchmark.records import (
+    BESIDE,
+    READS_TRUTH,
+    Record,
+    checked_chunk,
+    checked_header,
     checked_trace,
-    file_name,
-    joined,
-    sweep,
-    write_atomically,
+    merged,
 )
-from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS, LATER
-from tracked_env.benchmark.metrics import ENDINGS, METRICS, OPTIONAL
 from tracked_env.validation import plain_arrays
-
-Record = dict[str, Any]
-
-HEADER = {"format": int, "hash": str, "identity": dict, "versions": dict, "machine": dict}
-CHUNK = {"policy": str, "fingerprint": str, "set": str, "predict_time": float, "episodes": list}
-BESIDE = "beside"  # processes at the same time, which makes `predict_time` not comparable
-READS_TRUTH = "reads_truth"  # of a policy that is handed the true parameters
-EPISODE = {"episode": int, "seed": int, "digest": str, "ended": str}
-ESTIMATES = {"identification": dict, "nis": dict}  # of policies that estimate
-SHARES = ("success", "terminated", "saturation_share")
-_SAID = {
-    int: "an integer >= 0",
-    float: "a number >= 0",
-    bool: "true or false",
-    str: "text",
-    dict: "a dict",
-    list: "a list",
-}
-NEEDED = [name for name in ESTIMATION_METRICS if name not in LATER]  # of an estimate
-
-
-def _fields(what: str, given: Any, needed: Collection[str], allowed: Collection[str]) -> Record:
-    """A dict with all the needed fields and no other than those and the allowed ones."""
-    if not isinstance(given, dict):
-        raise ValueError(f"{what} is {given!r:.60}; must be a dict")
-    lacking = [name for name in needed if name not in given]
-    if lacking:
-        raise ValueError(f"{what} lacks {', '.join(lacking)}")
-    strange = [name for name in given if name not in needed and name not in allowed]
-    if strange:
-        raise ValueError(f"{what} has {strange[0]!r}, which is not known")
-    return given
-
-
-def _number(what: str, value: Any, low: float = -math.inf, high: float = math.inf) -> None:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not number or not low <= value <= high or abs(value) > sys.float_info.max:
-        limits = "" if low < 0.0 else f" >= {low:g}" if high == math.inf else f" in [0, {high:g}]"
-        raise ValueError(f"{what} = {value!r:.60}; must be a finite number{limits}")
-
-
-def _typed(what: str, given: Mapping[str, Any], types: Mapping[str, type]) -> None:
-    for name, kind in types.items():
-        value = given.get(name)
-        if kind is float:
-            _number(f"{name} of {what}", value, 0.0)
-        elif type(value) is not kind or (isinstance(value, int) and value < 0):
-            raise ValueError(f"{name} of {what} = {value!r:.60}; must be {_SAID[kind]}")
-
-
-def checked_header(header: Any) -> Record:
-    """The first line, of the present format or not."""
-    known = _fields("the header", header, HEADER, ())
-    _typed("the header", known, HEADER)
-    return known
-
-
-def checked_chunk(chunk: Any) -> Record:
-    """Any other line: a chunk of finished episodes."""
-    beside = {BESIDE: int, READS_TRUTH: bool}
-    known = _fields("the chunk", chunk, CHUNK, beside)
-    _typed("the chunk", known, CHUNK)
-    _typed("the chunk", known, {name: kind for name, kind in beside.items() if name in known})
-    for record in known["episodes"]:
-        _check_record(record)
-    return known
-
-
-def _check_record(record: Any) -> None:
-    known = _fields("a record", record, (*EPISODE, *METRICS), ESTIMATES)
-    _typed("a record", known, EPISODE)
-    what = f"episode {known['episode']}"
-    if known["ended"] not in ENDINGS:
-        raise ValueError(f"ended of {what} = {known['ended']!r:.60}; must be one of {ENDINGS}")
-    for name in METRICS:
-        if known[name] is not None or name not in OPTIONAL:
-            _number(f"{name} of {what}", known[name], 0.0, 1.0 if name in SHARES else math.inf)
-    _typed(what, known, {name: kind for name, kind in ESTIMATES.items() if name in known})
-    for parameter, metrics in known.get("identification", {}).items():
-        _fields(f"estimate of {parameter!r:.60} in {what}", metrics, NEEDED, LATER)
-        _check_estimates(what, metrics)
-    _check_estimates(what, known.get("nis", {}))
-
-
-def _check_estimates(what: str, values: Mapping[str, Any]) -> None:
-    for name, value in values.items():
-        if value is not None:
-            _number(f"{name} of {what}", value)
-
-
-PACKAGES = ("tracked-env", "numpy", "scipy", "numba", "gymnasium", "stable-baselines3", "torch")
-
-
-def versions() -> dict[str, str]:
-    """Python and the installed packages that matter."""
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-def machine() -> dict[str, Any]:
-    """Processor and system, without names of host or user."""
-    return {
-        "system": platform.system(),
-        "architecture": platform.machine(),
-        "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count(),
-    }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
-
 
 FORMAT = 4  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"
 LOCK = ".lock"
 SHARDS = "shard-*-of-*"  # folders of shards
-
-__all__ = ["FILE", "FORMAT", "LOCK", "Record", "Store", "identity_hash", "write_atomically"]
 
 
 def identity_hash(identity: Mapping[str, Any]) -> str:
@@ -387,7 +246,7 @@ class Store:
                 try:
                     if path.exists():
                         parts.append(checked_trace(plain_arrays(path)))
-                        whole = joined(parts)
+                        whole = merged(parts)
                 except Exception as error:  # zipfile and numpy raise many kinds for a damaged file
                     self.notices.append(
                         f"{path} is damaged and left out of the figures ({type(error).__name__}: "

@@ -3,7 +3,7 @@
 A policy `name@seed` is one training of the agent `name`; its seeds are summarised together. Per set
 and agent: interquartile mean (IQM), mean, and mean of the worst tenth of the tracking RMSE over
 seeds and episodes, and the IQM of that after the start, each with a 95 % bootstrap interval (see
-`reliability`), and means of the other metrics over the episodes that have them.
+`statistics`), and means of the other metrics over the episodes that have them.
     score        (IQM of START - IQM of agent) / (IQM of START - IQM of the ceiling), if both are
                  among the policies: 0 is as good as START, a controller that identifies nothing,
                  and 1 as the ceiling of the set
@@ -26,22 +26,20 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracked_env.benchmark import reliability as rel
 from tracked_env.benchmark import statistics as stats
-from tracked_env.benchmark.identification_metrics import IdentificationSummary, mean_nis
+from tracked_env.benchmark.identification_metrics import mean_nis
 from tracked_env.benchmark.identification_metrics import summarise as summarise_beliefs
-from tracked_env.benchmark.metrics import ACTION_RATES, METRICS
-from tracked_env.benchmark.statistics import Estimate
-from tracked_env.benchmark.store import BESIDE, READS_TRUTH, Record
+from tracked_env.benchmark.metrics import METRICS
+from tracked_env.benchmark.policy_interface import SEED_MARK, agent_of
+from tracked_env.benchmark.records import BESIDE, READS_TRUTH, Record
+from tracked_env.benchmark.statistics import Estimate, FloatArray
 
 SEPARATION_RATIO = 1.2  # [-] of the interquartile means
 ALL_SETS = "all sets"
 STARTS = ("integral", "nominal", "uc")  # the first of them that is here scores 0
 # Where no record says which policies read the truth, the first of these that is here scores 1.
 CEILINGS = ("oracle", "slc-oracle")
-SEED_MARK = "@"  # between the name of an agent and that of one of its seeds
 BySeed = dict[str, list[Record]]  # records of one agent on one set
 
 
@@ -59,13 +57,6 @@ class PolicySummary(NamedTuple):
     seeds: int = 0  # trainings; 0 for a policy that is not trained
     score: Estimate | None = None  # [-] 0 as START, 1 as the ceiling; None if these do not differ
     timed_alone: bool = True  # whether no other process disturbed `predict_time`
-
-
-def action_rate(means: Mapping[str, float]) -> tuple[float, str]:
-    """Action rate of an agent and its unit, of the drive that it has been on."""
-    known = [name for name in ACTION_RATES.values() if not np.isnan(means[name])]
-    name = known[0] if known else ACTION_RATES["torque"]
-    return means[name], METRICS[name].unit
 
 
 class Comparison(NamedTuple):
@@ -87,39 +78,29 @@ class Summary(NamedTuple):
     policies: dict[str, dict[str, PolicySummary]]
     comparisons: dict[str, dict[str, Comparison]]
     # By parameter, and by filter; only of policies that estimate.
-    identification: dict[str, dict[str, dict[str, IdentificationSummary]]]
+    identification: dict[str, dict[str, dict[str, dict[str, float]]]]
     nis: dict[str, dict[str, dict[str, float]]]
     ceilings: dict[str, str]  # {set: agent}, of the sets that a policy with the truth has driven
 
 
-def agent_of(policy: str) -> str:
-    """The agent that a policy `name@seed` is a training of; other names stay."""
-    return policy.rpartition(SEED_MARK)[0] or policy
-
-
 def by_agent(records: Sequence[Record]) -> dict[str, BySeed]:
     """Records of one set by agent and policy, in their order."""
-    found: dict[str, BySeed] = {}
+    agents: dict[str, BySeed] = {}
     for record in records:
-        seeds = found.setdefault(agent_of(record["policy"]), {})
+        seeds = agents.setdefault(agent_of(record["policy"]), {})
         seeds.setdefault(record["policy"], []).append(record)
-    return found
+    return agents
 
 
-def _column(records: Sequence[Record], name: str) -> NDArray[np.float64]:
+def _column(records: Sequence[Record], name: str) -> FloatArray:
     return np.array([record[name] for record in records], dtype=np.float64)
 
 
 def _mean(records: Sequence[Record], name: str) -> float:
     """Mean of a metric over the records that have it."""
-    values = _column(records, name)
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else np.nan
-
-
-def failed(record: Record) -> bool:
-    """Whether an episode ended before its time, or with too large an error."""
-    return bool(record["terminated"] > 0.5 or record["success"] < 0.5)
+    column = _column(records, name)
+    values = column[~np.isnan(column)]
+    return float(values.mean()) if values.size else np.nan
 
 
 class Row:
@@ -131,10 +112,10 @@ class Row:
         self.names = list(sets[0])
         self.seeds = {name: list(sets[0][name]) for name in self.names}
         self.sizes = [self._checked(of) for of in sets]  # episodes of each
-        self.redraws = rel.Redraws(self.sizes)
+        self.redraws = stats.Redraws(self.sizes)
         self.redrawn, self.settled = (
             {
-                name: rel.redraw(self.matrix(name, metric), self.redraws, number)
+                name: stats.redraw(self.matrix(name, metric), self.redraws, number)
                 for number, name in enumerate(self.names)
             }
             for metric in ("tracking_rmse", "settled_rmse")
@@ -158,9 +139,14 @@ class Row:
         """All records of an agent, seed by seed."""
         return [r for policy in self.seeds[name] for of in self.sets for r in of[name][policy]]
 
-    def matrix(self, name: str, metric: str) -> NDArray[np.float64]:
+    def matrix(self, name: str, metric: str) -> FloatArray:
         """A metric of an agent, (S, N)."""
         return _column(self.pooled(name), metric).reshape(len(self.seeds[name]), -1)
+
+    def failed(self, name: str) -> FloatArray:
+        """1 where an episode ended before its time or with too large an error, (S, N)."""
+        early, success = self.matrix(name, "terminated"), self.matrix(name, "success")
+        return ((early > 0.5) | (success < 0.5)).astype(np.float64)
 
     def anchors(self) -> tuple[str, str] | None:
         """The policies that score 0 and 1, if both are here."""
@@ -178,8 +164,9 @@ class Row:
         anchors = self.anchors()
         if anchors is None:
             return None
-        three = [self.redrawn[key] for key in (*anchors, name)]
-        return rel.score((self.iqm(anchors[0]), self.iqm(anchors[1]), self.iqm(name)), *three)
+        low, high, agent = (self.redrawn[key] for key in (*anchors, name))
+        values = self.iqm(anchors[0]), self.iqm(anchors[1]), self.iqm(name)
+        return stats.score(values, low, high, agent)
 
     def ceiling(self) -> str | None:
         """The agent with the smallest IQM of those that read the truth, None without one."""
@@ -193,24 +180,24 @@ class Row:
         """IQM [m] of the tracking RMSE of an agent over seeds and episodes."""
         return float(stats.interquartile_mean(self.redrawn[name].values.ravel()))
 
-    def scores(self, name: str) -> NDArray[np.float64]:
+    def scores(self, name: str) -> FloatArray:
         """Redraws (2, B) of the score; needs the anchors. All rows draw the same seeds."""
         anchors = self.anchors()
         assert anchors is not None
-        three = [self.redrawn[key].iqm for key in (*anchors, name)]
-        return rel.gap_closed(*three)
+        low, high, agent = (self.redrawn[key].iqm for key in (*anchors, name))
+        return stats.gap_closed(low, high, agent)
 
     def summary(self, name: str) -> PolicySummary:
         """Statistics of one agent on these sets."""
         redrawn, settled, records = self.redrawn[name], self.settled[name], self.pooled(name)
         flat, after = redrawn.values.ravel(), settled.values.ravel()
-        seeds = rel.fewest(redrawn)
+        seeds = stats.fewest(redrawn)
         return PolicySummary(
             redrawn.values.shape[1],
-            rel.estimate(self.iqm(name), redrawn.iqm, seeds),
-            rel.estimate(float(flat.mean()), redrawn.mean, seeds),
-            rel.estimate(float(stats.worst_tenth(flat)), redrawn.worst, seeds),
-            rel.estimate(float(stats.interquartile_mean(after)), settled.iqm, seeds),
+            stats.estimate(self.iqm(name), redrawn.iqm, seeds),
+            stats.estimate(float(flat.mean()), redrawn.mean, seeds),
+            stats.estimate(float(stats.worst_tenth(flat)), redrawn.worst, seeds),
+            stats.estimate(float(stats.interquartile_mean(after)), settled.iqm, seeds),
             {metric: _mean(records, metric) for metric in METRICS},
             _mean(records, "predict_time"),
             sum(record["recovery_time"] is not None for record in records),
@@ -222,24 +209,20 @@ class Row:
     def compare(self, base: str, name: str) -> Comparison:
         """An agent against another."""
         a, b = self.redrawn[base], self.redrawn[name]
-        seeds = rel.fewest(a, b)
-        own = [self.iqm(of) for of in (base, name)]
-        ratio = rel.estimate(
-            float(rel.ratio(np.array(own[0]), np.array(own[1]))), rel.ratio(a.iqm, b.iqm), seeds
-        )
-        difference = rel.estimate(float(a.values.mean() - b.values.mean()), a.mean - b.mean, seeds)
-        fails = [
-            np.array([failed(r) for r in self.pooled(of)]).reshape(len(self.seeds[of]), -1)
-            for of in (base, name)
-        ]
+        seeds = stats.fewest(a, b)
+        one, two = self.iqm(base), self.iqm(name)
+        ratio = stats.estimate(float(stats.ratio(one, two)), stats.ratio(a.iqm, b.iqm), seeds)
+        apart = float(a.values.mean() - b.values.mean())
+        difference = stats.estimate(apart, a.mean - b.mean, seeds)
+        failed, base_failed = (self.failed(of).mean(axis=0) for of in (name, base))
         return Comparison(
             ratio,
             difference,
-            rel.estimate(own[0] - own[1], a.iqm - b.iqm, seeds),
-            rel.improvement(b, a, self.redraws),
+            stats.estimate(one - two, a.iqm - b.iqm, seeds),
+            stats.improvement(b, a, self.redraws),
             bool(difference.low > 0.0 and ratio.value >= SEPARATION_RATIO),
-            float((fails[1].mean(axis=0) * (1.0 - fails[0].mean(axis=0))).sum()),
-            rel.enough(min(self.sizes), self.trainings(base), self.trainings(name)),
+            float((failed * (1.0 - base_failed)).sum()),
+            stats.enough(min(self.sizes), self.trainings(base), self.trainings(name)),
         )
 
 
@@ -264,17 +247,17 @@ def summarise(records: Sequence[Record], rows: Mapping[str, Row] | None = None) 
     """
     rows = rows_of(records) if rows is None else rows
     baseline = agent_of(records[0]["policy"])
-    found = Summary(baseline, {}, {}, {}, {}, {})
+    summary = Summary(baseline, {}, {}, {}, {}, {})
     for name, row in rows.items():
-        found.policies[name] = {agent: row.summary(agent) for agent in row.names}
-        found.comparisons[name] = {
+        summary.policies[name] = {agent: row.summary(agent) for agent in row.names}
+        summary.comparisons[name] = {
             agent: row.compare(baseline, agent) for agent in row.names if agent != baseline
         }
-        believed = {agent: summarise_beliefs(row.pooled(agent)) for agent in row.names}
-        found.identification[name] = {agent: of for agent, of in believed.items() if of}
-        found.nis[name] = {
-            agent: mean_nis(row.pooled(agent)) for agent in found.identification[name]
+        beliefs = {agent: summarise_beliefs(row.pooled(agent)) for agent in row.names}
+        summary.identification[name] = {agent: of for agent, of in beliefs.items() if of}
+        summary.nis[name] = {
+            agent: mean_nis(row.pooled(agent)) for agent in summary.identification[name]
         }
         if (ceiling := row.ceiling()) is not None:
-            found.ceilings[name] = ceiling
-    return found
+            summary.ceilings[name] = ceiling
+    return summary

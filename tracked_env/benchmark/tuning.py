@@ -13,11 +13,10 @@ the budget is spent in this order, on the same episodes throughout:
     refine    the rest on a pattern search [2] from the best: each setting up and down by STEP of
               its range in turn, a step that is halved when none of them is better, down to FINEST
 and then each setting of the best alone times FACTORS, to show how sharp the optimum is. What a
-controller refuses (ValueError) is not driven and not counted.
+controller refuses (ValueError) is not driven and not counted. What was driven lies in a CSV file
+that a search goes on from (`Records`), and on a page of tables.
 
 References: [1] Halton, Numerische Mathematik 2 (1960). [2] Hooke and Jeeves, J. ACM 8 (1961).
-
-What a search of settings has driven: a CSV file that it goes on from, and tables of it.
 """
 
 import csv
@@ -34,12 +33,15 @@ from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.policy_interface import blamed, needs_truth
 from tracked_env.benchmark.runner import drive
 from tracked_env.benchmark.statistics import interquartile_mean
-from tracked_env.benchmark.text_tables import markdown_rows
+from tracked_env.benchmark.tables import markdown_rows
 from tracked_env.validation import checked_keys
 
 LOST = 10.0  # [-] weight of the part that fails: 1 % of all episodes counts as 10 % more error
 STEP, FINEST = 0.1, 0.01  # [-] of a range, first and last step of the pattern search
 FACTORS = (0.5, 0.7, 1.4, 2.0)  # on each setting of the best alone
+BEST = 10  # candidates of a table
+_SUMMARY = ("cost", "rmse", "settled", "lost", "rate")  # columns behind the settings
+_REFUSED = "refused"
 Settings = Mapping[str, float]
 Ranges = Mapping[str, tuple[float, float, bool]]
 
@@ -68,9 +70,8 @@ class Candidate(NamedTuple):
     def mean(self, field: str) -> float:
         """Mean of a field over the sets, geometric that of an error."""
         values = np.array([getattr(one, field) for one in self.outcomes.values()])
-        return float(
-            np.exp(np.log(values).mean()) if field in ("rmse", "settled") else values.mean()
-        )
+        geometric = field in ("rmse", "settled")
+        return float(np.exp(np.log(values).mean()) if geometric else values.mean())
 
 
 class Tunable(NamedTuple):
@@ -91,9 +92,9 @@ def cost(outcomes: Sequence[Outcome]) -> float:
     return math.exp(float(np.mean(logs))) * (1.0 + LOST * lost)
 
 
-def tunable(name: str, found: Any) -> Tunable:
+def tunable(name: str, factory: Any) -> Tunable:
     """What is registered under a name. Raises ValueError where it declares no ranges."""
-    ranges, defaults = getattr(found, "TUNABLE", None), getattr(found, "SETTINGS", None)
+    ranges, defaults = getattr(factory, "TUNABLE", None), getattr(factory, "SETTINGS", None)
     if not ranges or not callable(defaults):
         raise ValueError(
             f"policy {name!r} declares no settings to be tuned: it needs attributes TUNABLE and "
@@ -102,35 +103,39 @@ def tunable(name: str, found: Any) -> Tunable:
     for setting, (low, high, logarithmic) in ranges.items():
         if not (low < high and (low > 0.0 or not logarithmic)):
             raise ValueError(f"policy {name!r}: range of {setting} is [{low:g}, {high:g}]")
-    return Tunable(name, found, ranges, defaults)
+    return Tunable(name, factory, ranges, defaults)
 
 
 def default_settings(policy: Tunable, context: Any) -> dict[str, float]:
     """The default of every setting that is tuned."""
-    given = policy.defaults(context)._asdict()
-    return {name: float(given[name]) for name in checked_keys("TUNABLE", policy.ranges, given)}
+    values = policy.defaults(context)._asdict()
+    return {name: float(values[name]) for name in checked_keys("TUNABLE", policy.ranges, values)}
 
 
 def outcome(
-    policy: Tunable, settings: Settings, config: BenchmarkConfig, name: str,
+    policy: Tunable,
+    settings: Settings,
+    config: BenchmarkConfig,
+    name: str,
     on_step: Callable[[], None] = lambda: None,
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     """Drive the episodes of one set. Raises ValueError for settings that the policy refuses, and
     PolicyError for one that fails under way."""
-    made = policy.make(config.context(name), **settings)
-    env = config.environment(name, config.episodes, needs_truth(made))
+    controller = policy.make(config.context(name), **settings)
+    env = config.environment(name, config.episodes, needs_truth(controller))
     seeds = range(config.seed, config.seed + config.episodes)
     try:
-        trace, _time = drive(made, env, seeds, on_step)
+        trace, _time = drive(controller, env, seeds, on_step)
     except (Exception, SystemExit) as error:
         raise blamed(error, policy.name, f"set {name!r}, settings {dict(settings)}") from error
     finally:
         env.close()
-    found = metrics.evaluate(trace)
-    rate = found[metrics.ACTION_RATES[trace.drive]].mean()
-    errors = (interquartile_mean(found[key]) for key in ("tracking_rmse", "settled_rmse"))
-    rmse, settled = (float(value) for value in errors)
-    return Outcome(rmse, settled, 1.0 - float(found["success"].mean()), float(rate))
+    values = metrics.evaluate(trace)
+    rate = float(values[metrics.ACTION_RATES[trace.drive]].mean())
+    rmse, settled = (
+        float(interquartile_mean(values[key])) for key in ("tracking_rmse", "settled_rmse")
+    )
+    return Outcome(rmse, settled, 1.0 - float(values["success"].mean()), rate)
 
 
 def scaled(ranges: Ranges, settings: Settings) -> NDArray[np.float64]:
@@ -173,15 +178,14 @@ def searched(
         if candidate is not None:
             spent, best = spent + 1, min(best, candidate, key=lambda one: one.cost)
             yield candidate
-    for candidate in _refined(ranges, best, budget - spent, evaluate):
-        yield candidate
+    yield from _refined(ranges, best, budget - spent, evaluate)
 
 
 def _refined(
     ranges: Ranges, best: Candidate, budget: int, evaluate: Evaluate
 ) -> Iterator[Candidate]:
     """Pattern search from `best`."""
-    step, known = STEP, {tuple(best.settings.values())}
+    step, tried = STEP, {tuple(best.settings.values())}
     while budget > 0 and step >= FINEST:
         improved = False
         for axis in range(len(ranges)):
@@ -189,9 +193,9 @@ def _refined(
                 point = scaled(ranges, best.settings)
                 point[axis] = min(max(point[axis] + sign * step, 0.0), 1.0)
                 settings = unscaled(ranges, point)
-                if budget < 1 or tuple(settings.values()) in known:
+                if budget < 1 or tuple(settings.values()) in tried:
                     continue
-                known.add(tuple(settings.values()))
+                tried.add(tuple(settings.values()))
                 candidate = evaluate("refine", settings)
                 if candidate is None:
                     continue
@@ -212,11 +216,6 @@ def varied(settings: Settings) -> Iterator[tuple[str, dict[str, float]]]:
                 yield f"{name} x {factor:g}", {**settings, name: value * factor}
 
 
-BEST = 10  # candidates of the table
-_SUMMARY = ("cost", "rmse", "settled", "lost", "rate")  # columns behind the settings
-_REFUSED = "refused"
-
-
 class Records:
     """Candidates of one search by their settings and seed, each kept as soon as it was driven."""
 
@@ -224,7 +223,7 @@ class Records:
         self.file, self._names, self._sets = file, tuple(names), tuple(sets)
         of_sets = [f"{name} {field}" for name in self._sets for field in Outcome._fields]
         self._columns = ["seed", "stage", *self._names, *_SUMMARY, *of_sets]
-        self._known: dict[tuple[float, ...], Candidate | None] = {}
+        self._candidates: dict[tuple[float, ...], Candidate | None] = {}
         if file.exists():
             with file.open(newline="", encoding="utf-8") as lines:
                 for row in csv.DictReader(lines):
@@ -238,28 +237,28 @@ class Records:
         settings = {name: float(row[name]) for name in self._names}
         key = self._key(int(row["seed"]), settings)
         if row["cost"] == _REFUSED:
-            self._known[key] = None
+            self._candidates[key] = None
             return
         outcomes = {
             name: Outcome(*(float(row[f"{name} {field}"]) for field in Outcome._fields))
             for name in self._sets
         }
-        self._known[key] = Candidate(row["stage"], settings, outcomes)
+        self._candidates[key] = Candidate(row["stage"], settings, outcomes)
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._candidates)
 
     def has(self, seed: int, settings: Settings) -> bool:
         """Whether these settings have been driven, or refused, on episodes from `seed` on."""
-        return self._key(seed, settings) in self._known
+        return self._key(seed, settings) in self._candidates
 
     def get(self, seed: int, settings: Settings) -> Candidate | None:
         """The candidate; None where it was refused."""
-        return self._known[self._key(seed, settings)]
+        return self._candidates[self._key(seed, settings)]
 
     def add(self, seed: int, settings: Settings, candidate: Candidate | None, stage: str) -> None:
         """Keep a candidate; None: it was refused."""
-        self._known[self._key(seed, settings)] = candidate
+        self._candidates[self._key(seed, settings)] = candidate
         row: dict[str, object] = {"seed": seed, "stage": stage, **settings, "cost": _REFUSED}
         if candidate is not None:
             row |= {"cost": candidate.cost}
@@ -275,21 +274,20 @@ class Records:
             writer.writerow(row)
 
 
-def _cells(candidate: Candidate) -> list[str]:
-    """Settings, J, errors, failures and action rate."""
-    return [
-        *(f"{value:.4g}" for value in candidate.settings.values()),
-        f"{candidate.cost:.4f}", f"{candidate.mean('rmse'):.4f}",
-        f"{candidate.mean('settled'):.4f}", f"{100.0 * candidate.mean('lost'):.1f}",
-        f"{candidate.mean('rate'):.4g}",
-    ]  # fmt: skip
-
-
 def candidate_rows(candidates: Sequence[Candidate]) -> list[list[str]]:
-    """Header and one row for each."""
-    names = list(candidates[0].settings)
-    head = ["stage", *names, "J [m]", "IQM [m]", "after 5 s [m]", "lost [%]", "action rate"]
-    return [head, *([one.stage, *_cells(one)] for one in candidates)]
+    """Rows of a table: settings, J, errors, failures and action rate of each."""
+    columns: dict[str, Callable[[Candidate], str]] = {
+        "J [m]": lambda one: f"{one.cost:.4f}",
+        "IQM [m]": lambda one: f"{one.mean('rmse'):.4f}",
+        "after 5 s [m]": lambda one: f"{one.mean('settled'):.4f}",
+        "lost [%]": lambda one: f"{100.0 * one.mean('lost'):.1f}",
+        "action rate": lambda one: f"{one.mean('rate'):.4g}",
+    }
+    rows = [["stage", *candidates[0].settings, *columns]]
+    for one in candidates:
+        settings = (f"{value:.4g}" for value in one.settings.values())
+        rows.append([one.stage, *settings, *(cell(one) for cell in columns.values())])
+    return rows
 
 
 def best_of(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -304,15 +302,15 @@ def sensitivity_rows(best: Candidate, varied: Sequence[Candidate]) -> list[list[
     for name in best.settings:
         stages = [f"{name} x {factor:g}" for factor in FACTORS]
         if any(stage in costs for stage in stages):
-            found = [costs.get(stage, math.nan) for stage in stages]
-            rows.append([name, *("refused" if math.isnan(one) else f"{one:.3f}" for one in found)])
+            ratios = [f"{costs[stage]:.3f}" if stage in costs else _REFUSED for stage in stages]
+            rows.append([name, *ratios])
     return rows
 
 
 def set_rows(before: Candidate, after: Candidate) -> list[list[str]]:
     """Header and one row per set: errors and failures of two candidates."""
-    rows = [["set", "IQM before [m]", "after", "after 5 s before [m]", "after", "lost before [%]",
-             "after"]]  # fmt: skip
+    head = "set, IQM before [m], after, after 5 s before [m], after, lost before [%], after"
+    rows = [head.split(", ")]
     for name, old in before.outcomes.items():
         new = after.outcomes[name]
         errors = (old.rmse, new.rmse, old.settled, new.settled)
@@ -322,9 +320,13 @@ def set_rows(before: Candidate, after: Candidate) -> list[list[str]]:
 
 
 def page(
-    policy: Tunable, env: str, conditions: str, driven: Sequence[Candidate],
-    varied: Sequence[Candidate], audited: Sequence[Candidate],
-) -> str:  # fmt: skip
+    policy: Tunable,
+    env: str,
+    conditions: str,
+    driven: Sequence[Candidate],
+    varied: Sequence[Candidate],
+    audited: Sequence[Candidate],
+) -> str:
     """Markdown of one search. driven: default first; audited: default and best on the audit."""
     best = best_of(driven)
     ranges = [["setting", "range", "scale", "default", "best"]]
@@ -332,15 +334,14 @@ def page(
         scale = "logarithmic" if logarithmic else "linear"
         values = (f"{one.settings[name]:.4g}" for one in (driven[0], best[0]))
         ranges.append([name, f"{low:g} to {high:g}", scale, *values])
-    parts = [
-        f"## `{policy.name}` on {env}", conditions, markdown_rows(ranges, names=1),
-        "The best, and the default last:",
-        markdown_rows(candidate_rows([*best, driven[0]]), names=1),
-        "Each setting of the best alone times a factor, J over that of the best:",
-        markdown_rows(sensitivity_rows(best[0], varied), names=1),
-        "Default (before) and best (after), set by set:",
-        markdown_rows(set_rows(driven[0], best[0]), names=1),
-    ]  # fmt: skip
+    best_and_default = candidate_rows([*best, driven[0]])
+    sensitivity = sensitivity_rows(best[0], varied)
+    parts = [f"## `{policy.name}` on {env}", conditions, markdown_rows(ranges, 1)]
+    parts += ["The best, and the default last:", markdown_rows(best_and_default, 1)]
+    parts.append("Each setting of the best alone times a factor, J over that of the best:")
+    parts.append(markdown_rows(sensitivity, 1))
+    parts.append("Default (before) and best (after), set by set:")
+    parts.append(markdown_rows(set_rows(driven[0], best[0]), 1))
     if audited:
         parts += ["The same two on the audit split:", markdown_rows(candidate_rows(audited), 1)]
     return "\n\n".join(parts) + "\n"

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
+from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import Policy, checked_policy, needs_truth, tell_plant
+from tracked_env.cli.command_line import Parser, reported
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_episode_options, config_of
-from tracked_env.cli.exit_status import Parser, reported
 
 OBSERVERS = {TORQUE_ID: "adaptive", SPEED_ID: "slc-adaptive", TERRAIN_ID: "slc-adaptive"}
 DURATION = 120.0  # [s] of an episode
@@ -115,8 +115,7 @@ def drive(config: BenchmarkConfig, name: str, observer: Policy | None) -> list[f
 
 def _observer(name: str, config: BenchmarkConfig) -> Policy:
     """The policy whose beliefs are shown. Raises ValueError for one that identifies nothing."""
-    registry, trained = by_name(registered_policies(), config.env)
-    entry = load_policies([name], registry, trained, open_archive)[0]
+    entry = policies_for(config.env, [name])[0]
     policy = checked_policy(entry, config.context(config.sets[0]))
     if needs_truth(policy) or not hasattr(policy, "estimates"):
         why = "it is given the truth" if needs_truth(policy) else "it identifies nothing"

@@ -2,16 +2,17 @@
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.evaluation_sets import SETS, default_sets
 from tracked_env.benchmark.executors import Shard, parse_shard
-from tracked_env.cli.exit_status import Parser
+from tracked_env.cli.command_line import Parser, add_field, from_fields, option
 from tracked_env.validation import checked_choice, known
 
+T = TypeVar("T")
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
 
 Every policy meets the same vehicles, soils, references and sensor noise. The summary says, per
@@ -27,32 +28,29 @@ An interrupted run loses at most the chunk of episodes in progress; run it again
 """
 ENVIRONMENTS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)  # those with evaluation sets
 EPISODES, EPISODES_AT_FIRST = 32, 16  # of each set; with fewer than 16 there is no verdict
-PAPERS = ("none", "strawa2021", "focchi2025")
 # Options of what drives a single episode.
 EPISODE = ("env", "seed", "sensors", "reference", "duration", "lateral")
 
 
-def short_env(text: str) -> str:
-    """An environment id, with or without the name space `tracked_env/`."""
-    return text if "/" in text else f"tracked_env/{text}"
-
-
 def names(text: str) -> tuple[str, ...]:
     """Names separated by commas, empty ones left out; a file whose name has a comma is one."""
-    given = text.rpartition("=")[2]
-    parts = (text,) if Path(given).exists() else text.split(",")
+    source = text.rpartition("=")[2]
+    parts = (text,) if Path(source).exists() else text.split(",")
     return tuple(part for part in parts if part)
 
 
 class JoinedNames(argparse.Action):
     """Stores what `names` made of each argument as one tuple, every name once."""
 
-    def __call__(
-        self, parser: object, given: argparse.Namespace, values: Any, option: object = None
-    ) -> None:
+    def __call__(self, parser: object, namespace: Any, values: Any, option: object = None) -> None:
         """Store the names."""
-        joined = tuple(dict.fromkeys(name for part in values for name in part))
-        setattr(given, self.dest, joined)
+        setattr(
+            namespace, self.dest, tuple(dict.fromkeys(name for part in values for name in part))
+        )
+
+
+def _bare(env: str) -> str:
+    return env.rpartition("/")[2]
 
 
 def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") -> str:
@@ -82,144 +80,108 @@ def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") 
     return chosen
 
 
-def _bare(env: str) -> str:
-    return env.rpartition("/")[2]
+def as_argument(read: Callable[[str], T]) -> Callable[[str], T]:
+    """A function that reads an argument, with its ValueError as a message of the parser."""
 
-
-def env_type(allowed: Sequence[str]) -> Callable[[str], str]:
-    """What makes one of the allowed environment ids of an argument."""
-
-    short = [env.rpartition("/")[2] for env in allowed]
-
-    def env_of(text: str) -> str:
+    def argument(text: str) -> T:
         try:
-            return short_env(checked_choice("environment", text.rpartition("/")[2], short))
+            return read(text)
         except ValueError as error:
             raise argparse.ArgumentTypeError(str(error)) from error
 
-    return env_of
+    return argument
 
 
-def shard_of(text: str) -> Shard:
-    """A part of the work, I/N."""
-    try:
-        return parse_shard(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
-
-
-def option(default: Any, text: str, **more: Any) -> Any:
-    """A field of Config: its default, its help, and what else argparse needs."""
-    return field(default=default, metadata={"help": text, **more})
-
-
-def flag(default: bool, text: str) -> Any:
-    """A field of Config that is switched by --NAME and --no-NAME."""
-    return option(default, text, action=argparse.BooleanOptionalAction)
+_NAMES: dict[str, Any] = {"nargs": "+", "type": names, "action": JoinedNames}
 
 
 @dataclass(frozen=True)
 class Config:
     """What to compare, on what, and where the results go."""
 
-    env: str | None = option(
-        None,
-        "environment id, with or without `tracked_env/`: sprocket torques as actions, "
-        "or speeds, on level ground or on slopes (default: that of the sets that are named, "
-        "else Torque-v0)",
-    )
-    policies: tuple[str, ...] | None = option(
-        None,
-        "policies to compare, separated by spaces or commas; the first one is the baseline. By "
-        "default, where sets are named, all that are registered for the environment: `tracked-env "
-        "policies` lists them. NAME: a registered controller or agent, with all its seeds. "
-        "NAME@SEED: one of them. path/to/agent.zip: an agent "
-        "of train.py, or, with --trust, any other archive of Stable-Baselines3. "
-        "NAME=runs/ppo-*/agent.zip: the seeds of one agent, summarised together. "
-        "module:attribute: any object with a `predict` as in Stable-Baselines3, or what makes one; "
-        "it is imported and run",
-        nargs="+", type=names, action=JoinedNames, metavar="POLICY",
-    )  # fmt: skip
-    trust: bool = flag(
-        False,
-        "open archives that hold pickled objects too: those of Stable-Baselines3 itself, and of "
-        "former versions of train.py. Opening one runs any code that its author put there: only "
-        "for authors whom you trust. Agents of train.py hold none and need it not",
-    )
-    sets: tuple[str, ...] | None = option(
-        None,
-        "evaluation sets: laws of vehicle, soil and changes, and sensors, separated by spaces or "
-        "commas. By default, where policies are named, all of the environment but the known ones: "
-        "`tracked-env envs` lists them",
-        nargs="+", type=names, action=JoinedNames, metavar="SET",
-    )  # fmt: skip
-    all: bool = flag(
-        False, "all policies that are registered, unless some are named, on all sets, unless some "
-        "are named",
-    )  # fmt: skip
-    sets_version: str | None = option(
-        None, "version of the frozen sets, such as v2; by default the newest one that holds them",
-        metavar="VERSION",
-    )  # fmt: skip
-    episodes: int | None = option(
-        None,
-        f"episodes per set (default: {EPISODES}, and {EPISODES_AT_FIRST} where neither policies "
-        "nor sets are named); the frozen ones are the first 100 of each",
-        type=int, metavar="N",
-    )  # fmt: skip
-    seed: int = option(0, "seed of the first episode; of the frozen ones it is 0", type=int)
-    sensors: str | None = option(
-        None,
-        "instead of the sensors of each set: ideal, rtk, strawa, mocap, or JSON: "
-        '\'{"preset": "rtk", "pose_delay": 0.1}\'',
-    )
-    reference: str | None = option(
-        None,
-        "instead of the reference of each set: random, mixed, circle, figure_eight, straight, "
-        "spiral, chicane, identification, or JSON: "
-        '\'{"kind": "circle", "radius": 10, "speed": 2}\'',
-    )
-    duration: float | None = option(
-        None, "instead of the length of the episodes of each set [s]", type=float
-    )
-    lateral: str = option(
-        "sliding",
-        "lateral constraint of the plant: sliding tracks, or the ICR held at a constant distance "
-        "as in the original paper",
-        choices=("sliding", "constrained"),
-    )
-    output: Path = option(  # noqa: RUF009, a field, and a path does not change
-        Path("results"),
-        "folder for results; each configuration gets its own in it, which one evaluation at a "
-        "time may write",
-        type=Path,
-    )
-    figures: bool = flag(True, "draw paths, errors, torque and slip as SVG, on the page too")
-    video: bool = flag(False, "record the first episode of the first set, every policy")
-    quiet: bool = flag(False, "show neither progress nor tables: only where the results are")
-    paper: str = option(
-        "none",
-        "instead of the benchmark, run a paper's experiments again: its claims beside what comes "
-        "out, its figures, one page; needs a clone of the repository",
-        choices=PAPERS,
-    )
-    chunk: int = option(
-        64, "episodes run and stored together, at most; numbers do not change", type=int
-    )
-    workers: int | None = option(
-        None, "processes of this machine that run chunks at the same time", type=int, metavar="N"
-    )
+    env: str | None = None
+    """Environment id, with or without `tracked_env/`: sprocket torques as actions, or speeds, on
+    level ground or on slopes (default: that of the sets that are named, else Torque-v0)."""
+
+    policies: tuple[str, ...] | None = option(None, metavar="POLICY", **_NAMES)
+    """Policies to compare, separated by spaces or commas; the first one is the baseline. By
+    default, where sets are named, all that are registered for the environment: `tracked-env
+    policies` lists them. NAME: a registered controller or agent, with all its seeds. NAME@SEED: one
+    of them. path/to/agent.zip: an agent of train.py, or, with --trust, any other archive of
+    Stable-Baselines3. NAME=runs/ppo-*/agent.zip: the seeds of one agent, summarised together.
+    module:attribute: any object with a `predict` as in Stable-Baselines3, or what makes one; it is
+    imported and run."""
+
+    trust: bool = False
+    """Open archives that hold pickled objects too: those of Stable-Baselines3 itself, and of former
+    versions of train.py. Opening one runs any code that its author put there: only for authors whom
+    you trust. Agents of train.py hold none and need it not."""
+
+    sets: tuple[str, ...] | None = option(None, metavar="SET", **_NAMES)
+    """Evaluation sets: laws of vehicle, soil and changes, and sensors, separated by spaces or
+    commas. By default, where policies are named, all of the environment but the known ones:
+    `tracked-env envs` lists them."""
+
+    all: bool = False
+    """All policies that are registered, unless some are named, on all sets, unless some are
+    named."""
+
+    sets_version: str | None = option(None, metavar="VERSION")
+    """Version of the frozen sets, such as v2; by default the newest one that holds them."""
+
+    episodes: int | None = option(None, metavar="N")
+    """Episodes per set (default: 32, and 16 where neither policies nor sets are named); the frozen
+    ones are the first 100 of each."""
+
+    seed: int = 0
+    """Seed of the first episode; of the frozen ones it is 0."""
+
+    sensors: str | None = None
+    """Instead of the sensors of each set: ideal, rtk, strawa, mocap, or JSON:
+    '{"preset": "rtk", "pose_delay": 0.1}'."""
+
+    reference: str | None = None
+    """Instead of the reference of each set: random, mixed, circle, figure_eight, straight, spiral,
+    chicane, identification, or JSON: '{"kind": "circle", "radius": 10, "speed": 2}'."""
+
+    duration: float | None = None
+    """Instead of the length of the episodes of each set [s]."""
+
+    lateral: Literal["sliding", "constrained"] = "sliding"
+    """Lateral constraint of the plant: sliding tracks, or the ICR held at a constant distance as in
+    the original paper."""
+
+    output: Path = Path("results")
+    """Folder for results; each configuration gets its own in it, which one evaluation at a time may
+    write."""
+
+    figures: bool = True
+    """Draw paths, errors, torque and slip as SVG, on the page too."""
+
+    video: bool = False
+    """Record the first episode of the first set, every policy."""
+
+    quiet: bool = False
+    """Show neither progress nor tables: only where the results are."""
+
+    paper: Literal["none", "strawa2021", "focchi2025"] = "none"
+    """Instead of the benchmark, run a paper's experiments again: its claims beside what comes out,
+    its figures, one page; needs a clone of the repository."""
+
+    chunk: int = 64
+    """Episodes run and stored together, at most; numbers do not change."""
+
+    workers: int | None = option(None, metavar="N")
+    """Processes of this machine that run chunks at the same time."""
+
     shard: Shard | None = option(  # noqa: RUF009, a field
-        None,
-        "run part I of N of the chunks, in one of N independent processes, as in an array of "
-        "SLURM; the same command without it merges them and writes the tables",
-        type=shard_of, metavar="I/N",
-    )  # fmt: skip
-    ray: str | None = option(
-        None,
-        "run the chunks on a Ray cluster (extra `cluster`): local, auto or HOST:PORT",
-        metavar="ADDRESS",
+        None, type=as_argument(parse_shard), metavar="I/N"
     )
+    """Run part I of N of the chunks, in one of N independent processes, as in an array of SLURM;
+    the same command without it merges them and writes the tables."""
+
+    ray: str | None = option(None, metavar="ADDRESS")
+    """Run the chunks on a Ray cluster (extra `cluster`): local, auto or HOST:PORT."""
 
     @property
     def is_first_look(self) -> bool:
@@ -234,40 +196,30 @@ class Config:
         return EPISODES_AT_FIRST if self.is_first_look else EPISODES
 
 
-FIELDS = {each.name: each for each in fields(Config)}
+FIELDS = tuple(each.name for each in fields(Config))
 
 
-def add_option(
-    parser: argparse.ArgumentParser, name: str, text: str | None = None, **changed: Any
-) -> None:
+def add_option(parser: Any, name: str, text: str | None = None, **changed: Any) -> None:
     """A field of Config as an option.
 
     text: its help, where it is not that of the field. changed: what else argparse gets in place of
     what the field says, as `default`.
     """
-    of = FIELDS[name]
-    more = {"default": of.default, **of.metadata, **changed}
-    told = more.pop("help")
-    said = told if text is None else text
-    default = more["default"]
-    if default is not None and not isinstance(default, bool):
-        said += f" (default: {default})"
-    parser.add_argument(f"--{name.replace('_', '-')}", help=said.lstrip(), **more)
+    add_field(parser, Config, name, text, **changed)
 
 
-def add_env(
-    parser: argparse.ArgumentParser, envs: Sequence[str] = ENVIRONMENTS, **changed: Any
-) -> None:
+def add_env(parser: Any, envs: Sequence[str] = ENVIRONMENTS, **changed: Any) -> None:
     """The option --env of a command for these environments; changed: as in `add_option`."""
-    short = "{" + ",".join(env.rpartition("/")[2] for env in envs) + "}"
-    add_option(parser, "env", type=env_type(envs), metavar=short, **changed)
+    short = [_bare(env) for env in envs]
+
+    def env_named(text: str) -> str:
+        return f"tracked_env/{checked_choice('environment', _bare(text), short)}"
+
+    words = "{" + ",".join(short) + "}"
+    add_option(parser, "env", type=as_argument(env_named), metavar=words, **changed)
 
 
-def add_options(
-    parser: argparse.ArgumentParser,
-    only: Sequence[str] = tuple(FIELDS),
-    without: Sequence[str] = (),
-) -> None:
+def add_options(parser: Any, only: Sequence[str] = FIELDS, without: Sequence[str] = ()) -> None:
     """The fields of Config as options."""
     for name in (each for each in FIELDS if each in only and each not in without):
         if name == "env":
@@ -276,19 +228,19 @@ def add_options(
             add_option(parser, name)
 
 
-def add_episode_options(parser: argparse.ArgumentParser) -> None:
+def add_episode_options(parser: Any) -> None:
     """Options of what drives a single episode: those of EPISODE, and --set."""
     parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
     add_options(parser, only=EPISODE)
 
 
-def config_of(given: argparse.Namespace) -> Config:
-    """The options of a command line; one set where `given.set` names it."""
-    values = {name: getattr(given, name) for name in FIELDS if name in given}
-    if "set" in given:
-        env = env_of(given.env, None if given.set is None else (given.set,), "--set")
-        values.update(env=env, sets=(given.set or default_sets(env)[0],))
-    return Config(**values)
+def config_of(namespace: argparse.Namespace) -> Config:
+    """The options of a command line; one set where `namespace.set` names it."""
+    if "set" in namespace:
+        named = None if namespace.set is None else (namespace.set,)
+        namespace.env = env_of(namespace.env, named, "--set")
+        namespace.sets = named or default_sets(namespace.env)[:1]
+    return from_fields(Config, namespace)
 
 
 def parsed(arguments: Sequence[str] | None, program: str) -> Config:

@@ -1,7 +1,8 @@
 """`tracked-env COMMAND ...`: compare, list and draw policies; plan motions; train from a clone.
 
-Each command is a module with `main(arguments, program) -> exit status`, imported when it is run, or
-such a function that an installed package registers in the entry point group `tracked_env.commands`.
+Each command is a function(arguments, program) -> exit status, by default `main`, of a module that
+is imported when it is run, or such a function that an installed package registers in the entry
+point group `tracked_env.commands`.
 """
 
 import argparse
@@ -10,45 +11,24 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from tracked_env.cli.exit_status import Parser, end_at_interrupt, reported
+from tracked_env.cli.command_line import Parser, end_at_interrupt, reported
 
 COMMANDS = {
-    "evaluate": (
-        "tracked_env.cli.evaluate_command",
-        "compare policies on the same randomized episodes",
-    ),
+    "evaluate": ("evaluate_command", "compare policies on the same randomized episodes"),
     "leaderboard": (
-        "tracked_env.cli.leaderboard_command",
+        "evaluate_command:leaderboard_main",
         "evaluate everything that is registered, and rank it",
     ),
-    "policies": ("tracked_env.cli.listing", "list the policies that are registered"),
-    "envs": ("tracked_env.cli.listing", "list the environments and their evaluation sets"),
-    "render": (
-        "tracked_env.cli.render_command",
-        "write a GIF, MP4 or PNG of a policy on an evaluation set",
-    ),
-    "drive": (
-        "tracked_env.cli.drive_command",
-        "drive by keyboard, with an observer's estimates beside",
-    ),
-    "plan": (
-        "tracked_env.cli.plan_command",
-        "plan a motion to a goal with slip, print and draw it",
-    ),
-    "tune": (
-        "tracked_env.cli.tune_command",
-        "search the settings of a controller on development episodes",
-    ),
-    "record": (
-        "tracked_env.cli.record_command",
-        "drive an episode and write the log of its sensors as CSV",
-    ),
+    "policies": ("listing", "list the policies that are registered"),
+    "envs": ("listing", "list the environments and their evaluation sets"),
+    "render": ("render_command", "write a GIF, MP4 or PNG of a policy on an evaluation set"),
+    "drive": ("drive_command", "drive by keyboard, with an observer's estimates beside"),
+    "plan": ("plan_command", "plan a motion to a goal with slip, print and draw it"),
+    "tune": ("tune_command", "search the settings of a controller on development episodes"),
+    "record": ("record_command", "drive an episode and write the log of its sensors as CSV"),
     "identify": ("", "mass, inertia, resistance, slip, soil from your own log"),
     "slip": ("", "slip over the sprocket speeds, from your own runs"),
-    "train": (
-        "tracked_env.cli.evaluate_command:main_clone",
-        "train an agent; needs a clone of the repository",
-    ),
+    "train": ("command_line:train_main", "train an agent; needs a clone of the repository"),
 }
 
 
@@ -77,14 +57,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not words:
         parser.print_help(sys.stderr)
         return 2
-    given = parser.parse_args(words)
-    program = f"tracked-env {given.command}"
+    chosen = parser.parse_args(words)
+    program = f"tracked-env {chosen.command}"
     end_at_interrupt(program)
     sys.path.insert(0, "")  # so that `module:attribute` finds modules of the current folder
-    module, _, function = COMMANDS[given.command][0].partition(":")
-    command = getattr(import_module(module), function or "main") if module else _registered
+    module, _, function = COMMANDS[chosen.command][0].partition(":")
+    run = _registered
+    if module:
+        run = getattr(import_module(f"tracked_env.cli.{module}"), function or "main")
     try:
-        status: int = command(given.arguments, program)
+        status: int = run(chosen.arguments, program)
         sys.stdout.flush()
     except BrokenPipeError:  # as `tracked-env policies | head` has it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.policies import command_function
-from tracked_env.cli.exit_status import Parser, explained, reported
+from tracked_env.cli.command_line import Parser, explained, reported
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from tracked_env import arrays
-from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
+from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
+from tracked_env.cli.command_line import Parser, explained, reported
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_episode_options, config_of
-from tracked_env.cli.exit_status import Parser, explained, reported
 from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUP_START, GROUPS
 
 IDENTIFIED = (
@@ -103,8 +103,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     options = parser.parse_args(arguments)
     benchmark = benchmark_config(config_of(options))
     name = benchmark.sets[0]
-    registry, trained = by_name(registered_policies(), benchmark.env)
-    entry = load_policies([options.policy], registry, trained, open_archive)[0]
+    entry = policies_for(benchmark.env, [options.policy])[0]
     with explained():
         policy = checked_policy(entry, benchmark.context(name))
         if needs_truth(policy):

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tracked_env.benchmark import video
-from tracked_env.benchmark.policies import by_name, load_policies, open_archive, registered_policies
+from tracked_env.benchmark.policies import policies_for
+from tracked_env.cli.command_line import Parser, reported
 from tracked_env.cli.evaluate_command import benchmark_config
 from tracked_env.cli.evaluate_options import add_episode_options, config_of
-from tracked_env.cli.exit_status import Parser, reported
 
 
 @reported
@@ -33,8 +33,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     file, page, view, at = options.file, options.html, options.view, options.at
     config = benchmark_config(config_of(options))
     uncertainty_set = config.sets[0]
-    registry, trained = by_name(registered_policies(), config.env)
-    entry = load_policies([options.policy], registry, trained, open_archive)[0]
+    entry = policies_for(config.env, [options.policy])[0]
     if page is not None and file is None and (at is not None or view != "top"):
         wrong = f"--view {view}" if at is None else f"--at {at:g}"
         raise ValueError(

@@ -89,8 +89,8 @@ def checked(source: str, values: Mapping[str, Any], name: str, count: int) -> Va
 def _deliver(arrays, rows, table, errors, noise, blocks, past, delivered):
     """Sample the channels of `rows` (n,), and pass on what has arrived: delivered (n, C).
 
-    arrays: floats, counters. table (2, C): sampling group, place in ATTITUDE or -1. delivered holds the true values where
-    that is -1. errors (N, 3, C): sigma, signed bias, latest sample; noise (N, C, NOISE_BLOCK) of
+    arrays: floats, counters. table (2, C): sampling group, place in ATTITUDE or -1. delivered holds
+    the true values where that is -1. errors (N, 3, C): sigma, signed bias, latest sample; noise (N, C, NOISE_BLOCK) of
     block number `blocks` (N,); past (N, slots, C). Returns how many vehicles need new noise.
     """
     floats, counters = arrays
@@ -129,7 +129,8 @@ def _place(floats, rows, points, x, y):
 def _measure(arrays, rows, heights, latest, states, noisy, shown):
     """Readings shown (n, M) [m] where the ground has these heights (n, M) [m].
 
-    arrays: floats, counters. latest (N, M): the last readings; states (N, streams.STATE) and noisy (N,): of the streams.
+    arrays: floats, counters. latest (N, M): the last readings; states (N, streams.STATE) and noisy
+    (N,): of the streams.
     """
     (floats, counters), count = arrays, heights.shape[1]
     normal = np.zeros(2 * count, dtype=np.float32)

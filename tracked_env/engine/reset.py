@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from tracked_env import arrays as b
 from tracked_env import streams
+from tracked_env.arrays import RELIEF_SIZE
 from tracked_env.engine.episode import (
     Episode,
     EpisodeSettings,
@@ -41,7 +42,6 @@ from tracked_env.plants.base import Prepared, unchanged
 from tracked_env.references import ReferenceProfile, batch_reference
 from tracked_env.references.profile import of_table, with_knots
 from tracked_env.sensors import CHANNEL_COUNT, TABLE
-from tracked_env.terrain.ground import RELIEF_SIZE
 from tracked_env.uncertainty import ArrayLaw, Draw
 from tracked_env.uncertainty.drawing_laws import (
     CHANGE_FIELDS,

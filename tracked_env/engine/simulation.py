@@ -178,9 +178,7 @@ class Simulation(b.Readings):
 
     # --- an episode starts ----------------------------------------------------------------
     def reset(
-        self,
-        chosen: NDArray[np.int64],
-        options: Sequence[Mapping[str, Any] | None] | None = None,
+        self, chosen: NDArray[np.int64], options: Sequence[Mapping[str, Any] | None] | None = None
     ) -> NDArray[np.float32]:
         """Start an episode on the chosen vehicles; options: one entry per chosen vehicle.
 

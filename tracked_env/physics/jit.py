@@ -35,7 +35,7 @@ from numba.extending import intrinsic
 
 from tracked_env.physics.kernel_cache import KernelCache
 
-COMPILED = not config.DISABLE_JIT
+COMPILED = not getattr(config, "DISABLE_JIT", 0)
 if not COMPILED:
     np.seterr(all="ignore")  # integers wrap and 1 / 0 is infinite without a warning, as compiled
 Decorator = Callable[[Callable[..., Any]], Any]

@@ -38,6 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import arrays as b
+from tracked_env.arrays import RELIEF_COLUMNS, RELIEF_SIZE
 from tracked_env.physics import lumped, terrain_motion
 from tracked_env.physics import parameters as s
 from tracked_env.physics import patches_on_terrain as g
@@ -70,7 +71,6 @@ from tracked_env.plants.distributed import LATERAL_LAW, asked, checked_patches, 
 from tracked_env.plants.lumped import derive_free
 from tracked_env.step import Block, Pace, advance_blocks, hold_blocks
 from tracked_env.terrain import ground as terrain_ground
-from tracked_env.terrain.ground import RELIEF_COLUMNS, RELIEF_SIZE
 from tracked_env.terrain.pool import fill_there, ground_at, make_pool, member_of
 from tracked_env.validation import checked_choice, checked_number
 

@@ -25,7 +25,7 @@ Reference: [1] Keys, "Cubic convolution interpolation for digital image processi
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +43,6 @@ from tracked_env.physics.parameters import (
 )
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
 
-STEEPEST = 5.0  # [-] dz/dx of any terrain, 79 degrees
-# What an episode draws on top of a terrain, see `terrain.pool`: two slopes, and sinusoids.
-DRAWN_WAVES = 8
-RELIEF_SIZE = 2 + 4 * DRAWN_WAVES
-RELIEF_COLUMNS = RELIEF_SIZE + 1  # and the member of the pool
 RAMP, STEP = 0.0, 1.0  # kinds of an edge
 
 
@@ -246,22 +241,3 @@ def fill(relief, w, count):
 def fill_places(relief, w):
     """The same for all lanes of w, from Python."""
     return fill(relief, w, w.shape[1])
-
-
-def checked_relief(relief: Any) -> tuple[float, ...]:
-    """A drawn relief as numbers; empty for none. Raises ValueError."""
-    numbers = tuple(float(value) for value in relief)
-    if len(numbers) not in (0, RELIEF_SIZE) or not all(math.isfinite(value) for value in numbers):
-        raise ValueError(
-            f"relief of {len(numbers)} numbers; must be {RELIEF_SIZE} finite ones, two slopes and "
-            f"{DRAWN_WAVES} rows [A, kx, ky, phi], or none"
-        )
-    steep = math.hypot(*numbers[:2]) if numbers else 0.0
-    for k in range(2, len(numbers), 4):
-        steep += abs(numbers[k]) * math.hypot(numbers[k + 1], numbers[k + 2])
-    if steep > STEEPEST:
-        raise ValueError(
-            f"relief with a slope of up to {steep:.3g}; must be at most {STEEPEST:g}. "
-            "Are the wave numbers in rad/m?"
-        )
-    return numbers

@@ -44,9 +44,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.arrays import STEEPEST
 from tracked_env.physics.parameters import Range
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
-from tracked_env.terrain.ground import RAMP, STEEPEST, STEP, Relief, fill_places
+from tracked_env.terrain.ground import RAMP, STEP, Relief, fill_places
 from tracked_env.validation import (
     checked_choice,
     checked_keys,

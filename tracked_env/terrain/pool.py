@@ -20,10 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.arrays import DRAWN_WAVES, RELIEF_SIZE
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import Range
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
-from tracked_env.terrain.ground import DRAWN_WAVES, RELIEF_SIZE, STEP, Relief, add_wave, fill
+from tracked_env.terrain.ground import STEP, Relief, add_wave, fill
 from tracked_env.terrain.height_field import (
     KINDS,
     LARGEST,

@@ -26,13 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import streams
+from tracked_env.arrays import DRAWN_WAVES, RELIEF_SIZE, STEEPEST
 from tracked_env.events import LINE, RAMP, REGION, Event, decode_event, encode_schedule
 from tracked_env.physics.jit import copy_entries, fill_entries, formula, loop, template
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 from tracked_env.physics.reference_profile import UNIFORM_COLUMNS, advance
 from tracked_env.references import ReferenceProfile
 from tracked_env.streams import uniform
-from tracked_env.terrain.ground import DRAWN_WAVES, RELIEF_SIZE, checked_relief
 from tracked_env.validation import checked_parameter, unknown
 
 Floats = NDArray[np.float64]
@@ -101,6 +101,25 @@ class CheckedLaw:
         return Draw(nominal._replace(**values), list(events), relief)
 
 
+def checked_relief(relief: Any) -> tuple[float, ...]:
+    """A drawn relief as numbers; empty for none. Raises ValueError."""
+    numbers = tuple(float(value) for value in relief)
+    if len(numbers) not in (0, RELIEF_SIZE) or not all(math.isfinite(value) for value in numbers):
+        raise ValueError(
+            f"relief of {len(numbers)} numbers; must be {RELIEF_SIZE} finite ones, two slopes and "
+            f"{DRAWN_WAVES} rows [A, kx, ky, phi], or none"
+        )
+    steep = math.hypot(*numbers[:2]) if numbers else 0.0
+    for k in range(2, len(numbers), 4):
+        steep += abs(numbers[k]) * math.hypot(numbers[k + 1], numbers[k + 2])
+    if steep > STEEPEST:
+        raise ValueError(
+            f"relief with a slope of up to {steep:.3g}; must be at most {STEEPEST:g}. "
+            "Are the wave numbers in rad/m?"
+        )
+    return numbers
+
+
 def fingerprint(law: Law) -> str:
     """Digest of a law: of the source of its file and, where it is an object, of what it holds."""
     target: Any = law.law if isinstance(law, CheckedLaw) else law
@@ -149,7 +168,7 @@ class Changes(NamedTuple):
     """The changes of one episode, inside a kernel."""
 
     rows: Floats  # (CHANGES_LIMIT, CHANGE_FIELDS)
-    count: NDArray[np.int64]  # (1,) how many
+    used: NDArray[np.int64]  # (1,) how many
     read: NDArray[np.bool_]
     there: np.void  # of RECORD, the nominal one: room for parameters that are changed to
     relief: Floats  # (RELIEF_SIZE,) level ground until a law writes into it
@@ -158,11 +177,11 @@ class Changes(NamedTuple):
 @formula
 def _added(changes, kind, parameter, target):
     """A new row, or the last one, which is free, for a parameter that is not read."""
-    row = changes.rows[changes.count[0]]
+    row = changes.rows[changes.used[0]]
     fill_entries(row, 0.0)
     row[0], row[1], row[2] = kind, parameter, target
     if changes.read[parameter]:
-        changes.count[0] += 1
+        changes.used[0] += 1
     return row
 
 
@@ -323,7 +342,7 @@ def law(name: str) -> Callable[[Callable[..., None]], Any]:
     def decorated(function: Callable[..., None]) -> Any:
         drawing = formula(function)
 
-        def each(draws):  # type: ignore[no-untyped-def]
+        def each(draws: Draws) -> None:
             _draw_each(drawing, draws)
 
         each.__module__ = function.__module__

@@ -90,7 +90,7 @@ def test_memories_put_back_in_some_rows_leave_the_others(kind):
 
 
 def test_the_residual_of_zero_is_the_adaptive_policy():
-    agents = pytest.importorskip("agents.vector_envs", reason="its wrapper needs the extra `rl`")
+    agents = pytest.importorskip("agents.environments", reason="its wrapper needs the extra `rl`")
     inner = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")
     env = agents.AgentVectorEnv(inner, make_augmentation("residual", {}, CONTEXT, 2))
     plain = TrackedVehicleVectorEnv(2, uncertainty="mixed", duration=2.0, autoreset_mode="SameStep")

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from baselines.learned.augmentation import KNOWN, make_augmentation
+from baselines.learned.augmentation import make_augmentation
+from baselines.learned.controller_augmentation import KNOWN
 from baselines.lyapunov.slippage_aware import tuned_gains
 from baselines.registry import slc_adaptive
 from tracked_env import SPEED, TERRAIN

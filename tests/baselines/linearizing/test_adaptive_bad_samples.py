@@ -9,7 +9,7 @@ from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import adaptive
 from tracked_env import observation as layout
 from tracked_env.benchmark import BenchmarkConfig, metrics
-from tracked_env.benchmark.metrics import Recorder
+from tracked_env.benchmark.identification_metrics import Recorder
 from tracked_env.benchmark.runner import drive
 from tracked_env.physics.parameters import plant_parameters
 from tracked_env.sensors import CHANNELS

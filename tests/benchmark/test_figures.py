@@ -1,16 +1,14 @@
 """Figures of a tiny benchmark: they are drawn, and what they show is legible."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from tests.benchmark.stub_policies import Believing, Constant, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, figures, run
+from tracked_env.benchmark.figures import Traces
+from tracked_env.benchmark.records import Record
 
-pytest.importorskip("matplotlib", reason="figures need the extra `render`")
-
+Finished = tuple[Store, list[Record]]
 CONFIG = BenchmarkConfig(sets=("payload",), episodes=3, duration=6.0)
 POLICIES = [
     entry("coast", lambda context: Constant(0.0, 0.0)),  # stays near for a while
@@ -19,29 +17,23 @@ POLICIES = [
 
 
 @pytest.fixture(scope="module")
-def finished(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[Store, list[figures.Record]]:
+def finished(tmp_path_factory):
     """A store and its records."""
     store = Store(tmp_path_factory.mktemp("run"), CONFIG.identity())
     return store, run(CONFIG, POLICIES, store)
 
 
-def drawn(
-    finished: tuple[Store, list[figures.Record]],
-) -> dict[str, figures.Traces]:
+def drawn(finished):
     """The traces of every set."""
     store, _ = finished
-    found: dict[str, figures.Traces] = {}
+    found: dict[str, Traces] = {}
     for name in CONFIG.sets:
         loaded = {policy.name: store.load_trace(policy.name, name) for policy in POLICIES}
         found[name] = {policy: trace for policy, trace in loaded.items() if trace is not None}
     return found
 
 
-def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(
-    finished: tuple[Store, list[figures.Record]], tmp_path: Path
-) -> None:
+def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(finished, tmp_path):
     store, records = finished
     files = figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
     assert sorted(path.name for path in files) == [
@@ -55,8 +47,8 @@ def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(
 
 @pytest.mark.parametrize("damaged", [["coast"], ["coast", "spin"]])
 def test_a_damaged_trace_is_left_out_of_the_figures_and_the_others_are_drawn(
-    finished: tuple[Store, list[figures.Record]], tmp_path: Path, damaged: list[str]
-) -> None:
+    finished, tmp_path, damaged
+):
     original, records = finished
     store = Store(tmp_path / "copy", CONFIG.identity())
     for policy in POLICIES:
@@ -71,8 +63,8 @@ def test_a_damaged_trace_is_left_out_of_the_figures_and_the_others_are_drawn(
 
 
 def test_policies_of_which_fewer_episodes_were_kept_are_drawn_and_names_are_no_formulas(
-    finished: tuple[Store, list[figures.Record]], tmp_path: Path
-) -> None:
+    finished, tmp_path
+):
     original, records = finished
     store = Store(tmp_path / "copy", CONFIG.identity())
     odd = {"coast": "$\\foo$", "spin": "spin"}
@@ -86,9 +78,7 @@ def test_policies_of_which_fewer_episodes_were_kept_are_drawn_and_names_are_no_f
     assert len(files) == 4
 
 
-def test_every_axis_has_a_label_with_its_unit(
-    finished: tuple[Store, list[figures.Record]],
-) -> None:
+def test_every_axis_has_a_label_with_its_unit(finished):
     traces, style = drawn(finished), figures.looks(["coast", "spin"])
     for figure in (
         figures.drive("payload", traces["payload"], style),
@@ -103,9 +93,7 @@ def test_every_axis_has_a_label_with_its_unit(
         assert all("[" in label for label in named)
 
 
-def test_title_and_legend_do_not_overlap_and_lie_inside(
-    finished: tuple[Store, list[figures.Record]],
-) -> None:
+def test_title_and_legend_do_not_overlap_and_lie_inside(finished):
     _, records = finished
     style = figures.looks(["coast", "spin"])
     traces = drawn(finished)
@@ -116,7 +104,7 @@ def test_title_and_legend_do_not_overlap_and_lie_inside(
         figures.drive("payload", traces["payload"], style),
     ):
         figure.canvas.draw()
-        title = figure._suptitle.get_window_extent()  # type: ignore[attr-defined]
+        title = figure._suptitle.get_window_extent()
         legend = figure.legends[0].get_window_extent()
         assert not title.overlaps(legend)
         assert title.x0 >= 0
@@ -124,9 +112,7 @@ def test_title_and_legend_do_not_overlap_and_lie_inside(
         assert legend.x1 <= figure.bbox.x1
 
 
-def test_the_end_of_a_policy_that_left_the_path_is_marked(
-    finished: tuple[Store, list[figures.Record]],
-) -> None:
+def test_the_end_of_a_policy_that_left_the_path_is_marked(finished):
     style = figures.looks(["coast", "spin"])
     figure = figures.paths("payload", drawn(finished)["payload"], style, seed=0)
     crosses = [line for line in figure.axes[0].lines if line.get_marker() == "X"]
@@ -134,9 +120,7 @@ def test_the_end_of_a_policy_that_left_the_path_is_marked(
 
 
 @pytest.fixture(scope="module")
-def believed(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[Store, list[figures.Record]]:
+def believed(tmp_path_factory):
     """A store with a policy that estimates parameters, one of them with a wide band."""
     store = Store(tmp_path_factory.mktemp("believed"), CONFIG.identity())
     guess = {"mass": (1450.0, 100.0), "lateral_resistance": (0.8, 1e3), "slip_left": (0.0, 0.1)}
@@ -147,17 +131,13 @@ def believed(
     return store, run(CONFIG, policies, store)
 
 
-def test_policies_that_estimate_get_a_picture_of_their_beliefs(
-    believed: tuple[Store, list[figures.Record]], tmp_path: Path
-) -> None:
+def test_policies_that_estimate_get_a_picture_of_their_beliefs(believed, tmp_path):
     store, records = believed
     files = figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
     assert "beliefs-payload.svg" in [path.name for path in files]
 
 
-def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(
-    believed: tuple[Store, list[figures.Record]],
-) -> None:
+def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(believed):
     store, _ = believed
     traces = {name: store.load_trace(name, "payload") or {} for name in ("coast", "guess")}
     figure = figures.beliefs("payload", traces, figures.looks(["coast", "guess"]), seed=0)
@@ -172,33 +152,18 @@ def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["true", "guess"]
 
 
-def test_without_estimates_there_is_no_picture_of_beliefs(
-    finished: tuple[Store, list[figures.Record]],
-) -> None:
+def test_without_estimates_there_is_no_picture_of_beliefs(finished):
     traces, style = drawn(finished), figures.looks(["coast", "spin"])
     assert figures.beliefs("payload", traces["payload"], style, seed=0) is None
 
 
-def test_policies_differ_in_more_than_colour() -> None:
+def test_policies_differ_in_more_than_colour():
     style = figures.looks([f"policy {i}" for i in range(6)])
     for part in zip(*style.values(), strict=True):
         assert len(set(part)) == 6
 
 
-def test_without_matplotlib_the_error_names_the_extra(
-    finished: tuple[Store, list[figures.Record]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    store, records = finished
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(ImportError, match=r"tracked-env\[render\]"):
-        figures.save_all(tmp_path, store, records, CONFIG.sets, 0)
-
-
-def test_paths_have_the_error_of_every_policy_over_time_below_them(
-    finished: tuple[Store, list[figures.Record]],
-) -> None:
+def test_paths_have_the_error_of_every_policy_over_time_below_them(finished):
     style = figures.looks(["coast", "spin"])
     figure = figures.paths("payload", drawn(finished)["payload"], style, seed=0)
     below = [axes for axes in figure.axes if axes.get_xlabel() == "time [s]"]
@@ -207,8 +172,8 @@ def test_paths_have_the_error_of_every_policy_over_time_below_them(
 
 
 def test_a_figure_draws_five_policies_in_the_order_that_is_given_and_keeps_its_legend_whole(
-    finished: tuple[Store, list[figures.Record]], tmp_path: Path
-) -> None:
+    finished, tmp_path
+):
     original, records = finished
     names = [f"policy-with-quite-a-long-name-{i}" for i in range(7)]
     store = Store(tmp_path / "copy", CONFIG.identity())

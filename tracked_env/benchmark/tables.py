@@ -1,0 +1,291 @@
+"""One table, as text of a terminal, as Markdown, and as a part of a page of HTML.
+
+A table is rows of cells, the header first; its first columns name a row. `rows_of` makes the rows
+from one function per column. A page is one file that needs no other one and asks for none; it is
+filled by a template, and one short script sorts and filters its tables.
+
+A ratio r is coloured by x = ln r / (|ln r| + ln SOFT): blue below 1, red above, white at 1; the
+slope is largest at 1, where the leaders differ, and no finite ratio reaches the end of the scale.
+"""
+
+import html
+import math
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tracked_env.benchmark.statistics import Estimate
+
+TEMPLATES = Path(__file__).with_name("templates")
+SOFT = 1.25  # [-] ratio at half of the colour scale
+BLUE, WHITE, RED = (np.array(c, np.float64) for c in ((20, 88, 160), (255,) * 3, (172, 50, 14)))
+MARK_WIDTH = 160.0  # [px] of an interval in a cell
+MARK_LIMIT = 8.0  # [-] ratios beyond it, or below its inverse, lie at the end of the mark
+# Columns of a page that hold names, and the beginnings of those that hold verdicts.
+NAMES = {"agent", "policy", "set", "parameter", "filter", "worst set", "training"}
+VERDICTS = ("clearly", "than ")
+# What ends a cell or a line of Markdown, or starts HTML, code or a link.
+_MARKUP = {"\\": "\\\\", "|": "\\|", "`": "\\`", "&": "&amp;", "<": "&lt;", "]": "\\]"}
+
+
+class Mark(NamedTuple):
+    """An interval on a logarithmic axis, places in pixels."""
+
+    value: float
+    low: float
+    high: float
+    one: float  # where the ratio is 1
+
+
+class Cell(NamedTuple):
+    """One cell of a page; `number` sorts it, None of text."""
+
+    text: str
+    number: float | None = None
+    kind: str = ""  # class of the style sheet
+    more: tuple[str, ...] = ()  # lines below the text
+    colours: tuple[str, str] | None = None  # of background and text
+    mark: Mark | None = None
+
+
+class Table(NamedTuple):
+    """A table with what explains it."""
+
+    title: str
+    rows: Sequence[Sequence[str | Cell]]  # the header first
+    names: int = 1  # leading columns that name a row
+    notes: Sequence[str] = ()  # below it
+    front: Sequence[int] = ()  # columns that stay in view on a page, if not the first one
+
+    @property
+    def pinned(self) -> int:
+        """Columns that stay in view on a page."""
+        return len(self.front) or 1
+
+    def _ordered(self, row: Sequence[Any]) -> list[Any]:
+        front = self.front or (0,)
+        return [row[i] for i in (*front, *(i for i in range(len(row)) if i not in front))]
+
+    @property
+    def head(self) -> list[str]:
+        """Names of the columns of a page, with the signs of their units: µs, m/s²."""
+        names = map(str, self._ordered(self.rows[0]))
+        return [name.replace("[us]", "[µs]").replace("^2", "²") for name in names]
+
+    @property
+    def body(self) -> list[list[Cell]]:
+        """Rows of a page."""
+        kinds = [_kind(str(name)) for name in self.rows[0]]
+        rows = [
+            [
+                cell if isinstance(cell, Cell) else kind(cell)
+                for kind, cell in zip(kinds, row, strict=True)
+            ]
+            for row in self.rows[1:]
+        ]
+        return [self._ordered(row) for row in rows]
+
+
+class Drawing(NamedTuple):
+    """A figure of a page; a folded one is opened by its title."""
+
+    title: str
+    caption: str
+    svg: str
+    folded: bool = False
+
+
+class Section(NamedTuple):
+    """A part of a page."""
+
+    title: str
+    anchor: str
+    tables: Sequence[Table] = ()
+    figures: Sequence[Drawing] = ()
+    facts: Mapping[str, str] = {}
+    links: Mapping[str, str] = {}
+    notes: Sequence[str] = ()  # sentences
+
+
+def rows_of(columns: Mapping[str, Callable[..., str]], items: Iterable[Any]) -> list[list[str]]:
+    """Rows of a table, the header first; columns: by its name what the cell of an item is."""
+    return [[*columns], *([cell(item) for cell in columns.values()] for item in items)]
+
+
+def between(estimate: Estimate, digits: int = 3, seeds: int = 0) -> str:
+    """Value and interval; the value alone of an agent with one seed."""
+    value, low, high = (f"{number:.{digits}f}" for number in estimate)
+    return value if seeds == 1 else f"{value} [{low}, {high}]"
+
+
+def aligned(rows: Sequence[Sequence[str]], names: int = 2, width: int | None = None) -> str:
+    """A table for the terminal: the first `names` columns left, the others right.
+
+    Of these names, what the row above has as well is left out, but for the last. A table that is
+    wider than `width` is folded: several tables below each other, each with the names.
+    """
+    if width is not None:
+        blocks = _blocks(rows, names, width)
+        return "\n\n".join(aligned([[r[i] for i in of] for r in rows], names) for of in blocks)
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = []
+    before: Sequence[str] = ()
+    for number, row in enumerate(rows):
+        cells = list(row)
+        for i in range(names - 1):
+            if row[: i + 1] == before[: i + 1]:
+                cells[i] = ""
+        before = row
+        parts = [c.ljust(w) for c, w in zip(cells[:names], widths[:names], strict=True)]
+        parts += [c.rjust(w) for c, w in zip(cells[names:], widths[names:], strict=True)]
+        lines.append("  ".join(parts).rstrip())
+        if number == 0:
+            lines.append("-" * len(lines[0]))
+    return "\n".join(lines)
+
+
+def _blocks(rows: Sequence[Sequence[str]], names: int, width: int) -> list[list[int]]:
+    """Columns of the tables that a table is folded into; each has one beside the names."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    blocks = [[*range(names)]]
+    for column in range(names, len(widths)):
+        wide = sum(widths[i] + 2 for i in blocks[-1]) + widths[column]
+        if wide > width and len(blocks[-1]) > names:
+            blocks.append([*range(names)])
+        blocks[-1].append(column)
+    return blocks
+
+
+def folded(text: str, width: int) -> str:
+    """Text in lines of at most `width`; a line after a colon and one with a star stay lines."""
+    paragraphs = re.sub(r"(?<!:)\n(?!\*)", " ", text).split("\n")
+    return "\n".join(
+        textwrap.fill(part, width, break_long_words=False, break_on_hyphens=False)
+        for part in paragraphs
+    )
+
+
+def terminal(tables: Sequence[Table], width: int = 80) -> str:
+    """Tables as plain text of at most `width` columns; wider ones are folded."""
+    return "\n\n".join(
+        part
+        for t in tables
+        for part in (aligned(t.rows, t.names, width), *(folded(note, width) for note in t.notes))  # type: ignore[arg-type]
+    )
+
+
+def markdown_rows(rows: Sequence[Sequence[str]], names: int = 2) -> str:
+    """A Markdown table: the first `names` columns left, the others right."""
+    head, *body = ([escaped(cell) for cell in row] for row in rows)
+    rule = ["--" if i < names else "--:" for i in range(len(head))]
+    return "\n".join("| " + " | ".join(row) + " |" for row in [head, rule, *body])
+
+
+def markdown(tables: Sequence[Table]) -> str:
+    """Tables as Markdown."""
+    parts = []
+    for t in tables:
+        notes = ("\n".join(map(escaped, note.split("\n"))) for note in t.notes)
+        parts += [markdown_rows(t.rows, t.names), *(n.replace("\n*", "\n\n\\*") for n in notes)]  # type: ignore[arg-type]
+    return "\n\n".join(parts) + "\n"
+
+
+def escaped(text: str) -> str:
+    """Text that Markdown shows as it is, in one line; brackets stay where they cannot be a link."""
+    marks = _MARKUP if "](" in text else {**_MARKUP, "]": "]"}
+    return "".join(marks.get(c, c) if c.isprintable() else " " for c in text)
+
+
+def number_cell(text: str, kind: str = "") -> Cell:
+    """A cell of text, sorted by the number that it begins with."""
+    number = re.match(r"[~<>]?(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)", text)
+    return Cell(text, float(number[1]) if number else None, kind)
+
+
+def verdict_cell(text: str) -> Cell:
+    """A verdict in colour; the word says the same."""
+    first = text.partition(",")[0].partition(" ")[0]
+    return Cell(text, kind={"better": "better", "worse": "worse", "loses": "worse"}.get(first, ""))
+
+
+def _kind(column: str) -> Callable[[str], Cell]:
+    """What makes the cells of a column of a page."""
+    if column in NAMES:
+        return lambda text: Cell(text, kind="name")
+    return verdict_cell if column.startswith(VERDICTS) else number_cell
+
+
+def colour(ratio: float) -> tuple[str, str]:
+    """Background and text colour of a ratio of errors."""
+    step = math.log(min(max(ratio, 1e-9), 1e9))
+    x = step / (abs(step) + math.log(SOFT))
+    mixed = (WHITE + abs(x) * ((BLUE if x < 0.0 else RED) - WHITE)).round()
+    linear = np.where(mixed <= 10.31, mixed / 3294.6, ((mixed / 255 + 0.055) / 1.055) ** 2.4)
+    light = float(linear @ (0.2126, 0.7152, 0.0722))  # relative luminance
+    # Contrast is (light + 0.05) / 0.05 with black and 1.05 / (light + 0.05) with white.
+    text = "#000" if (light + 0.05) ** 2 > 1.05 * 0.05 else "#fff"
+    return "#" + "".join(f"{int(part):02x}" for part in mixed), text
+
+
+def marks(estimates: Sequence[Estimate]) -> list[Mark]:
+    """Intervals of one column on one axis, which holds 1 and ends at MARK_LIMIT at most."""
+    low = max(min(1 / 1.1, *(e.low for e in estimates)), 1.0 / MARK_LIMIT)
+    high = min(max(1.1, *(e.high for e in estimates)), MARK_LIMIT)
+    scale = (MARK_WIDTH - 8.0) / math.log(high / low)
+
+    def place(ratio: float) -> float:
+        return round(4.0 + scale * math.log(min(max(ratio, low), high) / low), 1)
+
+    return [Mark(place(e.value), place(e.low), place(e.high), place(1.0)) for e in estimates]
+
+
+# What a figure inside a page takes over from it: colours of text, grid and background.
+_OF_PAGE = {"#000000": "currentColor", "#262626": "currentColor", "#e6e6e6": "var(--grid)",
+            "#ffffff": "none"}  # fmt: skip
+
+
+def inline_svg(text: str, title: str) -> str:
+    """An SVG file as an element of HTML; black, white and the grid follow the page's colours."""
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r' xmlns(?::\w+)?="[^"]*"', "", text).replace("xlink:href", "href")
+    text = re.sub(r' id="\w+_\d+"', "", text)  # the same in every figure
+    for colour_of_file, colour_of_page in _OF_PAGE.items():
+        text = text.replace(colour_of_file, colour_of_page)
+    label = html.escape(title, quote=True)
+    return text.replace("<svg", f'<svg role="img" aria-label="{label}" fill="currentColor"', 1)
+
+
+def page_text(
+    title: str,
+    subject: str,
+    introduction: Sequence[str],
+    parts: Sequence[Section],
+    filter_by: str = "agent, set or verdict",
+) -> str:
+    """A whole page, "TITLE of SUBJECT"; introduction: its first paragraphs. Empty parts are left
+    out."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup
+
+    engine = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    sections = [s for s in parts if s.tables or s.figures or s.facts or s.links or s.notes]
+    return engine.get_template("leaderboard.html").render(
+        title=title,
+        subject=subject,
+        introduction=introduction,
+        sections=sections,
+        filter=filter_by,
+        css=Markup((TEMPLATES / "page.css").read_text(encoding="utf-8")),
+        script=Markup((TEMPLATES / "page.js").read_text(encoding="utf-8")),
+    )

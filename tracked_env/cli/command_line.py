@@ -1,0 +1,303 @@
+"""Options from the fields of a dataclass, errors as one line, and the end at Ctrl-C.
+
+A field is an option of its name, its type says what is read, and the text below it is its help:
+
+    @dataclass(frozen=True)
+    class Config:
+        episodes: int = 32
+        '''Episodes of each set.'''
+
+    parser = Parser("program", "What it does.")
+    add_fields(parser, Config)
+    config = from_fields(Config, parser.parse_args(["--episodes", "3"]))
+
+    bool                --NAME and --no-NAME
+    Literal             one of its values
+    tuple[X, ...]       one or more, as a tuple
+    X | None            as X; None where it is left out
+    another dataclass   its fields as --NAME.FIELD, in a group of their own
+The metadata of a field replace what follows from its type: they are arguments of `add_argument`.
+"""
+
+import argparse
+import ast
+import difflib
+import errno
+import inspect
+import os
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import MISSING, Field, field, fields, is_dataclass
+from functools import cache, wraps
+from itertools import pairwise
+from pathlib import Path
+from types import NoneType
+from typing import Any, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+Main = Callable[[Sequence[str], str], int]
+WORDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH"}  # for a value in the help
+PATIENCE = 4.0  # [s] without a word
+ROOT = Path(__file__).resolve().parents[2]  # the clone, where this package lies in one
+COMPILING = "compiling kernels, once after an installation: about a minute ..."
+
+
+class Parser(argparse.ArgumentParser):
+    """Reads the arguments of a program; what is wrong is one line on stderr and exit status 2.
+
+    Names of options are not understood from their beginning alone; what is near an unknown one is
+    named.
+    """
+
+    def __init__(self, program: str, description: str, **more: Any) -> None:
+        super().__init__(prog=program, description=description, allow_abbrev=False, **more)
+        self.register("type", int, _whole)
+        self.register("type", float, _number)
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Read the arguments; a folder of --output that cannot be written is refused here, before
+        any work."""
+        read = super().parse_args(args, namespace)
+        folder = getattr(read, "output", None)
+        if isinstance(folder, Path):
+            place = next(of for of in (folder, *folder.absolute().parents) if of.exists())
+            if not place.is_dir():
+                self.error(f"--output: {folder}: {place} is a file; must be a folder")
+            if not os.access(place, os.W_OK | os.X_OK):
+                self.error(f"--output: {folder}: {place} must be writable. May you write there?")
+        return read
+
+    def error(self, message: str) -> NoReturn:
+        """End the program."""
+        said = message.removeprefix("argument ")
+        near = difflib.get_close_matches(*self._unknown_and_allowed(said), n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        self.exit(2, f"{self.prog}: {said}{hint} (see {self.prog} --help)\n")
+
+    def _unknown_and_allowed(self, message: str) -> tuple[str, list[str]]:
+        """An unknown name in a message of argparse, and the names that it could be."""
+        if option := re.match(r"unrecognized arguments: (--[\w.-]+)", message):
+            return option[1], [name for each in self._actions for name in each.option_strings]
+        if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
+            return choice[1], [name.strip("'") for name in choice[2].split(", ")]
+        return "", []
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text}; must be a whole number") from error
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(
+            f"{text}; must be a number, with a point for decimals and without a unit"
+        ) from error
+
+
+class _AsTuple(argparse.Action):
+    """Stores the values of an option as a tuple."""
+
+    def __call__(self, parser: object, namespace: Any, values: Any, option: object = None) -> None:
+        """Store the values."""
+        setattr(namespace, self.dest, tuple(values))
+
+
+def option(default: Any, **arguments: Any) -> Any:
+    """A field with a default and with arguments of `add_argument`."""
+    return field(default=default, metadata=arguments)
+
+
+@cache
+def help_of(kind: type) -> dict[str, str]:
+    """The text below each field of a dataclass, those of its bases too."""
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        with suppress(OSError, TypeError):  # built in, or made in memory
+            body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0].body  # type: ignore[attr-defined]
+            for line, text in pairwise(body):
+                if isinstance(line, ast.AnnAssign) and isinstance(text, ast.Expr):
+                    words = ast.literal_eval(text.value).split()
+                    texts[ast.unparse(line.target)] = " ".join(words)
+    return texts
+
+
+def _reading(hint: Any) -> dict[str, Any]:
+    """What argparse needs to read a value of a type."""
+    if NoneType in get_args(hint):
+        (hint,) = (part for part in get_args(hint) if part is not NoneType)
+    if hint is bool:
+        return {"action": argparse.BooleanOptionalAction}
+    if get_origin(hint) is Literal:
+        return {"choices": get_args(hint)}
+    if get_origin(hint) is tuple:
+        return {**_reading(get_args(hint)[0]), "nargs": "+", "action": _AsTuple}
+    return {"type": hint, "metavar": WORDS.get(hint)}
+
+
+def _default(of: "Field[Any]") -> Any:
+    return of.default if of.default_factory is MISSING else of.default_factory()
+
+
+def _shown(default: Any) -> str:
+    """What the help says of a default."""
+    if default is None or isinstance(default, bool):
+        return ""
+    words = default if isinstance(default, tuple) else (default,)
+    return f" (default: {' '.join(map(str, words))})"
+
+
+def add_field(
+    parser: Any, kind: type, name: str, text: str | None = None, prefix: str = "", **changed: Any
+) -> None:
+    """A field of a dataclass as an option --PREFIX.NAME of a parser or a group of it.
+
+    text: its help, where it is not the text below the field. changed: further arguments of
+    `add_argument`, in place of what the field says.
+    """
+    (of,) = (each for each in fields(kind) if each.name == name)
+    arguments = {**_reading(get_type_hints(kind)[name]), "default": _default(of)}
+    arguments |= {**of.metadata, **changed}
+    said = help_of(kind).get(name, "") if text is None else text
+    said = f"{said}{_shown(arguments['default'])}".lstrip().replace("%", "%%")
+    where = f"{prefix}.{name}" if prefix else name
+    parser.add_argument(f"--{where.replace('_', '-')}", dest=where, help=said, **arguments)
+
+
+def add_fields(parser: Any, kind: type, without: Iterable[str] = (), prefix: str = "") -> None:
+    """The fields of a dataclass as options, but for those of `without`."""
+    hints = get_type_hints(kind)
+    for of in (each for each in fields(kind) if each.name not in without):
+        if is_dataclass(hints[of.name]):
+            nested = f"{prefix}.{of.name}" if prefix else of.name
+            text = help_of(kind).get(of.name) or hints[of.name].__doc__
+            group = parser.add_argument_group(nested.replace("_", "-"), text)
+            add_fields(group, hints[of.name], prefix=nested)
+        else:
+            add_field(parser, kind, of.name, prefix=prefix)
+
+
+def from_fields(kind: type[T], namespace: argparse.Namespace, prefix: str = "") -> T:
+    """A dataclass from the options of a command line; options that are not there: its defaults."""
+    read, hints, values = vars(namespace), get_type_hints(kind), {}
+    for of in fields(kind):  # type: ignore[arg-type]
+        where = f"{prefix}.{of.name}" if prefix else of.name
+        if is_dataclass(hints[of.name]):
+            values[of.name] = from_fields(hints[of.name], namespace, where)
+        elif where in read:
+            values[of.name] = read[where]
+    return kind(**values)
+
+
+# Likely causes, by the number of the system's error.
+CAUSES = {
+    errno.ENOENT: "Is the name right, and the current folder the one you mean?",
+    errno.EISDIR: "A file is needed there; did you leave out its name?",
+    errno.EEXIST: "A file stands where a folder is needed; name another one.",
+    errno.ENOTDIR: "A file stands where a folder is needed; name another one.",
+    errno.EACCES: "May you read and write there?",
+    errno.EROFS: "Name a folder that can be written.",
+    errno.ENOSPC: "Name a folder on another disk.",
+}
+
+
+def one_line(error: Exception) -> str:
+    """What an error says, of a file with its name first and the likely cause."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        cause = CAUSES.get(error.errno or 0, "")
+        return f"{error.filename}: {error.strerror.lower()}. {cause}".rstrip()
+    return str(error)
+
+
+def reported(main: Main) -> Main:
+    """`main` with errors as one line on stderr that begins with the name of the program.
+
+    Exit status 2 for arguments that make no sense (ValueError), 1 for a policy that fails, a file,
+    or a package that is missing.
+    """
+
+    @wraps(main)
+    def ended(arguments: Sequence[str], program: str) -> int:
+        # Here, because this file is imported before Ctrl-C ends a command with one line.
+        from tracked_env.benchmark.policy_interface import PolicyError
+
+        try:
+            return main(arguments, program)
+        except BrokenPipeError:  # nobody reads on: no error of the command
+            raise
+        except (PolicyError, ImportError, OSError) as error:
+            print(f"{program}: {one_line(error)}", file=sys.stderr)
+            return 1
+        except ValueError as error:
+            print(f"{program}: {error}", file=sys.stderr)
+            return 2
+
+    return ended
+
+
+@contextmanager
+def explained(text: str = COMPILING, after: float | None = None) -> Iterator[None]:
+    """Print `text` to the standard error if the block takes longer than `after` [s], by default
+    PATIENCE."""
+    wait = PATIENCE if after is None else after
+    timer = threading.Timer(wait, lambda: print(text, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def end_at_interrupt(program: str) -> None:
+    """End this process with status 130 at Ctrl-C, in the middle of a compilation too.
+
+    An exception there would be lost or replaced. Finished episodes are on disk, and what else is
+    left behind is removed by the next run.
+    """
+
+    def stop(signum: int, frame: object) -> None:
+        with suppress(Exception):
+            sys.stdout.flush()
+        text = f"\n{program}: interrupted; finished episodes are kept, run it again\n"
+        os.write(2, text.encode())
+        os._exit(130)  # as shells have it for Ctrl-C
+
+    signal.signal(signal.SIGINT, stop)
+
+
+def script(name: str) -> Path | None:
+    """A script of the clone that this package lies in, None where it is installed without one."""
+    path = ROOT / name
+    return path if path.is_file() and (ROOT / "pyproject.toml").is_file() else None
+
+
+def run_script(path: Path, arguments: Sequence[str]) -> NoReturn:
+    """Go on as `python PATH ARGUMENTS`."""
+    command = [sys.executable, str(path), *arguments]
+    sys.stdout.flush()
+    if sys.platform == "win32":  # where exec returns to the shell at once
+        sys.exit(subprocess.run(command, check=False).returncode)
+    os.execv(sys.executable, command)
+
+
+def train_main(arguments: Sequence[str], program: str) -> int:
+    """`tracked-env train`: train.py of the clone. Returns the exit status."""
+    if (path := script("train.py")) is not None:
+        run_script(path, arguments)
+    print(
+        f"{program}: training is not part of the installed package. Clone the repository and run "
+        "`make install` there, then `python train.py`",
+        file=sys.stderr,
+    )
+    return 2

@@ -13,7 +13,8 @@ ANYWHERE = ("__init__.py", "__main__.py", "conftest.py")
 PARALLEL = ("strawa2021", "focchi2025")  # folders of reproduce/ whose files may have equal names
 # What other projects call, and hooks that a tool calls by name.
 PUBLIC = {
-    "__getattr__", "create_dataset", "env_creator", "unpack", "IdentifiedObservation", "setup", "__all__",
+    "create_dataset", "env_creator", "unpack", "IdentifiedObservation", "setup", "__all__",
+    "__getattr__",
     "author", "copyright", "extensions", "myst_enable_extensions", "myst_heading_anchors",
     "exclude_patterns", "nitpicky", "html_theme", "html_title", "release", "smartquotes",
     "autodoc_default_options", "autodoc_member_order", "autodoc_typehints_format",

@@ -438,11 +438,12 @@ def restore_arrays(
     Raises ValueError, before anything is changed, for the state of another batch.
     """
     for array, memory in zip(arrays, memories, strict=True):
+        if len(memory) != len(array):
+            raise ValueError(f"state of {len(memory)} vehicles; must be of {len(array)}")
         if memory.shape != array.shape:
             raise ValueError(
-                f"state of {len(memory)} vehicles with {memory.shape[1]} columns; must be of "
-                f"{len(array)} with {array.shape[1]}. Is it that of another batch, or of another "
-                "control period?"
+                f"state with {memory.shape[1]} columns; must have {array.shape[1]}. "
+                "Is it of a stack with another control period?"
             )
     where = slice(None) if rows is None else rows
     for array, memory in zip(arrays, memories, strict=True):

@@ -192,5 +192,5 @@ def test_nonsense_is_refused_with_a_reason(options, message):
 
 
 def test_a_measurement_of_another_number_of_vehicles_is_refused():
-    with pytest.raises(ValueError, match="2 vehicles"):
+    with pytest.raises(ValueError, match="made for count = 1 vehicles"):
         estimator().update(measurements(TRUTH, "curves", count=2, steps=1)[0])
